@@ -38,9 +38,9 @@ from particlerb.rotors.exact import (
     Turn,
     by_kind,
     orientation,
-    prepare,
     turn_all,
     turn_block,
+    turns_of,
 )
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.run import prepare as prepare_system
@@ -106,8 +106,8 @@ def timed(work: Callable[[], object]) -> float:
 def speed(n: int) -> list[tuple[str, float]]:
     """Print times, memory and shares; return the times."""
     bodies = random_bodies(n)
-    groups = prepare(*bodies)
-    set_up = median(timed(lambda: prepare(*bodies)) for _ in range(7))
+    groups = turns_of(*bodies)
+    set_up = median(timed(lambda: turns_of(*bodies)) for _ in range(7))
     print(f"{n} bodies: set-up {set_up / n * 1e9:.0f} ns per body")
     figures = [(f"set-up, {n} bodies [ns]", set_up / n * 1e9)]
     for which, turn in groups:
@@ -218,7 +218,7 @@ def accuracy() -> list[tuple[str, float]]:
     """Print the worst errors over the reference file; return them."""
     stored = np.load(REFERENCE)
     n = stored["t"].size
-    groups = prepare(stored["inertia"], np.full(n, 4), stored["q0"], stored["L"])
+    groups = turns_of(stored["inertia"], np.full(n, 4), stored["q0"], stored["L"])
     error, effect = errors(groups, stored), stored["effect"]
     well = effect < WELL_CONDITIONED
     ratio = error[~well] / effect[~well]

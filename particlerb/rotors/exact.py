@@ -1,6 +1,6 @@
 """Free rotation in closed form: where a body points at any time, without steps.
 
-A body belongs to one of three kinds of turn, and `prepare` sorts them: `SteadyTurn` needs no
+A body belongs to one of three kinds of turn, and `turns_of` sorts them: `SteadyTurn` needs no
 elliptic function, `ThetaTurn` is the rule for asymmetric bodies, `HyperbolicTurn` takes those
 next to the separatrix. `turn_block` evaluates one kind for a block of bodies.
 The theory and its errors stand in docs/free_rotation.md.
@@ -23,6 +23,7 @@ from particlerb.rotors.exact_setup import (
     STEADY_ROWS,
     THETA_ROWS,
     Bytes,
+    Tumblers,
     moduli,
     near_table,
     steady_table,
@@ -202,10 +203,10 @@ def by_kind(turn: Turn) -> tuple[SteadyTurn | None, ThetaTurn | None, Hyperbolic
     )
 
 
-def prepare(
+def turns_of(
     inertia: Floats, rotor_class: NDArray[np.integer], q: Floats, L: Floats
 ) -> list[tuple[Ints, Turn]]:
-    """Sort bodies into kinds of turn and prepare each kind.
+    """Sort bodies into kinds of turn, with the constants of each.
 
     Parameters
     ----------
@@ -227,20 +228,19 @@ def prepare(
     n, (asymmetric,) = rotor_class.size, (rotor_class == ASYMMETRIC).nonzero()
     modulus, n_turning, n_theta = np.full(n, -1.0), 0, 0
     if asymmetric.size:
-        units, m = np.empty((2, n)), np.empty((MOMENTUM_ROWS, n))
-        of = inertia, q, L, units, asymmetric, m, CROSSOVER, modulus
-        n_turning, n_theta = THREADS.timed(moduli, *of)
+        bodies = Tumblers(inertia, q, np.empty((MOMENTUM_ROWS, n)), np.empty((2, n)))
+        n_turning, n_theta = THREADS.timed(moduli, bodies, L, asymmetric, CROSSOVER, modulus)
     groups: list[tuple[Ints, Turn]] = []
     if n_theta:
         which = _those(modulus >= CROSSOVER, n_theta)
         table, right = np.empty((THETA_ROWS, n_theta)), np.empty((4, n_theta), np.int8)
-        THREADS.alone(theta_table, inertia, q, m, units, which, table, right)
+        THREADS.alone(theta_table, bodies, which, table, right)
         clock, left, series = split(table, 3, 4, 3)
         groups.append((which, ThetaTurn(clock, left, right, series)))
     if n_near := n_turning - n_theta:
         which = _those(~((modulus < 0.0) | (modulus >= CROSSOVER)), n_near)
         table, right = np.empty((NEAR_ROWS, n_near)), np.empty((4, n_near), np.int8)
-        THREADS.alone(near_table, inertia, q, m, units, which, table, right)
+        THREADS.alone(near_table, bodies, which, table, right)
         clock, left, *rest = split(table, 3, 4, 5, 6, 6)
         groups.append((which, HyperbolicTurn(clock, left, right, *rest)))
     if n_steady := n - n_turning:

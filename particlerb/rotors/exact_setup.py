@@ -9,16 +9,16 @@ the range of doubles; `unit` is (1 / unit of I, 1 / unit of L) of each body.
 """
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from particlerb.compiled.jit import compile_with, config, inline, kernel
 from particlerb.maths import double_double as dd
-from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, store4
+from particlerb.maths.quaternion import Quat, Rows4, conjugate, load4, multiply, store4
 from particlerb.maths.trig import scale_of
-from particlerb.maths.vec3 import Floats, Ints, Vec3, load3, store3
+from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, load3, store3
 from particlerb.rotors.theta import (
     TINY,
     near_constants,
@@ -38,6 +38,15 @@ STEADY_ROWS, THETA_ROWS, NEAR_ROWS = 9, 10, 24
 Pair: TypeAlias = tuple[float, float]
 Bytes: TypeAlias = NDArray[np.int8]
 _spliced = compile_with(inline="always")  # copied into the caller before it is compiled
+
+
+class Tumblers(NamedTuple):
+    """Bodies of which some are asymmetric; the last two are written by `moduli`, for these."""
+
+    inertia: Floats  # (3, n) [kg m²]
+    q: Floats  # (4, n) rotor frame to world
+    momentum: Floats  # (MOMENTUM_ROWS, n) in their units
+    units: Floats  # (2, n)
 
 
 @inline
@@ -76,19 +85,13 @@ def _unit(vectors: Floats, b: int) -> float:
 
 @kernel
 def moduli(
-    inertia: Floats,
-    q: Floats,
-    L: Floats,
-    units: Floats,
-    which: Ints,
-    momentum: Floats,
-    crossover: float,
-    out: Floats,
+    bodies: Tumblers, L: Floats, which: Ints, crossover: float, out: Floats
 ) -> tuple[int, int]:
     """`complementary_modulus` of bodies `which`, their units, and L in their rotor frames.
 
     How many are asymmetric in their motion, and how many of these are beyond the crossover.
     """
+    inertia, q, momentum, units = bodies
     s = np.empty((_INPUTS + 1, _BLOCK))
     n_turning, n_theta = 0, 0
     for lo in range(0, which.size, _BLOCK):
@@ -119,11 +122,9 @@ def moduli(
 
 
 @kernel
-def fill(
-    inertia: Floats, q: Floats, momentum: Floats, units: Floats, which: Ints, lo: int, hi: int,
-    s: Floats,
-) -> None:  # fmt: skip
+def _fill(bodies: Tumblers, which: Ints, lo: int, hi: int, s: Floats) -> None:
     """Copy bodies which[lo:hi] into the first rows of a scratch block; the last one fills it up."""
+    inertia, q, momentum, units = bodies
     for b in range(_BLOCK):
         j = which[min(lo + b, hi - 1)]
         for i in range(3):
@@ -155,15 +156,21 @@ def world_factor(q: Quat, local: Quat, frame: Quat) -> Quat:
 
 
 @_spliced
-def _rows_3(s: Floats, i: int) -> tuple[Floats, Floats, Floats]:
+def _rows_3(s: Floats, i: int) -> Rows3:
     """Three rows of a scratch block."""
     return s[i], s[i + 1], s[i + 2]
 
 
 @_spliced
-def _rows_4(s: Floats, i: int) -> tuple[Floats, Floats, Floats, Floats]:
+def _rows_4(s: Floats, i: int) -> Rows4:
     """Four rows of a scratch block."""
     return s[i], s[i + 1], s[i + 2], s[i + 3]
+
+
+@_spliced
+def _inputs(s: Floats) -> tuple[Rows3, Rows4, Floats, Rows3, Rows3]:
+    """Moments, q, unit of I over that of L, and L in its high and its low digits."""
+    return _rows_3(s, 0), _rows_4(s, 3), s[13], _rows_3(s, 7), _rows_3(s, 10)
 
 
 @inline
@@ -173,22 +180,13 @@ def _pairs(high: Vec3, low: Vec3) -> tuple[Pair, Pair, Pair]:
 
 
 @kernel
-def theta_table(
-    inertia: Floats,
-    q: Floats,
-    momentum: Floats,
-    units: Floats,
-    which: Ints,
-    table: Floats,
-    right: Bytes,
-) -> None:
+def theta_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> None:
     """Constants of ThetaTurn: right, and in one table clock, left, series."""
     s = np.empty((_INPUTS + 4 + THETA_ROWS, _BLOCK))
     for lo in range(0, which.size, _BLOCK):
         hi = min(lo + _BLOCK, which.size)
-        fill(inertia, q, momentum, units, which, lo, hi, s)
-        moment, turn, rate = _rows_3(s, 0), _rows_4(s, 3), s[13]
-        high, low = _rows_3(s, 7), _rows_3(s, 10)
+        _fill(bodies, which, lo, hi, s)
+        moment, turn, rate, high, low = _inputs(s)
         frame, clock, left, series = _rows_4(s, 14), _rows_3(s, 18), _rows_4(s, 21), _rows_3(s, 25)
         for b in range(_BLOCK):
             q_b = load4(turn, b)
@@ -203,22 +201,13 @@ def theta_table(
 
 
 @kernel
-def near_table(
-    inertia: Floats,
-    q: Floats,
-    momentum: Floats,
-    units: Floats,
-    which: Ints,
-    table: Floats,
-    right: Bytes,
-) -> None:
+def near_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> None:
     """Constants of HyperbolicTurn: right, and in one table clock, left, scale, cosines, sines."""
     s = np.empty((_INPUTS + 4 + NEAR_ROWS, _BLOCK))
     for lo in range(0, which.size, _BLOCK):
         hi = min(lo + _BLOCK, which.size)
-        fill(inertia, q, momentum, units, which, lo, hi, s)
-        moment, turn, rate = _rows_3(s, 0), _rows_4(s, 3), s[13]
-        high, low = _rows_3(s, 7), _rows_3(s, 10)
+        _fill(bodies, which, lo, hi, s)
+        moment, turn, rate, high, low = _inputs(s)
         frame, clock, left = _rows_4(s, 14), _rows_3(s, 18), _rows_4(s, 21)
         scale, phase = _rows_4(s, 25), s[29]
         cosines, sines = (_rows_3(s, 30), _rows_3(s, 33)), (_rows_3(s, 36), _rows_3(s, 39))

@@ -135,7 +135,7 @@ class ContactLists:
         alone = incidence(none.astype(np.int64), none.astype(np.int64), n)
         return NeighbourLists(spheres, walls, alone, alone, self._max_contact_arm)
 
-    def prepare(self, corners: Floats, poses: Records, now: float, lasted: Lasted) -> WallsAhead:
+    def look_ahead(self, corners: Floats, poses: Records, now: float, lasted: Lasted) -> WallsAhead:
         """Fit the skin of the next lists, and look how long they hold as walls move.
 
         Parameters

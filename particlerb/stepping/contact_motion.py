@@ -186,7 +186,7 @@ class ContactMotion(SteppedMotion):
         self._place()
         self.check_lists(steps)
         poses = self.contact.workspace.poses
-        ahead = self.lists.prepare(self.corners(), poses, self.start + time, lasted)
+        ahead = self.lists.look_ahead(self.corners(), poses, self.start + time, lasted)
         self.take_over()
         self.list_pairs(ahead)
 

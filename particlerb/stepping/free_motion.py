@@ -29,8 +29,8 @@ from particlerb.rotors.exact import (
     SteadyTurn,
     ThetaTurn,
     by_kind,
-    prepare,
     turn_block,
+    turns_of,
 )
 from particlerb.rotors.tops import N_THETA, prepare_tops
 from particlerb.stepping.centres import translate
@@ -259,7 +259,7 @@ class FreeMotion(Motion):
                 free = free[~is_spun]
         if free.size < bodies.mass.size:
             bodies, state = taken(bodies, free), taken(state, free)
-        for which, turn in prepare(bodies.inertia, bodies.rotor_class, state.q, state.L):
+        for which, turn in turns_of(bodies.inertia, bodies.rotor_class, state.q, state.L):
             own = free[which]
             steady, theta, hyperbolic = by_kind(turn)
             yield own, self.part(own, steady=steady, theta=theta, hyperbolic=hyperbolic), None

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from particlerb.compiled.jit import config
 from particlerb.maths.quaternion import multiply, rows4, to_body, to_world
 from particlerb.rotors import exact
-from particlerb.rotors.exact import HyperbolicTurn, SteadyTurn, ThetaTurn, orientation, prepare
+from particlerb.rotors.exact import HyperbolicTurn, SteadyTurn, ThetaTurn, orientation, turns_of
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
 from particlerb.rotors.theta import ThetaCoefficients, theta_local
 
@@ -34,7 +34,7 @@ def column(*x):
 
 
 def turn_of(inertia, q, L, kind=ASYMMETRIC):
-    ((which, turn),) = prepare(column(*inertia), np.array([kind]), column(*q), column(*L))
+    ((which, turn),) = turns_of(column(*inertia), np.array([kind]), column(*q), column(*L))
     assert list(which) == [0]
     return turn
 
@@ -150,7 +150,7 @@ def test_reference_of_eight_thousand_bodies():
     stored = {k: np.ascontiguousarray(stored[k][..., ::every]) for k in stored.files}
     n = stored["t"].size
     error = np.empty(n)
-    for which, turn in prepare(
+    for which, turn in turns_of(
         stored["inertia"], np.full(n, ASYMMETRIC), stored["q0"], stored["L"]
     ):
         q = orientation(at_times(turn, stored["t"][which]), 1.0)
@@ -290,7 +290,7 @@ def test_points_rods_and_bodies_at_rest_stay_or_spin_steadily():
     q = np.tile(column(0.5, 0.5, 0.5, 0.5), 4)
     L = np.array([[0, 0.6, 0.6, 0], [0, 0, 0, 0], [0, -0.8, -0.8, 0.0]])
     kinds = np.array([POINT, ROD, SPHERE, ASYMMETRIC])
-    ((which, turn),) = prepare(inertia, kinds, q, L)
+    ((which, turn),) = turns_of(inertia, kinds, q, L)
     assert isinstance(turn, SteadyTurn)
     half = 0.25 * 3.0  # |L| / I / 2 · t
     spun = multiply((np.cos(half), 0.6 * np.sin(half), 0.0, -0.8 * np.sin(half)), tuple(q[:, 0]))
@@ -332,7 +332,7 @@ def test_extreme_bodies_get_a_unit_quaternion(seed):
         q[:, 1::3] = 0.5 * np.sign(q[:, 1::3])
         q /= np.linalg.norm(q, axis=0)
         seen = np.zeros(n, int)
-        for which, turn in prepare(inertia, np.full(n, ASYMMETRIC), q, L):
+        for which, turn in turns_of(inertia, np.full(n, ASYMMETRIC), q, L):
             seen[which] += 1
             np.testing.assert_allclose(orientation(turn, 0.0), q[:, which], rtol=0, atol=8 * EPS)
             for t in (1.0, -1e7, 1e60):
@@ -347,7 +347,7 @@ def test_extreme_bodies_get_a_unit_quaternion(seed):
 
 def test_random_bodies_all_have_a_vector_path_and_few_bytes():
     n = 60 if config.DISABLE_JIT else 20_000
-    groups = prepare(*random_bodies(n))
+    groups = turns_of(*random_bodies(n))
     share = {type(turn): which.size / n for which, turn in groups}
     assert set(share) <= {ThetaTurn, HyperbolicTurn}
     assert share[ThetaTurn] > 0.9
@@ -358,7 +358,7 @@ def test_random_bodies_all_have_a_vector_path_and_few_bytes():
 
 def test_blocks_of_any_length_give_the_same_orientations():
     bodies = random_bodies(600 if not config.DISABLE_JIT else 20)
-    for which, turn in prepare(*bodies):
+    for which, turn in turns_of(*bodies):
         whole = orientation(turn, 2.5)
         n, q = which.size, np.empty((4, which.size))
         kinds = exact.by_kind(turn)
@@ -384,7 +384,7 @@ L[:, ::2] = [[1e-3], [2.0], [1e-3]]
 q = np.zeros((4, n))
 q[0] = 1
 rows = np.empty((4, n))
-for which, turn in exact.prepare(inertia, np.full(n, 4), q, L):
+for which, turn in exact.turns_of(inertia, np.full(n, 4), q, L):
     rows[:, which] = exact.orientation(turn, 9.0)
 print(json.dumps(rows.tolist()))
 if len(sys.argv) > 2:

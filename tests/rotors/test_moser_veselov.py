@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particlerb.maths.quaternion import multiply, normalised, to_body, to_world
-from particlerb.rotors.exact import orientation, prepare
+from particlerb.rotors.exact import orientation, turns_of
 from particlerb.rotors.moser_veselov import (
     LONGEST_PIECE,
     MOST_PIECES,
@@ -61,7 +61,7 @@ def flown(inertia, q, L, h, n):
 
 
 def exact(inertia, q, L, t):
-    ((_, turn),) = prepare(column(*inertia), np.array([ASYMMETRIC]), column(*q), column(*L))
+    ((_, turn),) = turns_of(column(*inertia), np.array([ASYMMETRIC]), column(*q), column(*L))
     return orientation(turn, t)[:, 0]
 
 
