@@ -84,7 +84,7 @@ BUDGETS = {
 }
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 
-OVERSPENT = 148
+OVERSPENT = 143
 """Lines above all budgets, by what came beside joints, which use 1500 of theirs, and 210 by contact
 in the one loop, of which each part has its own module: to be saved."""
 
