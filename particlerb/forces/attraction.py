@@ -152,7 +152,7 @@ def place(attraction: Attraction, work: Fields, y: Floats, first: int, last: int
 
     Parameters
     ----------
-    attraction, work : Attraction, Work
+    attraction, work : Attraction, Fields
         Particles, and the arrays whose arms and points are written.
     y : ndarray, shape (13, n_bodies)
         Centre of mass [m], unit quaternion from rotor frame to world; the rest is not used.
@@ -250,7 +250,7 @@ def _collect(attraction: Attraction, work: Fields, load: Floats, first: int, las
 
     Parameters
     ----------
-    attraction, work : Attraction, Work
+    attraction, work : Attraction, Fields
         Particles, with arms and field.
     load : ndarray, shape (rows, n_bodies) [N, N m]
         Force in rows 0 to 2, torque about the centre of mass in rows 3 to 5, world axes.
@@ -314,7 +314,7 @@ def attraction_potential(
 
     Parameters
     ----------
-    attraction, work : Attraction, Work
+    attraction, work : Attraction, Fields
         Particles, with points; the depth of the potential is written.
     first, last : int
         Tiles, last excluded.
