@@ -34,6 +34,7 @@ BUDGETS = {
     "contact with every method": 480,
     "impulses": 1350,
     "Newton's method for impulses, the order of bodies in it, a band": 355,
+    "joints and contact by impulses in one solve": 363,
     "collisions by events": 1440,
     "a box that repeats in space, for events": 76,
     "events: code of what a scene has, lines of the cache, walls by cell": 190,

@@ -272,7 +272,7 @@ def _hit(scene: EventScene, state: EventState, work: EventWork, of: Impact) -> V
     u = in_frame(frame, 0, velocity_between(work.velocity, frame, 0, 0, 1))
     r = impact(frame, 0, u, of.restitution)
     p = in_world(frame, 0, r)
-    push_apart(work.velocity, work.inverse, frame, 0, 0, 1, p)
+    push_apart(work.velocity, work.inverse, None, frame, 0, 0, 1, p)
     after = in_frame(frame, 0, velocity_between(work.velocity, frame, 0, 0, 1))
     normal = 0.5 * r[0] * (u[0] + after[0])
     rubbed = 0.5 * (r[1] * (u[1] + after[1]) + r[2] * (u[2] + after[2]))

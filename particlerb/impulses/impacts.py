@@ -25,7 +25,7 @@ from particlerb.impulses.records import (
     UNENDED,
     Impulses,
 )
-from particlerb.impulses.rows import approach, give, in_world, push_apart
+from particlerb.impulses.rows import approach, change_by, give
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
 
 _PASSES: Final = 20  # over all contacts, at most
@@ -72,8 +72,7 @@ def take_impacts(impulses: Impulses) -> None:
             if u[0] >= -limits[k, SLOW]:
                 continue
             r = impact(frame, k, u, limits[k, RESTITUTION])
-            a, b = rows.first[k], rows.second[k]
-            push_apart(partners.velocity, partners.inverse, frame, k, a, b, in_world(frame, k, r))
+            change_by(partners, rows, k, r)
             give(partners, rows, k, r)
             for i in range(3):
                 rows.impact[k, i] += r[i]

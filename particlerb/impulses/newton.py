@@ -24,6 +24,12 @@ from typing import Final
 from particlerb.compiled.jit import inline, lean_kernel
 from particlerb.impulses.band import solve_band
 from particlerb.impulses.cone import nearest_in_cone, on_disc
+from particlerb.impulses.mechanisms import (
+    count_members,
+    has_response,
+    member,
+    through_joints,
+)
 from particlerb.impulses.records import (
     ARM,
     FRICTION,
@@ -45,6 +51,7 @@ from particlerb.impulses.rows import (
     in_frame,
     in_world,
     inverse_inertia_times,
+    push,
     put_column3,
     velocity_between,
 )
@@ -155,26 +162,38 @@ def _add_column(
 
 
 @inline
+def _velocity_by(partners: Partners, body: int, source: int, i: int, arm: Vec3) -> Vec3:
+    """Velocity of a point of a body by unit i of the impulse and angular impulse on another."""
+    unit, v, omega = _UNITS[i % 3], ZERO, ZERO
+    if i < 3:
+        v = scale(partners.inverse[body, 0], unit)
+    else:
+        omega = inverse_inertia_times(partners.inverse, body, unit)
+    v, omega = through_joints(partners.mechanisms, body, source, i, v, omega)
+    return add_scaled(1.0, cross(omega, arm), v)
+
+
+@inline
 def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) -> None:
     """Add Gᵀ K G M⁻¹ and -Gᵀ c of contact k."""
-    frame, slopes, inverse = rows.frame, newton.slopes, partners.inverse
+    frame, slopes, mechanisms = rows.frame, newton.slopes, partners.mechanisms
     a, b = rows.first[k], rows.second[k]
     one, two = newton.place[a], newton.place[b]
     for other in range(2):
-        body, column, arm = (a, one, ARM) if other == 0 else (b, two, ARM + 3)
-        if column < 0:
+        body, arm = (a, ARM) if other == 0 else (b, ARM + 3)
+        if newton.place[body] < 0:
             continue
         sign, arms = 1.0 - 2.0 * other, column3(frame, k, arm)
-        for i in range(6):
-            unit = _UNITS[i % 3]
-            v = scale(sign * inverse[body, 0], unit)
-            if i >= 3:
-                v = scale(sign, cross(inverse_inertia_times(inverse, body, unit), arms))
-            r = _k_times(slopes, k, in_frame(frame, k, v))
-            if one >= 0:
-                _add_column(newton, rows, k, one, ARM, 1.0, r, column + i)
-            if two >= 0:
-                _add_column(newton, rows, k, two, ARM + 3, -1.0, r, column + i)
+        for j in range(count_members(mechanisms, body)):
+            source = member(mechanisms, body, j)
+            column = newton.place[source]
+            for i in range(6 if column >= 0 and has_response(mechanisms, source) else 0):
+                v = _velocity_by(partners, body, source, i, arms)
+                r = _k_times(slopes, k, in_frame(frame, k, scale(sign, v)))
+                if one >= 0:
+                    _add_column(newton, rows, k, one, ARM, 1.0, r, column + i)
+                if two >= 0:
+                    _add_column(newton, rows, k, two, ARM + 3, -1.0, r, column + i)
 
 
 @lean_kernel
@@ -228,14 +247,16 @@ def _solve_for_bodies(partners: Partners, rows: ImpulseRows, newton: Newton, cou
                     change[at + i] += sign * p[i]
                     change[at + 3 + i] += sign * m[i]
     solve_band(matrix, change, reach)
-    for b in range(partners.move.shape[0]):
-        at, v, omega = newton.place[b], ZERO, ZERO
-        if at >= 0:
-            v = scale(partners.inverse[b, 0], (change[at], change[at + 1], change[at + 2]))
+    move = partners.move
+    for b in range(move.shape[0]):
+        put_column3(move, b, 0, ZERO)
+        put_column3(move, b, 3, ZERO)
+    for b in range(move.shape[0]):
+        at = newton.place[b]
+        if at >= 0 and has_response(partners.mechanisms, b):
+            p = (change[at], change[at + 1], change[at + 2])
             m = (change[at + 3], change[at + 4], change[at + 5])
-            omega = inverse_inertia_times(partners.inverse, b, m)
-        put_column3(partners.move, b, 0, v)
-        put_column3(partners.move, b, 3, omega)
+            push(move, partners.inverse, partners.mechanisms, b, p, m)
 
 
 @lean_kernel

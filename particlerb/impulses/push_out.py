@@ -9,6 +9,7 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import lean_kernel
+from particlerb.impulses.mechanisms import all_have_moved
 from particlerb.impulses.records import GAP, INVERSE, LEAST, NEVER, NORMAL, SLOW, Impulses
 from particlerb.impulses.rows import approach, column3, in_frame, push_apart, velocity_between
 from particlerb.maths.vec3 import scale
@@ -47,12 +48,11 @@ def push_out(impulses: Impulses, dt: float) -> bool:
             more = push - rows.old[k, 0]
             if more != 0.0:
                 rows.old[k, 0] = push
-                has_moved[a], has_moved[b] = (
-                    partners.inverse[a, 0] > 0.0,
-                    partners.inverse[b, 0] > 0.0,
-                )
+                for moved in (a, b):
+                    has_moved[moved] = partners.inverse[moved, 0] > 0.0
+                    all_have_moved(partners.mechanisms, has_moved, moved)
                 p = scale(more, column3(frame, k, NORMAL))
-                push_apart(move, partners.inverse, frame, k, a, b, p)
+                push_apart(move, partners.inverse, partners.mechanisms, frame, k, a, b, p)
                 largest = max(largest, abs(more) * frame[k, INVERSE])
         if largest <= _ENOUGH * rules.slop:
             break

@@ -79,6 +79,22 @@ class EventRules(NamedTuple):
     box: Floats  # (3,) [m] sides of the periodic box, inf: it has no end
 
 
+class Mechanisms(NamedTuple):
+    """Partners that joints hold together: what an impulse on one does to the velocities of all.
+
+    The velocities keep the joints, whatever the impulse: (M⁻¹ - M⁻¹ Gᵀ A⁻¹ G M⁻¹) p with the rows G
+    of the joints and A = G M⁻¹ Gᵀ. `joints.responses` fills the matrices.
+    """
+
+    number: Ints  # (partners,) which mechanism; -1: no joint holds it, or nothing moves it
+    place: Ints  # (partners,) among the members of its mechanism
+    member: Ints  # (n,) partners of all mechanisms, one after the other
+    first: Ints  # (k + 1,) where each begins there,
+    start: Ints  # (k,) and its matrix in `response`, six rows and columns for each member
+    response: Floats  # [1/kg, 1/(kg m), 1/(kg m²)]
+    is_known: Bools  # (partners,) whether its rows are those of this step
+
+
 class Partners(NamedTuple):
     """Bodies and walls, (n + n_walls, ..)."""
 
@@ -92,6 +108,7 @@ class Partners(NamedTuple):
     reach: Floats  # (.., 1) [m] that any point comes in a step, at most
     given: Floats  # (.., 6) [N s, N m s] impulse and angular impulse
     booked: Floats  # (.., 8) work, impulse, angular impulse of a step, gross work
+    mechanisms: Mechanisms | None  # None: no joint holds any
 
 
 class ImpulseRows(NamedTuple):
@@ -131,12 +148,13 @@ class Impulses(NamedTuple):
     newton: Newton
 
 
-def room_for_partners(n: int) -> Partners:
+def room_for_partners(n: int, mechanisms: Mechanisms | None = None) -> Partners:
     """Room for n bodies and walls."""
     velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 6, 6, 7, 6))
     place, reach, given, booked = (np.zeros((n, width)) for width in (3, 1, 6, 8))
     has_moved = np.zeros(n, dtype=np.bool_)
-    return Partners(velocity, before, free, inverse, move, has_moved, place, reach, given, booked)
+    arrays = velocity, before, free, inverse, move, has_moved, place, reach, given, booked
+    return Partners(*arrays, mechanisms)
 
 
 def room_for_rows(n: int) -> ImpulseRows:

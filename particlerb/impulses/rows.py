@@ -1,19 +1,29 @@
 """One contact: its frame and inverse mass, how its partners move, and what an impulse does."""
 
 import math
+from typing import Final
 
 from particlerb.compiled.jit import inline
+from particlerb.impulses.mechanisms import count_members, member, push_mechanism
 from particlerb.impulses.records import (
     ARM,
     COUPLING,
     INVERSE,
+    LEAST,
+    NEVER,
     NORMAL,
+    RESTITUTION,
     SCHUR,
     TANGENT,
+    ZERO,
     ImpulseRows,
+    Mechanisms,
     Partners,
 )
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
+
+_LOCKED: Final = 1e-9  # of the inverse mass without joints: below it these hold all
+_LEAST_SCHUR: Final = 1e-6  # of the same: friction along what joints hold is nothing
 
 
 @inline
@@ -65,16 +75,26 @@ def in_world(frame: Floats, c: int, r: Vec3) -> Vec3:
 
 
 @inline
-def push_apart(
-    velocity: Floats, inverse: Floats, frame: Floats, c: int, a: int, b: int, p: Vec3
+def push(
+    velocity: Floats, inverse: Floats, mechanisms: Mechanisms | None, b: int, p: Vec3, m: Vec3
 ) -> None:
+    """Change velocities by an impulse p [N s] and an angular impulse m [N m s] on partner b."""
+    if push_mechanism(mechanisms, velocity, b, p, m):
+        return
+    put_column3(velocity, b, 0, add_scaled(inverse[b, 0], p, column3(velocity, b, 0)))
+    turn = inverse_inertia_times(inverse, b, m)
+    put_column3(velocity, b, 3, add_scaled(1.0, turn, column3(velocity, b, 3)))
+
+
+@inline
+def push_apart(
+    velocity: Floats, inverse: Floats, mechanisms: Mechanisms | None, frame: Floats, c: int,
+    a: int, b: int, p: Vec3,
+) -> None:  # fmt: skip
     """Change velocities by the impulse p [N s] on the first partner, and -p on the second."""
-    put_column3(velocity, a, 0, add_scaled(inverse[a, 0], p, column3(velocity, a, 0)))
-    put_column3(velocity, b, 0, add_scaled(-inverse[b, 0], p, column3(velocity, b, 0)))
-    turn_a = inverse_inertia_times(inverse, a, cross(column3(frame, c, ARM), p))
-    turn_b = inverse_inertia_times(inverse, b, cross(column3(frame, c, ARM + 3), p))
-    put_column3(velocity, a, 3, add_scaled(1.0, turn_a, column3(velocity, a, 3)))
-    put_column3(velocity, b, 3, add_scaled(-1.0, turn_b, column3(velocity, b, 3)))
+    other = scale(-1.0, p)
+    push(velocity, inverse, mechanisms, a, p, cross(column3(frame, c, ARM), p))
+    push(velocity, inverse, mechanisms, b, other, cross(column3(frame, c, ARM + 3), other))
 
 
 @inline
@@ -126,6 +146,15 @@ def write_frame_of(
     w12 = dot(ya, turn_a) + dot(yb, turn_b)
     turn_a, turn_b = inverse_inertia_times(inverse, a, ya), inverse_inertia_times(inverse, b, yb)
     w22 = mass + dot(ya, turn_a) + dot(yb, turn_b)
+    put_matrix(frame, c, (t1, t2), (w, w1, w2), (w11, w12, w22))
+
+
+@inline
+def put_matrix(
+    frame: Floats, c: int, across: tuple[Vec3, Vec3], by_normal: Vec3, by_tangents: Vec3
+) -> None:
+    """Write the inverse mass of contact c, W_nn, W_n1, W_n2 and W_11, W_12, W_22, and tangents."""
+    (t1, t2), (w, w1, w2), (w11, w12, w22) = across, by_normal, by_tangents
     s11, s22, s12 = w11 - w1 * w1 / w, w22 - w2 * w2 / w, w12 - w1 * w2 / w
     c_, s_ = _diagonal_turn(s11, s22, s12)
     put_column3(frame, c, TANGENT, add_scaled(c_, t1, scale(s_, t2)))
@@ -162,4 +191,40 @@ def give(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
 def change_by(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     """Change velocities by r [N s] along n, t₁, t₂ of contact c."""
     a, b, p = rows.first[c], rows.second[c], in_world(rows.frame, c, r)
-    push_apart(partners.velocity, partners.inverse, rows.frame, c, a, b, p)
+    inverse, mechanisms = partners.inverse, partners.mechanisms
+    push_apart(partners.velocity, inverse, mechanisms, rows.frame, c, a, b, p)
+
+
+@inline
+def _moved_along(partners: Partners, frame: Floats, c: int, a: int, b: int, along: Vec3) -> Vec3:
+    """What a unit impulse in contact c does to its velocity, along n, t₁, t₂."""
+    move, mechanisms = partners.move, partners.mechanisms
+    for body in (a, b):
+        for j in range(count_members(mechanisms, body)):
+            put_column3(move, member(mechanisms, body, j), 0, ZERO)
+            put_column3(move, member(mechanisms, body, j), 3, ZERO)
+    push_apart(move, partners.inverse, mechanisms, frame, c, a, b, along)
+    return in_frame(frame, c, velocity_between(move, frame, c, a, b))
+
+
+@inline
+def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
+    """Write the inverse mass of contact c whose partners move as their joints let them.
+
+    Where these let the two neither approach nor part, the contact is left out.
+    """
+    a, b, frame = rows.first[c], rows.second[c], rows.frame
+    n, t1, t2 = (
+        column3(frame, c, NORMAL), column3(frame, c, TANGENT), column3(frame, c, TANGENT + 3),
+    )  # fmt: skip
+    by_n, by_1 = (
+        _moved_along(partners, frame, c, a, b, n),
+        _moved_along(partners, frame, c, a, b, t1),
+    )
+    by_2, free = _moved_along(partners, frame, c, a, b, t2), frame[c, INVERSE]
+    if by_n[0] <= _LOCKED * free:
+        frame[c, LEAST], rows.limits[c, RESTITUTION] = NEVER, 0.0
+        return
+    put_matrix(frame, c, (t1, t2), by_n, (by_1[1], by_1[2], by_2[2]))
+    for i in range(2):
+        frame[c, SCHUR + i] = max(frame[c, SCHUR + i], _LEAST_SCHUR * free)

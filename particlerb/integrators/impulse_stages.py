@@ -15,13 +15,24 @@ from particlerb.forces.kernels import Acting, kick_potential, shift_time
 from particlerb.impulses.bookkeeping import book_impulses
 from particlerb.impulses.impacts import take_impacts
 from particlerb.impulses.push_out import push_out
-from particlerb.impulses.records import PUSH_OUT_WORK, ZERO, Impulses, Partners
+from particlerb.impulses.records import PUSH_OUT_WORK, ZERO, Impulses, Mechanisms, Partners
 from particlerb.impulses.rows import column3, put_column3
 from particlerb.impulses.solver import leave_out_what_will_bounce, solve
 from particlerb.integrators.contact_stages import place_within_step
 from particlerb.integrators.external_work import book
 from particlerb.integrators.pair_stages import Layout, OwnBlocks
-from particlerb.maths.quaternion import Matrix, add_scaled4, matrix, multiply, normalised, turn_back
+from particlerb.joints.records import Jointed
+from particlerb.joints.responses import find_responses, move_to_joints
+from particlerb.joints.rows import put_pose
+from particlerb.maths.quaternion import (
+    Matrix,
+    Quat,
+    add_scaled4,
+    matrix,
+    multiply,
+    normalised,
+    turn_back,
+)
 from particlerb.maths.vec3 import (
     Floats,
     Vec3,
@@ -35,6 +46,7 @@ from particlerb.maths.vec3 import (
 )
 from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
 
+_MOVES: Final = 4  # of a push-out, and back to where joints hold
 _NONE: Final = 1e-9  # of momenta, beside impulses of a kick
 
 
@@ -81,14 +93,18 @@ def gather_velocities(
     for k in range(first, last):
         rows, lo = blocks[k], layout.first[k]
         for i in range(layout.size[k]):
-            b, v, omega = lo + i, get3(rows, P, i), get3(rows, L, i)
-            put_column3(partners.before, b, 0, row3(bodies.velocity, b))
-            put_column3(partners.before, b, 3, row3(bodies.angular_velocity, b))
+            b, v, omega = (
+                lo + i,
+                row3(bodies.velocity, lo + i),
+                row3(bodies.angular_velocity, lo + i),
+            )
+            put_column3(partners.before, b, 0, v)
+            put_column3(partners.before, b, 3, omega)
             R, moments = matrix(get4(rows, Q, i)), get3(rows, INV_INERTIA, i)
             _put_inverse(partners.inverse, b, get(rows, INV_MASS, i), moments, R)
             if inv_mass[b] > 0.0:
-                v = scale(inv_mass[b], v)
-                m = component_product(moments, turn_back(R, omega))
+                v = scale(inv_mass[b], get3(rows, P, i))
+                m = component_product(moments, turn_back(R, get3(rows, L, i)))
                 omega = (dot(R[0], m), dot(R[1], m), dot(R[2], m))
             put_column3(partners.velocity, b, 0, v)
             put_column3(partners.velocity, b, 3, omega)
@@ -135,9 +151,24 @@ def _apply_given(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
             put_column3(given, lo + i, 3, ZERO)
 
 
+@inline
+def _let_joints_hold(
+    jointed: Jointed | None, mechanisms: Mechanisms | None, impulses: Impulses
+) -> None:
+    """Let contacts feel what joints tie to their partners, if there is anything."""
+    if jointed is None or mechanisms is None:
+        return
+    find_responses(jointed.joints, jointed.work, impulses, mechanisms)
+
+
 @kernel
 def bounce(
-    contact: MovingContact | None, team: Team | None, blocks: Floats, layout: Layout, dt: float
+    contact: MovingContact | None,
+    jointed: Jointed | None,
+    team: Team | None,
+    blocks: Floats,
+    layout: Layout,
+    dt: float,
 ) -> None:
     """Find contacts of a step, and let those bounce that touch and approach."""
     if contact is None or team is None or contact.workspace.impulses is None:
@@ -148,6 +179,7 @@ def bounce(
         extremes = contact.memory.extremes
         _gather_walls(contact, impulses.partners)
         find_impulse_contacts(setup, workspace, contact.lists, impulses, extremes, dt)
+        _let_joints_hold(jointed, impulses.partners.mechanisms, impulses)
         take_impacts(impulses)
         _apply_given(impulses, blocks, layout)
     meet(team)
@@ -158,6 +190,28 @@ def _turning_energy(moments: Vec3, R: Matrix, spin: Vec3) -> float:
     """½ L·I⁻¹ L [J]."""
     m = turn_back(R, spin)
     return 0.5 * dot(component_product(moments, m), m)
+
+
+@inline
+def _keep_pose(
+    jointed: Jointed | None, mechanisms: Mechanisms | None, b: int, x: Vec3, q: Quat
+) -> None:
+    """Tell joints where body b is now, if there are any."""
+    if jointed is None or mechanisms is None:
+        return
+    c = mechanisms.number[b]
+    if c >= 0:
+        put_pose(jointed.work.y, mechanisms.first[c] + mechanisms.place[b], x, q)
+
+
+@inline
+def _back_to_joints(
+    jointed: Jointed | None, mechanisms: Mechanisms | None, partners: Partners
+) -> bool:
+    """Find moves to where joints hold; whether there are any."""
+    if jointed is None or mechanisms is None:
+        return False
+    return move_to_joints(jointed.joints, jointed.work, partners, mechanisms)
 
 
 @inline
@@ -199,9 +253,28 @@ def _book_bodies(
             gross[b] += booked[b, 7]
 
 
+@inline
+def _move_bodies(
+    contact: MovingContact, jointed: Jointed | None, impulses: Impulses, acting: Acting,
+    books: Flag, blocks: Floats, layout: Layout,
+) -> None:  # fmt: skip
+    """Move all bodies that are to be moved, and book it."""
+    partners, move = impulses.partners, impulses.partners.move
+    for k in range(layout.first.size):
+        rows, lo = blocks[k], layout.first[k]
+        for i in range(layout.size[k]):
+            b, dx, turn = lo + i, column3(move, lo + i, 0), column3(move, lo + i, 3)
+            if dot(dx, dx) + dot(turn, turn) > 0.0:
+                work = _move(acting, books, rows, i, dx, turn)
+                impulses.tally[PUSH_OUT_WORK] += work
+                contact.workspace.gross_work[b] += abs(work)
+                _keep_pose(jointed, partners.mechanisms, b, get3(rows, COM, i), get4(rows, Q, i))
+
+
 @kernel
 def press(
     contact: MovingContact | None,
+    jointed: Jointed | None,
     team: Team | None,
     acting: Acting,
     books: Flag,
@@ -215,7 +288,7 @@ def press(
     impulses = contact.workspace.impulses
     meet(team)
     if team.rank == 0:
-        partners, move = impulses.partners, impulses.partners.move
+        partners = impulses.partners
         moved = _size_of_kick(contact, partners)
         leave_out_what_will_bounce(impulses)
         solve(impulses, moved)
@@ -223,13 +296,10 @@ def press(
         book_impulses(impulses)
         _book_bodies(contact, impulses, books, blocks, layout)
         keep_impulses(contact.lists, impulses, dt)
-        if push_out(impulses, dt):
-            for k in range(layout.first.size):
-                rows, lo = blocks[k], layout.first[k]
-                for i in range(layout.size[k]):
-                    dx, turn = column3(move, lo + i, 0), column3(move, lo + i, 3)
-                    if dot(dx, dx) + dot(turn, turn) > 0.0:
-                        work = _move(acting, books, rows, i, dx, turn)
-                        impulses.tally[PUSH_OUT_WORK] += work
-                        contact.workspace.gross_work[lo + i] += abs(work)
+        moves = push_out(impulses, dt)
+        for _ in range(_MOVES):
+            if not moves:
+                break
+            _move_bodies(contact, jointed, impulses, acting, books, blocks, layout)
+            moves = _back_to_joints(jointed, partners.mechanisms, partners)
     meet(team)

@@ -19,7 +19,7 @@ from particlerb.integrators.external_work import book
 from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
 from particlerb.joints.breaking import foresee_breaks, keep_impulses
 from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
-from particlerb.joints.rows import by_inverse_inertia, put_vector, vector
+from particlerb.joints.rows import by_inverse_inertia, put_pose, put_vector, vector
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.maths.quaternion import Matrix
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
@@ -78,8 +78,7 @@ def place_driven(
         b = driven.which[k]
         if first <= b < last:
             x, q, v, w = prescribed_pose(driven, k, time)
-            put_vector(y, b, X, x)
-            y[b, Q], y[b, Q + 1], y[b, Q + 2], y[b, Q + 3] = q
+            put_pose(y, b, x, q)
             put_vector(motion, b, 0, v)
             put_vector(motion, b, 3, w)
             put_vector(motion, b, 6, prescribed_acceleration(driven, k, time))
@@ -88,9 +87,7 @@ def place_driven(
                 put_vector(y, b, P, p)
                 put_vector(y, b, L, spin)
             x, q, v, w = prescribed_pose(driven, k, time + dt)
-            later = jointed.work.later
-            put_vector(later, b, X, x)
-            later[b, Q], later[b, Q + 1], later[b, Q + 2], later[b, Q + 3] = q
+            put_pose(jointed.work.later, b, x, q)
 
 
 @lean
@@ -128,9 +125,10 @@ def _book_given(
 ) -> None:
     """Book the work that forces without potential do along what joints changed of the velocities.
 
-    A kick has booked it with the velocities before the impulses of the joints.
+    A kick has booked it with the velocities before the impulses of the joints; one of no length has
+    given nothing.
     """
-    if books is None or given is None:
+    if books is None or given is None or kick_dt == 0.0:
         return
     joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
     start, joint = joints.program.start, joints.clusters.joint

@@ -11,7 +11,9 @@ docs/impulses.md.
 
 from typing import Final
 
-from particlerb.forces.kinds import IMPULSES, POSE, TIME, VELOCITY
+from particlerb.compiled.jit import inline
+from particlerb.contact.contact_model import Instant
+from particlerb.forces.kinds import IMPULSES, JOINTS, POSE, TIME, VELOCITY
 from particlerb.integrators.impulse_stages import (
     bounce,
     gather_velocities,
@@ -19,23 +21,55 @@ from particlerb.integrators.impulse_stages import (
     press,
 )
 from particlerb.integrators.method import Method
-from particlerb.integrators.stages import MovingBodies, kick, stages
+from particlerb.integrators.stages import (
+    MovingBodies,
+    constrained_drift,
+    kick,
+    project,
+    set_times,
+    shift_clock,
+    stages,
+)
 from particlerb.integrators.strang import drift
+from particlerb.joints.records import Jointed
+
+
+@inline
+def _drift_alone(
+    jointed: Jointed | None, moving: MovingBodies, first: int, last: int, dt: float
+) -> None:
+    """Drift where no joints are."""
+    if jointed is None:
+        drift(moving, first, last, dt)
 
 
 @stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Drift, kick, impacts, kick, solve, drift."""
     contact, team, blocks, layout = moving.contact, moving.team, moving.blocks, moving.layout
-    drift(moving, first, last, 0.5 * dt)
+    jointed = moving.jointed
+    _drift_alone(jointed, moving, first, last, 0.5 * dt)
+    constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
+    shift_clock(jointed, team, 0.5 * dt)
+    project(moving, 0.0)
     place_in_the_middle(contact, team, moving.acting, blocks, layout, first, last, dt)
     kick(moving, first, last, 0.5 * dt)
+    project(moving, 0.5 * dt)
     gather_velocities(contact, blocks, layout, first, last)
-    bounce(contact, team, blocks, layout, dt)
+    bounce(contact, jointed, team, blocks, layout, dt)
     kick(moving, first, last, 0.5 * dt)
+    project(moving, 0.5 * dt)
     gather_velocities(contact, blocks, layout, first, last)
-    press(contact, team, moving.acting, moving.books, blocks, layout, dt)
-    drift(moving, first, last, 0.5 * dt)
+    press(contact, jointed, team, moving.acting, moving.books, blocks, layout, dt)
+    _drift_alone(jointed, moving, first, last, 0.5 * dt)
+    constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
+
+
+@stages
+def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+    """Momenta at a frame, which keep the joints."""
+    set_times(moving, first, last, instant.time)
+    project(moving, 0.0)
 
 
 METHOD: Final = Method(
@@ -43,12 +77,13 @@ METHOD: Final = Method(
     summary="order 1 in contacts, for law = 'impulse': midpoint step with impulses, exact cone",
     order=2,
     free_order=2,
-    accepts=frozenset({POSE, VELOCITY, TIME, IMPULSES}),
+    accepts=frozenset({POSE, VELOCITY, TIME, IMPULSES, JOINTS}),
     cost=12.0,
     evaluations=1,
     keeps_rods=True,
     stability_limit=2.0,
     max_turn=0.5,
     step=step,
+    show=show,
     takes_impulses=True,
 )

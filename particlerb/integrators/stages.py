@@ -268,6 +268,15 @@ def kick_jointed(
     _kick_damped(moving, first, last, opening)
 
 
+@kernel
+def shift_clock(jointed: Jointed | None, team: Team | None, later: float) -> None:
+    """Tell joints that it is so many seconds later, if there are any."""
+    if jointed is None or team is None:
+        return
+    if team.rank == 0:
+        jointed.work.clock[0] += later
+
+
 @stages
 def project(moving: MovingBodies, kick_dt: float) -> None:
     """Take from the momenta what would break a joint; springs kick before, what damps acts then."""

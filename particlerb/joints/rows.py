@@ -92,6 +92,13 @@ def attitude(y: Floats, k: int) -> Quat:
 
 
 @lean
+def put_pose(y: Floats, k: int, x: Vec3, q: Quat) -> None:
+    """Write where body k is."""
+    put_vector(y, k, X, x)
+    y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
+
+
+@lean
 def by_inverse_inertia(inv_inertia: Floats, q: Quat, k: int, v: Vec3) -> Vec3:
     """J⁻¹ v in world axes, of body k with the orientation q."""
     return to_world(q, component_product(row3(inv_inertia, k), to_body(q, v)))

@@ -8,6 +8,7 @@ from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.pair_force import max_point_speed
 from particlerb.impulses.order import room_for_newton
 from particlerb.impulses.records import TALLY, Impulses, room_for_partners, room_for_rows
+from particlerb.joints.responses import mechanisms_of, pairs_within
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.motion import Energies, MotionError
@@ -26,7 +27,9 @@ class ImpulseMotion(ContactMotion):
     def impulses_of(self, setup: GroupContact) -> Impulses | None:
         """Room for impulses."""
         assert setup.rules is not None
-        partners = room_for_partners(self.group.members.size + len(setup.motions))
+        n, joints = self.group.members.size + len(setup.motions), self.group.terms.joints
+        mechanisms = None if joints is None else mechanisms_of(joints, n)
+        partners = room_for_partners(n, mechanisms)
         count = np.zeros(1, dtype=np.int64)
         nothing = np.zeros(0, dtype=np.int64)
         newton = room_for_newton(np.zeros(0, dtype=np.bool_), nothing, nothing, 0)
@@ -61,7 +64,9 @@ class ImpulseMotion(ContactMotion):
         if impulses.rules.newton:
             owner, (first, second, *_) = setup.model.spheres.body, lists.spheres
             moves = np.append(setup.model.inv_mass > 0.0, np.zeros(len(setup.motions), np.bool_))
-            newton = room_for_newton(moves, owner[first], owner[second], impulses.rows.first.size)
+            tied = pairs_within(impulses.partners.mechanisms)
+            a, b = np.append(owner[first], tied[0]), np.append(owner[second], tied[1])
+            newton = room_for_newton(moves, a, b, impulses.rows.first.size)
             impulses = impulses._replace(newton=newton)
         self.contact = self.contact._replace(workspace=workspace._replace(impulses=impulses))
 

@@ -55,6 +55,7 @@ LIGHTER = {  # 11 frames instead of 1001; tests run side by side, and threads wo
     "spring_net": ("run.threads=1",),
 }
 ELSEWHERE = {"clump_drop", "heap", "mixer"}  # run so by test_granular_cases.py, which looks further
+ELSEWHERE |= {"gripper"}  # its first steps by tests/impulses/test_mechanisms.py: long to compile
 NASA_RATES_DEG = (10.0, 20.0, 30.0)
 SLUG_FT2 = Fraction("0.45359237") * Fraction("9.80665") * Fraction("0.3048")  # [kg m²], exact
 UP = np.array([0.0, 0.0, 1.0])

@@ -1,0 +1,165 @@
+"""Mechanisms whose bodies touch without stiffness: what an impulse on one does to all of them.
+
+An impulse p on the bodies of a mechanism, and those of its joints with it, change the velocities by
+
+    M⁻¹ (p - Gᵀ A⁻¹ G M⁻¹ p),   A = G M⁻¹ Gᵀ
+
+So contacts are solved as those of free bodies are, with this matrix in the place of M⁻¹, and joints
+hold in each sweep. It is found anew in each step, for the bodies that something touches.
+"""
+
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from particlerb.compiled.jit import lean_kernel
+from particlerb.impulses.records import Impulses, Mechanisms, Partners
+from particlerb.impulses.rows import (
+    column3,
+    inverse_inertia_times,
+    put_column3,
+    write_through_joints,
+)
+from particlerb.joints.block_cholesky import solve
+from particlerb.joints.records import Joints, Work
+from particlerb.joints.rows import add_impulses, rate, residuals
+from particlerb.joints.solver import factorise_cluster
+from particlerb.maths.vec3 import Ints, scale
+
+_ROUNDING: Final = 1e-14  # residuals, over their size, that are as good as none
+
+
+def mechanisms_of(joints: Joints, n_partners: int) -> Mechanisms:
+    """Room for the mechanisms of a group whose bodies are the first of so many partners."""
+    body = joints.clusters.body
+    size, is_tied = np.diff(body), np.diff(joints.clusters.joint) > 0
+    cluster = np.repeat(np.arange(size.size), size)
+    number, place = np.full(n_partners, -1), np.zeros(n_partners, dtype=np.int64)
+    place[joints.order] = np.arange(joints.order.size) - body[cluster]
+    moves = is_tied[cluster] & (joints.inv_mass[:-1] > 0.0)
+    number[joints.order[moves]] = cluster[moves]
+    start = np.append(0, np.cumsum(np.where(is_tied, 36 * size * size, 0)))
+    known = np.zeros(n_partners, dtype=np.bool_)
+    return Mechanisms(number, place, joints.order, body, start[:-1], np.zeros(start[-1]), known)
+
+
+def pairs_within(mechanisms: Mechanisms | None) -> tuple[Ints, Ints]:
+    """Pairs of bodies that joints hold together, directly or through others."""
+    none = np.zeros(0, dtype=np.int64)
+    if mechanisms is None:
+        return none, none
+    whole = [mechanisms.member[lo:hi] for lo, hi in pairwise(mechanisms.first) if hi - lo > 1]
+    ends = [np.triu_indices(own.size, 1) for own in whole]
+    return (
+        np.concatenate([none, *(own[i] for own, (i, _) in zip(whole, ends, strict=True))]),
+        np.concatenate([none, *(own[j] for own, (_, j) in zip(whole, ends, strict=True))]),
+    )
+
+
+@lean_kernel
+def _clear(work: Work, first: int, last: int) -> None:
+    """No impulse on bodies first to last."""
+    for k in range(first, last):
+        for i in range(6):
+            work.change[k, i] = 0.0
+
+
+@lean_kernel
+def _put_velocities(
+    partners: Partners, mechanisms: Mechanisms, work: Work, c: int, to: int
+) -> None:
+    """Write velocities of mechanism c from the impulses on it: a row of its matrix."""
+    response = mechanisms.response
+    for k in range(mechanisms.first[c], mechanisms.first[c + 1]):
+        b = mechanisms.member[k]
+        v = scale(partners.inverse[b, 0], column3(work.change, k, 0))
+        omega = inverse_inertia_times(partners.inverse, b, column3(work.change, k, 3))
+        for i in range(3):
+            response[to + i], response[to + 3 + i] = v[i], omega[i]
+        to += 6
+
+
+@lean_kernel
+def _respond(
+    joints: Joints, work: Work, partners: Partners, mechanisms: Mechanisms, c: int
+) -> None:
+    """Find the rows of the matrix of mechanism c that are asked for."""
+    first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
+    lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
+    factorise_cluster(joints, work, c, 0.0, work.clock[0])
+    for k in range(first, last):
+        if not mechanisms.is_known[mechanisms.member[k]]:
+            continue
+        for i in range(6):
+            _clear(work, first, last)
+            work.change[k, i] = 1.0
+            for r in range(lo, hi):
+                found = rate(joints, work.gradient, r, work.change, 0)
+                work.z[r] = -found if work.compliance[r] == 0.0 else 0.0
+            solve(joints.program, joints.clusters, work.factor, work.z, c)
+            inv_mass, gradient = joints.inv_mass, work.gradient
+            add_impulses(joints.rows, inv_mass, gradient, work.z, lo, hi, work.change, 0)
+            row = 6 * (k - first) + i
+            to = mechanisms.start[c] + row * 6 * (last - first)
+            _put_velocities(partners, mechanisms, work, c, to)
+
+
+@lean_kernel
+def find_responses(joints: Joints, work: Work, impulses: Impulses, mechanisms: Mechanisms) -> None:
+    """Find what impulses on bodies that touch do to their mechanisms, and inverse masses by that.
+
+    Bodies are in `work` where they touch, and the clock is there.
+    """
+    _, partners, rows, count, _, _ = impulses
+    known, number = mechanisms.is_known, mechanisms.number
+    for b in range(known.size):
+        known[b] = False
+    for k in range(count[0]):
+        for b in (rows.first[k], rows.second[k]):
+            known[b] = number[b] >= 0
+    for c in range(mechanisms.start.size):
+        for k in range(mechanisms.first[c], mechanisms.first[c + 1]):
+            if known[mechanisms.member[k]]:
+                _respond(joints, work, partners, mechanisms, c)
+                break
+    for k in range(count[0]):
+        if known[rows.first[k]] or known[rows.second[k]]:
+            write_through_joints(partners, rows, k)
+
+
+@lean_kernel
+def move_to_joints(joints: Joints, work: Work, partners: Partners, mechanisms: Mechanisms) -> bool:
+    """Find moves of bodies that have been pushed out, to where joints hold; whether there are any.
+
+    One step of Newton's method with the poses in `work`, weighed by the masses.
+    """
+    move, found = partners.move, False
+    for b in range(move.shape[0]):
+        for i in range(6):
+            move[b, i] = 0.0
+    for c in range(mechanisms.start.size):
+        first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
+        lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
+        if lo == hi or not partners.has_moved[mechanisms.member[first]]:
+            continue
+        factorise_cluster(joints, work, c, 0.0, work.clock[0])
+        worst, _ = residuals(
+            joints.rows, joints.drives, work.y, work.compliance, work.g, lo, hi, work.clock[0]
+        )
+        if worst <= _ROUNDING:
+            continue
+        found = True
+        _clear(work, first, last)
+        for r in range(lo, hi):
+            work.z[r] = -work.g[r]
+        solve(joints.program, joints.clusters, work.factor, work.z, c)
+        inv_mass, gradient = joints.inv_mass, work.gradient
+        add_impulses(joints.rows, inv_mass, gradient, work.z, lo, hi, work.change, 0)
+        for k in range(first, last):
+            b = mechanisms.member[k]
+            dx = scale(partners.inverse[b, 0], column3(work.change, k, 0))
+            put_column3(move, b, 0, dx)
+            turn = inverse_inertia_times(partners.inverse, b, column3(work.change, k, 3))
+            put_column3(move, b, 3, turn)
+    return found

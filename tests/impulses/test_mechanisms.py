@@ -1,0 +1,205 @@
+"""Joints and contact in one solve: momenta, closed forms, Coulomb's law, bits, what is refused."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from impulse_scenes import DOWN, G, R, case, clump, errors, impulse, plane, sphere
+
+import particlerb
+from particlerb.case.problems import CaseError
+from particlerb.impulses.order import room_for_newton
+from particlerb.impulses.records import (
+    FRICTION,
+    NEWTON_STEPS,
+    RESIDUAL,
+    TALLY,
+    ImpulseRules,
+    Impulses,
+    room_for_partners,
+    room_for_rows,
+)
+from particlerb.impulses.rows import write_frame
+from particlerb.impulses.solver import solve
+from particlerb.joints.records import HOLDS, ConstraintRows, room_for_joints
+from particlerb.joints.responses import find_responses, mechanisms_of
+from particlerb.joints.setup import NO_ACTIONS, joints_among
+
+CASES = Path(__file__).parents[2] / "cases"
+plain = pytest.mark.plain
+
+AXES = {"hinge": {"axis": [0, 1.0, 0.2]}, "universal": {"axis": [0, 0, 1.0], "axis_to": [0, 1, 0]},
+        "slider": {"axis": [0, 1.0, 0]}, "cylindrical": {"axis": [0, 1.0, 0]},
+        "planar": {"axis": [0, 0, 1.0]}, "distance": {"at_to": [-2 * R, 0, 0]},
+        "fixed": {"merge": False}}  # fmt: skip
+
+
+def tied(kind, *, to="left", at=(0.0, 0.0, 0.0), body="right", **keys):
+    """Joint between two bodies, or one and the world."""
+    table = {"type": kind, "body": body, "at": list(at)} | ({"to": to} if to else {})
+    return table | AXES.get(kind, {}) | keys
+
+
+def struck(kind, **contact):
+    """Two boxes that a joint ties, and a ball that flies onto them; no other body is near."""
+    left, right = (clump(name, position=[x, 0, 0]) for name, x in (("left", -0.3), ("right", 0.3)))
+    ball = sphere(position=[0.45, 0.9, 0.31], velocity=[-0.4, -4.0, -1.2])
+    return case(left, right, ball, joint=[tied(kind)], t_end=0.4, every=0.02, dt=5e-3,
+                contact=impulse(0.4, 0.5, tolerance=1e-12, iterations=500) | contact)  # fmt: skip
+
+
+@plain
+@pytest.mark.parametrize("kind", ["ball", *AXES])
+def test_momenta_are_kept_and_joints_hold_through_a_blow(kind):
+    t = particlerb.run(struck(kind, push_out=0.0))
+    loads = particlerb.joint_loads(t)
+    P, L = (t.observable(f"{name}_momentum") for name in ("linear", "angular"))
+    assert np.abs(np.diff(np.array(t.linear_momentum)[:, 2], axis=0)).max() > 1.0
+    assert np.abs(P - P[0]).max() < 1e-13 * np.abs(P[0]).max()
+    assert np.abs(L - L[0]).max() < 1e-13 * np.abs(L[0]).max()
+    assert loads.misfit.max() < 1e-13
+    assert loads.rate.max() < 1e-12
+    assert errors(t)[0] < 1e-3 * t.energy[0]
+    assert (np.diff(t.energy) < 1e-3 * t.energy[0]).all()
+    assert t.energy[-1] < 0.98 * t.energy[0]
+
+
+def door(restitution, dt, t_end, friction=0.0):
+    """A bar of five balls on a hinge at the origin, which falls onto a floor."""
+    place = [[0.25 * k - 0.5, 0.0, 0.02 * k - 0.04] for k in range(5)]
+    shape = {"type": "points", "mass": 0.2, "radius": 0.05, "position": place}
+    hinge = {"type": "hinge", "body": "bar", "at": [0, 0, 0], "axis": [0, 1, 0]}
+    bar = {"name": "bar", "shape": shape, "position": [0.5, 0.0, 0.04]}
+    keys = {"joint": [hinge], "wall": [plane(point=[0, 0, -0.4])], "gravity": DOWN}
+    contact = impulse(restitution, friction, tolerance=1e-9)
+    return case(bar, dt=dt, t_end=t_end, every=dt, contact=contact, **keys)
+
+
+@plain
+def test_an_elastic_door_keeps_its_energy_to_order_two():
+    found = []
+    for dt in (8e-3, 4e-3):
+        t = particlerb.run(door(1.0, dt, 0.6))
+        found.append(np.abs(t.energy - t.energy[0]).max())
+        assert t.linear_momentum[:, 0, 2].max() > 0.1
+    assert found[0] / found[1] == pytest.approx(4.0, rel=0.15)
+
+
+@plain
+def test_a_door_that_lies_on_its_stop_lies_there():
+    t = particlerb.run(door(0.0, 8e-3, 0.8, friction=0.5))
+    late = np.array(t.position)[t.time > 0.6]
+    assert np.abs(late - late[-1]).max() < 1e-6
+    assert late[-1, 0, 2] < -0.1
+    assert np.abs(particlerb.joint_loads(t).misfit).max() < 1e-13
+
+
+@plain
+@pytest.mark.parametrize("e", [0.6, 1.0])
+def test_a_ball_that_hits_a_bar_on_a_hinge_feels_its_inertia_about_the_hinge(e):
+    """J = (1 + e) v / (1/m + d²/I): the impulse at a distance d from the axis."""
+    d, v = 1.0, 2.0
+    scene = door(e, 5e-3, 0.2)
+    bar, ball = scene["body"][0], sphere(position=[d, 0.3, 0.08], velocity=[0, -v, 0])
+    scene = {k: scene[k] for k in ("run", "contact", "joint")} | {"body": [bar, ball]}
+    scene["joint"][0]["axis"] = [0, 0, 1.0]
+    t = particlerb.run(scene)
+    place = np.array([[0.25 * k, 0.02 * k] for k in range(5)])
+    inertia = 0.2 * (place[:, 0] ** 2).sum() + 5 * 0.4 * 0.2 * 0.05**2
+    J = (1 + e) * v / (1 / 2.0 + d * d / inertia)
+    assert t.velocity[-1, 1, 1] == pytest.approx(J / 2.0 - v, abs=1e-12)
+    first = np.flatnonzero(np.abs(t.velocity[:, 0, 1]) > 0.1)[0]
+    assert t.omega_body(0)[first] @ t.omega_body(0)[first] == pytest.approx((J * d / inertia) ** 2)
+
+
+def gripper(force, t_end, **keys):
+    """A brick between two plates on sliders that motors press together."""
+    left, right = (clump(name, position=[x, 0, 0]) for name, x in (("left", -0.4), ("right", 0.4)))
+    press = [tied("slider", to=None, body=name, at=[x, 0, 0], axis=[n, 0, 0], motor=force)
+             for name, x, n in (("left", -0.4, 1.0), ("right", 0.4, -1.0))]  # fmt: skip
+    return case(left, right, clump("brick"), joint=press, gravity=DOWN, dt=5e-3, t_end=t_end,
+                every=0.02, contact=impulse(0.0, 0.5, tolerance=1e-9) | keys)  # fmt: skip
+
+
+@plain
+def test_a_gripper_holds_a_brick_if_twice_friction_times_force_carries_it():
+    """Twice μ F against m g; m = 1 kg and μ = 1/2, so F = g is the limit."""
+    held, lost = (particlerb.run(gripper(share * G, 0.05)) for share in (1.01, 0.99))
+    assert np.abs(held.position - held.position[0]).max() < 1e-9
+    assert held.observable("impulse_residual").max() <= 1e-9
+    assert lost.velocity[-1, 2, 2] < -0.01 * G * 0.05
+
+
+@plain
+def test_what_is_pushed_out_goes_back_to_its_joints():
+    boxes = [clump("left", position=[-0.3, 0, 0.3], orientation=[1.0, 0.2, 0.1, 0.0]),
+             clump("right", position=[0.3, 0, 0.3])]  # fmt: skip
+    keys = {"joint": [tied("ball", at=[0, 0, 0.3])], "gravity": DOWN, "wall": [plane()]}
+    t = particlerb.run(case(*boxes, t_end=0.4, every=0.02, dt=5e-3, contact=impulse(0.3), **keys))
+    assert t.observable("push_out_work")[-1] > 1e-3
+    assert particlerb.joint_loads(t).misfit.max() < 1e-13
+    assert errors(t)[1] < 1e-12
+    assert errors(t)[2] < 1e-12
+
+
+@plain
+def test_a_mechanism_that_touches_goes_on_bit_for_bit(tmp_path):
+    scene, path = struck("hinge"), tmp_path / "part.h5"
+    whole = particlerb.run(scene)
+    particlerb.run({**scene, "run": scene["run"] | {"t_end": 0.2}}, path).close()
+    with particlerb.resume(path, t_end=0.4) as t:
+        for name in ("position", "orientation", "linear_momentum", "angular_momentum"):
+            assert (getattr(t, name) == getattr(whole, name)).all()
+
+
+@plain
+def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts():
+    """Two unit masses on a ball joint, one contact of each with a wall."""
+    bodies = SimpleNamespace(mass=np.ones(2), inv_mass=np.ones(2), inv_inertia=np.ones((3, 2)))
+    ends, a, b = np.tile([0.5, 0, 0], (3, 1)), np.zeros(3, np.int64), np.ones(3, np.int64)
+    none = np.full(3, HOLDS)
+    rows = ConstraintRows(b, a, b, ends, -ends, np.eye(3), np.ones(3), np.ones(3), none, none)
+    joints = joints_among(a[:1], np.array([0, 3]), rows, bodies, NO_ACTIONS)
+    work, mechanisms = room_for_joints(joints), mechanisms_of(joints, 3)
+    work.y[1, 0] = 1.0
+    partners, contacts = room_for_partners(3, mechanisms), room_for_rows(2)
+    partners.inverse[:2, [0, 1, 4, 6]] = 1.0
+    partners.place[1, 0], partners.velocity[:2, 2] = 1.0, -1.0
+    contacts.first[:], contacts.second[:] = [0, 1], 2
+    for k, x in enumerate((-0.2, 1.3)):
+        write_frame(partners, contacts, k, (0.0, 0.0, 1.0), (x, 0.1, -0.1))
+        contacts.frame[k, FRICTION] = 0.5
+    rules = ImpulseRules(np.zeros(1), 1e-12, 1, 0.0, 0.0, True)
+    newton = room_for_newton(partners.inverse[:, 0] > 0, a[:1], b[:1], 2)
+    impulses = Impulses(rules, partners, contacts, np.array([2]), np.zeros(TALLY), newton)
+    find_responses(joints, work, impulses, mechanisms)
+    g = work.gradient
+    G = np.hstack([g[:, :3], g[:, 3:6], -g[:, :3], g[:, 6:9]])
+    dense = np.eye(12) - G.T @ np.linalg.solve(G @ G.T, G)
+    assert mechanisms.response.reshape(12, 12) == pytest.approx(dense, abs=1e-13)
+    solve(impulses, 1.0)
+    assert impulses.tally[RESIDUAL] <= 1e-12
+    assert impulses.tally[NEWTON_STEPS] > 1
+    assert np.abs(G @ partners.velocity[:2].ravel()).max() < 1e-14
+    assert np.abs(partners.velocity[:2, 2]).max() > 1e-3  # what hangs between the two swings on
+
+
+@plain
+def test_the_gripper_of_the_cases_begins_to_lift():
+    """The whole of it takes long to compile, and its 240 steps long in Python."""
+    t = particlerb.run(CASES / "gripper.toml", overrides=["run.t_end=0.02", "run.every=0.005"])
+    lifted = (t.position[-1] - t.position[0])[:, 2]
+    behind = 2.5e-3 * t.velocity[-1, 0, 2]  # half a step
+    assert lifted[0] > 3e-4
+    assert lifted[3] == pytest.approx(lifted[0] - behind, rel=0.1)
+    assert particlerb.joint_loads(t).misfit.max() < 1e-13
+
+
+@plain
+def test_joints_that_break_are_refused_with_impulses():
+    scene = gripper(G, 0.1)
+    scene["joint"][0]["breaks_at"] = {"force": 1.0}
+    scene["joint"][0].pop("motor")
+    with pytest.raises(CaseError, match="joints that break"):
+        particlerb.run(scene)
