@@ -67,11 +67,7 @@ def probe(path: Path) -> None:
     Ending
         If HDF5 crashes on the file, or goes round in circles.
     """
-    from particlerb.record.checked_reading import (
-        TrajectoryError,
-        open_file,
-        require_self_contained,
-    )
+    from particlerb.record.checked_reading import TrajectoryError, open_file, require_self_contained
     from particlerb.record.parts import folder_beside, parts_in
     from particlerb.record.trajectory import open_trajectory
 

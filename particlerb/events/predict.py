@@ -30,14 +30,7 @@ from particlerb.events.records import (
     EventScene,
     EventState,
 )
-from particlerb.events.search import (
-    LOST,
-    Flying,
-    balls_meet,
-    bodies_meet,
-    soonest,
-    wall_meets,
-)
+from particlerb.events.search import LOST, Flying, balls_meet, bodies_meet, soonest, wall_meets
 from particlerb.impulses.records import CROSSINGS
 from particlerb.maths.vec3 import Floats, Ints, Vec3
 from particlerb.model.state import State

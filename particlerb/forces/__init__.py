@@ -27,15 +27,7 @@ from particlerb.forces.kinds import (
     Kick,
 )
 from particlerb.forces.links import WORLD, Links
-from particlerb.forces.registry import (
-    FIRST,
-    KICKS,
-    MANY,
-    MANY_KICKS,
-    PAIR,
-    TERMS,
-    term_of,
-)
+from particlerb.forces.registry import FIRST, KICKS, MANY, MANY_KICKS, PAIR, TERMS, term_of
 from particlerb.forces.user_pairs import OwnPairs
 from particlerb.joints.records import Joints
 from particlerb.maths.vec3 import Bools, Floats, Ints

@@ -271,7 +271,9 @@ def _collect(attraction: Attraction, work: Fields, load: Floats, first: int, las
 
 
 @kernel
-def add_attraction(attraction: Attraction, work: Fields, load: Floats, first: int, last: int) -> None:
+def add_attraction(
+    attraction: Attraction, work: Fields, load: Floats, first: int, last: int
+) -> None:
     """Add force and torque of bodies first to last: see `_collect`."""
     _collect(attraction, work, load, first, last)
 

@@ -26,13 +26,7 @@ from particlerb.forces.user_kicks import (
 )
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.state import (
-    State,
-    lengths,
-    omega_world,
-    quaternion_product,
-    rotation_matrix,
-)
+from particlerb.model.state import State, lengths, omega_world, quaternion_product, rotation_matrix
 from particlerb.rotors.rotor_class import POINT
 from particlerb.user_force import UserForce, UserForceError, load_force, place_of, told
 

@@ -14,14 +14,7 @@ import numpy as np
 from particlerb.compiled.function_set import FunctionSet
 from particlerb.compiled.jit import inline, inline_from, kernel
 from particlerb.forces.links import add_column3, attitude, column3
-from particlerb.forces.user_kicks import (
-    Lengths,
-    body_axes,
-    chosen,
-    compiled,
-    rotor_axes,
-    sign_of,
-)
+from particlerb.forces.user_kicks import Lengths, body_axes, chosen, compiled, rotor_axes, sign_of
 from particlerb.maths.quaternion import turn, turn_back
 from particlerb.maths.vec3 import (
     Bools,

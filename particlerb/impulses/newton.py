@@ -24,12 +24,7 @@ from typing import Final
 from particlerb.compiled.jit import inline, lean_kernel
 from particlerb.impulses.band import solve_band
 from particlerb.impulses.cone import nearest_in_cone, on_disc
-from particlerb.impulses.mechanisms import (
-    count_members,
-    has_response,
-    member,
-    through_joints,
-)
+from particlerb.impulses.mechanisms import count_members, has_response, member, through_joints
 from particlerb.impulses.records import (
     ARM,
     FRICTION,

@@ -40,14 +40,7 @@ from particlerb.impulses.records import (
     Impulses,
     Partners,
 )
-from particlerb.impulses.rows import (
-    approach,
-    change_by,
-    column3,
-    give,
-    in_frame,
-    put_column3,
-)
+from particlerb.impulses.rows import approach, change_by, column3, give, in_frame, put_column3
 from particlerb.maths.vec3 import dot, subtract
 
 _EVERY: Final = 5  # sweeps from residual to residual

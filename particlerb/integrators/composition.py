@@ -16,13 +16,7 @@ from particlerb.contact.contact_model import NOW
 from particlerb.forces.kinds import BODIES, JOINTS, POSE
 from particlerb.integrators.method import Method, Step
 from particlerb.integrators.rattle import METHOD
-from particlerb.integrators.stages import (
-    MovingBodies,
-    constrained_drift,
-    kick,
-    loads,
-    stages,
-)
+from particlerb.integrators.stages import MovingBodies, constrained_drift, kick, loads, stages
 
 WEIGHTS: Final = (1.0,)  # stands for those of a method
 

@@ -25,14 +25,9 @@ from particlerb.integrators.pair_stages import Layout, PairTerms, clear, gather_
 from particlerb.integrators.rotor_drift import KickAndDrift, kick_then_drift
 from particlerb.integrators.stages import MovingBodies, loads, stages
 from particlerb.maths.quaternion import matrix
-from particlerb.maths.vec3 import (
-    Floats,
-)
+from particlerb.maths.vec3 import Floats
 from particlerb.model.block import COM, Q, get3, get4
-from particlerb.rotors.moser_veselov import (
-    LONGEST_PIECE,
-    modified_inertia,
-)
+from particlerb.rotors.moser_veselov import LONGEST_PIECE, modified_inertia
 
 A: Final = 0.2775
 DRIFTS: Final = (A, 1.0 - 2.0 * A, A)

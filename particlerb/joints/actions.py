@@ -12,13 +12,7 @@ in the factor with 2/(s c) on its diagonal, drag in the masses: M + s D/2 in pla
 from math import inf
 
 from particlerb.compiled.jit import Flag, lean, lean_kernel
-from particlerb.joints.records import (
-    HOLDS,
-    Actions,
-    Joints,
-    P,
-    Work,
-)
+from particlerb.joints.records import HOLDS, Actions, Joints, P, Work
 from particlerb.joints.rows import add_impulses, attitude, coordinate, rate, shorter, vector
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import (

@@ -144,9 +144,7 @@ def move_to_joints(joints: Joints, work: Work, partners: Partners, mechanisms: M
         if lo == hi or not partners.has_moved[mechanisms.member[first]]:
             continue
         factorise_cluster(joints, work, c, 0.0, work.clock[0])
-        worst, _ = residuals(
-            joints.rows, joints.drives, work.y, work.compliance, work.g, lo, hi, work.clock[0]
-        )
+        worst, _ = residuals(joints, work, lo, hi, work.clock[0])
         if worst <= _ROUNDING:
             continue
         found = True

@@ -5,11 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.joints.reactions import (
-    find_multipliers,
-    forces_of_joints,
-    null_vectors,
-)
+from particlerb.joints.reactions import find_multipliers, forces_of_joints, null_vectors
 from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, Joints, Work, room_for_joints
 from particlerb.joints.rows import linearise
 from particlerb.maths.vec3 import Floats

@@ -22,12 +22,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.superblocks import own_parts
 from particlerb.ranks import ALONE, Ranks
 from particlerb.record.checked_reading import open_file, require_self_contained
-from particlerb.record.checkpoint import (
-    Checkpoint,
-    CheckpointError,
-    read_checkpoint,
-    slots_in,
-)
+from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint, slots_in
 from particlerb.record.output_file import DamagedError
 from particlerb.record.part_recorder import PartRecorder
 from particlerb.record.parts import Parts, folder_beside, parts_in

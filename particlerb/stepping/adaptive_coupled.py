@@ -33,15 +33,7 @@ from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter_loads
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
 from particlerb.maths.vec3 import Floats
-from particlerb.model.block import (
-    CHANGING,
-    Q,
-    assign,
-    get,
-    in_blocks,
-    put,
-    state_rows,
-)
+from particlerb.model.block import CHANGING, Q, assign, get, in_blocks, put, state_rows
 from particlerb.model.state import State
 from particlerb.stepping.adaptive import AdaptiveRun, Leg, advance_steps, store_vectors
 from particlerb.stepping.loop import Recording

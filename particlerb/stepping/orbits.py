@@ -19,15 +19,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, kernel
 from particlerb.forces.central import Central
 from particlerb.maths.quaternion import Quat
-from particlerb.maths.vec3 import (
-    Floats,
-    add_scaled,
-    cross,
-    load3,
-    rows3,
-    scale,
-    store3,
-)
+from particlerb.maths.vec3 import Floats, add_scaled, cross, load3, rows3, scale, store3
 from particlerb.model.state import State, cross_columns
 from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.translations import Centres, add_given
