@@ -188,11 +188,11 @@ def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts(
 @plain
 def test_the_gripper_of_the_cases_begins_to_lift():
     """The whole of it takes long to compile, and its 240 steps long in Python."""
-    t = particlerb.run(CASES / "gripper.toml", overrides=["run.t_end=0.02", "run.every=0.005"])
+    t = particlerb.run(CASES / "gripper.toml", overrides=["run.t_end=0.01", "run.every=0.005"])
     lifted = (t.position[-1] - t.position[0])[:, 2]
     behind = 2.5e-3 * t.velocity[-1, 0, 2]  # half a step
-    assert lifted[0] > 3e-4
-    assert lifted[3] == pytest.approx(lifted[0] - behind, rel=0.1)
+    assert lifted[0] > 8e-5
+    assert lifted[5] == pytest.approx(lifted[0] - behind, rel=0.1)
     assert particlerb.joint_loads(t).misfit.max() < 1e-13
 
 
