@@ -89,6 +89,7 @@ def _live(options: argparse.Namespace, server: "viser.ViserServer") -> "Live":
 
     case = read_case(options)
     stem = case.path.stem if case.path else "case"
+    name = next((key for key, value in SCENES.items() if value == stem), stem)
     path = Path(options.output) if options.output else Path("output") / f"{stem}_session.toml"
     to_write(path, overwrite=True)  # where it exists, a number is added
     with ending(CaseError):
@@ -96,7 +97,7 @@ def _live(options: argparse.Namespace, server: "viser.ViserServer") -> "Live":
         print("preparing (the first start compiles, 15 s or longer) ...", file=sys.stderr)
         rehearse(system)
         server.gui.reset()
-        return Live(system, server, path, tuple(SCENES))
+        return Live(system, server, path, list(dict.fromkeys((name, *SCENES))))
 
 
 def _save(live: "Live") -> None:

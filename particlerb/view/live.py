@@ -26,7 +26,6 @@ from particlerb.view.server import finite, vector
 from particlerb.view.session import AppliedPush, Session, SessionError, UserPush, decimals
 from particlerb.view.surfaces import meet
 
-_THIS_SCENE: Final = "this one"
 _CHARTS: Final = 0.25  # [s] between two charts
 _BUSY: Final = 0.05  # [s] that one update may compute
 _MOST_POINTS: Final = 600  # of a chart
@@ -47,11 +46,15 @@ class Live(Page):
     path : Path
         Where a session is saved; a number is added where the file exists.
     scenes : sequence of str
-        Names of cases that may take its place.
+        Names of cases to choose from; the first is that of the system.
     """
 
     def __init__(
-        self, system: System, server: viser.ViserServer, path: Path, scenes: Sequence[str] = ()
+        self,
+        system: System,
+        server: viser.ViserServer,
+        path: Path,
+        scenes: Sequence[str] = ("this one",),
     ) -> None:
         self.session, self.written = Session(system), 0
         self.chosen: str | None = None  # the scene that shall take its place
@@ -59,7 +62,7 @@ class Live(Page):
         length = system.run.t_end
         is_ours = _COMFORTABLE[0] <= length <= _COMFORTABLE[1]
         self.speed = 1.0 if is_ours else float(f"{length / _WATCHED:.1g}")
-        self.controls = Controls(self, (_THIS_SCENE, *scenes))
+        self.controls = Controls(self, scenes)
         self.arrows = Arrows(self.stage, self.controls.shown)
         self.controls.gravity.value = self.session.has_gravity
         self.controls.at_once.value = not system.joint  # no impulse is computed on jointed bodies
@@ -119,7 +122,7 @@ class Live(Page):
     def change_scene(self, _: Any) -> None:
         """End the page, so that another case can take its place."""
         name = str(self.controls.scene.value)
-        if name != _THIS_SCENE:
+        if name != self.controls.scene.options[0]:
             self.chosen = name
             self.stop()
 
