@@ -2,7 +2,7 @@
 
 A row is written after each part: seconds of the processor for a push (the mean of the last ten),
 updates for such a second, and memory. Nobody draws; one motion goes on throughout.
-usage: python benchmarks/view_long.py [PUSHES] [BROWSERS] > benchmarks/results/view_long.csv
+usage: python benchmarks/view_long.py [PUSHES] [BROWSERS] > view_long.csv
 """
 
 import sys

@@ -47,7 +47,25 @@ _HOMES = {
     "show_versions": "record.provenance",
     "sweep": "sweeping.driver",
 }
-__all__ = sorted(["__version__", *_HOMES])  # noqa: PLE0605
+__all__ = [
+    "Case",
+    "CaseError",
+    "ResumeError",
+    "RunError",
+    "Scene",
+    "Simulation",
+    "Trajectory",
+    "TrajectoryError",
+    "__version__",
+    "force",
+    "joint_loads",
+    "open",
+    "plot",
+    "resume",
+    "run",
+    "show_versions",
+    "sweep",
+]
 
 
 def __getattr__(name: str) -> Any:

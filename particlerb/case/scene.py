@@ -6,7 +6,7 @@ A scene is a mapping with the keys of a case file, so whatever takes a case take
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 
 from particlerb.case.bodies import Body
 from particlerb.case.contact import AnyWall, ContactTable, Material
@@ -91,11 +91,14 @@ class Scene(Mapping[str, Any]):
     add_joint = _adds(JointTable, "joint")
     add_material = _adds(Material, "material")
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        """Set a table; there are no others."""
-        if name not in Case.model_fields and name not in ("files", "_gravity"):
-            raise AttributeError(f"a scene has no {name}; it has: {', '.join(Case.model_fields)}")
-        super().__setattr__(name, value)
+    if not TYPE_CHECKING:  # type checkers know the names
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            """Set a table; there are no others."""
+            if name not in Case.model_fields and name not in ("files", "_gravity"):
+                has = ", ".join(Case.model_fields)
+                raise AttributeError(f"a scene has no {name}; it has: {has}")
+            super().__setattr__(name, value)
 
     @property
     def gravity(self) -> Gravity | None:
@@ -109,7 +112,7 @@ class Scene(Mapping[str, Any]):
         self._gravity = given
 
     def add_force(self, force: AnyForce) -> AnyForce:
-        """Add a force, such as `Push(body="cube", force=(0, 0, 50))`; return it."""
+        """Add a force, such as `PushTable(body="cube", force=(0, 0, 50))`; return it."""
         self.force.append(force)
         return force
 

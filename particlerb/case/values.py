@@ -10,7 +10,7 @@ from functools import cache
 from inspect import getsource
 from itertools import chain, pairwise
 from textwrap import dedent
-from typing import Annotated, Any, Final, Literal, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +41,18 @@ class Table(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    def __setattr__(self, name: str, value: object) -> None:
-        """Refuse to change what is public."""
-        if not name.startswith("_"):
-            raise AttributeError(f"{type(self).__name__}.{name} cannot be set: make another record")
-        super().__setattr__(name, value)
+    if not TYPE_CHECKING:  # type checkers know the names
+
+        def __setattr__(self, name: str, value: object) -> None:
+            """Refuse to change what is public."""
+            if not name.startswith("_"):
+                name = f"{type(self).__name__}.{name}"
+                raise AttributeError(f"{name} cannot be set: make another record")
+            super().__setattr__(name, value)
+
+        def __delattr__(self, name: str) -> None:
+            """Refuse likewise."""
+            raise AttributeError(f"{type(self).__name__}.{name} cannot be deleted")
 
     def __init__(self, **keys: Any) -> None:
         """Make one in Python: from arrays too, with the words of a case."""

@@ -33,7 +33,6 @@ from particlerb.joints.records import Joints
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.load import OTHER
-from particlerb.model.worlds import Worlds, over_bodies
 
 LINE: Final = 3  # a fixed line in the world, in `Terms.axis`
 _FLOW_AMONG_JOINTS: Final = "flow among joints"  # which no method takes: it is not of order two
@@ -258,15 +257,8 @@ def words_of(terms: Terms) -> list[str]:
     return gravity + list(dict.fromkeys(term_of(load).words for load in terms.loads))
 
 
-def work_of_potentials(
-    terms: Terms, com: Floats, q: Floats, t: float = 0.0, worlds: Worlds | None = None
-) -> Floats | float:
-    """Work [J] of potentials at t [s] since the segment began, up to a constant; of each world."""
-    return sum((over_bodies(one, worlds) for one in works_of(terms, com, q, t)), 0.0)
-
-
 def works_of(terms: Terms, com: Floats, q: Floats, t: float) -> list[Floats]:
-    """The same of each load on each body, (n,) [J]."""
+    """Work of each potential, (n,) [J], at t [s] since the segment began; up to a constant."""
     of = [(term_of(load).work, load) for load in terms.loads]
     return [work(load, com, q, t) for work, load in of if work is not None]
 
@@ -282,14 +274,7 @@ def has_energy(terms: Terms) -> bool:
     return any(term_of(load).energy is not None for load in terms.loads)
 
 
-def energy_of_loads(
-    terms: Terms, com: Floats, q: Floats, worlds: Worlds | None = None
-) -> Floats | float:
-    """Potential energy [J] of loads that have one: springs that are not among the links."""
-    return sum((over_bodies(one, worlds) for one in energies_of_loads(terms, com, q)), 0.0)
-
-
 def energies_of_loads(terms: Terms, com: Floats, q: Floats) -> list[Floats]:
-    """The same of each load on each body, (n,) [J]."""
+    """Potential energy of loads that have one, (n,) [J]: springs that are not among links."""
     energies = [energies_of(load, com, q) for load in terms.loads]
     return [one for one in energies if one is not None]

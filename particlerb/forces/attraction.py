@@ -65,6 +65,7 @@ class Fields(NamedTuple):
     body: Ints  # (n_padded,) body of each particle, -1 beyond the last; is not written
     order: Ints  # (n_bodies,) which of the group each body is, likewise
     tile: Ints  # (n_tiles, 4) first target and last, first source and last, likewise
+    first_tile: Ints  # (n_worlds,) of each world, likewise
 
 
 def work_of(attraction: Attraction, worlds: Worlds | None = None) -> Fields:
@@ -81,11 +82,13 @@ def work_of(attraction: Attraction, worlds: Worlds | None = None) -> Fields:
         for lo in range(first, last, TILE)
     ]
     padded = (-(-n // LINE) | 1) * LINE  # an odd number: rows that a power of two parts collide
-    rows = [aligned_zeros(3 * padded).reshape(3, padded) for _ in range(3)]
+    arm, point, field = (aligned_zeros(3 * padded).reshape(3, padded) for _ in range(3))
     body = np.full(padded, -1)
     body[:n] = np.repeat(np.arange(offset.size - 1), np.diff(offset))
     of_tiles = np.array(tiles, dtype=np.int64).reshape(-1, 4)
-    return Fields(rows[0], rows[1], rows[2], aligned_zeros(padded), body, order, of_tiles)
+    first_tile = np.searchsorted(of_tiles[:, 0], ends[:-1])
+    depth = aligned_zeros(padded)
+    return Fields(arm, point, field, depth, body, order, of_tiles, first_tile)
 
 
 # Powers of a squared distance
@@ -358,4 +361,4 @@ def potential_energy(
     )
     if worlds is None:
         return math.fsum(sums)
-    return np.array([math.fsum(own) for own in sums.reshape(len(worlds.bodies), -1)])
+    return np.array([math.fsum(own) for own in np.split(sums, work.first_tile[1:])])

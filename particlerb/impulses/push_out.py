@@ -49,7 +49,7 @@ def push_out(impulses: Impulses, dt: float) -> bool:
             if more != 0.0:
                 rows.old[k, 0] = push
                 for moved in (a, b):
-                    has_moved[moved] = partners.inverse[moved, 0] > 0.0
+                    has_moved[moved] |= partners.inverse[moved, 0] > 0.0
                     all_have_moved(partners.mechanisms, has_moved, moved)
                 p = scale(more, column3(frame, k, NORMAL))
                 push_apart(move, partners.inverse, partners.mechanisms, frame, k, a, b, p)

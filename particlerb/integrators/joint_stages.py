@@ -134,7 +134,7 @@ def _book_given(
     start, joint = joints.program.start, joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
         if joints.rows.action[r] != HOLDS:
-            _book_work(books, jointed, blocks, r, work_of_motor(joints, work, r, kick_dt))
+            book_work(books, jointed, blocks, r, work_of_motor(joints, work, r, kick_dt))
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         rows, b = blocks[block[k]], lane[k]
         by_joints = subtract(vector(work.y, k, P), get3(rows, COM + P, b))
@@ -147,7 +147,7 @@ def _book_given(
 
 
 @lean
-def _book_work(books: Flag, jointed: Jointed, blocks: Floats, r: int, work: float) -> None:
+def book_work(books: Flag, jointed: Jointed, blocks: Floats, r: int, work: float) -> None:
     """Book work of what acts along row r, on the first of its bodies that is in a block."""
     n = jointed.block.size
     k = jointed.joints.rows.a[r] if jointed.joints.rows.a[r] < n else jointed.joints.rows.b[r]
@@ -162,7 +162,7 @@ def _book_drives(books: Flag, moves: Flag, jointed: Jointed, blocks: Floats, c: 
     work, start, joint = jointed.work, jointed.joints.program.start, jointed.joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
         if work.moving[r] != 0.0:
-            _book_work(books, jointed, blocks, r, -work.moving[r] * work.total[r])
+            book_work(books, jointed, blocks, r, -work.moving[r] * work.total[r])
 
 
 @lean
@@ -178,7 +178,7 @@ def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, sp
         half = work.total[r]
         work.total[r] = 2.0 * half
         if joints.rows.action[r] != HOLDS and half != 0.0:
-            _book_work(books, jointed, blocks, r, -2.0 * work.compliance[r] * half * half)
+            book_work(books, jointed, blocks, r, -2.0 * work.compliance[r] * half * half)
     keep_impulses(joints.breaks, joints, work, c, False)
     _book_world(books, jointed, blocks, c, work.y)
     _book_drives(books, joints.moves, jointed, blocks, c)

@@ -70,6 +70,8 @@ def kick_actions(acts: Flag, joints: Joints, work: Work, lo: int, hi: int, dt: f
             work.z[r] = work.total[r] = f * dt
             work.before[r] = rate(joints, work.gradient, r, work.y, P)
             work.before[r] += work.moving[r] - rate(joints, work.gradient, r, work.change, 0)
+    for r in range(lo, hi):
+        if joints.rows.action[r] != HOLDS:
             add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, r, r + 1, work.y, P)
 
 

@@ -8,7 +8,7 @@ So contacts are solved as those of free bodies are, with this matrix in the plac
 hold in each sweep. It is found anew in each step, for the bodies that something touches.
 """
 
-from itertools import pairwise
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -44,17 +44,17 @@ def mechanisms_of(joints: Joints, n_partners: int) -> Mechanisms:
     return Mechanisms(number, place, joints.order, body, start[:-1], np.zeros(start[-1]), known)
 
 
-def pairs_within(mechanisms: Mechanisms | None) -> tuple[Ints, Ints]:
-    """Pairs of bodies that joints hold together, directly or through others."""
-    none = np.zeros(0, dtype=np.int64)
+def pairs_through(mechanisms: Mechanisms | None, a: Ints, b: Ints) -> tuple[Ints, Ints]:
+    """Pairs of bodies that act on each other: contacts, and all that joints tie to their bodies."""
     if mechanisms is None:
-        return none, none
-    whole = [mechanisms.member[lo:hi] for lo, hi in pairwise(mechanisms.first) if hi - lo > 1]
-    ends = [np.triu_indices(own.size, 1) for own in whole]
-    return (
-        np.concatenate([none, *(own[i] for own, (i, _) in zip(whole, ends, strict=True))]),
-        np.concatenate([none, *(own[j] for own, (_, j) in zip(whole, ends, strict=True))]),
-    )
+        return a, b
+    number, first, member = mechanisms.number, mechanisms.first, mechanisms.member
+    tied = {c: member[first[c] : first[c + 1]] for c in np.unique(number[number >= 0])}
+    pairs = {(i, j) for own in tied.values() for i in own for j in own if i < j}
+    for i, j in {*zip(a.tolist(), b.tolist(), strict=True)}:
+        pairs.update(product(tied.get(number[i], [i]), tied.get(number[j], [j])))
+    one, other = np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2).T
+    return one, other
 
 
 @lean_kernel

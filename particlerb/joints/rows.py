@@ -206,7 +206,7 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[f
         if work.compliance[r] != 0.0:
             g[r] = 0.0
         elif kind == WORLD_ALONG:
-            if r == lo or not joints.beside[r]:
+            if r == lo or not joints.beside[r] or work.compliance[r - 1] != 0.0:
                 d = _arms(rows, y, r, R)[3]
             g[r] = dot(vector(rows.axis, r, 0), d) - course(joints.drives, rows.drive[r], t)[0]
         elif kind == DOT:

@@ -4,7 +4,8 @@
 
 by simplified Newton iterations with A = G₀ M⁻¹ G₀ᵀ: fly, ν -= A⁻¹ g/h, fly again. The error shrinks
 by a factor of order ω h each time. The last two iterations are mixed so that the residual would be
-least (Anderson's mixing), which saves up to a fifth of them. It goes on until it no longer falls.
+least (Anderson's mixing), which saves up to a fifth of them; not in loops, which may pass singular
+poses: there it may lead to another branch. It goes on until the residual no longer falls.
 Each cluster is solved by itself, so that its bits do not depend on others. Whole steps begin with a
 guess of ν from those before, which saves a fifth to a third; checkpoints keep what it needs.
 
@@ -201,13 +202,13 @@ def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> N
     """Drift with impulses along the gradients so that g = 0 at its end: see above."""
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
-    before = 1e300
+    before, mixes = 1e300, joints.clusters.smallest_pivot[c] == 0.0
     for _ in range(MOST_ITERATIONS):
         fly(joints, work, c, dt)
         worst, where = residuals(joints, work, lo, hi, t + dt)
         if worst <= _ROUNDING or (worst < _NEAR and worst > _GAIN * before):
             return
-        share = _share_of_last(joints, work, lo, hi) if before < _MIXED else 0.0
+        share = _share_of_last(joints, work, lo, hi) if mixes and before < _MIXED else 0.0
         before = worst
         for r in range(lo, hi):
             work.z[r] = (share * (work.g[r] - work.last_g[r]) - work.g[r]) / dt

@@ -1,8 +1,7 @@
 """Which bodies advance together, and under which terms.
 
-Bodies on which the same forms of forces act share a group. Bodies that act on each other, directly
-or through others, are a cluster and share one too; clusters that are copies of each other, so that
-the same step suits them, share one group again. Asymmetric bodies of a cluster come first.
+Bodies on which the same forms of forces act share a group. Bodies that act on each other, also
+through others, are a cluster and share one too, with copies of it; asymmetric bodies come first.
 """
 
 from collections import defaultdict
@@ -217,7 +216,8 @@ def terms_between(
         terms = terms._replace(own_pairs=_own_pairs_among(group.members, bodies, own))
     if group.attracts:
         attraction = _attraction_among(system, group.members, bodies)
-        angle, accuracy = _tree_of(system, attraction.mass.size // system.n_worlds)
+        each = (attraction.offset.size - 1) // system.n_worlds
+        angle, accuracy = _tree_of(system, int(np.diff(attraction.offset[::each]).max()))
         terms = terms._replace(attraction=attraction, opening_angle=angle, tree_accuracy=accuracy)
     if group.touches and touching is not None:
         terms = terms._replace(contact=_contact_among(system, group.members, bodies, touching))

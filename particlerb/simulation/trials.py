@@ -147,7 +147,7 @@ def poses(
         if done < times.size:
             state, _ = motion.finish(segment.stop)
         if is_adaptive(segment.method):
-            steps += float(np.mean(motion.clock[2])) + 1.0
+            steps += float(np.mean(motion.clock[:, 2])) + 1.0
         elif has_step(segment.method):
             end = min(segment.stop, times[-1])
             steps += np.ceil((end - segment.start) / segment.dt)

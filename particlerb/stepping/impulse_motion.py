@@ -8,7 +8,7 @@ from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.pair_force import max_point_speed
 from particlerb.impulses.order import room_for_newton
 from particlerb.impulses.records import TALLY, Impulses, room_for_partners, room_for_rows
-from particlerb.joints.responses import mechanisms_of, pairs_within
+from particlerb.joints.responses import mechanisms_of, pairs_through
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.motion import Energies, MotionError
@@ -64,8 +64,7 @@ class ImpulseMotion(ContactMotion):
         if impulses.rules.newton:
             owner, (first, second, *_) = setup.model.spheres.body, lists.spheres
             moves = np.append(setup.model.inv_mass > 0.0, np.zeros(len(setup.motions), np.bool_))
-            tied = pairs_within(impulses.partners.mechanisms)
-            a, b = np.append(owner[first], tied[0]), np.append(owner[second], tied[1])
+            a, b = pairs_through(impulses.partners.mechanisms, owner[first], owner[second])
             newton = room_for_newton(moves, a, b, impulses.rows.first.size)
             impulses = impulses._replace(newton=newton)
         self.contact = self.contact._replace(workspace=workspace._replace(impulses=impulses))

@@ -15,10 +15,10 @@ from particlerb.compiled.jit import kernel
 from particlerb.forces import (
     Terms,
     acting_of,
-    energy_of_loads,
+    energies_of_loads,
     row_count,
     rows_of_terms,
-    work_of_potentials,
+    works_of,
 )
 from particlerb.forces.central import Central
 from particlerb.forces.drag import Drag
@@ -190,7 +190,8 @@ def derivative(f, h=1e-3):
 
 def potential_work(terms, com, q):
     """Work of all forces with a potential, up to a constant [J]."""
-    return work_of_potentials(terms, com, q) - energy_of_loads(terms, com, q)
+    energies = energies_of_loads(terms, com, q)
+    return np.sum(works_of(terms, com, q, 0.0)) - np.sum(energies)
 
 
 @given(seed=seeds, kind=st.sampled_from(list(KINDS)))

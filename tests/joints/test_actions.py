@@ -93,6 +93,22 @@ def test_a_spring_without_damping_swings_at_order_six():
     assert errors[0] / errors[1] == pytest.approx(64.0, rel=0.25)
 
 
+@plain
+def test_motors_on_the_same_body_each_book_their_own_work():
+    """Two bars that motors press apart, on sliders of a third body below them: W = F x."""
+    base = bar("base", [0, 0, -1], [1, 0, -1], 2.0, 0.1, [0, 0, 0], [0, 0, 0])
+    bars = [bar(name, [x, 0, 0], [x + 0.2, 0, 0], 0.2, 0.1, [0, 0, 0], [0, 0, 0])
+            for name, x in (("left", -0.5), ("right", 0.5))]  # fmt: skip
+    joints = [joint("slider", "base", None, [0, 0, 0], Y)]
+    joints += [joint("slider", name, "base", [0, 0, 0], X) | {"motor": force}
+               for name, force in (("left", -15.0), ("right", 15.0))]  # fmt: skip
+    t = particlerb.run(
+        case([base, *bars], joints) | {"run": {"t_end": 0.1, "every": 0.05, "dt": 0.01}}
+    )
+    assert np.abs(t.observable("energy_error")).max() < 1e-12
+    assert t.energy[-1] - t.energy[0] == pytest.approx(2 * 15.0**2 * 0.1**2 / (2 * 0.2), rel=1e-12)
+
+
 def test_a_motor_gives_what_it_takes():
     """ω = τ t / I; its work is τ φ, at a slider F x."""
     with moved(hinged(motor=0.7), 1.0, 0.01, every=0.1) as trajectory:

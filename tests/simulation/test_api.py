@@ -31,6 +31,7 @@ def case_file(tmp_path):
 
 def test_public_names():
     assert {"run", "open", "Case", "CaseError", "Trajectory"} <= set(particlerb.__all__)
+    assert set(particlerb.__all__) == {"__version__", *particlerb._HOMES}
     for name in particlerb.__all__:
         assert getattr(particlerb, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

@@ -10,7 +10,9 @@ from particlerb.case.reader import load
 from particlerb.case.sweep import SweepTable
 from particlerb.case.to_system import to_system
 from particlerb.contact.missed_pairs import Watch
+from particlerb.forces import attraction
 from particlerb.model.worlds import WorldsDifferError, bins_of, over_all, over_bodies, worlds_among
+from particlerb.plan import groups
 from particlerb.plan.make_plan import make_plan
 from particlerb.sweeping import worker
 from particlerb.sweeping.together import may_share, rows_together
@@ -193,6 +195,7 @@ CHAIN = {"name": "rope", "type": "ball", "body": ["body", "other", "third"], "ch
 WELD = {"type": "fixed", "body": "other", "to": "body", "assemble": True}
 BREAKS = {"name": "pin", "type": "ball", "body": "third", "breaks_at": {"force": 14.0},
           "assemble": True}  # fmt: skip
+SIZES = {"body.0.shape": [{"type": "box", "size": [0.5, 0.6, 0.7], "n": n} for n in (2, 3, 4)]}
 PULL = {"attraction": {"G": 3.0, "softening": 0.01}}
 OF_THIRD = [{"body": "third", "quantity": "position"}]
 AT_ELBOW = [
@@ -218,6 +221,8 @@ COUPLED = {
                                     {"body.2.mass": [1.0, 1.5]}, OF_THIRD),
     "attraction": (three(**PULL), MASS, []),
     "attraction and a spring": (three(TIED[0], **PULL), MASS, []),
+    "attraction of some": (three(attraction={"G": 3.0, "body": ["body", "third"]}), MASS, []),
+    "attraction of sizes that differ": (three(**PULL), SIZES, []),
     "springs by reach": (three(AMONG), MASS, []),
     "forces of users": (three(WIND, COULOMB), MASS, []),
     "a parameter": (three(COULOMB), {"force.0.parameters.k": [1.0, 2.0, 3.0]}, []),
@@ -290,6 +295,7 @@ def test_closed_forms_have_the_bits_of_runs_alone_too(name):
 def test_bodies_of_a_world_act_on_each_other_alone(name, tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(FORCES)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(attraction, "TILE", 8)  # so that worlds have several, and not all as many
     case, axes, more = COUPLED[name]
     task = batch(case, axes, asked=[*ASKED, *more])
     together = rows_together(task.numbers, batch_of(task), task.asked)
@@ -299,19 +305,18 @@ def test_bodies_of_a_world_act_on_each_other_alone(name, tmp_path, monkeypatch):
 
 
 @pytest.mark.plain
-@pytest.mark.parametrize(
-    ("more", "why"),
-    [
-        ({"attraction": {"G": 3.0, "sum": "tree"}}, "a tree of all bodies"),
-        ({"attraction": {"G": 3.0, "body": ["body", "third"]}}, None),
-    ],
-)
-def test_a_tree_has_all_bodies_of_one_world(more, why):
-    task = batch(three(**more), MASS)
-    if why is None:
-        assert len(rows_together(task.numbers, batch_of(task), ())) == 3
-        return
-    with pytest.raises(WorldsDifferError, match=why):
+def test_a_tree_has_all_bodies_of_one_world():
+    task = batch(three(attraction={"G": 3.0, "sum": "tree"}), MASS)
+    with pytest.raises(WorldsDifferError, match="a tree of all bodies"):
+        rows_together(task.numbers, batch_of(task), ())
+
+
+@pytest.mark.plain
+def test_what_sums_the_attraction_is_chosen_for_each_world(monkeypatch):
+    """A world alone takes a tree from 8000 particles on: not by the mean of several."""
+    monkeypatch.setattr(groups, "BREAK_EVEN", 60)
+    task = batch(three(**PULL), SIZES)
+    with pytest.raises(WorldsDifferError, match="a tree of all bodies"):
         rows_together(task.numbers, batch_of(task), ())
 
 
