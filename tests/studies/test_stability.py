@@ -439,7 +439,7 @@ def test_pictures_name_methods_and_verdicts(study, tmp_path):
     for word in (*MEANING.values(), "no step, no limit", "energy off by 10 %"):
         assert word in texts["maps"]
     for text in texts.values():
-        assert all(word in text for word in ("strang", "explicit euler"))
+        assert all(word in text for word in ("strang", "explicit_euler"))
     assert list(pictures(study._replace(limits=(), drifts=()))) == ["maps"]
 
 
