@@ -12,9 +12,8 @@ import numpy as np
 
 from particlerb.case.bodies import Body
 from particlerb.case.matter import size_of, solid_of
-from particlerb.case.problems import Problem
+from particlerb.case.problems import Problem, problem_at
 from particlerb.case.shapes import AnyShape
-from particlerb.case.source import problem_at
 from particlerb.case.to_system import part_particles, turn_of
 from particlerb.geometry import shapes
 from particlerb.geometry.analytic import ANALYTIC

@@ -1,16 +1,17 @@
 """Pydantic's errors in the words of a case: (path, reason, hint, whether the key is to blame)."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import reduce
 from types import NoneType, UnionType
 from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
 
+from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from particlerb.case.problems import Path, nearest, shown
+from particlerb.case.problems import CaseError, Locator, Path, Source, nearest, shown
 from particlerb.case.schema import Case
-from particlerb.case.values import Table
+from particlerb.case.values import Table, plain
 
 _KINDS = {
     "bool_type": "must be true or false",
@@ -187,3 +188,24 @@ def _table_keys(raw: Any, path: Path, root: type[Table]) -> tuple[str, ...]:
     names = [names_of(table)[0] for table in tables if names_of(table)]
     keys = names if len(names) > 1 else [key for table in tables for key in table.model_fields]
     return tuple(keys)
+
+
+def fill(record: Table, keys: Mapping[str, Any]) -> None:
+    """Give a new table its keys; `type` is known where the class says it.
+
+    Raises
+    ------
+    CaseError
+        With all that is wrong with the table alone. What involves others shows when it is run.
+    """
+    table, raw = type(record), plain(keys, keeps_tables=True)
+    kind = table.model_fields.get("type")
+    if kind is not None and kind.init is False:
+        raw.setdefault("type", names_of(table)[0])
+    try:
+        table.__pydantic_validator__.validate_python(raw, self_instance=record)
+    except ValidationError as error:
+        found = without_typos(messages_of(raw, error.errors(include_url=False), table))
+        locator = Locator(Source(raw=raw))
+        problems = [locator.problem(*one) for one in found]
+        raise CaseError(one._replace(file=table.__name__) for one in problems) from None

@@ -4,8 +4,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of, shown
-from particlerb.case.source import Source
+from particlerb.case.problems import CaseError, Path, Problem, Source, key_of, path_of, shown
 
 
 def overridden(source: Source, overrides: Sequence[str]) -> Source:

@@ -1,10 +1,19 @@
-"""What is wrong with a case, and how it is shown: file, line, key, reason, source line, hint."""
+"""What is wrong with a case, where in its file, and how it is shown.
+
+A message has file, line, key, reason, source line and hint.
+"""
 
 import difflib
 import re
 import sys
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
+
+from particlerb.files import Files
+
+if TYPE_CHECKING:
+    from particlerb.case.positions import Extent
 
 Path: TypeAlias = tuple[str | int, ...]
 """Keys and indices from the root of the case, e.g. ("body", 0, "shape", "radius")."""
@@ -14,6 +23,7 @@ _LONGEST_LINE = 96
 _LONGEST_MESSAGE = 1000
 _MOST_LISTED = 20  # names in a hint
 _MOST_COMPARED = 1000
+LONGEST_SCANNED = 8 * 2**20  # characters; messages of longer files have no lines
 
 
 class Problem(NamedTuple):
@@ -105,3 +115,98 @@ def nearest(word: str, known: Sequence[str], label: str = "known") -> str:
     guess = f'did you mean "{close[0]}"? ' if close else ""
     rest = f", ... ({len(known)} in all)" if len(known) > _MOST_LISTED else ""
     return f"{guess}{label}: {', '.join(known[:_MOST_LISTED])}{rest}"
+
+
+class Source(NamedTuple):
+    """Text, file and data of a case: kept so that later stages can point into the file."""
+
+    text: str = ""
+    path: FilePath | None = None
+    raw: Mapping[str, Any] = {}
+    overridden: tuple[Path, ...] = ()
+    files: Files = Files()
+    """That the case names."""
+
+
+class _HasSource(Protocol):
+    """A case, or the system that was made of it."""
+
+    @property
+    def source(self) -> Source:
+        """Where it comes from."""
+
+
+def problem_at(described: _HasSource, key: str, reason: str, hint: str = "") -> Problem:
+    """Problem that a later stage has found; with its place in the file, if there is one.
+
+    Parameters
+    ----------
+    described : Case or System
+        What has the problem.
+    key : str
+        Path of a record, as in messages: `body[0].shape.radius`.
+    reason, hint : str
+        What is wrong, and what to do about it.
+    """
+    return Locator(described.source).problem(path_of(key), reason, hint)
+
+
+class Locator:
+    """Turns a path of a case into file, line, column and source line; scans when first asked."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.extents: dict[Path, Extent] | None = None
+
+    def problem(self, path: Path, reason: str, hint: str = "", at_key: bool = False) -> Problem:
+        """Problem at a path: its value, or its key, or the table where it is missing."""
+        value = _value_at(self.source.raw, path)
+        for override in self.source.overridden:
+            if path[: len(override)] == override:
+                name = "--set " + ".".join(map(str, override))
+                return Problem(name, None, None, key_of(path), value, reason, hint)
+        found = file_problem(self.source.path, reason, hint)
+        found = found._replace(key=key_of(path), value=value)
+        return found._replace(**self.position(path, at_key)) if self.source.text else found
+
+    def position(self, path: Path, at_key: bool) -> dict[str, Any]:
+        """Line, column, source line and length of the nearest entry that the text has."""
+        if self.extents is None:
+            from particlerb.case.positions import extents  # only where something is wrong
+
+            is_short = len(self.source.text) <= LONGEST_SCANNED
+            self.extents = extents(self.source.text) if is_short else {}
+        if not self.extents:
+            return {}
+        known = path
+        while known and known not in self.extents:
+            known = known[:-1]
+        if not known:
+            return {"line": 1, "column": 1}
+        extent = self.extents[known]
+        start, end = extent.value if known == path and not at_key else extent.key
+        text = self.source.text
+        first = text.rfind("\n", 0, start) + 1
+        last = text.find("\n", start)
+        last = len(text) if last < 0 else last
+        return {
+            "line": text.count("\n", 0, start) + 1,
+            "column": start - first + 1,
+            "source": text[first:last].rstrip("\r"),
+            "length": max(1, min(end, last) - start),
+        }
+
+
+def file_problem(path: FilePath | None, reason: str, hint: str = "") -> Problem:
+    """Problem of the file as a whole."""
+    return Problem(str(path) if path else "case", None, None, "", "", reason, hint)
+
+
+def _value_at(raw: Any, path: Path) -> str:
+    """Value at a path, shortened; empty where there is none."""
+    for part in path:
+        try:
+            raw = raw[part]
+        except (LookupError, TypeError):
+            return ""
+    return shown(raw)

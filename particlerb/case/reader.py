@@ -16,10 +16,17 @@ from pydantic import ValidationError
 from particlerb.case.case_names import case_path, nearest_names
 from particlerb.case.messages import Message, messages_of, without_typos
 from particlerb.case.overrides import overridden
-from particlerb.case.problems import CaseError, Problem, key_of, nearest
+from particlerb.case.problems import (
+    CaseError,
+    Locator,
+    Problem,
+    Source,
+    file_problem,
+    key_of,
+    nearest,
+)
 from particlerb.case.rules import findings
 from particlerb.case.schema import Case
-from particlerb.case.source import Locator, Source, file_problem
 from particlerb.case.values import plain
 from particlerb.files import Files
 

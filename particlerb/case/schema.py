@@ -15,8 +15,8 @@ from particlerb.case.contact import ContactTable, Material, Wall
 from particlerb.case.forces import AnyForce
 from particlerb.case.joints import JointTable
 from particlerb.case.output import ChartTable, Check, Output
+from particlerb.case.problems import Source
 from particlerb.case.run import AttractionTable, Gravity, RunTable
-from particlerb.case.source import Source
 from particlerb.case.sweep import SweepTable
 from particlerb.case.values import Table
 from particlerb.files import File

@@ -20,10 +20,9 @@ from particlerb.case.placement import (
     positions,
     vectors,
 )
-from particlerb.case.problems import Path
+from particlerb.case.problems import Path, Source
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
-from particlerb.case.source import Source
 from particlerb.case.to_system import centred_at_com, farthest, kinds, spins_of, to_system
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import bodies_of_kind

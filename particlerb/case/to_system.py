@@ -17,12 +17,11 @@ from particlerb.case.bodies import Body, NormalDistribution, ShapePart
 from particlerb.case.matter import solid_of, spheres_of
 from particlerb.case.output import FIELDS_OF_LAWS
 from particlerb.case.placement import Placement, place, quaternion_of, random_stream
-from particlerb.case.problems import CaseError, Problem
+from particlerb.case.problems import CaseError, Problem, problem_at
 from particlerb.case.reader import load
 from particlerb.case.reduction import reduced
 from particlerb.case.schema import Case
 from particlerb.case.shapes import AnyShape, Cloud, MeshShape, PointsShape, SpheresShape
-from particlerb.case.source import problem_at
 from particlerb.files import Files
 from particlerb.geometry import shapes
 from particlerb.geometry.fill import FilledShape, coarsest_within, mesh_particles

@@ -56,7 +56,7 @@ class Table(BaseModel):
 
     def __init__(self, **keys: Any) -> None:
         """Make one in Python: from arrays too, with the words of a case."""
-        from particlerb.case.records import fill
+        from particlerb.case.messages import fill
 
         fill(self, keys)
 

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from particlerb.case.forces import AnyForce
     from particlerb.case.joints import JointTable
     from particlerb.case.output import ChartTable, Check, Output
+    from particlerb.case.problems import Source
     from particlerb.case.run import AttractionTable, Gravity, RunTable
-    from particlerb.case.source import Source
 
 
 class System(NamedTuple):

@@ -10,8 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.forces import AnyForce, LoadTable, read_load
-from particlerb.case.problems import CaseError, Problem
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, Problem, problem_at
 from particlerb.forces import Terms, summed
 from particlerb.forces.gravity import UniformGravity
 from particlerb.forces.impulse import Impulse

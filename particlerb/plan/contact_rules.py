@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 
 from particlerb.case.contact import ContactTable
-from particlerb.case.problems import CaseError
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, problem_at
 from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.impulses.records import LEAST_CELLS, EventRules, ImpulseRules
 from particlerb.maths.vec3 import Floats

@@ -10,8 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.contact import ContactTable
-from particlerb.case.problems import CaseError, Problem, nearest
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, Problem, nearest, problem_at
 from particlerb.contact.piston import Pistons
 from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.wall_motion import PrescribedMotion

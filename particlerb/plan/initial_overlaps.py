@@ -11,8 +11,7 @@ import numpy as np
 
 from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, PlaneWall
 from particlerb.case.placement import normalised
-from particlerb.case.problems import CaseError, Problem
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, Problem, problem_at
 from particlerb.contact.sphere_search import neighbours
 from particlerb.contact.wall_motion import PrescribedMotion, poses_at
 from particlerb.contact.wall_search import WallSearch

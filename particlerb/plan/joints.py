@@ -12,8 +12,7 @@ import numpy as np
 
 from particlerb.case.joints import ACTIONS
 from particlerb.case.output import FIELDS_OF_JOINTS
-from particlerb.case.problems import CaseError, Problem
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, Problem, problem_at
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
     prescribed_momenta,

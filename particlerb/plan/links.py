@@ -10,8 +10,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.case.forces import AnyForce, PythonTable, SpringTable
-from particlerb.case.problems import CaseError, Problem
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, Problem, problem_at
 from particlerb.forces.kinds import ForceError
 from particlerb.forces.links import WORLD
 from particlerb.forces.python import with_code

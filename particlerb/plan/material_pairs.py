@@ -10,8 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.contact import ContactTable, Pair
-from particlerb.case.problems import Problem
-from particlerb.case.source import problem_at
+from particlerb.case.problems import Problem, problem_at
 from particlerb.contact.restitution import damping_ratio, effective_modulus, effective_shear_modulus
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.system import System

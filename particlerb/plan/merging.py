@@ -11,8 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.joints import JointTable
-from particlerb.case.problems import CaseError
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, problem_at
 from particlerb.geometry.mass_properties import MassProperties, mass_properties
 from particlerb.geometry.particles import Particles, concatenate, kind_of, transformed, united
 from particlerb.maths.vec3 import Bools, Floats, Ints

@@ -8,8 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.case.problems import CaseError
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, problem_at
 from particlerb.contact.sphere_search import SphereSearch
 from particlerb.contact.wall_motion import poses_at
 from particlerb.contact.wall_search import WallSearch

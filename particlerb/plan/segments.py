@@ -9,8 +9,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb.case.problems import CaseError
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, problem_at
 from particlerb.forces import Terms, needs_of, terms_on, without_gradient
 from particlerb.forces.drag import Drag
 from particlerb.forces.impulse import Impulse

@@ -5,8 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.case.problems import CaseError, Problem
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, Problem, problem_at
 from particlerb.contact.contact_frequency import initial_contact_frequency
 from particlerb.contact.contact_model import GroupContact
 from particlerb.forces.links import fastest_oscillation, with_springs

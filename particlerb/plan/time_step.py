@@ -6,8 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.problems import CaseError, Problem
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, Problem, problem_at
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken

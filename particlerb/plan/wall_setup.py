@@ -5,8 +5,7 @@ import numpy as np
 from particlerb.case.bodies import Body
 from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, MeshWall, PlaneWall, Prescribed
 from particlerb.case.placement import quaternion_of
-from particlerb.case.problems import CaseError
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, problem_at
 from particlerb.contact.piston import Pistons
 from particlerb.contact.wall_motion import PrescribedMotion
 from particlerb.contact.wall_shapes import box, cylinder, plane, surface, unit

@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 import particlerb
-from particlerb.case.source import Source
+from particlerb.case.problems import Source
 from particlerb.case.to_system import to_case
 from particlerb.compiled.jit import CACHE_FOLDER, source_hash
 from particlerb.compiled.vector_width import machine

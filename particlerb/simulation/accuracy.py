@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.source import problem_at
+from particlerb.case.problems import problem_at
 from particlerb.integrators import METHODS
 from particlerb.model.system import System
 from particlerb.plan.describe import describe, group_name

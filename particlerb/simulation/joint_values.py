@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.problems import CaseError, nearest
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, nearest, problem_at
 from particlerb.integrators import METHODS
 from particlerb.integrators.joint_stages import place_driven
 from particlerb.integrators.stages import gather_loads

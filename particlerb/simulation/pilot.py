@@ -11,8 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from particlerb.case.problems import CaseError
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, problem_at
 from particlerb.forces import Terms
 from particlerb.integrators import METHODS
 from particlerb.integrators.dop853 import PACK

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
+from particlerb.case.problems import Source
 from particlerb.case.reader import build
 from particlerb.case.run import RunTable, frame_count
 from particlerb.case.schema import Case
-from particlerb.case.source import Source
 from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats

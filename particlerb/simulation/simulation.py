@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from particlerb.case.overrides import with_value
-from particlerb.case.problems import CaseError, path_of
+from particlerb.case.problems import CaseError, path_of, problem_at
 from particlerb.case.reader import build, load
 from particlerb.case.run import frame_count
 from particlerb.case.schema import Case
-from particlerb.case.source import problem_at
 from particlerb.case.to_system import to_system, with_records
 from particlerb.case.values import plain
 from particlerb.compiled.threads import THREADS

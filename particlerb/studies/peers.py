@@ -18,8 +18,7 @@ import numpy as np
 
 from particlerb.case.forces import PushTable
 from particlerb.case.joints import ACTIONS
-from particlerb.case.problems import CaseError
-from particlerb.case.source import problem_at
+from particlerb.case.problems import CaseError, problem_at
 from particlerb.export import ExportError
 from particlerb.export.mjcf_scene import mjcf_scene
 from particlerb.export.scene import FREE_STEP

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from particlerb.case.overrides import toml_value
-from particlerb.case.problems import CaseError
+from particlerb.case.problems import CaseError, file_problem, problem_at
 from particlerb.case.schema import Case
-from particlerb.case.source import file_problem, problem_at
 from particlerb.case.sweep import SEED, Spread, SweepTable
 from particlerb.files import Files
 

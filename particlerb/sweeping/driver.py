@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from particlerb.case.changes import likeness
-from particlerb.case.problems import CaseError, path_of
+from particlerb.case.problems import CaseError, file_problem, path_of
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
-from particlerb.case.source import file_problem
 from particlerb.case.sweep import SweepTable
 from particlerb.case.to_system import to_system
 from particlerb.case.values import plain

@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 
 from particlerb.case.changes import changed, likeness
 from particlerb.case.overrides import with_value
-from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of
+from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of, problem_at
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
-from particlerb.case.source import problem_at
 from particlerb.case.sweep import SweepTable
 from particlerb.compiled.jit import source_hash
 from particlerb.sweeping.designs import rows_of

@@ -11,10 +11,9 @@ import numpy as np
 
 from particlerb.case.output import Asked
 from particlerb.case.overrides import with_value
-from particlerb.case.problems import CaseError, Path
+from particlerb.case.problems import CaseError, Path, Source
 from particlerb.case.reader import build
 from particlerb.case.side_by_side import side_by_side
-from particlerb.case.source import Source
 from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.model.system import System

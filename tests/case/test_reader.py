@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particlerb.case.positions import extents
-from particlerb.case.problems import key_of, path_of
+from particlerb.case.problems import key_of, path_of, problem_at
 from particlerb.case.reader import CaseError, load, parse
-from particlerb.case.source import problem_at
 
 TEXT = """\
 title = "two cubes"   # a comment with "quotes" and [brackets]
@@ -293,10 +292,10 @@ def test_long_line_is_cut_round_the_mistake():
 
 
 def test_very_long_files_have_messages_without_lines(monkeypatch):
-    monkeypatch.setattr("particlerb.case.source.LONGEST_SCANNED", len(TEXT) - 1)
+    monkeypatch.setattr("particlerb.case.problems.LONGEST_SCANNED", len(TEXT) - 1)
     problem = problem_at(parse(TEXT, Path("a.toml")), "run.dt", "too long")
     assert str(problem) == "a.toml: error: run.dt: too long"
-    monkeypatch.setattr("particlerb.case.source.LONGEST_SCANNED", len(TEXT))
+    monkeypatch.setattr("particlerb.case.problems.LONGEST_SCANNED", len(TEXT))
     assert problem_at(parse(TEXT, Path("a.toml")), "run.dt", "too long").line == 3
 
 

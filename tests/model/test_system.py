@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import particlerb
+from particlerb.case.problems import problem_at
 from particlerb.case.reader import load, parse
-from particlerb.case.source import problem_at
 from particlerb.case.to_system import records, to_case, to_system, with_records
 from particlerb.model.names import BodyNames
 
