@@ -26,7 +26,7 @@ from particlerb.case.schema import Case
 from particlerb.case.to_system import centred_at_com, farthest, kinds, spins_of, to_system
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import bodies_of_kind
-from particlerb.model.names import NamesInWorlds
+from particlerb.model.names import BodyNames
 from particlerb.model.state import initial_state
 from particlerb.model.system import System
 from particlerb.model.worlds import WorldsDifferError
@@ -134,7 +134,7 @@ def _placement(case: Case, changes: _Changes, n_worlds: int) -> Placement:
                 q = orientation[:, own]
                 array[:, own] = _of_worlds(case, changes, n_worlds, i, key, q)
     x, q, v, omega = (array.reshape(-1, array.shape[-1]) for array in values)
-    names = NamesInWorlds(base.names.records, n_worlds)
+    names = BodyNames(base.names.records, n_worlds=n_worlds)
     return Placement(np.tile(base.block, n_worlds), x, q, v, omega, names)
 
 

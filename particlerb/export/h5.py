@@ -17,7 +17,7 @@ from particlerb.record.layout import laid_out, write_rest
 from particlerb.record.parts import folder_beside, parts_in
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.vtkhdf import STEP_STARTS, STEP_TIMES, count_steps, resize_vtkhdf
-from particlerb.simulation.probes import joined
+from particlerb.simulation.outcome import joined
 
 NEEDS: Final = ()
 HOLDS: Final = (

@@ -14,24 +14,31 @@ REFERENCE = re.compile(r"(?P<name>[^\[\]]+)(?:\[(?P<index>\d{1,10})\])?", re.ASC
 
 
 class BodyNames(Sequence[str]):
-    """Names of all bodies, made when asked for: `cube` alone, `clump[0]`, `clump[1]`, ... .
+    """Names of bodies, made when asked for: `cube` alone, `clump[0]`, `clump[1]`, ... .
 
     Parameters
     ----------
     records : iterable of (str, int)
-        Name and number of bodies of each record, in order.
+        Name and number of bodies of each record of a scene, in order.
+    part : range, optional
+        Bodies of the scene that these are, numbered from 0; default: all.
+    n_worlds : int
+        Scenes that stand side by side, with the same names in each.
     """
 
-    def __init__(self, records: Iterable[tuple[str, int]]) -> None:
+    def __init__(
+        self, records: Iterable[tuple[str, int]], part: range | None = None, n_worlds: int = 1
+    ) -> None:
         self.records = list(records)
         counts = [0, *(count for _, count in self.records)]
         self.first: _Ints = np.cumsum(np.array(counts, dtype=np.int64))  # and how many there are
         self._number = {name: i for i, (name, _) in enumerate(self.records)}
-        self.range = range(int(self.first[-1]))
+        self.part = range(int(self.first[-1])) if part is None else part
+        self.n_worlds = n_worlds
 
     def __len__(self) -> int:
         """Number of bodies."""
-        return len(self.range)
+        return self.n_worlds * len(self.part)
 
     @overload
     def __getitem__(self, b: int) -> str: ...
@@ -41,18 +48,17 @@ class BodyNames(Sequence[str]):
         """Name of body b, or of several."""
         if isinstance(b, slice):
             return [self[i] for i in range(*b.indices(len(self)))]
-        number = self.range[b]
+        number = self.part[range(len(self))[b] % len(self.part)]
         record = int(np.searchsorted(self.first, number, side="right")) - 1
         name, count = self.records[record]
         return name if count == 1 else f"{name}[{number - self.first[record]}]"
 
     def __iter__(self) -> Iterator[str]:
         """All names, a million in a third of a second."""
-        for name, count in self.records:
-            if count == 1:
-                yield name
-            else:
-                yield from (f"{name}[{k}]" for k in range(count))
+        for _ in range(self.n_worlds):
+            for (name, count), first in zip(self.records, self.first.tolist(), strict=False):
+                own = range(max(self.part.start - first, 0), min(self.part.stop - first, count))
+                yield from (name if count == 1 else f"{name}[{k}]" for k in own)
 
     def find(self, names: str | Sequence[str]) -> _Ints:
         """Indices of the bodies that are named, ascending and each once, shape (n,).
@@ -60,7 +66,8 @@ class BodyNames(Sequence[str]):
         Parameters
         ----------
         names : str or sequence of str
-            `clump` is all bodies of the record, `clump[3]` the fourth of them.
+            `clump` is all bodies of the record, `clump[3]` the fourth of them; what is not in the
+            part is left out.
 
         Raises
         ------
@@ -70,9 +77,15 @@ class BodyNames(Sequence[str]):
         return np.unique(self.find_in_order(names))
 
     def find_in_order(self, names: str | Sequence[str]) -> _Ints:
-        """Indices of the bodies as they are named: in this order, and as often; else as `find`."""
+        """Indices of the bodies as they are named: in this order, and as often; else as `find`.
+
+        Those of several scenes are of one scene after the other.
+        """
         listed = [names] if isinstance(names, str) else names
-        return np.concatenate([self._find_one(name) for name in listed])
+        found = np.concatenate([self._find_one(name) for name in listed])
+        inside = found[(found >= self.part.start) & (found < self.part.stop)] - self.part.start
+        worlds = np.arange(self.n_worlds, dtype=np.int64)[:, None]
+        return np.asarray((worlds * len(self.part) + inside).ravel())
 
     def _find_one(self, name: str) -> _Ints:
         match = REFERENCE.fullmatch(name)
@@ -85,70 +98,3 @@ class BodyNames(Sequence[str]):
         if int(match["index"]) >= hi - lo:
             raise KeyError(name)
         return np.array([lo + int(match["index"])])
-
-
-class NamesInRange(BodyNames):
-    """Names of the bodies of a scene from `first` to `stop`, numbered from 0.
-
-    Parameters
-    ----------
-    records : iterable of (str, int)
-        Of the whole scene.
-    first, stop : int
-        Which bodies these are.
-    """
-
-    def __init__(self, records: Iterable[tuple[str, int]], first: int, stop: int) -> None:
-        super().__init__(records)
-        self.range = range(first, stop)
-
-    def __iter__(self) -> Iterator[str]:
-        """All names."""
-        return (self[b] for b in range(len(self)))
-
-    def find_in_order(self, names: str | Sequence[str]) -> _Ints:
-        """As for the whole scene, without bodies that are not in the range."""
-        found = super().find_in_order(names)
-        inside = (found >= self.range.start) & (found < self.range.stop)
-        return found[inside] - self.range.start
-
-
-class NamesInWorlds(BodyNames):
-    """Names of the bodies of scenes that stand side by side: in each scene the same.
-
-    Parameters
-    ----------
-    records : iterable of (str, int)
-        Of one scene.
-    n_worlds : int
-        Scenes.
-    """
-
-    def __init__(self, records: Iterable[tuple[str, int]], n_worlds: int) -> None:
-        super().__init__(records)
-        self.n_worlds, self.in_each = n_worlds, super().__len__()
-
-    def __len__(self) -> int:
-        """Number of bodies."""
-        return self.n_worlds * self.in_each
-
-    @overload
-    def __getitem__(self, b: int) -> str: ...
-    @overload
-    def __getitem__(self, b: slice) -> list[str]: ...
-    def __getitem__(self, b: int | slice) -> str | list[str]:
-        """Name of body b in its scene, or of several."""
-        if isinstance(b, slice):
-            return [self[i] for i in range(*b.indices(len(self)))]
-        return super().__getitem__(range(len(self))[b] % self.in_each)
-
-    def __iter__(self) -> Iterator[str]:
-        """All names."""
-        for _ in range(self.n_worlds):
-            yield from super().__iter__()
-
-    def find_in_order(self, names: str | Sequence[str]) -> _Ints:
-        """As for one scene, in one scene after the other."""
-        found = super().find_in_order(names)
-        worlds = np.arange(self.n_worlds, dtype=np.int64)[:, None]
-        return (worlds * self.in_each + found).ravel()

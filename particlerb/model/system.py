@@ -20,7 +20,7 @@ from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.merging import Merging
-from particlerb.model.names import BodyNames, NamesInRange
+from particlerb.model.names import BodyNames
 from particlerb.model.state import State
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class System(NamedTuple):
 
     def part(self, first: int, stop: int) -> Self:
         """Bodies of a range, with all records."""
-        names = NamesInRange(self.names.records, first, stop)
+        names = BodyNames(self.names.records, range(first, stop))
         return self._with_bodies(np.arange(first, stop), names)
 
     def _with_bodies(self, own: Ints, names: BodyNames) -> Self:

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from particlerb.case.contact import ContactTable
 from particlerb.case.forces import FORCES
 from particlerb.case.run import AttractionTable
-from particlerb.contact.contact_model import GroupContact
 from particlerb.forces import Terms, has_potential, is_constant, needs_of, words_of
 from particlerb.forces.gravity_tree.opening_angle import SAMPLE
 from particlerb.forces.kinds import TIME
@@ -66,9 +66,8 @@ def _particles_line(system: System) -> str:
     """How many particles were summed, how many are kept, and why."""
     kinds = len(system.particles.offset) - 1
     sets = "one set" if kinds == 1 else f"{kinds} sets"
-    line = (
-        f"{system.summed.sum()} in {sets}, summed once to mass, centre of mass and inertia tensor"
-    )
+    how = "summed once to mass, centre of mass and inertia tensor"
+    line = f"{system.summed.sum()} in {sets}, {how}"
     kept = np.diff(system.particles.offset)
     is_reduced = kept < system.summed
     if not is_reduced.any():
@@ -90,7 +89,7 @@ def _acting_lines(system: System, plan: Plan) -> Iterator[tuple[str, str]]:
         yield kind, f"{count} in the case"
     if system.joint:
         yield "joints", joint_line(merged(system), plan)
-    if _contacts(plan):
+    if plan.contacts:
         yield "contact", _contact_line(system, plan)
 
 
@@ -99,7 +98,7 @@ def _left_out_line(system: System, plan: Plan) -> str:
     out = {"gravity": not system.acceleration.any(), "attraction": system.attraction is None}
     out |= {"joints": not system.joint}
     why = "no [contact]" if system.particles.radius.any() else "no particle has a radius"
-    out[f"contact ({why})"] = not _contacts(plan)
+    out[f"contact ({why})"] = not plan.contacts
     acting = {force.type for force in system.force}
     absent = ", ".join(kind for kind in FORCES if kind not in acting)
     out[f"forces of type {absent}"] = bool(absent)
@@ -108,7 +107,7 @@ def _left_out_line(system: System, plan: Plan) -> str:
 
 def _attraction_line(table: AttractionTable, plan: Plan) -> str:
     """How attraction is summed."""
-    terms = [s.terms for g in plan.groups for s in g.segments if s.terms.attraction is not None]
+    terms = [s.terms for _, s in plan.segments if s.terms.attraction is not None]
     assert terms[0].attraction is not None
     n, softening = terms[0].attraction.mass.size, table.softening
     angle, accuracy = terms[0].opening_angle, terms[0].tree_accuracy
@@ -127,21 +126,16 @@ def vector(values: Sequence[float]) -> str:
     return "(" + ", ".join(f"{value:.9g}" for value in values) + ")"
 
 
-def _contacts(plan: Plan) -> list[GroupContact]:
-    """Contact of the segments that have it."""
-    return [s.terms.contact for g in plan.groups for s in g.segments if s.terms.contact]
-
-
 def _contact_line(system: System, plan: Plan) -> str:
     """What may touch, by which law."""
     assert system.contact is not None
-    contact = _contacts(plan)[0]
+    contact = plan.contacts[0]
     spheres, walls = contact.model.spheres.radius.size, len(contact.motions)
     what = f"{_counted(spheres, 'sphere')} and {_counted(walls, 'wall')}, {system.contact.law}"
     if contact.n_interior:
         what += f", {contact.n_interior} inner spheres left out, which nothing can reach"
     if contact.rules is not None:
-        what += f", {_solved(system, plan)}"
+        what += f", {_solved(system, plan, system.contact)}"
     if contact.events is not None:
         return f"{what}, {_by_events(contact.events)}"
     return f"{what}, pairs kept within {contact.skin:.3g} m{_flying(plan)}"
@@ -153,31 +147,19 @@ def _by_events(rules: EventRules) -> str:
     return f"at the instants of impacts, one after the other; {again}"
 
 
-def _solved(system: System, plan: Plan) -> str:
+def _solved(system: System, plan: Plan, table: ContactTable) -> str:
     """How impulses are found, and what overlap is to be expected."""
-    table = system.contact
-    overlaps = [
-        expected_overlap(system, group, segment)
-        for group in plan.groups
-        for segment in group.segments
-        if touches_by_impulses(segment)
-    ]
-    assert table is not None
+    own = [(group, segment) for group, segment in plan.segments if touches_by_impulses(segment)]
+    overlap = max(expected_overlap(system, *each) for each in own)
+    after = _after_sweeps(table.solver, max(group.members.size for group, _ in own))
     return (
-        f"residual {table.tolerance:.3g} or {table.iterations} sweeps,"
-        f" {_after_sweeps(table.solver, plan)}; the fastest impact may overlap by about"
-        f" {max(overlaps):.3g} m"
+        f"residual {table.tolerance:.3g} or {table.iterations} sweeps, {after}; the fastest impact"
+        f" may overlap by about {overlap:.3g} m"
     )
 
 
-def _after_sweeps(solver: str, plan: Plan) -> str:
-    """Whether Newton's method goes on where sweeps do not end, and why."""
-    n = max(
-        group.members.size
-        for group in plan.groups
-        for segment in group.segments
-        if touches_by_impulses(segment)
-    )
+def _after_sweeps(solver: str, n: int) -> str:
+    """Whether Newton's method goes on where sweeps of n bodies do not end, and why."""
     if solver != "auto":
         return f"{'then' if solver == 'newton' else 'not'} Newton's method, as the case says"
     if n <= MOST_BODIES:
@@ -188,25 +170,22 @@ def _after_sweeps(solver: str, plan: Plan) -> str:
 def _flying(plan: Plan) -> str:
     """Whether bodies with nothing in reach fly in closed form."""
     flies = any(
-        segment.terms.contact is not None
-        and can_fly(METHODS[segment.method], segment.terms, group.members.size)
-        for group in plan.groups
-        for segment in group.segments
+        s.terms.contact is not None and can_fly(METHODS[s.method], s.terms, group.members.size)
+        for group, s in plan.segments
     )
     return ", closed form where none is in reach" if flies else ""
 
 
 def _balance_line(plan: Plan) -> str:
     """How the work of forces is found, for the energy balance."""
-    stepped = [s for group in plan.groups for s in group.segments if has_step(s.method)]
+    stepped = [segment for group in plan.groups for segment in group.stepped]
     if not all(has_potential(segment.terms) for segment in stepped):
         return "work and impulses summed step by step: a force without potential acts"
     if any(TIME in needs for s in stepped for needs in needs_of(s.terms).values()):
         return "work from potentials and their change with time; impulses summed step by step"
     if not all(is_constant(segment.terms) for segment in stepped):
         return "work from potentials; impulses summed step by step: a force is not constant"
-    segments = [s for group in plan.groups for s in group.segments]
-    if not all(has_potential(segment.terms) for segment in segments):
+    if not all(has_potential(segment.terms) for _, segment in plan.segments):
         return "work and impulses in closed form"
     return "work and impulses in closed form: every force has a potential"
 
@@ -242,14 +221,12 @@ def _segment_line(bodies: Bodies, segment: Segment) -> str:
     start = f"after {_counted(len(segment.jumps), 'impulse')}, " if segment.jumps else ""
     if not has_step(segment.method):
         return f"{when}: {start}{_closed_reason(bodies, segment.terms)}"
+    driver = f"{_driving(segment.terms)}, {segment.method}"
     if is_adaptive(segment.method):
-        driver = f"{_driving(segment.terms)}, {segment.method}"
         return f"{when}: {start}{driver}, tolerance {segment.tolerance:.3g}"
     steps = (segment.stop - segment.start) / segment.dt
     count = f"{round(steps)} steps of " if np.isfinite(steps) else "steps of "
-    return f"{when}: {start}{_driving(segment.terms)}, {segment.method}, " + (
-        f"{count}{segment.dt:.6g} s"
-    )
+    return f"{when}: {start}{driver}, {count}{segment.dt:.6g} s"
 
 
 def _closed_reason(bodies: Bodies, terms: Terms) -> str:

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.case.problems import CaseError, problem_at
+from particlerb.contact.contact_model import GroupContact
 from particlerb.forces import Terms, needs_of, terms_on, without_gradient
 from particlerb.forces.drag import Drag
 from particlerb.forces.impulse import Impulse
@@ -70,6 +71,16 @@ class GroupPlan(NamedTuple):
         """What a method needs for one segment."""
         return SegmentGroup(self.members, self.bodies, segment.terms, self.worlds, self.shared)
 
+    @property
+    def stepped(self) -> list[Segment]:
+        """Segments that are stepped."""
+        return [segment for segment in self.segments if has_step(segment.method)]
+
+    @property
+    def touches(self) -> bool:
+        """Whether its bodies touch."""
+        return any(segment.terms.contact is not None for segment in self.segments)
+
 
 class Plan(NamedTuple):
     """How a system will be run."""
@@ -77,6 +88,16 @@ class Plan(NamedTuple):
     groups: tuple[GroupPlan, ...]
     step: str  # the step and why this one
     warnings: tuple[str, ...]
+
+    @property
+    def segments(self) -> list[tuple[GroupPlan, Segment]]:
+        """All segments, each with its group."""
+        return [(group, segment) for group in self.groups for segment in group.segments]
+
+    @property
+    def contacts(self) -> list[GroupContact]:
+        """Contact of the segments that have it."""
+        return [s.terms.contact for _, s in self.segments if s.terms.contact is not None]
 
 
 def cut_into_segments(
@@ -224,13 +245,14 @@ def _chosen_method(named: str, bodies: Bodies, terms: Terms, is_closed: Bools) -
 
 def refuse_method(system: System, groups: list[GroupPlan]) -> None:
     """Raise CaseError where a method was asked for and a force acts that it does not accept."""
-    named = system.run.method
-    if named != "auto" and METHODS[named].holds_joints and not system.joint:
-        reason = f"{named} is for bodies that joints hold, and the case has no [[joint]]"
-        raise CaseError([problem_at(system, "run.method", reason, 'use "strang"')])
+    named, reason = system.run.method, ""
     by_impulses = system.contact is not None and system.contact.law == "impulse"
-    if named != "auto" and METHODS[named].takes_impulses and not by_impulses:
-        reason = f"{named} is for contact by impulses, and the case has none"
+    if named != "auto" and METHODS[named].holds_joints and not system.joint:
+        reason = "bodies that joints hold, and the case has no [[joint]]"
+    elif named != "auto" and METHODS[named].takes_impulses and not by_impulses:
+        reason = "contact by impulses, and the case has none"
+    if reason:
+        reason = f"{named} is for {reason}"
         raise CaseError([problem_at(system, "run.method", reason, 'use "strang"')])
     for group in groups:
         for segment in group.segments:
@@ -246,14 +268,13 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
 
 def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
     """Some bodies of a group under new numbers."""
+    contiguous = np.ascontiguousarray
     segments = tuple(
         segment._replace(
             terms=terms_on(segment.terms, own),
             jumps=tuple(
-                Impulse(
-                    np.ascontiguousarray(jump.at[:, own]),
-                    np.ascontiguousarray(jump.impulse[:, own]),
-                    jump.follows,
+                jump._replace(
+                    at=contiguous(jump.at[:, own]), impulse=contiguous(jump.impulse[:, own])
                 )
                 for jump in segment.jumps
             ),
@@ -265,8 +286,8 @@ def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
 
 def is_coupled(group: GroupPlan) -> bool:
     """Whether bodies of a group act on each other, or touch walls."""
-    all_terms = [segment.terms for segment in group.segments]
-    return any(t.is_coupled or t.contact is not None or t.joints is not None for t in all_terms)
+    tied = any(s.terms.is_coupled or s.terms.joints is not None for s in group.segments)
+    return tied or group.touches
 
 
 def in_superblocks(groups: Sequence[GroupPlan], n_bodies: int) -> list[list[GroupPlan]]:

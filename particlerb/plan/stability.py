@@ -33,8 +33,8 @@ def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
                 continue
             like = f"bodies like {system.names[int(group.members[0])]}"
             if segment is group.segments[0]:
-                rate = _crowded_rate(system, group)
                 what = f"{like} that touch at t = 0 grow without bound on all their contacts"
+                rate = _crowded_rate(system, group)
                 _refuse_above(system, segment, rate, f"where {what} together")
             rate = fastest_contact(system, group, segment)
             what = f"a contact of {like} grows without bound"
@@ -76,10 +76,8 @@ def growing_contacts(system: System, groups: tuple[GroupPlan, ...]) -> list[Prob
             contact = segment.terms.contact
             if contact is None or METHODS[segment.method].stability_limit > 0.0:
                 continue
-            rate, limit = (
-                fastest_contact(system, group, segment),
-                contact_limit(segment.method, contact),
-            )
+            rate = fastest_contact(system, group, segment)
+            limit = contact_limit(segment.method, contact)
             if segment.dt * rate > limit:
                 reason = f"with {segment.method} bodies that rest on contacts oscillate ever more"
                 reason += f" above {limit / rate:.3g} s" if limit > 0.0 else " at any step"
@@ -94,13 +92,10 @@ def step_key(system: System) -> str:
 
 def contact_limit(method: str, contact: GroupContact) -> float:
     """Largest ω dt [rad] at which bodies stay at rest on contacts, however these are damped."""
-    ratios = contact.model.law.damping_ratio
-    given = METHODS[method].contact_limit
+    given, undamped = METHODS[method].contact_limit, METHODS[method].stability_limit
     assert given is not None
-    undamped = METHODS[method].stability_limit
-    return min(
-        (min(given(ratio), undamped or math.inf) for ratio in ratios.tolist()), default=undamped
-    )
+    limits = map(given, contact.model.law.damping_ratio.tolist())
+    return min((min(limit, undamped or math.inf) for limit in limits), default=undamped)
 
 
 def stable_turn(plan: Plan) -> float:
@@ -109,12 +104,11 @@ def stable_turn(plan: Plan) -> float:
     Of a method without a stable step the plan has warned.
     """
     limits = [
-        contact_limit(segment.method, segment.terms.contact)
-        for group in plan.groups
-        for segment in group.segments
-        if segment.terms.contact is not None
-        and segment.terms.has_springy_contact
-        and METHODS[segment.method].stability_limit > 0.0
+        contact_limit(s.method, s.terms.contact)
+        for _, s in plan.segments
+        if s.terms.contact is not None
+        and s.terms.has_springy_contact
+        and METHODS[s.method].stability_limit > 0.0
     ]
     return min(limits, default=math.inf)
 

@@ -74,7 +74,7 @@ class Stepping(NamedTuple):
 
 def step(system: System, group: GroupPlan) -> float:
     """Step of the stepped segments of a group [s]; 0 where it has none."""
-    if not any(has_step(segment.method) for segment in group.segments):
+    if not group.stepped:
         return 0.0
     if system.run.dt is not None:
         return system.run.dt
@@ -88,16 +88,15 @@ def step(system: System, group: GroupPlan) -> float:
 
 def with_steps(group: GroupPlan, dt: float) -> GroupPlan:
     """Group whose stepped segments have a step that divides them evenly."""
-    segments = []
-    for segment in group.segments:
-        if has_step(segment.method):
-            length = segment.stop - segment.start
-            is_even = np.isinf(length) or is_adaptive(segment.method)
-            own = dt if is_even else length / np.ceil(length / dt * (1 - 1e-12))
-            segments.append(segment._replace(dt=float(own)))
-        else:
-            segments.append(segment)
-    return group._replace(segments=tuple(segments))
+
+    def step_in(segment: Segment) -> float:
+        length = segment.stop - segment.start
+        if not has_step(segment.method):
+            return segment.dt
+        is_even = np.isinf(length) or is_adaptive(segment.method)
+        return float(dt if is_even else length / np.ceil(length / dt * (1 - 1e-12)))
+
+    return group._replace(segments=tuple(s._replace(dt=step_in(s)) for s in group.segments))
 
 
 def stepped_by(group: GroupPlan, chosen: Stepping) -> GroupPlan:
@@ -113,31 +112,27 @@ def step_reason(
     system: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
 ) -> str:
     """The steps in words, and why these."""
-    stepped = [
-        (group, chosen)
-        for group, chosen in zip(groups, choice, strict=True)
-        if any(has_step(segment.method) for segment in group.segments)
-    ]
+    stepped = [group for group in groups if group.stepped]
     if not stepped:
         return "none: every motion has a closed form"
-    reasons = dict.fromkeys(chosen.reason for _, chosen in stepped if chosen is not None)
-    if reasons:
+    chosen = (one for group, one in zip(groups, choice, strict=True) if group.stepped)
+    if reasons := dict.fromkeys(one.reason for one in chosen if one is not None):
         return "; ".join(reasons)
-    if all(is_adaptive(s.method) or not has_step(s.method) for g, _ in stepped for s in g.segments):
+    if all(is_adaptive(segment.method) for group in stepped for segment in group.stepped):
         packs = "packs of sixteen bodies, and those that act on each other,"
         return f"{packs} take their own, error {system.run.tolerance!r} in each"
     if system.run.dt is not None:
         return f"{system.run.dt!r} s, as the case says"
-    steps = {step(system, group) for group, _ in stepped}
+    steps = {step(system, group) for group in stepped}
     rule = f"the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
     if len(steps) > 1:
         return f"{min(steps):.6g} s to {max(steps):.6g} s, for each group {rule}"
     (dt,) = steps
-    rate = max(fastest_rate(system, group) for group, _ in stepped)
+    rate = max(fastest_rate(system, group) for group in stepped)
     why = "run.every" if dt == system.run.every else f"{RADIANS_PER_STEP} / ({rate:.6g} rad/s)"
-    if any(impulse_step(system, group) < math.inf for group, _ in stepped):
+    if (by_impulses := min(impulse_step(system, group) for group in stepped)) < math.inf:
         rule = f"the smallest of run.every, {IMPULSE_RULE}, and {RADIANS_PER_STEP} / fastest rate"
-        if dt == min(impulse_step(system, group) for group, _ in stepped):
+        if dt == by_impulses:
             why = "the rule of impulses"
     return f"{dt:.6g} s = {why}, {rule}"
 
@@ -145,9 +140,9 @@ def step_reason(
 def refuse_endless(system: System, groups: tuple[GroupPlan, ...]) -> None:
     """Raise CaseError where steps until t_end are more than can be counted."""
     for group in groups:
-        for segment in group.segments:
+        for segment in group.stepped:
             length = min(segment.stop, system.run.t_end) - segment.start
-            if not has_step(segment.method) or length <= 0.0:
+            if length <= 0.0:
                 continue
             rate = 1.0 / segment.dt if segment.dt > 0.0 else math.inf
             if is_adaptive(segment.method):  # it will find a step of about a radian
@@ -164,7 +159,7 @@ def step_warnings(system: System, groups: tuple[GroupPlan, ...]) -> list[str]:
     """Warnings about steps that turn a body too far, now or by t_end, or let springs explode."""
     found: dict[str, tuple[float, str, float]] = {}
     for group in groups:
-        stepped = [s for s in group.segments if has_step(s.method) and not is_adaptive(s.method)]
+        stepped = [segment for segment in group.stepped if not is_adaptive(segment.method)]
         if not stepped:
             continue
         rate = fastest_rate(system, group, system.run.t_end)
@@ -190,12 +185,8 @@ def step_warnings(system: System, groups: tuple[GroupPlan, ...]) -> list[str]:
             else:
                 continue
             found[kind] = max(found.get(kind, (0.0, "", 0.0)), (turn, reason, advised))
-    key = step_key(system)
-    problems = [
-        problem_at(system, key, reason, f"advised: dt = {advised:.3g} s or less")
-        for _, reason, advised in found.values()
-    ]
-    return [as_warning(problem) for problem in problems]
+    advice = ((reason, f"advised: dt = {dt:.3g} s or less") for _, reason, dt in found.values())
+    return [as_warning(problem_at(system, step_key(system), *words)) for words in advice]
 
 
 def as_warning(problem: Problem) -> str:

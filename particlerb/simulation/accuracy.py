@@ -25,7 +25,7 @@ from particlerb.model.system import System
 from particlerb.plan.describe import describe, group_name
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.merging import merged
-from particlerb.plan.segments import GroupPlan, Plan, accepting, has_step
+from particlerb.plan.segments import GroupPlan, Plan, accepting
 from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.simulation.pilot import Pilot
 from particlerb.simulation.run import made_ready, prepare
@@ -144,7 +144,7 @@ def _estimate_of(system: System, plan: Plan, found: list[ChosenStep | None]) -> 
 
 def search(system: System, group: GroupPlan) -> ChosenStep | None:
     """Cheapest way to step a group; None where nothing of it is stepped before t_end."""
-    stepped = [s for s in group.segments if has_step(s.method) and s.start < system.run.t_end]
+    stepped = [segment for segment in group.stepped if segment.start < system.run.t_end]
     if not stepped:
         return None
     pilot = Pilot(system, group)

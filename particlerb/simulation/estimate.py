@@ -12,8 +12,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.record.file_size import estimated_size
 from particlerb.simulation.frame_times import frame_times
-from particlerb.simulation.whole_run import Prepared, Run, RunError
-from particlerb.stepping.motion import MotionError
+from particlerb.simulation.whole_run import Prepared, Run
 
 _ENOUGH: Final = 0.3  # s, that the last piece of a trial takes
 _FIRST_PIECE: Final = 2.0**-24  # of the run; it compiles
@@ -38,11 +37,8 @@ def estimated_seconds(prepared: Prepared) -> float:
             until = min(reached + length, end)
             times = _frames_between(prepared.system, reached, until)
             start = time.perf_counter()
-            try:
-                with compiling() as compiled:
-                    *_, error = run.frames_at(times, np.full(times.size, True))
-            except (MotionError, FloatingPointError) as problem:
-                raise RunError(str(problem)) from None
+            with compiling() as compiled:
+                *_, error = run.frames_at(times, np.full(times.size, True))
             if error is not None:
                 raise error
             piece = time.perf_counter() - start - sum(compiled)

@@ -55,12 +55,4 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
         found.joint_break_time[:] = trajectory.joint_break_time
     x, q, p, L = (np.asarray(getattr(trajectory, name)) for name in STATE_FIELDS)
     LoadReader(system).read(times, Frames(x, q, p, L, q[0], times > 0.0), found)
-    return JointLoads(
-        setup.names,
-        found.joint_force,
-        found.joint_torque,
-        found.joint_force_determined,
-        found.joint_torque_determined,
-        found.joint_misfit,
-        found.joint_rate,
-    )
+    return JointLoads(setup.names, *found[:6])

@@ -46,17 +46,12 @@ class JointValues(NamedTuple):
 
 def room_for_values(setup: JointSetup, n: int) -> JointValues:
     """Values of n instants, to be written; joints that do not act carry nothing."""
-    vectors = (n, len(setup.names), 3)
-    return JointValues(
-        np.zeros(vectors),
-        np.zeros(vectors),
-        np.ones(vectors, dtype=np.int64),
-        np.ones(vectors, dtype=np.int64),
-        np.zeros(vectors[:2]),
-        np.zeros(vectors[:2]),
-        np.zeros((n, setup.coordinates.a.size)),
-        np.zeros(vectors[:2]),
-    )
+    j = len(setup.names)
+    force, torque = np.zeros((2, n, j, 3))
+    misfit, rate, break_time = np.zeros((3, n, j))
+    known = np.ones((2, n, j, 3), dtype=np.int64)
+    coordinates = np.zeros((n, setup.coordinates.a.size))
+    return JointValues(force, torque, known[0], known[1], misfit, rate, coordinates, break_time)
 
 
 def refuse_checks(system: System) -> None:
@@ -64,7 +59,7 @@ def refuse_checks(system: System) -> None:
     is_asked = any(check.joint is not None for check in system.check.value)
     setup = joints_of(system) if is_asked else None
     problems = []
-    for k, check in enumerate(system.check.value if setup is not None else ()):
+    for k, check in enumerate(system.check.value):
         if check.joint is None or setup is None:
             continue
         if check.joint not in setup.names:

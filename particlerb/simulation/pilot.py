@@ -23,7 +23,7 @@ from particlerb.model.state import Frames
 from particlerb.model.system import System
 from particlerb.plan.describe import group_name
 from particlerb.plan.rates import rates
-from particlerb.plan.segments import GroupPlan, chosen, has_step, is_adaptive
+from particlerb.plan.segments import GroupPlan, chosen, is_adaptive
 from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.simulation.rehearsal import Rehearsal, can_rehearse
@@ -56,11 +56,7 @@ class Pilot:
         if not np.isfinite(self.rate):
             reason = "no step can be chosen: a torque over a moment of inertia overflows"
             raise CaseError([problem_at(system, "run.accuracy", reason, "give run.dt")])
-        self.lengths = [
-            min(s.stop, t_end) - s.start
-            for s in group.segments
-            if has_step(s.method) and s.start < t_end
-        ]
+        self.lengths = [min(s.stop, t_end) - s.start for s in group.stepped if s.start < t_end]
         self.cost_between = max(cost_of(segment.terms) for segment in group.segments)
         self.is_coupled = any(segment.terms.is_coupled for segment in group.segments)
         self.sets_off_again = not any(_remembers(segment.terms) for segment in group.segments)

@@ -34,8 +34,7 @@ from particlerb.record.writer import Recorder
 from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_again
 from particlerb.simulation.frame_times import frame_times
-from particlerb.simulation.outcome import Outcome, Progress
-from particlerb.simulation.probes import joined, of_no_body
+from particlerb.simulation.outcome import Outcome, Progress, joined, of_no_body
 from particlerb.simulation.run import advance, identity
 from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import SHARED, Prepared

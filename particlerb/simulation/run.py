@@ -7,7 +7,7 @@ nothing in the motion, so a run can be prolonged, or recorded more finely, witho
 
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -29,11 +29,9 @@ from particlerb.record.writer import OtherFrameError, Recorder
 from particlerb.simulation.frame_times import Batch, batches
 from particlerb.simulation.group_run import tally_of
 from particlerb.simulation.joint_values import at_row, broken_joints, labels_of, refuse_checks
-from particlerb.simulation.outcome import Outcome, Progress, Reached
-from particlerb.simulation.probes import Probe
+from particlerb.simulation.outcome import Outcome, Probe, Progress, Reached
 from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, Run, RunError
-from particlerb.stepping.motion import MotionError
 
 
 def made_ready(system: System) -> System:
@@ -151,7 +149,7 @@ def advance(
     except BaseException as problem:
         end_all(ranks, problem)
         recorder.finish()
-        if isinstance(problem, MotionError | FloatingPointError | OtherFrameError):
+        if isinstance(problem, OtherFrameError):
             raise RunError(str(problem)) from None
         raise
     recorder.finish()
@@ -205,3 +203,27 @@ def identity(prepared: Prepared) -> str:
             found.update(repr((s.start, s.stop, s.method, s.dt, s.tolerance)).encode())
         found.update(group.members.tobytes())
     return found.hexdigest()
+
+
+class _Nowhere:
+    """Takes frames in place of a recorder, and forgets them."""
+
+    file: Final = None
+
+    def append(self, frames: Any) -> None:
+        """Forget frames."""
+
+    def save_checkpoint(self, state: Any) -> None:
+        """Forget a checkpoint."""
+
+    def commit_if_due(self, state: Any) -> None:
+        """Do nothing."""
+
+    def finish(self) -> None:
+        """Do nothing."""
+
+
+def run_unrecorded(prepared: Prepared) -> Outcome:
+    """Run a prepared system for its drift and its probes alone; raises as `run_prepared`."""
+    with THREADS.using(prepared.system.run.threads):
+        return advance(prepared, _Nowhere(), None, lambda reached: None)

@@ -69,8 +69,7 @@ def share_of(n_bodies: int, ranks: Ranks) -> Range:
             f"{ranks.count} ranks are too many for {n_bodies} bodies: a rank takes {least} or more,"
             f" so {len(ranges)} may share them"
         )
-    own = own_parts(len(ranges), ranks)
-    return Range(ranges[own[0]].first, ranges[own[-1]].stop)
+    return range_of(n_bodies, ranks)
 
 
 def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
@@ -81,7 +80,7 @@ def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
     NoRanksError
         If bodies act on each other in a way that ranks cannot share, or ranks are too many.
     """
-    touching = [group for group in prepared.plan.groups if _touches(group)]
+    touching = [group for group in prepared.plan.groups if group.touches]
     if touching:
         refuse_contact(prepared, ranks)
         return _part_of_touching(prepared, touching[0], ranks)
@@ -94,11 +93,6 @@ def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
             groups.append(chosen(group, own, group.members[own] - first))
     plan = prepared.plan._replace(groups=tuple(groups))
     return prepared._replace(system=prepared.system.part(first, stop), plan=plan, first=first)
-
-
-def _touches(group: GroupPlan) -> bool:
-    """Whether bodies of a group touch."""
-    return any(segment.terms.contact is not None for segment in group.segments)
 
 
 def _part_of_touching(prepared: Prepared, group: GroupPlan, ranks: Ranks) -> Prepared:
@@ -188,7 +182,7 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
     in_part = ranges[0].stop
     n_bytes = estimated_size(system, frame_count(system.run)) * in_part // system.n_bodies
     set_up, of_part = BYTES_SET_UP * system.n_bodies, n_bytes + 2 * BYTES_SAVED * in_part
-    touching = [group for group in prepared.plan.groups if _touches(group)]
+    touching = [group for group in prepared.plan.groups if group.touches]
     if touching:
         refuse_contact(prepared, ranks)
         contact = touching[0].segments[0].terms.contact

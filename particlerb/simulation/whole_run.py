@@ -1,7 +1,8 @@
 """A prepared system on its way: all its groups, frames, and the energy balance of these."""
 
+import contextlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -33,10 +34,9 @@ from particlerb.simulation.joint_values import (
     recorded_values,
     room_for_values,
 )
-from particlerb.simulation.outcome import TreeError
-from particlerb.simulation.probes import Probe, restored_probes, saved_probes
+from particlerb.simulation.outcome import Probe, TreeError, restored_probes, saved_probes
 from particlerb.simulation.state_checks import StateChecks
-from particlerb.stepping.motion import Energies, Motion
+from particlerb.stepping.motion import Energies, Motion, MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
 from particlerb.stepping.shared_contact import SharedContact
 
@@ -258,18 +258,26 @@ class Run:
         """Write rows of the frames; of each superblock what `record_all` returns, and its sums."""
         worlds = () if self.system.n_worlds == 1 else (self.system.n_worlds,)
         booked, energies, known = [], [], []
-        try:
+        with self.failing():
             for runs, sums_itself in zip(self.superblocks, self.sums_itself, strict=True):
                 sums = np.zeros((times.size, *worlds, N_TOTALS)) if sums_itself else None
                 given, beside = record_all(runs, times, frames, self.joints, sums)
                 booked.append(given)
                 energies.append(beside)
                 known.append(sums)
+        return booked, energies, known
+
+    @contextlib.contextmanager
+    def failing(self) -> Iterator[None]:
+        """Say what has failed: a motion, or a force that a user wrote."""
+        try:
+            yield
+        except (MotionError, FloatingPointError) as problem:
+            raise RunError(str(problem)) from None
         except Exception as failure:
             if words := own_failure(failure, self.group_runs):
                 raise RunError(words) from None
             raise
-        return booked, energies, known
 
     def pose_at(self, time: float) -> tuple[Frames, RunError | None]:
         """States at a time [s], not before those asked for earlier, alone: nothing is booked.
@@ -281,13 +289,9 @@ class Run:
             self.single = self.room, self.room.rows(slice(1))
         frames = self.single[1]
         frames.is_frame[0] = True
-        try:
+        with self.failing():
             for group_run in self.group_runs:
                 group_run.pose_at(time, frames)
-        except Exception as failure:
-            if words := own_failure(failure, self.group_runs):
-                raise RunError(words) from None
-            raise
         is_finite = math.isfinite(sum(np.add.reduce(values, axis=None) for values in frames[:4]))
         problem = ""
         if not is_finite or self.checks.rods.size:

@@ -20,9 +20,8 @@ from particlerb.plan.joints import assembled, joints_of
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
 from particlerb.simulation.checks import quantities
-from particlerb.simulation.outcome import Outcome
-from particlerb.simulation.probes import Probe
-from particlerb.simulation.unrecorded import run_unrecorded
+from particlerb.simulation.outcome import Outcome, Probe
+from particlerb.simulation.run import run_unrecorded
 from particlerb.simulation.whole_run import Prepared
 from particlerb.stepping.sparse_contact import can_fly
 from particlerb.sweeping.rows import Row, asked_as_checks

@@ -23,7 +23,7 @@ from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.checks import joint_quantity, limits, quantity
 from particlerb.simulation.impulse_values import impulse_quantity
 from particlerb.simulation.outcome import Outcome
-from particlerb.simulation.unrecorded import run_unrecorded
+from particlerb.simulation.run import run_unrecorded
 from particlerb.simulation.whole_run import RunError
 from particlerb.sweeping.rows import Row, asked_as_checks, failed
 from particlerb.sweeping.together import rows_together

@@ -17,7 +17,7 @@ from particlerb.cli import main
 from particlerb.cli import ranks as of_commands
 from particlerb.cli import run as of_runs
 from particlerb.model import superblocks
-from particlerb.model.names import BodyNames, NamesInRange
+from particlerb.model.names import BodyNames
 from particlerb.model.superblocks import SUPERBLOCK, own_parts, parts_of
 from particlerb.ranks import ALONE, Ranks, launched
 from particlerb.record import atomic
@@ -223,7 +223,7 @@ def fails(*_: object) -> None:
 
 def test_names_of_a_range_are_those_of_the_scene():
     records = [("a", 1), ("b", 5), ("c", 1)]
-    whole, part = BodyNames(records), NamesInRange(records, 2, 7)
+    whole, part = BodyNames(records), BodyNames(records, range(2, 7))
     assert list(part) == list(whole)[2:7] == part[:]
     assert part.find("b").tolist() == [0, 1, 2, 3]
     assert part.find("a").size == 0
