@@ -5,6 +5,7 @@ nothing is looked up on disk.
 """
 
 from collections.abc import Mapping
+from numbers import Real
 from os import PathLike
 from pathlib import Path as FilePath
 from typing import NamedTuple, Self
@@ -91,6 +92,20 @@ def content(file: str | FilePath | File) -> File:
         If it is not there, or cannot be read.
     """
     return file if isinstance(file, File) else File(str(file), FilePath(file).read_bytes())
+
+
+def number_of(given: object, what: str) -> float:
+    """A number that a function was given, a NumPy scalar too.
+
+    Raises
+    ------
+    TypeError
+        If it is none.
+    """
+    number = given.item() if hasattr(given, "item") and not getattr(given, "ndim", 0) else given
+    if isinstance(number, bool) or not isinstance(number, Real):
+        raise TypeError(f"{what} must be a number, got {type(given).__name__}")
+    return float(number)
 
 
 def path_of(given: object, what: str) -> FilePath:

@@ -52,12 +52,19 @@ class TrajectoryError(Exception):
 def trajectory_errors(file: h5py.File | Memory | str | Path) -> Iterator[None]:
     """Turn what h5py raises on damaged and foreign files into TrajectoryError."""
     name = file.filename if isinstance(file, h5py.File) and file else file
+    require_open(file)
     try:
         yield
     except FAULTS as error:
         raise TrajectoryError(
             f"{name} is not a trajectory of particlerb: {reason_of(error)}"
         ) from None
+
+
+def require_open(file: h5py.File | Memory | str | Path) -> None:
+    """Raise TrajectoryError for a file that is closed."""
+    if not file:
+        raise TrajectoryError("the trajectory is closed: open it again, or read before it closes")
 
 
 def open_file(path: str | Path) -> h5py.File:

@@ -24,6 +24,7 @@ from particlerb.record.checked_reading import (
     integer_attribute,
     open_file,
     patiently,
+    require_open,
     require_parts,
     trajectory_errors,
 )
@@ -92,6 +93,8 @@ class FrameReader(Closing):
         A reader may hold a part of the file's index that a writer has replaced meanwhile: the file
         is opened again.
         """
+        if not again:
+            require_open(self.file)
 
         def attempt() -> Result:
             nonlocal again

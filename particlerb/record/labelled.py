@@ -48,6 +48,8 @@ class LabelledReader(FrameReader):
 
     def _summary(self) -> list[tuple[str, str]]:
         """What it holds: pairs of a word and a text."""
+        if not self.file:
+            return [("frames", f"{self.n_frames}, closed")]
         n, time, names = self.n_frames, self.time, self.names
         span = f"{n} from {time[0]:g} to {time[-1]:g} s" if n else "none"
         shown = ", ".join([names[b] for b in range(min(len(names), 3))])

@@ -62,6 +62,18 @@ class Trajectory(LabelledReader):
         it reads is damaged.
     """
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle it as the file that it reads.
+
+        Raises
+        ------
+        TypeError
+            If it is in memory.
+        """
+        if self.path is None:
+            raise TypeError("a Trajectory in memory cannot be pickled: give its run an output file")
+        return open_trajectory, (str(Path(self.path).absolute()),)
+
     @property
     def position(self) -> Floats:
         """Centres of mass [m], world frame, shape (T, N, 3)."""

@@ -1,14 +1,13 @@
 """The Python entry: run a case or go on with it, get its trajectory."""
 
 from collections.abc import Mapping, Sequence
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
-from particlerb.files import path_of
+from particlerb.files import number_of, path_of
 from particlerb.record.trajectory import Trajectory, open_trajectory
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.resume import look_at, resume_pending
@@ -92,7 +91,6 @@ def resume(path: str | Path, t_end: float | None = None, *, allow_code: bool = F
         If the run fails; the frames until then are in the file.
     """
     file = path_of(path, "what is resumed")
-    if t_end is not None and (isinstance(t_end, bool) or not isinstance(t_end, Real)):
-        raise TypeError(f"t_end must be a number, got {type(t_end).__name__}")
-    resume_pending(look_at(file, None if t_end is None else float(t_end), allow_code=allow_code))
+    until = None if t_end is None else number_of(t_end, "t_end")
+    resume_pending(look_at(file, until, allow_code=allow_code))
     return open_trajectory(file)

@@ -7,7 +7,7 @@ run, bit for bit. A change is an edge: the last step ends there, and a new grid 
 from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system, with_records
 from particlerb.case.values import plain
 from particlerb.compiled.threads import THREADS
-from particlerb.files import Closing
+from particlerb.files import Closing, number_of
 from particlerb.files import path_of as file_path_of
 from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
@@ -36,7 +36,6 @@ from particlerb.simulation.frame_times import BATCH_FRAMES, multiples
 from particlerb.simulation.frame_times import frame_times as frames_of
 from particlerb.simulation.joint_values import labels_of
 from particlerb.simulation.whole_run import Run, RunError
-from particlerb.stepping.motion import MotionError
 
 _CHANGEABLE = ("force", "gravity", "attraction", "contact", "wall", "run")
 
@@ -149,12 +148,14 @@ class Simulation(Closing):
 
         Raises
         ------
+        TypeError
+            If it is no number.
         ValueError
             If it lies before now, or beyond `run.t_end`.
         RunError
             If the motion fails; the frames until then are in the file.
         """
-        t_end = self.system.run.t_end
+        t_end, until = self.system.run.t_end, number_of(until, "advance: until")
         if not self.time <= until <= t_end:
             raise ValueError(
                 f"advance(until={until!r}): it is t = {self.time!r} s, and run.t_end = {t_end!r}"
@@ -168,8 +169,13 @@ class Simulation(Closing):
         """States at the multiples of `every` [s] that lie ahead, until `run.t_end`; now first.
 
         What is changed between two of them acts from the first on.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `every` is no number, or not above 0.
         """
-        if not 0.0 < every < np.inf:
+        if not 0.0 < number_of(every, "frames: every") < np.inf:
             raise ValueError(f"frames(every={every!r}): must be above 0 s, and finite")
         yield self._state
         k = int(self.time / every)
@@ -195,10 +201,10 @@ class Simulation(Closing):
         CaseError
             If the scene is wrong with it; nothing has changed then.
         """
-        path, system = path_of(key), self.system
-        if path[:1] == () or path[0] not in _CHANGEABLE or key in ("run.t_end", "run.every"):
+        path, system = path_of(str(key)), self.system
+        if not path or path[0] not in _CHANGEABLE or key in ("run.t_end", "run.every"):
             hint = f"what may: {', '.join(_CHANGEABLE)}"
-            raise CaseError([problem_at(system, key, "cannot change in a simulation", hint)])
+            raise CaseError([problem_at(system, str(key), "cannot change in a simulation", hint)])
         if system.run.accuracy is not None:
             hint = "give run.method and run.dt in its place"
             reason = "was kept for the run that was planned, and holds for no other"
@@ -240,13 +246,26 @@ class Simulation(Closing):
         names = "position", "orientation", "velocity", "angular_velocity"
         values = []
         for name, new, old in zip(names, given, known, strict=True):
-            array = np.array(old if new is None else new, dtype=np.float64)
+            try:
+                array = np.array(old if new is None else new, dtype=np.float64)
+            except (TypeError, ValueError):  # no numbers, or rows of several lengths
+                array = np.zeros(())
             if array.shape != old.shape or not np.isfinite(array).all():
                 raise ValueError(f"set_state: {name} must be finite, of shape {old.shape}")
             values.append(array)
         if not values[1].any(axis=1).all():
             raise ValueError("set_state: an orientation of zero is none; no turn is [1, 0, 0, 0]")
         self._restart(self.system, initial_state(self.system.bodies, *values))
+
+    def __repr__(self) -> str:
+        """What it moves and how far it has come, in a line."""
+        title, run = self.system.title, self.system.run
+        what = f"{title!r}, bodies: {self.system.n_bodies}"
+        return f"<Simulation {what}; t = {self.time:g} s of {run.t_end:g} s>"
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be pickled or copied: motions hold compiled code."""
+        raise TypeError("a Simulation cannot be pickled or copied: keep its scene and its `state`")
 
     def close(self) -> None:
         """End the file, if there is one."""
@@ -300,10 +319,7 @@ class Simulation(Closing):
     def _glance(self, time: float) -> BodyStates:
         """State at a time, and nothing else."""
         self._known = None
-        try:
-            frames, error = self._run.pose_at(time)
-        except (MotionError, FloatingPointError) as problem:
-            raise RunError(str(problem)) from None
+        frames, error = self._run.pose_at(time)
         if error is not None:
             raise error
         x, q, p, L, _, _ = frames
@@ -314,9 +330,9 @@ class Simulation(Closing):
         """State and energy balance at the last of some ascending times."""
         try:
             frames, self._known, error = self._run.frames_at(times, is_frame)
-        except (MotionError, FloatingPointError) as problem:
+        except RunError:
             self.close()
-            raise RunError(str(problem)) from None
+            raise
         rows = np.flatnonzero(is_frame[: len(frames.position)])
         if self._recorder is not None and rows.size:
             self._recorder.append(self._run.to_record(times, frames, rows, self._known))

@@ -207,6 +207,7 @@ def test_overrides_of_a_case_keep_earlier_ones_and_leave_it_alone():
         ("run.dt=-1", "--set run.dt: error: run.dt: must be > 0, got -1"),
         ("run.dtt=1", "--set run.dtt: error: run.dtt: unknown key"),
         ("run.dt", "--set run.dt: error: run.dt: must have the form key=value"),
+        ("run..dt=1", "--set run..dt: error: run..dt: unknown key"),
         ("=1", "--set : error: must have the form key=value"),
         ("body.2.mass=1", "--set body.2.mass: error: body[2].mass: there is no entry 2: there"),
         ("body.x.mass=1", "there is no entry 'x': there are 2, from 0"),

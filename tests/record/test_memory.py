@@ -66,5 +66,5 @@ def test_a_closed_run_in_memory_says_so(make):
     t = particlerb.run(make.case(make.body()))
     t.close()
     assert not t.file
-    with pytest.raises(TrajectoryError, match="missing"):
+    with pytest.raises(TrajectoryError, match="the trajectory is closed"):
         t.time  # noqa: B018

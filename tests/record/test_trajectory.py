@@ -1,5 +1,7 @@
 """Reading a file back: arrays against a naive computation, and files that are no trajectories."""
 
+import pickle
+
 import h5py
 import numpy as np
 import pytest
@@ -51,6 +53,26 @@ def test_arrays_have_the_customary_shapes(written):
         with pytest.raises(KeyError, match="velocity was not recorded"):
             t.read("velocity")
         assert t.parameter("case_resolved")["run"]["t_end"] == 1.0
+
+
+def test_a_closed_trajectory_says_so_and_is_read_again_when_it_is_refreshed(written, make):
+    on_disk, kept = particlerb.open(written), particlerb.run(make.case(odd_body()))
+    for trajectory in (on_disk, kept):
+        trajectory.close()
+        for name in ("position", "energy", "names", "case"):
+            with pytest.raises(TrajectoryError, match=r"^the trajectory is closed: open it again"):
+                getattr(trajectory, name)
+        assert repr(trajectory) == "<Trajectory: frames: 11, closed>"
+    assert on_disk.refresh() == 11
+    assert on_disk.position.shape == (11, 5, 3)
+    on_disk.close()
+
+
+def test_a_trajectory_is_pickled_as_its_file(written, make):
+    with particlerb.open(written) as t, pickle.loads(pickle.dumps(t)) as again:
+        assert np.array_equal(again.position, t.position)
+    with pytest.raises(TypeError, match="in memory cannot be pickled: give its run an output file"):
+        pickle.dumps(particlerb.run(make.case(odd_body())))
 
 
 def test_values_against_a_naive_computation(written, make):

@@ -1,5 +1,8 @@
 """A simulation that is moved by hand: in any pieces the states of one run; changes are edges."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -170,13 +173,25 @@ def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
         ("force[0].torque", 3.0, "must be a list of 3 numbers"),
         ("force[7].torque", [0, 0, 1], "there is no entry 7"),
         ("run.method", "moreau", "moreau is for contact by impulses"),
+        ("run..dt", 0.01, r"run\.\.dt: cannot change in a simulation"),
+        (3, 0.01, "cannot change in a simulation"),
+        ("force[0].torque", object(), "must be a list of 3 numbers"),
     ]:
         with pytest.raises(CaseError, match=words):
             simulation.change(key, value)
     with pytest.raises(ValueError, match=r"frames\(every=-1\): must be above 0 s"):
         next(simulation.frames(every=-1))
-    with pytest.raises(ValueError, match="position must be finite, of shape"):
-        simulation.set_state(position=[1, 2, 3])
+    for position in ([1, 2, 3], "abc", [[1, 2], [3]]):
+        with pytest.raises(ValueError, match="position must be finite, of shape"):
+            simulation.set_state(position=position)
+    with pytest.raises(TypeError, match=r"^advance: until must be a number, got str$"):
+        simulation.advance("3")
+    with pytest.raises(TypeError, match=r"^frames: every must be a number, got NoneType$"):
+        next(simulation.frames(every=None))
+    for copied in (pickle.dumps, copy.copy):
+        with pytest.raises(TypeError, match=r"^a Simulation cannot be pickled or copied: keep"):
+            copied(simulation)
+    assert repr(simulation) == "<Simulation '', bodies: 1; t = 2 s of 10 s>"
     with pytest.raises(ValueError, match="orientation of zero"):
         simulation.set_state(orientation=[[0, 0, 0, 0]])
     state = simulation.advance(10.0)
