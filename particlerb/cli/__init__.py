@@ -14,12 +14,12 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
-from typing import Final, NamedTuple, NoReturn
+from typing import NoReturn
 
 import particlerb
-from particlerb.cli import arguments
+from particlerb.cli.arguments import COMMANDS
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, Ending, tamed
 from particlerb.cli.guard import guarded, wants_guard
 
@@ -28,42 +28,6 @@ CASE is a TOML file, or the name of one in ./cases or among the examples (`cases
 `python -m particlerb CASE` is short for `run CASE`.
 exit codes: 0 done, 1 the run failed, 2 wrong usage or case, 3 a [check] was missed, 130 interrupted
 """
-
-
-class _Command(NamedTuple):
-    """One command."""
-
-    module: str
-    """Of this package; its function `<name>_command` runs it. Imported when it is called."""
-    add_options: Callable[[argparse.ArgumentParser], None]
-    help: str
-
-
-COMMANDS: Final = {
-    "run": _Command("run", arguments.add_run, "run a case into an HDF5 file"),
-    "resume": _Command("run", arguments.add_resume, "continue a run that was stopped"),
-    "check": _Command(
-        "check", arguments.add_check, "show the plan of a case, its file size and its run time"
-    ),
-    "sweep": _Command("sweep", arguments.add_sweep, "run variants of a case into one table"),
-    "mass": _Command("mass", arguments.add_mass, "print the mass properties of bodies"),
-    "info": _Command("show", arguments.add_info, "list what a trajectory file holds"),
-    "plot": _Command("show", arguments.add_plot, "draw a trajectory or its contacts"),
-    "export": _Command("export", arguments.add_export, "write files for other programs"),
-    "view": _Command(
-        "view", arguments.add_view, "push the bodies of a case, or play a file, in a browser"
-    ),
-    "chart": _Command(
-        "studies", arguments.add_chart, "measure what accuracy costs, for every method"
-    ),
-    "stability": _Command("studies", arguments.add_stability, "map where each method fails"),
-    "converge": _Command(
-        "studies", arguments.add_converge, "measure how many particles a body needs"
-    ),
-    "cases": _Command("lists", arguments.add_none, "list the example cases"),
-    "methods": _Command("lists", arguments.add_none, "list the integrators"),
-    "schema": _Command("lists", arguments.add_none, "print the JSON schema of a case file"),
-}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -78,7 +42,9 @@ def parser() -> argparse.ArgumentParser:
     top.set_defaults(commands=tuple(COMMANDS))
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():
-        command.add_options(commands.add_parser(name, help=command.help))
+        added = commands.add_parser(name, help=command.help)
+        for add in command.options:
+            add(added)
     return top
 
 
