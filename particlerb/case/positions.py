@@ -5,6 +5,7 @@ arrays and nesting, and never judges.
 """
 
 import re
+import tomllib
 from collections.abc import Iterator
 from typing import NamedTuple, TypeAlias
 
@@ -21,8 +22,6 @@ _TOKEN = re.compile(
 )
 _AFTER_VALUE = {",", "]", "}"}
 _CLOSING = {"[": "]", "{": "}"}
-_ESCAPE = re.compile(r'\\(u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|[btnfr"\\])')
-_ESCAPED = {"b": "\b", "t": "\t", "n": "\n", "f": "\f", "r": "\r"}
 
 
 class _Token(NamedTuple):
@@ -111,10 +110,8 @@ class _Scanner:
         parts: list[str] = []
         while self.peek().kind != "end" and self.peek().text != stop:
             token = self.take()
-            if token.kind == "string":
-                parts.append(_unquoted(token.text))
-            elif token.kind == "bare":
-                parts.append(token.text)
+            if token.kind in {"string", "bare"}:
+                parts += tomllib.loads(f"{token.text} = 0")
         return tuple(parts)
 
     def entry(self, table: Path) -> None:
@@ -164,18 +161,6 @@ def tokens(text: str) -> Iterator[_Token]:
             yield _Token(match.lastgroup or "", match.group(), match.start(), match.end())
 
 
-def _unquoted(text: str) -> str:
-    """Content of a quoted key."""
-    if text.startswith("'"):
-        return text[1:-1]
-    return _ESCAPE.sub(lambda m: _escaped(m.group(1)), text[1:-1])
-
-
-def _escaped(code: str) -> str:
-    """Character that a backslash escape stands for."""
-    return chr(int(code[1:], 16)) if code[0] in "uU" else _ESCAPED.get(code, code)
-
-
 def extents(text: str) -> dict[Path, Extent]:
     """Positions of all keys and values of a valid TOML text, as offsets into it.
 
@@ -191,5 +176,5 @@ def extents(text: str) -> dict[Path, Extent]:
     """
     try:
         return _Scanner(text).scan()
-    except (RecursionError, IndexError):  # nested deeper than Python goes: messages without lines
+    except (RecursionError, IndexError, ValueError):  # nested too deeply: messages without lines
         return {}

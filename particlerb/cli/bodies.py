@@ -1,6 +1,7 @@
-"""Bodies by name from whatever describes them: a case, a table of points or spheres, a mesh."""
+"""Command `mass`, and bodies by name from whatever describes them: a case, a table or a mesh."""
 
 import argparse
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -12,7 +13,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import find_case, read_case
-from particlerb.cli.exit_codes import Ending, ending
+from particlerb.cli.exit_codes import DONE, Ending, ending
 from particlerb.geometry.fill import mesh_particles
 from particlerb.geometry.mass_properties import MassProperties, mass_properties, of_kind
 from particlerb.geometry.mesh import read_mesh
@@ -20,6 +21,8 @@ from particlerb.geometry.overlapping_spheres import spheres
 from particlerb.geometry.particle_files import POINTS, columns_of, read_points, read_spheres
 from particlerb.geometry.particles import Particles, kind_of, scaled_to_mass
 from particlerb.model.state import omega_world
+from particlerb.plan.time_step import RADIANS_PER_STEP
+from particlerb.studies.mass_report import record_of, text_of
 
 _TABLES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
 _MESHES: Final = (".stl", ".obj", ".ply")
@@ -156,3 +159,19 @@ _READERS: Final[dict[str, Callable[[Path, argparse.Namespace], tuple[Particles, 
     **dict.fromkeys(_TABLES, _table_body),
     **dict.fromkeys(_MESHES, mesh_body),
 }
+
+
+def mass_command(options: argparse.Namespace) -> int:
+    """`mass`: mass properties of the bodies of a case, of a table of points or spheres."""
+    records = []
+    for body in named_bodies(options, options.body):
+        known = body.name, body.properties, 0, len(body.particles.mass), body.matter, body.spin
+        try:
+            records.append(record_of(*known, RADIANS_PER_STEP))
+        except ValueError as error:
+            raise Ending(f"{options.file}: {error}") from None
+    if options.json:
+        print(json.dumps(records))
+    else:
+        print("\n\n".join(map(text_of, records)))
+    return DONE

@@ -27,28 +27,7 @@ from particlerb.cli.report import Report
 from particlerb.compiled.jit import WHEN_COMPILING
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.gravity_tree.opening_angle import other_angle
-from particlerb.impulses.records import (
-    BOUNDARY_WORK,
-    CONTACTS,
-    DEEPEST,
-    ELASTIC,
-    FRICTION_WORK,
-    GRAZING,
-    IMPACT_WORK,
-    IMPACTS,
-    LARGEST_GAP,
-    NEWTON_STEPS,
-    PRESSING_WORK,
-    PUSH_OUT_WORK,
-    RESIDUAL,
-    SMALLEST_GAP,
-    STEPS,
-    SWEEPS,
-    UNENDED,
-    UNMET,
-    WALL_IMPACTS,
-    WORST_EVER,
-)
+from particlerb.impulses import records
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.plan.stability import STEPS_PER_CONTACT, stable_turn
@@ -312,7 +291,7 @@ def _notes(outcome: Outcome) -> list[str]:
         errs = f"accelerations erred by {tree.seen:.2g} at most, rms, of {tree.asked:.2g} asked for"
         lines.append(f"tree of the attraction: opening angle {tree.angle:.3g}, {errs}")
     if outcome.tally is not None:
-        is_stepped = outcome.tally[STEPS] > 0.0 or not outcome.tally.any()
+        is_stepped = outcome.tally[records.STEPS] > 0.0 or not outcome.tally.any()
         text = impulse_text if is_stepped else event_text
         lines += text(outcome.tally).splitlines()
     if outcome.swing > 0.0:
@@ -326,31 +305,34 @@ def _notes(outcome: Outcome) -> list[str]:
 
 def impulse_text(tally: Floats) -> str:
     """How well impulses were solved, and what they have done."""
-    n = max(tally[STEPS], 1.0)
-    works = {"impacts": IMPACT_WORK, "pressing": PRESSING_WORK, "friction": FRICTION_WORK}
-    works |= {"moving walls": BOUNDARY_WORK, "push-out": PUSH_OUT_WORK}
+    steps, unmet, unended = tally[[records.STEPS, records.UNMET, records.UNENDED]]
+    each = tally[[records.CONTACTS, records.SWEEPS, records.NEWTON_STEPS]] / max(steps, 1.0)
+    works = {"impacts": records.IMPACT_WORK, "pressing": records.PRESSING_WORK}
+    works |= {"friction": records.FRICTION_WORK, "moving walls": records.BOUNDARY_WORK}
+    works |= {"push-out": records.PUSH_OUT_WORK}
     done = ", ".join(f"{name} {tally[k]:.3g} J" for name, k in works.items())
     text = (
-        f"impulses: residual {tally[RESIDUAL]:.2g} in the last step, {tally[WORST_EVER]:.2g} at"
-        f" worst, above the tolerance in {tally[UNMET]:.0f} of {tally[STEPS]:.0f} steps;"
-        f" per step {tally[CONTACTS] / n:.3g} contacts, {tally[SWEEPS] / n:.3g} sweeps and"
-        f" {tally[NEWTON_STEPS] / n:.3g} Newton iterations;"
-        f" largest overlap {tally[DEEPEST]:.3g} m\nwork: {done}"
+        f"impulses: residual {tally[records.RESIDUAL]:.2g} in the last step,"
+        f" {tally[records.WORST_EVER]:.2g} at worst, above the tolerance in {unmet:.0f} of"
+        f" {steps:.0f} steps; per step {each[0]:.3g} contacts, {each[1]:.3g} sweeps and"
+        f" {each[2]:.3g} Newton iterations; largest overlap {tally[records.DEEPEST]:.3g} m\n"
+        f"work: {done}"
     )
-    if tally[UNENDED] > 0.0:
-        text += f"; in {tally[UNENDED]:.0f} steps impacts had not come to an end"
+    if unended > 0.0:
+        text += f"; in {unended:.0f} steps impacts had not come to an end"
     return text
 
 
 def event_text(tally: Floats) -> str:
     """How many impacts there were, and what they have done."""
-    between = tally[IMPACTS] - tally[WALL_IMPACTS]
+    impacts, walls = tally[records.IMPACTS], tally[records.WALL_IMPACTS]
+    least, largest = tally[records.SMALLEST_GAP], tally[records.LARGEST_GAP]
     return (
-        f"{tally[IMPACTS]:.0f} impacts, {between:.0f} between bodies and {tally[WALL_IMPACTS]:.0f}"
-        f" with walls; {tally[GRAZING]:.0f} grazed, {tally[ELASTIC]:.0f} hit again within the"
-        f" contact time and bounced elastically; gaps at impacts {tally[SMALLEST_GAP]:.2g} to"
-        f" {tally[LARGEST_GAP]:.2g} of a radius\nwork: impacts {tally[IMPACT_WORK]:.3g} J,"
-        f" friction {tally[FRICTION_WORK]:.3g} J"
+        f"{impacts:.0f} impacts, {impacts - walls:.0f} between bodies and {walls:.0f} with walls;"
+        f" {tally[records.GRAZING]:.0f} grazed, {tally[records.ELASTIC]:.0f} hit again within the"
+        f" contact time and bounced elastically; gaps at impacts {least:.2g} to {largest:.2g} of a"
+        f" radius\nwork: impacts {tally[records.IMPACT_WORK]:.3g} J, friction"
+        f" {tally[records.FRICTION_WORK]:.3g} J"
     )
 
 

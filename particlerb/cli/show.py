@@ -28,10 +28,9 @@ def info_command(options: argparse.Namespace) -> int:
         print(json.dumps(this_machine()) if options.json else _lines_of(this_machine()))
         return DONE
     with opened(options.file) as trajectory, readable():
-        facts, texts = _facts_of(trajectory), _texts_of(trajectory)
-        findings = []
-        if options.verify:
-            findings = verify(trajectory)
+        facts = _facts_of(trajectory)
+        texts = {name: trajectory.parameter(name) for name in ("plan", "case", "case_resolved")}
+        findings = verify(trajectory) if options.verify else []
     is_whole = all(finding.is_whole for finding in findings)
     if options.json:
         verified = {"findings": [f._asdict() for f in findings]} if options.verify else {}
@@ -76,11 +75,6 @@ def _size_of(trajectory: Trajectory) -> int:
     path, parts = Path(trajectory.file.filename), parts_in(trajectory.file)
     names = parts.names if parts else []
     return sum(of.stat().st_size for of in (path, *(folder_beside(path) / n for n in names)))
-
-
-def _texts_of(trajectory: Trajectory) -> dict[str, Any]:
-    """What takes many lines."""
-    return {name: trajectory.parameter(name) for name in ("plan", "case", "case_resolved")}
 
 
 def _shortened(words: str) -> str:

@@ -141,9 +141,7 @@ class EnergyBalance:
         if self.shape:
             each = -1, *self.shape
             single, vectors = single.reshape(5, *each), vectors.reshape(4, *each, 3)
-        kinetic, potential, energy, work, error = single
-        p, p_error, H, H_error = vectors
-        return Entries(kinetic, potential, energy, work, error, p, p_error, H, H_error)
+        return Entries(*single, *vectors)
 
     def drift(
         self, bodies: Bodies, com: Floats, duration: float, ranks: Ranks = ALONE

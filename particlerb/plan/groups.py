@@ -280,9 +280,7 @@ def _attraction_among(system: System, members: Ints, bodies: Bodies) -> Attracti
     assert system.attraction is not None
     order = np.argsort(system.world[members], kind="stable")
     members, frames = members[order], bodies.rotor_frame[:, order]
-    index, _ = particles_of(system, members)
-    counts = np.diff(system.particles.offset)[system.kind[members]]
-    owner = np.repeat(np.arange(members.size), counts)
+    index, owner = particles_of(system, members)
     takes_part = np.isin(members, attracted(system))[owner] & (system.particles.mass[index] > 0.0)
     index, owner = index[takes_part], owner[takes_part]
     mass, position = system.particles.mass[index], system.particles.position[index].T
@@ -299,9 +297,7 @@ def _contact_among(
     system: System, members: Ints, bodies: Bodies, touching: ContactSetup
 ) -> GroupContact:
     """Spheres, law and walls of a group."""
-    index, _ = particles_of(system, members)
-    counts = np.diff(system.particles.offset)[system.kind[members]]
-    owner = np.repeat(np.arange(members.size), counts)
+    index, owner = particles_of(system, members)
     may_touch = (system.particles.radius[index] > 0.0) & (touching.material[members][owner] >= 0)
     takes_part = may_touch & _reachable(system, members, touching)[index]
     index, owner = index[takes_part], owner[takes_part]

@@ -50,9 +50,9 @@ def refuse_misplaced(system: System, contact: "ContactSetup") -> None:
 
 def spheres_of(system: System, contact: "ContactSetup") -> _SetupSpheres:
     """Where the spheres of a system are at t = 0."""
-    index, owner = particles_of(system, contact.body)
+    index, own = particles_of(system, contact.body)
     solid = system.particles.radius[index] > 0.0
-    index, owner = index[solid], owner[solid]
+    index, owner = index[solid], contact.body[own[solid]]
     place = places(system, owner, system.particles.position[index].T)
     return _SetupSpheres(np.ascontiguousarray(place), system.particles.radius[index], owner)
 

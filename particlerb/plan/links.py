@@ -307,9 +307,9 @@ def coincident(system: System) -> list[Problem]:
     bodies = attracted(system)
     if system.attraction is None or system.attraction.softening > 0.0 or not bodies.size:
         return []
-    index, owner = particles_of(system, bodies)
+    index, own = particles_of(system, bodies)
     heavy = system.particles.mass[index] > 0.0
-    index, owner = index[heavy], owner[heavy]
+    index, owner = index[heavy], bodies[own[heavy]]
     place = places(system, owner, system.particles.position[index].T)
     place = np.vstack([system.world[owner], place])
     order = np.lexsort((owner, *place))
@@ -334,13 +334,13 @@ def particles_of(system: System, bodies: Ints) -> tuple[Ints, Ints]:
     Returns
     -------
     index, owner : ndarray, shape (n_particles,)
-        Which of `system.particles` it is, and the body of the system to which it belongs.
+        Which of `system.particles` it is, and to which of these bodies it belongs.
     """
     start = system.particles.offset[system.kind[bodies]]
     count = system.particles.offset[system.kind[bodies] + 1] - start
     before = np.cumsum(count) - count
     index = np.repeat(start - before, count) + np.arange(int(count.sum()))
-    return index, np.repeat(bodies, count)
+    return index, np.repeat(np.arange(bodies.size), count)
 
 
 # Who belongs together

@@ -12,6 +12,7 @@ import numpy as np
 
 from particlerb.case.joints import JointTable
 from particlerb.case.problems import CaseError, problem_at
+from particlerb.case.to_system import centred_at_com, farthest
 from particlerb.geometry.mass_properties import MassProperties, mass_properties
 from particlerb.geometry.particles import Particles, concatenate, kind_of, transformed, united
 from particlerb.maths.vec3 import Bools, Floats, Ints
@@ -170,10 +171,7 @@ def _with_parts(system: System, host: Ints, is_merged: Bools, is_held: Bools) ->
     properties = mass_properties(particles)
     for k, h in enumerate(hosts.tolist()):
         shift[:, host == h] -= properties.com[k][:, None]
-    counts = np.diff(particles.offset)
-    centres = np.repeat(properties.com, counts, axis=0)
-    particles = particles._replace(position=particles.position - centres)
-    reach = np.linalg.norm(particles.position, axis=1) + particles.radius
+    particles = centred_at_com(particles, properties)
     kind = system.kind.copy()
     kind[hosts] = len(system.reach) + np.arange(hosts.size)
     bodies = _bodies_of(system.bodies, properties, hosts)
@@ -186,8 +184,8 @@ def _with_parts(system: System, host: Ints, is_merged: Bools, is_held: Bools) ->
         kind=kind,
         particles=concatenate([system.particles, particles]),
         properties=MassProperties(*united_properties),
-        summed=np.r_[system.summed, counts],
-        reach=np.r_[system.reach, np.maximum.reduceat(reach, particles.offset[:-1])],
+        summed=np.r_[system.summed, np.diff(particles.offset)],
+        reach=np.r_[system.reach, farthest(particles)],
         bodies=held(bodies, absent),
         state=merging.together(system.state),
         merging=merging,

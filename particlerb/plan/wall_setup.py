@@ -42,26 +42,26 @@ def _mesh_of(system: System, number: int, table: MeshWall) -> Walls:
     CaseError
         If trimesh is not there, or cannot read the file, or finds no triangle in it.
     """
-    key = f"wall[{number}].file"
+
+    def wrong(reason: str, hint: str = "give an STL file") -> CaseError:
+        return CaseError([problem_at(system, f"wall[{number}].file", reason, hint)])
+
     try:
         places, faces = triangles_of(system.files.read(table.file))
         corners = places[faces]
     except (ValueError, IndexError) as error:
-        raise CaseError([problem_at(system, key, str(error), "give an STL file")]) from None
+        raise wrong(str(error)) from None
     if not corners.size:
         reason = "has no triangle: it is empty, cut off, or no STL file"
-        raise CaseError([problem_at(system, key, reason, "write it again, as binary or ASCII STL")])
+        raise wrong(reason, "write it again, as binary or ASCII STL")
     if not np.isfinite(corners).all():
-        reason = "has a corner that is not finite"
-        raise CaseError([problem_at(system, key, reason, "give an STL file")])
+        raise wrong("has a corner that is not finite")
     vertices, own = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     turns = np.tile(quaternion_of(table.orientation)[:, None], len(vertices))
     vertices = rotate(turns, table.scale * vertices.T).T + np.array(table.position)
     made = surface(vertices, own.reshape(-1, 3))
     if not made.kind.size:
-        raise CaseError(
-            [problem_at(system, key, "has no triangle with an area", "give an STL file")]
-        )
+        raise wrong("has no triangle with an area")
     return made
 
 
@@ -80,17 +80,10 @@ def motion_of(motion: Prescribed | None, own: Vec3) -> PrescribedMotion:
     if motion is None:
         return PrescribedMotion(own)
     centre = own if motion.centre is None else motion.centre
-    oscillation = motion.oscillation
-    if oscillation is None:
-        return PrescribedMotion(centre, motion.velocity, motion.angular_velocity)
-    return PrescribedMotion(
-        centre,
-        motion.velocity,
-        motion.angular_velocity,
-        oscillation.amplitude,
-        oscillation.frequency,
-        oscillation.phase,
-    )
+    moving = PrescribedMotion(centre, motion.velocity, motion.angular_velocity)
+    if (wave := motion.oscillation) is None:
+        return moving
+    return moving._replace(amplitude=wave.amplitude, frequency=wave.frequency, phase=wave.phase)
 
 
 def drive_of(body: Body, com: Floats) -> PrescribedMotion:

@@ -114,8 +114,8 @@ def quantities(check: Asked, system: System, index: Ints, frames: Frames) -> Flo
     if check.quantity == "inertia":
         tensors = [inertia_in_body(system.bodies, b) for b in index.tolist()]
         if check.frame == "world":
-            turned = zip(orientation[0, index], tensors, strict=True)
-            tensors = [_rotated(q, tensor) for q, tensor in turned]
+            axes = map(rotation_matrix, orientation[0, index])
+            tensors = [R @ tensor @ R.T for R, tensor in zip(axes, tensors, strict=True)]
         return np.array(tensors)
     if check.quantity == "orientation":
         return np.asarray(orientation[0, index])
@@ -148,13 +148,6 @@ def joint_quantity(check: Asked, setup: JointSetup, values: JointValues | None) 
     j = setup.names.index(check.joint)
     which = setup.coordinates.joint == j if check.quantity == "joint_coordinate" else j
     return np.atleast_1d(getattr(values, check.quantity)[0, which])
-
-
-def _rotated(q: Floats, tensor: Floats) -> Floats:
-    """R T Rᵀ."""
-    R = rotation_matrix(q)
-    result: Floats = R @ tensor @ R.T
-    return result
 
 
 def numbers(values: Floats) -> str:

@@ -182,13 +182,8 @@ def resume_pending(
     KeyboardInterrupt, OSError, RunError
         As in `simulate.advance`.
     """
-    path, prepared, checkpoint = pending.path, pending.prepared, pending.checkpoint
-    whole, start, known, is_prolonged = (
-        prepared.system,
-        pending.start,
-        pending.known,
-        pending.is_prolonged,
-    )
+    path, prepared, checkpoint, start, known, _, is_prolonged, _, _ = pending
+    whole = prepared.system
     recorder: Recorder | PartRecorder
     try:
         if pending.parts is None:

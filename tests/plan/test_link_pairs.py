@@ -312,10 +312,10 @@ def test_particles_of_bodies_are_where_their_bodies_have_put_them(make):
     ]
     system = to_system(make.case(*bodies))
     index, owner = particles_of(system, np.array([1, 2]))
-    assert owner.tolist() == [1] * 10 + [2] * 6
+    assert owner.tolist() == [0] * 10 + [1] * 6
     own = system.particles.position[index]
     expected = make.rotation(q).apply(own) + np.array([[0, 9, 0]] * 10 + [[0, 0, 9]] * 6)
-    found = places(system, owner, own.T).T
+    found = places(system, owner + 1, own.T).T
     assert found == pytest.approx(expected, abs=1e-14)
 
 
