@@ -16,11 +16,8 @@ def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
     if given(body, "part"):
         for key in ("shape", "mass", "density"):
             if given(body, key):
-                yield (
-                    (*path, key),
-                    "cannot be given together with [[body.part]]",
-                    "give it with each part",
-                )
+                reason = "cannot be given together with [[body.part]]"
+                yield (*path, key), reason, "give it with each part"
         for j, part in tables(body, "part"):
             yield from _mass_rules((*path, "part", j), part)
         if (parts := entry_at(body, "part", list)) and all(map(_is_massless, parts)):

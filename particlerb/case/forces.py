@@ -385,14 +385,7 @@ class PythonTable(LastingForceTable):
 
 
 AnyForce = (
-    PushTable
-    | TorqueTable
-    | ImpulseTable
-    | DragTable
-    | SpringTable
-    | UniformField
-    | CentralTable
-    | MagnusTable
-    | PythonTable
-)
+    PushTable | TorqueTable | ImpulseTable | DragTable | SpringTable
+    | UniformField | CentralTable | MagnusTable | PythonTable
+)  # fmt: skip
 FORCES: dict[str, type[ForceTable]] = by_type(AnyForce)

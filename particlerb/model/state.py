@@ -67,6 +67,12 @@ def as_frame(bodies: Bodies, state: State) -> Frames:
     return frames
 
 
+def state_in(frames: Frames, row: int, index: Ints, bodies: Bodies) -> State:
+    """State of bodies `index` of the scene, with these constants, in a row of frames."""
+    x, q, p, L = (values[row, index].T for values in frames[:4])
+    return State(x, quaternion_product(q, bodies.rotor_frame), p, L)
+
+
 @inline
 def store_frame(
     frames: Frames,

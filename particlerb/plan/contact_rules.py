@@ -5,11 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.case.contact import ContactTable
 from particlerb.case.problems import CaseError, problem_at
 from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.impulses.records import LEAST_CELLS, EventRules, ImpulseRules
-from particlerb.maths.vec3 import Floats
 from particlerb.model.state import lengths, omega_world
 from particlerb.model.system import System
 from particlerb.plan.contact_setup import ContactSetup
@@ -31,12 +29,6 @@ def rules_of(touching: ContactSetup, radius: float, n: int) -> ImpulseRules | No
     )
 
 
-def box_of(asked: ContactTable) -> Floats:
-    """Sides (3,) [m] of the periodic box of a case; inf: without end."""
-    sides = np.array(asked.periodic or (0.0, 0.0, 0.0))
-    return np.where(sides > 0.0, sides, np.inf)
-
-
 def events_of(system: System, touching: ContactSetup) -> EventRules | None:
     """How bodies collide at the instants of their impacts; None where they do not.
 
@@ -46,7 +38,8 @@ def events_of(system: System, touching: ContactSetup) -> EventRules | None:
     asked = touching.record
     if asked.law != "events":
         return None
-    box = box_of(asked)
+    sides = np.array(asked.periodic or (0.0, 0.0, 0.0))  # of the box that repeats; 0: without end
+    box = np.where(sides > 0.0, sides, np.inf)
     least = LEAST_CELLS * 2.0 * float(system.reach[np.unique(system.kind)].max())
     if (box < least).any():
         reason = f"bodies may meet in two images: each side must be 0, or {least:.3g} m at least"

@@ -76,7 +76,9 @@ def contact_of(system: System) -> ContactSetup | None:
     one = slice(system.in_each)
     can_meet = _meetings(len(names), material[one], fixed[one], wall_material)
     if not problems and not can_meet.any():
-        problems.append(_nothing_meets(system))
+        reason = "this takes two bodies, or a body and a wall, of which one can move"
+        hint = "add a [[wall]] or a body, or leave [contact] out"
+        problems.append(problem_at(system, "contact", f"nothing can touch: {reason}", hint))
     tables = system.contacts or (system.contact,)
     pairs = [pairs_of(system, table, names, can_meet) for table in tables]
     problems += [problem for _, missing in pairs for problem in missing]
@@ -150,9 +152,3 @@ def _meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints) -> Bo
     own = (moving > 1) | ((moving == 1) & (still > 0))
     np.fill_diagonal(met, own)
     return np.asarray(met | met.T)
-
-
-def _nothing_meets(system: System) -> Problem:
-    """A system in which contact is on and has no effect."""
-    reason = "nothing can touch: this takes two bodies, or a body and a wall, of which one can move"
-    return problem_at(system, "contact", reason, "add a [[wall]] or a body, or leave [contact] out")

@@ -11,7 +11,6 @@ from particlerb.case.run import AttractionTable
 from particlerb.forces import Terms, has_potential, is_constant, needs_of, words_of
 from particlerb.forces.gravity_tree.opening_angle import SAMPLE
 from particlerb.forces.kinds import TIME
-from particlerb.impulses.records import EventRules
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Ints
 from particlerb.model.bodies import Bodies
@@ -137,14 +136,9 @@ def _contact_line(system: System, plan: Plan) -> str:
     if contact.rules is not None:
         what += f", {_solved(system, plan, system.contact)}"
     if contact.events is not None:
-        return f"{what}, {_by_events(contact.events)}"
+        again = f"what hits again within {contact.events.contact_time:.3g} s bounces elastically"
+        return f"{what}, at the instants of impacts, one after the other; {again}"
     return f"{what}, pairs kept within {contact.skin:.3g} m{_flying(plan)}"
-
-
-def _by_events(rules: EventRules) -> str:
-    """How events are solved."""
-    again = f"what hits again within {rules.contact_time:.3g} s bounces elastically"
-    return f"at the instants of impacts, one after the other; {again}"
 
 
 def _solved(system: System, plan: Plan, table: ContactTable) -> str:

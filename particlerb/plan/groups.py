@@ -249,12 +249,11 @@ def _own_pairs_among(members: Ints, bodies: Bodies, links: list[OwnLink]) -> Own
 
 def _links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
     """Links of a group, with its own numbers and in rotor frames."""
-    place = np.full(int(members.max()) + 1, WORLD)
+    place = np.full(int(members.max()) + 2, WORLD)  # the last is that of the world
     place[members] = np.arange(members.size)
     first = place[np.concatenate([link.first for link in links])]
-    second = np.concatenate([link.second for link in links])
+    second = place[np.concatenate([link.second for link in links])]
     inside = second != WORLD
-    second = np.where(inside, place[np.where(inside, second, members[0])], WORLD)
     first_at = np.concatenate([link.first_at for link in links], axis=1)
     second_at = np.concatenate([link.second_at for link in links], axis=1)
     springs = [(link.force.stiffness, link.force.damping, link.first.size) for link in links]

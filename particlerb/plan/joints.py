@@ -39,11 +39,10 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import State, lengths, rotate_back
 from particlerb.model.system import System
+from particlerb.plan import joint_rows
 from particlerb.plan.driven_bodies import driven_bodies
-from particlerb.plan.joint_actions import action_of, breaks_of, with_dashpots
 from particlerb.plan.joint_drives import DriveCourse, course_of, drives_from
 from particlerb.plan.joint_ends import WORLD, Ties, ends_of, joint_name, pairs_of, unique
-from particlerb.plan.joint_rows import TableJoints, joints_of_table
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _ALLOWED: Final = 1e-6  # of its size that a joint may not fit at the start
@@ -92,7 +91,7 @@ class JointSetup(NamedTuple):
             coordinates = Coordinates._make(values[taken] for values in self.coordinates)
             coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
         if links is not None and links.damping is not None:
-            rows, actions = with_dashpots(rows, actions, links, members.size)
+            rows, actions = joint_rows.with_dashpots(rows, actions, links, members.size)
             start = np.r_[start, start[-1] + 1 + np.arange(links.first.size)]
             which = np.r_[which, np.full(links.first.size, -1)]
         drives = drives_from(self.courses, time) if self.drives_among(members) else None
@@ -145,8 +144,10 @@ def joints_of(system: System) -> JointSetup | None:
     if merging is not None:
         system = merging.whole
     system = system._replace(state=system.placed or system.state)
-    _refuse_with_joints(system)
-    problems, found = list[Problem](), list[TableJoints]()
+    if system.contact is not None and system.contact.relax:
+        reason = "bodies that joints hold are not pushed apart"
+        raise CaseError([problem_at(system, "contact.relax", reason, "place them apart")])
+    problems, found = list[Problem](), list[joint_rows.TableJoints]()
     actions, driven = NO_ACTIONS, [k for k, t in enumerate(system.joint) if t.drive is not None]
     for number, table in enumerate(system.joint):
         first, second = pairs_of(system, table)
@@ -161,8 +162,8 @@ def joints_of(system: System) -> JointSetup | None:
         acts = any(getattr(table, key) for key in ACTIONS)
         drive = driven.index(number) if number in driven else AT_REST
         rows = actions.motor.size if acts else HOLDS, drive
-        found.append(joints_of_table(system, number, ends, merging, rows))
-        actions = both_actions(actions, action_of(table)) if acts else actions
+        found.append(joint_rows.joints_of_table(system, number, ends, merging, rows))
+        actions = both_actions(actions, joint_rows.action_of(table)) if acts else actions
     if problems:
         raise CaseError(problems)
     columns = list(zip(*found, strict=True))
@@ -181,7 +182,7 @@ def joints_of(system: System) -> JointSetup | None:
         actions,
         until,
         tuple(course_of(table.drive) for table in system.joint if table.drive is not None),
-        breaks_of(system, record),
+        joint_rows.breaks_of(system, record),
         driven_bodies(system),
     )
     problems = _held_impulses(system, setup)
@@ -201,13 +202,6 @@ def _held_impulses(system: System, setup: JointSetup) -> list[Problem]:
             hint = "use a push for a short time"
             problems.append(problem_at(system, f"force[{k}].body", reason, hint))
     return problems
-
-
-def _refuse_with_joints(system: System) -> None:
-    """Raise CaseError where something is asked for that does not go with joints."""
-    if system.contact is not None and system.contact.relax:
-        reason = "bodies that joints hold are not pushed apart"
-        raise CaseError([problem_at(system, "contact.relax", reason, "place them apart")])
 
 
 def _wrong_ends(system: System, number: int, first: Ints, second: Ints) -> Problem | None:

@@ -13,13 +13,12 @@ from particlerb.model.bodies import taken
 from particlerb.model.comparison import angles
 from particlerb.model.state import (
     Frames,
-    State,
     inertia_in_body,
     kinetic_energy,
     omega_world,
-    quaternion_product,
     rotate_back,
     rotation_matrix,
+    state_in,
 )
 from particlerb.model.system import System
 from particlerb.plan.joints import JointSetup, joints_of
@@ -102,23 +101,17 @@ def quantity(check: Asked, system: System, b: int, frames: Frames) -> Floats:
 def quantities(check: Asked, system: System, index: Ints, frames: Frames) -> Floats:
     """Value of a quantity of some bodies, (n, ...)."""
     bodies = taken(system.bodies, index)
-    position, orientation, linear, angular, _, _ = frames
-    state = State(
-        position[0, index].T,
-        quaternion_product(orientation[0, index].T, bodies.rotor_frame),
-        linear[0, index].T,
-        angular[0, index].T,
-    )
+    orientation, state = frames.orientation[0, index], state_in(frames, 0, index, bodies)
     if check.quantity == "kinetic_energy":
         return kinetic_energy(bodies, state)
     if check.quantity == "inertia":
         tensors = [inertia_in_body(system.bodies, b) for b in index.tolist()]
         if check.frame == "world":
-            axes = map(rotation_matrix, orientation[0, index])
+            axes = map(rotation_matrix, orientation)
             tensors = [R @ tensor @ R.T for R, tensor in zip(axes, tensors, strict=True)]
         return np.array(tensors)
     if check.quantity == "orientation":
-        return np.asarray(orientation[0, index])
+        return np.asarray(orientation)
     vectors = {
         "position": state.com,
         "velocity": state.p * bodies.inv_mass,
@@ -128,7 +121,7 @@ def quantities(check: Asked, system: System, index: Ints, frames: Frames) -> Flo
     }
     vector = vectors[check.quantity]
     if check.frame == "body":
-        vector = rotate_back(orientation[0, index].T, vector)
+        vector = rotate_back(orientation.T, vector)
     return vector.T
 
 

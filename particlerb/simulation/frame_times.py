@@ -51,12 +51,6 @@ def _whole_frames(run: RunTable) -> int:
     return n if is_multiple else n - 1
 
 
-def _probe_times(system: System) -> Floats:
-    """Times at which the checks want to know a value [s]."""
-    wanted = [system.run.t_end if v.time is None else v.time for v in system.check.value]
-    return np.unique(np.array(wanted, dtype=np.float64))
-
-
 class Batch(NamedTuple):
     """Times that are computed together."""
 
@@ -76,7 +70,8 @@ def batches(system: System, done: int = 0, ranks: Ranks = ALONE) -> Iterator[Bat
     """
     most = int(min(max(_BATCH_BYTES // (max(system.n_bodies, 1) * 13 * 8), 1), BATCH_FRAMES))
     n, whole = frame_count(system.run), _whole_frames(system.run)
-    probes = _probe_times(system)
+    asked = [system.run.t_end if v.time is None else v.time for v in system.check.value]
+    probes = np.unique(np.array(asked, dtype=np.float64))
     if done:
         probes = probes[probes > frame_times(system.run, done - 1, done)]
     size = min(FIRST_BATCH, most)

@@ -17,7 +17,7 @@ from particlerb.integrators import METHODS
 from particlerb.joints.reactions import energy_of_joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import Frames, State, quaternion_product
+from particlerb.model.state import Frames, State, quaternion_product, state_in
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.model.worlds import shape_of
@@ -243,8 +243,7 @@ class GroupRun:
 
     def state_in(self, frames: Frames, row: int) -> State:
         """State of the group in a frame."""
-        p, L = frames.linear_momentum[row], frames.angular_momentum[row]
-        return State(*self.pose(frames, row), p[self.plan.members].T, L[self.plan.members].T)
+        return state_in(frames, row, self.plan.members, self.plan.bodies)
 
     def pose(self, frames: Frames, row: int) -> tuple[Floats, Floats]:
         """Centres of mass (3, n) and orientations of the rotor frames (4, n) in a frame."""

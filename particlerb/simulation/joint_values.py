@@ -21,7 +21,7 @@ from particlerb.joints.reactions import find_multipliers, forces_of_joints, make
 from particlerb.joints.rows import linearise, rates, residuals
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, into_blocks
-from particlerb.model.state import Frames, State, quaternion_product
+from particlerb.model.state import Frames, State, state_in
 from particlerb.model.system import System
 from particlerb.plan.joint_words import work_at
 from particlerb.plan.joints import JointSetup, asked_of_joints, joints_of
@@ -119,11 +119,6 @@ class LoadReader:
         self.plan = make_plan(self.system.with_run(method="auto", accuracy=None))
         self.readers: dict[tuple[int, int], JointReader] = {}
 
-    @classmethod
-    def of(cls, system: System) -> "LoadReader | None":
-        """One for a system with merged bodies; None where there are none."""
-        return None if system.merging is None else cls(system)
-
     def read(self, times: Floats, frames: Frames, values: JointValues) -> None:
         """Write all rows but coordinates and times of breaking, which are there."""
         for k, time in enumerate(times.tolist()):
@@ -131,16 +126,13 @@ class LoadReader:
 
     def _read_row(self, time: float, frames: Frames, values: JointValues, k: int) -> None:
         """Write one row."""
-        x, q, p, L = (values_[k] for values_ in frames[:4])
         broken = np.append(values.joint_break_time[k], 0.0)
         broken = np.where(broken > 0.0, broken, np.inf)
         for g, group in enumerate(self.plan.groups):
-            of = group.members
             s = next(s for s, own in enumerate(group.segments) if own.start <= time < own.stop)
             if group.segments[s].terms.joints is None:
                 continue
-            rotor = quaternion_product(q[of].T, group.bodies.rotor_frame)
-            state = State(*(np.ascontiguousarray(v) for v in (x[of].T, rotor, p[of].T, L[of].T)))
+            state = state_in(frames, k, group.members, group.bodies)
             if (g, s) not in self.readers:
                 self.readers[g, s] = JointReader(group, group.segments[s], state)
             reader = self.readers[g, s]

@@ -7,7 +7,8 @@ import numpy as np
 
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import STATE_FIELDS, Frames, quaternion_product, rotate_back
+from particlerb.model.bodies import taken
+from particlerb.model.state import STATE_FIELDS, Frames, rotate_back, state_in
 from particlerb.model.system import System
 from particlerb.plan.segments import Plan
 from particlerb.rotors.rotor_class import ROD
@@ -64,10 +65,8 @@ class StateChecks:
         """Those of the rods that have an angular momentum along their axis in frame f."""
         if not rods.size:
             return rods
-        q = quaternion_product(
-            frames.orientation[f, rods].T, self.system.bodies.rotor_frame[:, rods]
-        )
-        m = rotate_back(q, frames.angular_momentum[f, rods].T)
+        state = state_in(frames, f, rods, taken(self.system.bodies, rods))
+        m = rotate_back(state.q, state.L)
         axial: Ints = rods[np.abs(m[2]) > self.rod_limit[rods] * np.linalg.norm(m, axis=0)]
         return axial
 

@@ -4,7 +4,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -40,6 +40,7 @@ from particlerb.stepping.motion import Energies, Motion, MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
 from particlerb.stepping.shared_contact import SharedContact
 
+_Sums: TypeAlias = Sequence[Floats | None]
 SHARED: Final = "shared"  # name in checkpoints of a group that ranks share
 
 
@@ -72,13 +73,14 @@ class Run:
         self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.checks = StateChecks(self.moving, plan)
         self.begin(plan, self.moving.state, {})
-        self.balance = EnergyBalance(self.totals_of(initial, *self.initial_energies(initial)))
+        self.balance = EnergyBalance(self.totals_of(initial, self.initial_energies(initial)))
         self.before = np.zeros(7)  # booked before the last restart,
         self.turned_over_before: Floats | float = 0.0  # and gross work of contacts [J]
 
         asks = self.system.joint and asked_of_joints(self.system)
         self.setup = joints_of(self.system) if asks else None
-        self.loads = LoadReader.of(self.moving) if self.setup is not None else None
+        reads_loads = self.setup is not None and self.moving.merging is not None
+        self.loads = LoadReader(self.moving) if reads_loads else None
         self.joints: JointValues | None = None  # in rows of the last frames, where asked for
         self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
         self.n_frames = 0  # that lie behind
@@ -106,17 +108,10 @@ class Run:
         """Sum over superblocks of all ranks of what their motions return."""
         return summed(own, ALONE if self.is_shared else self.ranks)
 
-    def totals_of(
-        self,
-        frames: Frames,
-        potential: Floats,
-        kinetic: Floats,
-        known: Sequence[Floats | None] = (),
-    ) -> Totals:
-        """Totals of frames; the energies are those beside the bodies' own."""
+    def totals_of(self, frames: Frames, beside: Energies, known: _Sums = ()) -> Totals:
+        """Totals of frames, with the energies beside the bodies' own."""
         n_worlds, ranks = self.system.n_worlds, self.ranks
-        beside = potential, kinetic, n_worlds, ranks, known
-        return totals(frames, self.counted, self.gravity, *beside)
+        return totals(frames, self.counted, self.gravity, *beside, n_worlds, ranks, known)
 
     def finish(self, time: float) -> State:
         """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
@@ -142,7 +137,7 @@ class Run:
         self.checks = StateChecks(self.moving, plan)
         self.begin(plan, state, known)
         frame = as_frame(self.moving.bodies, state)
-        now = self.totals_of(frame, *self.initial_energies(frame))
+        now = self.totals_of(frame, self.initial_energies(frame))
         self.before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
         self.before[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
         self.before[4:] += (now.angular_momentum - last.angular_momentum)[-1]
@@ -226,7 +221,7 @@ class Run:
         energies = Energies(*(self.over_ranks(own) for own in zip(*beside, strict=True)))
         self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
         booked += self.before
-        now = self.totals_of(frames, *energies, known=known)
+        now = self.totals_of(frames, energies, known)
         is_finite = math.isfinite(np.add.reduce(now.sums, axis=None))
         found = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
         each = self.ranks.gathered(found)
