@@ -7,18 +7,12 @@ the right kind: that is reported by the schema. So one reading finds all mistake
 from collections.abc import Iterator
 from typing import Any
 
+from particlerb.case import output
 from particlerb.case.body_rules import body_rules, file_rules, held_rules, many_bodies, shapes
 from particlerb.case.contact import ContactTable
 from particlerb.case.event_rules import event_rules
 from particlerb.case.forces import FORCES, ForceTable
 from particlerb.case.joints import TYPES_WITH_COORDINATES, joint_rules
-from particlerb.case.output import (
-    FIELDS_OF_CONTACT,
-    FIELDS_OF_IMPULSES,
-    FIELDS_OF_JOINTS,
-    FIELDS_OF_LAWS,
-    FIELDS_OF_WALLS,
-)
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import (
     Finding,
@@ -200,21 +194,21 @@ def _contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
 
 def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """What is to be recorded of contacts, walls and joints, or checked of impulses, is there."""
-    known = FIELDS_OF_LAWS.get(entry_at(raw.get("contact"), "law", str), ())
+    known = output.FIELDS_OF_LAWS.get(entry_at(raw.get("contact"), "law", str), ())
     for parent in ("check", "sweep"):
         for i, value in tables(raw.get(parent), "value"):
             name = value.get("quantity")
-            if name in FIELDS_OF_IMPULSES and name not in known:
+            if name in output.FIELDS_OF_IMPULSES and name not in known:
                 yield ((parent, "value", i, "quantity"), *_of_another_law(name))
     for i, name in enumerate(entry_at(raw.get("output"), "fields", list)):
         path: Path = ("output", "fields", i)
-        if name in FIELDS_OF_CONTACT and raw.get("contact") is None:
+        if name in output.FIELDS_OF_CONTACT and raw.get("contact") is None:
             yield path, f"there is no {name} without [contact]", "add [contact], or leave it out"
-        elif name in FIELDS_OF_IMPULSES and name not in known:
+        elif name in output.FIELDS_OF_IMPULSES and name not in known:
             yield (path, *_of_another_law(name))
-        elif name in FIELDS_OF_WALLS and not tables(raw, "wall"):
+        elif name in output.FIELDS_OF_WALLS and not tables(raw, "wall"):
             yield path, f"there is no {name} without a [[wall]]", "leave it out"
-        elif name in FIELDS_OF_JOINTS and not tables(raw, "joint"):
+        elif name in output.FIELDS_OF_JOINTS and not tables(raw, "joint"):
             yield path, f"there is no {name} without a [[joint]]", "leave it out"
         elif name == "joint_coordinate" and not any(
             joint.get("type") in TYPES_WITH_COORDINATES for _, joint in tables(raw, "joint")
@@ -224,7 +218,7 @@ def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
 
 def _of_another_law(name: str) -> tuple[str, str]:
     """Why there is no such quantity, and what would be right."""
-    law = next(law for law, fields in FIELDS_OF_LAWS.items() if name in fields)
+    law = next(law for law, fields in output.FIELDS_OF_LAWS.items() if name in fields)
     what = "impulses" if law == "impulse" else "events"
     return f"there is no {name} without {what}", f'take contact.law = "{law}", or leave it out'
 
@@ -256,7 +250,7 @@ def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Fin
 def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Finding]:
     """The law has a use for a number, and there is a damping for a restitution."""
     law = entry_at(contact, "law", str)
-    if law in FIELDS_OF_LAWS:
+    if law in output.FIELDS_OF_LAWS:
         for key in ("stiffness", "tangential_stiffness"):
             if given(table, key):
                 yield (*path, key), "impulses have no stiffness", "leave it out"

@@ -30,7 +30,7 @@ from particlerb.forces.gravity_tree.opening_angle import other_angle
 from particlerb.impulses import records
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
-from particlerb.plan.stability import STEPS_PER_CONTACT, stable_turn
+from particlerb.plan.time_step import STEPS_PER_CONTACT, stable_turn
 from particlerb.ranks import ALONE, Ranks
 from particlerb.record import schema
 from particlerb.record.checked_reading import can_be_continued

@@ -33,7 +33,6 @@ from particlerb.model.system import System
 from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce
 from particlerb.plan.contact_rules import events_of, refuse_too_many, rules_of
 from particlerb.plan.contact_setup import ContactSetup
-from particlerb.plan.driven_bodies import driven_among
 from particlerb.plan.joint_ends import Ties
 from particlerb.plan.joints import JointSetup
 from particlerb.plan.links import (
@@ -45,6 +44,7 @@ from particlerb.plan.links import (
     particles_of,
     tree_accuracy,
 )
+from particlerb.plan.obstacles import driven_among
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius

@@ -21,7 +21,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import lengths
 from particlerb.model.system import System
 from particlerb.plan.links import and_more, is_among, particles_of
-from particlerb.plan.wall_setup import middle
+from particlerb.plan.obstacles import middle
 
 if TYPE_CHECKING:
     from particlerb.plan.contact_setup import ContactSetup

@@ -40,9 +40,9 @@ from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import State, lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan import joint_rows
-from particlerb.plan.driven_bodies import driven_bodies
 from particlerb.plan.joint_drives import DriveCourse, course_of, drives_from
 from particlerb.plan.joint_ends import WORLD, Ties, ends_of, joint_name, pairs_of, unique
+from particlerb.plan.obstacles import driven_bodies
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _ALLOWED: Final = 1e-6  # of its size that a joint may not fit at the start
@@ -144,9 +144,6 @@ def joints_of(system: System) -> JointSetup | None:
     if merging is not None:
         system = merging.whole
     system = system._replace(state=system.placed or system.state)
-    if system.contact is not None and system.contact.relax:
-        reason = "bodies that joints hold are not pushed apart"
-        raise CaseError([problem_at(system, "contact.relax", reason, "place them apart")])
     problems, found = list[Problem](), list[joint_rows.TableJoints]()
     actions, driven = NO_ACTIONS, [k for k, t in enumerate(system.joint) if t.drive is not None]
     for number, table in enumerate(system.joint):

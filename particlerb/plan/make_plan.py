@@ -18,11 +18,12 @@ from particlerb.plan.joints import joints_of
 from particlerb.plan.links import Link, coincident, links_of
 from particlerb.plan.merging import merged, on_hosts
 from particlerb.plan.segments import GroupPlan, Plan, cut_into_segments, refuse_method
-from particlerb.plan.stability import growing_contacts, refuse_unstable
 from particlerb.plan.time_step import (
     Stepping,
     as_warning,
+    growing_contacts,
     refuse_endless,
+    refuse_unstable,
     step,
     step_reason,
     step_warnings,

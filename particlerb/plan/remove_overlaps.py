@@ -30,10 +30,13 @@ def remove_overlaps(system: System) -> System:
     Raises
     ------
     CaseError
-        As `contact_of`; and if bodies have too little room to be pushed apart.
+        As `contact_of`; if joints hold bodies, or these have too little room to be pushed apart.
     """
     if system.contact is None or not system.contact.relax:
         return system
+    if system.joint:
+        reason = "bodies that joints hold are not pushed apart"
+        raise CaseError([problem_at(system, "contact.relax", reason, "place them apart")])
     contact = contact_of(system)
     assert contact is not None
     return system._replace(state=system.state._replace(com=_pushed_apart(system, contact)))

@@ -31,7 +31,7 @@ from particlerb.plan.merging import unmerged
 from particlerb.plan.rates import fastest_rate
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import Plan, has_step, is_adaptive
-from particlerb.plan.stability import contact_limit
+from particlerb.plan.time_step import contact_limit
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, states_at
 from particlerb.stepping.motion import MotionError

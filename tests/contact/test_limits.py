@@ -12,7 +12,7 @@ from particlerb.case.to_system import to_system
 from particlerb.contact.restitution import damping_ratio
 from particlerb.integrators import METHODS
 from particlerb.plan.rates import softest_turning
-from particlerb.plan.stability import STEPS_PER_CONTACT
+from particlerb.plan.time_step import STEPS_PER_CONTACT
 from particlerb.simulation.run import prepare
 from particlerb.simulation.whole_run import RunError
 from particlerb.stepping.begin import begin
