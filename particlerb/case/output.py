@@ -94,18 +94,14 @@ class Asked(Table):
     @model_validator(mode="after")
     def has_an_owner(self) -> Self:
         """Require whom the quantity is of, and a frame that it can have."""
-        owner, others = ("joint", ["body"]) if self.quantity in _OF_JOINTS else ("body", ["joint"])
+        owner = "joint" if self.quantity in _OF_JOINTS else "body"
         of, hint = f"{self.quantity} is of a {owner}", f"give `{owner}` alone"
         if self.quantity in FIELDS_OF_IMPULSES:
-            of, hint, others = (
-                f"{self.quantity} is of all contacts",
-                "leave it out",
-                ["body", "joint"],
-            )
+            owner, of, hint = "", f"{self.quantity} is of all contacts", "leave it out"
         elif getattr(self, owner) is None:
             raise broken("missing", owner, of)
-        for other in others:
-            if getattr(self, other) is not None:
+        for other in ("body", "joint"):
+            if other != owner and getattr(self, other) is not None:
                 raise broken(of, other, hint)
         if self.frame == "body" and self.quantity in _FRAMELESS:
             raise broken(f"{self.quantity} is not given in the body frame", "frame")

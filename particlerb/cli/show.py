@@ -14,7 +14,7 @@ from particlerb.record.parts import folder_beside, parts_in
 from particlerb.record.provenance import this_machine
 from particlerb.record.schema import CONTACTS
 from particlerb.record.trajectory import Trajectory
-from particlerb.record.verify import Finding, verify
+from particlerb.record.verify import verify
 
 _LONGEST_TEXT: Final = 10_000
 _CHAINS: Final = ("position", "orientation", "contacts")
@@ -41,7 +41,8 @@ def info_command(options: argparse.Namespace) -> int:
         words = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         print(f"\n{name}\n{tamed(_shortened(words.rstrip())) or '(none)'}")
     if options.verify:
-        print(f"\nverified\n{tamed(_findings_text(findings))}")
+        lines = (f"  {'ok' if f.is_whole else 'NOT OK':<7}{f.what:<15}{f.words}" for f in findings)
+        print("\nverified", *map(tamed, lines), sep="\n")
         print(f"{options.file} is {'whole' if is_whole else 'DAMAGED'}")
     return DONE if is_whole else FAILED
 
@@ -82,14 +83,6 @@ def _shortened(words: str) -> str:
     if len(words) <= _LONGEST_TEXT:
         return words
     return f"{words[:_LONGEST_TEXT]}\n... ({len(words)} characters; --json prints all)"
-
-
-def _findings_text(findings: list[Finding]) -> str:
-    """Findings in lines."""
-    return "\n".join(
-        f"  {'ok' if finding.is_whole else 'NOT OK':<7}{finding.what:<15}{finding.words}"
-        for finding in findings
-    )
 
 
 def _text_of(name: str, value: Any) -> str:

@@ -6,7 +6,7 @@ motion (simulation/joint_values.py), which asking for it does not change.
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -60,24 +60,16 @@ def merged(system: System) -> System:
     """
     if system.merging is not None or not any(map(merges, system.joint)):
         return system
-    parts = _parts_of(system)
-    if not parts.is_merged.any():
+    host, is_merged, is_held = _parts_of(system)
+    if not is_merged.any():
         return system
     try:
-        return _with_parts(system, *parts)
+        return _with_parts(system, host, is_merged, is_held)
     except ValueError as error:
         first = next(k for k, table in enumerate(system.joint) if merges(table))
         reason = f"its bodies become one, which cannot be: {str(error).partition(': ')[2]}"
         hint = "let them be nearer, or give merge = false"
         raise CaseError([problem_at(system, f"joint[{first}]", reason, hint)]) from None
-
-
-class _Parts(NamedTuple):
-    """Which bodies are merged."""
-
-    host: Ints  # (n,) the body that carries each
-    is_merged: Bools  # (n,)
-    is_held: Bools  # (n,) by the world, or a body that does not move
 
 
 class _Tie:
@@ -90,8 +82,8 @@ class _Tie:
         self.second = np.where(self.second == WORLD, n, self.second)
 
 
-def _parts_of(system: System) -> _Parts:
-    """Who carries whom."""
+def _parts_of(system: System) -> tuple[Ints, Bools, Bools]:
+    """Who carries each body, which are merged, and which of these the world holds; (n,) each."""
     n = system.n_bodies
     still = np.flatnonzero(system.is_held)
     tie = _Tie(system, [table for table in system.joint if merges(table)])
@@ -110,7 +102,7 @@ def _parts_of(system: System) -> _Parts:
     host, own = np.arange(n), np.flatnonzero(is_merged)
     _, first, part = np.unique(label[own], return_index=True, return_inverse=True)
     host[own] = own[first[part]]
-    return _Parts(host, is_merged, is_merged & (label == of_world))
+    return host, is_merged, is_merged & (label == of_world)
 
 
 def _kept_apart(system: System) -> dict[str, Ints]:
@@ -174,7 +166,10 @@ def _with_parts(system: System, host: Ints, is_merged: Bools, is_held: Bools) ->
     particles = centred_at_com(particles, properties)
     kind = system.kind.copy()
     kind[hosts] = len(system.reach) + np.arange(hosts.size)
-    bodies = _bodies_of(system.bodies, properties, hosts)
+    bodies = Bodies._make(values.copy() for values in system.bodies)
+    found = bodies_of_kind(properties, np.arange(hosts.size))
+    for values, of_hosts in zip(bodies, found, strict=True):
+        values[..., hosts] = of_hosts
     absent = is_merged & (host != np.arange(n))
     merging = Merging(system, held(bodies, absent | is_held), host, turn, shift, is_merged, is_held)
     united_properties = (
@@ -201,15 +196,6 @@ def _united(system: System, members: Ints, turn: Floats, shift: Floats) -> Parti
         for b in members.tolist()
     ]
     return united(concatenate(sets))
-
-
-def _bodies_of(bodies: Bodies, properties: MassProperties, hosts: Ints) -> Bodies:
-    """Constants of bodies, those of hosts from the mass properties of all that they carry."""
-    found = bodies_of_kind(properties, np.arange(hosts.size))
-    changed = Bodies._make(values.copy() for values in bodies)
-    for values, own in zip(changed, found, strict=True):
-        values[..., hosts] = own
-    return changed
 
 
 def on_hosts(link: Link, merging: Merging) -> Link:
