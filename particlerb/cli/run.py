@@ -106,10 +106,8 @@ def _resume(options: argparse.Namespace, shared: Ranks | None) -> int:
     """Go on with a run, on ranks or alone."""
     path, ranks = Path(options.file), shared or ALONE
     ranks.together(lambda: None if ranks.number else probe(path))
-    try:
+    with ending(CaseError, ResumeError, TrajectoryError, FileNotFoundError):
         pending = look_at(path, options.t_end, options.threads, options.allow_code, ranks)
-    except (CaseError, ResumeError, TrajectoryError, FileNotFoundError) as error:
-        raise Ending(str(error)) from None
     _warn(options, list(pending.warnings))
     system, start = pending.prepared.system, pending.start
     ranks.together(lambda: _warn(options, _disk_warnings(system, path, pending.known)))
@@ -121,11 +119,9 @@ def _resume(options: argparse.Namespace, shared: Ranks | None) -> int:
             flush=True,
         )
 
-    try:
-        run = partial(resume_pending, pending, ranks=ranks)
+    run = partial(resume_pending, pending, ranks=ranks)
+    with ending(ResumeError):
         outcome = _execute(run, path, options, pending.total, start, ranks=shared)
-    except ResumeError as error:
-        raise Ending(str(error)) from None
     return _conclude(pending.prepared, outcome, path, options, shared)
 
 

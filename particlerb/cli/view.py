@@ -54,11 +54,8 @@ def view_command(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     is_file = Path(options.case).suffix.lower() in FILES
-    try:
-        with listening(access, options.port) as server:
-            return _play(options, server, access) if is_file else push(options, server, access)
-    except AccessError as error:
-        raise Ending(str(error), FAILED) from None
+    with ending(AccessError, code=FAILED), listening(access, options.port) as server:
+        return _play(options, server, access) if is_file else push(options, server, access)
 
 
 def push(options: argparse.Namespace, server: "viser.ViserServer", access: "Access") -> int:
