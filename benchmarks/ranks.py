@@ -28,7 +28,7 @@ from results import record
 from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.model.superblocks import SUPERBLOCK
-from particlerb.ranks import Ranks, ranks_of_mpi
+from particlerb.ranks import ALONE, Ranks, ranks_of_mpi
 from particlerb.record.checkpoint import slots_in
 from particlerb.simulation import run as simulate
 
@@ -95,7 +95,7 @@ def measure(n: int, is_pushed: bool, path: Path, ranks: Ranks | None) -> dict[st
         start, before = clock.now(), memory("VmRSS")
         prepared = simulate.prepare(to_system(case(size, is_pushed)))
         most, kept = memory("VmHWM") - before, memory("VmRSS") - before
-        simulate.run_prepared(prepared, path, True, ranks=ranks)
+        simulate.run_prepared(prepared, path, True, ranks=ranks or ALONE)
         own = {"set_up": clock.begun[0] - start, "run": clock.now() - clock.begun[0]}
         own["waited"] = clock.waited - clock.begun[1]
         bytes_of = {"set_up_bytes": most, "kept_bytes": kept}

@@ -5,12 +5,12 @@ import contextlib
 from collections.abc import Iterator
 
 from particlerb.cli.exit_codes import Ending, ending
-from particlerb.ranks import NoRanksError, Ranks, end_all, launched, ranks_of_mpi
+from particlerb.ranks import ALONE, NoRanksError, Ranks, end_all, launched, ranks_of_mpi
 
 
 @contextlib.contextmanager
-def ranks_of(options: argparse.Namespace) -> Iterator[Ranks | None]:
-    """Ranks that share the scene with --mpi, None without; one that fails alone ends all.
+def ranks_of(options: argparse.Namespace) -> Iterator[Ranks]:
+    """Ranks that share the scene with --mpi, ALONE without; one that fails alone ends all.
 
     Wrong usage where a launcher has started several processes without it.
     """
@@ -20,7 +20,7 @@ def ranks_of(options: argparse.Namespace) -> Iterator[Ranks | None]:
                 f"{launched()} processes were started to run the same case: with --mpi they share"
                 " its bodies; without mpiexec or srun one runs it"
             )
-        yield None
+        yield ALONE
         return
     with ending(NoRanksError):
         ranks = ranks_of_mpi()

@@ -73,26 +73,25 @@ def run_command(options: argparse.Namespace) -> int:
         return _run(options, ranks)
 
 
-def _run(options: argparse.Namespace, ranks: Ranks | None) -> int:
+def _run(options: argparse.Namespace, ranks: Ranks) -> int:
     """Run a case, on ranks or alone."""
     if sys.stderr.isatty() and not options.quiet:
         WHEN_COMPILING[:] = ["kernels, once, about 15 s (30 s for contact)"]
-    together = (ranks or ALONE).together
-    prepared = together(partial(prepared_case, options))
+    prepared = ranks.together(partial(prepared_case, options))
     system = prepared.system
-    if ranks is not None:
+    if ranks is not ALONE:
         part_of(prepared, ranks)
-    path = together(partial(_output_path, options, system))
-    together(lambda: _warn(options, _disk_warnings(system, path)))
+    path = ranks.together(partial(_output_path, options, system))
+    ranks.together(lambda: _warn(options, _disk_warnings(system, path)))
     if not (options.quiet or options.json):
         title = system.title or path.stem
         print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
         free = amount(_free_bytes(path))
         print(f"  file: {path}, {size_text(system)}; {free} are free\n", flush=True)
 
-    run, total = partial(run_prepared, prepared, path, options.overwrite), frame_count(system.run)
-    before = _number_of(path)
-    outcome = _execute(partial(run, ranks=ranks), path, options, total, before=before, ranks=ranks)
+    run = partial(run_prepared, prepared, path, options.overwrite, ranks=ranks)
+    before, total = _number_of(path), frame_count(system.run)
+    outcome = _execute(run, path, options, total, before=before, ranks=ranks)
     return _conclude(prepared, outcome, path, options, ranks)
 
 
@@ -102,9 +101,9 @@ def resume_command(options: argparse.Namespace) -> int:
         return _resume(options, ranks)
 
 
-def _resume(options: argparse.Namespace, shared: Ranks | None) -> int:
+def _resume(options: argparse.Namespace, ranks: Ranks) -> int:
     """Go on with a run, on ranks or alone."""
-    path, ranks = Path(options.file), shared or ALONE
+    path = Path(options.file)
     ranks.together(lambda: None if ranks.number else probe(path))
     with ending(CaseError, ResumeError, TrajectoryError, FileNotFoundError):
         pending = look_at(path, options.t_end, options.threads, options.allow_code, ranks)
@@ -121,20 +120,16 @@ def _resume(options: argparse.Namespace, shared: Ranks | None) -> int:
 
     run = partial(resume_pending, pending, ranks=ranks)
     with ending(ResumeError):
-        outcome = _execute(run, path, options, pending.total, start, ranks=shared)
-    return _conclude(pending.prepared, outcome, path, options, shared)
+        outcome = _execute(run, path, options, pending.total, start, ranks=ranks)
+    return _conclude(pending.prepared, outcome, path, options, ranks)
 
 
 def _conclude(
-    prepared: Prepared,
-    outcome: Outcome,
-    path: Path,
-    options: argparse.Namespace,
-    ranks: Ranks | None = None,
+    prepared: Prepared, outcome: Outcome, path: Path, options: argparse.Namespace, ranks: Ranks
 ) -> int:
     """Print what came out; the exit code."""
-    system = prepared.system if ranks is None else part_of(prepared, ranks).system
-    checks = results(system, outcome, ranks or ALONE)
+    system = prepared.system if ranks is ALONE else part_of(prepared, ranks).system
+    checks = results(system, outcome, ranks)
     if options.json:
         print(json.dumps(summary(path, outcome, checks)))
     else:
@@ -197,13 +192,12 @@ def _execute(
     total: int,
     done: int = 0,
     before: int | None = None,
-    ranks: Ranks | None = None,
+    ranks: Ranks = ALONE,
 ) -> Outcome:
     """Run, and report on it; an interrupt or a failure says what was kept, and how to go on.
 
     `before` is the number of a file that is there and is to be replaced.
     """
-    ranks = ranks or ALONE
     log = None if ranks.number else options.log
     report = ranks.together(lambda: Report(total, done, options.quiet, log))
     try:

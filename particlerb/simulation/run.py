@@ -65,7 +65,7 @@ def run_prepared(
     path: Path | None,
     overwrite: bool = False,
     progress: Progress = lambda n: None,
-    ranks: Ranks | None = None,
+    ranks: Ranks = ALONE,
 ) -> Outcome:
     """Run a prepared system into a file, or on ranks into a file in parts.
 
@@ -79,8 +79,8 @@ def run_prepared(
         Whether an existing file may be replaced.
     progress : callable
         Called with what was reached, after some frames.
-    ranks : Ranks, optional
-        That share the scene; each gives the whole of it.
+    ranks : Ranks
+        That share the scene; each gives the whole of it. ALONE: it is not shared.
 
     Raises
     ------
@@ -93,12 +93,13 @@ def run_prepared(
     """
     system = prepared.system
     own = {"plan": prepared.text, "identity": identity(prepared), **prepared.parameters}
-    is_writer = ranks is None or ranks.number == 0  # of what does not change
-    content = tables_of(system, labels_of(system)) | texts_of(system, own) if is_writer else {}
+    content = {}
+    if ranks.number == 0:  # which writes what does not change
+        content = tables_of(system, labels_of(system)) | texts_of(system, own)
     recorder: Recorder | Memory | PartRecorder
     if path is None:
         recorder = Memory(system, content)
-    elif ranks is None:
+    elif ranks is ALONE:
         recorder = Recorder(path, system, content, overwrite)
     else:
         parts, prepared = parts_of(system.n_bodies), part_of(prepared, ranks)
@@ -106,7 +107,7 @@ def run_prepared(
             path, prepared.system, content, parts, own["identity"], ranks, overwrite
         )
     with THREADS.using(system.run.threads):
-        return advance(prepared, recorder, None, progress, ranks or ALONE)
+        return advance(prepared, recorder, None, progress, ranks)
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # it is found in the frames

@@ -11,8 +11,8 @@ if __name__ == "__main__":
     from crashes import serve
 
     from particlerb.cli import ranks
-    from particlerb.ranks import ALONE
+    from particlerb.ranks import Ranks
 
     commit_often()
-    ranks.ranks_of_mpi = lambda: ALONE
+    ranks.ranks_of_mpi = Ranks
     serve(*sys.argv[2:4])

@@ -19,7 +19,7 @@ from particlerb.cli import run as of_runs
 from particlerb.model import superblocks
 from particlerb.model.names import BodyNames
 from particlerb.model.superblocks import SUPERBLOCK, own_parts, parts_of
-from particlerb.ranks import ALONE, Ranks, launched
+from particlerb.ranks import Ranks, launched
 from particlerb.record import atomic
 from particlerb.record.checkpoint import read_checkpoint
 from particlerb.record.checksums import frame_checksums
@@ -194,7 +194,7 @@ def test_check_says_how_ranks_would_share_a_case(monkeypatch, capsys):
 @pytest.mark.plain
 def test_old_parts_stay_until_new_ones_are_committed(monkeypatch, tmp_path):
     monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
-    monkeypatch.setattr(of_commands, "ranks_of_mpi", lambda: ALONE)
+    monkeypatch.setattr(of_commands, "ranks_of_mpi", Ranks)
     path = tmp_path / "run.h5"
     words = [*map(str, run_words(path, "-q", "--mpi"))]
     assert main(words) == 0
