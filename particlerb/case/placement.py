@@ -113,12 +113,20 @@ def _ceil_root(value: int, degree: int) -> int:
 
 
 def orientations(case: Case, block: int) -> FloatArray:
-    """Unit quaternions of a block, shape (count, 4) or (4,)."""
+    """Unit quaternions of a block, shape (count, 4) or (4,).
+
+    Random ones are uniform: normal components, normalised.
+
+    References
+    ----------
+    Muller, Commun. ACM 2, 19 (1959): normal vectors point uniformly on the sphere, here S³.
+    """
     body = case.body[block]
     if isinstance(body.orientation, Euler):
         return quaternion_of_euler(body.orientation.euler_deg)
     if isinstance(body.orientation, str):
-        return _random_quaternions(random_stream(case.run.seed, block, "orientation"), body.count)
+        stream = random_stream(case.run.seed, block, "orientation")
+        return normalised(stream.standard_normal((body.count, 4)))
     return normalised(np.asarray(body.orientation, dtype=np.float64))
 
 
@@ -149,16 +157,6 @@ def quaternion_of(given: Euler | Sequence[float]) -> FloatArray:
     return normalised(
         quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
     )
-
-
-def _random_quaternions(stream: np.random.Generator, count: int) -> FloatArray:
-    """Uniform rotations: normal components, normalised; shape (count, 4).
-
-    References
-    ----------
-    Muller, Commun. ACM 2, 19 (1959): normal vectors point uniformly on the sphere, here S³.
-    """
-    return normalised(stream.standard_normal((count, 4)))
 
 
 def vectors(case: Case, block: int, key: str, motion: Motion, q: FloatArray) -> FloatArray:

@@ -110,8 +110,10 @@ class _Scanner:
         parts: list[str] = []
         while self.peek().kind != "end" and self.peek().text != stop:
             token = self.take()
-            if token.kind in {"string", "bare"}:
+            if token.kind == "string":
                 parts += tomllib.loads(f"{token.text} = 0")
+            elif token.kind == "bare":
+                parts.append(token.text)
         return tuple(parts)
 
     def entry(self, table: Path) -> None:
