@@ -100,7 +100,6 @@ _FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
 
 def central_work(central: Central, com: Floats, q: Floats, t: float = 0.0) -> Floats:
     """-U, (n,) [J]: what the field has done, up to a constant."""
-    del t
     r = com - central.centre
     d = np.linalg.norm(r, axis=0)
     m = rotate_back(q, r / d)
@@ -111,20 +110,12 @@ def central_work(central: Central, com: Floats, q: Floats, t: float = 0.0) -> Fl
 
 def _central_rates(central: Central, bodies: Bodies, state: State) -> Rates:
     """√3 of the rate of a circular orbit: the fastest libration of a rod."""
-    del bodies
     distance = lengths(state.com - central.centre)
     return Rates(rate=np.sqrt(3.0 * central.mu / distance) / distance)
 
 
-def _term_of(table: "CentralTable", numbers: Floats, bodies: Bodies, start: float) -> Central:
-    """One centre for each body."""
-    del table, start
-    return Central(numbers[:3], numbers[3], bodies.mass, bodies.inertia)
-
-
 def _refuse_centre(table: "CentralTable", numbers: Floats, com: Floats) -> None:
     """Raise ForceError where a body starts in the centre."""
-    del table
     there = np.flatnonzero(~(com - numbers[:3]).any(axis=0))
     if there.size:
         reason = "{name} starts exactly at this centre, where the force has no direction"
@@ -132,8 +123,9 @@ def _refuse_centre(table: "CentralTable", numbers: Floats, com: Floats) -> None:
 
 
 FORCE: Final = Force(
-    same_for_all(lambda table: (*table.centre, table.mu)), _term_of, nowhere=_FAR,
-    check=_refuse_centre,
+    same_for_all(lambda table: (*table.centre, table.mu)),
+    lambda _, numbers, bodies, start: Central(numbers[:3], numbers[3], bodies.mass, bodies.inertia),
+    nowhere=_FAR, check=_refuse_centre,
 )  # fmt: skip
 KICKS: Final = (KICK,)
 TERMS: Final = (Term(Central, "central field", KICK, _central_rates, central_work),)

@@ -81,7 +81,6 @@ KICK: Final = Kick(
 
 def _drag_rates(drag: Drag, bodies: Bodies, state: State) -> Rates:
     """The faster of the decays of p and L."""
-    del state
     return Rates(rate=np.maximum(drag.rate, drag.rotation * bodies.inv_inertia.max(axis=0)))
 
 

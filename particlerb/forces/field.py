@@ -92,7 +92,6 @@ def _field_work(field: RotatingField, com: Floats, q: Floats, t: float) -> Float
 
 def _field_rates(field: RotatingField, bodies: Bodies, state: State) -> Rates:
     """The torque about which a body swings, and the turn of the field."""
-    del bodies, state
     strength = np.hypot(lengths(field.along), lengths(field.across))
     return Rates(turning=lengths(field.moment) * strength, rate=field.rate)
 
@@ -141,7 +140,6 @@ def _term_of(
     table: "UniformField", numbers: Floats, bodies: Bodies, start: float
 ) -> Push | RotatingField:
     """The force on the charge, and the moment as the lever of the field; or a field that turns."""
-    del table
     moment = in_rotor_frame(bodies.rotor_frame, numbers[:3])
     E, charge = numbers[3:6], numbers[6]
     rate = lengths(numbers[7:10])
@@ -158,7 +156,6 @@ def _term_of(
 
 def _refuse_large(table: "UniformField", numbers: Floats, com: Floats) -> None:
     """Raise ForceError where the force or the torque is beyond float64."""
-    del com
     moment, size = float(np.abs(numbers[:3]).max()), float(np.abs(numbers[3:6]).max())
     charge = float(np.abs(numbers[6]).max())
     what = f"charge {charge!r} with moment {moment!r} and {table.type}"

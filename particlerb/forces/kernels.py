@@ -8,6 +8,7 @@ line. Forces of other bodies are loads in the rows PAIR, which are filled before
 
 from collections.abc import Callable, Iterable
 from functools import cache
+from itertools import accumulate
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from particlerb.compiled.function_set import FunctionSet
@@ -37,14 +38,6 @@ class Acting(NamedTuple):
     clock: int | None  # whether something depends on time
     own: FunctionSet | None = None  # functions of forces that users wrote: see `own_functions`
     own_flow: int | None = None  # whether one of these depends on velocities
-
-
-@inline
-def change_pair(pair: int | None, rows: Floats, b: int, F: Vec3, tau: Vec3) -> Momenta:
-    """F and τ with the rates at which the loads of other bodies change."""
-    if pair is None:
-        return F, tau
-    return kick_pair(pair, rows, CHANGE, b, 1.0, F, tau)
 
 
 @inline
@@ -100,32 +93,36 @@ class _Family(NamedTuple):
         is_meant = self.has_potential in {None, kick.has_potential}
         return is_meant and getattr(kick, self.hook) is not None
 
+    @property
+    def result(self) -> str:
+        """Source of its end."""
+        return f"return {self.changed}".rstrip()
+
+    def step(self, start: str) -> str:
+        """Source of a call, from its start: what it returns is changed by it."""
+        call = f"{start}, {self.given})"
+        return f"{self.changed} = {call}" if self.changed else call
+
 
 _FAMILIES: Final[list[_Family]] = []
 
 
 def _source_of(family: _Family, kicks: Iterable[Kick]) -> str:
     """Source of a family: a function for each kick, left out if None, and one that calls all."""
-    parts, calls = [], []
-    result = f"return {family.changed}" if family.changed else "return"
+    parts, calls, result = [], [], family.result
     for kick in kicks:
-        own, hook = f"{family.name}_{kick.name}", f"{kick.name}_{family.hook}"
-        head = f"def {own}(tag, rows, at, {family.given}):\n    if tag is None:\n        {result}\n"
-        first = f"at + k * {kick.rows}" if kick.is_many else "at"
-        call = f"{hook}(rows, {first}, {family.given})"
-        step = f"{family.changed} = {call}" if family.changed else call
+        own, first = f"{family.name}_{kick.name}", f"at + k * {kick.rows}" if kick.is_many else "at"
+        step = family.step(f"{kick.name}_{family.hook}(rows, {first}")
         if kick.is_many:  # the length is known while compiling: the loop is unrolled
             step = f"for k in range(len(tag)):\n        {step}"
-        parts.append(f"@inline\n{head}    {step}\n    {result}\n")
+        head = f"@inline\ndef {own}(tag, rows, at, {family.given}):\n    if tag is None:\n"
+        parts.append(f"{head}        {result}\n    {step}\n    {result}\n")
         tag = f"acting.loads[{KICKS.index(kick)}]"
-        step = f"{own}({tag}, rows, {_first_row(kick)}, {family.given})"
-        calls.append(f"{family.changed} = {step}" if family.changed else step)
-    head = f"def {family.name}_own(own, rows, at, {family.given}):\n    if own is None:\n"
-    parts.append(
-        f"@inline\n{head}        {result}\n    return own.{family.name}(rows, at, {family.given})\n"
-    )
-    own = f"{family.name}_own(acting.own, rows, {_after(MANY_KICKS)}, {family.given})"
-    own = f"{family.changed} = {own}" if family.changed else own
+        calls.append(family.step(f"{own}({tag}, rows, {_first_row(kick)}"))
+    head = f"@inline\ndef {family.name}_own(own, rows, at, {family.given}):\n    if own is None:\n"
+    call = f"own.{family.name}(rows, at, {family.given})"
+    parts.append(f"{head}        {result}\n    return {call}\n")
+    own = family.step(f"{family.name}_own(acting.own, rows, {_after(MANY_KICKS)}")
     calls = [own, *calls] if family.is_reversed else [*calls, own]
     body = "\n    ".join([*calls, *([family.last] if family.last else []), result])
     return "\n\n".join([*parts, f"def {family.name}(acting, rows, {family.given}):\n    {body}\n"])
@@ -151,7 +148,7 @@ def made(family: _Family) -> Callable[..., Any]:
     able = able[::-1] if family.is_reversed else able
     names: dict[str, Any] = {
         "inline": inline, "kick_pair": kick_pair, "count": count, "PAIR": PAIR, "OTHER": OTHER,
-        "change_pair": change_pair,
+        "CHANGE": CHANGE,
         **{f"{kick.name}_{family.hook}": getattr(kick, family.hook) for kick in able},
     }  # fmt: skip
     _FAMILIES.append(family)
@@ -169,14 +166,10 @@ def own_functions(kicks: tuple[Kick, ...]) -> FunctionSet:
     found = {}
     for family in _FAMILIES:
         hooks = [getattr(kick, family.hook) if family.has(kick) else None for kick in kicks]
-        rows, calls = 0, []
-        for k, kick in enumerate(kicks):
-            call = f"hook{k}(rows, at + {rows}, {family.given})"
-            calls.append(f"{family.changed} = {call}" if family.changed else call)
-            rows += kick.rows
-        calls = [call for call, hook in zip(calls, hooks, strict=True) if hook is not None]
-        ordered = calls[::-1] if family.is_reversed else calls
-        body = "\n    ".join([*ordered, f"return {family.changed}".rstrip()])
+        starts = accumulate((kick.rows for kick in kicks), initial=0)
+        calls = [family.step(f"hook{k}(rows, at + {at}") for k, at in enumerate(starts)]
+        calls = [call for call, hook in zip(calls, hooks, strict=False) if hook is not None]
+        body = "\n    ".join([*(calls[::-1] if family.is_reversed else calls), family.result])
         source = f"def {family.name}(rows, at, {family.given}):\n    {body}\n"
         names = {f"hook{k}": hook for k, hook in enumerate(hooks)}
         found[family.name] = inline_from(source, f"<{family.name} of {key}>", family.name, names)
@@ -215,7 +208,7 @@ damp: Callable[..., Momenta] = made(_Family("damp", "damp", "b, R, p_old, L_old,
 change_of: Callable[..., Momenta] = made(
     _Family(
         "change_of", "change", "b, x, R, motion, F, tau", "F, tau",
-        "F, tau = change_pair(acting.pair, rows, b, F, tau)",
+        "F, tau = kick_pair(acting.pair, rows, CHANGE, b, 1.0, F, tau)",
     )
 )  # fmt: skip
 """(acting, rows, b, x, R, motion, F, tau): F and τ with the rates at which all loads change."""

@@ -125,7 +125,6 @@ class Term(NamedTuple):
 
 def by_its_arm(table: Any, is_point: bool) -> tuple[str, str]:
     """Key and hint for a force at a point that turns what it cannot turn."""
-    del table
     return "at", "act at the centre of mass" if is_point else "act at a point of the rod's axis"
 
 
@@ -156,7 +155,6 @@ def same_for_all(numbers: Callable[[Any], tuple[float, ...]]) -> Callable[..., A
     """`resolve` of a force whose numbers are those of its table."""
 
     def resolve(table: Any, members: Ints, system: "System") -> list[tuple[Ints, Any]]:
-        del system
         return [(members, numbers(table))]
 
     return resolve

@@ -29,7 +29,7 @@ from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale
 from particlerb.model.block import get3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, in_rotor_frame, lengths, rotate_back
+from particlerb.model.state import in_rotor_frame, lengths, rotate_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import ImpulseTable, PushTable
@@ -124,25 +124,22 @@ def lever_work(lever: Floats, q: Floats) -> Floats:
 
 def _push_work(push: Push, com: Floats, q: Floats, t: float) -> Floats:
     """F·x + tr(R T), (n,) [J]: what the forces have done, up to a constant."""
-    del t
     return np.asarray(lever_work(push.lever, q) + (push.force * com).sum(axis=0))
 
 
-def _push_rates(push: Push, bodies: Bodies, state: State) -> Rates:
+def _push_rates(push: Push, *_: object) -> Rates:
     """The torque about which a body swings."""
-    del bodies, state
     return Rates(turning=lengths(push.lever))
 
 
-def _follower_rates(follower: Follower, bodies: Bodies, state: State) -> Rates:
+def _follower_rates(follower: Follower, *_: object) -> Rates:
     """The torque that spins a body up."""
-    del bodies, state
     return Rates(spinning=lengths(follower.torque))
 
 
-def _push_at(vector: Floats, arm: Floats) -> Push:
+def constant_force(force: Floats, arm: Floats) -> Push:
     """A force (3, n) [N], world frame, at points (3, n) [m], rotor frame."""
-    return Push(vector, (vector[:, None] * arm).reshape(9, -1))  # [j, l] = F_j r_l
+    return Push(force, (force[:, None] * arm).reshape(9, -1))  # [j, l] = F_j r_l
 
 
 def _term_of(
@@ -152,7 +149,7 @@ def _term_of(
     arm, course = in_rotor_frame(bodies.rotor_frame, numbers[:3]), course_of(table, numbers, start)
     if table.frame == "world":
         if course.is_constant:
-            return _push_at(course.midway, arm)
+            return constant_force(course.midway, arm)
         none = np.broadcast_to(0.0, arm.shape)
         return Ramp(course.midway, none, course.change, none, course.clock, arm)
     own = course.turned(lambda vector: rotate_back(bodies.rotor_frame, vector))
@@ -164,7 +161,6 @@ def _term_of(
 
 def refuse_large(table: "PushTable | ImpulseTable", numbers: Floats, com: Floats) -> None:
     """Raise ForceError where the torque is beyond float64."""
-    del com
     size = float(np.abs(vectors_of(table, numbers)).max())
     arm = float(np.abs(numbers[:3]).max())
     refuse_overflow(f"arm {arm!r} m and {table.type}", "at", arm, size)

@@ -82,7 +82,6 @@ _FOLLOWER_KICK: Final = Kick(
 
 def _ramp_rates(ramp: Ramp | FollowerRamp, bodies: Bodies, state: State) -> Rates:
     """The torque that spins a body up on average, and that about which it swings meanwhile."""
-    del bodies, state
     swinging = lengths(ramp.torque_change)
     if isinstance(ramp, Ramp):
         swinging = swinging + lengths(ramp.arm) * (lengths(ramp.force) + lengths(ramp.force_change))

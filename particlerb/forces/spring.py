@@ -82,7 +82,6 @@ def _spring_energy(spring: Spring, com: Floats, q: Floats) -> Floats:
 
 def _spring_rates(spring: Spring, bodies: Bodies, state: State) -> Rates:
     """k (1/M + r²/I) with the smallest moment."""
-    del state
     softness = bodies.inv_mass + lengths(spring.at) ** 2 * bodies.inv_inertia.max(axis=0)
     return Rates(squared=spring.stiffness * softness)
 
@@ -121,7 +120,6 @@ def places(system: "System", bodies: Ints, at: Floats | tuple[float, float, floa
 
 def _term_of(table: "SpringTable", numbers: Floats, bodies: Bodies, start: float) -> Spring:
     """One spring on each body."""
-    del table, start
     arm = rotate_back(bodies.rotor_frame, numbers[:3])
     return Spring(arm, numbers[3:6], numbers[6], numbers[7])
 

@@ -15,7 +15,7 @@ from particlerb.maths.quaternion import Matrix
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled
 from particlerb.model.block import get3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, lengths, rotate_back
+from particlerb.model.state import lengths, rotate_back
 
 if TYPE_CHECKING:
     from particlerb.case.forces import TorqueTable
@@ -38,12 +38,6 @@ def _kick_torque(
 KICK: Final = Kick("torque", 3, _kick_torque)
 
 
-def _torque_rates(term: Torque, bodies: Bodies, state: State) -> Rates:
-    """The torque that spins a body up."""
-    del bodies, state
-    return Rates(spinning=lengths(term.torque))
-
-
 def _term_of(
     table: "TorqueTable", numbers: Floats, bodies: Bodies, start: float
 ) -> Torque | Follower | Ramp | FollowerRamp:
@@ -62,7 +56,6 @@ def _term_of(
 
 def turning(table: "TorqueTable", is_point: bool) -> tuple[str, str]:
     """Key and hint where it turns a point, or a rod about its axis."""
-    del table
     return "torque", "leave it out" if is_point else "give a torque across the rod"
 
 
@@ -71,4 +64,6 @@ FORCE: Final = Force(
     turning=turning,
 )  # fmt: skip
 KICKS: Final = (KICK,)
-TERMS: Final = (Term(Torque, "torque", KICK, _torque_rates),)
+TERMS: Final = (
+    Term(Torque, "torque", KICK, lambda torque, *_: Rates(spinning=lengths(torque.torque))),
+)
