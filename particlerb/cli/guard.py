@@ -68,7 +68,7 @@ def probe(path: Path) -> None:
         If HDF5 crashes on the file, or goes round in circles.
     """
     from particlerb.record.checked_reading import TrajectoryError, open_file, require_self_contained
-    from particlerb.record.parts import folder_beside, parts_in
+    from particlerb.record.parts import part_paths
     from particlerb.record.trajectory import open_trajectory
 
     if not hasattr(os, "fork"):
@@ -87,9 +87,8 @@ def probe(path: Path) -> None:
                 open_trajectory(path) as t,
             ):
                 require_self_contained(t.file)
-                parts = parts_in(t.file)
-                for name in parts.names if parts else ():
-                    with open_file(folder_beside(path) / name) as part:
+                for one in part_paths(t.file):
+                    with open_file(one) as part:
                         require_self_contained(part)
         finally:
             os._exit(0)

@@ -9,12 +9,12 @@ import numpy as np
 
 from particlerb.export import ExportError, Selection
 from particlerb.record import schema
-from particlerb.record.checked_reading import dataset_at, has, open_file, trajectory_errors
-from particlerb.record.checkpoint import read_checkpoint, slots_in, write_checkpoint
+from particlerb.record.checked_reading import dataset_at, has, trajectory_errors
+from particlerb.record.checkpoint import read_checkpoint, states_of, write_checkpoint
 from particlerb.record.checksums import tables_in
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import laid_out, write_rest
-from particlerb.record.parts import folder_beside, parts_in
+from particlerb.record.parts import part_paths
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.vtkhdf import STEP_STARTS, STEP_TIMES, count_steps, resize_vtkhdf
 from particlerb.simulation.outcome import joined
@@ -78,16 +78,10 @@ def _copy(trajectory: Trajectory, made: h5py.File, path: str) -> None:
 
 def _copy_state(file: h5py.File, made: h5py.File, n_frames: int) -> None:
     """Copy the last state of the run, where there is one."""
-    parts, own = parts_in(file), []
-    if parts is None:
-        if schema.CHECKPOINT in file:
-            found = read_checkpoint(file)
-            write_checkpoint(made, found.n_frames, found.arrays)
-        return
-    for name in parts.names:
-        with open_file(folder_beside(Path(file.filename)) / name) as part:
-            own.append(slots_in(part))
-    common = set(range(n_frames + 1)).intersection(*own)
+    own = [states_of(path) for path in part_paths(file)]
+    common = set(range(n_frames + 1)).intersection(*own) if own else ()
     if common:
-        last = max(common)
-        write_checkpoint(made, last, joined([states[last] for states in own]))
+        write_checkpoint(made, max(common), joined([states[max(common)] for states in own]))
+    elif not own and schema.CHECKPOINT in file:
+        found = read_checkpoint(file)
+        write_checkpoint(made, found.n_frames, found.arrays)

@@ -19,7 +19,7 @@ from h5py import h5d, h5l, h5z
 from particlerb.record.atomic import to_read
 from particlerb.record.hdf5 import header_attribute
 from particlerb.record.memory import Memory
-from particlerb.record.parts import folder_beside, parts_in, range_in
+from particlerb.record.parts import part_paths, parts_in, range_in
 from particlerb.record.schema import CHECKPOINT, COMMITTED, TIME
 
 _FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
@@ -236,14 +236,12 @@ def require_parts(file: h5py.File, n_frames: int) -> None:
         If one is missing, short, or of something else; it names it.
     """
     with trajectory_errors(file):
-        parts = parts_in(file)
-    for k, name in enumerate(parts.names if parts else ()):
-        assert parts is not None
-        path = folder_beside(Path(file.filename)) / name
+        parts, paths = parts_in(file), part_paths(file)
+    for path, of in zip(paths, parts.ranges if parts else (), strict=True):
         if not path.is_file():
             raise TrajectoryError(f"{file.filename}: its part {path} is missing")
         with open_file(path) as part, trajectory_errors(part):
-            if range_in(part) != (parts.ranges[k], parts.run):
+            if parts is None or range_in(part) != (of, parts.run):
                 raise TrajectoryError(f"{file.filename}: {path} belongs to another run, or place")
             n = min(integer_attribute(part, COMMITTED), len(part[TIME]))
         if n < n_frames:
@@ -254,10 +252,10 @@ def require_parts(file: h5py.File, n_frames: int) -> None:
 
 def can_be_continued(file: h5py.File) -> bool:
     """Whether a file keeps a state from which its run can be continued, or its first part does."""
-    parts = parts_in(file)
-    if parts is None:
+    paths = part_paths(file)
+    if not paths:
         return CHECKPOINT in file
-    with open_file(folder_beside(Path(file.filename)) / parts.names[0]) as part:
+    with open_file(paths[0]) as part:
         return CHECKPOINT in part
 
 

@@ -10,6 +10,7 @@ import io
 import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
@@ -23,6 +24,7 @@ from particlerb.record.checked_reading import (
     dataset_at,
     integer_attribute,
     object_at,
+    open_file,
     trajectory_errors,
 )
 from particlerb.record.hdf5 import change, group, growing, note, opened
@@ -126,6 +128,12 @@ def slots_in(file: h5py.File) -> dict[int, dict[str, Any]]:
             if slot.content and slot.digest == slot.stored:
                 found[slot.n_frames] = _arrays_in(file, slot)
     return found
+
+
+def states_of(path: Path) -> dict[int, dict[str, Any]]:
+    """Both states in the file of a part."""
+    with open_file(path) as file:
+        return slots_in(file)
 
 
 def slot_in(file: h5py.File, is_before: bool) -> _Slot:

@@ -112,8 +112,7 @@ class FrameReader(Closing):
         """Values of one of `schema.SERIES` in some frames, of all bodies or of some."""
         element = schema.SERIES[path]
         n = len(self.names_of(element.per)) if element.per in schema.PARTS else self.n_bodies
-        width = len(element.components)
-        shape = (None, *((n,) if element.per else ()), *((width,) if width else ()))
+        shape = (None, *((n,) if element.per else ()), *element.width)
         lo, hi, stride = frames.indices(self.n_frames)
 
         def read() -> Floats:

@@ -40,10 +40,8 @@ def contact_columns(
     """Contacts of some frames as a file holds them, by name, and the row behind each frame."""
     columns = {}
     for name, column in schema.COLUMNS.items():
-        kind = np.dtype(np.int32) if column.is_count else dtype
-        width = (column.width,) if column.width else ()
-        parts = [np.empty((0, *width), kind), *(getattr(one, name) for one in touches)]
-        columns[name] = np.concatenate(parts).astype(kind)
+        parts = [np.empty((0, *column.width)), *(getattr(one, name) for one in touches)]
+        columns[name] = np.concatenate(parts).astype(schema.dtype_of(column, dtype))
     return columns, np.cumsum([one.wall.size for one in touches], dtype=np.int64)
 
 

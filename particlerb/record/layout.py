@@ -294,9 +294,7 @@ def _make_series(file: h5py.File, path: str, of: _FileLayout, made: Made) -> h5d
     attach(value, made[schema.TIME], *scales)
     link_clock(file, place, made)
     if element.per in schema.PARTS:
-        link(
-            file, f"{place}/{element.per}", scales[0]
-        )  # netCDF looks for scales in this group and above
+        link(file, f"{place}/{element.per}", scales[0])  # netCDF looks for scales here and above
     return value
 
 
@@ -305,9 +303,8 @@ def _make_contacts(file: h5py.File, of: _FileLayout, made: Made) -> None:
     dtype = np.dtype(of.dtype)
     rows = int(np.clip(of.n_frames * of.n_bodies, *_CONTACTS_PER_CHUNK))
     for name, column in schema.COLUMNS.items():
-        kind = np.dtype("i4") if column.is_count else dtype
-        width = (column.width,) if column.width else ()
-        values = growing(file, f"{schema.CONTACTS}/{name}", kind, width, rows=rows)
+        kind = schema.dtype_of(column, dtype)
+        values = growing(file, f"{schema.CONTACTS}/{name}", kind, column.width, rows=rows)
         describe(values, column.units, column.meaning)
     offset = growing(file, schema.OFFSET, "i8", rows=schema.MOST_IN_CHUNK, length=1)
     describe(offset, "1", "contacts of frame f are offset[f] to offset[f + 1]")

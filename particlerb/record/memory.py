@@ -37,9 +37,8 @@ class Memory:
         room[schema.STEP] = np.arange(n)
         dtype = np.dtype(system.output.dtype)
         for path, element in schema.series_of(system.output.fields).items():
-            width = [len(room[schema.SCALE_OF[element.per]])] if element.per else []
-            width += [len(element.components)] if element.components else []
-            room[path] = np.empty((n, *width), schema.dtype_of(element, dtype))
+            each = [len(room[schema.SCALE_OF[element.per]])] if element.per else []
+            room[path] = np.empty((n, *each, *element.width), schema.dtype_of(element, dtype))
 
     @property
     def file(self) -> "Memory":

@@ -115,6 +115,12 @@ def parts_in(file: Any) -> Parts | None:
     return Parts(folder, tuple(ranges), bytes(header_attribute(file, _RUN, "S")).decode())
 
 
+def part_paths(file: Any) -> list[Path]:
+    """Files of the parts of a file that is not trusted; none where it is whole."""
+    parts = parts_in(file)
+    return [folder_beside(Path(file.filename)) / name for name in (parts.names if parts else ())]
+
+
 def range_in(file: h5py.File) -> tuple[Range, str] | None:
     """Bodies of a part, and its run; None where it is none."""
     if _RANGE not in file.attrs:

@@ -40,16 +40,21 @@ _BYTES_OF_CHUNK: Final = 262144  # that are aimed at
 
 
 class Element(NamedTuple):
-    """One time-dependent dataset."""
+    """One dataset, of numbers that change in time or not."""
 
-    components: str  # labels of the last dimension: xyz, wxyz, or none for a number
+    components: str  # labels of the last dimension, one letter each: xyz, wxyz; none for a number
     units: str
     meaning: str
     frame: str = "-"
     is_count: bool = False  # an integer
-    per: str = ""  # what a frame has an entry of: `body` or one of `PARTS`, or one for all
+    per: str = ""  # what a frame has an entry of: `body`, `contact`, one of `PARTS`; or one for all
     is_asked: bool = False  # whether a file that names it alone has it, though there is one for all
     has_gaps: bool = False  # NaN where it is not known
+
+    @property
+    def width(self) -> tuple[int, ...]:
+        """Shape of one entry."""
+        return (len(self.components),) if self.components else ()
 
 
 FIELDS: Final[dict[str, Element]] = {
@@ -171,33 +176,25 @@ def dtype_of(element: Element, dtype: "np.dtype[Any]") -> "np.dtype[Any]":
     """Type of the numbers of an element in a file whose bodies have numbers of this type."""
     if element.is_count:
         return np.dtype(np.int32)
-    return dtype if element.per == "body" else np.dtype(np.float64)
-
-
-class _FixedDataset(NamedTuple):
-    """One dataset that does not change in time."""
-
-    units: str
-    meaning: str
-    frame: str = "-"
-
-
-class _Column(NamedTuple):
-    """One property of all contacts of all frames, frame after frame."""
-
-    width: int  # numbers of a contact; 0 is a scalar
-    units: str
-    meaning: str
-    is_count: bool = False  # an integer
+    return dtype if element.per in {"body", "contact"} else np.dtype(np.float64)
 
 
 CONTACTS: Final = "contacts"
-COLUMNS: Final[dict[str, _Column]] = {
-    "body": _Column(2, "1", "the two bodies; the second is -1 where it is a wall", is_count=True),
-    "wall": _Column(0, "1", "number of the wall; -1 where the second is a body", is_count=True),
-    "point": _Column(3, "m", "where the force acts, world frame"),
-    "force": _Column(3, "N", "on the first body, world frame; the second feels the opposite"),
-    "overlap": _Column(0, "m", "of the two particles, or of the particle and the wall"),
+COLUMNS: Final[dict[str, Element]] = {  # of all contacts of all frames, frame after frame
+    name: element._replace(per="contact")
+    for name, element in {
+        "body": Element(
+            "12", "1", "the two bodies; the second is -1 where it is a wall", is_count=True
+        ),
+        "wall": Element(
+            "", "1", "number of the wall; -1 where the second is a body", is_count=True
+        ),
+        "point": Element("xyz", "m", "where the force acts, world frame"),
+        "force": Element(
+            "xyz", "N", "on the first body, world frame; the second feels the opposite"
+        ),
+        "overlap": Element("", "m", "of the two particles, or of the particle and the wall"),
+    }.items()
 }
 OFFSET: Final = f"{CONTACTS}/offset"  # contacts of frame f are offset[f] to offset[f + 1]
 
@@ -227,28 +224,31 @@ def parts_of(fields: Collection[str]) -> list[str]:
     return [part for part in PARTS if part in found]
 
 
-STATIC: Final[dict[str, _FixedDataset]] = {
-    f"{TRAJECTORY}/id": _FixedDataset("1", "number of the body"),
-    f"{TRAJECTORY}/mass": _FixedDataset("kg", "of each body"),
-    f"{TRAJECTORY}/moment_inertia": _FixedDataset(
-        "kg m2", "principal moments, in the order of the rotor frame", "rotor"
+STATIC: Final[dict[str, Element]] = {
+    f"{TRAJECTORY}/id": Element("", "1", "number of the body"),
+    f"{TRAJECTORY}/mass": Element("", "kg", "of each body"),
+    f"{TRAJECTORY}/moment_inertia": Element(
+        "", "kg m2", "principal moments, in the order of the rotor frame", "rotor"
     ),
-    f"{TRAJECTORY}/extent": _FixedDataset(
-        "m", "edges of a box about the centre of mass that holds all particles, for glyphs", "body"
+    f"{TRAJECTORY}/extent": Element(
+        "",
+        "m",
+        "edges of a box about the centre of mass that holds all particles, for glyphs",
+        "body",
     ),
-    f"{BODIES}/names": _FixedDataset("1", "of each body"),
-    f"{BODIES}/kind": _FixedDataset("1", "kind of each body: which set of particles it is made of"),
-    f"{BODIES}/rotor_class": _FixedDataset(
-        "1", "0 point, 1 rod, 2 sphere, 3 symmetric, 4 asymmetric"
+    f"{BODIES}/names": Element("", "1", "of each body"),
+    f"{BODIES}/kind": Element("", "1", "kind of each body: which set of particles it is made of"),
+    f"{BODIES}/rotor_class": Element(
+        "", "1", "0 point, 1 rod, 2 sphere, 3 symmetric, 4 asymmetric"
     ),
-    f"{BODIES}/rotor_frame": _FixedDataset(
-        "1", "unit quaternion, scalar first, rotor frame to body frame", "rotor to body"
+    f"{BODIES}/rotor_frame": Element(
+        "", "1", "unit quaternion, scalar first, rotor frame to body frame", "rotor to body"
     ),
-    f"{BODIES}/particles/position": _FixedDataset("m", "from the centre of mass", "body"),
-    f"{BODIES}/particles/mass": _FixedDataset("kg", "of each particle"),
-    f"{BODIES}/particles/radius": _FixedDataset("m", "0 is a point mass"),
-    f"{BODIES}/particles/offset": _FixedDataset(
-        "1", "kind k owns particles offset[k] to offset[k + 1]"
+    f"{BODIES}/particles/position": Element("", "m", "from the centre of mass", "body"),
+    f"{BODIES}/particles/mass": Element("", "kg", "of each particle"),
+    f"{BODIES}/particles/radius": Element("", "m", "0 is a point mass"),
+    f"{BODIES}/particles/offset": Element(
+        "", "1", "kind k owns particles offset[k] to offset[k + 1]"
     ),
 }
 

@@ -275,11 +275,10 @@ class Trajectory(LabelledReader):
                     )
                 found = []
                 for name, column in schema.COLUMNS.items():
-                    shape = (None, column.width) if column.width else (None,)
-                    kinds = "i" if column.is_count else "f"
-                    values = dataset_at(self.file, f"{schema.CONTACTS}/{name}", kinds, shape)
+                    kinds, path = "i" if column.is_count else "f", f"{schema.CONTACTS}/{name}"
+                    values = dataset_at(self.file, path, kinds, (None, *column.width))
                     if len(values) < offset[-1]:
-                        raise ValueError(f"{schema.CONTACTS}/{name} has no row {offset[-1] - 1}")
+                        raise ValueError(f"{path} has no row {offset[-1] - 1}")
                     found.append(values[offset[0] : offset[-1]])
             return Contacts(*found), offset[1:] - offset[0]
 

@@ -4,7 +4,7 @@ The digest of tables and texts, the checksum of every frame, the energy balance 
 the frames, and what must hold of any frames. Frames are read in portions.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -21,13 +21,13 @@ from particlerb.record.checked_reading import (
     dataset_at,
     integer_attribute,
     object_at,
-    open_file,
     trajectory_errors,
 )
-from particlerb.record.checkpoint import slot_in, slots_in
+from particlerb.record.checkpoint import slot_in, states_of
 from particlerb.record.checksums import digest, frame_checksums, list_checksums
-from particlerb.record.parts import Parts, folder_beside, parts_in
+from particlerb.record.parts import part_paths
 from particlerb.record.trajectory import Trajectory
+from particlerb.record.vtkhdf import STEP_STARTS, STEP_TIMES
 
 _SUMMED: Final = {  # what is summed again, and the size of what is summed
     "kinetic_energy": "kinetic_energy",
@@ -215,11 +215,9 @@ def _verify_steps(trajectory: Trajectory) -> str:
         if schema.VTKHDF not in trajectory.file:
             return "none: positions were not recorded"
         counted = integer_attribute(object_at(trajectory.file, f"{schema.VTKHDF}/Steps"), "NSteps")
-        values: Any = dataset_at(trajectory.file, f"{schema.VTKHDF}/Steps/Values", "f", (None,))
+        values: Any = dataset_at(trajectory.file, STEP_TIMES, "f", (None,))
         same = np.array_equal(values[: trajectory.n_frames], trajectory.time)
-        first: Any = dataset_at(
-            trajectory.file, f"{schema.VTKHDF}/Steps/PointOffsets", "i", (None,)
-        )
+        first: Any = dataset_at(trajectory.file, STEP_STARTS, "i", (None,))
         starts = np.arange(trajectory.n_frames) * trajectory.n_bodies
         same = same and np.array_equal(first[: trajectory.n_frames], starts)
     if counted < trajectory.n_frames or not same:
@@ -230,9 +228,8 @@ def _verify_steps(trajectory: Trajectory) -> str:
 def _verify_checkpoint(trajectory: Trajectory) -> str:
     """Compute the hash of the state from which the run can go on."""
     with trajectory_errors(trajectory.file):
-        parts = parts_in(trajectory.file)
-        if parts is not None:
-            return _states_of_parts(trajectory, parts)
+        if paths := part_paths(trajectory.file):
+            return _states_of_parts(trajectory, paths)
         if schema.CHECKPOINT not in trajectory.file:
             return "none: the run cannot be continued"
     slots = [slot_in(trajectory.file, is_before) for is_before in (True, False)]
@@ -247,17 +244,11 @@ def _verify_checkpoint(trajectory: Trajectory) -> str:
     return f"behind {slots[-1].n_frames} frames, hash {slots[-1].digest[:12]}… is that written"
 
 
-def _states_of_parts(trajectory: Trajectory, parts: Parts) -> str:
+def _states_of_parts(trajectory: Trajectory, paths: Sequence[Path]) -> str:
     """The same, of a state that all parts have."""
-    common = set(range(trajectory.n_frames + 1))
     if not can_be_continued(trajectory.file):
         return "none: the run cannot be continued"
-    for name in parts.names:
-        path = folder_beside(Path(trajectory.file.filename)) / name
-        with open_file(path) as file:
-            common &= slots_in(file).keys()
+    common = set(range(trajectory.n_frames + 1)).intersection(*map(states_of, paths))
     if not common:
         raise _Flaw("of all parts is none that is whole, and behind the same frames")
-    return (
-        f"behind {max(common)} frames in {len(parts.names)} parts, their hashes are those written"
-    )
+    return f"behind {max(common)} frames in {len(paths)} parts, their hashes are those written"
