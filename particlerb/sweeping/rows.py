@@ -1,14 +1,14 @@
 """The row that a variant leaves, and the names of its columns."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from particlerb.case.output import Asked, CheckValue
 from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
 
-_LETTERS = {3: "xyz", 4: "wxyz"}
+_LETTERS: dict[int, Iterable[str | int]] = {3: "xyz", 4: "wxyz"}
 
 
 class Row(NamedTuple):
@@ -48,10 +48,5 @@ def columns(asked: Asked, system: System) -> list[str]:
         size = {"joint_force": 3, "joint_torque": 3}.get(asked.quantity, 1)
         if asked.quantity == "joint_coordinate":
             size = int((setup.coordinates.joint == setup.names.index(owners[0])).sum())
-    parts = [f".{letter}" for letter in _LETTERS.get(size, "")] or _numbered(size)
+    parts = [""] if size == 1 else [f".{one}" for one in _LETTERS.get(size, range(size))]
     return [f"{owner}.{asked.quantity}{part}{when}" for owner in owners for part in parts]
-
-
-def _numbered(size: int) -> list[str]:
-    """Ends of the names of numbers without letters."""
-    return [""] if size == 1 else [f".{k}" for k in range(size)]

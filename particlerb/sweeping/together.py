@@ -20,6 +20,7 @@ from particlerb.plan.joints import assembled, joints_of
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
 from particlerb.simulation.checks import quantities
+from particlerb.simulation.impulse_values import impulse_quantity
 from particlerb.simulation.outcome import Outcome, Probe
 from particlerb.simulation.run import run_unrecorded
 from particlerb.simulation.whole_run import Prepared
@@ -61,16 +62,22 @@ def rows_together(numbers: Sequence[int], system: System, asked: Sequence[Asked]
     plan = make_plan(system)
     for group in plan.groups:
         _refuse_different(system, group)
-    outcome = run_unrecorded(Prepared(system, plan, ""))
+    return rows_of(numbers, system, asked, run_unrecorded(Prepared(system, plan, "")))
+
+
+def rows_of(
+    numbers: Sequence[int], system: System, asked: Sequence[Asked], outcome: Outcome
+) -> list[Row]:
+    """Rows of the worlds of a system that has run; a variant alone is one."""
     values = [_found(one, system, outcome) for one in asked]
     found = np.hstack([np.zeros((len(numbers), 0)), *values]).tolist()
-    drift = outcome.drift
     missed = np.zeros(len(numbers), dtype=np.int64)
-    for name, each in drift._asdict().items():
-        limit = getattr(check, f"{name}_drift")
+    for name, each in outcome.drift._asdict().items():
+        limit = getattr(system.check, f"{name}_drift")
         missed += 0 if limit is None else ~(np.asarray(each) <= limit)
-    rows = zip(numbers, np.asarray(drift.energy).tolist(), missed.tolist(), found, strict=True)
-    return [Row(number, "done", energy, n, tuple(own)) for number, energy, n, own in rows]
+    energy = np.atleast_1d(outcome.drift.energy).tolist()
+    rows = zip(numbers, energy, missed.tolist(), found, strict=True)
+    return [Row(number, "done", drift, n, tuple(own)) for number, drift, n, own in rows]
 
 
 def _refuse_different(system: System, group: GroupPlan) -> None:
@@ -100,14 +107,16 @@ def _found(asked: Asked, system: System, outcome: Outcome) -> Floats:
     probe = next(probe for probe in outcome.probes if probe.time == time)
     if asked.joint is not None:
         return _of_joints(asked, system, probe)
-    assert asked.body is not None
+    if asked.body is None:
+        return impulse_quantity(asked, probe.tally)[None]
     found = quantities(asked, system, system.names.find(asked.body), probe.frame)
     return found.reshape(system.n_worlds, -1)
 
 
 def _of_joints(asked: Asked, system: System, probe: Probe) -> Floats:
     """Numbers of a joint that is asked for, a row for each world."""
-    setup, first = joints_of(system), joints_of(system.scene(0))
+    setup = joints_of(system)
+    first = setup if system.n_worlds == 1 else joints_of(system.scene(0))
     assert setup is not None
     assert first is not None
     assert probe.joints is not None

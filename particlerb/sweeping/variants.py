@@ -6,6 +6,8 @@ import json
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from particlerb.case.changes import changed, likeness
 from particlerb.case.overrides import with_value
 from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of, problem_at
@@ -60,11 +62,18 @@ def variants(case: Case, sweep: SweepTable) -> list[Variant]:
                     suspects = {numbers[1 + k] for k in changed(one, paths, others)[1]}
             assert start is not None
             hashed = start.copy()
-            hashed.update(json.dumps(rows[number], default=_as_list).encode())
+            hashed.update(json.dumps(rows[number], default=np.ndarray.tolist).encode())
             found.append(Variant(number, rows[number], hashed.hexdigest()[:16]))
     if problems:
         raise CaseError(problems.values())
     return sorted(found, key=lambda one: one.number)
+
+
+def with_values(raw: Any, paths: Sequence[Path], row: Sequence[Any]) -> Any:
+    """Data of a case with the values of a variant at these paths."""
+    for path, value in zip(paths, row, strict=True):
+        raw = with_value(raw, path, value)
+    return raw
 
 
 def built(case: Case, paths: Sequence[Path], row: Sequence[Any]) -> Case:
@@ -77,8 +86,7 @@ def built(case: Case, paths: Sequence[Path], row: Sequence[Any]) -> Case:
     """
     raw: Any = {key: value for key, value in case.source.raw.items() if key != "sweep"}
     try:
-        for path, value in zip(paths, row, strict=True):
-            raw = with_value(raw, path, value)
+        raw = with_values(raw, paths, row)
     except LookupError as error:
         raise CaseError([problem_at(case, "sweep.axes", str(error.args[0]))]) from None
     return build(case.source._replace(raw=raw, text=""), ())
@@ -120,11 +128,6 @@ def _forget(own: Any, path: Path) -> None:
         for part in parts:
             own = own[part]
         own[last] = None
-
-
-def _as_list(value: Any) -> Any:
-    """An array of an axis as lists."""
-    return value.tolist()
 
 
 def label(sweep_key: str) -> str:
