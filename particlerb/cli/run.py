@@ -177,8 +177,8 @@ def size_text(system: System) -> str:
     """Frames and size of a run."""
     text = f"{frame_count(system.run)} frames, about {amount(expected_size(system))}"
     if schema.CONTACTS in system.output.fields:
-        item = np.dtype(system.output.dtype).itemsize
-        each = sum(max(c.width, 1) * (4 if c.is_count else item) for c in schema.COLUMNS.values())
+        columns, dtype = schema.COLUMNS.values(), np.dtype(system.output.dtype)
+        each = sum(math.prod(c.width) * schema.dtype_of(c, dtype).itemsize for c in columns)
         text += (
             f" and {each} bytes for each contact in a frame, whose number is not known in advance"
         )

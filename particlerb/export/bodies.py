@@ -19,7 +19,7 @@ import numpy as np
 
 from particlerb.export import ExportError, gsd_hoomd, sphere_union
 from particlerb.geometry.mass_properties import MassProperties
-from particlerb.geometry.particles import Particles
+from particlerb.geometry.particles import Particles, one_kind
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import quaternions
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
@@ -38,16 +38,8 @@ class Exported(NamedTuple):
     """Arrays of length one, in the same axes."""
 
 
-class _Carriers(NamedTuple):
-    """Particles that another code holds as the body."""
-
-    position: Floats  # (n, 3) [m], axes in which the body was given
-    mass: Floats  # (n,) [kg], positive; their sum is the body's mass
-    radius: Floats  # (n,) [m], 0 for points
-
-
-def carriers(particles: Particles, total: float) -> _Carriers:
-    """Spheres of a body of a mass [kg], or its masses where it has no radius.
+def carriers(particles: Particles, total: float) -> Particles:
+    """Spheres of a body of a mass [kg], or its masses where it has no radius; all have mass.
 
     Spheres without mass, whose matter is elsewhere, share the body's by their volume: other codes
     want a mass of every particle, and do not use it once they are told that of the body.
@@ -58,18 +50,17 @@ def carriers(particles: Particles, total: float) -> _Carriers:
     if not (mass > 0.0).all() or (radius.any() and not np.isclose(mass.sum(), total, rtol=1e-12)):
         weight = radius**3
         mass = total * weight / weight.sum()
-    return _Carriers(position, mass, radius)
+    return one_kind(position, mass, radius)
 
 
-def _carriers_of(body: Exported) -> _Carriers:
+def _carriers_of(body: Exported) -> Particles:
     """The same of an exported body."""
     return carriers(body.particles, float(body.properties.mass[0]))
 
 
 def _in_principal_axes(body: Exported, position: Floats) -> Floats:
     """Positions (n, 3) [m] from the com, in the principal axes."""
-    local: Floats = (position - body.properties.com[0]) @ body.properties.axes[0]
-    return local
+    return np.asarray((position - body.properties.com[0]) @ body.properties.axes[0])
 
 
 def export_bodies(bodies: Sequence[Exported], path: Path, to: str) -> list[Path]:
@@ -252,9 +243,9 @@ def _write_gsd(bodies: Sequence[Exported], path: Path) -> None:
 def _shape_of(body: Exported) -> dict[str, Any]:
     """Shape of a body for OVITO; none where it has no radius."""
     own = _carriers_of(body)
-    return (
-        sphere_union(_in_principal_axes(body, own.position), own.radius) if own.radius.any() else {}
-    )
+    if not own.radius.any():
+        return {}
+    return sphere_union(_in_principal_axes(body, own.position), own.radius)
 
 
 class _Format(NamedTuple):

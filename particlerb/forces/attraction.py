@@ -194,9 +194,10 @@ def _add_field(x: Vec3, gm: float, softening: float, targets: Rows3, fields: Row
 
 
 @inline
-def _add_near_source(
-    x: Vec3, gm: float, own: int, softening: float, targets: Rows3, fields: Rows3, bodies: Ints
-) -> None:
+def add_near_source(
+    x: Vec3, gm: float, own: float, softening: float, targets: Rows3, fields: Rows3,
+    bodies: Floats | Ints,
+) -> None:  # fmt: skip
     """Add the field of a source at x to that at targets, except those of its own body."""
     for i in range(bodies.size):
         is_own = bodies[i] == own
@@ -233,7 +234,7 @@ def pull(attraction: Attraction, work: Fields, first: int, last: int) -> None:
         if body[lo] != body[hi - 1]:
             for j in range(before, after):
                 x = load3(sources, j)
-                _add_near_source(x, gm[j], body[j], softening, targets, fields, bodies)
+                add_near_source(x, gm[j], body[j], softening, targets, fields, bodies)
         for j in range(after, end):
             _add_field(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
 

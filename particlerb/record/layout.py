@@ -15,22 +15,8 @@ from particlerb.case.run import RunTable, frame_count
 from particlerb.maths.vec3 import Floats
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
-from particlerb.record import schema
+from particlerb.record import hdf5, schema
 from particlerb.record.checksums import digest_of
-from particlerb.record.hdf5 import (
-    Form,
-    attach,
-    describe,
-    fill,
-    form_of,
-    group,
-    growing,
-    is_large,
-    link,
-    note,
-    put,
-    reserve,
-)
 from particlerb.record.parts import Parts, growing_over, note_master, note_part
 from particlerb.record.vtkhdf import create_vtkhdf
 
@@ -58,7 +44,7 @@ class _FileLayout(NamedTuple):
     dtype: str  # of what is recorded
     n_frames: int
     n_bodies: int
-    tables: tuple[tuple[str, Form], ...]  # paths of arrays that do not change, and their forms
+    tables: tuple[tuple[str, hdf5.Form], ...]  # paths of arrays that do not change, and their forms
     parts: Parts | None = None  # files where numbers of bodies lie, if these are several
 
 
@@ -77,7 +63,7 @@ def laid_out(
         Files where the numbers of bodies lie.
     """
     fields, dtype, n_frames = output.fields, output.dtype, frame_count(run)
-    tables = tuple((p, form_of(v)) for p, v in content.items() if not isinstance(v, bytes))
+    tables = tuple((p, hdf5.form_of(v)) for p, v in content.items() if not isinstance(v, bytes))
     empty, places = _empty_file(
         _FileLayout(tuple(fields), dtype, n_frames, len(content[schema.BODY]), tables, parts)
     )
@@ -117,7 +103,7 @@ def part_laid_out(system: System, of: Range, run: str) -> bytearray:
     """
     n_frames, dtype = frame_count(system.run), np.dtype(system.output.dtype)
     with h5py.File("part", "w", driver="core", backing_store=False) as file:
-        note(file.id, schema=np.array(schema.SCHEMA_VERSION, dtype=np.int32))
+        hdf5.note(file.id, schema=np.array(schema.SCHEMA_VERSION, dtype=np.int32))
         note_part(file, of, run)
         clock = make_clock(file, n_frames)[schema.TIME]
         for path, element in schema.series_of(system.output.fields).items():
@@ -125,9 +111,9 @@ def part_laid_out(system: System, of: Range, run: str) -> bytearray:
                 kind, width = schema.dtype_of(element, dtype), len(element.components)
                 n = of.stop - of.first
                 rows = schema.frames_per_chunk(n, width, kind.itemsize, n_frames)
-                growing(file, path, kind, (n, width), rows=rows, fill=np.nan)
+                hdf5.growing(file, path, kind, (n, width), rows=rows, fill=np.nan)
         _make_checksums(file, n_frames, clock)
-        note(file.id, **{schema.COMMITTED: np.int64(0)})
+        hdf5.note(file.id, **{schema.COMMITTED: np.int64(0)})
         file.flush()
         return bytearray(file.id.get_file_image())
 
@@ -136,19 +122,19 @@ def write_rest(file: h5py.File, content: Content) -> None:
     """Write texts and large arrays among what does not change."""
     for path, value in content.items():
         if isinstance(value, bytes):
-            put(file, path, value)
-        elif is_large(form_of(value)):
-            fill(file, path, value)
+            hdf5.put(file, path, value)
+        elif hdf5.is_large(hdf5.form_of(value)):
+            hdf5.fill(file, path, value)
 
 
 def _lay_out(file: h5py.File, of: _FileLayout) -> Made:
     """Make all that a file without frames has; return its arrays."""
-    note(file.id, schema=np.array(schema.SCHEMA_VERSION, dtype=np.int32))
+    hdf5.note(file.id, schema=np.array(schema.SCHEMA_VERSION, dtype=np.int32))
     if of.parts is not None:
         note_master(file, of.parts)
     write_h5md(file)
     make_box(file)
-    made = {path: reserve(file, path, form) for path, form in of.tables}
+    made = {path: hdf5.reserve(file, path, form) for path, form in of.tables}
     _describe_tables(made)
     made |= make_clock(file, of.n_frames)
     shown = {}
@@ -163,23 +149,23 @@ def _lay_out(file: h5py.File, of: _FileLayout) -> Made:
     n_frames = of.n_frames if of.parts is None else 0  # parts have no frames yet
     create_vtkhdf(file, shown, views, n_frames, of.parts)
     place = _make_checksums(file, of.n_frames, made[schema.TIME])
-    note(place, digest=np.bytes_(_NO_DIGEST))
-    note(file.id, **{schema.COMMITTED: np.int64(0)})
+    hdf5.note(place, digest=np.bytes_(_NO_DIGEST))
+    hdf5.note(file.id, **{schema.COMMITTED: np.int64(0)})
     return made
 
 
 def write_h5md(file: h5py.File) -> None:
     """The group that H5MD asks for."""
-    note(group(file, "h5md"), version=np.array([1, 1], dtype=np.int32))
-    note(group(file, "h5md/author"), name=np.bytes_("unknown"))
-    creator = group(file, "h5md/creator")
-    note(creator, name=np.bytes_("particlerb"), version=np.bytes_(particlerb.__version__))
+    hdf5.note(hdf5.group(file, "h5md"), version=np.array([1, 1], dtype=np.int32))
+    hdf5.note(hdf5.group(file, "h5md/author"), name=np.bytes_("unknown"))
+    creator = hdf5.group(file, "h5md/creator")
+    hdf5.note(creator, name=np.bytes_("particlerb"), version=np.bytes_(particlerb.__version__))
 
 
 def make_box(file: h5py.File) -> None:
     """Say that the group of the particles lies in an endless box."""
-    box = group(file, f"{schema.TRAJECTORY}/box")
-    note(box, dimension=np.int32(3), boundary=np.array(["none"] * 3, dtype="S8"))
+    box = hdf5.group(file, f"{schema.TRAJECTORY}/box")
+    hdf5.note(box, dimension=np.int32(3), boundary=np.array(["none"] * 3, dtype="S8"))
 
 
 def tables_of(scene: System, labels: Labels = MappingProxyType({})) -> dict[str, Any]:
@@ -217,19 +203,19 @@ def tables_of(scene: System, labels: Labels = MappingProxyType({})) -> dict[str,
 def _describe_tables(made: Made) -> None:
     """Units, meaning and dimension scales of the tables."""
     for path, table in schema.STATIC.items():
-        describe(made[path], table.units, table.meaning)
+        hdf5.describe(made[path], table.units, table.meaning)
     for path in (schema.BODY, *schema.AXES):
         h5ds.set_scale(made[path], path.split("/")[-1].encode())
     beside = {"id": (), "mass": (), "moment_inertia": ("123",), "extent": ("xyz",)}
     for name, scales in beside.items():
-        attach(made[f"{schema.TRAJECTORY}/{name}"], made[schema.BODY], *(made[s] for s in scales))
+        hdf5.attach(made[f"{schema.TRAJECTORY}/{name}"], *(made[p] for p in (schema.BODY, *scales)))
     for part, (names, numbers, units) in schema.PARTS.items():
         if names not in made:
             continue
         h5ds.set_scale(made[numbers], part.encode())
         for path in (names, units) if units else (names,):
-            note(made[path], meaning=f"of each {part}")
-            attach(made[path], made[numbers])
+            hdf5.note(made[path], meaning=f"of each {part}")
+            hdf5.attach(made[path], made[numbers])
 
 
 def extents(scene: System) -> Floats:
@@ -250,28 +236,28 @@ def extents(scene: System) -> Floats:
 def make_clock(file: h5py.File, n_frames: int) -> dict[str, h5d.DatasetID]:
     """Step and time, which every element shares by hard links."""
     rows = schema.rows_per_chunk(n_frames)
-    step = growing(file, schema.STEP, "i8", rows=rows)
-    clock = growing(file, schema.TIME, "f8", rows=rows, fill=np.nan)
-    describe(clock, schema.SERIES[schema.TIME].units, schema.SERIES[schema.TIME].meaning)
-    describe(step, "1", "number of the frame; linked into every element")
+    step = hdf5.growing(file, schema.STEP, "i8", rows=rows)
+    clock = hdf5.growing(file, schema.TIME, "f8", rows=rows, fill=np.nan)
+    hdf5.describe(clock, schema.SERIES[schema.TIME].units, schema.SERIES[schema.TIME].meaning)
+    hdf5.describe(step, "1", "number of the frame; linked into every element")
     h5ds.set_scale(clock, b"time")
-    attach(step, clock)
+    hdf5.attach(step, clock)
     return {schema.STEP: step, schema.TIME: clock}
 
 
 def link_clock(file: h5py.File, place: str, made: Made) -> None:
     """Let a group have step and time too."""
-    link(file, f"{place}/step", made[schema.STEP])
-    link(file, f"{place}/time", made[schema.TIME])
+    hdf5.link(file, f"{place}/step", made[schema.STEP])
+    hdf5.link(file, f"{place}/time", made[schema.TIME])
 
 
 def _make_checksums(file: h5py.File, n_frames: int, clock: h5d.DatasetID) -> Any:
     """Checksums of the frames; return their group."""
-    place, rows = group(file, schema.INTEGRITY), schema.rows_per_chunk(n_frames)
-    checksums = growing(file, schema.CHECKSUMS, "u8", rows=rows)
-    describe(checksums, "1", "of each frame, see particlerb.record.checksums")
-    link(file, f"{schema.INTEGRITY}/time", clock)  # netCDF looks for scales in this group
-    attach(checksums, clock)
+    place, rows = hdf5.group(file, schema.INTEGRITY), schema.rows_per_chunk(n_frames)
+    checksums = hdf5.growing(file, schema.CHECKSUMS, "u8", rows=rows)
+    hdf5.describe(checksums, "1", "of each frame, see particlerb.record.checksums")
+    hdf5.link(file, f"{schema.INTEGRITY}/time", clock)  # netCDF looks for scales in this group
+    hdf5.attach(checksums, clock)
     return place
 
 
@@ -289,12 +275,12 @@ def _make_series(file: h5py.File, path: str, of: _FileLayout, made: Made) -> h5d
     if of.parts is not None and element.per == "body":
         value = growing_over(file, path, kind, width, of.parts)
     else:
-        value = growing(file, path, kind, width, rows=rows, fill=fill)
-    describe(value, element.units, element.meaning)
-    attach(value, made[schema.TIME], *scales)
+        value = hdf5.growing(file, path, kind, width, rows=rows, fill=fill)
+    hdf5.describe(value, element.units, element.meaning)
+    hdf5.attach(value, made[schema.TIME], *scales)
     link_clock(file, place, made)
     if element.per in schema.PARTS:
-        link(file, f"{place}/{element.per}", scales[0])  # netCDF looks for scales here and above
+        hdf5.link(file, f"{place}/{element.per}", scales[0])  # where netCDF looks for scales
     return value
 
 
@@ -304,8 +290,8 @@ def _make_contacts(file: h5py.File, of: _FileLayout, made: Made) -> None:
     rows = int(np.clip(of.n_frames * of.n_bodies, *_CONTACTS_PER_CHUNK))
     for name, column in schema.COLUMNS.items():
         kind = schema.dtype_of(column, dtype)
-        values = growing(file, f"{schema.CONTACTS}/{name}", kind, column.width, rows=rows)
-        describe(values, column.units, column.meaning)
-    offset = growing(file, schema.OFFSET, "i8", rows=schema.MOST_IN_CHUNK, length=1)
-    describe(offset, "1", "contacts of frame f are offset[f] to offset[f + 1]")
+        values = hdf5.growing(file, f"{schema.CONTACTS}/{name}", kind, column.width, rows=rows)
+        hdf5.describe(values, column.units, column.meaning)
+    offset = hdf5.growing(file, schema.OFFSET, "i8", rows=schema.MOST_IN_CHUNK, length=1)
+    hdf5.describe(offset, "1", "contacts of frame f are offset[f] to offset[f + 1]")
     link_clock(file, schema.CONTACTS, made)

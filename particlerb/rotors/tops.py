@@ -12,10 +12,10 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, conjugate, load4, multiply, rows4, to_body
 from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, load3, rows3
+from particlerb.rotors.exact import CROSSOVER
 from particlerb.rotors.lagrange import Pair, Reduced, reduced
 from particlerb.rotors.lagrange_forms import Clock, near_constants, theta_constants
 
-_CROSSOVER: Final = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
 _SMALLEST: Final = 1e-290
 
 # Rows of both tables: x = start + rate t; ν and φ of α, of β; frame of z (4); ν of β less that of
@@ -130,9 +130,9 @@ def prepare_tops(tops: Tops, q: Floats, L: Floats) -> list[tuple[Ints, Floats]]:
     table = np.empty((N_THETA, unit.size))
     THREADS.alone(_theta_table, omega, pull, np.ascontiguousarray(q), tops.stretch, table, modulus)
     found = []
-    if (which := np.flatnonzero(modulus >= _CROSSOVER)).size:
+    if (which := np.flatnonzero(modulus >= CROSSOVER)).size:
         found.append((which, _in_units(table[:, which], tops, unit, which)))
-    if (which := np.flatnonzero(modulus < _CROSSOVER)).size:
+    if (which := np.flatnonzero(modulus < CROSSOVER)).size:
         own = [np.ascontiguousarray(a[..., which]) for a in (omega, pull, q, tops.stretch)]
         near = np.empty((N_NEAR, which.size))
         THREADS.alone(_near_table, *own, near)

@@ -7,12 +7,12 @@ errors of a chart. It knows no engine.
 import contextlib
 import importlib.util
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from collections.abc import Sequence
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -37,21 +37,7 @@ from particlerb.simulation.trials import BodySubset, Error, errors
 from particlerb.studies.text import chosen_names
 
 PeerScene: TypeAlias = Any  # the adapters' own type: bodies, pushes, gravity, t_end
-
-
-class Engine(NamedTuple):
-    """One peer."""
-
-    name: str
-    missing: str
-    """Why it cannot be used here; empty where it can."""
-    variants: Mapping[str, tuple[float, ...]]
-    """Ladder of steps times the fastest rate, or of tolerances."""
-    is_adaptive: bool
-    refusal: Callable[[PeerScene], str | None]
-    """Why it cannot hold a scene."""
-    run: Callable[[PeerScene, str, float], Any]
-    """Run a scene to its end, with a variant and a step or tolerance."""
+Engine: TypeAlias = Any  # module of one of them, with the names that benchmarks/peers tells
 
 
 @cache
@@ -91,19 +77,14 @@ def engines(names: Sequence[str]) -> list[Engine]:
         return []
     known = _adapters().ENGINES
     asked = chosen_names(names, ("all", *known), "peer")
-    modules = [known[name]() for name in (known if "all" in asked else asked)]
-    return [
-        Engine(m.NAME, m.missing() or "", m.VARIANTS, m.ADAPTIVE, partial(_refusal, m), m.run)
-        for m in modules
-    ]
+    return [known[name]() for name in (known if "all" in asked else asked)]
 
 
-def _refusal(module: ModuleType, scene: PeerScene) -> str | None:
-    """Why an engine cannot hold a scene."""
-    if scene.joints is not None and not getattr(module, "HOLDS_JOINTS", False):
+def refusal_by(engine: Engine, scene: PeerScene) -> str:
+    """Why an engine cannot hold a scene; empty where it can."""
+    if scene.joints is not None and not getattr(engine, "HOLDS_JOINTS", False):
         return "it is given no joints"
-    reason: str | None = module.refusal(scene)
-    return reason
+    return engine.refusal(scene) or ""
 
 
 _GIVEN: Final = "other engines take gravity and constant pushes in the world frame only"

@@ -43,6 +43,7 @@ from particlerb.studies.peers import (
     oracle_states,
     peer_errors,
     peer_scene,
+    refusal_by,
 )
 from particlerb.studies.text import chosen_names, nice_steps
 
@@ -187,7 +188,7 @@ def chart(
 def curve_count(system: System, methods: Sequence[str], peers: Sequence[str]) -> int:
     """Curves that a chart will have, for a progress bar."""
     return len(methods or (JOINTED if system.joint else UNJOINTED)) + sum(
-        len(engine.variants) for engine in engines(peers)
+        len(engine.VARIANTS) for engine in engines(peers)
     )
 
 
@@ -239,7 +240,7 @@ class Study:
     def peer_refusal(self, engine: Engine) -> str:
         """Why an engine cannot run the case; empty where it can."""
         try:
-            return engine.missing or engine.refusal(self.peer_scene) or ""
+            return engine.missing() or refusal_by(engine, self.peer_scene)
         except ValueError as error:
             return str(error)
 
@@ -312,8 +313,8 @@ class Study:
         for engine in rivals:
             reason = self.peer_refusal(engine)
             contenders += [
-                (engine.name, reason, partial(self.peer_curve, engine, variant))
-                for variant in engine.variants
+                (engine.NAME, reason, partial(self.peer_curve, engine, variant))
+                for variant in engine.VARIANTS
             ]
         curves = sum(not reason for _, reason, _ in contenders)
         share = (1.0 - _REFERENCE_SHARE) * budget / max(curves, 1)
@@ -373,8 +374,8 @@ class Study:
 
     def peer_curve(self, engine: Engine, variant: str, budget: float) -> Iterator[Point]:
         """Points of one variant of a peer."""
-        scale, most = (1.0, np.inf) if engine.is_adaptive else (self.rate, 0.5 * self.t_end)
-        steps = [min(rung / scale, most) for rung in engine.variants[variant]]
+        scale, most = (1.0, np.inf) if engine.ADAPTIVE else (self.rate, 0.5 * self.t_end)
+        steps = [min(rung / scale, most) for rung in engine.VARIANTS[variant]]
         engine.run(self.peer_scene, variant, steps[0])  # load
         start = THREADS.own.clock()
         for step in steps:
@@ -385,7 +386,7 @@ class Study:
             error, energy, spin = peer_errors(
                 results[0], self.system, self.which, self.judged, self.times, self.reference.frames
             )
-            made = partial(Point, variant, engine.name, step, engine.is_adaptive, spent)
+            made = partial(Point, variant, engine.NAME, step, engine.ADAPTIVE, spent)
             yield made(error, energy, spin, failure(error))
             if THREADS.own.clock() - start > budget:
                 return

@@ -159,7 +159,7 @@ def test_both_forms_agree_where_one_takes_over(monkeypatch):
     for t in (0.0, 1.3, 2.6, 5.0):
         found = []
         for limit in (0.0, 1.0):
-            monkeypatch.setattr("particlerb.rotors.tops._CROSSOVER", limit)
+            monkeypatch.setattr("particlerb.rotors.tops.CROSSOVER", limit)
             found.append(turned(tops, q, L, t))
         assert not found[0][3].any()
         assert found[1][3].all()

@@ -10,10 +10,10 @@ import numpy as np
 
 from particlerb.compiled.jit import kernel
 from particlerb.compiled.threads import THREADS
-from particlerb.forces.attraction import Attraction, inverse_cube
+from particlerb.forces.attraction import Attraction, add_near_source
 from particlerb.forces.gravity_tree.multipole import ORDER
 from particlerb.forces.gravity_tree.tree import Tree
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Floats, Ints, load3, rows3
 
 SAMPLE: Final = 512  # particles: some 5 % of the time of an evaluation, whatever their number
 WIDEST: Final = 1.0
@@ -85,14 +85,8 @@ def _direct_fields(
     place: Floats, mass: Floats, owner: Floats, which: Ints, eps2: float, field: Floats
 ) -> None:
     """Add Σ m_j d/(d² + ε²)^{3/2} over the particles of other bodies, at chosen particles."""
-    targets, bodies = place[:, which], owner[which]
+    chosen, n, bodies = place[:, which], which.size, owner[which]
+    sources, targets, fields = rows3(place, 0, mass.size), rows3(chosen, 0, n), rows3(field, 0, n)
     for j in range(mass.size):
-        x, y, z, m = place[0, j], place[1, j], place[2, j], mass[j]
-        for i in range(which.size):
-            dx, dy, dz = x - targets[0, i], y - targets[1, i], z - targets[2, i]
-            is_own = bodies[i] == owner[j]
-            square = 1.0 if is_own else dx * dx + (dy * dy + (dz * dz + eps2))
-            w = inverse_cube(0.0 if is_own else m, square)
-            field[0, i] += w * dx
-            field[1, i] += w * dy
-            field[2, i] += w * dz
+        x = load3(sources, j)
+        add_near_source(x, mass[j], owner[j], eps2, targets, fields, bodies)

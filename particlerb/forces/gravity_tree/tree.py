@@ -13,6 +13,7 @@ Source of the mutual walk: Dehnen, J. Comput. Phys. 179, 27 (2002).
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -112,19 +113,8 @@ class Tree:
             Force in rows 0 to 2, torque about the centre of mass in rows 3 to 5, world axes.
         """
         self.walk(y)
-        self.spread_bodies(
-            lambda first, last: add_loads(
-                self.kinds,
-                y,
-                self.order,
-                self.begin,
-                self.points,
-                self.gravitation,
-                load,
-                first,
-                last,
-            )
-        )
+        tree = self.kinds, y, self.order, self.begin, self.points
+        self.spread_bodies(partial(add_loads, *tree, self.gravitation, load))
 
     def potential_energy(self, y: Floats) -> float:
         """U [J] of which the loads are the derivatives, as long as the same cells meet."""
@@ -154,11 +144,7 @@ class Tree:
         self.order = order
         np.cumsum(items[2], out=self.begin[1:])
         ball = self.cells.ball[self.nodes.second.size :]
-        self.spread_bodies(
-            lambda first, last: place_points(
-                kinds, y, order, self.begin, self.points, ball, first, last
-            )
-        )
+        self.spread_bodies(partial(place_points, kinds, y, order, self.begin, self.points, ball))
 
     def spread_bodies(self, part: Callable[[int, int], object]) -> None:
         """Call part(first, last) for ranges of bodies."""
