@@ -93,16 +93,10 @@ def packing(mesh: TriangleMesh, most: int) -> _Packing:
 
 
 @inline
-def _clamped(x: float) -> float:
-    """x between 0 and 1."""
-    return min(max(x, 0.0), 1.0)
-
-
-@inline
 def _off_segment(p: Vec3, a: Vec3, b: Vec3) -> float:
     """Square of the distance of a point from a segment."""
     d, r = subtract(b, a), subtract(p, a)
-    t = _clamped(dot(r, d) / dot(d, d))
+    t = min(max(dot(r, d) / dot(d, d), 0.0), 1.0)
     e = add_scaled(-t, d, r)
     return dot(e, e)
 

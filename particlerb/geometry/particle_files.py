@@ -84,19 +84,11 @@ def columns_of(file: str | Path | File) -> Columns:
 def _refuse_twins(position: Floats, chosen: Bools, table: Lines) -> None:
     """ValueError if two of the chosen particles are at one place."""
     index = np.flatnonzero(chosen)
-    pair = _twins(position[index])
-    if pair is not None:
-        a, b = sorted(int(index[k]) for k in pair)
+    order = index[np.lexsort(position[index].T)]
+    same = np.flatnonzero((np.diff(position[order], axis=0) == 0.0).all(axis=1))
+    if same.size:
+        a, b = sorted(order[same[0] : same[0] + 2].tolist())
         raise ValueError(
             f"{table.path}:{table.line[b]}: at {position[b].tolist()}, where the particle of line"
             f" {table.line[a]} is: leave one out, or give one the mass of both"
         )
-
-
-def _twins(position: Floats) -> tuple[int, int] | None:
-    """Two points (n, 3) with equal coordinates; None if there are none."""
-    order = np.lexsort(position.T)
-    same = np.flatnonzero((np.diff(position[order], axis=0) == 0.0).all(axis=1))
-    if same.size == 0:
-        return None
-    return int(order[same[0]]), int(order[same[0] + 1])

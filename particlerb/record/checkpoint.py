@@ -55,19 +55,6 @@ class _Slot(NamedTuple):
     stored: str  # and as it was when that was written
 
 
-def _packed(arrays: Mapping[str, Any]) -> bytes:
-    """Bytes of an archive of arrays: the same for the same arrays."""
-    archive = io.BytesIO()
-    np.savez(archive, **arrays)
-    return archive.getvalue()
-
-
-def _unpacked(content: bytes) -> dict[str, Any]:
-    """Arrays of an archive."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
-
-
 def _make_slots(file: h5py.File, size: int) -> None:
     """Make both slots, empty, for contents of about so many bytes."""
     note(group(file, schema.CHECKPOINT), **{schema.CURRENT: np.int64(1)})
@@ -93,7 +80,9 @@ def _digest_of(content: bytes) -> str:
 
 def write_checkpoint(file: h5py.File, n_frames: int, arrays: Mapping[str, Any]) -> None:
     """Write the slot that does not count, and let it count, both with the next commit."""
-    content = _packed(arrays)
+    archive = io.BytesIO()
+    np.savez(archive, **arrays)  # the same bytes for the same arrays
+    content = archive.getvalue()
     if schema.CHECKPOINT not in file:
         _make_slots(file, len(content))
     place = file[schema.CHECKPOINT]
@@ -183,6 +172,7 @@ def read_checkpoint(file: h5py.File) -> Checkpoint:
 def _arrays_in(file: h5py.File, slot: _Slot) -> dict[str, Any]:
     """State in a slot."""
     try:
-        return _unpacked(slot.content)
+        with np.load(io.BytesIO(slot.content), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
     except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{file.filename}: the checkpoint cannot be read: {error}") from None

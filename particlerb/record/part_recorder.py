@@ -104,7 +104,6 @@ class PartRecorder:
                 self.master.commit_cut()
 
         def open_part(path: Path, system: System, of: Range) -> Recorder:
-            del of
             return Recorder.reopen(path, system, n_frames, known, is_part=True)
 
         ranks.together(open_master)
@@ -216,13 +215,7 @@ class PartRecorder:
         """Do something with all parts, and with the master when all ranks are done."""
         masters = [self.master] if self.master else []
         for recorders in ([recorder for _, recorder in self.own], masters):
-            self.ranks.together(partial(_for_each, work, recorders))
-
-
-def _for_each(work: Callable[[Recorder], None], recorders: list[Recorder]) -> None:
-    """Do something with recorders."""
-    for recorder in recorders:
-        work(recorder)
+            self.ranks.together(partial(list, map(work, recorders)))
 
 
 def _is_of_bodies(path: str) -> bool:

@@ -130,11 +130,6 @@ def free_bodies() -> StabilityScene:
     return scene(MOMENTS, _eight_spins())
 
 
-def _heavy_tops() -> StabilityScene:
-    """The same in a field that would let them librate with Ω = 0.3 rad/s about axis 1."""
-    return tops(_eight_spins(), np.full(8, 0.1))
-
-
 def _sprung_bodies() -> StabilityScene:
     """The same, each hung up at one of its points by a spring, 1 m off the other end: chaotic."""
     at = np.tile([[0.3], [0.2], [0.4]], (1, 8))
@@ -147,9 +142,10 @@ def _eight_spins() -> Floats:
     return unit_vectors(8, seed=3)
 
 
-MOTIONS: Final = {
+MOTIONS: Final[dict[str, Callable[[], StabilityScene]]] = {
     FREE: free_bodies,
-    "top in a field": _heavy_tops,
+    # The same in a field that would let them librate with Ω = 0.3 rad/s about axis 1.
+    "top in a field": lambda: tops(_eight_spins(), np.full(8, 0.1)),
     "body on a spring": _sprung_bodies,
 }
 

@@ -187,9 +187,8 @@ def chart(
 
 def curve_count(system: System, methods: Sequence[str], peers: Sequence[str]) -> int:
     """Curves that a chart will have, for a progress bar."""
-    return len(methods or (JOINTED if system.joint else UNJOINTED)) + sum(
-        len(engine.VARIANTS) for engine in engines(peers)
-    )
+    own = len(methods or (JOINTED if system.joint else UNJOINTED))
+    return own + sum(len(engine.VARIANTS) for engine in engines(peers))
 
 
 class Study:

@@ -83,7 +83,7 @@ def sums_of(products: Sequence[Product], kept: range) -> _Summing:
                 context.make_array(kind)(context, builder, value).data
                 for kind, value in zip(signature.args, arguments, strict=True)
             ]
-            groups = ir.Constant(_types_of(context), LANES // _REGISTER)
+            groups = ir.Constant(context.get_value_type(types.intp), LANES // _REGISTER)
             with cgutils.for_range(builder, groups) as loop:
                 _Lanes(builder, arrays, loop.index).take(products, kept)
             return context.get_dummy_value()
@@ -91,11 +91,6 @@ def sums_of(products: Sequence[Product], kept: range) -> _Summing:
         return types.void(rows, numbers), generate
 
     return cast(_Summing, sums)
-
-
-def _types_of(context: Any) -> Any:
-    """LLVM's type of an index."""
-    return context.get_value_type(types.intp)
 
 
 class _Lanes:

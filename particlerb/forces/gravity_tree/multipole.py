@@ -27,7 +27,7 @@ import numpy as np
 from particlerb.compiled.jit import inline
 from particlerb.forces.attraction import inverse_root
 from particlerb.forces.gravity_tree.lanes import LANES, Product, at, lane_sum, sums_of
-from particlerb.maths.vec3 import Floats, Ints, Vec3
+from particlerb.maths.vec3 import Floats, Vec3
 
 ORDER: Final = 5  # p: the fastest for errors of 1e-3 to 1e-4; 7 is, by a fifth, for 1e-5
 
@@ -165,15 +165,10 @@ _sum_fields = sums_of([*_particle_powers(), *_particle_fields()], range(FIELD, F
 # From cell to cell
 
 
-def table(rows: list[tuple[int, ...]]) -> Ints:
-    """Rows of numbers as a constant of kernels."""
-    return np.array(rows, dtype=np.int64)
-
-
-_POWERS: Final = table(
+_POWERS: Final = np.array(
     [(_AT[i], _AT[less], axis, i[axis]) for i in _OWN[1:] for axis, less in [_step_down(i)]]
 )  # a^{α+e}/(α+e)! = a^α/α! a_e/(α_e + 1): rows α + e and α, axis, divisor
-_SHIFTS: Final = table(
+_SHIFTS: Final = np.array(
     [(_AT[a], _AT[b], _AT[plus(a, b)]) for a in _OWN for b in _OWN if plus(a, b) in _AT]
 )  # all α, β, α + β of order p at most
 SIGNS: Final = np.array([(-1.0) ** sum(i) for i in _OWN])
