@@ -21,6 +21,8 @@ from particlerb.maths.trig import scale_of
 from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, load3, store3
 from particlerb.rotors.theta import (
     TINY,
+    NearCoefficients,
+    ThetaCoefficients,
     near_constants,
     near_local,
     reduce,
@@ -179,6 +181,29 @@ def _pairs(high: Vec3, low: Vec3) -> tuple[Pair, Pair, Pair]:
     return (high[0], low[0]), (high[1], low[1]), (high[2], low[2])
 
 
+@inline
+def theta_turn(
+    inertia: Vec3, m: dd.Wide3, q: Quat, rate: float
+) -> tuple[Vec3, Quat, Quat, ThetaCoefficients]:
+    """Clock, left, right and coefficients of a ThetaTurn, L in the rotor frame; see `exact`."""
+    body = reduce(inertia, m)
+    time, of = theta_constants(body)
+    left = world_factor(q, theta_local(time.start, of), body.frame)
+    return (time.start, time.rate * rate, time.nu * rate), left, body.frame, of
+
+
+@inline
+def near_turn(
+    inertia: Vec3, m: dd.Wide3, q: Quat, rate: float
+) -> tuple[Vec3, Quat, Quat, NearCoefficients]:
+    """The same of a HyperbolicTurn."""
+    body = reduce(inertia, m)
+    time, of = near_constants(body)
+    local, delta = near_local(time.start, of)
+    left = twist(world_factor(q, local, body.frame), -delta)
+    return (time.start, time.rate * rate, time.nu * rate), left, body.frame, of
+
+
 @kernel
 def theta_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> None:
     """Constants of ThetaTurn: right, and in one table clock, left, series."""
@@ -189,14 +214,12 @@ def theta_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> N
         moment, turn, rate, high, low = _inputs(s)
         frame, clock, left, series = _rows_4(s, 14), _rows_3(s, 18), _rows_4(s, 21), _rows_3(s, 25)
         for b in range(_BLOCK):
-            q_b = load4(turn, b)
-            body = reduce(load3(moment, b), _pairs(load3(high, b), load3(low, b)))
-            time, of = theta_constants(body)
-            local = theta_local(time.start, of)
-            store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
-            store4(left, b, world_factor(q_b, local, body.frame))
-            store4(frame, b, body.frame)
-            store3(series, b, of)
+            m = _pairs(load3(high, b), load3(low, b))
+            own = theta_turn(load3(moment, b), m, load4(turn, b), rate[b])
+            store3(clock, b, own[0])
+            store4(left, b, own[1])
+            store4(frame, b, own[2])
+            store3(series, b, own[3])
         _drain(s, lo, hi, table, right)
 
 
@@ -212,13 +235,12 @@ def near_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> No
         scale, phase = _rows_4(s, 25), s[29]
         cosines, sines = (_rows_3(s, 30), _rows_3(s, 33)), (_rows_3(s, 36), _rows_3(s, 39))
         for b in range(_BLOCK):
-            q_b = load4(turn, b)
-            body = reduce(load3(moment, b), _pairs(load3(high, b), load3(low, b)))
-            time, of = near_constants(body)
-            local, delta = near_local(time.start, of)
-            store3(clock, b, (time.start, time.rate * rate[b], time.nu * rate[b]))
-            store4(left, b, twist(world_factor(q_b, local, body.frame), -delta))
-            store4(frame, b, body.frame)
+            m = _pairs(load3(high, b), load3(low, b))
+            own = near_turn(load3(moment, b), m, load4(turn, b), rate[b])
+            of = own[3]
+            store3(clock, b, own[0])
+            store4(left, b, own[1])
+            store4(frame, b, own[2])
             store4(scale, b, (of.fall, of.r, of.s, of.kappa))
             phase[b] = of.turn
             store3(cosines[0], b, of.cosines[:3])

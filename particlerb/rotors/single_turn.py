@@ -13,18 +13,14 @@ from particlerb.maths.quaternion import Quat, multiply, to_body
 from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, Vec3, norm, scale
 from particlerb.rotors.exact import CROSSOVER
-from particlerb.rotors.exact_setup import complementary_modulus, world_factor
+from particlerb.rotors.exact_setup import complementary_modulus, near_turn, theta_turn
 from particlerb.rotors.theta import (
     TINY,
     NearCoefficients,
     ThetaCoefficients,
-    near_constants,
     near_local,
     oriented,
-    reduce,
-    theta_constants,
     theta_local,
-    twist,
 )
 
 STEADY_COLUMNS: Final = 10
@@ -64,24 +60,20 @@ def _set_steady(turn: Floats, b: int, q: Quat, L: Vec3, about: float, along: flo
 @lean
 def _set_theta(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
     """Write a turn of `exact.ThetaTurn`; moments and L in units whose ratio is `rate`."""
-    body = reduce(inertia, dd.to_body(q, L))
-    time, of = theta_constants(body)
-    left = world_factor(q, theta_local(time.start, of), body.frame)
-    _put(turn, b, 0, (_THETA, time.start, time.rate * rate, time.nu * rate))
+    clock, left, right, of = theta_turn(inertia, dd.to_body(q, L), q, rate)
+    _put(turn, b, 0, (_THETA, clock[0], clock[1], clock[2]))
     _put(turn, b, 4, left)
-    _put(turn, b, 8, body.frame)
+    _put(turn, b, 8, right)
     turn[b, 12], turn[b, 13], turn[b, 14] = of.cosh, of.sinh, of.kappa
 
 
 @lean
 def _set_near(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
     """Write a turn of `exact.HyperbolicTurn`."""
-    body = reduce(inertia, dd.to_body(q, L))
-    time, of = near_constants(body)
-    local, delta = near_local(time.start, of)
-    _put(turn, b, 0, (_NEAR, time.start, time.rate * rate, time.nu * rate))
-    _put(turn, b, 4, twist(world_factor(q, local, body.frame), -delta))
-    _put(turn, b, 8, body.frame)
+    clock, left, right, of = near_turn(inertia, dd.to_body(q, L), q, rate)
+    _put(turn, b, 0, (_NEAR, clock[0], clock[1], clock[2]))
+    _put(turn, b, 4, left)
+    _put(turn, b, 8, right)
     _put(turn, b, 12, (of.fall, of.r, of.s, of.kappa))
     turn[b, 16] = of.turn
     for k in range(6):
