@@ -20,7 +20,7 @@ from typing import NoReturn
 
 import particlerb
 from particlerb.cli.arguments import COMMANDS
-from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, Ending, tamed
+from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, Ending, fault_text, tamed
 from particlerb.cli.guard import guarded, wants_guard
 
 _EPILOG = """\
@@ -66,6 +66,7 @@ def main(words: Sequence[str] | None = None) -> int:
         _tell_progress()
         module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
         code: int = getattr(module, f"{options.command}_command")(options)
+        sys.stdout.flush()
         return code
     except Ending as error:
         return _complain(str(error), error.code)
@@ -77,7 +78,7 @@ def main(words: Sequence[str] | None = None) -> int:
     except MemoryError:
         return _complain("out of memory: fewer bodies or particles would fit", FAILED)
     except OSError as error:
-        return _complain(str(error), FAILED)
+        return _complain(fault_text(error), FAILED)
 
 
 def _tell_progress() -> None:

@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import math
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -78,6 +79,15 @@ def opened(path: str) -> Trajectory:
 def readable() -> contextlib.AbstractContextManager[None]:
     """End the command with one message where a trajectory turns out to be damaged."""
     return ending(TrajectoryError, code=FAILED)
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """End the command where the file of a path cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise Ending(f"cannot write {path}: {error.strerror or error}", FAILED) from None
 
 
 def amount(size: float) -> str:

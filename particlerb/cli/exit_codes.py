@@ -1,6 +1,8 @@
 """How a command ends: exit codes, and the one message of what went wrong. Imports nothing heavy."""
 
 import contextlib
+import errno
+import os
 from collections.abc import Iterator
 from typing import Final
 
@@ -9,6 +11,7 @@ FAILED: Final = 1
 _WRONG: Final = 2
 MISSED: Final = 3
 INTERRUPTED: Final = 130
+_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # what a full disk says
 _CONTROLS: Final = dict.fromkeys((*range(32), *range(127, 160)), "�")
 
 
@@ -32,3 +35,20 @@ def ending(*errors: type[Exception], code: int = _WRONG) -> Iterator[None]:
 def tamed(text: str) -> str:
     """Text of a file that no terminal takes for an order: lines and tabs stay."""
     return text.translate(_CONTROLS | {ord(c): c for c in "\n\t"})
+
+
+def fault_text(error: OSError) -> str:
+    """What the system refused, and where: it names neither stdout nor the current folder."""
+    reason = error.strerror or str(error)
+    if error.filename is not None:
+        return f"{error.filename}: {reason}"
+    try:
+        os.getcwd()
+    except OSError:
+        return "the current folder is gone: change to one that is there"
+    if error.errno in _ROOM:
+        try:
+            print(flush=True)
+        except OSError:
+            return f"stdout cannot be written: {reason}"
+    return f"a file cannot be read or written: {reason}"

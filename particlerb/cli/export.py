@@ -4,8 +4,6 @@ The kind of the input decides: a case, a table or a mesh holds bodies, all else 
 """
 
 import argparse
-import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -13,8 +11,8 @@ from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
 from particlerb.cli.bodies import case_of, holds_bodies, named_bodies
-from particlerb.cli.common import opened, output_of, readable, to_write
-from particlerb.cli.exit_codes import DONE, FAILED, Ending, ending
+from particlerb.cli.common import opened, output_of, readable, to_write, writing
+from particlerb.cli.exit_codes import DONE, Ending, ending
 from particlerb.export import FORMATS, ExportError, export
 from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
 from particlerb.studies.text import count_of
@@ -53,7 +51,7 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
     path = output_of(options, Path(stem + BODY_FORMATS[options.to].suffix), Path(options.file))
     if options.to == "lammps":
         to_write(path.with_suffix(".rigid"), options.overwrite, Path(options.file))
-    with _writing(path):
+    with ending(ExportError), writing(path):
         written = export_bodies(found, path, options.to)
     print(f"written: {', '.join(map(str, written))}")
     return DONE
@@ -68,7 +66,7 @@ def _export_scene(options: argparse.Namespace, case: Case) -> int:
 
     source = Path(options.file)
     path = output_of(options, source.with_suffix(_SCENES[options.to]), source)
-    with ending(CaseError), _writing(path):
+    with ending(CaseError, ExportError), writing(path):
         prepared = prepare(to_system(case))
         system, step = prepared.system, step_of(prepared)
         if options.to == "lammps":
@@ -94,17 +92,7 @@ def _export_trajectory(options: argparse.Namespace) -> int:
     added = {"particles": "_particles", "h5": "_whole"}.get(options.to, "")
     named = source.with_name(f"{source.stem}{added}{source.suffix}")
     path = output_of(options, named.with_suffix(FORMATS[options.to][0]), Path(options.file))
-    with opened(options.file) as trajectory, readable(), _writing(path):
+    with opened(options.file) as trajectory, readable(), ending(ExportError), writing(path):
         n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)
     print(f"written: {path} ({count_of(n, 'frame')})")
     return DONE
-
-
-@contextlib.contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """End the command where an export is not possible, or its file cannot be written."""
-    with ending(ExportError):
-        try:
-            yield
-        except OSError as error:
-            raise Ending(f"cannot write {path}: {error.strerror or error}", FAILED) from None

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import particlerb
-from particlerb.cli.common import PICTURES, amount, opened, output_of, readable
+from particlerb.cli.common import PICTURES, amount, opened, output_of, readable, writing
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
 from particlerb.model.state import STATE_FIELDS
 from particlerb.record.parts import folder_beside, parts_in
@@ -113,11 +113,12 @@ def plot_command(options: argparse.Namespace) -> int:
             near = difflib.get_close_matches(options.body, names, 3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"the first is {names[0]}"
             raise Ending(f"{options.body}: no such body in {options.file}; {hint}")
-        if options.contacts:
-            from particlerb.studies.charts.contacts import draw_contacts
+        with writing(path):
+            if options.contacts:
+                from particlerb.studies.charts.contacts import draw_contacts
 
-            draw_contacts(trajectory, path)
-        else:
-            particlerb.plot(trajectory, path, body=options.body)
+                draw_contacts(trajectory, path)
+            else:
+                particlerb.plot(trajectory, path, body=options.body)
     print(f"written: {path}")
     return DONE

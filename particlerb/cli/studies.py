@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
-from particlerb.cli.common import read_case, to_write
+from particlerb.cli.common import read_case, to_write, writing
 from particlerb.cli.exit_codes import DONE, Ending, ending
 
 
@@ -76,11 +76,12 @@ def _show(
     """
     print(words.table(found))
     written = list(paths["csv"])
-    with written[0].open("w", newline="", encoding="utf-8") as file:
+    with writing(written[0]), written[0].open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(words.csv_rows(found))
     for name, draw in pictures.items():
         for path in paths[name]:
-            draw(found, path)
+            with writing(path):
+                draw(found, path)
             written.append(path)
     print(f"written: {', '.join(map(str, written))}")
     return DONE

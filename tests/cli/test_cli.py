@@ -581,6 +581,28 @@ def test_a_terminal_without_greek_letters_gets_an_answer(here):
     assert "kg m?" in done.stdout
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("methods > /dev/full", "stdout cannot be written: No space left on device"),
+        ("cases > /dev/full", "stdout cannot be written: No space left on device"),
+        ("run tumbling_brick -q", "the current folder is gone: change to one that is there"),
+    ],
+)
+def test_a_refusal_of_the_system_names_its_place(here, words, message):
+    """Stdout on a full disk, and a folder that was removed, have no name in the system's error."""
+    gone = here / "gone"
+    gone.mkdir()
+    at = f'cd gone && rmdir "{gone}" && ' if "full" not in words else ""
+    root = str(Path(particlerb.__file__).parents[1])
+    done = subprocess.run(
+        ["sh", "-c", f'{at}"$0" -m particlerb {words}', sys.executable],
+        env=os.environ | {"PYTHONPATH": root}, stderr=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr == f"particlerb: {message}\n"
+
+
 def test_a_file_does_not_take_the_place_of_a_closed_stream(here):
     """As a service may be started: what goes to stderr must not end up in the file."""
     words = '"$0" -m particlerb cube.toml -o a.h5 --set run.threads=1 <&- >&- 2>&-'
