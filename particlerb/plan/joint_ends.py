@@ -58,6 +58,7 @@ def _frames(system: System, bodies: Ints) -> tuple[Floats, Floats, Floats]:
     return com, body, rotor
 
 
+@np.errstate(over="ignore", invalid="ignore")  # such a size is refused
 def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> Ends:
     """Points and directions of the joints of a table, in rotor frames."""
     k = first.size

@@ -48,6 +48,7 @@ from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 _ALLOWED: Final = 1e-6  # of its size that a joint may not fit at the start
 _FITS: Final = 1e-9  # of its size, once assembled
 _AXIAL_ROUNDING: Final = 1e-12
+_FARTHEST: Final = 1e100  # [m] of its bodies that a joint may be: squares of it are numbers
 
 
 class JointSetup(NamedTuple):
@@ -155,6 +156,10 @@ def joints_of(system: System) -> JointSetup | None:
         if table.type == "distance" and not ends.length.all():
             reason = f"{joint_name(system, table, first, second, 0)} has no length"
             problems.append(problem_at(system, f"joint[{number}]", reason, "give points apart"))
+            continue
+        if not (ends.size < _FARTHEST).all():
+            reason = f"acts too far from its bodies: squares overflow beyond {_FARTHEST:g} m"
+            problems.append(problem_at(system, f"joint[{number}].at", reason, "place it nearer"))
             continue
         acts = any(getattr(table, key) for key in ACTIONS)
         drive = driven.index(number) if number in driven else AT_REST
