@@ -21,7 +21,7 @@ from particlerb.record.checksums import Words, frame_checksums
 from particlerb.record.frame_values import NewFrames, values_of
 from particlerb.record.output_file import waiting_in
 from particlerb.record.output_path import output_path
-from particlerb.record.parts import Parts, folder_beside, folder_of, folder_used_by
+from particlerb.record.parts import Parts, folder_beside, folder_of
 from particlerb.record.writer import SECONDS_BETWEEN_COMMITS, SHARE_OF_CHECKPOINTS, Recorder
 
 _Checkpoints = Callable[[], Callable[[Range], Mapping[str, Any]]]
@@ -239,7 +239,7 @@ def _folder(path: Path, overwrite: bool, ranks: Ranks) -> str:
     if ranks.number:
         return ""
     place = output_path(path, overwrite)
-    name = folder_of(place, folder_used_by(place))
+    name = folder_of(place)
     folder = place.parent / name
     is_left_over = waiting_in(folder, place).exists()  # of a run that was killed
     if any(folder.glob(_ANY_PART)) and not (overwrite or is_left_over):

@@ -6,21 +6,24 @@ and folder are moved together. A part that is missing would be read as NaN witho
 opens a master looks at each part first.
 """
 
+import logging
 import os
 import re
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
 import h5py
 import numpy as np
-from h5py import h5d, h5p, h5s
+from h5py import h5d, h5p, h5s, is_hdf5
 
 from particlerb.model.superblocks import Range
 from particlerb.record.hdf5 import WITH_GROUPS, header_attribute, note
 
 Found = TypeVar("Found")
 
+_LOG: Final = logging.getLogger(__name__)
 _FOLDER: Final = "parts_folder"  # root attributes of a master: name of the folder,
 _EDGES: Final = "parts"  # first body of each part, and how many bodies there are
 _RANGE: Final = "bodies"  # of a part: first body, and the one behind the last
@@ -54,24 +57,34 @@ def folder_beside(path: Path) -> Path:
     return Path(os.path.realpath(path)).parent
 
 
-def folder_of(path: Path, used: str = "") -> str:
-    """Name of the folder for the parts of a new master: not the one that is used."""
-    name = f"{path.stem}.parts"
-    return f"{path.stem}.2.parts" if name == used else name
+def folder_of(path: Path) -> str:
+    """Name of the folder for the parts of a new master: one that no master beside it uses."""
+    for k in count(1):
+        name = f"{path.stem}.{k}.parts" if k > 1 else f"{path.stem}.parts"
+        if not masters_of(path.parent / name):
+            return name
+    raise AssertionError
 
 
-def folder_used_by(path: Path) -> str:
-    """Name of the folder that the parts of a file are in; empty where it has none."""
-    parts = _looked_up(path, parts_in)
-    return parts.folder if parts else ""
+def masters_of(folder: Path) -> list[Path]:
+    """Files that have their parts in a folder: a master, and copies of it."""
+    if not folder.is_dir():
+        return []
+    beside = (own for own in sorted(folder.parent.iterdir()) if own.is_file() and is_hdf5(own))
+    found = ((own, _looked_up(own, parts_in)) for own in beside)
+    return [own for own, parts in found if parts and parts.folder == folder.name]
 
 
 def parts_used_by(path: Path) -> list[Path]:
-    """Parts of a file, those of them that are its own; none where it has none."""
+    """Parts of a file, those of them that are its alone; none where it has none."""
     parts = _looked_up(path, parts_in)
     each = zip(parts.names, parts.ranges, strict=True) if parts else ()
     found = [(folder_beside(path) / name, of) for name, of in each]
-    return [own for own, of in found if parts and _looked_up(own, range_in) == (of, parts.run)]
+    own = [own for own, of in found if parts and _looked_up(own, range_in) == (of, parts.run)]
+    copies = [other for other in masters_of(own[0].parent) if other != path] if own else []
+    if copies:
+        _LOG.warning("%s stays: %s has its parts there too", own[0].parent, copies[0])
+    return [] if copies else own
 
 
 def _looked_up(path: Path, what: Callable[[h5py.File], Found | None]) -> Found | None:

@@ -216,6 +216,25 @@ def test_old_parts_stay_until_new_ones_are_committed(monkeypatch, tmp_path):
     other.unlink()
 
 
+@pytest.mark.plain
+def test_a_copied_master_keeps_its_parts(monkeypatch, tmp_path, capsys):
+    """Names of parts are relative: a copy beside its original has the same ones."""
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    monkeypatch.setattr(of_commands, "ranks_of_mpi", lambda: ALONE)
+    path, copy = tmp_path / "run.h5", tmp_path / "copy.bak"
+    words = [*map(str, run_words(path, "-q", "--mpi"))]
+    assert main(words) == 0
+    copy.write_bytes(path.read_bytes())
+    before = digests(path)
+    plain = [word for word in words if word != "--mpi"]
+    for again in (words, words, plain):
+        assert main([*again, "--overwrite"]) == 0
+        assert digests(copy) == before
+    said = f"{tmp_path}/run.parts stays: {copy} has its parts there too"
+    assert capsys.readouterr().err.splitlines() == [said]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.bak", "run.h5", "run.parts"]
+
+
 def fails(*_: object) -> None:
     """Fail as a disk does."""
     raise OSError(28, "No space left on device", "part")
