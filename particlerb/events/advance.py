@@ -5,13 +5,16 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.events.collide import collide
 from particlerb.events.predict import cross, predict
 from particlerb.events.records import (
     AT_ONCE,
+    CELL,
     DONE,
     ENDLESS,
     EXIT,
+    FAR,
     HIT,
     HITS,
     INSTANT,
@@ -82,6 +85,8 @@ def advance(
         c, partner, side = int(np.int64(state.info[b, PARTNER])), -1, -1
         if state.at[b, LEAVE] < state.at[b, HIT]:
             side = int(np.int64(state.info[b, EXIT]))
+            if abs(np.int64(state.info[b, CELL + side // 2])) >= LARGEST_NUMBER:
+                return FAR, b
             cross(scene, state, b)
         elif c == WALL or state.info[b, STAMP] == state.info[c, HITS]:
             result = _hit(scene, state, work, b, c, t)

@@ -80,6 +80,7 @@ MORE: Final = 1  # as many events as it may take, and time is left
 ENDLESS: Final = 2  # impacts do not come to an end
 OVERLAP: Final = 3  # spheres overlap by more than rounding
 UNFOUND: Final = 4  # a search took too many steps
+FAR: Final = 5  # a body is in the last cell that has a number
 
 _LINE: Final = 64  # bytes of a line of the cache
 

@@ -118,7 +118,8 @@ class ContactChecks:
                 f"at t = {now:.6g} s"
                 f" body {int(self.members[b])} moves by {path:.3g} m in a step of"
                 f" {self.dt:.3g} s, more than its smallest radius, {radius:.3g} m: it could pass"
-                f" through another; dt = {0.5 * radius / speed[b]:.2g} s or less is right"
+                f" through another; dt = {0.5 * radius / speed[b]:.2g} s or less is right up to"
+                f" {2.0 * speed[b]:.3g} m/s"
             )
 
     def light_pistons(self, contact: MovingContact, now: float) -> None:

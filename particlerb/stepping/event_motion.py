@@ -13,6 +13,7 @@ from particlerb.events.records import (
     BOUND,
     DONE,
     ENDLESS,
+    FAR,
     FIRST,
     MASS,
     MOMENT,
@@ -33,6 +34,7 @@ from particlerb.stepping.saved_arrays import Saved, to_arrays
 _PER_CALL: Final = 100_000  # events: progress and Ctrl-C in between
 _WHY: Final = {
     ENDLESS: "impacts follow each other ever faster: give a longer contact.contact_time",
+    FAR: "it has flown through as many cells as 32 bits number: begin nearer, or end earlier",
     OVERLAP: "it overlaps what it hits by more than rounding: an impact was missed",
 }
 _SEARCH: Final = "the search for its next impact does not end: it slides along what it touches"

@@ -8,6 +8,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
+from particlerb.events import advance
 from particlerb.impulses.records import IMPACTS
 from particlerb.simulation.run import Run, prepare
 
@@ -259,3 +260,14 @@ def test_more_cells_than_their_numbers_allow_are_refused():
     balls = [sphere("a", position=[1e16, 0, 0]), sphere("b")]
     with pytest.raises(particlerb.RunError, match="their numbers end at 2147483647"):
         go(*balls, contact=events(), t_end=1.0, every=1.0)
+
+
+@plain
+def test_a_body_that_flies_beyond_the_last_cell_with_a_number_ends_the_run(monkeypatch):
+    """Its cell would get the number of one at the other end."""
+    monkeypatch.setattr(advance, "LARGEST_NUMBER", 7)
+    balls = sphere("a", velocity=[-1.0, 0.3, 0]), sphere("b", position=[1.0, 0, 0])
+    near = go(*balls, contact=events(), t_end=1.0, every=1.0)
+    assert near.position[-1, 0, 0] == -1.0
+    with pytest.raises(particlerb.RunError, match="as many cells as 32 bits number"):
+        go(*balls, contact=events(), t_end=40.0, every=1.0)
