@@ -202,7 +202,11 @@ class _KernelCache(caching.FunctionCache):
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep the compiled code of a signature, if that can be."""
         try:
-            super().save_overload(signature, compiled)
+            try:
+                super().save_overload(signature, compiled)
+            except FileNotFoundError:  # another process has just pruned the folder
+                super().save_overload(signature, compiled)
+            os.utime(str(CACHE_FOLDER))  # in use: others are pruned first
         except pickle.PicklingError:  # of functions without a text
             return
         except OSError:

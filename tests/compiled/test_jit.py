@@ -169,6 +169,35 @@ def files(folder):
 
 
 @pytest.mark.compiled
+def test_a_folder_that_is_pruned_while_code_is_kept_is_made_again(fresh, monkeypatch):
+    """A process with other sources may take it for one that nobody uses, between any two files."""
+    load, folder = fresh
+    save, pruned = _jit._CheckedFiles._save_data, []
+
+    def prune_once(self, name, data):
+        if not pruned:
+            pruned.append(name)
+            shutil.rmtree(folder)
+        save(self, name, data)
+
+    monkeypatch.setattr(_jit._CheckedFiles, "_save_data", prune_once)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        works(load, False)
+    assert pruned
+    works(load, True)
+
+
+@pytest.mark.compiled
+def test_code_that_is_kept_makes_its_folder_one_in_use(fresh):
+    """Folders are pruned by their times: one that is filled for long was the oldest."""
+    load, folder = fresh
+    os.utime(folder, (0.0, 0.0))
+    works(load, False)
+    assert folder.stat().st_mtime > 0.0
+
+
+@pytest.mark.compiled
 @pytest.mark.parametrize("which", [0, 1])
 def test_what_is_damaged_is_thrown_away(fresh, which):
     """Emptied, cut and changed anywhere; the next start but one finds whole files again."""
