@@ -19,6 +19,7 @@ from particlerb.model.totals import N_TOTALS, Totals
 from particlerb.ranks import ALONE, Ranks
 
 _STILL = 1e-20  # share of the energy of a motion that is seen; below it there is none
+_BORNE = 1e-6  # share of what weights give to momenta; below it something bears them
 
 
 class Entries(NamedTuple):
@@ -144,11 +145,12 @@ class EnergyBalance:
         return Entries(*single, *vectors)
 
     def drift(
-        self, bodies: Bodies, com: Floats, duration: float, ranks: Ranks = ALONE
+        self, bodies: Bodies, com: Floats, duration: float, ranks: Ranks = ALONE, g: float = 0.0
     ) -> ConservationError:
         """Largest errors until now over the largest scales.
 
-        Where nothing moves but by rounding, the scales are those of a motion that is seen.
+        Where nothing moves but by rounding, the scales are those of a motion that is seen; where
+        momenta are nothing beside what weights give them and what bears them takes, it is that.
 
         Parameters
         ----------
@@ -158,15 +160,20 @@ class EnergyBalance:
             Of the run.
         ranks : Ranks
             Each with bodies of its own.
+        g : float [m/s²]
+            Size of the acceleration of gravity.
         """
         sizes = _sizes(bodies, com, len(self.initial))
         each = [own.max(axis=0, initial=0.0) for own, _ in ranks.gathered(sizes)]
         R = np.max(each, axis=0)
-        momentum = summed(sizes[1], ranks) * R / duration
+        mass = summed(sizes[1], ranks)
+        momentum = mass * R / duration
         seen = np.stack([momentum * R / duration, momentum, momentum * R])
         seen[0] += np.abs(self.initial[:, 0])
         is_still = self.scales[0] < _STILL * seen[0]
         scales = np.where(is_still, np.maximum(self.scales, seen), self.scales)
+        weight = mass * g * duration
+        scales[1] = np.where(scales[1] < _BORNE * weight, weight, scales[1])
         safe: Floats = np.where(scales > 0.0, scales, 1.0)
         relative = self.errors / safe
         return ConservationError(*(relative if self.shape else relative[:, 0]).tolist())

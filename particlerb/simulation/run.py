@@ -154,8 +154,9 @@ def advance(
             raise RunError(str(problem)) from None
         raise
     recorder.finish()
+    of = run.counted, run.moving.state.com, prepared.system.run.t_end, ranks
     return Outcome(
-        run.balance.drift(run.counted, run.moving.state.com, prepared.system.run.t_end, ranks),
+        run.balance.drift(*of, float(np.linalg.norm(run.gravity))),
         tuple(run.probes),
         recorder.file,
         run.flown(),

@@ -10,6 +10,7 @@ from particlerb.model.balance import ConservationError, EnergyBalance, Entries
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, as_frame, kinetic_energy, omega_world
 from particlerb.model.totals import totals
+from particlerb.ranks import ALONE
 from particlerb.record.trajectory import Trajectory
 from particlerb.simulation.checks import results
 from particlerb.simulation.run import prepare, run_prepared
@@ -282,6 +283,11 @@ def test_drift_is_relative_to_the_largest_energy_and_momenta(make):
         67.5 / 75.0
     )  # energy turned over
     assert ledger.drift(bodies, np.zeros((3, 1)), 1.0).linear_momentum == pytest.approx(1.0)
+    of = bodies, np.zeros((3, 1)), 1.0, ALONE
+    assert ledger.drift(*of, 9.9e5).linear_momentum == pytest.approx(1.0)
+    borne = ledger.drift(*of, 1.1e7)  # rounding of sums of impulses of floors, over its weight
+    assert borne.linear_momentum == pytest.approx(2.0 * 3**0.5 / 2.2e7)
+    assert borne.angular_momentum == pytest.approx(1.0)
 
 
 def test_booked_momenta_are_taken_away(make):
