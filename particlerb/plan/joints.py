@@ -35,6 +35,7 @@ from particlerb.joints.records import (
 from particlerb.joints.rows import linearise, rates, residuals
 from particlerb.joints.setup import NO_ACTIONS, both_actions, joints_among
 from particlerb.joints.solver import constrained_drift, project_momenta
+from particlerb.joints.types import Ends
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import State, lengths, rotate_back
@@ -153,13 +154,8 @@ def joints_of(system: System) -> JointSetup | None:
             problems.append(problem)
             continue
         ends = ends_of(system, table, first, second)
-        if table.type == "distance" and not ends.length.all():
-            reason = f"{joint_name(system, table, first, second, 0)} has no length"
-            problems.append(problem_at(system, f"joint[{number}]", reason, "give points apart"))
-            continue
-        if not (ends.size < _FARTHEST).all():
-            reason = f"acts too far from its bodies: squares overflow beyond {_FARTHEST:g} m"
-            problems.append(problem_at(system, f"joint[{number}].at", reason, "place it nearer"))
+        if problem := _wrong_place(system, number, ends):
+            problems.append(problem)
             continue
         acts = any(getattr(table, key) for key in ACTIONS)
         drive = driven.index(number) if number in driven else AT_REST
@@ -224,6 +220,18 @@ def _wrong_ends(system: System, number: int, first: Ints, second: Ints) -> Probl
                 system, f"joint[{number}].during", reason, "add [contact], or keep it"
             )
     return None
+
+
+def _wrong_place(system: System, number: int, ends: Ends) -> Problem | None:
+    """What is wrong with where a joint is: points that are to be apart, or too far from bodies."""
+    table = system.joint[number]
+    if table.type == "distance" and not ends.length.all():
+        reason = f"{joint_name(system, table, ends.a, ends.b, 0)} has no length"
+        return problem_at(system, f"joint[{number}]", reason, "give points apart")
+    if (ends.size < _FARTHEST).all():
+        return None
+    reason = f"acts too far from its bodies: squares overflow beyond {_FARTHEST:g} m"
+    return problem_at(system, f"joint[{number}].at", reason, "place it nearer")
 
 
 # Whether they fit
