@@ -11,8 +11,10 @@ from stops import HERE, command, digests, needs_mpi, whole
 
 import particlerb
 from particlerb.cli import main
+from particlerb.cli import ranks as of_commands
+from particlerb.model import superblocks
 from particlerb.model.bricks import Bricks
-from particlerb.ranks import Ranks
+from particlerb.ranks import ALONE, Ranks
 
 
 def run(case: str, path: Path, ranks: int, *more: str) -> subprocess.CompletedProcess[str]:
@@ -54,6 +56,21 @@ def test_clumps_that_collide_across_borders_keep_their_momentum(tmp_path):
     assert np.abs(p[-1] - p[0]).sum() > 1.0  # [kg m/s] they have collided
     total = p.sum(axis=1)
     assert np.abs(total - total[0]).max() <= 1e-13 * np.abs(p[0]).sum()
+
+
+@pytest.mark.plain
+def test_contacts_of_several_parts_are_kept_and_continued(monkeypatch, tmp_path):
+    """Of pairs whose clumps lie in different parts, too, while they touch."""
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 8)
+    monkeypatch.setattr(of_commands, "ranks_of_mpi", lambda: ALONE)
+    straight, path = tmp_path / "straight.h5", tmp_path / "run.h5"
+    words = [str(HERE / "gas.toml"), "-q", "--mpi", "--threads", "1", "--set", "run.every=0.01"]
+    assert main([*words, "-o", str(straight), "--set", "run.t_end=0.05"]) == 0
+    assert main([*words, "-o", str(path), "--set", "run.t_end=0.04"]) == 0
+    springs = [v for k, v in whole(path).items() if k.endswith("of_bodies.values.0")]
+    assert sum(len(v) > 0 for v in springs) >= 2
+    assert main(["resume", str(path), "-q", "--t-end", "0.05"]) == 0
+    assert whole(path) == whole(straight)
 
 
 @pytest.mark.plain
