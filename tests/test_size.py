@@ -26,6 +26,7 @@ BUDGETS = {
     "rows of loops that rest in a singular pose": 30,
     "prescribed motion in joints, and driven bodies there": 335,
     "joints that break": 128,
+    "rows at rest in singular poses, by what their impulses may be": 27,
     "the instant at which they do": 75,
     "joints that merge bodies": 370,
     "why some do not": 26,
@@ -82,6 +83,7 @@ BUDGETS = {
     "cells of events whose numbers have 32 bits": 6,
     "forces with a potential on bodies that touch over ranks": 21,
     "parts that are removed with their master, and counted in its size": 31,
+    "what the system refuses without a name; copies of masters; cells behind the last": 17,
 }
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 

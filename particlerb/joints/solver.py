@@ -23,8 +23,18 @@ from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.breaking import leave_out, let_break
 from particlerb.joints.drives import carry, set_moving
 from particlerb.joints.records import HOLDS, STATE, Joints, L, P, Q, Work, X
-from particlerb.joints.rows import add_impulses, attitude, linearise, rates, residuals, vector
+from particlerb.joints.rows import (
+    add_impulses,
+    attitude,
+    by_inverse_inertia,
+    is_of_directions,
+    linearise,
+    rates,
+    residuals,
+    vector,
+)
 from particlerb.maths.quaternion import to_body
+from particlerb.maths.vec3 import dot
 from particlerb.rotors.symmetric_split import symmetric_split, symmetric_top
 
 MOST_ITERATIONS: Final = 60
@@ -154,14 +164,14 @@ def constrained_drift(
 def _pass_singular_pose(joints: Joints, work: Work, c: int, t: float, dt: float) -> None:
     """Drift anew without the rows that all but depend on others: for this step they rest.
 
-    They are as few as let the others converge.
+    They are as few as let the others converge by impulses that bodies as slow as these can give
+    each other, and leave all but closed themselves: with one that all but depends on others left
+    in, the others meet in another branch, or where all of them lock.
     """
     clusters, start, share = joints.clusters, joints.program.start, joints.clusters.smallest_pivot
     first, last, usual = clusters.joint[c], clusters.joint[c + 1], share[c]
     lo, hi = start[first], start[last]
     for _ in range(_TENFOLD):
-        if work.lost[c] == 0:
-            break
         share[c] *= 10.0
         for k in range(clusters.body[c], clusters.body[c + 1]):
             for i in range(P, STATE):
@@ -176,14 +186,30 @@ def _pass_singular_pose(joints: Joints, work: Work, c: int, t: float, dt: float)
                         work.compliance[r] = inf
         work.lost[c] = 0
         _fly_to_joints(joints, work, c, t, dt)
-    share[c] = usual
-    for r in range(lo, hi):
-        if joints.rows.action[r] == HOLDS:
-            work.compliance[r] = 0.0
-    leave_out(joints.breaks, joints, work, c, t)
-    worst, where = residuals(joints, work, lo, hi, t + dt)
-    if not worst <= _MOST_OPEN:
+        for r in range(lo, hi):
+            if joints.rows.action[r] == HOLDS:
+                work.compliance[r] = 0.0
+        leave_out(joints.breaks, joints, work, c, t)
+        worst, where = residuals(joints, work, lo, hi, t + dt)
+        if work.lost[c] == 0 and worst <= _MOST_OPEN and _is_weak(joints, work, c, lo, hi):
+            break
         work.lost[c] = 1 + where
+    share[c] = usual
+
+
+@lean
+def _is_weak(joints: Joints, work: Work, c: int, lo: int, hi: int) -> bool:
+    """Whether no impulse of rows lo to hi is above √(2 M T), where the drift begins."""
+    T, M, largest = 0.0, 0.0, 0.0
+    for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
+        p, spin, inverse = vector(work.pose, k, P), vector(work.pose, k, L), joints.inv_mass[k]
+        turning = by_inverse_inertia(joints.inv_inertia, attitude(work.pose, k), k, spin)
+        T += 0.5 * (inverse * dot(p, p) + dot(spin, turning))
+        M += 1.0 / inverse if inverse > 0.0 else 0.0
+    for r in range(lo, hi):
+        arm = joints.rows.size[r] if is_of_directions(joints.rows.kind[r]) else 1.0
+        largest = max(largest, abs(work.total[r]) / arm)
+    return largest * largest <= 2.0 * M * T
 
 
 @lean

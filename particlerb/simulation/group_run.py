@@ -337,12 +337,14 @@ def own_forces_on(b: int, runs: Sequence[GroupRun], times: Floats, frames: Frame
 
 def lost(system: System, runs: Sequence[GroupRun]) -> str:
     """What is to be said of a joint that no longer holds; empty where all do."""
-    joints = [joint for run in runs for joint in run.motion.lost_joints()]
+    joints = {joint: run for run in runs for joint in run.motion.lost_joints()}
     setup = joints_of(system) if joints else None
     if setup is None:
         return ""
+    is_composed = METHODS[joints[min(joints)].segment.method].evaluations > 1
+    other = ', or run.method = "rattle", which passes such poses best' if is_composed else ""
     return (
         f"joint {setup.names[min(joints)]} no longer holds: no impulse was found that keeps it; the"
-        " step is too long for the tension that it carries, or its bodies met a singular pose: take"
-        " a shorter run.dt"
+        " step is too long for its tension or speed, or its bodies met a singular pose: take a"
+        f" shorter run.dt{other}"
     )
