@@ -42,10 +42,9 @@ PILOT = 1e-3  # share of the steps
 MARGIN = 3.0  # of the share of time, after which a scene is ended,
 COMPILING = 200.0  # s of the processor beside it
 FRAMES = 200
-LONGER = {  # what a hundred times t_end takes: bodies that speed up, links in one line
+LONGER = {  # what a hundred times t_end takes, where bodies get faster and faster
     "impulse_slope": {"dt": 2.5e-4},
     "squeezer": {"dt": 2.5e-5},
-    "four_bar": {"method": "rattle"},
 }
 COLUMNS = (
     "scene", "method", "steps", "of_wanted", "t_end", "cpu_s", "us_per_step", "energy", "linear",

@@ -237,8 +237,9 @@ def _outward(vertices: Floats, faces: Ints, number: Ints) -> tuple[Ints, Sequenc
     faces = np.where(flipped[:, None], faces[:, ::-1], faces)
     signs = np.array([sign(vertices, faces[part == p]) for p in range(part.max() + 1)])
     if not signs.all():
-        first = int(number[np.flatnonzero(part == np.argmin(np.abs(signs)))[0]])
-        raise ValueError(f"it has zero volume, in the part of face {first}")
+        first = np.flatnonzero(part == np.argmin(np.abs(signs)))[0]
+        place = f"face {number[first]} at {_point_text(vertices[faces[first]].mean(axis=0))}"
+        raise ValueError(f"it has zero volume, in the part of {place}")
     wanted = 1 - 2 * (windings(vertices, faces, part, signs) % 2)
     wrong = signs != wanted
     was_mixed = np.bincount(part, weights=flipped) > 0

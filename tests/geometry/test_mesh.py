@@ -339,7 +339,9 @@ def test_a_surface_with_one_side():
 
 def test_no_volume():
     v = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.3, 1.0, 0.2]])
-    assert refusal(v, [[0, 1, 2], [0, 2, 1]]) == "it has zero volume, in the part of face 0"
+    said = refusal(v, [[0, 1, 2], [0, 2, 1]])
+    centre = ", ".join(f"{x:.9g}" for x in np.mean(v, axis=0)[:3])
+    assert said == f"it has zero volume, in the part of face 0 at ({centre}) m"
     assert "every face has two equal corners" in refusal(v, [[0, 0, 1]])
 
 
