@@ -70,6 +70,8 @@ BUDGETS = {
     "help of the commands in whole phrases": 22,
     "size and time of a run, told before it": 85,
     "a page that explains itself": 147,
+    "a scene that is seen at once: springs, names of arrows, a push that fits": 75,
+    "plans after hundreds of pushes": 28,
     "whole scenes for LAMMPS and MuJoCo": 340,
     "contacts as lines for ParaView": 52,
     "helpers without machine code": 50,

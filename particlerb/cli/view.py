@@ -60,6 +60,8 @@ def view_command(options: argparse.Namespace) -> int:
 
 def push(options: argparse.Namespace, server: "viser.ViserServer", access: "Access") -> int:
     """Serve a case, and the scenes that are chosen on its page after it."""
+    from particlerb.view.page import note
+
     live = _live(options, server)
     with open_to(access, options.no_browser):
         while True:
@@ -69,9 +71,8 @@ def push(options: argparse.Namespace, server: "viser.ViserServer", access: "Acce
                 break
             server.gui.reset()
             server.scene.reset()
-            server.gui.add_html(
-                "<p>preparing; the first start of a scene compiles, up to a minute</p>"
-            )
+            said = f"preparing {live.chosen}: the first start compiles, for a minute or more"
+            server.gui.add_html(note(said))
             options.case, options.overrides = SCENES[live.chosen], []
             live = _live(options, server)
     if not live.is_over:  # a signal has ended it

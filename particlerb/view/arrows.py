@@ -11,7 +11,8 @@ from particlerb.view.number_tables import BodyMotion
 from particlerb.view.session import Session
 from particlerb.view.stage import Stage
 
-_MOST_POINTS: Final = 600  # of a trail
+_MOST_POINTS: Final = 200  # of a trail
+_COARSEST: Final = 0.5  # way between two points of a trail, of the lever arm
 _NONE: Final = np.zeros((0, 3))
 
 
@@ -48,10 +49,17 @@ class Arrows:
         stage = self.stage
         axes = (R @ rotation_matrix(rotor_frame)).T * 0.85 * stage.size
         stage.point("axes", motion.position, axes if self.shown["axes"].value else _NONE, 0.5)
-        gap = 0.005 * stage.size * stage.unit
-        if not self.trail or np.linalg.norm(place - self.trail[-1]) > gap:
-            self.trail.append(place)
+        self.extend_trail(place, _COARSEST * float(np.linalg.norm(arm)))
         stage.draw_trail(np.array(self.trail) if self.shown["trail"].value else _NONE)
+
+    def extend_trail(self, place: Floats, longest: float) -> None:
+        """Add a place [m]; begin anew where chords would be longer, and show no path any more."""
+        gap = 0.005 * self.stage.size * self.stage.unit
+        way = np.linalg.norm(place - self.trail[-1]) if self.trail else np.inf
+        if way > max(longest, 2.0 * gap):
+            self.trail.clear()
+        if way > gap:
+            self.trail.append(place)
 
     def draw_force(self, session: Session, place: Floats) -> None:
         """The last force, at its point; it stays where it was when the push has ended."""

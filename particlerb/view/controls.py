@@ -53,15 +53,13 @@ class Controls:
         gui.set_panel_label("push: click on a body")
         page.status = gui.add_html("")
         self.run = gui.add_button_group("time", ["run / pause", "step", "reset"])
-        self.force = gui.add_text("force [N]", "50", hint="an impulse in N s if duration is 0")
+        self.force = gui.add_text("force [N]", "0", hint="an impulse in N s if duration is 0")
         self.duration = gui.add_text("duration [s]", "0.02", hint="0: an impulse in N s")
         self.at_once = gui.add_checkbox(
             "at once", True, hint="the impulse force × duration at one instant, as in the paper"
         )
         self.direction = gui.add_dropdown("direction", _DIRECTIONS)
-        self.point = gui.add_text(
-            "point [m]", "0.2, 0.2, -0.5", hint="in the body, from the centre of mass"
-        )
+        self.point = gui.add_text("point [m]", "", hint="in the body, from the centre of mass")
         self.apply = gui.add_button("push at this point")
         self.outcome = gui.add_html("")
         self.gravity = gui.add_checkbox("gravity", False)

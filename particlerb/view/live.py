@@ -23,7 +23,14 @@ from particlerb.view.number_tables import BodyMotion, hand_part, motion_of, push
 from particlerb.view.page import NUMBERS_EVERY, UPDATES, Page, note
 from particlerb.view.recording import recorded
 from particlerb.view.server import finite, vector
-from particlerb.view.session import AppliedPush, Session, SessionError, UserPush, decimals
+from particlerb.view.session import (
+    LEAST_STEPS_PER_FRAME,
+    AppliedPush,
+    Session,
+    SessionError,
+    UserPush,
+    decimals,
+)
 from particlerb.view.surfaces import meet
 
 _CHARTS: Final = 0.25  # [s] between two charts
@@ -31,6 +38,8 @@ _BUSY: Final = 0.05  # [s] that one update may compute
 _MOST_POINTS: Final = 600  # of a chart
 _COMFORTABLE: Final = (1.0, 60.0)  # [s] that a case lasts whose clock runs as ours does
 _WATCHED: Final = 20.0  # [s] in which any other case is over
+_PUSH_PER_MASS: Final = 25.0  # N/kg, of the force that stands in its field at first
+_TO_POINT: Final = np.array([0.4, 0.4, -1.0])  # from the centre, to a point that a push turns about
 MOST_SAVED: Final = 100  # sessions that are written before a new start
 
 
@@ -67,6 +76,8 @@ class Live(Page):
         self.controls.gravity.value = self.session.has_gravity
         self.controls.at_once.value = not system.joint  # no impulse is computed on jointed bodies
         self.controls.shown["follow"].value = len(self.names) == 1
+        self.controls.force.value = f"{_PUSH_PER_MASS * system.bodies.mass[self.body]:.3g}"
+        self.propose_point()
         self.cost = 0.0  # [s] of computing per simulated second
         self.begin()
         self.is_running = not self.waits
@@ -89,6 +100,15 @@ class Live(Page):
         vertices = self.stage.surfaces.of_kind(self.session.system.kind[self.body]).mesh.vertices
         far: Floats = vertices[int(np.argmax(np.round((vertices**2).sum(axis=1), 12)))]
         return far
+
+    def propose_point(self) -> None:
+        """Say a point of the body that is looked at in the field of the point."""
+        surface = self.stage.surfaces.of_kind(self.session.system.kind[self.body])
+        way = _TO_POINT / np.linalg.norm(_TO_POINT)
+        found = meet(surface, 3.0 * surface.reach * way, -way)
+        off = 0.0 if found is None else 3.0 * surface.reach - found[0]
+        point = off * way if off > 0.3 * surface.reach else self.corner()
+        self.controls.point.value = ", ".join(f"{x:.3g}" for x in point + 0.0)
 
     def listen(self) -> None:
         """Let everything that users do end in the queue."""
@@ -142,6 +162,7 @@ class Live(Page):
         super().look_at(b)
         self.reference = None
         self.arm = self.corner()
+        self.propose_point()
         self.arrows.trail.clear()
         self.history.clear()
 
@@ -270,8 +291,9 @@ class Live(Page):
     def advance(self, elapsed: float) -> None:
         """Let the motion go on for some seconds of the clock on the wall."""
         wanted = elapsed * self.speed
+        least = self.session.every / LEAST_STEPS_PER_FRAME  # a step, which costs as much if cut
         if self.cost * wanted > _BUSY:
-            wanted = _BUSY / self.cost
+            wanted = min(wanted, max(_BUSY / self.cost, least))
         self.clock += wanted
         places = decimals(min(0.02 * self.session.every, wanted))
         target = round(self.clock, places)

@@ -34,7 +34,7 @@ from particlerb.stepping.motion import MotionError
 from particlerb.view.catch_up import CHUNK, catch_up
 
 _STEPS_PER_FRAME: Final = 5000  # of a push on bodies that are free otherwise, per run.every
-_LEAST_STEPS_PER_FRAME: Final = 32  # of bodies that are stepped all the time
+LEAST_STEPS_PER_FRAME: Final = 32  # of bodies that are stepped all the time
 _LONGEST: Final = 1000.0  # length of a session over t_end of its case, at least
 _TRIES: Final = 64  # steps of the grid on which a push might start
 G: Final = (0.0, 0.0, -9.81)  # [m/s²] that is switched on where a case has no gravity
@@ -317,7 +317,7 @@ def opening(system: System, plan: Plan, longest: float) -> dict[str, Any]:
     run = {key: value for key, value in raw["run"].items() if key != "accuracy"}
     stepped = [s for group in plan.groups for s in group.segments if _on_grid(s, longest)]
     if stepped:
-        shortest = min(*(s.dt for s in stepped), system.run.every / _LEAST_STEPS_PER_FRAME)
+        shortest = min(*(s.dt for s in stepped), system.run.every / LEAST_STEPS_PER_FRAME)
         run["dt"] = 2.0 ** math.floor(math.log2(shortest))
     elif system.run.dt is None:
         run["dt"] = system.run.every / _STEPS_PER_FRAME

@@ -20,6 +20,7 @@ from particlerb.plan.joints import joints_of
 from particlerb.view.surfaces import Surfaces, extent_of, walls_of
 
 _LENGTH: Final = 0.18  # of an axis, of the size of the scene
+_WORLD: Final = -1  # the last of places and orientations
 _CROSS: Final = 0.02  # of the point of a joint
 
 
@@ -72,6 +73,38 @@ class JointLines:
         return ends.reshape(-1, 2, 3)
 
 
+class SpringLines:
+    """Segments that show the springs of a system, but those between all that are within reach.
+
+    Parameters
+    ----------
+    system : System
+    """
+
+    def __init__(self, system: System) -> None:
+        body, point = [np.zeros((0, 2), dtype=np.int64)], [np.zeros((0, 2, 3))]
+        for spring in system.force:
+            if spring.type != "spring" or spring.reach is not None:
+                continue
+            first = system.names.find_in_order(spring.body)
+            second = np.array([_WORLD])
+            if spring.to is not None:
+                second = system.names.find_in_order(spring.to)
+            far = spring.to_at if spring.anchor is None else spring.anchor
+            ends = np.stack(np.broadcast_arrays(first, second), axis=1)
+            body.append(ends)
+            point.append(np.tile(np.array([spring.at, far]), (len(ends), 1, 1)))
+        self.body, self.point = np.concatenate(body), np.concatenate(point)
+
+    def at(self, position: Floats, q: Floats) -> Floats:
+        """Ends of all springs [m], world frame, (k, 2, 3), with bodies at (N, 3) and (N, 4)."""
+        body = self.body.ravel()
+        place = np.vstack([position, np.zeros(3)])[body]
+        turn = np.vstack([q, [1.0, 0.0, 0.0, 0.0]])[body].T
+        ends: Floats = place + rotate(turn, self.point.reshape(-1, 3).T).T
+        return ends.reshape(-1, 2, 3)
+
+
 _Colour = tuple[int, int, int]
 COLOURS: Final[tuple[_Colour, ...]] = (
     (245, 124, 20), (58, 123, 191), (70, 160, 90), (196, 78, 82), (129, 102, 178),
@@ -82,13 +115,15 @@ ARROWS: Final[dict[str, _Colour]] = {
     "force": (214, 39, 40), "omega": (31, 119, 180), "L": (148, 60, 189),
     "axes": (90, 98, 106),
 }  # fmt: skip
+_NAMES: Final = {"force": "F", "omega": "ω", "L": "L"}  # at the free ends of arrows
 AXIS_COLOURS: Final[tuple[_Colour, ...]] = ((209, 73, 91), (46, 139, 87), (31, 111, 181))
 """Colours of x, y and z, in the scene and on charts."""
 _TRAIL: Final[_Colour] = (20, 20, 20)
 _JOINTS: Final[_Colour] = (200, 0, 120)
+_SPRINGS: Final[_Colour] = (110, 120, 130)
 _LIGHT: Final = 0.8, 2.0  # of the sky and of the sun
 _VIEW: Final = (1.15, -1.85, 1.1)  # where the camera stands at first, in sizes of the scene
-_NARROW: Final = 0.75  # width over height of a phone, at most
+_NARROW: Final = 0.6  # width over height of a phone, at most; of 1400 px beside two panels 0.71
 
 
 class Stage:
@@ -116,10 +151,13 @@ class Stage:
         self.fixed = server.scene.add_frame("/fixed", show_axes=False)
         self.layers = [self.add_layer(k) for k in range(len(self.surfaces.layers))]
         self.arrows: dict[str, Any] = {}
+        self.arrow_names: dict[str, Any] = {}
         self.trail = self.add_line("/trail", _TRAIL)
         self.joints = JointLines(system, size) if system.joint else None
         if self.joints is not None:
             self.joint_lines = self.add_line("/joints", _JOINTS, 4.0)
+        self.springs = SpringLines(system)
+        self.spring_lines = self.add_line("/springs", _SPRINGS)
         self.furnish(size)
         server.initial_camera.position = self.size * np.array(_VIEW)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
@@ -195,7 +233,7 @@ class Stage:
         """Show a narrow screen the scene from farther away, above the fields."""
         if client.camera.aspect < _NARROW:
             client.camera.position = 1.8 * self.size * np.array(_VIEW)
-            client.camera.look_at = (0.0, 0.0, -1.5 * self.size)
+            client.camera.look_at = (0.0, 0.0, -2.3 * self.size)
 
     def draw_axes(self) -> None:
         """Arrows along x, y and z of the world, with their names, where the camera looks."""
@@ -236,6 +274,9 @@ class Stage:
         if self.joints is not None:
             self.joint_lines.points = self.on_page(self.joints.at(position, q)).astype(np.float32)
             _show_if(self.joint_lines, True)
+        if len(self.springs.body):
+            self.spring_lines.points = self.on_page(self.springs.at(position, q)).astype(np.float32)
+            _show_if(self.spring_lines, True)
 
     def on_page(self, places: Floats) -> Floats:
         """Places [m] in the units of the page."""
@@ -253,6 +294,7 @@ class Stage:
     def point(self, name: str, start: Floats, vectors: Floats, thickness: float = 1.0) -> None:
         """Arrows (n, 3) in units of the page from a place [m] on; none where they are empty."""
         handle = self.arrows.get(name)
+        self.name_arrow(name, start, vectors)
         if not len(vectors):
             if handle is not None:
                 _show_if(handle, False)
@@ -268,6 +310,24 @@ class Stage:
             return
         handle.points = points
         _show_if(handle, True)
+
+    def name_arrow(self, name: str, start: Floats, vectors: Floats) -> None:
+        """Name an arrow at its free end: a force ends on its body, others begin there."""
+        if name not in _NAMES:
+            return
+        label = self.arrow_names.get(name)
+        if len(vectors):
+            way = vectors[0] / max(float(np.linalg.norm(vectors[0])), 1e-300)
+            end = (
+                -0.08 * self.size * way if name == "force" else vectors[0] + 0.08 * self.size * way
+            )
+            place = self.on_page(start) + end
+            if label is None:
+                label = self.server.scene.add_label(f"/arrows/{name}/name", _NAMES[name])
+                self.arrow_names[name] = label
+            label.position = tuple(place.tolist())
+        if label is not None:
+            _show_if(label, bool(len(vectors)))
 
     def draw_trail(self, places: Floats) -> None:
         """A line through places (n, 3) [m]."""

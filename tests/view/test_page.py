@@ -169,7 +169,7 @@ def test_the_page_on_a_phone(cube):
         button.click()
         cube.until(lambda: len(cube.serving.session.applied) > before, "pushed from the phone")
         clients = cube.serving.server.get_clients().values()
-        phone = next(one for one in clients if one.camera.aspect < 0.75)
+        phone = next(one for one in clients if one.camera.aspect < 0.6)
         assert phone.camera.look_at[2] < 0.0  # so that the scene lies above the fields
         picture_of(page, "view_phone")
     finally:

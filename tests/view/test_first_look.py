@@ -1,0 +1,72 @@
+"""What a scene shows before anyone has done something: where it stands, what a push would be."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser")
+
+from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
+from particlerb.view.access import Access
+from particlerb.view.arrows import Arrows
+from particlerb.view.live import Live
+from particlerb.view.server import listening
+from particlerb.view.stage import SpringLines
+
+pytestmark = pytest.mark.plain
+
+
+@pytest.fixture
+def live(tmp_path):
+    """The page of the paper's cube, that nobody looks at."""
+    with listening(Access(), 8600) as server:
+        yield Live(to_system(load("cube_at_rest")), server, tmp_path / "session.toml")
+
+
+def test_a_push_is_proposed_that_fits_the_body(live):
+    """25 N/kg; the paper's point lies where the ray along (0.4, 0.4, -1) leaves the cube."""
+    assert live.controls.force.value == "50"
+    assert live.controls.point.value == "0.2, 0.2, -0.5"
+
+
+def test_a_screen_beside_two_panels_is_no_phone(live):
+    """1400 px leave 640 x 900 for the scene, a phone has 390 x 844."""
+    for aspect, is_phone in ((640 / 900, False), (390 / 844, True)):
+        camera = SimpleNamespace(aspect=aspect, position=None, look_at=None)
+        live.stage.step_back(SimpleNamespace(camera=camera))
+        assert (camera.look_at is not None) == is_phone
+
+
+def test_a_scene_whose_updates_cost_the_same_however_short_goes_on(live, monkeypatch):
+    """Time per simulated second grew as updates became shorter, until nothing moved."""
+    clock = [0.0]
+
+    def slow(time):
+        clock[0] += 1.0  # s
+        live.session.time = time
+
+    monkeypatch.setattr("particlerb.view.live.time.perf_counter", lambda: clock[0])
+    monkeypatch.setattr(live.session, "advance", slow)
+    for _ in range(50):
+        live.advance(0.05)
+    assert live.session.time >= 49 * live.session.every / 32
+
+
+def test_springs_are_drawn_from_point_to_point():
+    system = to_system(load("newtons_cradle"))
+    lines = SpringLines(system)
+    ends = lines.at(system.state.com.T, system.state.q.T)
+    assert ends.shape == (5, 2, 3)
+    assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == pytest.approx(1.0, abs=1e-6)
+    assert (ends[:, 1, 2] == 0.0).all()  # where they hang
+
+
+def test_a_trail_whose_chords_say_nothing_begins_anew():
+    arrows = Arrows(SimpleNamespace(size=1.0, unit=1.0), {})
+    for angle in (0.0, 0.1, 0.2):
+        arrows.extend_trail(np.array([np.cos(angle), np.sin(angle), 0.0]), 0.5)
+    assert len(arrows.trail) == 3
+    arrows.extend_trail(np.array([-1.0, 0.0, 0.0]), 0.5)
+    assert len(arrows.trail) == 1
