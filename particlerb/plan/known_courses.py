@@ -56,16 +56,26 @@ def with_known_courses(
     WorldsDifferError
         If only some of them have one.
     """
+    known: dict[int, Bools] = {}  # by terms, which stretches without a load share
+
+    def closed(terms: Terms) -> Bools:
+        """Which bodies have a closed form under terms that are kept."""
+        if id(terms) not in known:
+            known[id(terms)] = _closed(bodies, terms, scene)
+        return known[id(terms)]
+
     if not any(_asks(stretch.terms) for stretch in stretches):
-        return [(one.terms, _closed(bodies, one.terms, scene)) for one in stretches]
+        return [(one.terms, closed(one.terms)) for one in stretches]
     turning, straight, found = _Turning(bodies, state), _Straight(bodies, state), []
     for given, jumps in stretches:
         for jump in jumps:
             turning.jump(jump)
             straight.jump(jump)
         axis, on_line = turning.axis_under(given), straight.under(given)
-        terms = given._replace(axis=axis, is_straight=on_line)
-        is_closed = _closed(bodies, terms, scene)
+        terms = given
+        if axis is not None or on_line is not None:
+            terms = given._replace(axis=axis, is_straight=on_line)
+        is_closed = closed(terms)
         turning.axis[~is_closed] = _LOST
         straight.leave(is_closed)
         found.append((terms, is_closed))
@@ -109,6 +119,8 @@ class _Turning:
 
     def meet(self, v: Floats) -> None:
         """Something turns bodies about vectors (3, n) in the world; zero: nothing does."""
+        if (self.axis == _LOST).all():
+            return
         turned, old = np.abs(np.einsum("ijn,in->jn", self.R, v)), self.axis
         k = turned.argmax(axis=0)
         size, across = turned.max(axis=0), np.sort(turned, axis=0)[1]
@@ -130,6 +142,8 @@ class _Turning:
 
     def meet_lever(self, lever: Floats) -> None:
         """Forces act on levers, (9, n) as `Push.lever`: in the plane of the motion, or not."""
+        if (self.axis == _LOST).all():
+            return
         T, b = lever.reshape(3, 3, -1), np.arange(self.axis.size)  # [world, rotor frame]
         self.meet(sum((cross_columns(self.R[:, k], T[:, k]) for k in range(3)), 0.0 * T[:, 0]))
         k = np.maximum(self.axis, 0) % LINE
@@ -172,6 +186,8 @@ class _Straight:
 
     def meet(self, v: Floats) -> None:
         """Vectors (3, n) that must be along the line."""
+        if not self.holds.any():
+            return
         self.holds &= _are_parallel(v, self.line)
         self.line = np.where(self.line.any(axis=0), self.line, v)
 

@@ -4,6 +4,7 @@ Each segment is free (closed form) or driven (stepped). Forces that do not act i
 computed nor compiled.
 """
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
@@ -23,7 +24,7 @@ from particlerb.model.state import State
 from particlerb.model.superblocks import superblocks
 from particlerb.model.system import System
 from particlerb.model.worlds import Worlds, worlds_among
-from particlerb.plan.case_forces import acting_terms, jumps_of
+from particlerb.plan.case_forces import Forces, acting_terms, jumps_of
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.groups import GroupSetup, part_of, terms_between
 from particlerb.plan.joint_drives import drives_from
@@ -108,8 +109,8 @@ def cut_into_segments(
     Impulses of that time act where it is the first of the run. Bodies with a closed form part from
     others where they are not stepped.
     """
-    members, forces = group.members, group.forces
-    spans = [force.form.edges or _ALWAYS for force in forces]  # of an impulse: its instant
+    members = group.members
+    spans = [force.form.edges or _ALWAYS for force in group.forces]  # of an impulse: its instant
     spans_of_links = [link.force.edges or _ALWAYS for link in group.links]
     edges = {begin}.union(*spans, *spans_of_links)
     if group.joints is not None:
@@ -120,22 +121,23 @@ def cut_into_segments(
     bodies = held(taken(system.bodies, members), system.is_held[members])
     between: dict[tuple[int, ...], Terms] = {}  # by released joints and the numbers of the links
     stretches: list[Stretch] = []
-    for start in starts:
-        acting = [force for force, s in zip(forces, spans, strict=True) if s[0] <= start < s[-1]]
+    idle = acting_terms(system, bodies, [], begin)
+    for start, acting, now in zip(starts, *_acting(group.forces, spans, starts), strict=True):
         both = zip(group.links, spans_of_links, strict=True)
         links = [link for link, s in both if s[0] <= start < s[-1]]
         released = 0 if group.joints is None else int((group.joints.until <= start).sum())
         key = released, *(link.number for link in links)
         if key not in between:
-            between[key] = terms_between(system, group, bodies, links, touching, start)
-        alone = acting_terms(system, bodies, acting, start)
-        terms = between[key]._replace(gravity=alone.gravity, loads=alone.loads)
+            others = terms_between(system, group, bodies, links, touching, start)
+            between[key] = others._replace(gravity=idle.gravity, loads=idle.loads)
+        terms = between[key]
+        if acting:
+            terms = terms._replace(loads=acting_terms(system, bodies, acting, start).loads)
         if terms.joints is not None and group.joints is not None:
             if terms.joints.drives is not None:
                 drives = drives_from(group.joints.courses, start)
                 terms = terms._replace(joints=terms.joints._replace(drives=drives))
             terms = _with_drag_among_joints(terms, bodies)
-        now = [force for force, s in zip(forces, spans, strict=True) if s == (start,)]
         jumps = jumps_of(now, bodies) if start > begin or is_first else ()
         stretches.append(Stretch(terms, jumps))
     closed, segments = [], []
@@ -150,9 +152,8 @@ def cut_into_segments(
         closed.append(is_closed)
     kinds, kind = np.unique(np.array(closed), axis=1, return_inverse=True)
     if kinds.shape[1] == 1:
-        worlds = None
-        if system.n_worlds > 1:
-            worlds = worlds_among(system.world[members], system.n_worlds)
+        n = system.n_worlds
+        worlds = worlds_among(system.world[members], n) if n > 1 else None
         return [GroupPlan(members, bodies, tuple(segments), worlds)]
     parts = [np.flatnonzero(kind == k) for k in range(kinds.shape[1])]
     return [
@@ -160,6 +161,21 @@ def cut_into_segments(
         for which in parts
         for part in cut_into_segments(system, part_of(group, which), touching, begin, is_first)
     ]
+
+
+def _acting(
+    forces: Sequence[Forces], spans: Sequence[tuple[float, ...]], starts: list[float]
+) -> tuple[list[list[Forces]], list[list[Forces]]]:
+    """Forces that act from each of some ascending times on, and impulses of that time; in order."""
+    acting: list[list[Forces]] = [[] for _ in starts]
+    now: list[list[Forces]] = [[] for _ in starts]
+    for force, s in zip(forces, spans, strict=True):
+        first, stop = bisect_left(starts, s[0]), bisect_left(starts, s[-1])
+        for k in range(first, stop):
+            acting[k].append(force)
+        if len(s) == 1 and first < len(starts) and starts[first] == s[0]:
+            now[first].append(force)
+    return acting, now
 
 
 def _with_drag_among_joints(terms: Terms, bodies: Bodies) -> Terms:
@@ -255,7 +271,8 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
         reason = f"{named} is for {reason}"
         raise CaseError([problem_at(system, "run.method", reason, 'use "strang"')])
     for group in groups:
-        for segment in group.segments:
+        alike = {(segment.method, id(segment.terms)): segment for segment in group.segments}
+        for segment in alike.values():
             refused = _refused_terms(segment.method, segment.terms)
             is_closed = not has_step(segment.method)
             if not refused or (is_closed and has_closed_form(group.bodies, segment.terms).all()):
