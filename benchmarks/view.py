@@ -1,10 +1,16 @@
-"""How many times a second the page of `view` is brought up to date, without the browser's share.
+"""How long `view` takes to its page, and how many times a second it is brought up to date.
 
-One update advances the motion, puts every body in its place, points the arrows and writes the
-numbers; messages are made and queued, as no browser is there to draw them.
+A start is the command until it prints its address, with an empty cache and again: wall and
+processor seconds; goals 15 and 2. One update advances the motion, puts every body in its place,
+points the arrows and writes the numbers; messages are made and queued. The browser's share is in
+none of the figures.
 usage: python benchmarks/view.py [SECONDS]
 """
 
+import os
+import resource
+import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -45,8 +51,32 @@ def updates(page) -> float:
     return count / (time.perf_counter() - start)
 
 
+def start(cache: str) -> tuple[float, float]:
+    """Wall and processor seconds of the command until it says where its page is."""
+    words = [sys.executable, "-m", "particlerb", "view", "--no-browser", "--port", str(PORT + 10)]
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    with subprocess.Popen(
+        words,
+        env={**os.environ, "NUMBA_CACHE_DIR": cache},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        next(line for line in process.stdout if line.startswith("http"))
+        wall = time.perf_counter() - begin
+        process.send_signal(signal.SIGINT)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
+    print("start                       wall s   processor s")
+    with tempfile.TemporaryDirectory() as cache:
+        for name in ("empty cache", "again", "again"):
+            wall, used = start(cache)
+            print(f"{name:<24}{wall:>10.1f}{used:>14.1f}", flush=True)
     print("page                                     updates/s")
     for n in (1, 500, 10_000):
         system = to_system(cubes(n))

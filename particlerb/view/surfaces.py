@@ -22,14 +22,17 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import rotate_back, rotation_matrix
 from particlerb.model.system import System
 
-trimesh: Any = import_module("trimesh")  # untyped in parts
-
 _MARKER: Final = 0.08  # radius of a particle without one, in units of the body's extent
 _THICKNESS: Final = 0.02  # of a rod, in units of its length
 _PLANE: Final = 2.0  # size of a plane that is shown, in units of the scene
 _MANY: Final = 10_000  # copies of which each is coarse
 _ROUND: Final = 48  # facets around a cylinder
 _PARALLEL: Final = 1e-14  # |det| of a ray beside a triangle, relative
+_BOX: Final = (
+    (1, 3, 0), (4, 1, 0), (0, 3, 2), (2, 4, 0), (1, 7, 3), (5, 1, 4),
+    (5, 7, 1), (3, 7, 2), (6, 4, 2), (2, 7, 6), (6, 5, 4), (7, 5, 6),
+)  # fmt: skip
+"""Triangles of a box whose corners are numbered by their bits x y z."""
 
 
 class SurfaceMesh(NamedTuple):
@@ -226,24 +229,37 @@ def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _S
         return triangles(SurfaceMesh(surface.vertices, surface.faces).moved(R, shift))
     if kind == "points" and own.radius is not None and all(own.radius):
         return _balls_of(np.array(own.position) @ R.T + shift, np.array(own.radius), copies)
+    if kind == "box":
+        return triangles(_box(np.array(own.size)).moved(R, shift))
     made: dict[str, Callable[[], Any]] = {
-        "box": lambda: trimesh.creation.box(extents=own.size),
         "cylinder": lambda: _hollow(own.radius, own.inner_radius, own.height),
-        "cone": lambda: trimesh.creation.cone(own.radius, own.height, sections=_ROUND),
-        "torus": lambda: trimesh.creation.torus(own.major_radius, own.minor_radius),
-        "tetrahedron": lambda: trimesh.convex.convex_hull(np.array(own.vertices)),
-        "rod": lambda: trimesh.creation.cylinder(_THICKNESS * own.length, own.length, sections=12),
+        "cone": lambda: _trimesh().creation.cone(own.radius, own.height, sections=_ROUND),
+        "torus": lambda: _trimesh().creation.torus(own.major_radius, own.minor_radius),
+        "tetrahedron": lambda: _trimesh().convex.convex_hull(np.array(own.vertices)),
+        "rod": lambda: _trimesh().creation.cylinder(
+            _THICKNESS * own.length, own.length, sections=12
+        ),
     }
     return (
         triangles(_as_mesh(made[kind](), kind == "torus").moved(R, shift)) if kind in made else None
     )
 
 
+def _trimesh() -> Any:
+    """Module trimesh, whose import takes a third of the start: boxes go without it."""
+    return import_module("trimesh")
+
+
+def _box(size: Floats) -> SurfaceMesh:
+    """Box about the origin."""
+    return SurfaceMesh((np.array([*np.ndindex(2, 2, 2)]) - 0.5) * size, np.array(_BOX))
+
+
 def _hollow(radius: float, inner: float, height: float) -> Any:
     """Cylinder about z, with or without a bore."""
     if inner > 0.0:
-        return trimesh.creation.annulus(inner, radius, height, sections=_ROUND)
-    return trimesh.creation.cylinder(radius, height, sections=_ROUND)
+        return _trimesh().creation.annulus(inner, radius, height, sections=_ROUND)
+    return _trimesh().creation.cylinder(radius, height, sections=_ROUND)
 
 
 def _as_mesh(made: Any, is_smooth: bool = False) -> SurfaceMesh:
@@ -260,7 +276,7 @@ def triangles(mesh: SurfaceMesh) -> _Surface:
 def ball(radius: float, copies: int) -> SurfaceMesh:
     """Ball of as many triangles as the number of copies allows."""
     fineness = 4 if copies <= 10 else 3 if copies <= 200 else 2 if copies <= 2000 else 1
-    return _as_mesh(trimesh.creation.icosphere(subdivisions=fineness, radius=radius), True)
+    return _as_mesh(_trimesh().creation.icosphere(subdivisions=fineness, radius=radius), True)
 
 
 def _particles_surface(system: System, body: Body, kind: int, copies: int) -> _Surface:
@@ -309,9 +325,10 @@ def _balls_of(place: Floats, radius: Floats, copies: int) -> _Surface:
 
 def _joined(meshes: Sequence[SurfaceMesh]) -> SurfaceMesh:
     """Several meshes as one."""
-    each = list(zip(*meshes, strict=True))
-    vertices, faces = trimesh.util.append_faces(*each[:2])
-    return SurfaceMesh(vertices, faces, all(each[2]))
+    vertices, faces, is_smooth = zip(*meshes, strict=True)
+    first = np.cumsum([0, *map(len, vertices[:-1])])
+    shifted = [own + n for own, n in zip(faces, first, strict=True)]
+    return SurfaceMesh(np.concatenate(vertices), np.concatenate(shifted), all(is_smooth))
 
 
 def together(surfaces: Sequence[_Surface]) -> _Surface:
@@ -335,12 +352,11 @@ def walls_of(system: System, size: float) -> list[SurfaceMesh]:
             mesh = SurfaceMesh(np.array(corners) + wall.point, np.array([[0, 1, 2], [0, 2, 3]]))
         elif wall.type == "box":
             lower, upper = np.array(wall.lower), np.array(wall.upper)
-            mesh = _as_mesh(trimesh.creation.box(extents=upper - lower))
-            mesh = mesh.moved(np.eye(3), 0.5 * (lower + upper))
+            mesh = _box(upper - lower).moved(np.eye(3), 0.5 * (lower + upper))
         elif wall.type == "cylinder":
             axis = np.array(wall.axis) / np.linalg.norm(wall.axis)
-            R = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], axis)[:3, :3]
-            made = trimesh.creation.cylinder(wall.radius, wall.length, sections=_ROUND)
+            R = _trimesh().geometry.align_vectors([0.0, 0.0, 1.0], axis)[:3, :3]
+            made = _trimesh().creation.cylinder(wall.radius, wall.length, sections=_ROUND)
             mesh = _as_mesh(made).moved(R, np.array(wall.centre))
         else:
             vertices, faces = triangles_of(system.files.read(wall.file))
