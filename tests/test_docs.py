@@ -14,7 +14,7 @@ from particlerb.cli import main
 DOCS = Path(__file__).parents[1] / "docs"
 TUTORIALS = sorted(f"tutorials/{path.name}" for path in (DOCS / "tutorials").glob("*.md"))
 SCENES = ["python.md", "forces.md"]
-SLOW = {"tutorials/accuracy.md", "tutorials/heap.md", "tutorials/sweep.md"}
+SLOW = {"tutorials/accuracy.md", "tutorials/heap.md", "tutorials/hopper.md", "tutorials/sweep.md"}
 
 
 def blocks(page):
