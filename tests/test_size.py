@@ -65,7 +65,7 @@ BUDGETS = {
     "reports of a run, names of files": 77,
     "a run that ends with ten lines": 14,
     "stability in three pictures, keys of force chains": 48,
-    "pictures that fit the scene": 198,
+    "pictures that fit the scene": 222,
     "names of curves that cover no curve": 22,
     "help of the commands in whole phrases": 22,
     "size and time of a run, told before it": 85,

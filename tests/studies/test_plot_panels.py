@@ -48,12 +48,29 @@ def flip(make):
                      t_end=30.0, every=0.25)  # fmt: skip
 
 
+def libration(make):
+    """A dumbbell about a centre of attraction, at rest 0.1 rad off the line to it."""
+    ends = {"type": "points", "position": [[-0.01, 0, 0], [0.01, 0, 0]], "mass": [1.0, 1.0]}
+    body = {"name": "dumbbell", "shape": ends, "position": [1, 0, 0], "velocity": [0, 1, 0],
+            "orientation": {"euler_deg": [0, 0, math.degrees(0.1)]}}  # fmt: skip
+    return make.case(body, force=[{"type": "central", "body": "dumbbell", "mu": 1.0}], t_end=0.2,
+                     dt=0.1)  # fmt: skip
+
+
+def layer(make):
+    grid = {"type": "grid", "spacing": 0.3, "n": [5, 3, 1]}
+    ball = {"name": "ball", "shape": BALL, "mass": 2.0, "count": 15, "place": grid}
+    return make.case(ball | {"velocity": [0.1, 0, 0]}, t_end=0.2, dt=0.1)
+
+
 SCENES = {
     heap: ["energies", "height of bodies"],
     orbits: ["energies", "distance from the common centre of mass"],
     linkage: ["angular velocities", "energies"],
     top: ["angular velocity of body, body frame", "axis of body"],
     flip: ["angular velocity of body, body frame", "x axis of body in the world"],
+    libration: ["energies", "longest axis to the line to the centre"],
+    layer: ["energies", "distance from the common centre of mass"],
 }
 
 
@@ -97,6 +114,17 @@ def test_energies_are_those_of_the_balance(make, monkeypatch):
 def test_nutation_starts_at_the_tilt_of_the_top(make, monkeypatch):
     figure, _ = drawn(top(make), monkeypatch)
     assert panel(figure, "axis of body").lines[0].get_ydata()[0] == pytest.approx(30.0, rel=1e-14)
+
+
+def test_libration_starts_at_the_angle_of_the_dumbbell(make, monkeypatch):
+    figure, _ = drawn(libration(make), monkeypatch)
+    (line,) = panel(figure, "longest axis to the line to the centre").lines
+    assert line.get_ydata()[0] == pytest.approx(math.degrees(0.1), rel=1e-12)
+
+
+def test_what_lies_in_a_plane_is_seen_from_above(make, monkeypatch):
+    figure, _ = drawn(layer(make), monkeypatch)
+    assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("x [m]", "y [m]")
 
 
 def test_attitudes_show_the_flip(make, monkeypatch):

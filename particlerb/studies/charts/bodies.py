@@ -21,6 +21,9 @@ _CORNERS: Final = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3, indexing="ij"), -1).r
 BODY: Final = "#eceff2"
 
 
+_FLAT: Final = 0.05  # height over width of what is seen from above
+
+
 def upright(trajectory: Trajectory) -> int:
     """Axis along which gravity is largest; z without gravity."""
     gravity = trajectory.parameter("case_resolved")["gravity"]
@@ -29,9 +32,14 @@ def upright(trajectory: Trajectory) -> int:
 
 
 def side_axes(trajectory: Trajectory, x: Floats) -> list[int]:
-    """Axes of a side view of points x: that along which they reach farthest, and upwards."""
+    """Axes of a view of points x: that along which they reach farthest, and upwards.
+
+    What lies in a plane is seen from above.
+    """
     up = upright(trajectory)
     extent = np.ptp(x, axis=0)
+    if extent[up] < _FLAT * extent.max():
+        return sorted({0, 1, 2} - {up})
     return [max({0, 1, 2} - {up}, key=lambda c: float(extent[c])), up]
 
 

@@ -82,6 +82,9 @@ def plot(
     if body is None and case["joint"]:
         _draw_joints(above, trajectory, case)
         _draw_energies(below, trajectory)
+    elif body is None and _centre(trajectory, case) is not None:
+        _draw_energies(above, trajectory)
+        _draw_libration(below, trajectory, case)
     elif body is None and trajectory.n_bodies > 1 and not is_still:
         _draw_energies(above, trajectory)
         _draw_heights(below, trajectory, case)
@@ -132,9 +135,21 @@ def _is_top(trajectory: Trajectory, body: int) -> bool:
 def _symmetry_axis(trajectory: Trajectory, body: int) -> int:
     """Axis of the body frame nearest to that of the moment that differs from the other two."""
     moments = trajectory.bodies.inertia[:, body]
-    odd = int(np.argmax(np.abs(moments - np.median(moments))))
+    return _body_axis(trajectory, body, int(np.argmax(np.abs(moments - np.median(moments)))))
+
+
+def _body_axis(trajectory: Trajectory, body: int, principal: int) -> int:
+    """Axis of the body frame nearest to a principal one."""
     frame = trajectory.bodies.rotor_frame[:, body : body + 1]
-    return int(np.argmax(np.abs(rotate(frame, np.eye(3)[:, odd : odd + 1]))))
+    return int(np.argmax(np.abs(rotate(frame, np.eye(3)[:, principal : principal + 1]))))
+
+
+def _centre(trajectory: Trajectory, case: dict[str, Any]) -> Floats | None:
+    """What attracts a few long bodies, world frame [m]; None where nothing does."""
+    centres = [force["centre"] for force in case["force"] if force["type"] == "central"]
+    inertia = trajectory.bodies.inertia
+    is_long = bool((inertia.min(axis=0) < 0.99 * np.median(inertia, axis=0)).all())
+    return np.array(centres[0]) if len(centres) == 1 and is_long else None
 
 
 def _draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -> None:
@@ -177,6 +192,20 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
         centre = np.average(x, axis=1, weights=trajectory.mass)[:, None]
         _draw_lines(axes, time, np.linalg.norm(x - centre, axis=2), trajectory.names)
         finish(axes, "distance from the common centre of mass", "r [m]")
+
+
+def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
+    """Angle of the axis of the least moment of each body with the line to what attracts it."""
+    angles, shown = [], _shown(trajectory.n_bodies, _LINES, 0)
+    for b in shown:
+        least = _body_axis(trajectory, b, int(np.argmin(trajectory.bodies.inertia[:, b])))
+        axis, r = direction(trajectory, b, least), trajectory.read("position", bodies=b)
+        r = r.reshape(-1, 3) - _centre(trajectory, case)
+        across = np.linalg.norm(np.cross(axis, r), axis=1)
+        angles.append(np.degrees(np.arctan2(across, np.abs((axis * r).sum(axis=1)))))
+    names = [trajectory.names[b] for b in shown]
+    _draw_lines(axes, trajectory.time, np.array(angles).T, names)
+    finish(axes, "longest axis to the line to the centre", "angle [°]")
 
 
 def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
@@ -258,6 +287,7 @@ def finish(axes: Axes, title: str, label: str) -> None:
         fontsize=7.5, ncols=_LINES, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False,
         handlelength=1.4, columnspacing=1.0, borderaxespad=0.2, borderpad=0.0,
     )  # fmt: skip
+    axes.yaxis.set_offset_position("right")  # a common power of ten: the legend is at the left
     low, high = axes.get_ylim()
     if axes.get_yscale() == "linear" and high - low < 1e-6 * max(abs(low), abs(high)):
         axes.set_ylim(*sorted((0.0, 2.0 * low)))
