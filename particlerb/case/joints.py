@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from particlerb.case.forces import During
 from particlerb.case.problems import Path, nearest
@@ -39,7 +39,7 @@ ALONG = {
     "planar": ("first displacement", "second displacement", "angle"),
 }
 """Names of coordinates along which something may act."""
-ACTIONS = ("spring", "damper", "limit", "motor")
+ACTIONS = ("spring", "damper", "limit", "motor", "friction")
 """What acts along a coordinate."""
 WITHOUT_AXIS = ("ball", "fixed", "distance")
 
@@ -75,14 +75,28 @@ class JointSpring(Table):
 
 
 class JointLimit(Table):
-    """Stops: springs beyond a range of the free coordinate."""
+    """Stops of the free coordinate: springs beyond a range, or impulses at its ends."""
 
     range: tuple[Real, Real]
     """Least and largest coordinate. [rad or m]"""
-    stiffness: Positive
-    """Beyond them. [N m/rad or N/m]"""
+    stiffness: Positive | None = None
+    """Beyond them; default: hard stops, for contact.law = "impulse". [N m/rad or N/m]"""
     damping: NonNegative = 0.0
     """Beyond them. [N m s/rad or N s/m]"""
+    restitution: Annotated[NonNegative, Field(le=1.0)] = 0.0
+    """Of hard stops. [-]"""
+
+
+class JointMotor(Table):
+    """A motor that keeps a speed with no more than a largest torque or force."""
+
+    speed: Real
+    """Of the coordinate. [rad/s or m/s]"""
+    largest: Positive
+    """Size of its torque or force at most. [N m or N]"""
+
+
+_Motor = Annotated[Real | JointMotor, Forms("number", "table")]
 
 
 class JointLoad(Table):
@@ -171,16 +185,18 @@ class JointTable(Table):
     axis_to: _Direction | None = None
     """Of universal: the axis of the other side, across `axis`. [-]"""
     along: Name | None = None
-    """Coordinate along which spring, damper, limit, motor and drive act: see docs/joints.md;
-    default: the only one. [-]"""
+    """Coordinate along which spring, damper, limit, motor, friction and drive act: see
+    docs/joints.md; default: the only one. [-]"""
     spring: JointSpring | None = None
     """Along the free coordinate. [-]"""
     damper: NonNegative = 0.0
     """Torque or force over the speed. [N m s/rad or N s/m]"""
     limit: JointLimit | None = None
     """Stops of the free coordinate. [-]"""
-    motor: Real = 0.0
-    """Constant torque about, or force along it, on `body`. [N m or N]"""
+    motor: _Motor = 0.0
+    """Constant torque about, or force along it, on `body`; or a speed that it keeps. [N m or N]"""
+    friction: NonNegative = 0.0
+    """Coulomb's: torque or force at most. [N m or N]"""
     drive: JointDrive | None = None
     """Prescribes the free coordinate. [-]"""
     during: During | None = None
@@ -203,8 +219,10 @@ class JointTable(Table):
 JOINT_TYPES: tuple[str, ...] = get_args(JointType)
 
 
-def joint_rules(path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
-    """A joint has the axes that it needs, and two ends."""
+def joint_rules(
+    path: Path, raw: dict[str, Any], known: dict[str, range], law: str
+) -> Iterator[Finding]:
+    """A joint has the axes that it needs, and two ends; `law` is that of [contact], if any."""
     kind = raw.get("type")
     if kind in JOINT_TYPES:
         needed = {"axis": kind not in WITHOUT_AXIS, "axis_to": kind == "universal"}
@@ -214,6 +232,7 @@ def joint_rules(path: Path, raw: dict[str, Any], known: dict[str, range]) -> Ite
             elif given(raw, key) and not is_needed:
                 yield (*path, key), f"a {kind} joint has none", "leave it out"
     yield from _action_rules(path, raw)
+    yield from _bound_rules(path, raw, law)
     if entry_at(raw, "during", list)[:1] not in ([], [0.0]):
         hint = "a body cannot be caught by a joint: give [0, time of release]"
         yield (*path, "during"), "a joint acts from the start on", hint
@@ -243,6 +262,27 @@ def _chain_rules(path: Path, raw: dict[str, Any], bodies: list[range] | None) ->
         if isinstance(raw.get(key), list):
             hint = f"give {key} = {{ body = [..] }}"
             yield (*path, key), "each link of a chain is tied in its own frame", hint
+
+
+def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]:
+    """Hard stops, friction, and motors with a largest torque are impulses within bounds."""
+    limit, bounds = raw.get("limit"), []
+    if isinstance(limit, dict) and not given(limit, "stiffness"):
+        bounds.append(("limit", "give a stiffness"))
+        if limit.get("damping"):
+            yield (*path, "limit", "damping"), "hard stops have none", "give `restitution`"
+    elif isinstance(limit, dict) and limit.get("restitution"):
+        yield (*path, "limit", "restitution"), "springs have none", "give `damping`"
+    if isinstance(raw.get("motor"), dict):
+        bounds.append(("motor", "give a number"))
+    if raw.get("friction"):
+        bounds.append(("friction", "take a damper"))
+    for key, other in bounds:
+        if law != "impulse":
+            reason = "is an impulse within bounds, which other laws do not solve"
+            yield (*path, key), reason, f'take contact.law = "impulse", or {other}'
+        elif given(raw, "drive"):
+            yield (*path, key), "given beside drive, which leaves nothing free", "leave one out"
 
 
 def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:

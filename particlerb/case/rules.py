@@ -43,8 +43,9 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
             path = ("force", i, table.load_key, "table")
             yield from file_rules(path, entry_at(force, table.load_key, dict).get("table"), files)
     yield from _code_rules(raw, files)
+    law = entry_at(raw.get("contact"), "law", str)
     for i, joint in tables(raw, "joint"):
-        yield from joint_rules(("joint", i), joint, members(raw))
+        yield from joint_rules(("joint", i), joint, members(raw), law)
     yield from _attraction_rules(raw.get("attraction"), members(raw))
     yield from _contact_rules(raw)
     for i, body in tables(raw, "body"):

@@ -299,6 +299,7 @@ def impulse_text(tally: Floats) -> str:
     each = tally[[records.CONTACTS, records.SWEEPS, records.NEWTON_STEPS]] / max(steps, 1.0)
     works = {"impacts": records.IMPACT_WORK, "pressing": records.PRESSING_WORK}
     works |= {"friction": records.FRICTION_WORK, "moving walls": records.BOUNDARY_WORK}
+    works |= {"motors": records.MOTOR_WORK} if tally[records.MOTOR_WORK] else {}
     works |= {"push-out": records.PUSH_OUT_WORK}
     done = ", ".join(f"{name} {tally[k]:.3g} J" for name, k in works.items())
     text = (

@@ -6,7 +6,7 @@ from typing import Final
 from particlerb.model.system import System
 from particlerb.simulation.whole_run import Prepared
 
-_ACTING: Final = ("spring", "damper", "motor", "limit", "drive", "during", "breaks_at")
+_ACTING: Final = ("spring", "damper", "motor", "limit", "friction", "drive", "during", "breaks_at")
 FREE_STEP: Final = 1e-3  # [s] where all moves in closed form
 
 

@@ -6,6 +6,7 @@ potential says.
 """
 
 from particlerb.compiled.jit import inline, lean_kernel
+from particlerb.impulses.bounded_effects import book_bounded
 from particlerb.impulses.records import (
     ARM,
     BOUNDARY_WORK,
@@ -67,3 +68,4 @@ def book_impulses(impulses: Impulses) -> None:
         tally[PRESSING_WORK] += normal
         tally[FRICTION_WORK] += rubbed
         tally[BOUNDARY_WORK] += moved
+    book_bounded(rows.bounded, partners, tally)

@@ -13,6 +13,7 @@ contact and dry friction in finite freedom dynamics (1988), for restitution in t
 from typing import Final
 
 from particlerb.compiled.jit import inline, lean_kernel
+from particlerb.impulses.bounded import bounce_at_stops
 from particlerb.impulses.cone import impulse_alone
 from particlerb.impulses.records import (
     COUPLING,
@@ -77,6 +78,7 @@ def take_impacts(impulses: Impulses) -> None:
             for i in range(3):
                 rows.impact[k, i] += r[i]
             hits += 1
+        hits += bounce_at_stops(rows.bounded, partners)
         tally[IMPACTS] += hits
         if hits == 0:
             return

@@ -23,6 +23,13 @@ from typing import Final
 
 from particlerb.compiled.jit import inline, lean_kernel
 from particlerb.impulses.band import solve_band
+from particlerb.impulses.bounded import push_by_bounded
+from particlerb.impulses.bounded_newton import (
+    add_bounded,
+    end_bounded,
+    linearise_bounded,
+    step_bounded,
+)
 from particlerb.impulses.cone import nearest_in_cone, on_disc
 from particlerb.impulses.mechanisms import count_members, has_response, member, through_joints
 from particlerb.impulses.records import (
@@ -74,6 +81,7 @@ def refresh_velocities(partners: Partners, rows: ImpulseRows, count: int) -> Non
         r = column3(rows.impulse, k, 0)
         if dot(r, r) > 0.0:
             change_by(partners, rows, k, r)
+    push_by_bounded(rows.bounded, partners.velocity)
 
 
 @inline
@@ -199,6 +207,7 @@ def _evaluate(partners: Partners, rows: ImpulseRows, newton: Newton, count: int)
         clusters[j, _SIZE] = 0.0
     for k in range(count):
         clusters[_cluster_of(newton, rows, k), _SIZE] += _linearise(partners, rows, newton, k)
+    linearise_bounded(rows.bounded, newton, partners.velocity, _SIZE)
 
 
 @lean_kernel
@@ -241,6 +250,7 @@ def _solve_for_bodies(partners: Partners, rows: ImpulseRows, newton: Newton, cou
                 for i in range(3):
                     change[at + i] += sign * p[i]
                     change[at + 3 + i] += sign * m[i]
+    add_bounded(rows.bounded, newton, partners.mechanisms, _STATE, _TO_SOLVE)
     solve_band(matrix, change, reach)
     move = partners.move
     for b in range(move.shape[0]):
@@ -270,6 +280,7 @@ def _step(partners: Partners, rows: ImpulseRows, newton: Newton, count: int) -> 
         if state != _DONE:
             r = add_scaled(share, column3(direction, k, 0), column3(old, k, 0))
             put_column3(impulse, k, 0, r)
+    step_bounded(rows.bounded, newton, partners.move, (_SHARE, _STATE), (_TO_SOLVE, _DONE))
 
 
 @lean_kernel
@@ -316,6 +327,7 @@ def take_newton_steps(impulses: Impulses, tolerance: float, size: float) -> bool
     for k in range(count):
         if clusters[_cluster_of(newton, rows, k), _STATE] != _DONE:
             put_column3(rows.impulse, k, 0, column3(rows.old, k, 0))
+    end_bounded(rows.bounded, newton, _STATE, _DONE)
     _into_the_cones(rows, count)
     refresh_velocities(partners, rows, count)
     return not goes_on

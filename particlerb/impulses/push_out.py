@@ -9,6 +9,7 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import lean_kernel
+from particlerb.impulses.bounded_effects import find_overrun, push_back_from_stops
 from particlerb.impulses.mechanisms import all_have_moved
 from particlerb.impulses.records import GAP, INVERSE, LEAST, NEVER, NORMAL, SLOW, Impulses
 from particlerb.impulses.rows import approach, column3, in_frame, push_apart, velocity_between
@@ -30,7 +31,8 @@ def push_out(impulses: Impulses, dt: float) -> bool:
             gap = math.inf
         rows.old[k, 0], rows.old[k, 1] = 0.0, gap
         found = found or gap < -rules.slop
-    if not found or rules.push_out == 0.0:
+    is_overrun = find_overrun(rows.bounded, partners.velocity, dt)
+    if not (found or is_overrun) or rules.push_out == 0.0:
         return False
     for b in range(move.shape[0]):
         has_moved[b] = False
@@ -54,6 +56,7 @@ def push_out(impulses: Impulses, dt: float) -> bool:
                 p = scale(more, column3(frame, k, NORMAL))
                 push_apart(move, partners.inverse, partners.mechanisms, frame, k, a, b, p)
                 largest = max(largest, abs(more) * frame[k, INVERSE])
+        push_back_from_stops(rows.bounded, move, has_moved, rules.push_out)
         if largest <= _ENOUGH * rules.slop:
             break
     return True

@@ -28,6 +28,25 @@ RESTITUTION: Final = 1
 SLOW: Final = 2  # [m/s] what approaches no faster does not bounce
 _N_LIMITS: Final = 3
 
+STOP, MOTOR, RUBS = 0, 1, 2  # kinds of rows of `Bounded`
+# Columns of `Bounded.values`; impulses, and so what they belong to, along the coordinate
+B_INVERSE: Final = 0  # W of the mechanism
+B_WEIGHT: Final = 1  # of its square among those of contacts
+B_LEAST: Final = 2  # rate without an impulse; -inf: any
+B_MOST: Final = 3  # and inf
+B_LARGEST: Final = 4  # impulse
+B_GAP: Final = 5  # to the lower stop, and to the upper one at + 1
+B_RESTITUTION: Final = 7
+B_SLOW: Final = 8  # what comes no faster to a stop does not bounce
+B_FORCE: Final = 9  # impulse of the last whole step over its length
+B_IMPULSE: Final = 10
+B_IMPACT: Final = 11
+B_OLD: Final = 12  # before a sweep, or push-out so far
+B_DIRECTION: Final = 13  # of the conjugate gradients
+B_CHANGE: Final = 14  # c and
+B_SLOPE: Final = 15  # K of Newton's method; then on which side a stop is overrun, and by how much
+_N_BOUNDED: Final = 16
+
 # Numbers of a tally
 STEPS: Final = 0  # steps in which something was near
 SWEEPS: Final = 1
@@ -54,7 +73,8 @@ LARGEST_GAP: Final = 21  # the same, where it is positive
 CROSSINGS: Final = 22  # of bodies into other cells
 RENEWED: Final = 23  # events whose partner had hit another body before
 GROSS_WORK: Final = 24  # [J]
-TALLY: Final = 25
+MOTOR_WORK: Final = 25  # [J] of motors with a largest torque or force
+TALLY: Final = 26
 
 LEAST_CELLS: Final = 4  # along a side of a periodic box: two bodies meet in one image alone
 NEVER: Final = -1e300  # [m/s] least velocity of a contact that is left out of a solve
@@ -111,6 +131,19 @@ class Partners(NamedTuple):
     mechanisms: Mechanisms | None  # None: no joint holds any
 
 
+class Bounded(NamedTuple):
+    """Rows along coordinates of joints: see `bounded`; the world is `first`, with no gradient."""
+
+    kind: Ints  # (k,) STOP, MOTOR or RUBS
+    first: Ints  # (k,) partners
+    second: Ints  # (k,)
+    start: Ints  # (k + 1,) where what each moves begins in the next two
+    member: Ints  # partners of its mechanism, and
+    response: Floats  # (.., 6) [m/s, rad/s] what a unit impulse does to their velocities
+    gradient: Floats  # (k, 12) by the velocities of both
+    values: Floats  # (k, 16)
+
+
 class ImpulseRows(NamedTuple):
     """Contacts of a step: room for `first.size`."""
 
@@ -123,6 +156,7 @@ class ImpulseRows(NamedTuple):
     impact: Floats  # (.., 3) [N s] the same of impacts
     old: Floats  # (.., 3) before a sweep, and shares of the push-out
     direction: Floats  # (.., 3) of the conjugate gradients
+    bounded: Bounded | None = None  # None: nothing acts in joints within bounds
 
 
 class Newton(NamedTuple):
@@ -157,11 +191,22 @@ def room_for_partners(n: int, mechanisms: Mechanisms | None = None) -> Partners:
     return Partners(*arrays, mechanisms)
 
 
-def room_for_rows(n: int) -> ImpulseRows:
+def room_for_rows(n: int, bounded: Bounded | None = None) -> ImpulseRows:
     """Room for n contacts."""
     first, second, entry = np.zeros((3, n), dtype=np.int64)
-    widths = (N_COLUMNS, _N_LIMITS, 3, 3, 3, 3)
-    return ImpulseRows(first, second, entry, *(np.zeros((n, width)) for width in widths))
+    frame, limits = np.zeros((n, N_COLUMNS)), np.zeros((n, _N_LIMITS))
+    impulse, impact, old, direction = np.zeros((4, n, 3))
+    return ImpulseRows(
+        first, second, entry, frame, limits, impulse, impact, old, direction, bounded
+    )
+
+
+def room_for_bounded(kind: Ints, first: Ints, second: Ints, members: list[Ints]) -> Bounded:
+    """Room for rows between two partners each, that move these."""
+    start = np.cumsum([0, *(own.size for own in members)])
+    response, k = np.zeros((start[-1], 6)), kind.size
+    gradient, values = np.zeros((k, 12)), np.zeros((k, _N_BOUNDED))
+    return Bounded(kind, first, second, start, np.concatenate(members), response, gradient, values)
 
 
 ZERO: Final[Vec3] = (0.0, 0.0, 0.0)

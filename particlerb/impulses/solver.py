@@ -17,6 +17,15 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import lean_kernel
+from particlerb.impulses.bounded import (
+    begin_bounded,
+    give_bounded,
+    leave_out_stops,
+    miss_of_bounded,
+    mix_bounded,
+    size_of_bounded,
+    sweep_bounded,
+)
 from particlerb.impulses.cone import nearest_in_cone, on_disc
 from particlerb.impulses.newton import take_newton_steps
 from particlerb.impulses.records import (
@@ -59,6 +68,7 @@ def leave_out_what_will_bounce(impulses: Impulses) -> None:
         will_bounce = limits[k, RESTITUTION] > 0.0 and limits[k, GAP] > 0.0
         if will_bounce and approach(partners, rows, k)[0] < -limits[k, SLOW]:
             rows.frame[k, LEAST] = NEVER
+    leave_out_stops(rows.bounded, partners.velocity)
 
 
 @lean_kernel
@@ -73,6 +83,7 @@ def _begin_where_it_ended(impulses: Impulses) -> None:
         x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
         put_column3(rows.impulse, k, 0, (n, x, y))
         change_by(partners, rows, k, (n, x, y))
+    begin_bounded(rows.bounded, partners.velocity)
 
 
 @lean_kernel
@@ -96,7 +107,7 @@ def _sweep(partners: Partners, rows: ImpulseRows, count: int) -> float:
             put_column3(impulse, k, 0, (n, x, y))
             change_by(partners, rows, k, change)
         changed += square
-    return changed
+    return changed + sweep_bounded(rows.bounded, partners.velocity)
 
 
 @lean_kernel
@@ -111,6 +122,8 @@ def residual(partners: Partners, rows: ImpulseRows, count: int, floor: float) ->
         miss = subtract(r, nearest_in_cone(r[0] - share * lifted, x, y, mu))
         off += dot(miss, miss)
         size += dot(r, r)
+    off += miss_of_bounded(rows.bounded, partners.velocity)
+    size += size_of_bounded(rows.bounded)
     return math.sqrt(off) / max(math.sqrt(size), floor, 1e-300)
 
 
@@ -127,6 +140,7 @@ def _mix(partners: Partners, rows: ImpulseRows, count: int, beta: float, is_last
             change_by(partners, rows, k, on)
         for i in range(3):
             direction[k, i] = on[i] + change[i]
+    mix_bounded(rows.bounded, partners.velocity, beta, is_last)
 
 
 @lean_kernel
@@ -158,6 +172,7 @@ def _size(rows: ImpulseRows, count: int, floor: float) -> float:
     for k in range(count):
         r = column3(rows.impulse, k, 0)
         size += dot(r, r)
+    size += size_of_bounded(rows.bounded)
     return max(math.sqrt(size), floor)
 
 
@@ -174,7 +189,7 @@ def solve(impulses: Impulses, moved: float) -> None:
     """
     rules, partners, rows, count, tally, newton = impulses
     m = count[0]
-    if m == 0:
+    if m == 0 and rows.bounded is None:
         tally[RESIDUAL] = 0.0
         return
     for b in range(partners.free.shape[0]):
@@ -194,6 +209,7 @@ def solve(impulses: Impulses, moved: float) -> None:
             found = _sweeps(impulses, most, floor)
     for k in range(m):
         give(partners, rows, k, column3(rows.impulse, k, 0))
+    give_bounded(rows.bounded, partners.given)
     tally[STEPS] += 1.0
     tally[CONTACTS] += m
     tally[UNMET] += 1.0 if found > rules.tolerance else 0.0

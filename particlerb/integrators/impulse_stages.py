@@ -14,9 +14,17 @@ from particlerb.contact.records import row3
 from particlerb.forces.kernels import Acting, kick_potential, shift_time
 from particlerb.forces.registry import STAGE
 from particlerb.impulses.bookkeeping import book_impulses
+from particlerb.impulses.bounded import keep_bounded
 from particlerb.impulses.impacts import take_impacts
 from particlerb.impulses.push_out import push_out
-from particlerb.impulses.records import PUSH_OUT_WORK, ZERO, Impulses, Mechanisms, Partners
+from particlerb.impulses.records import (
+    PUSH_OUT_WORK,
+    ZERO,
+    Bounded,
+    Impulses,
+    Mechanisms,
+    Partners,
+)
 from particlerb.impulses.rows import column3, put_column3
 from particlerb.impulses.solver import leave_out_what_will_bounce, solve
 from particlerb.integrators.contact_stages import place_within_step
@@ -155,12 +163,12 @@ def _apply_given(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
 
 @inline
 def _let_joints_hold(
-    jointed: Jointed | None, mechanisms: Mechanisms | None, impulses: Impulses
+    jointed: Jointed | None, mechanisms: Mechanisms | None, impulses: Impulses, dt: float
 ) -> None:
     """Let contacts feel what joints tie to their partners, if there is anything."""
     if jointed is None or mechanisms is None:
         return
-    find_responses(jointed.joints, jointed.work, impulses, mechanisms)
+    find_responses(jointed.joints, jointed.work, impulses, mechanisms, dt)
 
 
 @kernel
@@ -181,7 +189,7 @@ def bounce(
         extremes = contact.memory.extremes
         _gather_walls(contact, impulses.partners)
         find_impulse_contacts(setup, workspace, contact.lists, impulses, extremes, dt)
-        _let_joints_hold(jointed, impulses.partners.mechanisms, impulses)
+        _let_joints_hold(jointed, impulses.partners.mechanisms, impulses, dt)
         take_impacts(impulses)
         _apply_given(impulses, blocks, layout)
     meet(team)
@@ -319,6 +327,15 @@ def _book_among_joints(
         _book_given(books, jointed.given, jointed, partners, blocks, dt)
 
 
+@inline
+def _keep_among_joints(jointed: Jointed | None, bounded: Bounded | None, dt: float) -> None:
+    """Keep what acts in joints within bounds for the next step, unless this goes to a frame."""
+    if jointed is None:
+        return
+    if dt == jointed.work.clock[1]:
+        keep_bounded(bounded, dt)
+
+
 @kernel
 def press(
     contact: MovingContact | None,
@@ -345,6 +362,7 @@ def press(
         _book_bodies(contact, impulses, books, blocks, layout)
         _book_among_joints(books, jointed, partners, blocks, dt)
         keep_impulses(contact.lists, impulses, dt)
+        _keep_among_joints(jointed, impulses.rows.bounded, dt)
         moves = push_out(impulses, dt)
         for _ in range(_MOVES):
             if not moves:

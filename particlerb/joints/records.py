@@ -76,6 +76,18 @@ class Breaks(NamedTuple):
     torque: Floats  # (j,) [N m]
 
 
+class Bounds(NamedTuple):
+    """Numbers that act along coordinates within bounds, by impulses: impulses/bounded.py."""
+
+    row: Ints  # (k,) of the joints; before they are among a group, its action
+    kind: Ints  # (k,) STOP, MOTOR or RUBS of impulses/records.py
+    lower: Floats  # (k,) [m or rad] coordinate that a stop keeps; -inf, inf of others
+    upper: Floats  # (k,)
+    restitution: Floats  # (k,) of stops
+    speed: Floats  # (k,) [m/s or rad/s] that a motor or friction keeps
+    largest: Floats  # (k,) [N or N m] with which; inf of stops
+
+
 class Clusters(NamedTuple):
     """Where each cluster begins in other arrays, and where the last one ends."""
 
@@ -130,6 +142,7 @@ class Joints(NamedTuple):
     carried: Bools | None = None  # (n + 1,) bodies that move as prescribed; None: there are none
     moves: Flag = None  # whether constraints move by themselves
     breaks: Breaks | None = None  # None: no joint does
+    bounds: Bounds | None = None  # None: nothing acts within bounds
 
     @property
     def has_potential(self) -> bool:

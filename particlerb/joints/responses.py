@@ -13,8 +13,18 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import lean_kernel
-from particlerb.impulses.records import Impulses, Mechanisms, Partners
+from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.impulses.bounded import write_bounds, write_gradient, write_response
+from particlerb.impulses.records import (
+    B_GAP,
+    B_RESTITUTION,
+    ZERO,
+    Bounded,
+    Impulses,
+    Mechanisms,
+    Partners,
+    room_for_bounded,
+)
 from particlerb.impulses.rows import (
     column3,
     inverse_inertia_times,
@@ -22,10 +32,10 @@ from particlerb.impulses.rows import (
     write_through_joints,
 )
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import Joints, Work
-from particlerb.joints.rows import add_impulses, rate, residuals
+from particlerb.joints.records import Bounds, Joints, Work
+from particlerb.joints.rows import add_impulses, coordinate, rate, residuals, vector
 from particlerb.joints.solver import factorise_cluster
-from particlerb.maths.vec3 import Ints, scale
+from particlerb.maths.vec3 import Ints, dot, scale
 
 _ROUNDING: Final = 1e-14  # residuals, over their size, that are as good as none
 
@@ -42,6 +52,18 @@ def mechanisms_of(joints: Joints, n_partners: int) -> Mechanisms:
     start = np.append(0, np.cumsum(np.where(is_tied, 36 * size * size, 0)))
     known = np.zeros(n_partners, dtype=np.bool_)
     return Mechanisms(number, place, joints.order, body, start[:-1], np.zeros(start[-1]), known)
+
+
+def bounded_of(joints: Joints, mechanisms: Mechanisms) -> Bounded | None:
+    """Room for what acts along coordinates of joints within bounds; None where nothing does."""
+    if joints.bounds is None:
+        return None
+    a, b = joints.rows.a[joints.bounds.row], joints.rows.b[joints.bounds.row]
+    first, n, edges = joints.order[a], joints.order.size, mechanisms.first
+    second = np.where(b < n, joints.order[np.minimum(b, n - 1)], first)
+    of = np.searchsorted(edges, a, side="right") - 1
+    members = [mechanisms.member[edges[c] : edges[c + 1]] for c in of.tolist()]
+    return room_for_bounded(joints.bounds.kind, first, second, members)
 
 
 def pairs_through(mechanisms: Mechanisms | None, a: Ints, b: Ints) -> tuple[Ints, Ints]:
@@ -105,11 +127,49 @@ def _respond(
             _put_velocities(partners, mechanisms, work, c, to)
 
 
+@lean
+def _know_bounded(bounded: Bounded | None, mechanisms: Mechanisms) -> None:
+    """Ask for the responses of bodies with a coordinate within bounds."""
+    if bounded is None:
+        return
+    for k in range(bounded.kind.size):
+        for b in (bounded.first[k], bounded.second[k]):
+            mechanisms.is_known[b] = mechanisms.number[b] >= 0
+
+
+@lean
+def _find_bounded(
+    bounded: Bounded | None, bounds: Bounds | None, joints: Joints, work: Work,
+    partners: Partners, mechanisms: Mechanisms, dt: float,
+) -> None:  # fmt: skip
+    """Write rows of what acts along coordinates within bounds, for a step of dt [s]."""
+    if bounded is None or bounds is None:
+        return
+    for k in range(bounded.kind.size):
+        r = bounds.row[k]
+        a, b, x = joints.rows.a[r], joints.rows.b[r], coordinate(joints.rows, work.y, r)
+        by_x, by_a = vector(work.gradient, r, 0), vector(work.gradient, r, 3)
+        by_b = vector(work.gradient, r, 6)
+        if b == joints.order.size:
+            write_gradient(bounded, k, by_x, by_a, ZERO, ZERO)
+        else:
+            write_gradient(bounded, k, by_x, by_a, scale(-1.0, by_x), by_b)
+        mass = joints.inv_mass[a] + joints.inv_mass[b]
+        free = mass * dot(by_x, by_x) + dot(by_a, vector(work.gradient, r, 9))
+        write_response(bounded, mechanisms, k, mass, free + dot(by_b, vector(work.gradient, r, 12)))
+        values = bounded.values
+        values[k, B_GAP], values[k, B_GAP + 1] = x - bounds.lower[k], bounds.upper[k] - x
+        values[k, B_RESTITUTION], most = bounds.restitution[k], dt * bounds.largest[k]
+        write_bounds(bounded, partners, k, bounds.speed[k], most, dt)
+
+
 @lean_kernel
-def find_responses(joints: Joints, work: Work, impulses: Impulses, mechanisms: Mechanisms) -> None:
+def find_responses(
+    joints: Joints, work: Work, impulses: Impulses, mechanisms: Mechanisms, dt: float
+) -> None:
     """Find what impulses on bodies that touch do to their mechanisms, and inverse masses by that.
 
-    Bodies are in `work` where they touch, and the clock is there.
+    Bodies are in `work` where they touch, and the clock is there; the step takes dt [s].
     """
     _, partners, rows, count, _, _ = impulses
     known, number = mechanisms.is_known, mechanisms.number
@@ -118,6 +178,7 @@ def find_responses(joints: Joints, work: Work, impulses: Impulses, mechanisms: M
     for k in range(count[0]):
         for b in (rows.first[k], rows.second[k]):
             known[b] = number[b] >= 0
+    _know_bounded(rows.bounded, mechanisms)
     for c in range(mechanisms.start.size):
         for k in range(mechanisms.first[c], mechanisms.first[c + 1]):
             if known[mechanisms.member[k]]:
@@ -126,6 +187,7 @@ def find_responses(joints: Joints, work: Work, impulses: Impulses, mechanisms: M
     for k in range(count[0]):
         if known[rows.first[k]] or known[rows.second[k]]:
             write_through_joints(partners, rows, k)
+    _find_bounded(rows.bounded, joints.bounds, joints, work, partners, mechanisms, dt)
 
 
 @lean_kernel

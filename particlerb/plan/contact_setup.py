@@ -21,6 +21,7 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.system import System
 from particlerb.plan.initial_overlaps import refuse_misplaced
 from particlerb.plan.joint_ends import bodies_apart
+from particlerb.plan.joint_rows import bounds_of
 from particlerb.plan.obstacles import driven_bodies, middle, motion_of, pistons_of, wall_of
 
 _TANGENTIAL: Final = 2.0 / 7.0  # default tangential over normal stiffness
@@ -89,7 +90,7 @@ def contact_of(system: System) -> ContactSetup | None:
     )
     one = slice(system.in_each)
     can_meet = _meetings(len(names), material[one], fixed[one], wall_material)
-    if not problems and not can_meet.any():
+    if not problems and not can_meet.any() and not _is_for_joints(system):
         reason = "this takes two bodies, or a body and a wall, of which one can move"
         hint = "add a [[wall]] or a body, or leave [contact] out"
         problems.append(problem_at(system, "contact", f"nothing can touch: {reason}", hint))
@@ -112,7 +113,8 @@ def contact_of(system: System) -> ContactSetup | None:
         wall_material=wall_material,
         apart=bodies_apart(system),
     )
-    refuse_misplaced(system, contact)
+    if can_meet.any():
+        refuse_misplaced(system, contact)
     return contact
 
 
@@ -166,6 +168,12 @@ def _meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints) -> Bo
     own = (moving > 1) | ((moving == 1) & (still > 0))
     np.fill_diagonal(met, own)
     return np.asarray(met | met.T)
+
+
+def _is_for_joints(system: System) -> bool:
+    """Whether [contact] is needed, though nothing meets: its law solves what acts in joints."""
+    assert system.contact is not None
+    return system.contact.law == "impulse" and bool(bounds_of(system.joint).row.size)
 
 
 def pairs_of(

@@ -87,8 +87,9 @@ def groups_of(
         own[members] = True
         inside = [within(link, own) for link in links if own[link.first].any()]
         attracts = bool(heavy.size) and bool(own[heavy[0]])
-        touches = bool(solid.size) and bool(own[solid[0]])
         tied = joints if held is not None and own[held.first].any() else None
+        touches = bool(solid.size) and bool(own[solid[0]])
+        touches |= tied is not None and tied.is_bounded_among(members)
         forces = _aligned(loads, members)
         groups.append(GroupSetup(members, forces, inside, attracts, touches, tied))
     return sorted(groups, key=lambda group: int(group.members.min()))
@@ -318,9 +319,9 @@ def _contact_among(
         world,
     )
     material = touching.wall_material[touching.walls.wall]
-    law = _law_of(touching)
-    pair_of = np.arange(rows * k).reshape(rows, k)
-    skin = touching.record.skin or SKIN * float(radius.min())
+    law, pair_of = _law_of(touching), np.arange(rows * k).reshape(rows, k)
+    smallest = float(radius.min()) if radius.size else 0.0  # joints alone are solved
+    skin = touching.record.skin or SKIN * smallest
     model = ContactModel(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
         driven_among(touching.driven, members),
@@ -328,11 +329,10 @@ def _contact_among(
     motions = motion_records(touching.motions)
     is_shown = any(name in FIELDS_OF_CONTACT for name in system.output.fields)
     is_fixed, pistons = touching.record.skin is not None, touching.pistons
-    left_out = int(may_touch.sum()) - owner.size
-    is_forced = touching.record.allow_unstable
+    left_out, is_forced = int(may_touch.sum()) - owner.size, touching.record.allow_unstable
     return GroupContact(
         model, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced,
-        rules_of(touching, float(radius.min()), members.size), events_of(system, touching),
+        rules_of(touching, smallest, members.size), events_of(system, touching),
     )  # fmt: skip
 
 
@@ -352,7 +352,7 @@ def _reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
     """
     radius, offset = system.particles.radius, system.particles.offset
     found = radius > 0.0
-    if touching.record.relax:
+    if touching.record.relax or not touching.body.size:
         return found
     comes = np.unique(system.kind[touching.body])
     own = np.concatenate([radius[offset[kind] : offset[kind + 1]] for kind in comes])

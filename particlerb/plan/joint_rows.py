@@ -1,14 +1,25 @@
 """Joints of one table of a case, resolved: rows between bodies that move, what acts along them."""
 
+from collections.abc import Sequence
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.joints import JointLoad, JointTable
+from particlerb.case.joints import JointLoad, JointMotor, JointTable
 from particlerb.forces.links import Links
+from particlerb.impulses.records import MOTOR, RUBS, STOP
 from particlerb.joints.coordinates import coordinates_of
-from particlerb.joints.records import AT_REST, STRETCH, Actions, Breaks, ConstraintRows, Coordinates
-from particlerb.joints.setup import action, both_actions
+from particlerb.joints.records import (
+    AT_REST,
+    STRETCH,
+    Actions,
+    Bounds,
+    Breaks,
+    ConstraintRows,
+    Coordinates,
+)
+from particlerb.joints.setup import NO_ACTIONS, action, both_actions
 from particlerb.joints.types import Ends, rows_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.merging import Merging
@@ -58,15 +69,43 @@ def joints_of_table(
     )
 
 
-def action_of(table: JointTable) -> Actions:
+def actions_of(tables: Sequence[JointTable]) -> Actions:
+    """What acts along the coordinates of joints."""
+    return reduce(both_actions, map(_action_of, tables), NO_ACTIONS)
+
+
+def _action_of(table: JointTable) -> Actions:
     """What acts along the coordinate of a joint."""
-    spring, limit = table.spring, table.limit
+    spring, limit, stops = table.spring, table.limit, (-np.inf, np.inf, 0.0, 0.0)
+    if limit is not None and limit.stiffness is not None:
+        stops = (*limit.range, limit.stiffness, limit.damping)
     return action(
         *((spring.stiffness, spring.rest) if spring else (0.0, 0.0)),
         table.damper,
-        *((*limit.range, limit.stiffness, limit.damping) if limit else (-np.inf, np.inf, 0.0, 0.0)),
-        table.motor,
+        *stops,
+        0.0 if isinstance(table.motor, JointMotor) else table.motor,
     )
+
+
+def bounds_of(tables: Sequence[JointTable]) -> Bounds:
+    """What acts within bounds in joints of these tables; rows are numbers of the tables."""
+    found: list[tuple[float, ...]] = []
+    for k, table in enumerate(tables):
+        limit, motor = table.limit, table.motor
+        if limit is not None and limit.stiffness is None:
+            found.append((k, STOP, *limit.range, limit.restitution, 0.0, np.inf))
+        if isinstance(motor, JointMotor):
+            found.append((k, MOTOR, -np.inf, np.inf, 0.0, motor.speed, motor.largest))
+        if table.friction > 0.0:
+            found.append((k, RUBS, -np.inf, np.inf, 0.0, 0.0, table.friction))
+    row, kind, *numbers = np.array(found).reshape(-1, 7).T
+    return Bounds(row.astype(np.int64), kind.astype(np.int64), *map(np.ascontiguousarray, numbers))
+
+
+def bounds_among(bounds: Bounds, rows: ConstraintRows) -> Bounds | None:
+    """Those in rows of joints of a group, whose actions they name; None where there are none."""
+    row, which = np.nonzero(rows.action[:, None] == bounds.row)
+    return Bounds._make([row, *(values[which] for values in bounds[1:])]) if row.size else None
 
 
 def breaks_of(system: System, record: Ints) -> Breaks:

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.joints import ACTIONS
+from particlerb.case.joints import ACTIONS, JointTable
 from particlerb.case.output import FIELDS_OF_JOINTS
 from particlerb.case.problems import CaseError, Problem, problem_at
 from particlerb.contact.prescribed_motion import (
@@ -25,6 +25,7 @@ from particlerb.joints.records import (
     AT_REST,
     HOLDS,
     Actions,
+    Bounds,
     Breaks,
     ConstraintRows,
     Coordinates,
@@ -33,7 +34,7 @@ from particlerb.joints.records import (
     room_for_joints,
 )
 from particlerb.joints.rows import linearise, rates, residuals
-from particlerb.joints.setup import NO_ACTIONS, both_actions, joints_among
+from particlerb.joints.setup import joints_among
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.joints.types import Ends
 from particlerb.maths.vec3 import Floats, Ints
@@ -70,6 +71,7 @@ class JointSetup(NamedTuple):
     courses: tuple[DriveCourse, ...]  # what is prescribed
     breaks: Breaks  # (j,)
     driven: PrescribedBodies | None  # bodies of the system that move as prescribed
+    bounds: Bounds  # what acts within bounds, of actions
 
     def within(
         self, members: Ints, bodies: Bodies, links: Links | None = None, time: float = 0.0
@@ -101,13 +103,20 @@ class JointSetup(NamedTuple):
         joints = joints_among(which, start, rows, bodies, actions, coordinates, drives, carried)
         limits = Breaks(*(np.append(limit, np.inf)[joints.number] for limit in self.breaks))
         breaks = limits if np.isfinite(limits).any() else None
-        return joints._replace(breaks=breaks)
+        return joints._replace(
+            breaks=breaks, bounds=joint_rows.bounds_among(self.bounds, joints.rows)
+        )
 
     @property
     def acting(self) -> Ties:
         """Joints that ever act."""
         own = np.flatnonzero(self.until > 0.0)
         return Ties(self.record[own], self.first[own], self.second[own])
+
+    def is_bounded_among(self, members: Ints) -> bool:
+        """Whether something acts within bounds on the members of a group."""
+        own = self.rows.action[np.isin(self.rows.a, members)]
+        return bool(np.isin(self.bounds.row, own).any())
 
     def drives_among(self, members: Ints) -> list[DriveCourse]:
         """What is prescribed among the members of a group."""
@@ -143,11 +152,10 @@ def joints_of(system: System) -> JointSetup | None:
     if not system.joint:
         return None
     merging = system.merging
-    if merging is not None:
-        system = merging.whole
+    system = system if merging is None else merging.whole
     system = system._replace(state=system.placed or system.state)
-    problems, found = list[Problem](), list[joint_rows.TableJoints]()
-    actions, driven = NO_ACTIONS, [k for k, t in enumerate(system.joint) if t.drive is not None]
+    problems, found, acting = list[Problem](), list[joint_rows.TableJoints](), list[JointTable]()
+    driven = [k for k, table in enumerate(system.joint) if table.drive is not None]
     for number, table in enumerate(system.joint):
         first, second = pairs_of(system, table)
         if problem := _wrong_ends(system, number, first, second):
@@ -157,11 +165,11 @@ def joints_of(system: System) -> JointSetup | None:
         if problem := _wrong_place(system, number, ends):
             problems.append(problem)
             continue
-        acts = any(getattr(table, key) for key in ACTIONS)
-        drive = driven.index(number) if number in driven else AT_REST
-        rows = actions.motor.size if acts else HOLDS, drive
-        found.append(joint_rows.joints_of_table(system, number, ends, merging, rows))
-        actions = both_actions(actions, joint_rows.action_of(table)) if acts else actions
+        drive, own = driven.index(number) if number in driven else AT_REST, HOLDS
+        if any(getattr(table, key) for key in ACTIONS):
+            own = len(acting)
+            acting.append(table)
+        found.append(joint_rows.joints_of_table(system, number, ends, merging, (own, drive)))
     if problems:
         raise CaseError(problems)
     columns = list(zip(*found, strict=True))
@@ -177,11 +185,12 @@ def joints_of(system: System) -> JointSetup | None:
         places,
         united(columns[1], [len(own.names) for own in found]),
         "joint_coordinate" in asked_of_joints(system),
-        actions,
+        joint_rows.actions_of(acting),
         until,
-        tuple(course_of(table.drive) for table in system.joint if table.drive is not None),
+        tuple(course_of(t.drive) for t in system.joint if t.drive is not None),
         joint_rows.breaks_of(system, record),
         driven_bodies(system),
+        joint_rows.bounds_of(acting),
     )
     problems = _held_impulses(system, setup)
     if merging is None:

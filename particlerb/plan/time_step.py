@@ -143,7 +143,8 @@ def _speed(system: System, group: GroupPlan, segment: Segment) -> float:
     assert contact is not None
     speed = np.linalg.norm(state.p * group.bodies.inv_mass, axis=0)
     spin = np.linalg.norm(omega_world(group.bodies, state), axis=0)
-    points: Floats = speed + spin * (contact.max_arm + contact.model.spheres.radius.max())
+    largest = contact.model.spheres.radius.max(initial=0.0)
+    points: Floats = speed + spin * (contact.max_arm + largest)
     return math.hypot(float(points.max()), falling_speed(system, segment.terms))
 
 
@@ -157,7 +158,7 @@ def impulse_step(system: System, group: GroupPlan) -> float:
         if not touches_by_impulses(segment):
             continue
         assert segment.terms.contact is not None
-        radius = float(segment.terms.contact.model.spheres.radius.min())
+        radius = segment.terms.contact.model.spheres.radius.min(initial=math.inf)
         speed, g = _speed(system, group, segment), float(np.linalg.norm(system.acceleration))
         step = min(step, _OF_RADIUS * radius / speed if speed > 0.0 else math.inf)
         step = min(step, _OF_FALL * math.sqrt(radius / g) if g > 0.0 else math.inf)

@@ -111,9 +111,10 @@ class ContactLists:
         self._walls = WallSearch(walls, spheres.radius)
         self._at_walls = None if own is None else np.flatnonzero(own[spheres.body])
         self._primitives = np.arange(walls.kind.size)
-        self._max_contact_arm = float((contact.max_arm + 2.0 * spheres.radius.max()).max())
+        largest = float(spheres.radius.max(initial=0.0))
+        self._max_contact_arm = float((contact.max_arm + 2.0 * largest).max())
         corners = np.abs(walls.parameter[:, :3]).max(initial=0.0)
-        self._extent = math.sqrt(3.0) * float(corners) + float(spheres.radius.max())
+        self._extent = math.sqrt(3.0) * float(corners) + largest
         self._buffers: dict[str, Floats] = {}
 
     def count_cost(self, n_spheres: int) -> None:

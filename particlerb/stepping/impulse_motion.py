@@ -7,8 +7,14 @@ import numpy as np
 from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.pair_force import max_point_speed
 from particlerb.impulses.order import room_for_newton
-from particlerb.impulses.records import TALLY, Impulses, room_for_partners, room_for_rows
-from particlerb.joints.responses import mechanisms_of, pairs_through
+from particlerb.impulses.records import (
+    B_FORCE,
+    TALLY,
+    Impulses,
+    room_for_partners,
+    room_for_rows,
+)
+from particlerb.joints.responses import bounded_of, mechanisms_of, pairs_through
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.motion import Energies, MotionError
@@ -33,11 +39,18 @@ class ImpulseMotion(ContactMotion):
         count = np.zeros(1, dtype=np.int64)
         nothing = np.zeros(0, dtype=np.int64)
         newton = room_for_newton(np.zeros(0, dtype=np.bool_), nothing, nothing, 0)
-        return Impulses(setup.rules, partners, room_for_rows(0), count, np.zeros(TALLY), newton)
+        bounded = None if joints is None or mechanisms is None else bounded_of(joints, mechanisms)
+        rows = room_for_rows(0, bounded)
+        return Impulses(setup.rules, partners, rows, count, np.zeros(TALLY), newton)
 
     def make_lists(self) -> None:
         """Pairs that may touch, kept within what bodies can cross in some steps."""
         self.looks = False  # no contact has a frequency
+        if not self.lists.numbers.size:  # joints alone are solved
+            self.lists.skin = np.inf
+            self.contact = self.contact._replace(setup=self.contact.setup._replace(skin=np.inf))
+            self._make_room()
+            return
         self._place()
         bodies, arm = self.contact.workspace.bodies, self.contact.lists.max_contact_arm
         path = self.dt * max_point_speed(bodies, arm, 0, bodies.size)
@@ -60,7 +73,8 @@ class ImpulseMotion(ContactMotion):
         n, impulses = lists.spheres.first.size + lists.walls.first.size, workspace.impulses
         assert impulses is not None
         if n > impulses.rows.first.size:
-            impulses = impulses._replace(rows=room_for_rows(int(_GROWTH * n)))
+            rows = room_for_rows(int(_GROWTH * n), impulses.rows.bounded)
+            impulses = impulses._replace(rows=rows)
         if impulses.rules.newton:
             owner, (first, second, *_) = setup.model.spheres.body, lists.spheres
             moves = np.append(setup.model.inv_mass > 0.0, np.zeros(len(setup.motions), np.bool_))
@@ -79,10 +93,21 @@ class ImpulseMotion(ContactMotion):
 
     def checkpoint(self) -> Saved:
         """What was counted as well."""
-        return super().checkpoint() | {"tally": self.impulse_tally().copy()}
+        saved = super().checkpoint() | {"tally": self.impulse_tally().copy()}
+        within = self.forces_within
+        return saved if within is None else saved | {"within": within.copy()}
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         super().restore(saved)
         self._make_room()
         self.impulse_tally()[:] = saved["tally"]
+        if self.forces_within is not None:
+            self.forces_within[:] = saved["within"]
+
+    @property
+    def forces_within(self) -> Floats | None:
+        """What acted in joints within bounds in the last step; None where nothing does."""
+        impulses = self.contact.workspace.impulses
+        bounded = None if impulses is None else impulses.rows.bounded
+        return None if bounded is None else bounded.values[:, B_FORCE]

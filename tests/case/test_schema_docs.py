@@ -38,6 +38,7 @@ HEADINGS = {
     "at, axis of a joint = { body = [..] }": "InFrame",
     "spring of a joint": "JointSpring",
     "limit of a joint": "JointLimit",
+    "motor of a joint": "JointMotor",
     "drive of a joint": "JointDrive",
     "breaks_at of a joint": "JointLoad",
     "[contact]": "ContactTable",

@@ -1,0 +1,314 @@
+"""Stops, motors and friction of joints: numbers within bounds, solved with the contacts.
+
+One row is a coordinate of a joint with its rate u and an impulse r along it. Without r the rate
+may be anything from `least` to `most`; the impulse that keeps it there is `largest` in size at
+most:
+
+    r = P(r - (u - least)/W, r - (u - most)/W),   P(a, b) = max(a, min(b, 0)) within ± largest
+
+For a stop the ends are those at which the coordinate would meet it at the end of a step, and no
+impulse is too large; a motor has its speed for both ends, friction 0. W is the inverse mass that
+the mechanism has along the coordinate. In sums beside contacts an impulse counts by W over the
+inverse mass of both bodies, so that one of N m s is as large as one of N s with the same energy.
+Where a scene has no such rows, nothing of this is compiled.
+"""
+
+import math
+from typing import Final
+
+from particlerb.compiled.jit import inline, lean
+from particlerb.impulses.records import (
+    B_DIRECTION,
+    B_FORCE,
+    B_GAP,
+    B_IMPACT,
+    B_IMPULSE,
+    B_INVERSE,
+    B_LARGEST,
+    B_LEAST,
+    B_MOST,
+    B_OLD,
+    B_RESTITUTION,
+    B_SLOW,
+    B_WEIGHT,
+    STOP,
+    Bounded,
+    Mechanisms,
+    Partners,
+)
+from particlerb.impulses.rows import column3
+from particlerb.maths.vec3 import Floats, Vec3, dot
+
+_LOCKED: Final = 1e-9  # of the inverse mass without joints: below it these hold the coordinate
+_KICKS: Final = 4.0  # half kicks: what comes no faster to a stop does not bounce, as in contacts
+_ROUNDING: Final = 1e-12  # of the rate
+
+
+@inline
+def rate_along(bounded: Bounded, velocity: Floats, k: int) -> float:
+    """Rate of the coordinate of row k with these velocities."""
+    found = 0.0
+    for end, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
+        found += dot(column3(bounded.gradient, k, at), column3(velocity, end, 0))
+        found += dot(column3(bounded.gradient, k, at + 3), column3(velocity, end, 3))
+    return found
+
+
+@inline
+def push_along(bounded: Bounded, velocity: Floats, k: int, r: float) -> None:
+    """Change velocities by an impulse along row k."""
+    for j in range(bounded.start[k], bounded.start[k + 1]):
+        for i in range(6):
+            velocity[bounded.member[j], i] += r * bounded.response[j, i]
+
+
+@inline
+def ends_of(values: Floats, k: int, u: float) -> tuple[float, float]:
+    """Impulses of row k by which its rate would be the least one, and the most."""
+    r, inverse = values[k, B_IMPULSE], values[k, B_INVERSE]
+    return r - (u - values[k, B_LEAST]) / inverse, r - (u - values[k, B_MOST]) / inverse
+
+
+@inline
+def within(values: Floats, k: int, r: float) -> float:
+    """r, or the nearest impulse that row k may have."""
+    largest = values[k, B_LARGEST]
+    inside: float = max(-largest, min(largest, r))
+    return inside
+
+
+@inline
+def _nearest(values: Floats, k: int, u: float) -> float:
+    """P of row k with the rate u."""
+    by_least, by_most = ends_of(values, k, u)
+    return within(values, k, max(by_least, min(by_most, 0.0)))
+
+
+# A row for a step
+
+
+@lean
+def write_gradient(
+    bounded: Bounded, k: int, by_a: Vec3, turning_a: Vec3, by_b: Vec3, turning_b: Vec3
+) -> None:
+    """Write how the coordinate of row k changes with the velocities of both of its bodies."""
+    for i in range(3):
+        bounded.gradient[k, i], bounded.gradient[k, 3 + i] = by_a[i], turning_a[i]
+        bounded.gradient[k, 6 + i], bounded.gradient[k, 9 + i] = by_b[i], turning_b[i]
+
+
+@lean
+def write_response(
+    bounded: Bounded, mechanisms: Mechanisms, k: int, mass: float, free: float
+) -> None:
+    """Write what a unit impulse along row k does to its mechanism, and W.
+
+    Parameters
+    ----------
+    bounded, mechanisms, k
+        With the gradient of the row.
+    mass : float [1/kg]
+        Sum of the inverse masses of both bodies.
+    free : float
+        Inverse mass of the row without joints. Where these hold the coordinate, it is left out.
+    """
+    first, last, response = bounded.start[k], bounded.start[k + 1], bounded.response
+    for j in range(first, last):
+        for i in range(6):
+            response[j, i] = 0.0
+    for b, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
+        c = mechanisms.number[b]
+        if c < 0:
+            continue
+        to = mechanisms.start[c] + 36 * mechanisms.place[b] * (last - first)
+        for of in range(at, at + 6):
+            for j in range(first, last):
+                for i in range(6):
+                    response[j, i] += bounded.gradient[k, of] * mechanisms.response[to]
+                    to += 1
+    inverse, values = 0.0, bounded.values
+    for b, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
+        for i in range(6):
+            inverse += bounded.gradient[k, at + i] * response[first + mechanisms.place[b], i]
+    is_free = inverse > _LOCKED * free
+    values[k, B_INVERSE], values[k, B_WEIGHT] = 1.0, 0.0
+    if is_free:
+        values[k, B_INVERSE], values[k, B_WEIGHT] = inverse, inverse / mass
+
+
+@lean
+def write_bounds(
+    bounded: Bounded, partners: Partners, k: int, speed: float, largest: float, dt: float
+) -> None:
+    """Write what rate and impulse row k may have in a step of dt [s], and begin with its force.
+
+    Parameters
+    ----------
+    bounded, partners, k
+        With gaps, restitution, and velocities before and after half a kick.
+    speed : float
+        That a motor or friction keeps.
+    largest : float
+        Impulse with which.
+    """
+    values = bounded.values
+    before = rate_along(bounded, partners.before, k)
+    after = rate_along(bounded, partners.velocity, k)
+    values[k, B_LEAST] = values[k, B_MOST] = speed
+    if bounded.kind[k] == STOP:
+        values[k, B_LEAST] = -max(values[k, B_GAP], 0.0) / dt
+        values[k, B_MOST] = max(values[k, B_GAP + 1], 0.0) / dt
+    values[k, B_LARGEST] = largest
+    if values[k, B_WEIGHT] == 0.0:
+        values[k, B_LARGEST] = values[k, B_RESTITUTION] = 0.0
+    values[k, B_SLOW] = _KICKS * abs(after - before) + _ROUNDING * abs(after)
+    values[k, B_IMPULSE], values[k, B_IMPACT] = dt * values[k, B_FORCE], 0.0
+
+
+# What the solver does with them
+
+
+@lean
+def begin_bounded(bounded: Bounded | None, velocity: Floats) -> None:
+    """Take the forces of the step before."""
+    if bounded is None:
+        return
+    for k in range(bounded.kind.size):
+        r = within(bounded.values, k, bounded.values[k, B_IMPULSE])
+        if r > 0.0 and bounded.values[k, B_LEAST] == -math.inf:
+            r = 0.0
+        if r < 0.0 and bounded.values[k, B_MOST] == math.inf:
+            r = 0.0
+        bounded.values[k, B_IMPULSE] = r
+        push_along(bounded, velocity, k, r)
+
+
+@lean
+def sweep_bounded(bounded: Bounded | None, velocity: Floats) -> float:
+    """One step of each row; the sum of all squared changes [(N s)²]."""
+    if bounded is None:
+        return 0.0
+    values, changed = bounded.values, 0.0
+    for k in range(bounded.kind.size):
+        old = values[k, B_IMPULSE]
+        values[k, B_OLD] = old
+        r = _nearest(values, k, rate_along(bounded, velocity, k))
+        if r != old:
+            values[k, B_IMPULSE] = r
+            push_along(bounded, velocity, k, r - old)
+        changed += values[k, B_WEIGHT] * (r - old) * (r - old)
+    return changed
+
+
+@lean
+def mix_bounded(bounded: Bounded | None, velocity: Floats, beta: float, is_last: bool) -> None:
+    """Go on along the direction of before: see `solver`."""
+    if bounded is None:
+        return
+    values = bounded.values
+    for k in range(bounded.kind.size):
+        change, on = values[k, B_IMPULSE] - values[k, B_OLD], beta * values[k, B_DIRECTION]
+        if not is_last and on != 0.0:
+            values[k, B_IMPULSE] += on
+            push_along(bounded, velocity, k, on)
+        values[k, B_DIRECTION] = on + change
+
+
+@lean
+def miss_of_bounded(bounded: Bounded | None, velocity: Floats) -> float:
+    """Square of how far these impulses are from a solution [(N s)²]."""
+    if bounded is None:
+        return 0.0
+    off = 0.0
+    for k in range(bounded.kind.size):
+        miss = bounded.values[k, B_IMPULSE]
+        miss -= _nearest(bounded.values, k, rate_along(bounded, velocity, k))
+        off += bounded.values[k, B_WEIGHT] * miss * miss
+    return off
+
+
+@lean
+def size_of_bounded(bounded: Bounded | None) -> float:
+    """Square of the size of these impulses [(N s)²]."""
+    if bounded is None:
+        return 0.0
+    size = 0.0
+    for k in range(bounded.kind.size):
+        size += bounded.values[k, B_WEIGHT] * bounded.values[k, B_IMPULSE] ** 2
+    return size
+
+
+@lean
+def push_by_bounded(bounded: Bounded | None, velocity: Floats) -> None:
+    """Change velocities by all of these impulses."""
+    if bounded is None:
+        return
+    for k in range(bounded.kind.size):
+        push_along(bounded, velocity, k, bounded.values[k, B_IMPULSE])
+
+
+@lean
+def _give(bounded: Bounded, given: Floats, k: int, r: float) -> None:
+    """Give momenta: an impulse along row k."""
+    for i in range(6):
+        given[bounded.first[k], i] += r * bounded.gradient[k, i]
+        given[bounded.second[k], i] += r * bounded.gradient[k, 6 + i]
+
+
+@lean
+def give_bounded(bounded: Bounded | None, given: Floats) -> None:
+    """Give the momenta of all of these impulses."""
+    if bounded is None:
+        return
+    for k in range(bounded.kind.size):
+        _give(bounded, given, k, bounded.values[k, B_IMPULSE])
+
+
+@lean
+def keep_bounded(bounded: Bounded | None, dt: float) -> None:
+    """Keep the impulses of a step of dt [s] as forces, for the next one."""
+    if bounded is None:
+        return
+    for k in range(bounded.kind.size):
+        bounded.values[k, B_FORCE] = bounded.values[k, B_IMPULSE] / dt
+
+
+# Stops that bounce
+
+
+@inline
+def _approach(values: Floats, k: int, u: float) -> tuple[float, float]:
+    """Gap of the stop of row k that the rate u leads to, and the speed towards it."""
+    return (values[k, B_GAP], -u) if u < 0.0 else (values[k, B_GAP + 1], u)
+
+
+@lean
+def bounce_at_stops(bounded: Bounded | None, partners: Partners) -> int:
+    """Let stops bounce that are met faster than slowly: u⁺ = -e u⁻; how many did."""
+    if bounded is None:
+        return 0
+    values, hits = bounded.values, 0
+    for k in range(bounded.kind.size):
+        u = rate_along(bounded, partners.velocity, k)
+        gap, speed = _approach(values, k, u)
+        e = values[k, B_RESTITUTION]
+        if e > 0.0 and gap <= 0.0 and speed > values[k, B_SLOW]:
+            r = -(1.0 + e) * u / values[k, B_INVERSE]
+            push_along(bounded, partners.velocity, k, r)
+            _give(bounded, partners.given, k, r)
+            values[k, B_IMPACT] += r
+            hits += 1
+    return hits
+
+
+@lean
+def leave_out_stops(bounded: Bounded | None, velocity: Floats) -> None:
+    """Leave out stops that are not met yet, and will bounce when they are."""
+    if bounded is None:
+        return
+    values = bounded.values
+    for k in range(bounded.kind.size):
+        u = rate_along(bounded, velocity, k)
+        gap, speed = _approach(values, k, u)
+        if values[k, B_RESTITUTION] > 0.0 and gap > 0.0 and speed > values[k, B_SLOW]:
+            values[k, B_LEAST if u < 0.0 else B_MOST] = -math.inf if u < 0.0 else math.inf

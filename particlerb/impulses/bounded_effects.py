@@ -1,0 +1,117 @@
+"""What rows within bounds do beside the solve: push-out of stops, and the work of all."""
+
+import math
+from typing import Final
+
+from particlerb.compiled.jit import lean
+from particlerb.impulses.bounded import push_along, rate_along
+from particlerb.impulses.records import (
+    B_CHANGE,
+    B_GAP,
+    B_IMPACT,
+    B_IMPULSE,
+    B_INVERSE,
+    B_LARGEST,
+    B_LEAST,
+    B_MOST,
+    B_OLD,
+    B_SLOPE,
+    B_SLOW,
+    BOUNDARY_WORK,
+    FRICTION_WORK,
+    IMPACT_WORK,
+    MOTOR_WORK,
+    PRESSING_WORK,
+    Bounded,
+    Partners,
+)
+from particlerb.impulses.rows import column3
+from particlerb.maths.vec3 import Bools, Floats, add_scaled, cross, dot, scale
+
+_FITS: Final = 1e-12  # [rad or m] what a stop may be overrun by
+
+
+@lean
+def find_overrun(bounded: Bounded | None, velocity: Floats, dt: float) -> bool:
+    """Find by how much stops are overrun at the next middle of a step; whether any is."""
+    if bounded is None:
+        return False
+    values, found = bounded.values, False
+    for k in range(bounded.kind.size):
+        u = rate_along(bounded, velocity, k)
+        lower, upper = values[k, B_GAP] + dt * u, values[k, B_GAP + 1] - dt * u
+        parts, slow = u if lower < upper else -u, values[k, B_SLOW]
+        is_left = values[k, B_LEAST] == -math.inf or values[k, B_MOST] == math.inf
+        is_left |= parts > slow and values[k, B_IMPULSE] == 0.0
+        is_left |= values[k, B_LARGEST] == 0.0
+        gap = math.inf if is_left else min(lower, upper)
+        values[k, B_OLD], values[k, B_SLOPE] = 0.0, gap
+        values[k, B_CHANGE] = 1.0 if lower < upper else -1.0
+        found = found or gap < -_FITS
+    return found
+
+
+@lean
+def push_back_from_stops(
+    bounded: Bounded | None, move: Floats, has_moved: Bools, share: float
+) -> None:
+    """Moves that take away a share of that."""
+    if bounded is None:
+        return
+    values = bounded.values
+    for k in range(bounded.kind.size):
+        gap, sign = values[k, B_SLOPE], values[k, B_CHANGE]
+        if gap == math.inf or (gap >= -_FITS and not has_moved[bounded.first[k]]):
+            continue
+        comes = sign * rate_along(bounded, move, k)
+        push = values[k, B_OLD] - (share * gap + comes) / values[k, B_INVERSE]
+        more = max(push, 0.0) - values[k, B_OLD]
+        if more != 0.0:
+            values[k, B_OLD] += more
+            push_along(bounded, move, k, sign * more)
+            for j in range(bounded.start[k], bounded.start[k + 1]):
+                has_moved[bounded.member[j]] = True
+
+
+# What they have done
+
+
+@lean
+def book_bounded(bounded: Bounded | None, partners: Partners, tally: Floats) -> None:
+    """Sum what these impulses have done, as `bookkeeping` does for contacts."""
+    if bounded is None:
+        return
+    values = bounded.values
+    for k in range(bounded.kind.size):
+        u = 0.5 * rate_along(bounded, partners.before, k)
+        u += 0.5 * rate_along(bounded, partners.velocity, k)
+        hit, pressed = values[k, B_IMPACT], values[k, B_IMPULSE]
+        kinds = PRESSING_WORK, MOTOR_WORK, FRICTION_WORK
+        tally[IMPACT_WORK] += hit * u
+        tally[kinds[bounded.kind[k]]] += pressed * u
+        moved = _book_outside(bounded, partners, k, hit + pressed)
+        tally[BOUNDARY_WORK] += moved
+        mine = bounded.first[k]
+        if partners.inverse[mine, 0] == 0.0:
+            mine = bounded.second[k]
+        partners.booked[mine, 0] += (hit + pressed) * u + moved
+        partners.booked[mine, 7] += abs(hit * u) + abs(pressed * u) + abs(moved)
+
+
+@lean
+def _book_outside(bounded: Bounded, partners: Partners, k: int, r: float) -> float:
+    """Book what the world or a held body has given along row k; the work [J] of its motion."""
+    a, b, gradient, moved = bounded.first[k], bounded.second[k], bounded.gradient, 0.0
+    for mine, other, at, of in ((a, b, 0, 6), (b, a, 6, 0)):
+        is_outside = a == b or partners.inverse[other, 0] == 0.0
+        if not is_outside or partners.inverse[mine, 0] == 0.0:
+            continue
+        p, m = scale(r, column3(gradient, k, at)), scale(r, column3(gradient, k, at + 3))
+        m = add_scaled(1.0, m, cross(column3(partners.place, mine, 0), p))
+        for i in range(3):
+            partners.booked[mine, 1 + i] += p[i]
+            partners.booked[mine, 4 + i] += m[i]
+        moved -= r * dot(column3(gradient, k, of), column3(partners.velocity, other, 0))
+        moved -= r * dot(column3(gradient, k, of + 3), column3(partners.velocity, other, 3))
+        break
+    return moved

@@ -1,0 +1,112 @@
+"""Newton's method for rows within bounds: their parts of what newton.py does for contacts."""
+
+from typing import Final
+
+from particlerb.compiled.jit import inline, lean
+from particlerb.impulses.bounded import ends_of, rate_along, within
+from particlerb.impulses.mechanisms import has_response
+from particlerb.impulses.records import (
+    B_CHANGE,
+    B_DIRECTION,
+    B_IMPULSE,
+    B_INVERSE,
+    B_LARGEST,
+    B_OLD,
+    B_SLOPE,
+    B_WEIGHT,
+    Bounded,
+    Mechanisms,
+    Newton,
+)
+from particlerb.maths.vec3 import Floats
+
+_SMALL: Final = 1e-9  # part of one in the slope of a row, as in newton.py
+
+
+@inline
+def _cluster_of(bounded: Bounded, newton: Newton, k: int) -> int:
+    """Cluster of row k: that of the partner that moves."""
+    return max(int(newton.cluster[bounded.first[k]]), int(newton.cluster[bounded.second[k]]))
+
+
+@lean
+def linearise_bounded(bounded: Bounded | None, newton: Newton, velocity: Floats, size: int) -> None:
+    """Write c and K of all rows, and add their F² to that column of the clusters."""
+    if bounded is None:
+        return
+    values = bounded.values
+    for k in range(bounded.kind.size):
+        u = rate_along(bounded, velocity, k)
+        by_least, by_most = ends_of(values, k, u)
+        r = max(by_least, min(by_most, 0.0))
+        miss = values[k, B_IMPULSE] - within(values, k, r)
+        values[k, B_CHANGE], values[k, B_SLOPE] = miss / (1.0 + _SMALL), 0.0
+        if r in (by_least, by_most) and abs(r) < values[k, B_LARGEST]:
+            values[k, B_CHANGE] = miss / _SMALL
+            values[k, B_SLOPE] = 1.0 / (_SMALL * values[k, B_INVERSE])
+        own = _cluster_of(bounded, newton, k)
+        newton.clusters[own, size] += values[k, B_WEIGHT] * miss * miss
+
+
+@lean
+def add_bounded(
+    bounded: Bounded | None, newton: Newton, mechanisms: Mechanisms | None, state: int,
+    to_solve: float,
+) -> None:  # fmt: skip
+    """Add Gᵀ K G M⁻¹ and -Gᵀ c of the rows of clusters that are to be solved."""
+    if bounded is None:
+        return
+    values, matrix, reach = bounded.values, newton.matrix, newton.reach[0]
+    for k in range(bounded.kind.size):
+        if newton.clusters[_cluster_of(bounded, newton, k), state] != to_solve:
+            continue
+        for end, of in ((bounded.first[k], 0), (bounded.second[k], 6)):
+            at = newton.place[end]
+            if at < 0:
+                continue
+            for i in range(6):
+                newton.change[at + i] -= values[k, B_CHANGE] * bounded.gradient[k, of + i]
+            for j in range(bounded.start[k], bounded.start[k + 1]):
+                source = bounded.member[j]
+                column = newton.place[source]
+                if column < 0 or not has_response(mechanisms, source):
+                    continue
+                for c in range(6):
+                    by = values[k, B_SLOPE] * bounded.response[j, c]
+                    for i in range(6):
+                        away = column + c - at - i
+                        matrix[at + i, away + reach] += bounded.gradient[k, of + i] * by
+
+
+@lean
+def step_bounded(
+    bounded: Bounded | None, newton: Newton, move: Floats, columns: tuple[int, int],
+    states: tuple[float, float],
+) -> None:  # fmt: skip
+    """Take the step of each row, or the share of it that is left.
+
+    `columns` of the clusters are share and state, `states` those to solve and done.
+    """
+    if bounded is None:
+        return
+    values = bounded.values
+    for k in range(bounded.kind.size):
+        j = _cluster_of(bounded, newton, k)
+        share, state = newton.clusters[j, columns[0]], newton.clusters[j, columns[1]]
+        if state == states[0]:
+            step = values[k, B_CHANGE] + values[k, B_SLOPE] * rate_along(bounded, move, k)
+            values[k, B_DIRECTION], values[k, B_OLD] = -step, values[k, B_IMPULSE]
+        if state != states[1]:
+            values[k, B_IMPULSE] = values[k, B_OLD] + share * values[k, B_DIRECTION]
+
+
+@lean
+def end_bounded(bounded: Bounded | None, newton: Newton, state: int, done: float) -> None:
+    """Go back to where rows of clusters went on from that are not done; all within bounds."""
+    if bounded is None:
+        return
+    values = bounded.values
+    for k in range(bounded.kind.size):
+        if newton.clusters[_cluster_of(bounded, newton, k), state] != done:
+            values[k, B_IMPULSE] = values[k, B_OLD]
+        values[k, B_IMPULSE] = within(values, k, values[k, B_IMPULSE])
