@@ -37,6 +37,7 @@ BUDGETS = {
     "Newton's method for impulses, the order of bodies in it, a band": 355,
     "joints and contact by impulses in one solve": 363,
     "stops, motors and friction in joints, by impulses": 610,
+    "joints that break by impulses": 45,
     "collisions by events": 1440,
     "a box that repeats in space, for events": 76,
     "events: code of what a scene has, lines of the cache, walls by cell": 190,

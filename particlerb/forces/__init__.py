@@ -232,9 +232,7 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         if terms.joints.damps is not None:
             needs["damping among joints"] = frozenset({JOINTS, VELOCITY})
         if terms.joints.breaks is not None:
-            by_loads = terms.contact is None or terms.has_springy_contact  # see joints/breaking.py
-            needs["joints that break"] = frozenset({VELOCITY} if by_loads else {_FLOW_AMONG_JOINTS})
-            needs["joints that break"] |= {JOINTS}
+            needs["joints that break"] = frozenset({JOINTS, VELOCITY})
     return needs
 
 

@@ -6,7 +6,8 @@ Where a group has no joints, the compiler leaves all of it out.
 from math import nan
 from typing import Final
 
-from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.compiled.barrier import Team
+from particlerb.compiled.jit import Flag, inline, lean, lean_kernel
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
     prescribed_acceleration,
@@ -17,7 +18,13 @@ from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.external_work import book
 from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
-from particlerb.joints.breaking import foresee_breaks, keep_impulses
+from particlerb.joints.breaking import (
+    break_overloaded,
+    carry_in_drift,
+    carry_in_projection,
+    foresee_breaks,
+    keep_impulses,
+)
 from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
 from particlerb.joints.rows import by_inverse_inertia, put_pose, put_vector, vector
 from particlerb.joints.solver import constrained_drift, project_momenta
@@ -227,3 +234,33 @@ def project_jointed(
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
         _damp(books, jointed.joints.damps, jointed, blocks, c, span)
         _scatter(jointed, blocks, c)
+
+
+# Loads of joints that may break
+
+
+@inline
+def count_drift(jointed: Jointed | None, team: Team | None, is_first: bool) -> None:
+    """Count what joints carried in a drift, if any may break."""
+    if jointed is None or team is None:
+        return
+    if team.rank == 0:
+        carry_in_drift(jointed.joints.breaks, jointed.work, is_first)
+
+
+@inline
+def count_projection(jointed: Jointed | None, team: Team | None) -> None:
+    """Count what they carried in a projection."""
+    if jointed is None or team is None:
+        return
+    if team.rank == 0:
+        carry_in_projection(jointed.joints.breaks, jointed.work)
+
+
+@inline
+def let_joints_break(jointed: Jointed | None, team: Team | None, dt: float) -> None:
+    """Break joints that have carried too much, at the end of a step that does not go to a frame."""
+    if jointed is None or team is None:
+        return
+    if team.rank == 0 and dt == jointed.work.clock[1]:
+        break_overloaded(jointed.joints.breaks, jointed.joints, jointed.work, dt)

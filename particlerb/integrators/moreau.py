@@ -20,6 +20,7 @@ from particlerb.integrators.impulse_stages import (
     place_in_the_middle,
     press,
 )
+from particlerb.integrators.joint_stages import count_drift, count_projection, let_joints_break
 from particlerb.integrators.method import Method
 from particlerb.integrators.stages import (
     MovingBodies,
@@ -50,19 +51,25 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     jointed = moving.jointed
     _drift_alone(jointed, moving, first, last, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
+    count_drift(jointed, team, True)
     shift_clock(jointed, team, 0.5 * dt)
     project(moving, 0.0)
+    count_projection(jointed, team)
     place_in_the_middle(contact, team, moving.acting, blocks, layout, first, last, dt)
     kick(moving, first, last, 0.5 * dt)
     project(moving, 0.5 * dt)
+    count_projection(jointed, team)
     gather_velocities(contact, blocks, layout, first, last)
     bounce(contact, jointed, team, blocks, layout, dt)
     kick(moving, first, last, 0.5 * dt)
     project(moving, 0.5 * dt)
+    count_projection(jointed, team)
     gather_velocities(contact, blocks, layout, first, last)
     press(contact, jointed, team, moving.acting, moving.books, blocks, layout, dt)
     _drift_alone(jointed, moving, first, last, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
+    count_drift(jointed, team, False)
+    let_joints_break(jointed, team, dt)
 
 
 @stages

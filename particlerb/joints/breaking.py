@@ -5,6 +5,10 @@ between them, of second order. From the loads of two steps the next one is fores
 the limit, the joint breaks within that step. There the joint gives its impulse up to that instant,
 and its rows are left out, as those are of coordinates along which nothing acts. So the error of the
 instant is of order two. A load that is too large at once breaks its joint at the end of the step.
+
+Where contacts have no stiffness, the load is the impulse of a whole step over this, those of
+impacts included, and a joint breaks at the end of the first step in which it is too large; its
+time is the middle of that step.
 """
 
 from math import inf, sqrt
@@ -86,14 +90,14 @@ def keep_impulses(
 
 
 @lean
-def _impulses(joints: Joints, work: Work, j: int, pose: Floats) -> tuple[float, float]:
-    """Sizes of the impulse that is kept of joint j, and of its moment about its point."""
+def _impulses(joints: Joints, work: Work, j: int, kept: Floats) -> tuple[float, float]:
+    """Sizes of the impulse of joint j, kept by rows, and of its moment about its point."""
     start, impulse, turning = joints.program.start, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for r in range(start[j], start[j + 1]):
-        impulse = add_scaled(work.kept[r], vector(work.gradient, r, 0), impulse)
-        turning = add_scaled(work.kept[r], vector(work.gradient, r, 3), turning)
+        impulse = add_scaled(kept[r], vector(work.gradient, r, 0), impulse)
+        turning = add_scaled(kept[r], vector(work.gradient, r, 3), turning)
     first = start[j]
-    arm = to_world(attitude(pose, joints.rows.a[first]), row3(joints.rows.first, first))
+    arm = to_world(attitude(work.pose, joints.rows.a[first]), row3(joints.rows.first, first))
     return _length(impulse), _length(subtract(turning, cross(arm, impulse)))
 
 
@@ -127,7 +131,7 @@ def foresee_breaks(
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
         if work.broken[j] < inf:
             continue
-        force, torque = _impulses(joints, work, j, work.pose)
+        force, torque = _impulses(joints, work, j, work.kept)
         force, torque = force / span, torque / span
         steps = _ahead(force, work.load[j, 0], breaks.force[j])
         steps = min(steps, _ahead(torque, work.load[j, 1], breaks.torque[j]))
@@ -135,3 +139,33 @@ def foresee_breaks(
             work.broken[j] = work.clock[2] + t + dt * max(steps, 1.0)
         work.load[j, 0] = -1.0 if is_first else force
         work.load[j, 1] = -1.0 if is_first else torque
+
+
+@lean
+def carry_in_drift(breaks: Breaks | None, work: Work, is_first: bool) -> None:
+    """Count the impulses of a drift among those of a step, of which it is the first or not."""
+    if breaks is None:
+        return
+    for r in range(work.carried.size):
+        work.carried[r] = work.total[r] + (0.0 if is_first else work.carried[r])
+
+
+@lean
+def carry_in_projection(breaks: Breaks | None, work: Work) -> None:
+    """Count the impulses of a projection, damping included."""
+    if breaks is None:
+        return
+    for r in range(work.carried.size):
+        work.carried[r] += work.kept[r]
+
+
+@lean
+def break_overloaded(breaks: Breaks | None, joints: Joints, work: Work, dt: float) -> None:
+    """Break joints that have carried too much in a step of dt [s], of which it is the middle."""
+    if breaks is None:
+        return
+    for j in range(work.broken.size):
+        force, torque = _impulses(joints, work, j, work.carried)
+        is_too_much = force > dt * breaks.force[j] or torque > dt * breaks.torque[j]
+        if is_too_much and work.broken[j] == inf:
+            work.broken[j] = work.clock[2] + work.clock[0]

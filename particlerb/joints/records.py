@@ -185,6 +185,7 @@ class Work(NamedTuple):
     change: Floats  # (n + 1, 6) momenta that a kick gave; or those before damping
     inv_mass: Floats  # (n + 1,) [1/kg] with drag in it
     inv_inertia: Floats  # (n + 1, 3) [1/(kg m²)] likewise
+    carried: Floats  # (m,) impulses of a step, where contacts have no stiffness and some may break
 
 
 class Jointed(NamedTuple):
@@ -231,4 +232,5 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros((n, 6)),
         np.zeros(n),
         np.zeros((n, 3)),
+        np.zeros(m),
     )

@@ -8,7 +8,6 @@ import pytest
 from impulse_scenes import DOWN, G, R, case, clump, errors, impulse, plane, sphere
 
 import particlerb
-from particlerb.case.problems import CaseError
 from particlerb.impulses.order import room_for_newton
 from particlerb.impulses.records import (
     FRICTION,
@@ -207,10 +206,48 @@ def test_the_gripper_of_the_cases_begins_to_lift():
     assert particlerb.joint_loads(t).misfit.max() < 1e-13
 
 
+def loads_of(body, joint, **keys):
+    """Run of bodies with a joint that may break; when it did, in steps, and the trajectory."""
+    fields = ["position", "orientation", "linear_momentum", "angular_momentum", "joint_break_time"]
+    scene = case(*body, joint=joint, output={"fields": fields}, **keys)
+    t = particlerb.run(scene)
+    return scene, t, t.joint_break_time[-1] / t.case.run.dt
+
+
 @plain
-def test_joints_that_break_are_refused_with_impulses():
-    scene = gripper(G, 0.1)
-    scene["joint"][0]["breaks_at"] = {"force": 1.0}
-    scene["joint"][0].pop("motor")
-    with pytest.raises(CaseError, match="joints that break"):
-        particlerb.run(scene)
+@pytest.mark.parametrize(("share", "breaks"), [(0.999, 0.5), (1.001, 0.0)])
+def test_a_joint_breaks_under_a_weight_and_the_momenta_are_booked(share, breaks):
+    """The load of the first step is m g; the free fall begins at its end."""
+    hook, load = sphere("hook", contact=False), sphere("load", position=[0, 0, -0.5])
+    joint = [
+        tied("ball", to=None, body="hook", at=[0, 0, 0.2]),
+        tied(
+            "ball", to="hook", body="load", at=[0, 0, -0.25], breaks_at={"force": share * 2.0 * G}
+        ),
+    ]
+    keys = {"wall": [plane(point=[0, 0, -9.0])], "gravity": DOWN, "t_end": 0.05, "dt": 0.01}
+    _, t, found = loads_of((hook, load), joint, contact=impulse(), every=0.01, **keys)
+    assert found == pytest.approx([0.0, breaks], abs=1e-12)
+    fallen = 0.5 * G * np.maximum(t.time - 0.01, 0.0) ** 2 if breaks else 0.0
+    assert t.position[:, 1, 2] == pytest.approx(-0.5 - fallen, abs=1e-12)
+    assert max(errors(t)) < 1e-13
+
+
+@plain
+@pytest.mark.parametrize(("share", "breaks"), [(0.999, 0.5), (1.001, 0.0)])
+def test_a_joint_breaks_under_a_blow(tmp_path, share, breaks):
+    """(1 + e) m v over a step of h; what goes on from a checkpoint knows what has broken."""
+    h, e, v = 0.01, 0.5, 3.0
+    plate, ball = clump("plate"), sphere(position=[R, R, 0.3 + 0.3 * h * v], velocity=[0, 0, -v])
+    load = {"force": share * (1.0 + e) * 2.0 * v / h}
+    joint = [tied("fixed", to=None, body="plate", breaks_at=load, merge=False)]
+    keys = {"contact": impulse(e), "dt": h, "every": h}
+    scene, t, found = loads_of((plate, ball), joint, t_end=4 * h, **keys)
+    assert found == pytest.approx([breaks], abs=1e-12)
+    assert t.velocity[-1, :, 2] == pytest.approx([0.0, e * v], abs=1e-13)
+    assert max(errors(t)) < 1e-13
+    part = tmp_path / "part.h5"
+    particlerb.run(scene | {"run": scene["run"] | {"t_end": 2 * h}}, part).close()
+    with particlerb.resume(part, t_end=4 * h) as later:
+        assert (later.joint_break_time[-1] == t.joint_break_time[-1]).all()
+        assert (later.linear_momentum == t.linear_momentum).all()
