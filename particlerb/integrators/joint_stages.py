@@ -175,7 +175,7 @@ def _book_drives(books: Flag, moves: Flag, jointed: Jointed, blocks: Floats, c: 
 @lean
 def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) -> None:
     """Let dampers, dashpots and drag of cluster c act over a span, within its constraints."""
-    if damps is None:
+    if damps is None or span == 0.0:
         return
     joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
     start, joint = joints.program.start, joints.clusters.joint

@@ -2,7 +2,8 @@
 
 Half a drift; in the middle half a kick, impacts with restitution, half a kick, one solve for the
 impulses of all that touches or would within the step, and what overlaps is pushed apart; half a
-drift. Order 1 where bodies touch, 2 elsewhere. What forces have a potential do no work that is not
+drift. What damps on mechanisms acts for half a step before the kicks, and for the other half after
+them. Order 1 where bodies touch, 2 elsewhere. What forces have a potential do no work that is not
 theirs: half kick, flip, half kick retraces the path of an elastic bounce.
 
 Source: Moreau, Unilateral contact and dry friction in finite freedom dynamics (1988), section 14;
@@ -53,16 +54,16 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
     count_drift(jointed, team, True)
     shift_clock(jointed, team, 0.5 * dt)
-    project(moving, 0.0)
+    project(moving, 0.0, 0.5 * dt)
     count_projection(jointed, team)
     place_in_the_middle(contact, team, moving.acting, blocks, layout, first, last, dt)
     kick(moving, first, last, 0.5 * dt)
-    project(moving, 0.5 * dt)
+    project(moving, 0.5 * dt, 0.0)
     count_projection(jointed, team)
     gather_velocities(contact, blocks, layout, first, last)
     bounce(contact, jointed, team, blocks, layout, dt)
     kick(moving, first, last, 0.5 * dt)
-    project(moving, 0.5 * dt)
+    project(moving, 0.5 * dt, 0.5 * dt)
     count_projection(jointed, team)
     gather_velocities(contact, blocks, layout, first, last)
     press(contact, jointed, team, moving.acting, moving.books, blocks, layout, dt)
@@ -76,7 +77,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
 def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
     """Momenta at a frame, which keep the joints."""
     set_times(moving, first, last, instant.time)
-    project(moving, 0.0)
+    project(moving, 0.0, 0.0)
 
 
 METHOD: Final = Method(

@@ -278,9 +278,12 @@ def shift_clock(jointed: Jointed | None, team: Team | None, later: float) -> Non
 
 
 @stages
-def project(moving: MovingBodies, kick_dt: float) -> None:
-    """Take from the momenta what would break a joint; springs kick before, what damps acts then."""
-    _project_if_jointed(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, kick_dt)
+def project(moving: MovingBodies, kick_dt: float, span: float) -> None:
+    """Take from the momenta what would break a joint; springs kick before.
+
+    Then what damps acts over a span.
+    """
+    _project_if_jointed(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, span)
 
 
 @kernel
@@ -323,5 +326,5 @@ def close(moving: MovingBodies, first: int, last: int, open_kick: float) -> None
     flow_dashpots(moving, open_kick, True)
     loads(moving, first, last, LoadTimes(0.0, 0.0, LEAPFROG, None))
     kick(moving, first, last, open_kick)
-    project(moving, open_kick)
+    project(moving, open_kick, open_kick)
     kick_walls(moving.contact, moving.team, open_kick, 0.0, False)

@@ -112,6 +112,22 @@ def test_a_ball_that_hits_a_bar_on_a_hinge_feels_its_inertia_about_the_hinge(e):
     assert t.omega_body(0)[first] @ t.omega_body(0)[first] == pytest.approx((J * d / inertia) ** 2)
 
 
+@plain
+def test_dampers_leave_the_order_two():
+    bodies = sphere("upper", position=[0.5, 0, 0]), sphere("lower", position=[1.0, 0, 0.1])
+    hinges = [
+        tied("hinge", to=None, body="upper", axis=[0, 1, 0], damper=2.0),
+        tied("hinge", to="upper", body="lower", at=[0.7, 0, 0], axis=[0, 1, 0], damper=0.5),
+    ]
+    keys = {"gravity": DOWN, "wall": [plane(point=[0, 0, -9.0])], "t_end": 0.096, "every": 0.096}
+    runs = [case(*bodies, joint=hinges, contact=impulse(), dt=h, **keys)
+            for h in (0.016, 0.008, 0.004)]  # fmt: skip
+    ends = [(t.position[-1].ravel(), errors(t)[0]) for t in map(particlerb.run, runs)]
+    far, near = (np.abs(ends[k][0] - ends[k + 1][0]).max() for k in (0, 1))
+    assert far / near == pytest.approx(4.0, rel=0.05)
+    assert ends[0][1] / ends[2][1] == pytest.approx(16.0, rel=0.1)
+
+
 def gripper(force, t_end, **keys):
     """A brick between two plates on sliders that motors press together."""
     left, right = (clump(name, position=[x, 0, 0]) for name, x in (("left", -0.4), ("right", 0.4)))
