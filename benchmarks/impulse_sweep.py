@@ -77,15 +77,15 @@ def main() -> None:
 
     def with_gradients() -> None:
         rows.old[:] = rows.impulse
-        _sweep(partners, rows, m)
-        _mix(partners, rows, m, 0.3, False)
+        _sweep(partners, rows, None, m)
+        _mix(partners, rows, None, m, 0.3, False)
 
     parts = {
-        "push-out": lambda: push_out(impulses, 2e-3),  # first: sweeps change the velocities
-        "sweep": lambda: _sweep(partners, rows, m),
+        "push-out": lambda: push_out(impulses, None, 2e-3),  # first: sweeps change the velocities
+        "sweep": lambda: _sweep(partners, rows, None, m),
         "sweep with conjugate gradients": with_gradients,
-        "residual": lambda: residual(partners, rows, m, 1e-6),
-        "work": lambda: book_impulses(impulses),
+        "residual": lambda: residual(partners, rows, None, m, 1e-6),
+        "work": lambda: book_impulses(impulses, None),
     }
     figures = [(f"{name} [ns]", nanoseconds(part, m)) for name, part in parts.items()]
     for name, x in figures:

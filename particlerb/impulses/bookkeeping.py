@@ -13,6 +13,7 @@ from particlerb.impulses.records import (
     FRICTION_WORK,
     IMPACT_WORK,
     PRESSING_WORK,
+    Bounded,
     Impulses,
     Partners,
 )
@@ -38,7 +39,7 @@ def _book_outside(
 
 
 @lean_kernel
-def book_impulses(impulses: Impulses) -> None:
+def book_impulses(impulses: Impulses, bounded: Bounded | None) -> None:
     """Sum what all impulses of the step have done, by partners and in the tally."""
     _, partners, rows, count, tally, _ = impulses
     frame, inverse, booked = rows.frame, partners.inverse, partners.booked
@@ -68,4 +69,5 @@ def book_impulses(impulses: Impulses) -> None:
         tally[PRESSING_WORK] += normal
         tally[FRICTION_WORK] += rubbed
         tally[BOUNDARY_WORK] += moved
-    book_bounded(rows.bounded, partners, tally)
+    if bounded is not None:
+        book_bounded(bounded, partners, tally)

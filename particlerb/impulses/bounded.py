@@ -169,10 +169,8 @@ def write_bounds(
 
 
 @lean
-def begin_bounded(bounded: Bounded | None, velocity: Floats) -> None:
+def begin_bounded(bounded: Bounded, velocity: Floats) -> None:
     """Take the forces of the step before."""
-    if bounded is None:
-        return
     for k in range(bounded.kind.size):
         r = within(bounded.values, k, bounded.values[k, B_IMPULSE])
         if r > 0.0 and bounded.values[k, B_LEAST] == -math.inf:
@@ -184,10 +182,8 @@ def begin_bounded(bounded: Bounded | None, velocity: Floats) -> None:
 
 
 @lean
-def sweep_bounded(bounded: Bounded | None, velocity: Floats) -> float:
+def sweep_bounded(bounded: Bounded, velocity: Floats) -> float:
     """One step of each row; the sum of all squared changes [(N s)²]."""
-    if bounded is None:
-        return 0.0
     values, changed = bounded.values, 0.0
     for k in range(bounded.kind.size):
         old = values[k, B_IMPULSE]
@@ -201,10 +197,8 @@ def sweep_bounded(bounded: Bounded | None, velocity: Floats) -> float:
 
 
 @lean
-def mix_bounded(bounded: Bounded | None, velocity: Floats, beta: float, is_last: bool) -> None:
+def mix_bounded(bounded: Bounded, velocity: Floats, beta: float, is_last: bool) -> None:
     """Go on along the direction of before: see `solver`."""
-    if bounded is None:
-        return
     values = bounded.values
     for k in range(bounded.kind.size):
         change, on = values[k, B_IMPULSE] - values[k, B_OLD], beta * values[k, B_DIRECTION]
@@ -215,10 +209,8 @@ def mix_bounded(bounded: Bounded | None, velocity: Floats, beta: float, is_last:
 
 
 @lean
-def miss_of_bounded(bounded: Bounded | None, velocity: Floats) -> float:
+def miss_of_bounded(bounded: Bounded, velocity: Floats) -> float:
     """Square of how far these impulses are from a solution [(N s)²]."""
-    if bounded is None:
-        return 0.0
     off = 0.0
     for k in range(bounded.kind.size):
         miss = bounded.values[k, B_IMPULSE]
@@ -228,10 +220,8 @@ def miss_of_bounded(bounded: Bounded | None, velocity: Floats) -> float:
 
 
 @lean
-def size_of_bounded(bounded: Bounded | None) -> float:
+def size_of_bounded(bounded: Bounded) -> float:
     """Square of the size of these impulses [(N s)²]."""
-    if bounded is None:
-        return 0.0
     size = 0.0
     for k in range(bounded.kind.size):
         size += bounded.values[k, B_WEIGHT] * bounded.values[k, B_IMPULSE] ** 2
@@ -239,10 +229,8 @@ def size_of_bounded(bounded: Bounded | None) -> float:
 
 
 @lean
-def push_by_bounded(bounded: Bounded | None, velocity: Floats) -> None:
+def push_by_bounded(bounded: Bounded, velocity: Floats) -> None:
     """Change velocities by all of these impulses."""
-    if bounded is None:
-        return
     for k in range(bounded.kind.size):
         push_along(bounded, velocity, k, bounded.values[k, B_IMPULSE])
 
@@ -256,19 +244,15 @@ def _give(bounded: Bounded, given: Floats, k: int, r: float) -> None:
 
 
 @lean
-def give_bounded(bounded: Bounded | None, given: Floats) -> None:
+def give_bounded(bounded: Bounded, given: Floats) -> None:
     """Give the momenta of all of these impulses."""
-    if bounded is None:
-        return
     for k in range(bounded.kind.size):
         _give(bounded, given, k, bounded.values[k, B_IMPULSE])
 
 
 @lean
-def keep_bounded(bounded: Bounded | None, dt: float) -> None:
+def keep_bounded(bounded: Bounded, dt: float) -> None:
     """Keep the impulses of a step of dt [s] as forces, for the next one."""
-    if bounded is None:
-        return
     for k in range(bounded.kind.size):
         bounded.values[k, B_FORCE] = bounded.values[k, B_IMPULSE] / dt
 
@@ -283,10 +267,8 @@ def _approach(values: Floats, k: int, u: float) -> tuple[float, float]:
 
 
 @lean
-def bounce_at_stops(bounded: Bounded | None, partners: Partners) -> int:
+def bounce_at_stops(bounded: Bounded, partners: Partners) -> int:
     """Let stops bounce that are met faster than slowly: u⁺ = -e u⁻; how many did."""
-    if bounded is None:
-        return 0
     values, hits = bounded.values, 0
     for k in range(bounded.kind.size):
         u = rate_along(bounded, partners.velocity, k)
@@ -302,10 +284,8 @@ def bounce_at_stops(bounded: Bounded | None, partners: Partners) -> int:
 
 
 @lean
-def leave_out_stops(bounded: Bounded | None, velocity: Floats) -> None:
+def leave_out_stops(bounded: Bounded, velocity: Floats) -> None:
     """Leave out stops that are not met yet, and will bounce when they are."""
-    if bounded is None:
-        return
     values = bounded.values
     for k in range(bounded.kind.size):
         u = rate_along(bounded, velocity, k)

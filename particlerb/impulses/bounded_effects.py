@@ -32,10 +32,8 @@ _FITS: Final = 1e-12  # [rad or m] what a stop may be overrun by
 
 
 @lean
-def find_overrun(bounded: Bounded | None, velocity: Floats, dt: float) -> bool:
+def find_overrun(bounded: Bounded, velocity: Floats, dt: float) -> bool:
     """Find by how much stops are overrun at the next middle of a step; whether any is."""
-    if bounded is None:
-        return False
     values, found = bounded.values, False
     for k in range(bounded.kind.size):
         u = rate_along(bounded, velocity, k)
@@ -52,12 +50,8 @@ def find_overrun(bounded: Bounded | None, velocity: Floats, dt: float) -> bool:
 
 
 @lean
-def push_back_from_stops(
-    bounded: Bounded | None, move: Floats, has_moved: Bools, share: float
-) -> None:
+def push_back_from_stops(bounded: Bounded, move: Floats, has_moved: Bools, share: float) -> None:
     """Moves that take away a share of that."""
-    if bounded is None:
-        return
     values = bounded.values
     for k in range(bounded.kind.size):
         gap, sign = values[k, B_SLOPE], values[k, B_CHANGE]
@@ -77,10 +71,8 @@ def push_back_from_stops(
 
 
 @lean
-def book_bounded(bounded: Bounded | None, partners: Partners, tally: Floats) -> None:
+def book_bounded(bounded: Bounded, partners: Partners, tally: Floats) -> None:
     """Sum what these impulses have done, as `bookkeeping` does for contacts."""
-    if bounded is None:
-        return
     values = bounded.values
     for k in range(bounded.kind.size):
         u = 0.5 * rate_along(bounded, partners.before, k)

@@ -30,10 +30,8 @@ def _cluster_of(bounded: Bounded, newton: Newton, k: int) -> int:
 
 
 @lean
-def linearise_bounded(bounded: Bounded | None, newton: Newton, velocity: Floats, size: int) -> None:
+def linearise_bounded(bounded: Bounded, newton: Newton, velocity: Floats, size: int) -> None:
     """Write c and K of all rows, and add their F² to that column of the clusters."""
-    if bounded is None:
-        return
     values = bounded.values
     for k in range(bounded.kind.size):
         u = rate_along(bounded, velocity, k)
@@ -50,12 +48,10 @@ def linearise_bounded(bounded: Bounded | None, newton: Newton, velocity: Floats,
 
 @lean
 def add_bounded(
-    bounded: Bounded | None, newton: Newton, mechanisms: Mechanisms | None, state: int,
+    bounded: Bounded, newton: Newton, mechanisms: Mechanisms | None, state: int,
     to_solve: float,
 ) -> None:  # fmt: skip
     """Add Gᵀ K G M⁻¹ and -Gᵀ c of the rows of clusters that are to be solved."""
-    if bounded is None:
-        return
     values, matrix, reach = bounded.values, newton.matrix, newton.reach[0]
     for k in range(bounded.kind.size):
         if newton.clusters[_cluster_of(bounded, newton, k), state] != to_solve:
@@ -80,15 +76,13 @@ def add_bounded(
 
 @lean
 def step_bounded(
-    bounded: Bounded | None, newton: Newton, move: Floats, columns: tuple[int, int],
+    bounded: Bounded, newton: Newton, move: Floats, columns: tuple[int, int],
     states: tuple[float, float],
 ) -> None:  # fmt: skip
     """Take the step of each row, or the share of it that is left.
 
     `columns` of the clusters are share and state, `states` those to solve and done.
     """
-    if bounded is None:
-        return
     values = bounded.values
     for k in range(bounded.kind.size):
         j = _cluster_of(bounded, newton, k)
@@ -101,10 +95,8 @@ def step_bounded(
 
 
 @lean
-def end_bounded(bounded: Bounded | None, newton: Newton, state: int, done: float) -> None:
+def end_bounded(bounded: Bounded, newton: Newton, state: int, done: float) -> None:
     """Go back to where rows of clusters went on from that are not done; all within bounds."""
-    if bounded is None:
-        return
     values = bounded.values
     for k in range(bounded.kind.size):
         if newton.clusters[_cluster_of(bounded, newton, k), state] != done:

@@ -24,6 +24,7 @@ from particlerb.impulses.records import (
     SCHUR,
     SLOW,
     UNENDED,
+    Bounded,
     Impulses,
 )
 from particlerb.impulses.rows import approach, change_by, give
@@ -60,7 +61,7 @@ def impact(frame: Floats, k: int, u: Vec3, restitution: float) -> Vec3:
 
 
 @lean_kernel
-def take_impacts(impulses: Impulses) -> None:
+def take_impacts(impulses: Impulses, bounded: Bounded | None) -> None:
     """Let contacts bounce, and give momenta."""
     _, partners, rows, count, tally, _ = impulses
     frame, limits = rows.frame, rows.limits
@@ -78,7 +79,8 @@ def take_impacts(impulses: Impulses) -> None:
             for i in range(3):
                 rows.impact[k, i] += r[i]
             hits += 1
-        hits += bounce_at_stops(rows.bounded, partners)
+        if bounded is not None:
+            hits += bounce_at_stops(bounded, partners)
         tally[IMPACTS] += hits
         if hits == 0:
             return

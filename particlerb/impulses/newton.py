@@ -41,6 +41,7 @@ from particlerb.impulses.records import (
     NORMAL,
     TANGENT,
     ZERO,
+    Bounded,
     ImpulseRows,
     Impulses,
     Newton,
@@ -72,7 +73,9 @@ _DONE, _HALVED, _TO_SOLVE = 0.0, 1.0, 2.0
 
 
 @lean_kernel
-def refresh_velocities(partners: Partners, rows: ImpulseRows, count: int) -> None:
+def refresh_velocities(
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int
+) -> None:
     """Velocities without impulses of contacts, and what these add."""
     for b in range(partners.velocity.shape[0]):
         for i in range(6):
@@ -81,7 +84,8 @@ def refresh_velocities(partners: Partners, rows: ImpulseRows, count: int) -> Non
         r = column3(rows.impulse, k, 0)
         if dot(r, r) > 0.0:
             change_by(partners, rows, k, r)
-    push_by_bounded(rows.bounded, partners.velocity)
+    if bounded is not None:
+        push_by_bounded(bounded, partners.velocity)
 
 
 @inline
@@ -200,14 +204,17 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
 
 
 @lean_kernel
-def _evaluate(partners: Partners, rows: ImpulseRows, newton: Newton, count: int) -> None:
+def _evaluate(
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int
+) -> None:
     """Slopes of all contacts, and |F| of each cluster, which then goes on, halves or is done."""
     clusters = newton.clusters
     for j in range(clusters.shape[0]):
         clusters[j, _SIZE] = 0.0
     for k in range(count):
         clusters[_cluster_of(newton, rows, k), _SIZE] += _linearise(partners, rows, newton, k)
-    linearise_bounded(rows.bounded, newton, partners.velocity, _SIZE)
+    if bounded is not None:
+        linearise_bounded(bounded, newton, partners.velocity, _SIZE)
 
 
 @lean_kernel
@@ -231,7 +238,9 @@ def _decide(newton: Newton, enough: float, rounding: float) -> bool:
 
 
 @lean_kernel
-def _solve_for_bodies(partners: Partners, rows: ImpulseRows, newton: Newton, count: int) -> None:
+def _solve_for_bodies(
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int
+) -> None:
     """Write p of the bodies in clusters to solve, and what it does to velocities, as moves."""
     matrix, change, reach = newton.matrix, newton.change, newton.reach[0]
     for i in range(change.size):
@@ -250,7 +259,8 @@ def _solve_for_bodies(partners: Partners, rows: ImpulseRows, newton: Newton, cou
                 for i in range(3):
                     change[at + i] += sign * p[i]
                     change[at + 3 + i] += sign * m[i]
-    add_bounded(rows.bounded, newton, partners.mechanisms, _STATE, _TO_SOLVE)
+    if bounded is not None:
+        add_bounded(bounded, newton, partners.mechanisms, _STATE, _TO_SOLVE)
     solve_band(matrix, change, reach)
     move = partners.move
     for b in range(move.shape[0]):
@@ -265,7 +275,9 @@ def _solve_for_bodies(partners: Partners, rows: ImpulseRows, newton: Newton, cou
 
 
 @lean_kernel
-def _step(partners: Partners, rows: ImpulseRows, newton: Newton, count: int) -> None:
+def _step(
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int
+) -> None:
     """Take the step of each cluster, or the share of it that is left."""
     impulse, old, direction = rows.impulse, rows.old, rows.direction
     for k in range(count):
@@ -280,7 +292,8 @@ def _step(partners: Partners, rows: ImpulseRows, newton: Newton, count: int) -> 
         if state != _DONE:
             r = add_scaled(share, column3(direction, k, 0), column3(old, k, 0))
             put_column3(impulse, k, 0, r)
-    step_bounded(rows.bounded, newton, partners.move, (_SHARE, _STATE), (_TO_SOLVE, _DONE))
+    if bounded is not None:
+        step_bounded(bounded, newton, partners.move, (_SHARE, _STATE), (_TO_SOLVE, _DONE))
 
 
 @lean_kernel
@@ -294,13 +307,17 @@ def _into_the_cones(rows: ImpulseRows, count: int) -> None:
 
 
 @lean_kernel
-def take_newton_steps(impulses: Impulses, tolerance: float, size: float) -> bool:
+def take_newton_steps(
+    impulses: Impulses, bounded: Bounded | None, tolerance: float, size: float
+) -> bool:
     """Go on from impulses until |F| is within the tolerance, or does not fall any more.
 
     Parameters
     ----------
     impulses : Impulses
         With the velocities that belong to the impulses.
+    bounded : Bounded, optional
+        What acts in joints within bounds.
     tolerance : float
         Of |F| of each cluster, over the size.
     size : float [N s]
@@ -317,17 +334,18 @@ def take_newton_steps(impulses: Impulses, tolerance: float, size: float) -> bool
         clusters[j, _BEST], clusters[j, _SHARE], clusters[j, _STATE] = math.inf, 1.0, _TO_SOLVE
     for _ in range(_MOST):
         tally[NEWTON_STEPS] += 1.0
-        _evaluate(partners, rows, newton, count)
+        _evaluate(partners, rows, bounded, newton, count)
         goes_on = _decide(newton, tolerance * size, _ROUNDING * size)
         if not goes_on:
             break
-        _solve_for_bodies(partners, rows, newton, count)
-        _step(partners, rows, newton, count)
-        refresh_velocities(partners, rows, count)
+        _solve_for_bodies(partners, rows, bounded, newton, count)
+        _step(partners, rows, bounded, newton, count)
+        refresh_velocities(partners, rows, bounded, count)
     for k in range(count):
         if clusters[_cluster_of(newton, rows, k), _STATE] != _DONE:
             put_column3(rows.impulse, k, 0, column3(rows.old, k, 0))
-    end_bounded(rows.bounded, newton, _STATE, _DONE)
+    if bounded is not None:
+        end_bounded(bounded, newton, _STATE, _DONE)
     _into_the_cones(rows, count)
-    refresh_velocities(partners, rows, count)
+    refresh_velocities(partners, rows, bounded, count)
     return not goes_on

@@ -8,10 +8,10 @@ left alone. What the moves do to the energy and the angular momentum is booked.
 import math
 from typing import Final
 
-from particlerb.compiled.jit import lean_kernel
+from particlerb.compiled.jit import inline, lean_kernel
 from particlerb.impulses.bounded_effects import find_overrun, push_back_from_stops
 from particlerb.impulses.mechanisms import all_have_moved
-from particlerb.impulses.records import GAP, INVERSE, LEAST, NEVER, NORMAL, SLOW, Impulses
+from particlerb.impulses.records import GAP, INVERSE, LEAST, NEVER, NORMAL, SLOW, Bounded, Impulses
 from particlerb.impulses.rows import approach, column3, in_frame, push_apart, velocity_between
 from particlerb.maths.vec3 import scale
 
@@ -19,20 +19,30 @@ _SWEEPS: Final = 10  # at most
 _ENOUGH: Final = 0.1  # of the slop: moves smaller than this end the sweeps
 
 
-@lean_kernel
-def push_out(impulses: Impulses, dt: float) -> bool:
-    """Find the moves of all partners; whether there are any."""
+@inline
+def _find_overlaps(impulses: Impulses, dt: float) -> bool:
+    """Find gaps at the next middle of a step; whether any overlaps by more than the slop."""
     rules, partners, rows, count, _, _ = impulses
-    frame, move, has_moved, found = rows.frame, partners.move, partners.has_moved, False
+    found = False
     for k in range(count[0]):
         u = approach(partners, rows, k)
         gap = rows.limits[k, GAP] + dt * u[0]
-        if u[0] > rows.limits[k, SLOW] or frame[k, LEAST] == NEVER:
+        if u[0] > rows.limits[k, SLOW] or rows.frame[k, LEAST] == NEVER:
             gap = math.inf
         rows.old[k, 0], rows.old[k, 1] = 0.0, gap
         found = found or gap < -rules.slop
-    is_overrun = find_overrun(rows.bounded, partners.velocity, dt)
-    if not (found or is_overrun) or rules.push_out == 0.0:
+    return found
+
+
+@lean_kernel
+def push_out(impulses: Impulses, bounded: Bounded | None, dt: float) -> bool:
+    """Find the moves of all partners; whether there are any."""
+    rules, partners, rows, count, _, _ = impulses
+    frame, move, has_moved = rows.frame, partners.move, partners.has_moved
+    found = _find_overlaps(impulses, dt)
+    if bounded is not None:
+        found |= find_overrun(bounded, partners.velocity, dt)
+    if not found or rules.push_out == 0.0:
         return False
     for b in range(move.shape[0]):
         has_moved[b] = False
@@ -56,7 +66,8 @@ def push_out(impulses: Impulses, dt: float) -> bool:
                 p = scale(more, column3(frame, k, NORMAL))
                 push_apart(move, partners.inverse, partners.mechanisms, frame, k, a, b, p)
                 largest = max(largest, abs(more) * frame[k, INVERSE])
-        push_back_from_stops(rows.bounded, move, has_moved, rules.push_out)
+        if bounded is not None:
+            push_back_from_stops(bounded, move, has_moved, rules.push_out)
         if largest <= _ENOUGH * rules.slop:
             break
     return True

@@ -45,6 +45,7 @@ from particlerb.impulses.records import (
     UNMET,
     WORST,
     WORST_EVER,
+    Bounded,
     ImpulseRows,
     Impulses,
     Partners,
@@ -60,7 +61,7 @@ _FLOOR: Final = 1e-6  # of all impulses of the kick: what contacts carry less th
 
 
 @lean_kernel
-def leave_out_what_will_bounce(impulses: Impulses) -> None:
+def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None) -> None:
     """Leave out contacts that have not closed yet and will bounce when they have."""
     _, partners, rows, count, _, _ = impulses
     for k in range(count[0]):
@@ -68,11 +69,12 @@ def leave_out_what_will_bounce(impulses: Impulses) -> None:
         will_bounce = limits[k, RESTITUTION] > 0.0 and limits[k, GAP] > 0.0
         if will_bounce and approach(partners, rows, k)[0] < -limits[k, SLOW]:
             rows.frame[k, LEAST] = NEVER
-    leave_out_stops(rows.bounded, partners.velocity)
+    if bounded is not None:
+        leave_out_stops(bounded, partners.velocity)
 
 
 @lean_kernel
-def _begin_where_it_ended(impulses: Impulses) -> None:
+def _begin_where_it_ended(impulses: Impulses, bounded: Bounded | None) -> None:
     """Take the impulses of the step before, in the frames of now and within the cones."""
     _, partners, rows, count, _, _ = impulses
     for k in range(count[0]):
@@ -83,11 +85,12 @@ def _begin_where_it_ended(impulses: Impulses) -> None:
         x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
         put_column3(rows.impulse, k, 0, (n, x, y))
         change_by(partners, rows, k, (n, x, y))
-    begin_bounded(rows.bounded, partners.velocity)
+    if bounded is not None:
+        begin_bounded(bounded, partners.velocity)
 
 
 @lean_kernel
-def _sweep(partners: Partners, rows: ImpulseRows, count: int) -> float:
+def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int) -> float:
     """One step of each contact in turn; the sum of all squared changes [(N s)²]."""
     frame, impulse = rows.frame, rows.impulse
     changed = 0.0
@@ -107,11 +110,15 @@ def _sweep(partners: Partners, rows: ImpulseRows, count: int) -> float:
             put_column3(impulse, k, 0, (n, x, y))
             change_by(partners, rows, k, change)
         changed += square
-    return changed + sweep_bounded(rows.bounded, partners.velocity)
+    if bounded is not None:
+        changed += sweep_bounded(bounded, partners.velocity)
+    return changed
 
 
 @lean_kernel
-def residual(partners: Partners, rows: ImpulseRows, count: int, floor: float) -> float:
+def residual(
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float
+) -> float:
     """How far impulses are from a solution, over their size, or a floor [N s]."""
     frame, off, size = rows.frame, 0.0, 0.0
     for k in range(count):
@@ -122,13 +129,17 @@ def residual(partners: Partners, rows: ImpulseRows, count: int, floor: float) ->
         miss = subtract(r, nearest_in_cone(r[0] - share * lifted, x, y, mu))
         off += dot(miss, miss)
         size += dot(r, r)
-    off += miss_of_bounded(rows.bounded, partners.velocity)
-    size += size_of_bounded(rows.bounded)
+    if bounded is not None:
+        off += miss_of_bounded(bounded, partners.velocity)
+        size += size_of_bounded(bounded)
     return math.sqrt(off) / max(math.sqrt(size), floor, 1e-300)
 
 
 @lean_kernel
-def _mix(partners: Partners, rows: ImpulseRows, count: int, beta: float, is_last: bool) -> None:
+def _mix(
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int, beta: float,
+    is_last: bool,
+) -> None:  # fmt: skip
     """Go on along the direction of before, by its share of the last change."""
     impulse, old, direction = rows.impulse, rows.old, rows.direction
     for k in range(count):
@@ -140,11 +151,12 @@ def _mix(partners: Partners, rows: ImpulseRows, count: int, beta: float, is_last
             change_by(partners, rows, k, on)
         for i in range(3):
             direction[k, i] = on[i] + change[i]
-    mix_bounded(rows.bounded, partners.velocity, beta, is_last)
+    if bounded is not None:
+        mix_bounded(bounded, partners.velocity, beta, is_last)
 
 
 @lean_kernel
-def _sweeps(impulses: Impulses, most: int, floor: float) -> float:
+def _sweeps(impulses: Impulses, bounded: Bounded | None, most: int, floor: float) -> float:
     """Sweep over all contacts until the residual is within the tolerance; the last one."""
     rules, partners, rows, count, tally, _ = impulses
     m, sweeps, before, found = count[0], 0, 0.0, math.inf
@@ -152,64 +164,68 @@ def _sweeps(impulses: Impulses, most: int, floor: float) -> float:
         for k in range(m):
             for i in range(3):
                 rows.old[k, i] = rows.impulse[k, i]
-        changed = _sweep(partners, rows, m)
+        changed = _sweep(partners, rows, bounded, m)
         sweeps += 1
         if sweeps % _EVERY == 0 or sweeps == most or changed == 0.0:
-            found = residual(partners, rows, m, floor)
+            found = residual(partners, rows, bounded, m, floor)
         if changed == 0.0:
             break
         beta = changed / before if 0.0 < changed < before else 0.0
         before = changed
-        _mix(partners, rows, m, beta, sweeps == most or found <= rules.tolerance)
+        _mix(partners, rows, bounded, m, beta, sweeps == most or found <= rules.tolerance)
     tally[SWEEPS] += sweeps
     return found
 
 
 @lean_kernel
-def _size(rows: ImpulseRows, count: int, floor: float) -> float:
+def _size(rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float) -> float:
     """Size of all impulses [N s], or a floor."""
     size = 0.0
     for k in range(count):
         r = column3(rows.impulse, k, 0)
         size += dot(r, r)
-    size += size_of_bounded(rows.bounded)
+    if bounded is not None:
+        size += size_of_bounded(bounded)
     return max(math.sqrt(size), floor)
 
 
 @lean_kernel
-def solve(impulses: Impulses, moved: float) -> None:
+def solve(impulses: Impulses, bounded: Bounded | None, moved: float) -> None:
     """Find all impulses, and give momenta.
 
     Parameters
     ----------
     impulses : Impulses
         With frames, and velocities after the kick.
+    bounded : Bounded, optional
+        What acts in joints within bounds.
     moved : float [N s]
         Sum of the sizes of all impulses of the kick.
     """
     rules, partners, rows, count, tally, newton = impulses
     m = count[0]
-    if m == 0 and rows.bounded is None:
+    if m == 0 and bounded is None:
         tally[RESIDUAL] = 0.0
         return
     for b in range(partners.free.shape[0]):
         for i in range(6):
             partners.free[b, i] = partners.velocity[b, i]
-    _begin_where_it_ended(impulses)
+    _begin_where_it_ended(impulses, bounded)
     floor, most, is_done = _FLOOR * moved, rules.iterations, newton.change.size == 0
-    found = _sweeps(impulses, most, floor)
+    found = _sweeps(impulses, bounded, most, floor)
     for _ in range(_ROUNDS):
         if found <= rules.tolerance or is_done:
             break
-        size = _size(rows, m, floor)
-        is_done = take_newton_steps(impulses, _WITHIN * rules.tolerance, size)
-        found = residual(partners, rows, m, floor)
+        size = _size(rows, bounded, m, floor)
+        is_done = take_newton_steps(impulses, bounded, _WITHIN * rules.tolerance, size)
+        found = residual(partners, rows, bounded, m, floor)
         if found > rules.tolerance and not is_done:
             most *= _MORE
-            found = _sweeps(impulses, most, floor)
+            found = _sweeps(impulses, bounded, most, floor)
     for k in range(m):
         give(partners, rows, k, column3(rows.impulse, k, 0))
-    give_bounded(rows.bounded, partners.given)
+    if bounded is not None:
+        give_bounded(bounded, partners.given)
     tally[STEPS] += 1.0
     tally[CONTACTS] += m
     tally[UNMET] += 1.0 if found > rules.tolerance else 0.0

@@ -168,7 +168,8 @@ def _let_joints_hold(
     """Let contacts feel what joints tie to their partners, if there is anything."""
     if jointed is None or mechanisms is None:
         return
-    find_responses(jointed.joints, jointed.work, impulses, mechanisms, dt)
+    joints, bounded = jointed.joints, impulses.rows.bounded
+    find_responses(joints, jointed.work, impulses, mechanisms, bounded, joints.bounds, dt)
 
 
 @kernel
@@ -190,7 +191,7 @@ def bounce(
         _gather_walls(contact, impulses.partners)
         find_impulse_contacts(setup, workspace, contact.lists, impulses, extremes, dt)
         _let_joints_hold(jointed, impulses.partners.mechanisms, impulses, dt)
-        take_impacts(impulses)
+        take_impacts(impulses, impulses.rows.bounded)
         _apply_given(impulses, blocks, layout)
     meet(team)
 
@@ -330,7 +331,7 @@ def _book_among_joints(
 @inline
 def _keep_among_joints(jointed: Jointed | None, bounded: Bounded | None, dt: float) -> None:
     """Keep what acts in joints within bounds for the next step, unless this goes to a frame."""
-    if jointed is None:
+    if jointed is None or bounded is None:
         return
     if dt == jointed.work.clock[1]:
         keep_bounded(bounded, dt)
@@ -353,17 +354,17 @@ def press(
     impulses = contact.workspace.impulses
     meet(team)
     if team.rank == 0:
-        partners = impulses.partners
+        partners, bounded = impulses.partners, impulses.rows.bounded
         moved = _size_of_kick(contact, partners)
-        leave_out_what_will_bounce(impulses)
-        solve(impulses, moved)
+        leave_out_what_will_bounce(impulses, bounded)
+        solve(impulses, bounded, moved)
         _apply_given(impulses, blocks, layout)
-        book_impulses(impulses)
+        book_impulses(impulses, bounded)
         _book_bodies(contact, impulses, books, blocks, layout)
         _book_among_joints(books, jointed, partners, blocks, dt)
         keep_impulses(contact.lists, impulses, dt)
-        _keep_among_joints(jointed, impulses.rows.bounded, dt)
-        moves = push_out(impulses, dt)
+        _keep_among_joints(jointed, bounded, dt)
+        moves = push_out(impulses, bounded, dt)
         for _ in range(_MOVES):
             if not moves:
                 break

@@ -128,10 +128,8 @@ def _respond(
 
 
 @lean
-def _know_bounded(bounded: Bounded | None, mechanisms: Mechanisms) -> None:
+def _know_bounded(bounded: Bounded, mechanisms: Mechanisms) -> None:
     """Ask for the responses of bodies with a coordinate within bounds."""
-    if bounded is None:
-        return
     for k in range(bounded.kind.size):
         for b in (bounded.first[k], bounded.second[k]):
             mechanisms.is_known[b] = mechanisms.number[b] >= 0
@@ -139,12 +137,10 @@ def _know_bounded(bounded: Bounded | None, mechanisms: Mechanisms) -> None:
 
 @lean
 def _find_bounded(
-    bounded: Bounded | None, bounds: Bounds | None, joints: Joints, work: Work,
-    partners: Partners, mechanisms: Mechanisms, dt: float,
+    bounded: Bounded, bounds: Bounds, joints: Joints, work: Work, partners: Partners,
+    mechanisms: Mechanisms, dt: float,
 ) -> None:  # fmt: skip
     """Write rows of what acts along coordinates within bounds, for a step of dt [s]."""
-    if bounded is None or bounds is None:
-        return
     for k in range(bounded.kind.size):
         r = bounds.row[k]
         a, b, x = joints.rows.a[r], joints.rows.b[r], coordinate(joints.rows, work.y, r)
@@ -165,8 +161,9 @@ def _find_bounded(
 
 @lean_kernel
 def find_responses(
-    joints: Joints, work: Work, impulses: Impulses, mechanisms: Mechanisms, dt: float
-) -> None:
+    joints: Joints, work: Work, impulses: Impulses, mechanisms: Mechanisms,
+    bounded: Bounded | None, bounds: Bounds | None, dt: float,
+) -> None:  # fmt: skip
     """Find what impulses on bodies that touch do to their mechanisms, and inverse masses by that.
 
     Bodies are in `work` where they touch, and the clock is there; the step takes dt [s].
@@ -178,7 +175,8 @@ def find_responses(
     for k in range(count[0]):
         for b in (rows.first[k], rows.second[k]):
             known[b] = number[b] >= 0
-    _know_bounded(rows.bounded, mechanisms)
+    if bounded is not None:
+        _know_bounded(bounded, mechanisms)
     for c in range(mechanisms.start.size):
         for k in range(mechanisms.first[c], mechanisms.first[c + 1]):
             if known[mechanisms.member[k]]:
@@ -187,7 +185,8 @@ def find_responses(
     for k in range(count[0]):
         if known[rows.first[k]] or known[rows.second[k]]:
             write_through_joints(partners, rows, k)
-    _find_bounded(rows.bounded, joints.bounds, joints, work, partners, mechanisms, dt)
+    if bounded is not None and bounds is not None:
+        _find_bounded(bounded, bounds, joints, work, partners, mechanisms, dt)
 
 
 @lean_kernel
