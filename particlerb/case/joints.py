@@ -269,6 +269,11 @@ def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]
     limit, bounds = raw.get("limit"), []
     if isinstance(limit, dict) and not given(limit, "stiffness"):
         bounds.append(("limit", "give a stiffness"))
+        ends = entry_at(limit, "range", list)
+        known = len(ends) == 2 and all(isinstance(x, int | float) for x in ends)
+        if known and not ends[0] <= 0.0 <= ends[1]:
+            reason = "the bodies stand at 0 at the start, beyond a hard stop"
+            yield (*path, "limit", "range"), reason, "let the range hold 0"
         if limit.get("damping"):
             yield (*path, "limit", "damping"), "hard stops have none", "give `restitution`"
     elif isinstance(limit, dict) and limit.get("restitution"):
@@ -279,7 +284,7 @@ def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]
         bounds.append(("friction", "take a damper"))
     for key, other in bounds:
         if law != "impulse":
-            reason = "is an impulse within bounds, which other laws do not solve"
+            reason = "is solved by impulses alone"
             yield (*path, key), reason, f'take contact.law = "impulse", or {other}'
         elif given(raw, "drive"):
             yield (*path, key), "given beside drive, which leaves nothing free", "leave one out"

@@ -160,6 +160,7 @@ def test_a_run_goes_on_bit_for_bit_and_does_not_see_its_frames(tmp_path):
         ({"limit": {"range": [0, 1]}}, None, 'contact.law = "impulse", or give a stiffness'),
         ({"friction": 1.0, "drive": {"speed": [[0, 0], [1, 1]]}}, impulse(), "given beside drive"),
         ({"limit": {"range": [0, 1], "damping": 1.0}}, impulse(), "hard stops have none"),
+        ({"limit": {"range": [0.1, 1]}}, impulse(), "beyond a hard stop"),
     ],
 )
 def test_what_no_law_solves_is_refused(joint, contact, what):
