@@ -37,8 +37,12 @@ LENGTH = 0.1  # m, of a link
 LINK_STEPS = 1_000_000
 ERRORS = {"chain6": 0.5, "bricard": 1.0}  # s, when they are compared with references
 GOAL = 1e-8  # m
-OURS = {
-    "chain6": [("rattle6", (0.01, 0.005)), ("rattle8", (0.02, 0.01))],
+OURS = {  # and their steps [s], or tolerances
+    "chain6": [
+        ("rattle6", (0.01, 0.005)),
+        ("rattle8", (0.02, 0.01)),
+        ("dop853", (1e-5, 1e-6, 1e-7)),
+    ],
     "bricard": [("rattle", (0.01,)), ("rattle4", (0.04, 0.02)), ("rattle6", (0.05, 0.04))],
 }
 PEERS = {"chain6": [0.005, 0.002, 0.001], "bricard": [0.005, 0.001, 0.0002]}
@@ -53,13 +57,18 @@ Row = tuple[str, float]
 POINTS = [[0, 0, 0], [1, 0, 0], [1, -1, 0], [1, -1, 1], [0, -1, 1], [0, 0, 1]]
 
 
-def seconds(scene: dict, method: str, dt: float, steps: int) -> float:
-    """Processor seconds of so many steps, of a whole run less a run of one step."""
+def asked(method: str, step: float) -> dict:
+    """Keys of [run] for a method and its step, or its tolerance."""
+    return {"method": method, "tolerance" if method == "dop853" else "dt": step}
+
+
+def seconds(scene: dict, method: str, step: float, times: tuple[float, float]) -> float:
+    """Processor seconds between two times, of a long run less a short one."""
     found = []
-    for n in (1, 1 + steps):
-        times = {"t_end": n * dt, "every": n * dt, "dt": dt, "method": method, "threads": 1}
+    for t in times:
+        keys = {"t_end": t, "every": t, "threads": 1} | asked(method, step)
         start = time.process_time()
-        particlerb.run({"run": times, **scene}).close()
+        particlerb.run({"run": keys, **scene}).close()
         found.append(time.process_time() - start)
     return found[1] - found[0]
 
@@ -67,10 +76,11 @@ def seconds(scene: dict, method: str, dt: float, steps: int) -> float:
 def medians(scenes: dict[int, dict], bodies: int) -> dict[int, float]:
     """Time per step of each scene of n times so many bodies, over n times so many [s]."""
     found: dict[int, list[float]] = {n: [] for n in scenes}
-    seconds(scenes[min(scenes)], "rattle", STEP, 1)  # compiles
+    seconds(scenes[min(scenes)], "rattle", STEP, (STEP, STEP))  # compiles
     for _, n in itertools.product(range(ROUNDS), scenes):
         steps = LINK_STEPS // (bodies * n)
-        found[n].append(seconds(scenes[n], "rattle", STEP, steps) / (steps * bodies * n))
+        spent = seconds(scenes[n], "rattle", STEP, (STEP, (1 + steps) * STEP))
+        found[n].append(spent / (steps * bodies * n))
     return {n: statistics.median(values) for n, values in found.items()}
 
 
@@ -109,13 +119,13 @@ def ours(name: str) -> list[Row]:
     t, scene, rows = ERRORS[name], SCENES[name](), []
     for method, spans in OURS[name]:
         points = []
-        for dt in spans:
-            times = {"t_end": t, "every": t, "dt": dt, "method": method}
+        for step in spans:
+            times = {"t_end": t, "every": t} | asked(method, step)
             with particlerb.run({"run": times, **scene}) as trajectory:
                 error = np.abs(np.array(trajectory.position)[-1] - reference(name, t)[0]).max()
-            steps = round(20 * t / dt)
-            cost = statistics.median(seconds(scene, method, dt, steps) for _ in range(ROUNDS))
-            points.append((error, 1e3 * cost / (steps * dt)))
+            between = 0.1 * t, 20.1 * t
+            cost = statistics.median(seconds(scene, method, step, between) for _ in range(ROUNDS))
+            points.append((error, 1e3 * cost / (20 * t)))
         rows += told(f"{name} {method}", spans, points)
     return rows
 
@@ -123,8 +133,9 @@ def ours(name: str) -> list[Row]:
 def told(name: str, spans: Sequence[float], points: list[tuple[float, float]]) -> list[Row]:
     """Rows of points (error [m], cost [ms/s]) at steps, and of the cost at the goal."""
     rows = []
-    for dt, (error, cost) in zip(spans, points, strict=True):
-        rows += [(f"{name} {dt:g} s, error m", error), (f"{name} {dt:g} s, ms/s", cost)]
+    unit = "" if name.endswith("dop853") else " s"
+    for step, (error, cost) in zip(spans, points, strict=True):
+        rows += [(f"{name} {step:g}{unit}, error m", error), (f"{name} {step:g}{unit}, ms/s", cost)]
     return rows + to_reach(name, points)
 
 

@@ -24,6 +24,7 @@ BUDGETS = {
     "unrolled columns in factors of joints, rows that share points, for speed": 222,
     "impulses of joints guessed from the steps before": 34,
     "rows of loops that rest in a singular pose": 30,
+    "joints by DOP853, with forces that depend on velocities": 230,
     "prescribed motion in joints, and driven bodies there": 335,
     "joints that break": 128,
     "rows at rest in singular poses, by what their impulses may be": 27,

@@ -19,6 +19,8 @@ from particlerb.forces.kinds import (
     BODIES,
     CONTACT,
     EVENTS,
+    FLOWS,
+    GRID,
     IMPULSES,
     JOINTS,
     PISTONS,
@@ -35,7 +37,6 @@ from particlerb.model.bodies import taken
 from particlerb.model.load import OTHER
 
 LINE: Final = 3  # a fixed line in the world, in `Terms.axis`
-_FLOW_AMONG_JOINTS: Final = "flow among joints"  # which no method takes: it is not of order two
 
 
 class Terms(NamedTuple):
@@ -211,14 +212,14 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         needs[term.name] = frozenset().union(*(kick.needs for kick in kicks))
         flows = any(kick.load is not None and kick.damp is None for kick in kicks)
         if terms.joints is not None and flows:
-            needs[term.name] |= {_FLOW_AMONG_JOINTS}
+            needs[term.name] |= {FLOWS}
     if terms.links is not None:
         needs["links"] = frozenset({BODIES})
         if terms.links.damping is not None:
             needs["dashpots"] = frozenset({BODIES, VELOCITY})
     for force in () if terms.own_pairs is None else terms.own_pairs.functions.forces:
         moves = {VELOCITY} if force.depends_on_velocity else set()
-        moves |= {_FLOW_AMONG_JOINTS} if moves and terms.joints is not None else set()
+        moves |= {FLOWS} if moves and terms.joints is not None else set()
         needs[force.name] = frozenset({BODIES, *moves, *([TIME] if "t" in force.signature else [])})
     if terms.attraction is not None:
         needs["attraction"] = frozenset({BODIES})
@@ -228,11 +229,19 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         if terms.contact.pistons is not None:
             needs["walls with a piston"] = frozenset({CONTACT, PISTONS})
     if terms.joints is not None:
-        needs["joints"] = frozenset({JOINTS})
-        if terms.joints.damps is not None:
-            needs["damping among joints"] = frozenset({JOINTS, VELOCITY})
-        if terms.joints.breaks is not None:
-            needs["joints that break"] = frozenset({JOINTS, VELOCITY})
+        needs |= _needs_of_joints(terms, terms.joints)
+    return needs
+
+
+def _needs_of_joints(terms: Terms, joints: Joints) -> dict[str, frozenset[str]]:
+    """The same for joints."""
+    needs = {"joints": frozenset({JOINTS})}
+    if joints.damps is not None:
+        needs["damping among joints"] = frozenset({JOINTS, VELOCITY})
+    if terms.driven is not None:
+        needs["driven bodies at joints"] = frozenset({JOINTS, GRID})
+    if joints.breaks is not None:
+        needs["joints that break"] = frozenset({JOINTS, GRID, VELOCITY})
     return needs
 
 

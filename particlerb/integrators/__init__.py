@@ -3,6 +3,7 @@
 from importlib import import_module
 from typing import Final
 
+from particlerb.forces.kinds import JOINTS
 from particlerb.integrators.method import Method
 from particlerb.model.method_names import METHOD_NAMES
 
@@ -13,4 +14,9 @@ UNJOINTED: Final = tuple(
     name for name, method in METHODS.items() if not (method.holds_joints or method.takes_impulses)
 )
 """Methods for bodies that no joint holds, and that no impulse of a contact moves."""
-JOINTED: Final = tuple(name for name, method in METHODS.items() if method.holds_joints)
+JOINTED: Final = tuple(
+    name
+    for name, method in METHODS.items()
+    if JOINTS in method.accepts and not method.takes_impulses
+)
+"""Methods for bodies that joints hold."""

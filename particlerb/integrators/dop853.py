@@ -9,6 +9,7 @@ II.10; coefficients in dop853_table.py.
 
 from typing import Final
 
+from particlerb.forces.kinds import FLOWS, JOINTS
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED
 
@@ -19,7 +20,7 @@ METHOD: Final = Method(
     summary="order 8, adaptive by run.tolerance, dense output; the oracle; any force",
     order=8,
     free_order=8,
-    accepts=ACCEPTED,
+    accepts=ACCEPTED | {JOINTS, FLOWS},
     cost=270.0,
     evaluations=12,
     is_adaptive=True,

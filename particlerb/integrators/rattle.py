@@ -10,7 +10,16 @@ Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33
 from typing import Final
 
 from particlerb.contact.contact_model import LEAPFROG, LoadTimes
-from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, PISTONS, POSE, TIME, VELOCITY
+from particlerb.forces.kinds import (
+    BODIES,
+    CONTACT,
+    GRID,
+    JOINTS,
+    PISTONS,
+    POSE,
+    TIME,
+    VELOCITY,
+)
 from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
 from particlerb.integrators.method import Method
@@ -43,7 +52,7 @@ METHOD: Final = Method(
     summary="order 2, symplectic; strang with joints; any force but magnus",
     order=2,
     free_order=2,
-    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, PISTONS, JOINTS}),
+    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, PISTONS, JOINTS, GRID}),
     cost=1500.0,
     evaluations=1,
     keeps_rods=True,

@@ -99,22 +99,28 @@ def add_stored_energy(joints: Joints, y: Floats, world: Ints, sums: Floats) -> N
             sums[world[joints.rows.a[r]]] += 0.5 * energy
 
 
+@lean
+def action_force(joints: Joints, work: Work, r: int) -> tuple[float, float]:
+    """What acts along row r [N or N m], and the power of that which has no potential [W]."""
+    actions, k = joints.actions, joints.rows.action[r]
+    x = coordinate(joints.rows, work.y, r)
+    v = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
+    beyond = _beyond(actions, k, x)
+    c = actions.damping[k] + (actions.stop_damping[k] if beyond != 0.0 else 0.0)
+    f = -actions.stiffness[k] * _from_rest(actions, k, joints.rows.kind[r], x)
+    f = f + actions.motor[k] - actions.stop[k] * beyond - c * v
+    return f, (actions.motor[k] - c * v) * v
+
+
 @lean_kernel
 def add_action_loads(joints: Joints, work: Work, load: Floats) -> None:
     """Add drag, and what springs, stops, motors and dampers do, to loads (n + 1, 6).
 
     Gradients are those of the poses.
     """
-    actions = joints.actions
     for r in range(joints.rows.kind.size):
-        k = joints.rows.action[r]
-        if k != HOLDS:
-            x = coordinate(joints.rows, work.y, r)
-            v = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
-            beyond = _beyond(actions, k, x)
-            c = actions.damping[k] + (actions.stop_damping[k] if beyond != 0.0 else 0.0)
-            f = -actions.stiffness[k] * _from_rest(actions, k, joints.rows.kind[r], x)
-            work.z[r] = f + actions.motor[k] - actions.stop[k] * beyond - c * v
+        if joints.rows.action[r] != HOLDS:
+            work.z[r], _ = action_force(joints, work, r)
             add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, r, r + 1, load, 0)
     for b in range(joints.inv_mass.size):
         q, c = attitude(work.y, b), joints.drag[b, 1]

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import lean_kernel
+from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import add_stored_energy
 from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import DOT, HOLDS, STATE, TURN, Joints, P, Q, Work
-from particlerb.joints.rows import accelerations
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.worlds import Worlds

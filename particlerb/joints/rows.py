@@ -1,17 +1,17 @@
 """Rows of constraints at a pose: residuals, gradients, rates, and impulses along the gradients.
 
-| row | g | ∂g/∂x_a | ∂g/∂θ_a | ∂g/∂θ_b | convective part of g̈ |
-|-|-|-|-|-|-|
-| along, u in b | u·d | u | r_a × u | u × (r_b + d) | u·k + 2 u̇·ḋ + ü·d |
-| along, u in the world | u·d | u | r_a × u | u × r_b | u·k |
-| dot | n·u | 0 | n × u | -n × u | n̈·u + 2 ṅ·u̇ + n·ü |
-| distance | (d·d - l²)/(2 l) | d/l | r_a × d/l | d/l × r_b | (ḋ·ḋ + d·k)/l |
-| turn, n across u | angle of n from r_b | 0 | u | -u | u̇·(ω_a - ω_b) |
-| rotation, nothing but springs | u·φ | 0 | u | -u | |
+| row | g | ∂g/∂x_a | ∂g/∂θ_a | ∂g/∂θ_b |
+|-|-|-|-|-|
+| along, u in b | u·d | u | r_a × u | u × (r_b + d) |
+| along, u in the world | u·d | u | r_a × u | u × r_b |
+| dot | n·u | 0 | n × u | -n × u |
+| distance | (d·d - l²)/(2 l) | d/l | r_a × d/l | d/l × r_b |
+| turn, n across u | angle of n from r_b | 0 | u | -u |
+| rotation, nothing but springs | u·φ | 0 | u | -u |
 
-d = x_a + r_a - x_b - r_b, ∂g/∂x_b = -∂g/∂x_a, θ the turn in world axes, k = ω_a × (ω_a × r_a) -
-ω_b × (ω_b × r_b); u̇ = ω × u, ü = ω × u̇; φ the rotation vector of a against b: the potential k φ²/2
-has the torque -k φ. J = R I Rᵀ. Of a row with a drive g has -c(t) more.
+d = x_a + r_a - x_b - r_b, ∂g/∂x_b = -∂g/∂x_a, θ the turn in world axes; φ the rotation vector of a
+against b: the potential k φ²/2 has the torque -k φ. J = R I Rᵀ. Of a row with a drive g has -c(t)
+more.
 See docs/joints.md.
 """
 
@@ -34,7 +34,6 @@ from particlerb.joints.records import (
     ConstraintRows,
     Drives,
     Joints,
-    L,
     P,
     Q,
     Work,
@@ -107,17 +106,17 @@ def by_inverse_inertia(inv_inertia: Floats, q: Quat, k: int, v: Vec3) -> Vec3:
 @lean
 def arms(rows: ConstraintRows, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """r_a (or n), r_b, u and d of row r, in world axes."""
-    return _arms(rows, y, r, _attitudes(rows, y, r))
+    return arms_at(rows, y, r, attitudes(rows, y, r))
 
 
 @lean
-def _attitudes(rows: ConstraintRows, y: Floats, r: int) -> tuple[Matrix, Matrix]:
+def attitudes(rows: ConstraintRows, y: Floats, r: int) -> tuple[Matrix, Matrix]:
     """Rotation matrices of the bodies of row r."""
     return matrix(attitude(y, rows.a[r])), matrix(attitude(y, rows.b[r]))
 
 
 @lean
-def _arms(
+def arms_at(
     rows: ConstraintRows, y: Floats, r: int, R: tuple[Matrix, Matrix]
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """Do the work of `arms`, with the rotation matrices of both bodies."""
@@ -185,7 +184,7 @@ def residual(rows: ConstraintRows, drives: Drives | None, y: Floats, r: int, t: 
 
 
 @lean
-def _is_of_other_bodies(rows: ConstraintRows, lo: int, r: int) -> bool:
+def is_of_other_bodies(rows: ConstraintRows, lo: int, r: int) -> bool:
     """Whether row r ties other bodies than the one before, or is the first from lo on."""
     return r == lo or rows.a[r] != rows.a[r - 1] or rows.b[r] != rows.b[r - 1]
 
@@ -197,17 +196,17 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[f
     worst, where, d = 0.0, lo, (0.0, 0.0, 0.0)
     if lo == hi:
         return worst, where
-    R, far = _attitudes(rows, y, lo), 0.0
+    R, far = attitudes(rows, y, lo), 0.0
     for r in range(lo, hi):
         kind = rows.kind[r]
-        if _is_of_other_bodies(rows, lo, r):
-            x, R = vector(y, rows.a[r], X), _attitudes(rows, y, r)
+        if is_of_other_bodies(rows, lo, r):
+            x, R = vector(y, rows.a[r], X), attitudes(rows, y, r)
             far = abs(x[0]) + abs(x[1]) + abs(x[2])
         if work.compliance[r] != 0.0:
             g[r] = 0.0
         elif kind == WORLD_ALONG:
             if r == lo or not joints.beside[r] or work.compliance[r - 1] != 0.0:
-                d = _arms(rows, y, r, R)[3]
+                d = arms_at(rows, y, r, R)[3]
             g[r] = dot(vector(rows.axis, r, 0), d) - course(joints.drives, rows.drive[r], t)[0]
         elif kind == DOT:
             g[r] = dot(turn(R[0], vector(rows.first, r, 0)), turn(R[1], vector(rows.axis, r, 0)))
@@ -258,17 +257,17 @@ def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
     rows, y, gradient = joints.rows, work.y, work.gradient
     if lo == hi:
         return
-    R = _attitudes(rows, y, lo)
+    R = attitudes(rows, y, lo)
     inverse = _inverse_inertias(joints, lo, R)
-    ra, rb, u, d = _arms(rows, y, lo, R)
+    ra, rb, u, d = arms_at(rows, y, lo, R)
     for r in range(lo, hi):
-        if _is_of_other_bodies(rows, lo, r):
-            R = _attitudes(rows, y, r)
+        if is_of_other_bodies(rows, lo, r):
+            R = attitudes(rows, y, r)
             inverse = _inverse_inertias(joints, r, R)
         if joints.beside[r]:
             u = vector(rows.axis, r, 0)
         else:
-            ra, rb, u, d = _arms(rows, y, r, R)
+            ra, rb, u, d = arms_at(rows, y, r, R)
         by_x, by_a, by_b = _by_turning(rows, r, ra, rb, u, d)
         put_vector(gradient, r, 0, by_x)
         put_vector(gradient, r, 3, by_a)
@@ -320,43 +319,3 @@ def add_impulses(
         if inv_mass[b] > 0.0:
             put_vector(y, b, at, add_scaled(-z[r], by_x, vector(y, b, at)))
             put_vector(y, b, at + 3, add_scaled(z[r], vector(gradient, r, 6), vector(y, b, at + 3)))
-
-
-@lean
-def convective(joints: Joints, work: Work, r: int) -> float:
-    """g̈ of row r [g/s²] at rest where no force acts, less what J⁻¹ (ω × L) gives."""
-    rows, y, motion, inverse = joints.rows, work.y, work.motion, joints.inv_inertia
-    a, b, kind = rows.a[r], rows.b[r], rows.kind[r]
-    ra, rb, u, d = arms(rows, y, r)
-    wa = add(by_inverse_inertia(inverse, attitude(y, a), a, vector(y, a, L)), vector(motion, a, 3))
-    wb = add(by_inverse_inertia(inverse, attitude(y, b), b, vector(y, b, L)), vector(motion, b, 3))
-    ra1, rb1, u1 = cross(wa, ra), cross(wb, rb), cross(wb, u)
-    ra2, rb2, u2 = cross(wa, ra1), cross(wb, rb1), cross(wb, u1)
-    if kind == DOT:
-        return dot(ra2, u) + 2.0 * dot(ra1, u1) + dot(ra, u2)
-    if kind >= TURN:
-        return dot(u1 if kind == TURN else cross(wa, u), subtract(wa, wb))
-    k = add(subtract(ra2, rb2), subtract(vector(motion, a, 6), vector(motion, b, 6)))
-    if kind == WORLD_ALONG:
-        return dot(u, k)
-    va = add_scaled(joints.inv_mass[a], vector(y, a, P), vector(motion, a, 0))
-    vb = add_scaled(joints.inv_mass[b], vector(y, b, P), vector(motion, b, 0))
-    d1 = subtract(add(va, ra1), add(vb, rb1))
-    if kind == ALONG:
-        return dot(u, k) + 2.0 * dot(u1, d1) + dot(u2, d)
-    found: float = (dot(d1, d1) + dot(d, k)) / rows.length[r]
-    return found
-
-
-@lean_kernel
-def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) -> None:
-    """z = -g̈ of rows lo to hi under loads (n + 1, 6), force and torque, without reactions."""
-    for r in range(lo, hi):
-        a, b = joints.rows.a[r], joints.rows.b[r]
-        found = convective(joints, work, r) + rate(joints, work.gradient, r, load, 0)
-        found -= course(joints.drives, joints.rows.drive[r], work.clock[0])[2]
-        for k, at in ((a, 9), (b, 12)):
-            spin = vector(work.y, k, L)
-            w = by_inverse_inertia(joints.inv_inertia, attitude(work.y, k), k, spin)
-            found -= dot(vector(work.gradient, r, at), cross(w, spin))
-        work.z[r] = -found

@@ -15,7 +15,18 @@ from particlerb.contact.contact_model import GroupContact
 from particlerb.forces import Terms, needs_of, terms_on, without_gradient
 from particlerb.forces.drag import Drag
 from particlerb.forces.impulse import Impulse
-from particlerb.forces.kinds import BODIES, CONTACT, EVENTS, JOINTS, PISTONS, POSE, TIME, VELOCITY
+from particlerb.forces.kinds import (
+    BODIES,
+    CONTACT,
+    EVENTS,
+    FLOWS,
+    GRID,
+    JOINTS,
+    PISTONS,
+    POSE,
+    TIME,
+    VELOCITY,
+)
 from particlerb.integrators import METHODS
 from particlerb.joints.setup import with_drag
 from particlerb.maths.vec3 import Bools, Ints
@@ -44,6 +55,8 @@ _NEEDS: Final = {
     PISTONS: "walls slide",
     EVENTS: "bodies collide at the instants of their impacts",
     JOINTS: "joints hold bodies",
+    FLOWS: "it depends on velocities, and joints hold bodies",
+    GRID: "it takes steps of one length",
 }
 
 

@@ -182,8 +182,8 @@ class JointReader:
         work.clock[0] = time - self.segment.start
         is_broken = broken <= time
         work.broken[:] = np.where(is_broken, -np.inf, np.inf)
-        assert motion.moving.jointed is not None
-        jointed = motion.moving.jointed._replace(work=work)
+        assert motion.jointed is not None
+        jointed = motion.jointed._replace(work=work)
         place_driven(jointed.driven, jointed, work.clock[0], 0.0, 0, len(work.y))
         set_moving(joints.moves, joints, work, 0, m, work.clock[0])
         linearise(joints, work, 0, m)

@@ -26,6 +26,7 @@ from particlerb.integrators.dop853_step import (
 )
 from particlerb.integrators.dop853_table import STAGES
 from particlerb.integrators.method import Method
+from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.model.block import (
@@ -46,8 +47,9 @@ from particlerb.model.block import (
     state_rows,
 )
 from particlerb.model.state import Frames, State, room_for, store_frame
+from particlerb.stepping.jointed_motion import JointedMotion
 from particlerb.stepping.loop import Recording
-from particlerb.stepping.motion import Motion, SegmentGroup, WorkAccount
+from particlerb.stepping.motion import SegmentGroup, WorkAccount
 from particlerb.stepping.saved_arrays import Saved
 
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
@@ -81,8 +83,8 @@ def take_last_stages(bodies: Any, t: float, h: float) -> None:
     raise NotImplementedError
 
 
-def show(bodies: Any, h: float, share: float) -> None:
-    """State at a share of the step, for a frame."""
+def show(bodies: Any, t: float, h: float, share: float) -> None:
+    """State at a share of the step from t, for a frame."""
     raise NotImplementedError
 
 
@@ -123,7 +125,7 @@ def advance_steps(
             if not is_dense:
                 take_last_stages(bodies, t, h)
                 is_dense = True
-            show(bodies, h, (times[f] - t) / h)
+            show(bodies, t, h, (times[f] - t) / h)
         write(bodies, recording, rows[f])
     while t + h < until:
         t, taken = t + h, taken + 1.0
@@ -189,7 +191,7 @@ def _take_last_stages(bodies: _OnePack, t: float, h: float) -> None:
 
 
 @inline
-def _show(bodies: _OnePack, h: float, share: float) -> None:
+def _show(bodies: _OnePack, t: float, h: float, share: float) -> None:
     """`show` of a pack."""
     interpolate(bodies.pack, h, share, bodies.out)
 
@@ -228,12 +230,13 @@ def _advance_blocks(
         _give_pack(y, w, blocks, k, n)
 
 
-class AdaptiveRun(Motion):
+class AdaptiveRun(JointedMotion):
     """What groups of bodies with steps of their own choice share; see `motion.Motion`."""
 
     blocks: Floats
     clock: Floats  # (..., 3) time [s] from which a step starts, step [s] to try, steps taken
     cost: float  # [ns] of a step of all, roughly
+    jointed: Jointed | None = None
 
     def __init__(self, group: SegmentGroup, state: State, start: float, tolerance: float) -> None:
         self.group, self.start = group, start
@@ -268,7 +271,8 @@ class AdaptiveRun(Motion):
         group = self.group
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
         where, nobody = (group.bodies.rotor_frame, group.members), np.zeros(0, dtype=np.int64)
-        recording = Recording(*where, frames, sums, nobody, np.zeros((0, 0, 3)))
+        self.coordinates = np.zeros((len(frames.position), *self.turned.shape))
+        recording = Recording(*where, frames, sums, nobody, self.coordinates)
         for lo, hi, until in self.calls(times, stop):
             cut = stop if until == stop else np.inf
             self.advance_some(Leg(times[lo:hi], rows[lo:hi], until, cut), recording)

@@ -29,13 +29,21 @@ from particlerb.integrators.dop853_step import (
     take_slopes,
 )
 from particlerb.integrators.dop853_table import NODES, STAGES, A
+from particlerb.integrators.joint_slopes import (
+    add_reactions,
+    bring_back,
+    count_on,
+    store_coordinates,
+)
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter_loads
+from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import CHANGING, Q, assign, get, in_blocks, put, state_rows
 from particlerb.model.state import State
 from particlerb.stepping.adaptive import AdaptiveRun, Leg, advance_steps, store_vectors
+from particlerb.stepping.jointed_motion import jointed_in
 from particlerb.stepping.loop import Recording
 from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.pair_forces import PairForces
@@ -62,6 +70,7 @@ class _AllBodies(NamedTuple):
     blocks: Floats
     layout: Layout
     pairs: PairTerms
+    jointed: Jointed | None
     vectors: _CommonVectors
 
 
@@ -102,6 +111,8 @@ def _common_slopes(bodies: _AllBodies, t: float, y: Floats, slope: Floats) -> No
     pair_loads(links, own, attraction, work, with_dashpots, clock, states, load)
     scatter_loads(load, bodies.blocks, bodies.layout)
     _slopes_of_blocks(bodies, t, y, slope)
+    books, w = bodies.equations.books, bodies.vectors.width
+    add_reactions(books, bodies.jointed, y, slope.reshape(y.shape), w, t)
 
 
 @kernel
@@ -154,6 +165,7 @@ def _give_up(layout: Layout, vectors: _CommonVectors) -> None:
 def _find_common_step(bodies: _AllBodies, t: float, h: float) -> tuple[float, float]:
     """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
     layout, common = bodies.layout, bodies.vectors
+    count_on(bodies.jointed, common.y, common.width)
     _common_slopes(bodies, t, common.y, common.K[0])
     longest = h
     while True:
@@ -161,6 +173,7 @@ def _find_common_step(bodies: _AllBodies, t: float, h: float) -> tuple[float, fl
         error = _common_error(bodies, h)
         if error < 1.0:
             _normalise_blocks(common.new, layout, common.width)
+            bring_back(bodies.jointed, common.new, common.width, t + h)
             return h, h * factor_of(error)
         h *= factor_of(error)
         if not h > LEAST_STEP * t:
@@ -174,13 +187,14 @@ def _take_last_stages(bodies: _AllBodies, t: float, h: float) -> None:
 
 
 @kernel
-def _interpolate_blocks(bodies: _AllBodies, h: float, share: float) -> None:
+def _interpolate_blocks(bodies: _AllBodies, t: float, h: float, share: float) -> None:
     """State at a share of a step, into `out`."""
     y, K = bodies.vectors.y, bodies.vectors.K
     own = K.reshape((K.shape[0], y.shape[0], y.shape[1]))
     for k in range(bodies.layout.first.size):
         pack = _pack_of(bodies, k, np.ascontiguousarray(own[:, k]))
         interpolate(pack, h, share, bodies.vectors.out[k])
+    bring_back(bodies.jointed, bodies.vectors.out, bodies.vectors.width, t + share * h)
 
 
 @kernel
@@ -190,6 +204,7 @@ def _store_blocks(bodies: _AllBodies, recording: Recording, frame: int) -> None:
     for k in range(layout.first.size):
         lo, n = layout.first[k], layout.size[k]
         store_vectors(recording, frame, lo, n, common.out[k], common.width, k)
+    store_coordinates(bodies.jointed, common.out, common.width, recording.turned, frame)
 
 
 def _family(make: Callable[..., Callable[..., Any]], **names: Any) -> Callable[..., None]:
@@ -224,6 +239,7 @@ class CoupledAdaptiveMotion(AdaptiveRun):
         self.blocks = in_blocks(n, STAGE + 2 * CHANGING, parts)
         first = np.arange(0, n, BLOCK)
         self.layout = Layout(first, np.minimum(BLOCK, n - first), 0)
+        self.jointed = jointed_in(group, state, np.arange(n), start, np.nan)
         self.vectors = self.make_vectors(ALONE if self.account.books is None else CHANGING)
         self.clock = np.array([[0.0, first_step, 0.0]])
         self.cost = method.cost * n + method.evaluations * self.forces.cost
@@ -245,17 +261,22 @@ class CoupledAdaptiveMotion(AdaptiveRun):
 
     def checkpoint(self) -> Saved:
         """States at the start of the step, when that is, and how long the step is."""
-        return {"y": self.vectors.y.copy(), "clock": self.clock[0, :2].copy()}
+        saved = {"y": self.vectors.y.copy(), "clock": self.clock[0, :2].copy()}
+        return saved | ({"turned": self.turned.copy()} if self.turned.size else {})
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         self.vectors.y[:] = saved["y"]
         self.clock[0, :2] = saved["clock"]
+        if self.turned.size:
+            self.turned[:] = saved["turned"]
 
     def advance_some(self, leg: Leg, recording: Recording) -> None:
         """All bodies together."""
         common = self.vectors
-        bodies = _AllBodies(self.equations, self.blocks, self.layout, self.forces.pairs, common)
+        bodies = _AllBodies(
+            self.equations, self.blocks, self.layout, self.forces.pairs, self.jointed, common
+        )
         arguments = bodies, common.y, common.new, common.out, self.clock[0], leg, recording
         if self.forces.is_large:
             _family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)

@@ -8,13 +8,11 @@ import numpy as np
 
 from particlerb.compiled.jit import flag
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.forces import acting_of, has_potential, row_count, rows_of_terms
+from particlerb.forces import acting_of, row_count, rows_of_terms
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import MovingBodies, RotorClasses
-from particlerb.joints.coordinates import count_turns
-from particlerb.joints.records import Jointed, room_for_joints
 from particlerb.maths.vec3 import Bools, Floats, Ints, differences
 from particlerb.model.block import (
     BOOKED,
@@ -35,6 +33,7 @@ from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, room_for
 from particlerb.model.worlds import bins_of, over_bins, over_bodies
 from particlerb.rotors.rotor_class import ASYMMETRIC
+from particlerb.stepping.jointed_motion import JointedMotion, jointed_in
 from particlerb.stepping.loop import (
     CLOSE,
     PAUSE,
@@ -47,7 +46,7 @@ from particlerb.stepping.loop import (
     grid_stop,
     loop_over_threads,
 )
-from particlerb.stepping.motion import Motion, SegmentGroup, WorkAccount
+from particlerb.stepping.motion import SegmentGroup, WorkAccount
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 
@@ -72,7 +71,7 @@ def _pairs_of(method: Method, group: SegmentGroup, start: float) -> PairForces |
     return PairForces(terms, n, not method.has_dashpot_flows, start, group.worlds)
 
 
-class SteppedMotion(Motion):
+class SteppedMotion(JointedMotion):
     """A group of bodies on a grid of steps; see `motion.Motion`."""
 
     def __init__(
@@ -106,6 +105,7 @@ class SteppedMotion(Motion):
         self.steps_done = 0
         self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`
         self.account = WorkAccount(group, state, method.keeps_angular_momentum)
+        self.jointed = jointed_in(group, state, self.slots, start, dt)
         links, own = terms.links, terms.own_pairs
         has_dashpots = links is not None and links.damping is not None
         has_dashpots |= own is not None and bool(own.takes_velocities.any())
@@ -117,7 +117,7 @@ class SteppedMotion(Motion):
             rotors,
             None if self.forces is None else self.forces.pairs,
             flag(has_dashpots and method.has_dashpot_flows),
-            self.jointed(),
+            self.jointed,
             damps=None if terms.joints is None else terms.joints.damps,
         )
         self.cost = method.cost * n  # [ns] of a step, roughly
@@ -126,11 +126,11 @@ class SteppedMotion(Motion):
     def set_off_again(self, first: Floats, dt: float) -> None:
         """Set off once more, with what changes in blocks as it was at first, and another step."""
         changing(self.blocks)[:], self.dt, self.steps_done = first, dt, 0
-        if self.moving.jointed is not None:
-            self.moving.jointed.work.clock[1] = dt
-            self.moving.jointed.work.broken[:] = np.inf
-            self.moving.jointed.work.load[:] = -1.0
-            self.moving.jointed.work.past[:] = np.nan
+        if self.jointed is not None:
+            self.jointed.work.clock[1] = dt
+            self.jointed.work.broken[:] = np.inf
+            self.jointed.work.load[:] = -1.0
+            self.jointed.work.past[:] = np.nan
 
     def spaced(self, values: Floats) -> Floats:
         """Rows of all bodies with the gaps of the blocks between them."""
@@ -146,32 +146,6 @@ class SteppedMotion(Motion):
         if worlds is not None:
             layout = _layout_of(in_own_blocks[worlds.bodies[0]])
         return bins_of(np.repeat(np.arange(layout.size.size), layout.size), worlds)
-
-    def jointed(self) -> Jointed | None:
-        """Joints with room to work in; None where there are none."""
-        joints = self.group.terms.joints
-        if joints is None:
-            return None
-        slots = self.slots[joints.order]
-        work = room_for_joints(joints)
-        work.y[:-1] = np.vstack(self.first).T[joints.order]
-        count_turns(joints.coordinates, work.y, work.turned)
-        work.turned[:, 2] = 0.0
-        work.clock[1:] = self.dt, self.start
-        given = flag(not has_potential(self.group.terms))
-        driven = self.group.terms.driven
-        if driven is not None:
-            driven = driven._replace(which=np.argsort(joints.order)[driven.which])
-        return Jointed(joints, work, slots // BLOCK, slots % BLOCK, given, driven, self.start)
-
-    def lost_joints(self) -> list[int]:
-        """Joints of the system that no impulse keeps any more."""
-        if self.moving.jointed is None:
-            return []
-        joints, work = self.moving.jointed.joints, self.moving.jointed.work
-        rows = work.lost[work.lost > 0] - 1
-        which = np.searchsorted(joints.program.start, rows, side="right") - 1
-        return [int(number) for number in joints.number[which]]
 
     def values(self, at: int, count: int) -> Floats:
         """Some rows of all bodies, (count, n)."""
@@ -198,49 +172,6 @@ class SteppedMotion(Motion):
             self.broken[:], self.load[:] = saved["broken"], saved["load"]
         if "past" in saved:
             self.past[:] = saved["past"]
-
-    @property
-    def breaks(self) -> bool:
-        """Whether joints of the group may break."""
-        joints = self.group.terms.joints
-        return joints is not None and joints.breaks is not None
-
-    @property
-    def broken(self) -> Floats:
-        """When joints have broken [s], (j,): inf where they hold."""
-        jointed = self.moving.jointed
-        return np.zeros(0) if jointed is None else jointed.work.broken
-
-    @property
-    def load(self) -> Floats:
-        """What joints carried in the last step, (j, 2): see joints/breaking.py."""
-        jointed = self.moving.jointed
-        return np.zeros((0, 2)) if jointed is None else jointed.work.load
-
-    @property
-    def past(self) -> Floats:
-        """Impulses of joints in the last step, and their differences: see joints/solver.py."""
-        jointed = self.moving.jointed
-        return np.zeros((0, 4)) if jointed is None else jointed.work.past
-
-    @property
-    def turned(self) -> Floats:
-        """Coordinates of joints as they are tracked, (c, 3): see joints/coordinates.py."""
-        jointed = self.moving.jointed
-        return np.zeros((0, 3)) if jointed is None else jointed.work.turned
-
-    def turn_on(self, before: Motion) -> None:
-        """Count the turns of joints on from where the segment before has left them."""
-        old = before.group.terms.joints if isinstance(before, SteppedMotion) else None
-        new = self.group.terms.joints
-        if old is None or new is None or not isinstance(before, SteppedMotion):
-            return
-        known = dict(zip(old.number.tolist(), before.broken.tolist(), strict=True))
-        self.broken[:] = [known.get(number, np.inf) for number in new.number.tolist()]
-        if old.coordinates is None or new.coordinates is None:
-            return
-        stayed = np.isin(old.coordinates.number, new.coordinates.number)
-        self.turned[:] = before.turned[stayed]
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""

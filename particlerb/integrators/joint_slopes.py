@@ -1,0 +1,207 @@
+"""Slopes of bodies that joints hold: accelerations with multipliers, for methods that need slopes.
+
+    Ṗ = F + ∂gᵀ/∂x λ,  L̇ = τ + ∂gᵀ/∂θ λ,  A λ = -(g̈ without them)
+
+The states drift off the joints by the error of the steps, and so does what is between them: at the
+end of a step, and in frames, they are brought back, in the metric of the masses.
+
+Source: Hairer and Wanner, Solving Ordinary Differential Equations II (1996), sections VII.1 and
+VII.2; the rows in joints/rows.py.
+"""
+
+from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.joints.accelerations import accelerations
+from particlerb.joints.actions import action_force
+from particlerb.joints.block_cholesky import solve
+from particlerb.joints.coordinates import count_turns, store_turns
+from particlerb.joints.records import HOLDS, STATE, Jointed, Joints, L, P, Q, Work, X
+from particlerb.joints.rows import add_impulses, attitude, by_inverse_inertia, vector
+from particlerb.joints.solver import constrained_drift, factorise_cluster, project_momenta
+from particlerb.maths.vec3 import Floats, Vec3, add, cross, dot, scale
+from particlerb.model.block import BOOKED
+
+_NOTHING = (0.0, 0.0, 0.0)
+_WORK, _IMPULSE, _ANGULAR = BOOKED, BOOKED + 1, BOOKED + 4
+
+
+@lean
+def _put_state(jointed: Jointed, states: Floats, w: int) -> None:
+    """States of the mechanisms, from blocks (blocks, 13 w or more), with |q| = 1."""
+    y = jointed.work.y
+    for k in range(jointed.block.size):
+        own, lane, square = states[jointed.block[k]], jointed.lane[k], 0.0
+        for c in range(STATE):
+            y[k, c] = own[c * w + lane]
+        for c in range(Q, P):
+            square += y[k, c] * y[k, c]
+        for c in range(Q, P):
+            y[k, c] /= square**0.5
+
+
+@lean
+def _give_state(jointed: Jointed, states: Floats, w: int) -> None:
+    """The same back."""
+    for k in range(jointed.block.size):
+        for c in range(STATE):
+            states[jointed.block[k], c * w + jointed.lane[k]] = jointed.work.y[k, c]
+
+
+@lean
+def _book(
+    books: Flag, jointed: Jointed, slope: Floats, w: int, k: int, power: float, F: Vec3, tau: Vec3
+) -> None:
+    """Book rates on body k: power [W], force [N] and torque about the origin [N m]."""
+    if books is None:
+        return
+    own, lane = slope[jointed.block[k]], jointed.lane[k]
+    own[_WORK * w + lane] += power
+    for i in range(3):
+        own[(_IMPULSE + i) * w + lane] += F[i]
+        own[(_ANGULAR + i) * w + lane] += tau[i]
+
+
+@lean
+def _book_row(
+    books: Flag, jointed: Jointed, slope: Floats, w: int, r: int, z: float, power: float
+) -> None:
+    """Book the power of what acts along row r, and what z of it has from the world."""
+    if books is None:
+        return
+    joints, work = jointed.joints, jointed.work
+    a, b = joints.rows.a[r], joints.rows.b[r]
+    k = a if joints.inv_mass[a] > 0.0 else b
+    F, tau = _NOTHING, _NOTHING
+    if joints.inv_mass[a] == 0.0 or joints.inv_mass[b] == 0.0:
+        F = scale(z if k == a else -z, vector(work.gradient, r, 0))
+        turning = scale(z, vector(work.gradient, r, 3 if k == a else 6))
+        tau = add(turning, cross(vector(work.y, k, X), F))
+    _book(books, jointed, slope, w, k, power, F, tau)
+
+
+@lean
+def _act(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
+    """Add to the loads what springs, stops, motors and dampers do along their rows."""
+    joints, work = jointed.joints, jointed.work
+    for r in range(joints.rows.kind.size):
+        if joints.rows.action[r] != HOLDS:
+            force, power = action_force(joints, work, r)
+            work.z[r] = force
+            add_impulses(
+                joints.rows, joints.inv_mass, work.gradient, work.z, r, r + 1, work.change, 0
+            )
+            _book_row(books, jointed, slope, w, r, force, power)
+
+
+@lean
+def _act_if_any(acts: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
+    """Do the work of `_act` where springs, stops or motors are."""
+    if acts is None:
+        return
+    _act(books, jointed, slope, w)
+
+
+@lean
+def _damp_if_any(
+    acts: Flag, damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int
+) -> None:
+    """Drag where something damps, and dampers where they are alone."""
+    if damps is None:
+        return
+    if acts is None:
+        _act(books, jointed, slope, w)
+    joints, y, load = jointed.joints, jointed.work.y, jointed.work.change
+    for k in range(jointed.block.size):
+        v = scale(joints.inv_mass[k], vector(y, k, P))
+        spin = by_inverse_inertia(joints.inv_inertia, attitude(y, k), k, vector(y, k, L))
+        F, tau = scale(-joints.drag[k, 0], v), scale(-joints.drag[k, 1], spin)
+        for i in range(3):
+            load[k, i] += F[i]
+            load[k, 3 + i] += tau[i]
+        about_origin = add(tau, cross(vector(y, k, X), F))
+        _book(books, jointed, slope, w, k, dot(F, v) + dot(tau, spin), F, about_origin)
+
+
+@lean
+def _find_multipliers(joints: Joints, work: Work) -> None:
+    """z = λ of all rows under the loads in `work.change`."""
+    start, joint = joints.program.start, joints.clusters.joint
+    for c in range(joints.clusters.body.size - 1):
+        accelerations(joints, work, start[joint[c]], start[joint[c + 1]], work.change)
+        solve(joints.program, joints.clusters, work.factor, work.z, c)
+
+
+@lean_kernel
+def add_reactions(
+    books: Flag, jointed: Jointed | None, states: Floats, slope: Floats, w: int, t: float
+) -> None:
+    """Add what joints do at t [s] since the segment began to slopes without them, if there are any.
+
+    Parameters
+    ----------
+    states, slope : ndarray, (blocks, rows * w)
+        Number c of a body stands at c * w + lane: x, q, p, L, and of slopes what is booked.
+    """
+    if jointed is None:
+        return
+    joints, work = jointed.joints, jointed.work
+    _put_state(jointed, states, w)
+    work.clock[0] = t
+    for k in range(jointed.block.size):
+        for i in range(6):
+            work.change[k, i] = slope[jointed.block[k], (P + i) * w + jointed.lane[k]]
+    for c in range(joints.clusters.body.size - 1):
+        factorise_cluster(joints, work, c, 0.0, t)
+    _act_if_any(joints.acts, books, jointed, slope, w)
+    _damp_if_any(joints.acts, joints.damps, books, jointed, slope, w)
+    _find_multipliers(joints, work)
+    m = joints.rows.kind.size
+    for r in range(m):
+        _book_row(books, jointed, slope, w, r, work.z[r], -work.z[r] * work.moving[r])
+    add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, 0, m, work.change, 0)
+    for k in range(jointed.block.size):
+        for i in range(6):
+            slope[jointed.block[k], (P + i) * w + jointed.lane[k]] = work.change[k, i]
+
+
+@lean_kernel
+def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> None:
+    """Bring states (blocks, rows * w) at t [s] to where joints hold, and their momenta.
+
+    Bodies are moved by impulses along the gradients from rest, over a second.
+    """
+    if jointed is None:
+        return
+    joints, work = jointed.joints, jointed.work
+    _put_state(jointed, states, w)
+    for c in range(joints.clusters.body.size - 1):
+        first, last = joints.clusters.body[c], joints.clusters.body[c + 1]
+        for k in range(first, last):
+            for i in range(6):
+                work.change[k, i], work.y[k, P + i] = work.y[k, P + i], 0.0
+        constrained_drift(joints, work, c, 0.0, t - 1.0, 1.0)
+        for k in range(first, last):
+            for i in range(6):
+                work.y[k, P + i] = work.change[k, i]
+        project_momenta(joints, work, c, 0.0, t, 0.0)
+    _give_state(jointed, states, w)
+
+
+@lean_kernel
+def count_on(jointed: Jointed | None, states: Floats, w: int) -> None:
+    """Take the coordinates of joints on to these states."""
+    if jointed is None:
+        return
+    _put_state(jointed, states, w)
+    count_turns(jointed.joints.coordinates, jointed.work.y, jointed.work.turned)
+
+
+@lean_kernel
+def store_coordinates(
+    jointed: Jointed | None, states: Floats, w: int, stored: Floats, frame: int
+) -> None:
+    """Keep them for a frame with these states, on from where they are tracked."""
+    if jointed is None:
+        return
+    _put_state(jointed, states, w)
+    store_turns(jointed.joints.coordinates, jointed.work.turned, stored, frame)
+    count_turns(jointed.joints.coordinates, jointed.work.y, stored[frame])

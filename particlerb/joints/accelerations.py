@@ -1,0 +1,123 @@
+"""Second derivatives of constraints: what they are without reactions.
+
+| row | convective part of g̈ |
+|-|-|
+| along, u in b | u·k + 2 u̇·ḋ + ü·d |
+| along, u in the world | u·k |
+| dot | n̈·u + 2 ṅ·u̇ + n·ü |
+| distance | (ḋ·ḋ + d·k)/l |
+| turn | u̇·(ω_a - ω_b) |
+
+k = ω_a × (ω_a × r_a) - ω_b × (ω_b × r_b), u̇ = ω × u, ü = ω × u̇; the rest as in rows.py. The turns
+themselves change by J⁻¹ (τ - ω × L), positions by F/M.
+"""
+
+from typing import Final, NamedTuple
+
+from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.joints.drives import course
+from particlerb.joints.records import ALONG, DOT, TURN, WORLD_ALONG, Joints, L, P, Work
+from particlerb.joints.rows import arms_at, attitudes, is_of_other_bodies, rate, vector
+from particlerb.maths.quaternion import Matrix, turn, turn_back
+from particlerb.maths.vec3 import (
+    Floats,
+    Vec3,
+    add,
+    add_scaled,
+    component_product,
+    cross,
+    dot,
+    subtract,
+)
+
+_NOTHING: Final = (0.0, 0.0, 0.0)
+
+
+class _Spin(NamedTuple):
+    """How a body turns, world axes."""
+
+    w: Vec3  # [rad/s]
+    lost: Vec3  # J⁻¹ (ω × L) [rad/s²]
+
+
+@lean
+def _spin_of(joints: Joints, work: Work, k: int, R: Matrix) -> _Spin:
+    """How body k turns in an orientation."""
+    inverse, m = vector(joints.inv_inertia, k, 0), turn_back(R, vector(work.y, k, L))
+    w = component_product(inverse, m)
+    lost = turn(R, component_product(inverse, cross(w, m)))
+    return _Spin(add(turn(R, w), vector(work.motion, k, 3)), lost)
+
+
+@lean
+def _velocity(joints: Joints, work: Work, k: int) -> Vec3:
+    """Velocity of body k [m/s]."""
+    return add_scaled(joints.inv_mass[k], vector(work.y, k, P), vector(work.motion, k, 0))
+
+
+@lean
+def _convective(
+    joints: Joints, work: Work, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
+) -> float:
+    """Convective part of row r, along no fixed direction of the world."""
+    rows, kind = joints.rows, joints.rows.kind[r]
+    ra, rb, u, d = arms_at(rows, work.y, r, R)
+    ra1, rb1, u1 = cross(wa, ra), cross(wb, rb), cross(wb, u)
+    if kind >= TURN:
+        return dot(u1 if kind == TURN else cross(wa, u), subtract(wa, wb))
+    ra2, rb2, u2 = cross(wa, ra1), cross(wb, rb1), cross(wb, u1)
+    if kind == DOT:
+        return dot(ra2, u) + 2.0 * dot(ra1, u1) + dot(ra, u2)
+    a, b = rows.a[r], rows.b[r]
+    k = add(subtract(ra2, rb2), _by_given(work, a, b))
+    va, vb = _velocity(joints, work, a), _velocity(joints, work, b)
+    d1 = subtract(add(va, ra1), add(vb, rb1))
+    if kind == ALONG:
+        return dot(u, k) + 2.0 * dot(u1, d1) + dot(u2, d)
+    found: float = (dot(d1, d1) + dot(d, k)) / rows.length[r]
+    return found
+
+
+@lean
+def _by_given(work: Work, a: int, b: int) -> Vec3:
+    """How the accelerations of bodies that move as prescribed differ."""
+    return subtract(vector(work.motion, a, 6), vector(work.motion, b, 6))
+
+
+@lean
+def _centripetal(
+    joints: Joints, work: Work, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
+) -> Vec3:
+    """k of row r."""
+    ra, rb = (
+        turn(R[0], vector(joints.rows.first, r, 0)),
+        turn(R[1], vector(joints.rows.second, r, 0)),
+    )
+    k = subtract(cross(wa, cross(wa, ra)), cross(wb, cross(wb, rb)))
+    return add(k, _by_given(work, joints.rows.a[r], joints.rows.b[r]))
+
+
+@lean_kernel
+def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) -> None:
+    """z = -g̈ of rows lo to hi under loads (n + 1, 6), force and torque, without reactions."""
+    if lo == hi:
+        return
+    rows, gradient, k = joints.rows, work.gradient, _NOTHING
+    R = attitudes(rows, work.y, lo)
+    one = _spin_of(joints, work, rows.a[lo], R[0])
+    other = _spin_of(joints, work, rows.b[lo], R[1])
+    for r in range(lo, hi):
+        if r > lo and is_of_other_bodies(rows, lo, r):
+            R = attitudes(rows, work.y, r)
+            one = _spin_of(joints, work, rows.a[r], R[0])
+            other = _spin_of(joints, work, rows.b[r], R[1])
+        if rows.kind[r] == WORLD_ALONG:
+            if r == lo or not joints.beside[r]:
+                k = _centripetal(joints, work, r, R, one.w, other.w)
+            found = dot(vector(rows.axis, r, 0), k)
+        else:
+            found = _convective(joints, work, r, R, one.w, other.w)
+        found += rate(joints, gradient, r, load, 0)
+        found -= course(joints.drives, rows.drive[r], work.clock[0])[2]
+        found -= dot(vector(gradient, r, 3), one.lost)
+        work.z[r] = dot(vector(gradient, r, 6), other.lost) - found

@@ -1,0 +1,86 @@
+"""What motions of bodies that joints hold share: room for the joints, and what is kept of them."""
+
+import numpy as np
+
+from particlerb.compiled.jit import flag
+from particlerb.compiled.threads import BLOCK
+from particlerb.forces import has_potential
+from particlerb.joints.coordinates import count_turns
+from particlerb.joints.records import Jointed, room_for_joints
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.state import State
+from particlerb.stepping.motion import Motion, SegmentGroup
+
+
+def jointed_in(
+    group: SegmentGroup, first: State, slots: Ints, start: float, dt: float
+) -> Jointed | None:
+    """Joints of a group with room to work in, its bodies at these places; None: it has none."""
+    joints, driven = group.terms.joints, group.terms.driven
+    if joints is None:
+        return None
+    own = slots[joints.order]
+    work = room_for_joints(joints)
+    work.y[:-1] = np.vstack(first).T[joints.order]
+    count_turns(joints.coordinates, work.y, work.turned)
+    work.turned[:, 2] = 0.0
+    work.clock[1:] = dt, start
+    given = flag(not has_potential(group.terms))
+    if driven is not None:
+        driven = driven._replace(which=np.argsort(joints.order)[driven.which])
+    return Jointed(joints, work, own // BLOCK, own % BLOCK, given, driven, start)
+
+
+class JointedMotion(Motion):
+    """A group of bodies that joints may hold; see `motion.Motion`."""
+
+    group: SegmentGroup
+    jointed: Jointed | None  # None: none does
+
+    def lost_joints(self) -> list[int]:
+        """Joints of the system that no impulse keeps any more."""
+        if self.jointed is None:
+            return []
+        joints, work = self.jointed.joints, self.jointed.work
+        rows = work.lost[work.lost > 0] - 1
+        which = np.searchsorted(joints.program.start, rows, side="right") - 1
+        return [int(number) for number in joints.number[which]]
+
+    @property
+    def breaks(self) -> bool:
+        """Whether joints of the group may break."""
+        joints = self.group.terms.joints
+        return joints is not None and joints.breaks is not None
+
+    @property
+    def broken(self) -> Floats:
+        """When joints have broken [s], (j,): inf where they hold."""
+        return np.zeros(0) if self.jointed is None else self.jointed.work.broken
+
+    @property
+    def load(self) -> Floats:
+        """What joints carried in the last step, (j, 2): see joints/breaking.py."""
+        return np.zeros((0, 2)) if self.jointed is None else self.jointed.work.load
+
+    @property
+    def past(self) -> Floats:
+        """Impulses of joints in the last step, and their differences: see joints/solver.py."""
+        return np.zeros((0, 4)) if self.jointed is None else self.jointed.work.past
+
+    @property
+    def turned(self) -> Floats:
+        """Coordinates of joints as they are tracked, (c, 3): see joints/coordinates.py."""
+        return np.zeros((0, 3)) if self.jointed is None else self.jointed.work.turned
+
+    def turn_on(self, before: Motion) -> None:
+        """Count the turns of joints on from where the segment before has left them."""
+        old = before.group.terms.joints if isinstance(before, JointedMotion) else None
+        new = self.group.terms.joints
+        if old is None or new is None or not isinstance(before, JointedMotion):
+            return
+        known = dict(zip(old.number.tolist(), before.broken.tolist(), strict=True))
+        self.broken[:] = [known.get(number, np.inf) for number in new.number.tolist()]
+        if old.coordinates is None or new.coordinates is None:
+            return
+        stayed = np.isin(old.coordinates.number, new.coordinates.number)
+        self.turned[:] = before.turned[stayed]
