@@ -115,6 +115,7 @@ ARROWS: Final[dict[str, _Colour]] = {
     "force": (214, 39, 40), "omega": (31, 119, 180), "L": (148, 60, 189),
     "axes": (90, 98, 106),
 }  # fmt: skip
+_FAST: Final = 0.2  # way of the end of an arrow from update to update, in sizes of the scene
 _NAMES: Final = {"force": "F", "omega": "ω", "L": "L"}  # at the free ends of arrows
 AXIS_COLOURS: Final[tuple[_Colour, ...]] = ((209, 73, 91), (46, 139, 87), (31, 111, 181))
 """Colours of x, y and z, in the scene and on charts."""
@@ -312,22 +313,24 @@ class Stage:
         _show_if(handle, True)
 
     def name_arrow(self, name: str, start: Floats, vectors: Floats) -> None:
-        """Name an arrow at its free end: a force ends on its body, others begin there."""
+        """Name an arrow at its free end: a force ends on its body, others begin there.
+
+        A browser moves names a frame later than arrows: what turns fast has none.
+        """
         if name not in _NAMES:
             return
-        label = self.arrow_names.get(name)
+        label, is_slow = self.arrow_names.get(name), False
         if len(vectors):
-            way = vectors[0] / max(float(np.linalg.norm(vectors[0])), 1e-300)
-            end = (
-                -0.08 * self.size * way if name == "force" else vectors[0] + 0.08 * self.size * way
-            )
-            place = self.on_page(start) + end
+            gap = 0.08 * self.size * vectors[0] / max(float(np.linalg.norm(vectors[0])), 1e-300)
+            place = self.on_page(start) + (-gap if name == "force" else vectors[0] + gap)
             if label is None:
                 label = self.server.scene.add_label(f"/arrows/{name}/name", _NAMES[name])
                 self.arrow_names[name] = label
+            way = float(np.linalg.norm(place - label.position))
+            is_slow = name == "force" or way < _FAST * self.size
             label.position = tuple(place.tolist())
         if label is not None:
-            _show_if(label, bool(len(vectors)))
+            _show_if(label, is_slow)
 
     def draw_trail(self, places: Floats) -> None:
         """A line through places (n, 3) [m]."""

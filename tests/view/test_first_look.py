@@ -70,3 +70,12 @@ def test_a_trail_whose_chords_say_nothing_begins_anew():
     assert len(arrows.trail) == 3
     arrows.extend_trail(np.array([-1.0, 0.0, 0.0]), 0.5)
     assert len(arrows.trail) == 1
+
+
+def test_arrows_have_names_unless_they_turn_fast(live):
+    stage, start = live.stage, np.zeros(3)
+    for angle in (0.0, 0.05, 0.1):
+        stage.name_arrow("L", start, np.array([[np.cos(angle), np.sin(angle), 0.0]]))
+    assert stage.arrow_names["L"].visible
+    stage.name_arrow("L", start, np.array([[-1.0, 0.0, 0.0]]))
+    assert not stage.arrow_names["L"].visible
