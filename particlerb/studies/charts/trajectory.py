@@ -78,16 +78,14 @@ def plot(
         is_many = trajectory.n_bodies > _PATHS and body is None
         _draw_bodies(figure, grid[0, 0], trajectory, one, [] if is_many else shown)
         places = [grid[0, 1], grid[1, 0], grid[1, 1]]
+    librates = _centre(trajectory, case) is not None
     above, below, last = (figure.add_subplot(place) for place in places)
     if body is None and case["joint"]:
         _draw_joints(above, trajectory, case)
         _draw_energies(below, trajectory)
-    elif body is None and _centre(trajectory, case) is not None:
+    elif body is None and (librates or (trajectory.n_bodies > 1 and not is_still)):
         _draw_energies(above, trajectory)
-        _draw_libration(below, trajectory, case)
-    elif body is None and trajectory.n_bodies > 1 and not is_still:
-        _draw_energies(above, trajectory)
-        _draw_heights(below, trajectory, case)
+        (_draw_libration if librates else _draw_heights)(below, trajectory, case)
     else:
         _draw_angular_velocity(above, trajectory, one)
         (_draw_nutation if is_top else _draw_axis)(below, trajectory, one)
@@ -196,11 +194,12 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
 
 def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
     """Angle of the axis of the least moment of each body with the line to what attracts it."""
-    angles, shown = [], _shown(trajectory.n_bodies, _LINES, 0)
+    angles, shown, centre = [], _shown(trajectory.n_bodies, _LINES, 0), _centre(trajectory, case)
+    assert centre is not None
     for b in shown:
         least = _body_axis(trajectory, b, int(np.argmin(trajectory.bodies.inertia[:, b])))
         axis, r = direction(trajectory, b, least), trajectory.read("position", bodies=b)
-        r = r.reshape(-1, 3) - _centre(trajectory, case)
+        r = r.reshape(-1, 3) - centre
         across = np.linalg.norm(np.cross(axis, r), axis=1)
         angles.append(np.degrees(np.arctan2(across, np.abs((axis * r).sum(axis=1)))))
     names = [trajectory.names[b] for b in shown]
