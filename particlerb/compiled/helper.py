@@ -1,4 +1,4 @@
-"""Helpers of kernels: optimised, and then copied into what calls them.
+"""Code for other code: optimised, and then copied into what calls it.
 
 Numba makes machine code of each function that it compiles, and two entries for calls from outside,
 though of a helper nothing is used but the copy in its caller. Here a helper ends before that, which
@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any, Final, TypeAlias, cast
 
 from llvmlite import binding
+from numba import types
 from numba.core import caching, codegen, compiler, registry
 
 from particlerb.compiled.vector_width import numbas_compiler
@@ -123,3 +124,33 @@ class Helper(registry.CPUDispatcher):
         context: Any = self.targetctx
         context.insert_user_function(result.entry_point, result.fndesc, [result.library])
         self.overloads[tuple(result.signature.args)] = result
+
+
+class Kernel(registry.CPUDispatcher):
+    """A function that Python calls; other kernels have a copy, without entries for Python.
+
+    Parameters
+    ----------
+    function : callable
+    options : mapping
+        Of Numba.
+    copied : callable
+        Make a helper of the function.
+    """
+
+    def __init__(
+        self, function: Function, options: Options, copied: Callable[[Function], Function]
+    ) -> None:
+        called = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
+        super().__init__(function, {}, {**options, **called}, numbas_compiler())
+        self.make_copied = copied
+
+    @cached_property
+    def copied(self) -> Function:
+        """The same function for kernels."""
+        return self.make_copied(self.py_func)
+
+    @property
+    def _numba_type_(self) -> types.Dispatcher:
+        """What kernels know of it."""
+        return types.Dispatcher(cast(Any, self.copied))

@@ -2,10 +2,11 @@
 
 `inline` is for helpers of scalars and tuples, which have no code of their own (see `helper`),
 `kernel` for loops over bodies; kernels run without the interpreter's lock, so that `threads` can
-spread them. Both are kept on disk. `splice` is for a function that does no more than call others:
-it is copied into its callers, and not compiled by itself. `lean` and `lean_kernel` do not count who
-uses an array, which costs 5 ns for each that a loop takes out of a tuple or hands to a helper: they
-can make none. What is `lean_apart` is large: kernels have it once, and call it.
+spread them. A kernel that only others call is compiled as they are, once, with no entry for Python.
+Both are kept on disk. `splice` is for a function that does no more than call others: it is copied
+into its callers, and not compiled by itself. `lean` and `lean_kernel` do not count who uses an
+array, which costs 5 ns for each that a loop takes out of a tuple or hands to a helper: they can
+make none.
 Numba's cache does not notice an edit in another file, nor a changed NUMBA_* flag; so the cache
 folder has a hash of all of it in its name. Nor does it notice that a file was cut or changed, or
 give up where none can be written: each file has a hash of its content, what is damaged is compiled
@@ -32,7 +33,7 @@ import numba
 from numba.core import caching
 from numba.core.event import install_timer
 
-from particlerb.compiled.helper import Helper, KeptCode
+from particlerb.compiled.helper import Helper, KeptCode, Kernel
 from particlerb.compiled.vector_width import numbas_compiler
 
 config: Any = numba.config
@@ -258,12 +259,24 @@ def _helper(**options: Any) -> Callable[[Function], Function]:
     return decorate
 
 
+def _kernel(**options: Any) -> Callable[[Function], Function]:
+    """Return a decorator for functions that Python calls, or that kernels have once, and call."""
+
+    def decorate(function: Function) -> Function:
+        if CACHE_FOLDER is None:
+            return function
+        dispatcher = Kernel(function, _FLAGS | options, _helper(**options))
+        keep(dispatcher)
+        return cast(Function, dispatcher)
+
+    return decorate
+
+
 inline = _helper(forceinline=True)
 splice = compile_with(inline="always")
-kernel = compile_with(cache=True, nogil=True)
+kernel = _kernel()
 lean = _helper(forceinline=True, _nrt=False)
-lean_apart = _helper(_nrt=False)
-lean_kernel = compile_with(cache=True, nogil=True, _nrt=False)
+lean_kernel = _kernel(_nrt=False)
 
 
 def kernel_from(template: Function, name: str, **names: Any) -> Function:

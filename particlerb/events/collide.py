@@ -9,7 +9,7 @@ contacts in place of bodies.
 
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import Flag, lean, lean_apart
+from particlerb.compiled.jit import Flag, lean, lean_kernel
 from particlerb.contact.walls import primitive_at
 from particlerb.events.flight import attitude, bring, in_box, place, posed, set_spin
 from particlerb.events.records import (
@@ -152,7 +152,7 @@ def _sphere(
     return add(x, turn(R, row3(scene.sphere, i)))
 
 
-@lean_apart
+@lean_kernel
 def _geometry(
     scene: EventScene, state: EventState, a: int, b: int, i: int, j: int, t: float
 ) -> tuple[Vec3, Vec3, float, float, Vec3]:
@@ -258,7 +258,7 @@ class Impact(NamedTuple):
     t: float  # [s]
 
 
-@lean_apart
+@lean_kernel
 def _hit(scene: EventScene, state: EventState, work: EventWork, of: Impact) -> Vec3:
     """Impact of any two; the impulse on a."""
     a, b, t, frame = of.a, of.b, of.t, work.frame

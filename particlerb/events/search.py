@@ -13,7 +13,7 @@ Rigid Body Systems, PhD thesis, Berkeley (1996), section 2.3.
 import math
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import Flag, inline, lean, lean_apart
+from particlerb.compiled.jit import Flag, inline, lean, lean_kernel
 from particlerb.contact.walls import (
     DISC,
     FACE,
@@ -186,7 +186,7 @@ def _nearest_spheres(
     return least, first, second, False
 
 
-@lean_apart
+@lean_kernel
 def _spheres_meet(
     scene: EventScene, state: EventState, work: Floats, pair: tuple[int, int], shift: Vec3,
     t: float, span: tuple[float, float], fall: float,
@@ -347,7 +347,7 @@ def _ready_for_wall(
     work[0, 6] = 0.0
 
 
-@lean_apart
+@lean_kernel
 def _wall_meets(
     scene: EventScene, state: EventState, work: Floats, a: int, p: int, t: float,
     until: float,

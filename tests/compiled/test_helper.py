@@ -90,6 +90,18 @@ def test_another_kernel_finds_the_code_of_a_helper_of_the_package_on_disk():
     assert machine_code(second) == []
 
 
+def test_a_kernel_that_kernels_call_has_no_entry_of_its_own():
+    @kernel
+    def twice(x):
+        return 2.0 * _root(x)
+
+    assert twice(4.0) == 4.0
+    assert _root.copied.overloads
+    assert machine_code(_root.copied) == []
+    assert _root(9.0) == 3.0
+    assert machine_code(_root)
+
+
 def test_a_helper_of_others_is_not_kept():
     """What it reaches may stand in another file, which may change."""
     for helper in (inline(_checked.py_func), inline(_checked.py_func)):
