@@ -159,7 +159,7 @@ class Session:
         try:
             with THREADS.using(self.system.run.threads):
                 frames, entries, error = self.run.frames_at(times, is_frame)
-        except (MotionError, FloatingPointError) as problem:
+        except RunError as problem:
             raise SessionError(str(problem)) from None
         if error is not None:
             raise SessionError(str(error)) from None
