@@ -32,7 +32,6 @@ from particlerb.simulation.joint_values import at_row, broken_joints, labels_of,
 from particlerb.simulation.outcome import Outcome, Probe, Progress, Reached
 from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, Run, RunError
-from particlerb.stepping.motion import MotionError
 
 
 def made_ready(system: System) -> System:
@@ -151,7 +150,7 @@ def advance(
     except BaseException as problem:
         end_all(ranks, problem)
         recorder.finish()
-        if isinstance(problem, MotionError | FloatingPointError | OtherFrameError):
+        if isinstance(problem, OtherFrameError):
             raise RunError(str(problem)) from None
         raise
     recorder.finish()

@@ -88,13 +88,14 @@ class Run:
 
     def begin(self, plan: Plan, state: State, known: Mapping[bytes, Motion]) -> None:
         """Set off by a plan, from a state of all bodies, after known motions of the same bodies."""
-        self.superblocks = []
+        self.superblocks: list[list[GroupRun]] = []
+        self.group_runs: list[GroupRun] = []
         for groups in in_superblocks(plan.groups, self.system.n_bodies):
             before = [known.get(group.members.tobytes()) if known else None for group in groups]
             own = [taken(state, group.members) for group in groups]
-            self.superblocks.append(
-                [GroupRun(*one) for one in zip(groups, own, before, strict=True)]
-            )
+            with self.failing():
+                begun = [GroupRun(*one) for one in zip(groups, own, before, strict=True)]
+            self.superblocks.append(begun)
         self.group_runs = [run for runs in self.superblocks for run in runs]
         self.sums_itself = [all(run.sums_itself for run in runs) for runs in self.superblocks]
         self.counted = counted(plan.groups, self.moving.bodies)

@@ -200,6 +200,14 @@ def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
         Simulation(SCENES["joint"]()).set_state(velocity=[[0, 0, 0]])
 
 
+def test_a_motion_that_fails_at_its_start_is_a_failed_run():
+    scene = bouncing(dt=2e-4)
+    scene.add_body(name="fast", shape=Ball(radius=0.1), mass=1.0, position=(3, 0, 1),
+                   velocity=(0, 0, -900))  # fmt: skip
+    with pytest.raises(particlerb.RunError, match="it could pass through another; dt = "):
+        Simulation(scene)
+
+
 def test_its_file_says_that_it_cannot_be_resumed(tmp_path):
     with Simulation(turned_box(), tmp_path / "a.h5") as simulation:
         simulation.advance(5.0)
