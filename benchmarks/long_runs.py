@@ -42,7 +42,8 @@ PILOT = 1e-3  # share of the steps
 MARGIN = 3.0  # of the share of time, after which a scene is ended,
 COMPILING = 200.0  # s of the processor beside it
 FRAMES = 200
-LONGER = {  # what a hundred times t_end takes, where bodies get faster and faster
+LONGER = {  # what a hundred times t_end takes, where bodies, or a whip, get faster and faster
+    "chain": {"dt": 1e-4},
     "impulse_slope": {"dt": 2.5e-4},
     "squeezer": {"dt": 2.5e-5},
 }

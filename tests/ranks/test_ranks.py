@@ -220,7 +220,7 @@ def test_old_parts_stay_until_new_ones_are_committed(monkeypatch, tmp_path):
 def test_a_copied_master_keeps_its_parts(monkeypatch, tmp_path, capsys):
     """Names of parts are relative: a copy beside its original has the same ones."""
     monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
-    monkeypatch.setattr(of_commands, "ranks_of_mpi", lambda: ALONE)
+    monkeypatch.setattr(of_commands, "ranks_of_mpi", Ranks)
     path, copy = tmp_path / "run.h5", tmp_path / "copy.bak"
     words = [*map(str, run_words(path, "-q", "--mpi"))]
     assert main(words) == 0
