@@ -19,7 +19,7 @@ from particlerb.cli import run as of_runs
 from particlerb.model import superblocks
 from particlerb.model.names import BodyNames
 from particlerb.model.superblocks import SUPERBLOCK, own_parts, parts_of
-from particlerb.ranks import ALONE, Ranks, launched
+from particlerb.ranks import Ranks, launched
 from particlerb.record import atomic
 from particlerb.record.checkpoint import read_checkpoint
 from particlerb.record.checksums import frame_checksums
