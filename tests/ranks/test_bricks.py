@@ -14,7 +14,7 @@ from particlerb.cli import main
 from particlerb.cli import ranks as of_commands
 from particlerb.model import superblocks
 from particlerb.model.bricks import Bricks
-from particlerb.ranks import ALONE, Ranks
+from particlerb.ranks import Ranks
 
 
 def run(case: str, path: Path, ranks: int, *more: str) -> subprocess.CompletedProcess[str]:
@@ -62,7 +62,7 @@ def test_clumps_that_collide_across_borders_keep_their_momentum(tmp_path):
 def test_contacts_of_several_parts_are_kept_and_continued(monkeypatch, tmp_path):
     """Of pairs whose clumps lie in different parts, too, while they touch."""
     monkeypatch.setattr(superblocks, "SUPERBLOCK", 8)
-    monkeypatch.setattr(of_commands, "ranks_of_mpi", lambda: ALONE)
+    monkeypatch.setattr(of_commands, "ranks_of_mpi", Ranks)
     straight, path = tmp_path / "straight.h5", tmp_path / "run.h5"
     words = [str(HERE / "gas.toml"), "-q", "--mpi", "--threads", "1", "--set", "run.every=0.01"]
     assert main([*words, "-o", str(straight), "--set", "run.t_end=0.05"]) == 0
