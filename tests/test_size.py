@@ -89,6 +89,7 @@ BUDGETS = {
     "forces with a potential on bodies that touch over ranks": 21,
     "parts that are removed with their master, and counted in its size": 31,
     "what the system refuses without a name; copies of masters; cells behind the last": 56,
+    "kernels of common steps that are compiled once for all forces": 13,
 }
 """Lines of code that an ability may add: see «Where new things go» in docs/architecture.md."""
 

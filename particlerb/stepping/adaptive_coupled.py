@@ -75,11 +75,9 @@ class _AllBodies(NamedTuple):
 
 
 @inline
-def _pack_of(bodies: _AllBodies, k: int, K: Floats) -> Pack:
+def _pack_of(blocks: Floats, layout: Layout, common: _CommonVectors, k: int, K: Floats) -> Pack:
     """Bodies of block k as a pack."""
-    common = bodies.vectors
-    n = bodies.layout.size[k]
-    return Pack(bodies.blocks[k], n, common.width, common.y[k], common.new[k], K)
+    return Pack(blocks[k], layout.size[k], common.width, common.y[k], common.new[k], K)
 
 
 @kernel
@@ -96,22 +94,26 @@ def _spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
 
 
 @kernel
-def _slopes_of_blocks(bodies: _AllBodies, t: float, y: Floats, slope: Floats) -> None:
+def _slopes_of_blocks(
+    equations: Equations, blocks: Floats, layout: Layout, w: int, t: float, y: Floats,
+    slope: Floats,
+) -> None:  # fmt: skip
     """Slopes of all blocks in the states y, with the loads in their rows."""
-    own, layout, w = slope.reshape(y.shape), bodies.layout, bodies.vectors.width
+    own = slope.reshape(y.shape)
     for k in range(layout.first.size):
-        take_slopes(bodies.equations, bodies.blocks[k], layout.size[k], w, t, y[k], own[k])
+        take_slopes(equations, blocks[k], layout.size[k], w, t, y[k], own[k])
 
 
 def _common_slopes(bodies: _AllBodies, t: float, y: Floats, slope: Floats) -> None:
     """Slopes of all bodies in the states y at a time [s] since the segment began."""
     links, own, attraction, work, with_dashpots, clock, states, load, _ = bodies.pairs
-    _spread_out(y, bodies.layout, bodies.vectors.width, states)
+    layout, w = bodies.layout, bodies.vectors.width
+    _spread_out(y, layout, w, states)
     clock[0] = clock[2] + t
     pair_loads(links, own, attraction, work, with_dashpots, clock, states, load)
-    scatter_loads(load, bodies.blocks, bodies.layout)
-    _slopes_of_blocks(bodies, t, y, slope)
-    books, w = bodies.equations.books, bodies.vectors.width
+    scatter_loads(load, bodies.blocks, layout)
+    _slopes_of_blocks(bodies.equations, bodies.blocks, layout, w, t, y, slope)
+    books = bodies.equations.books
     add_reactions(books, bodies.jointed, y, slope.reshape(y.shape), w, t)
 
 
@@ -131,14 +133,16 @@ def _common_stages(bodies: _AllBodies, at: Floats, t: float, h: float, i: int, j
 
 
 @kernel
-def _common_error(bodies: _AllBodies, h: float) -> float:
+def _common_error(
+    blocks: Floats, layout: Layout, vectors: _CommonVectors, h: float, tolerance: float
+) -> float:
     """Largest error of a step over the tolerance, of the bodies that are numbers."""
-    _, _, _, five, three, K, errors, _ = bodies.vectors
+    _, _, _, five, three, K, errors, _ = vectors
     differences(K, five.reshape(five.size), three.reshape(three.size))
     worst = 0.0
-    for k in range(bodies.layout.first.size):
-        pack = _pack_of(bodies, k, K)
-        error = errors_of(pack, five[k], three[k], h, bodies.equations.tolerance, errors[k])
+    for k in range(layout.first.size):
+        pack = _pack_of(blocks, layout, vectors, k, K)
+        error = errors_of(pack, five[k], three[k], h, tolerance, errors[k])
         if not error <= worst:
             worst = error
     return worst
@@ -166,11 +170,12 @@ def _find_common_step(bodies: _AllBodies, t: float, h: float) -> tuple[float, fl
     """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
     layout, common = bodies.layout, bodies.vectors
     count_on(bodies.jointed, common.y, common.width)
+    tolerance = bodies.equations.tolerance
     _common_slopes(bodies, t, common.y, common.K[0])
     longest = h
     while True:
         _common_stages(bodies, common.new, t, h, 1, 13)
-        error = _common_error(bodies, h)
+        error = _common_error(bodies.blocks, layout, common, h, tolerance)
         if error < 1.0:
             _normalise_blocks(common.new, layout, common.width)
             bring_back(bodies.jointed, common.new, common.width, t + h)
@@ -187,33 +192,47 @@ def _take_last_stages(bodies: _AllBodies, t: float, h: float) -> None:
 
 
 @kernel
-def _interpolate_blocks(bodies: _AllBodies, t: float, h: float, share: float) -> None:
+def _interpolate_blocks(
+    blocks: Floats, layout: Layout, vectors: _CommonVectors, h: float, share: float
+) -> None:
     """State at a share of a step, into `out`."""
-    y, K = bodies.vectors.y, bodies.vectors.K
+    y, K = vectors.y, vectors.K
     own = K.reshape((K.shape[0], y.shape[0], y.shape[1]))
-    for k in range(bodies.layout.first.size):
-        pack = _pack_of(bodies, k, np.ascontiguousarray(own[:, k]))
-        interpolate(pack, h, share, bodies.vectors.out[k])
-    bring_back(bodies.jointed, bodies.vectors.out, bodies.vectors.width, t + share * h)
+    for k in range(layout.first.size):
+        pack = _pack_of(blocks, layout, vectors, k, np.ascontiguousarray(own[:, k]))
+        interpolate(pack, h, share, vectors.out[k])
+
+
+def _show(bodies: _AllBodies, t: float, h: float, share: float) -> None:
+    """`show` of all bodies."""
+    common = bodies.vectors
+    _interpolate_blocks(bodies.blocks, bodies.layout, common, h, share)
+    bring_back(bodies.jointed, common.out, common.width, t + share * h)
 
 
 @kernel
-def _store_blocks(bodies: _AllBodies, recording: Recording, frame: int) -> None:
+def _store_blocks(layout: Layout, common: _CommonVectors, recording: Recording, frame: int) -> None:
     """Write `out` into a frame."""
-    layout, common = bodies.layout, bodies.vectors
     for k in range(layout.first.size):
         lo, n = layout.first[k], layout.size[k]
         store_vectors(recording, frame, lo, n, common.out[k], common.width, k)
+
+
+def _write(bodies: _AllBodies, recording: Recording, frame: int) -> None:
+    """`write` of all bodies."""
+    common = bodies.vectors
+    _store_blocks(bodies.layout, common, recording, frame)
     store_coordinates(bodies.jointed, common.out, common.width, recording.turned, frame)
 
 
 def _family(make: Callable[..., Callable[..., Any]], **names: Any) -> Callable[..., None]:
     """`advance_steps` of all bodies and what it calls, made anew with other globals."""
-    for function in (_common_slopes, _common_stages, _find_common_step, _take_last_stages):
+    own = _common_slopes, _common_stages, _find_common_step, _take_last_stages, _show, _write
+    for function in own:
         names[function.__name__] = make(function, **names)
     find, last_stages = names["_find_common_step"], names["_take_last_stages"]
-    own = {"show": _interpolate_blocks, "write": _store_blocks}
-    return make(advance_steps, find=find, take_last_stages=last_stages, **own)
+    shown = {"show": names["_show"], "write": names["_write"]}
+    return make(advance_steps, find=find, take_last_stages=last_stages, **shown)
 
 
 _compiled = _family(partial(kernel_from, name="here"))
