@@ -39,7 +39,7 @@ _NEAR = 1e-6  # share of |x| |p| that an angular momentum is never judged below:
 class Totals(NamedTuple):
     """Sums over all bodies, per frame; (T, n_worlds) in place of (T,) for scenes in a batch."""
 
-    sums: Floats  # (T, 10): what follows, then Σ|p| [kg m/s], then Σ|L| of bodies and orbits
+    sums: Floats  # (T, 10)
 
     @property
     def kinetic_energy(self) -> Floats:
@@ -60,6 +60,16 @@ class Totals(NamedTuple):
     def angular_momentum(self) -> Floats:
         """(T, 3) [kg m²/s], about the origin of the world."""
         return self.sums[..., 5:8]
+
+    @property
+    def momentum_size(self) -> Floats:
+        """(T,) Σ|p| [kg m/s]."""
+        return self.sums[..., 8]
+
+    @property
+    def spin_size(self) -> Floats:
+        """(T,) Σ|L| of the bodies and of their centres of mass [kg m²/s]."""
+        return self.sums[..., 9]
 
 
 @inline

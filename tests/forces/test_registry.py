@@ -48,7 +48,7 @@ def copy(tmp_path):
     assert list(parts) == ["particlerb/forces/toy.py", "particlerb/case/forces.py"]
     (tmp_path / "particlerb/forces/toy.py").write_text(parts["particlerb/forces/toy.py"])
     tables = tmp_path / "particlerb/case/forces.py"
-    text = tables.read_text().replace("    | MagnusTable\n", "    | MagnusTable\n    | ToyTable\n")
+    text = tables.read_text().replace("| MagnusTable ", "| MagnusTable | ToyTable ")
     head, tail = text.split("AnyForce = (")
     tables.write_text(f"{head}{parts['particlerb/case/forces.py']}\n\nAnyForce = ({tail}")
     return tmp_path

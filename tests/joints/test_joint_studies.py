@@ -11,7 +11,7 @@ from benchmarks.peers import ENGINES, with_textbook
 from particlerb import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.simulation.run import prepare
-from particlerb.studies.peers import engines, oracle_states, peer_scene
+from particlerb.studies.peers import engines, oracle_states, peer_scene, refusal_by
 from particlerb.studies.work_precision import Study, chart
 
 pytestmark = pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
@@ -72,8 +72,8 @@ def test_other_engines_are_given_no_joints():
     plain = scene._replace(joints=None, model="")
     assert "there are none" in with_textbook.refusal(plain)
     for engine in engines(["all"]):
-        no = engine.refusal(scene)
-        assert (no is None) == (engine.name in ("MuJoCo", "textbook")), (engine.name, no)
+        no = refusal_by(engine, scene)
+        assert (not no) == (engine.NAME in ("MuJoCo", "textbook")), (engine.NAME, no)
 
 
 def test_a_chart_of_a_mechanism_shows_the_orders_of_its_methods():

@@ -344,7 +344,7 @@ def test_a_tension_mode_is_stable_up_to_the_limit_of_leapfrog(share, stays):
     h = share / w
     scene = case([*rods, weight], joints)
     if not stays:
-        with pytest.raises(RunError, match="the step is too long for the tension"):
+        with pytest.raises(RunError, match="the step is too long for its tension"):
             moved(scene, 300 * h, h)
         return
     with moved(scene, 300 * h, h, every=h) as trajectory:
