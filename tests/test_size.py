@@ -37,7 +37,7 @@ BUDGETS = {
     "impulses": 1350,
     "Newton's method for impulses, the order of bodies in it, a band": 355,
     "joints and contact by impulses in one solve": 363,
-    "stops, motors and friction in joints, by impulses": 663,
+    "stops, motors and friction in joints, by impulses": 728,
     "joints that break by impulses": 45,
     "collisions by events": 1440,
     "a box that repeats in space, for events": 76,

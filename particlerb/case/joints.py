@@ -41,6 +41,7 @@ ALONG = {
 """Names of coordinates along which something may act."""
 ACTIONS = ("spring", "damper", "limit", "motor", "friction")
 """What acts along a coordinate."""
+_LARGEST_BOUNCE = 2.6  # rad: a step of a fast body may pass what is nearer to half a turn
 WITHOUT_AXIS = ("ball", "fixed", "distance")
 
 
@@ -264,26 +265,36 @@ def _chain_rules(path: Path, raw: dict[str, Any], bodies: list[range] | None) ->
             yield (*path, key), "each link of a chain is tied in its own frame", hint
 
 
+def within_bounds(raw: dict[str, Any]) -> dict[str, str]:
+    """Keys of a joint that are impulses within bounds, and what to take in their place."""
+    limit = raw.get("limit")
+    is_hard = isinstance(limit, dict) and not given(limit, "stiffness")
+    found = {"limit": "give a stiffness"} if is_hard else {}
+    found |= {"motor": "give a number"} if isinstance(raw.get("motor"), dict) else {}
+    return found | ({"friction": "take a damper"} if raw.get("friction") else {})
+
+
 def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]:
     """Hard stops, friction, and motors with a largest torque are impulses within bounds."""
-    limit, bounds = raw.get("limit"), []
+    limit, kind = raw.get("limit"), raw.get("type")
     if isinstance(limit, dict) and not given(limit, "stiffness"):
-        bounds.append(("limit", "give a stiffness"))
         ends = entry_at(limit, "range", list)
         known = len(ends) == 2 and all(isinstance(x, int | float) for x in ends)
-        if known and not ends[0] <= 0.0 <= ends[1]:
+        if known and ends[0] < ends[1] and not ends[0] <= 0.0 <= ends[1]:
             reason = "the bodies stand at 0 at the start, beyond a hard stop"
             yield (*path, "limit", "range"), reason, "let the range hold 0"
+        is_angle = kind in ("hinge", "universal") or raw.get("along") == "angle"
+        bounces = known and is_angle and bool(limit.get("restitution"))
+        if bounces and max(map(abs, ends)) > _LARGEST_BOUNCE:
+            reason = "a stop this near to half a turn may be passed before the bounce is seen"
+            hint = f"keep it within {_LARGEST_BOUNCE} rad, or leave `restitution` out"
+            yield (*path, "limit", "range"), reason, hint
         if limit.get("damping"):
             yield (*path, "limit", "damping"), "hard stops have none", "give `restitution`"
     elif isinstance(limit, dict) and limit.get("restitution"):
         yield (*path, "limit", "restitution"), "springs have none", "give `damping`"
-    if isinstance(raw.get("motor"), dict):
-        bounds.append(("motor", "give a number"))
-    if raw.get("friction"):
-        bounds.append(("friction", "take a damper"))
-    for key, other in bounds:
-        if law != "impulse":
+    for key, other in within_bounds(raw).items():
+        if law in ("", "hooke", "hertz"):
             reason = "is solved by impulses alone"
             yield (*path, key), reason, f'take contact.law = "impulse", or {other}'
         elif given(raw, "drive"):

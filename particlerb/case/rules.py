@@ -11,7 +11,7 @@ from particlerb.case import output
 from particlerb.case.body_rules import body_rules, file_rules, held_rules, many_bodies, shapes
 from particlerb.case.contact import ContactTable
 from particlerb.case.forces import FORCES, ForceTable
-from particlerb.case.joints import TYPES_WITH_COORDINATES, joint_rules
+from particlerb.case.joints import TYPES_WITH_COORDINATES, joint_rules, within_bounds
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import (
     Finding,
@@ -46,6 +46,7 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     law = entry_at(raw.get("contact"), "law", str)
     for i, joint in tables(raw, "joint"):
         yield from joint_rules(("joint", i), joint, members(raw), law)
+    yield from _driven_bounds([joint for _, joint in tables(raw, "joint")])
     yield from _attraction_rules(raw.get("attraction"), members(raw))
     yield from _contact_rules(raw)
     for i, body in tables(raw, "body"):
@@ -151,6 +152,18 @@ def reference(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Findin
     is_count = isinstance(count, int) and count > 0
     if match["index"] and is_count and int(match["index"]) >= count:
         yield path, f'there is no body "{value}"', f"{match['name']}[0] to [{count - 1}] exist"
+
+
+def _driven_bounds(joints: list[dict[str, Any]]) -> Iterator[Finding]:
+    """What acts within bounds does nothing where another joint prescribes the coordinate."""
+    named = [tuple(joint.get(key) for key in ("body", "to", "type", "along")) for joint in joints]
+    driven = [own for own, joint in zip(named, joints, strict=True) if given(joint, "drive")]
+    for i, (joint, own) in enumerate(zip(joints, named, strict=True)):
+        is_driven = own in driven or (own[1], own[0], *own[2:]) in driven
+        if is_driven and not given(joint, "drive"):
+            for key in within_bounds(joint):
+                reason = "another joint of the same bodies has a drive, which leaves nothing free"
+                yield ("joint", i, key), reason, "leave one out"
 
 
 def _attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:

@@ -21,6 +21,7 @@ from particlerb.maths.vec3 import Floats, Vec3, add, cross, dot, scale
 from particlerb.model.block import BOOKED
 
 _NOTHING = (0.0, 0.0, 0.0)
+_COUNTED = 2.0  # rad of two bodies against each other in a step, by their rates at its start
 _WORK, _IMPULSE, _ANGULAR = BOOKED, BOOKED + 1, BOOKED + 4
 
 
@@ -186,13 +187,29 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
     _give_state(jointed, states, w)
 
 
+@lean
+def _spin(jointed: Jointed, k: int) -> float:
+    """Size of the angular velocity of body k [rad/s]; of what stands still 0."""
+    y, inverse = jointed.work.y, jointed.joints.inv_inertia
+    w = by_inverse_inertia(inverse, attitude(y, k), k, vector(y, k, L))
+    size: float = dot(w, w) ** 0.5
+    return size
+
+
 @lean_kernel
-def count_on(jointed: Jointed | None, states: Floats, w: int) -> None:
-    """Take the coordinates of joints on to these states."""
+def count_on(jointed: Jointed | None, states: Floats, w: int, h: float) -> float:
+    """Take the coordinates of joints on to these states; a step h, or the longest that counts them.
+
+    In it no two bodies of a joint turn against each other by half a turn.
+    """
     if jointed is None:
-        return
+        return h
     _put_state(jointed, states, w)
     count_turns(jointed.joints.coordinates, jointed.work.y, jointed.work.turned)
+    rows, fastest = jointed.joints.rows, 0.0
+    for r in range(rows.kind.size):
+        fastest = max(fastest, _spin(jointed, rows.a[r]) + _spin(jointed, rows.b[r]))
+    return min(h, _COUNTED / fastest) if fastest > 0.0 else h
 
 
 @lean_kernel

@@ -67,6 +67,8 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     count_projection(jointed, team)
     gather_velocities(contact, blocks, layout, first, last)
     press(contact, jointed, team, moving.acting, moving.books, blocks, layout, dt)
+    project(moving, 0.0, 0.0)
+    count_projection(jointed, team)
     _drift_alone(jointed, moving, first, last, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
     count_drift(jointed, team, False)

@@ -20,6 +20,7 @@ from particlerb.ranks import ALONE, Ranks
 
 _STILL = 1e-20  # share of the energy of a motion that is seen; below it there is none
 _BORNE = 1e-6  # share of what weights give to momenta; below it something bears them
+_HELD = 1e-8  # share of weights times distances, to rounding of which sums are known
 
 
 class Entries(NamedTuple):
@@ -151,6 +152,7 @@ class EnergyBalance:
 
         Where nothing moves but by rounding, the scales are those of a motion that is seen; where
         momenta are nothing beside what weights give them and what bears them takes, it is that.
+        Energies and angular momenta are judged no finer than weights at their distances round.
 
         Parameters
         ----------
@@ -174,6 +176,8 @@ class EnergyBalance:
         scales = np.where(is_still, np.maximum(self.scales, seen), self.scales)
         weight = mass * g * duration
         scales[1] = np.where(scales[1] < _BORNE * weight, weight, scales[1])
+        scales[0] = np.maximum(scales[0], _HELD * mass * g * R)
+        scales[2] = np.maximum(scales[2], _HELD * weight * R)
         safe: Floats = np.where(scales > 0.0, scales, 1.0)
         relative = self.errors / safe
         return ConservationError(*(relative if self.shape else relative[:, 0]).tolist())

@@ -81,7 +81,8 @@ def groups_of(
         GroupSetup(members, forces, [], False, False)
         for members, forces in _groups_alone(system, loads, absent)
     ]
-    label = components(len(system.kind), ties, heavy, solid)
+    together = solid if joints is None else joints.solved_with(solid)
+    label = components(len(system.kind), ties, heavy, together)
     for members in clusters(system, loads, links, label, bound, held):
         own = np.zeros(len(system.kind), dtype=bool)
         own[members] = True

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from particlerb.impulses.records import MOTOR, RUBS, STOP
 from particlerb.joints.reactions import find_multipliers, forces_of_joints, null_vectors
 from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, Joints, Work, room_for_joints
 from particlerb.joints.rows import linearise
@@ -117,6 +118,10 @@ def joint_line(system: System, plan: Plan) -> str:
         line += f", {n_dependent} of them redundant among those of {names}{more}"
         line += " (only sums of their reactions are determined)"
     line = f"{line}; {free} degree{'s' * (free != 1)} of freedom" if bodies else counts
+    numbers = np.bincount(setup.bounds.kind, minlength=3)[[STOP, MOTOR, RUBS]].tolist()
+    words = ("stops", "motors with a largest load", "joints with friction")
+    bounded = [f"{n} {word}" for n, word in zip(numbers, words, strict=True) if n]
+    line += f"; by impulses: {', '.join(bounded)}" if bounded else ""
     reasons = why_rows(system)
     line += f"; fixed joints keep their rows because of {' and '.join(reasons)}" if reasons else ""
     return line + _merged_words(system)

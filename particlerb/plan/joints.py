@@ -118,6 +118,12 @@ class JointSetup(NamedTuple):
         own = self.rows.action[np.isin(self.rows.a, members)]
         return bool(np.isin(self.bounds.row, own).any())
 
+    def solved_with(self, solid: Ints) -> Ints:
+        """Bodies that touch, and those with something within bounds, which are solved with them."""
+        is_bounded = np.isin(self.rows.action, self.bounds.row)
+        ends = np.r_[self.rows.a[is_bounded], self.rows.b[is_bounded]]
+        return np.union1d(solid, ends[ends != WORLD]) if ends.size else solid
+
     def drives_among(self, members: Ints) -> list[DriveCourse]:
         """What is prescribed among the members of a group."""
         own = np.unique(self.rows.drive[np.isin(self.rows.a, members)])

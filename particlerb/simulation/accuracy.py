@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.problems import problem_at
+from particlerb.case.problems import CaseError, problem_at
 from particlerb.integrators import METHODS
 from particlerb.model.system import System
 from particlerb.plan.describe import describe, group_name
@@ -149,6 +149,9 @@ def search(system: System, group: GroupPlan) -> ChosenStep | None:
         return None
     pilot = Pilot(system, group)
     held = any(s.terms.joints is not None for s in stepped)
+    if any(s.terms.contact is not None and not s.terms.has_springy_contact for s in stepped):
+        reason = "is for contacts with a stiffness: impulses have no error that a step tells"
+        raise CaseError([problem_at(system, "run.accuracy", reason, "give run.dt")])
     if any(s.terms.contact is not None for s in stepped):
         return by_energy(pilot, "rattle" if held else "strang")
     family = [name for name in RATIO if METHODS[name].holds_joints == held]

@@ -169,7 +169,7 @@ def _give_up(layout: Layout, vectors: _CommonVectors) -> None:
 def _find_common_step(bodies: _AllBodies, t: float, h: float) -> tuple[float, float]:
     """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
     layout, common = bodies.layout, bodies.vectors
-    count_on(bodies.jointed, common.y, common.width)
+    h = count_on(bodies.jointed, common.y, common.width, h)
     tolerance = bodies.equations.tolerance
     _common_slopes(bodies, t, common.y, common.K[0])
     longest = h

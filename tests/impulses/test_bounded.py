@@ -169,3 +169,47 @@ def test_what_no_law_solves_is_refused(joint, contact, what):
         del scene["contact"]
     with pytest.raises(CaseError, match=what):
         particlerb.run(scene)
+
+
+def test_a_light_ball_on_a_long_arm_stops_hard():
+    """Its stop asks for an impulse that would turn a free ball by radians in half a step."""
+    ball = sphere(radius=0.005, position=[0.1, 0, 0], velocity=[0, 0, -2.0], contact=False)
+    ball["angular_velocity"] = [0, 20.0, 0]
+    limit = {"range": [-0.1, 0.5]}
+    hinge = {"type": "hinge", "body": "ball", "at": [0, 0, 0], "axis": [0, 1, 0], "limit": limit}
+    keys = {"contact": impulse(tolerance=1e-12), "output": {"fields": FIELDS}}
+    t, x = go(case(ball, joint=[hinge], **keys), 0.1, 0.01)
+    assert x[-1] == pytest.approx(0.5, abs=1e-3)
+    assert errors(t)[0] < 1e-10
+
+
+def test_what_is_solved_beside_contacts_is_recorded_with_them():
+    """The mechanism comes first; what touches nothing else had a group, and a tally, of its own."""
+    resting = sphere(name="resting", position=[3.0, 0, R])
+    scene = hinged(friction=2.0 * LOAD)
+    scene["body"].append(resting)
+    scene["output"] = {"fields": [*FIELDS, "wall_force"]}
+    t, _ = go(scene, 0.05, 0.01, wall=[plane()], gravity=DOWN)
+    assert np.abs(t.wall_force[-1]).max() == pytest.approx(M * G, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("joint", "run", "words"),
+    [
+        ({"limit": {"range": [-3.1, 3.1], "restitution": 0.5}}, {}, "near to half a turn"),
+        ({"friction": 0.5}, {"accuracy": 1e-3}, "contacts with a stiffness"),
+    ],
+)
+def test_what_would_be_wrong_without_a_word_is_refused(joint, run, words):
+    scene = hinged(omega=1.0, **joint)
+    scene["run"] |= run
+    with pytest.raises(CaseError, match=words):
+        particlerb.run(scene)
+
+
+def test_a_bound_on_what_another_joint_drives_is_refused():
+    scene = hinged(friction=0.5)
+    other = {key: value for key, value in scene["joint"][0].items() if key != "friction"}
+    scene["joint"].append(other | {"drive": {"speed": [[0.0, 0.0], [1.0, 1.0]]}})
+    with pytest.raises(CaseError, match="another joint of the same bodies has a drive"):
+        particlerb.run(scene)

@@ -116,6 +116,13 @@ def test_a_hinge_is_counted_through_whole_turns_and_goes_on_bit_for_bit(tmp_path
             assert (np.array(getattr(resumed, name)) == np.array(getattr(whole, name))).all()
 
 
+def test_no_turn_is_lost_where_steps_might_be_longer_than_half_a_turn():
+    scene = flap(5.0) | {"output": {"fields": ["joint_coordinate"]}}
+    with adaptive(scene, 12.0, 1e-3, every=1.0) as trajectory:
+        turned = np.array(trajectory.joint_coordinate)[:, 0]
+        assert turned == pytest.approx(5.0 * trajectory.time, abs=0.1)
+
+
 def test_what_a_grid_of_steps_finds_is_refused():
     scene = flap(breaks_at={"force": 1.0})
     with pytest.raises(CaseError, match=r"joints that break \(it takes steps of one length\)"):
