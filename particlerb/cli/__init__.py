@@ -62,11 +62,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
                 find_case(words[0], tuple(COMMANDS))
             words.insert(0, "run")
-        try:
-            options = top.parse_args(words)
-        except SystemExit:  # behind a help or a version, which may not have been written
-            sys.stdout.flush()
-            raise
+        options = top.parse_args(words)
         _tell_progress()
         module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
         code: int = getattr(module, f"{options.command}_command")(options)

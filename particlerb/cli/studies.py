@@ -23,6 +23,8 @@ def chart_command(options: argparse.Namespace) -> int:
     from particlerb.studies.charts.work_precision import draw_chart
 
     case = read_case(options)
+    if case.contact is not None and case.contact.law == "impulse":
+        raise Ending('contact.law: impulses have no chart: one method takes them; "hooke" has one')
     asked = options.methods, options.peers
     paths = _outputs(options, f"chart_{case.path.stem if case.path else 'case'}")
     with _measuring("curve") as bar:

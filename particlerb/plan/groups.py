@@ -89,8 +89,7 @@ def groups_of(
         inside = [within(link, own) for link in links if own[link.first].any()]
         attracts = bool(heavy.size) and bool(own[heavy[0]])
         tied = joints if held is not None and own[held.first].any() else None
-        touches = bool(solid.size) and bool(own[solid[0]])
-        touches |= tied is not None and tied.is_bounded_among(members)
+        touches = bool(together.size) and bool(own[together[0]])
         forces = _aligned(loads, members)
         groups.append(GroupSetup(members, forces, inside, attracts, touches, tied))
     return sorted(groups, key=lambda group: int(group.members.min()))

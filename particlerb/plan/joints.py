@@ -113,11 +113,6 @@ class JointSetup(NamedTuple):
         own = np.flatnonzero(self.until > 0.0)
         return Ties(self.record[own], self.first[own], self.second[own])
 
-    def is_bounded_among(self, members: Ints) -> bool:
-        """Whether something acts within bounds on the members of a group."""
-        own = self.rows.action[np.isin(self.rows.a, members)]
-        return bool(np.isin(self.bounds.row, own).any())
-
     def solved_with(self, solid: Ints) -> Ints:
         """Bodies that touch, and those with something within bounds, which are solved with them."""
         is_bounded = np.isin(self.rows.action, self.bounds.row)

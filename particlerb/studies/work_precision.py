@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.case.problems import CaseError, problem_at
+from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
 from particlerb.compiled.threads import THREADS
 from particlerb.integrators import JOINTED, UNJOINTED
@@ -165,9 +165,6 @@ def chart(
     """
     names = chosen_names(methods, (JOINTED if system.joint else UNJOINTED), "method")
     rivals = engines(peers)
-    if system.contact is not None and system.contact.law == "impulse":
-        reason = "has no chart: one method alone takes it"
-        raise CaseError([problem_at(system, "contact.law", reason, 'take law = "hooke"')])
     with THREADS.using(1, time.thread_time if by_processor else time.perf_counter):
         study = Study(system, budget)
         points, left_out = study.points(names, rivals, budget, progress)

@@ -77,4 +77,6 @@ def test_a_link_is_pushed_by_a_click_and_the_session_is_that_of_its_case(serve, 
     with particlerb.run(path) as batch:
         assert (batch.position[-1] == found[0]).all()
         assert (batch.orientation[-1] == found[1]).all()
-        assert np.abs(batch.position[:, 1, 1]).max() > 1e-3  # out of the plane of its fall
+        assert (
+            np.abs(batch.position[:, 1, 1]).max() > 1e-4
+        )  # out of the plane of its fall, where it would stay
