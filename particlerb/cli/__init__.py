@@ -15,6 +15,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from typing import NoReturn
 
@@ -62,7 +63,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
                 find_case(words[0], tuple(COMMANDS))
             words.insert(0, "run")
-        options = top.parse_args(words)
+        options = _parsed(top, words)
         _tell_progress()
         module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
         code: int = getattr(module, f"{options.command}_command")(options)
@@ -73,12 +74,28 @@ def main(words: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _complain("interrupted", INTERRUPTED)
     except BrokenPipeError:  # the reader of stdout went away, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except MemoryError:
         return _complain("out of memory: fewer bodies or particles would fit", FAILED)
     except OSError as error:
         return _complain(fault_text(error), FAILED)
+
+
+def _parsed(top: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
+    """Options of a command line; a help text that cannot be written is an error."""
+    try:
+        return top.parse_args(words)
+    finally:
+        sys.stdout.flush()
+
+
+def _drop_unwritten() -> None:
+    """Let go of what no stream takes: Python would try again at its end, and exit with 120."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _tell_progress() -> None:
@@ -105,7 +122,9 @@ def entry() -> NoReturn:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     if wants_guard(sys.argv[1:]):
         sys.exit(guarded(sys.argv[1:]))
-    sys.exit(main())
+    code = main()
+    _drop_unwritten()
+    sys.exit(code)
 
 
 def _open_streams() -> None:
@@ -123,5 +142,6 @@ def warning_text(message: Warning | str, *_: object, **__: object) -> str:
 def _complain(message: str, code: int) -> int:
     """Print a message to stderr."""
     text = message if ": error:" in message else f"particlerb: {message}"
-    print(tamed(text), file=sys.stderr)
+    with suppress(OSError):  # where there is no room for a message, the code tells
+        print(tamed(text), file=sys.stderr)
     return code

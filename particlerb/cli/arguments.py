@@ -109,7 +109,7 @@ _SET: Final = _option(
     "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
     help="change a key of the case, for example run.dt=1e-4 or body.0.mass=2; repeatable",
 )  # fmt: skip
-_THREADS: Final = _option("--threads", type=int, metavar="N", help="default: all cores")
+_THREADS: Final = _option("--threads", type=_number, metavar="N", help="default: all cores")
 _CODE: Final = _flag(
     "--allow-code", help="allow the case to run Python code, with your permissions"
 )

@@ -357,6 +357,13 @@ class Trajectory(LabelledReader):
             raise TrajectoryError(f"{self.file.filename}: its case is wrong: {error}") from None
 
 
+def check_trajectory(given: object) -> None:
+    """Raise a TypeError where a user gives anything else, a path for instance."""
+    if not isinstance(given, Trajectory):
+        kind = type(given).__name__
+        raise TypeError(f"a Trajectory is needed, as particlerb.open(path) gives it, got {kind}")
+
+
 def open_trajectory(path: str | Path) -> Trajectory:
     """Trajectory in a file, which may still be growing.
 

@@ -12,7 +12,7 @@ from particlerb.case.to_system import to_system
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.plan.joints import joints_of
-from particlerb.record.trajectory import Trajectory
+from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.simulation.joint_values import LoadReader, room_for_values
 from particlerb.simulation.run import prepare
 
@@ -44,7 +44,10 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
     ------
     KeyError
         If it has no joints.
+    TypeError
+        If it is no trajectory.
     """
+    check_trajectory(trajectory)
     system = prepare(to_system(trajectory.case)).system
     setup = joints_of(system)
     if setup is None:

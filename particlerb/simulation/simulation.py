@@ -247,8 +247,9 @@ class Simulation(Closing):
         values = []
         for name, new, old in zip(names, given, known, strict=True):
             try:
-                array = np.array(old if new is None else new, dtype=np.float64)
-            except (TypeError, ValueError):  # no numbers, or rows of several lengths
+                array = np.array(old if new is None else new)
+                array = array.astype(np.float64, casting="same_kind")
+            except (TypeError, ValueError):  # no real numbers, or rows of several lengths
                 array = np.zeros(())
             if array.shape != old.shape or not np.isfinite(array).all():
                 raise ValueError(f"set_state: {name} must be finite, of shape {old.shape}")
@@ -259,9 +260,9 @@ class Simulation(Closing):
 
     def __repr__(self) -> str:
         """What it moves and how far it has come, in a line."""
-        title, run = self.system.title, self.system.run
-        what = f"{title!r}, bodies: {self.system.n_bodies}"
-        return f"<Simulation {what}; t = {self.time:g} s of {run.t_end:g} s>"
+        title, t_end = self.system.title, self.system.run.t_end
+        what = f"{title!r}, bodies: {self.system.n_bodies}".removeprefix("'', ")
+        return f"<Simulation {what}; t = {self.time:g} s of {t_end:g} s>"
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be pickled or copied: motions hold compiled code."""

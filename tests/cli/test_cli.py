@@ -247,8 +247,9 @@ def test_set_and_threads_change_the_case(here, capsys):
     with h5py.File("output/cube.h5") as file:
         assert len(file["particles/trajectory/time"]) == 3
     capsys.readouterr()
-    assert main(["check", "cube.toml", "--threads", "0"]) == 2
-    assert "run.threads" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        main(["check", "cube.toml", "--threads", "0"])
+    assert "argument --threads: must be 1 or more, got 0" in capsys.readouterr().err
 
 
 def test_check_prints_the_plan_and_writes_nothing(here, capsys):
@@ -586,6 +587,7 @@ def test_a_terminal_without_greek_letters_gets_an_answer(here):
     [
         ("methods > /dev/full", "stdout cannot be written: No space left on device"),
         ("cases > /dev/full", "stdout cannot be written: No space left on device"),
+        ("run --help > /dev/full", "stdout cannot be written: No space left on device"),
         ("run tumbling_brick -q", "the current folder is gone: change to one that is there"),
     ],
 )
@@ -594,13 +596,21 @@ def test_a_refusal_of_the_system_names_its_place(here, words, message):
     gone = here / "gone"
     gone.mkdir()
     at = f'cd gone && rmdir "{gone}" && ' if "full" not in words else ""
-    root = str(Path(particlerb.__file__).parents[1])
+    buffered = os.environ | {"PYTHONPATH": str(Path(particlerb.__file__).parents[1])}
+    buffered.pop("PYTHONUNBUFFERED", None)
     done = subprocess.run(
         ["sh", "-c", f'{at}"$0" -m particlerb {words}', sys.executable],
-        env=os.environ | {"PYTHONPATH": root}, stderr=subprocess.PIPE, text=True, check=False,
+        env=buffered, stderr=subprocess.PIPE, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 1
     assert done.stderr == f"particlerb: {message}\n"
+
+
+def test_where_no_message_can_be_written_the_exit_code_tells(here):
+    words = '"$0" -m particlerb run no_such_case 2> /dev/full'
+    root = str(Path(particlerb.__file__).parents[1])
+    env = os.environ | {"PYTHONPATH": root}
+    assert subprocess.run(["sh", "-c", words, sys.executable], env=env, check=False).returncode == 2
 
 
 def test_a_file_does_not_take_the_place_of_a_closed_stream(here):

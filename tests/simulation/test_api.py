@@ -158,6 +158,9 @@ def test_what_is_no_case_and_no_path_is_a_type_error(given, case_file):
         particlerb.run(given)
     with pytest.raises(TypeError, match=f"^what is opened must be a path, got {kind}$"):
         particlerb.open(given)
+    for function in (particlerb.joint_loads, particlerb.plot):
+        with pytest.raises(TypeError, match=f"^a Trajectory is needed, .* got {kind}$"):
+            function(given)
     with pytest.raises(TypeError, match=f"^what is resumed must be a path, got {kind}$"):
         particlerb.resume(given)
     if given is not None:

@@ -181,7 +181,7 @@ def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
             simulation.change(key, value)
     with pytest.raises(ValueError, match=r"frames\(every=-1\): must be above 0 s"):
         next(simulation.frames(every=-1))
-    for position in ([1, 2, 3], "abc", [[1, 2], [3]]):
+    for position in ([1, 2, 3], "abc", [[1, 2], [3]], np.array([[1j, 0, 0]])):
         with pytest.raises(ValueError, match="position must be finite, of shape"):
             simulation.set_state(position=position)
     with pytest.raises(TypeError, match=r"^advance: until must be a number, got str$"):
@@ -191,7 +191,7 @@ def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
     for copied in (pickle.dumps, copy.copy):
         with pytest.raises(TypeError, match=r"^a Simulation cannot be pickled or copied: keep"):
             copied(simulation)
-    assert repr(simulation) == "<Simulation '', bodies: 1; t = 2 s of 10 s>"
+    assert repr(simulation) == "<Simulation bodies: 1; t = 2 s of 10 s>"
     with pytest.raises(ValueError, match="orientation of zero"):
         simulation.set_state(orientation=[[0, 0, 0, 0]])
     state = simulation.advance(10.0)

@@ -16,7 +16,7 @@ from matplotlib.gridspec import SubplotSpec
 
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import derived, rotate
-from particlerb.record.trajectory import Trajectory
+from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.rotors.rotor_class import SYMMETRIC
 from particlerb.studies.charts.bodies import (
     direction,
@@ -59,7 +59,10 @@ def plot(
         If there is no such body, or matplotlib does not know the format.
     KeyError
         If positions, orientations or momenta were not recorded.
+    TypeError
+        If it is no trajectory.
     """
+    check_trajectory(trajectory)
     figure = Figure(figsize=(11, 7.2), layout="constrained")
     title = trajectory.parameter("case_resolved")["title"] or Path(trajectory.file.filename).name
     counts = f"{count_of(trajectory.n_bodies, 'body', 'bodies')}, {trajectory.n_frames} frames"
