@@ -63,12 +63,10 @@ def plot(
         If it is no trajectory.
     """
     check_trajectory(trajectory)
-    figure = Figure(figsize=(11, 7.2), layout="constrained")
-    title = trajectory.parameter("case_resolved")["title"] or Path(trajectory.file.filename).name
-    counts = f"{count_of(trajectory.n_bodies, 'body', 'bodies')}, {trajectory.n_frames} frames"
-    figure.suptitle(f"{title}   ({counts})", color=INK)
+    case = trajectory.parameter("case_resolved")
+    figure = _titled_figure(trajectory, case)
     one = _fastest(trajectory) if body is None else trajectory.names.index(body)
-    case, is_top = trajectory.parameter("case_resolved"), _is_top(trajectory, one)
+    is_top = _is_top(trajectory, one)
     shown = _shown(trajectory.n_bodies, _PATHS, one)
     is_still = not np.ptp(trajectory.read("position", bodies=shown), axis=0).any()
     is_shown_turning = is_still and not is_top and trajectory.omega_body(one)[0].any()
@@ -95,6 +93,15 @@ def plot(
     _draw_conservation_errors(last, trajectory)
     if path is not None:
         figure.savefig(path, dpi=130)
+    return figure
+
+
+def _titled_figure(trajectory: Trajectory, case: dict[str, Any]) -> Figure:
+    """Nothing but the title of a case, else name of its file; how many bodies and frames."""
+    figure = Figure(figsize=(11, 7.2), layout="constrained")
+    title = case["title"] or Path(trajectory.file.filename).name
+    counts = f"{count_of(trajectory.n_bodies, 'body', 'bodies')}, {trajectory.n_frames} frames"
+    figure.suptitle(f"{title}   ({counts})", color=INK)
     return figure
 
 
