@@ -5,12 +5,13 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, Strict, model_validator
 
 from particlerb.case.forces import During
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import Finding, bodies_named, entry_at, given
 from particlerb.case.values import (
+    LARGEST_COUNT,
     Array2,
     FloatArray,
     Forms,
@@ -23,25 +24,29 @@ from particlerb.case.values import (
     Vector,
     Yes,
     broken,
+    entries,
     first_out_of_order,
 )
 
 JointType = Literal[
-    "ball", "hinge", "slider", "universal", "cylindrical", "planar", "fixed", "distance"
-]
-TYPES_WITH_COORDINATES = ("hinge", "slider", "universal", "cylindrical", "planar")
+    "ball", "hinge", "slider", "universal", "cylindrical", "planar", "fixed", "distance", "screw",
+    "rack", "gear",
+]  # fmt: skip
+TYPES_WITH_COORDINATES = ("hinge", "slider", "universal", "cylindrical", "planar", "screw")
 ALONG = {
     "ball": ("turn",),
     "hinge": ("angle",),
     "universal": ("angle about axis", "angle about axis_to"),
     "slider": ("displacement",),
     "cylindrical": ("displacement", "angle"),
+    "screw": ("displacement", "angle"),
     "planar": ("first displacement", "second displacement", "angle"),
 }
 """Names of coordinates along which something may act."""
 ACTIONS = ("spring", "damper", "limit", "motor", "friction")
 """What acts along a coordinate."""
 _LARGEST_BOUNCE = 2.6  # rad: a step of a fast body may pass what is nearer to half a turn
+ROLLING = ("screw", "rack", "gear")
 WITHOUT_AXIS = ("ball", "fixed", "distance")
 
 
@@ -64,6 +69,25 @@ def _is_direction(value: tuple[float, ...] | InFrame) -> tuple[float, ...] | InF
 
 _Point = Annotated[Vector | InFrame, Forms("list", "table")]
 _Direction = Annotated[_Point, AfterValidator(_is_direction)]
+
+
+def _mesh(teeth: tuple[int, int]) -> tuple[int, int]:
+    """Require teeth, of one ring at most, which has more of them than the other."""
+    if 0 in teeth or sum(teeth) == 0 or max(teeth) < 0 or max(map(abs, teeth)) > LARGEST_COUNT:
+        raise broken("must be numbers of teeth; negative one at most, of a ring, which has more")
+    return teeth
+
+
+def _is_not_zero(value: float) -> float:
+    """Require a number that is not 0."""
+    if value == 0.0:
+        raise broken("must not be 0")
+    return value
+
+
+_Number = Annotated[int, Strict()]
+_Teeth = Annotated[tuple[_Number, _Number], entries(2), AfterValidator(_mesh)]
+_Lead = Annotated[Real, AfterValidator(_is_not_zero)]
 
 
 class JointSpring(Table):
@@ -178,13 +202,17 @@ class JointTable(Table):
     """Point of the joint: world frame at the start, or { body = [..] }; default: the centre of
     mass. [m]"""
     at_to: _Point | None = None
-    """Point of the other side, given alike; default: where `at` is, of a distance the centre of
-    mass. [m]"""
+    """Point of the other side, given alike; default: where `at` is, of a distance and a gear the
+    centre of mass. Of a rack a point of its pitch line. [m]"""
     axis: _Direction | None = None
     """Axis of the joint, of planar the normal, of universal the axis of `body`: world frame at the
     start, or { body = [..] }. [-]"""
     axis_to: _Direction | None = None
-    """Of universal: the axis of the other side, across `axis`. [-]"""
+    """Of universal: the axis of the other side, across `axis`. Of rack: its direction. [-]"""
+    teeth: _Teeth | None = None
+    """Of gear: teeth of `body` and of the other side; of a ring with teeth inside, negative. [-]"""
+    lead: _Lead | None = None
+    """Of screw: the shift in a turn; of a left-handed one, negative. [m]"""
     along: Name | None = None
     """Coordinate along which spring, damper, limit, motor, friction and drive act: see
     docs/joints.md; default: the only one. [-]"""
@@ -226,7 +254,8 @@ def joint_rules(
     """A joint has the axes that it needs, and two ends; `law` is that of [contact], if any."""
     kind = raw.get("type")
     if kind in JOINT_TYPES:
-        needed = {"axis": kind not in WITHOUT_AXIS, "axis_to": kind == "universal"}
+        needed = {"axis": kind not in WITHOUT_AXIS, "axis_to": kind in ("universal", "rack")}
+        needed |= {"teeth": kind == "gear", "lead": kind == "screw"}
         for key, is_needed in needed.items():
             if is_needed and not given(raw, key):
                 yield (*path, key), "missing", f"a {kind} joint needs one"
@@ -237,10 +266,7 @@ def joint_rules(
     if entry_at(raw, "during", list)[:1] not in ([], [0.0]):
         hint = "a body cannot be caught by a joint: give [0, time of release]"
         yield (*path, "during"), "a joint acts from the start on", hint
-    if kind == "distance" and not any(given(raw, key) for key in ("to", "at_to", "chain")):
-        yield (*path, "at_to"), "missing", "give the other end, of a body with `to`"
-    if isinstance(raw.get("at_to"), dict) and not given(raw, "to") and not raw.get("chain"):
-        yield (*path, "at_to"), "the world has no body frame", "give three numbers"
+    yield from _other_end_rules(path, raw)
     first = bodies_named(raw.get("body"), known)
     if raw.get("chain") is True:
         yield from _chain_rules(path, raw, first)
@@ -251,6 +277,17 @@ def joint_rules(
             if m not in {n, 1}:
                 hint = "name equal numbers, or one for all"
                 yield (*path, "to"), f"names {m} bodies, `body` {n}: they make no pairs", hint
+
+
+def _other_end_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
+    """The other end is somewhere, and in a frame that there is."""
+    kind = raw.get("type")
+    if kind in ("distance", "gear") and not any(given(raw, x) for x in ("to", "at_to", "chain")):
+        yield (*path, "at_to"), "missing", "give the other end, of a body with `to`"
+    if kind == "rack" and not given(raw, "at_to"):
+        yield (*path, "at_to"), "missing", "give a point of the pitch line of the rack"
+    if isinstance(raw.get("at_to"), dict) and not given(raw, "to") and not raw.get("chain"):
+        yield (*path, "at_to"), "the world has no body frame", "give three numbers"
 
 
 def _chain_rules(path: Path, raw: dict[str, Any], bodies: list[range] | None) -> Iterator[Finding]:

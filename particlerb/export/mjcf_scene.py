@@ -23,6 +23,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, PlaneWall
+from particlerb.case.joints import ROLLING
 from particlerb.export import ExportError
 from particlerb.export.bodies import COMMENT, numbers, six
 from particlerb.export.scene import FREE_STEP, left_out
@@ -325,6 +326,8 @@ def _joint_of(system: System, setup: JointSetup, j: int) -> _Joint:
             own = rotate(np.repeat(system.state.q[:, [b]], 2, axis=1), own)
             own = own + system.state.com[:, [b]] * np.array([1.0, 0.0])
         points.append(own.T)
+    if setup.types[j] in ROLLING:
+        raise ExportError(f"{setup.names[j]} is a {setup.types[j]}: these are not written")
     (at, axis), (at_to, axis_to) = points
     first, second = ends.tolist()
     return _Joint(setup.names[j], setup.types[j], first, second, at, at_to, axis, axis_to)

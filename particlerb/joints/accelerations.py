@@ -2,11 +2,12 @@
 
 | row | convective part of g̈ |
 |-|-|
-| along, u in b | u·k + 2 u̇·ḋ + ü·d |
+| along, rack, screw, u in b | u·k + 2 u̇·ḋ + ü·d |
 | along, u in the world | u·k |
 | dot | n̈·u + 2 ṅ·u̇ + n·ü |
 | distance | (ḋ·ḋ + d·k)/l |
 | turn | u̇·(ω_a - ω_b) |
+| gear | v·(k - ω_b × ḋ), v as in wheels.py |
 
 k = ω_a × (ω_a × r_a) - ω_b × (ω_b × r_b), u̇ = ω × u, ü = ω × u̇; the rest as in rows.py. The turns
 themselves change by J⁻¹ (τ - ω × L), positions by F/M.
@@ -16,8 +17,9 @@ from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import lean, lean_kernel
 from particlerb.joints.drives import course
-from particlerb.joints.records import ALONG, DOT, TURN, WORLD_ALONG, Joints, L, P, Work
+from particlerb.joints.records import ALONG, DOT, GEAR, RACK, TURN, WORLD_ALONG, Joints, L, P, Work
 from particlerb.joints.rows import arms_at, attitudes, is_of_other_bodies, rate, vector
+from particlerb.joints.wheels import tangent
 from particlerb.maths.quaternion import Matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,
@@ -72,7 +74,9 @@ def _convective(
     k = add(subtract(ra2, rb2), _by_given(work, a, b))
     va, vb = _velocity(joints, work, a), _velocity(joints, work, b)
     d1 = subtract(add(va, ra1), add(vb, rb1))
-    if kind == ALONG:
+    if kind == GEAR:
+        return dot(tangent(u, d), subtract(k, cross(wb, d1)))
+    if kind in (ALONG, RACK):
         return dot(u, k) + 2.0 * dot(u1, d1) + dot(u2, d)
     found: float = (dot(d1, d1) + dot(d, k)) / rows.length[r]
     return found

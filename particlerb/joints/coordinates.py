@@ -41,6 +41,7 @@ COORDINATES: Final[Mapping[str, tuple[Coordinate, ...]]] = {
     ),
     "slider": (SHIFT,),
     "cylindrical": (SHIFT, TURN),
+    "screw": (SHIFT, TURN),
     "planar": (
         Coordinate("first displacement", (), ("e",)),
         Coordinate("second displacement", (), ("f",)),

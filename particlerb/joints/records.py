@@ -21,13 +21,16 @@ WORLD_ALONG: Final = 1  # the same with u fixed in the world
 DOT: Final = 2  # n·u = 0, n fixed in a, u in b
 DISTANCE: Final = 3  # (d·d - l²) / (2 l) = 0
 STRETCH: Final = 4  # no constraint: |d|
-TURN: Final = 5  # no constraint: the angle of n, fixed in a, from r_b about u, both fixed in b
-OWN_TURN: Final = 6  # the same about u fixed in a
-ROTATION: Final = 7  # no constraint: of the rotation vector of a against b along u of the world
+RACK: Final = 5  # u·d + k θ = 0, θ the angle of a from b about n; of a screw u is n: wheels.py
+GEAR: Final = 6  # k (φ_a + φ_b z_b/z_a) = 0, angles from the line of centres
+TURN: Final = 7  # no constraint: the angle of n, fixed in a, from r_b about u, both fixed in b
+OWN_TURN: Final = 8  # the same about u fixed in a
+ROTATION: Final = 9  # no constraint: of the rotation vector of a against b along u of the world
 HOLDS: Final = -1  # the action of a row that is a constraint
 AT_REST: Final = -1  # the drive of a row that has none
 STATE: Final = 13  # x, q, p, L of a body
 X, Q, P, L = 0, 3, 7, 10
+WHEEL: Final = 12  # of a row: see ConstraintRows
 GRADIENT: Final = 15  # of a row: by x, by θ_a and by θ_b, and the last two times J⁻¹
 
 
@@ -44,6 +47,7 @@ class ConstraintRows(NamedTuple):
     size: Floats  # (m,) what a residual is measured by: the size of the joint [m], 1 of DOT
     action: Ints  # (m,) which of `Actions` acts along it; HOLDS: it is a constraint
     drive: Ints  # (m,) which of `Drives` says what its coordinate is; AT_REST: 0
+    wheel: Floats  # (m, 12) of RACK and GEAR: n in b, marks in a and in b, k, z_b/z_a, pitch
 
 
 class Actions(NamedTuple):
@@ -143,6 +147,7 @@ class Joints(NamedTuple):
     moves: Flag = None  # whether constraints move by themselves
     breaks: Breaks | None = None  # None: no joint does
     bounds: Bounds | None = None  # None: nothing acts within bounds
+    rolls: Flag = None  # whether there are gears, racks or screws
 
     @property
     def has_potential(self) -> bool:

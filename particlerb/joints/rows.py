@@ -6,6 +6,7 @@
 | along, u in the world | u·d | u | r_a × u | u × r_b |
 | dot | n·u | 0 | n × u | -n × u |
 | distance | (d·d - l²)/(2 l) | d/l | r_a × d/l | d/l × r_b |
+| rack, screw, gear | see wheels.py | | | |
 | turn, n across u | angle of n from r_b | 0 | u | -u |
 | rotation, nothing but springs | u·φ | 0 | u | -u |
 
@@ -26,7 +27,9 @@ from particlerb.joints.records import (
     ALONG,
     DISTANCE,
     DOT,
+    GEAR,
     OWN_TURN,
+    RACK,
     ROTATION,
     STRETCH,
     TURN,
@@ -39,6 +42,7 @@ from particlerb.joints.records import (
     Work,
     X,
 )
+from particlerb.joints.wheels import rolled, tangent, with_turns
 from particlerb.maths.quaternion import (
     Matrix,
     Quat,
@@ -210,6 +214,9 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[f
             g[r] = dot(vector(rows.axis, r, 0), d) - course(joints.drives, rows.drive[r], t)[0]
         elif kind == DOT:
             g[r] = dot(turn(R[0], vector(rows.first, r, 0)), turn(R[1], vector(rows.axis, r, 0)))
+        elif kind in (RACK, GEAR):
+            _, _, u, d = arms_at(rows, y, r, R)
+            g[r] = rolled(joints.rolls, rows, r, R, u, d)
         else:
             g[r] = residual(rows, joints.drives, y, r, t)
         share = abs(g[r]) / (rows.size[r] + (0.0 if is_of_directions(kind) else far))
@@ -242,8 +249,9 @@ def _by_turning(rows: ConstraintRows, r: int, ra: Vec3, rb: Vec3, u: Vec3, d: Ve
         by_a = cross(ra, u) if kind == DOT else u
         return (0.0, 0.0, 0.0), by_a, scale(-1.0, by_a)
     by_x, arm = u, rb
-    if kind == ALONG:
+    if kind in (ALONG, RACK, GEAR):
         arm = add(rb, d)
+        by_x = tangent(u, d) if kind == GEAR else u
     elif kind == DISTANCE:
         by_x = scale(1.0 / rows.length[r], d)
     elif kind == STRETCH:
@@ -269,6 +277,7 @@ def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
         else:
             ra, rb, u, d = arms_at(rows, y, r, R)
         by_x, by_a, by_b = _by_turning(rows, r, ra, rb, u, d)
+        by_a, by_b = with_turns(joints.rolls, rows, r, R, by_a, by_b)
         put_vector(gradient, r, 0, by_x)
         put_vector(gradient, r, 3, by_a)
         put_vector(gradient, r, 6, by_b)

@@ -8,7 +8,9 @@ import numpy as np
 from particlerb.compiled.jit import flag
 from particlerb.joints.block_cholesky import program_of
 from particlerb.joints.records import (
+    GEAR,
     HOLDS,
+    RACK,
     WORLD_ALONG,
     Actions,
     Clusters,
@@ -76,6 +78,7 @@ def joints_among(
         np.zeros((n + 1, 2)), _beside(rows), flag(acts), flag(bool(damps)), coordinates, drives,
         None if carried is None else np.append(carried[order], False),
         flag(drives is not None or carried is not None),
+        rolls=flag(bool(np.isin(rows.kind, (RACK, GEAR)).any())),
     )  # fmt: skip
 
 

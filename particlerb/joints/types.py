@@ -14,10 +14,13 @@ from particlerb.joints.records import (
     AT_REST,
     DISTANCE,
     DOT,
+    GEAR,
     HOLDS,
     OWN_TURN,
+    RACK,
     ROTATION,
     TURN,
+    WHEEL,
     WORLD_ALONG,
     ConstraintRows,
 )
@@ -47,6 +50,9 @@ TYPES: Final[Mapping[str, tuple[_Constraint, ...]]] = {
     "planar": (_Constraint(ALONG, "n"), *PARALLEL),
     "fixed": (*POINT, *PARALLEL, NO_TURN),
     "distance": (_Constraint(DISTANCE),),
+    "screw": (*ON_AXIS, *PARALLEL, _Constraint(RACK, "n")),
+    "rack": (_Constraint(RACK, "m"),),
+    "gear": (_Constraint(GEAR, "n"),),
 }
 
 _ANGLE: Final = (_Constraint(TURN, "n", "e"),)
@@ -60,6 +66,7 @@ COORDINATES: Final[Mapping[str, Mapping[str, tuple[_Constraint, ...]]]] = {
     },
     "slider": {"displacement": _SHIFT},
     "cylindrical": {"displacement": _SHIFT, "angle": _ANGLE},
+    "screw": {"displacement": _SHIFT, "angle": _ANGLE},
     "planar": {
         "first displacement": (_Constraint(ALONG, "e"),),
         "second displacement": (_Constraint(ALONG, "f"),),
@@ -80,6 +87,7 @@ class Ends(NamedTuple):
     second: Mapping[str, Floats]  # in the second; x, y, z of the world; `at`: where first_at is
     length: Floats  # (k,) [m]
     size: Floats  # (k,) [m]
+    roll: Floats  # (k, 3) k [m/rad], z_b/z_a and pitch [m] of what rolls: wheels.py
 
 
 def rows_of(
@@ -124,15 +132,18 @@ def _row_of(row: _Constraint, ends: Ends) -> ConstraintRows:
     none, one = np.zeros((k, 3)), np.ones(k)
     is_dot, is_turn = row.kind == DOT, row.kind in (TURN, OWN_TURN)
     axes = ends.first if row.kind == OWN_TURN else ends.second
+    second = ends.second["at"] if row.kind == RACK else ends.second_at
+    marks = ends.second["n"], ends.first["mark"], ends.second["mark"], ends.roll
     return ConstraintRows(
         np.full(k, row.kind),
         ends.a,
         ends.b,
         ends.first[row.first] if is_dot or is_turn else ends.first_at,
-        none if is_dot else ends.second[row.first] if is_turn else ends.second_at,
+        none if is_dot else ends.second[row.first] if is_turn else second,
         axes[row.axis] if row.axis else none,
         ends.length if row.kind == DISTANCE else one,
         one if is_dot or is_turn or row.kind == ROTATION else ends.size,
         np.full(k, HOLDS),
         np.full(k, AT_REST),
+        np.hstack(marks) if row.kind in (RACK, GEAR) else np.zeros((k, WHEEL)),
     )

@@ -5,6 +5,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.case.joints import InFrame, JointTable
+from particlerb.case.problems import Problem, problem_at
 from particlerb.contact.sphere_search import pair_keys
 from particlerb.joints.types import Ends
 from particlerb.maths.vec3 import Floats, Ints
@@ -13,6 +14,9 @@ from particlerb.model.state import body_orientation, lengths, rotate, rotate_bac
 from particlerb.model.system import System
 
 WORLD: Final = -1
+_FARTHEST: Final = 1e100  # [m] of its bodies that a joint may be: squares of it are numbers
+_LEAST_RADIUS: Final = 1e-9  # of what rolls, over the size of its joint
+_ACROSS: Final = 1e-6  # cosine between the axis of a pinion and its rack, at most
 Given: TypeAlias = tuple[float, float, float] | InFrame
 
 
@@ -81,12 +85,14 @@ def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> End
         return found / lengths(found)
 
     here = place(table.at, com_a, body_a, com_a)
-    there = place(table.at_to, com_b, body_b, com_b if table.type == "distance" else here)
+    stands_apart = table.type in ("distance", "gear")
+    there = place(table.at_to, com_b, body_b, com_b if stands_apart else here)
     world = {"n": direction(table.axis or (0.0, 0.0, 1.0), body_a)}
     world["e"], world["f"] = _across(world["n"])
     if table.axis_to is not None:
         world["m"] = direction(table.axis_to, body_b)
         world["l"] = np.cross(world["m"], world["n"], axis=0)
+    roll, world["mark"] = _rolling(table, there - here, world)
     first_at, second_at = rotate_back(rotor_a, here - com_a), rotate_back(rotor_b, there - com_b)
     length = lengths(here - there)
     size = np.maximum(lengths(first_at), np.where(second == WORLD, 0.0, lengths(second_at)))
@@ -105,7 +111,52 @@ def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> End
         | {"at": rotate_back(rotor_b, here - com_b).T},
         length,
         size,
+        roll,
     )
+
+
+def _rolling(table: JointTable, between: Floats, world: dict[str, Floats]) -> tuple[Floats, Floats]:
+    """k, z_b/z_a and pitch of what rolls, (k, 3), and where the marks of both bodies are, (3, k).
+
+    `between` leads from the point of the first body to that of the second.
+    """
+    n, found = world["n"], np.zeros((between.shape[1], 3))
+    if table.type == "gear":
+        own, other = table.teeth or (1, 1)
+        line = between - n * (n * between).sum(axis=0)
+        distance = lengths(line)
+        found[:, 0], found[:, 1] = distance * own / (own + other), other / own
+        found[:, 2] = 2.0 * np.pi * np.abs(found[:, 0]) / abs(own)
+        return found, line / np.where(distance > 0.0, distance, 1.0)
+    if table.type == "rack":
+        found[:, 0] = -(between * np.cross(n, world["m"], axis=0)).sum(axis=0)
+    elif table.type == "screw":
+        found[:, 0] = -(table.lead or 0.0) / (2.0 * np.pi)
+    found[:, 2] = 2.0 * np.pi * np.abs(found[:, 0])
+    return found, world["e"]
+
+
+def wrong_place(system: System, number: int, ends: Ends) -> Problem | None:
+    """What is wrong with where a joint is: points that are to be apart, or too far from bodies."""
+    table, key = system.joint[number], f"joint[{number}]"
+    name = joint_name(system, table, ends.a, ends.b, 0)
+    if table.type == "distance" and not ends.length.all():
+        return problem_at(system, key, f"{name} has no length", "give points apart")
+    if (
+        table.type in ("rack", "gear")
+        and (np.abs(ends.roll[:, 0]) < _LEAST_RADIUS * ends.size).any()
+    ):
+        hint = "give `at` and `at_to` apart, across the axis"
+        return problem_at(system, key, f"{name} has no pitch radius", hint)
+    if table.type == "rack":
+        across = np.abs((ends.second["n"] * ends.second["m"]).sum(axis=1)).max()
+        if across > _ACROSS:
+            reason = f"{name} is not across `axis`: it would not roll"
+            return problem_at(system, f"{key}.axis_to", reason, "let it stand across")
+    if (ends.size < _FARTHEST).all():
+        return None
+    reason = f"acts too far from its bodies: squares overflow beyond {_FARTHEST:g} m"
+    return problem_at(system, f"{key}.at", reason, "place it nearer")
 
 
 def in_hosts(ends: Ends, merging: Merging) -> Ends:

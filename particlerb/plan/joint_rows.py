@@ -13,6 +13,7 @@ from particlerb.joints.coordinates import coordinates_of
 from particlerb.joints.records import (
     AT_REST,
     STRETCH,
+    WHEEL,
     Actions,
     Bounds,
     Breaks,
@@ -132,6 +133,7 @@ def with_dashpots(
         np.ones(m),
         actions.motor.size + np.arange(m),
         np.full(m, AT_REST),
+        np.zeros((m, WHEEL)),
     )
     none = np.zeros((8, m))
     damping = Actions(*none)._replace(

@@ -36,21 +36,26 @@ from particlerb.joints.records import (
 from particlerb.joints.rows import linearise, rates, residuals
 from particlerb.joints.setup import joints_among
 from particlerb.joints.solver import constrained_drift, project_momenta
-from particlerb.joints.types import Ends
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import State, lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan import joint_rows
 from particlerb.plan.joint_drives import DriveCourse, course_of, drives_from
-from particlerb.plan.joint_ends import WORLD, Ties, ends_of, joint_name, pairs_of, unique
+from particlerb.plan.joint_ends import (
+    WORLD,
+    Ties,
+    ends_of,
+    pairs_of,
+    unique,
+    wrong_place,
+)
 from particlerb.plan.obstacles import driven_bodies
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _ALLOWED: Final = 1e-6  # of its size that a joint may not fit at the start
 _FITS: Final = 1e-9  # of its size, once assembled
 _AXIAL_ROUNDING: Final = 1e-12
-_FARTHEST: Final = 1e100  # [m] of its bodies that a joint may be: squares of it are numbers
 
 
 class JointSetup(NamedTuple):
@@ -163,7 +168,7 @@ def joints_of(system: System) -> JointSetup | None:
             problems.append(problem)
             continue
         ends = ends_of(system, table, first, second)
-        if problem := _wrong_place(system, number, ends):
+        if problem := wrong_place(system, number, ends):
             problems.append(problem)
             continue
         drive, own = driven.index(number) if number in driven else AT_REST, HOLDS
@@ -230,18 +235,6 @@ def _wrong_ends(system: System, number: int, first: Ints, second: Ints) -> Probl
                 system, f"joint[{number}].during", reason, "add [contact], or keep it"
             )
     return None
-
-
-def _wrong_place(system: System, number: int, ends: Ends) -> Problem | None:
-    """What is wrong with where a joint is: points that are to be apart, or too far from bodies."""
-    table = system.joint[number]
-    if table.type == "distance" and not ends.length.all():
-        reason = f"{joint_name(system, table, ends.a, ends.b, 0)} has no length"
-        return problem_at(system, f"joint[{number}]", reason, "give points apart")
-    if (ends.size < _FARTHEST).all():
-        return None
-    reason = f"acts too far from its bodies: squares overflow beyond {_FARTHEST:g} m"
-    return problem_at(system, f"joint[{number}].at", reason, "place it nearer")
 
 
 # Whether they fit

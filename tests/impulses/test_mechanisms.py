@@ -185,7 +185,8 @@ def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts(
     bodies = SimpleNamespace(mass=np.ones(2), inv_mass=np.ones(2), inv_inertia=np.ones((3, 2)))
     ends, a, b = np.tile([0.5, 0, 0], (3, 1)), np.zeros(3, np.int64), np.ones(3, np.int64)
     none = np.full(3, HOLDS)
-    rows = ConstraintRows(b, a, b, ends, -ends, np.eye(3), np.ones(3), np.ones(3), none, none)
+    rows = ConstraintRows(b, a, b, ends, -ends, np.eye(3), np.ones(3), np.ones(3), none, none,
+                          np.zeros((3, 12)))  # fmt: skip
     joints = joints_among(a[:1], np.array([0, 3]), rows, bodies, NO_ACTIONS)
     work, mechanisms = room_for_joints(joints), mechanisms_of(joints, 3)
     work.y[1, 0] = 1.0

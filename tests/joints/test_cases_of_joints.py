@@ -38,7 +38,7 @@ def rods(*joints, n=2):
         ({"type": "hinge", "body": "b0"}, "joint[0].axis", "a hinge joint needs one"),
         ({"type": "ball", "body": "b0", "axis": [0, 0, 1]}, "joint[0].axis", "has none"),
         ({"type": "distance", "body": "b0"}, "joint[0].at_to", "missing"),
-        ({"type": "screw", "body": "b0"}, "joint[0].type", "screw"),
+        ({"type": "belt", "body": "b0"}, "joint[0].type", "belt"),
         ({"type": "hinge", "body": "b0", "axis": [0, 0, 0]}, "joint[0].axis", "has a length"),
         ({"type": "ball", "body": ["b0", "b1"], "to": ["b0", "b1", "b0"]}, "joint[0].to", "pairs"),
         ({"type": "ball", "body": ["b0", "b1"], "chain": True, "to": "b1"}, "joint[0].to", "chain"),
