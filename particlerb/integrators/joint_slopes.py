@@ -2,6 +2,7 @@
 
     Ṗ = F + ∂gᵀ/∂x λ,  L̇ = τ + ∂gᵀ/∂θ λ,  A λ = -(g̈ without them)
 
+Of trees joints/trees.py has the same without multipliers.
 The states drift off the joints by the error of the steps, and so does what is between them: at the
 end of a step, and in frames, they are brought back, in the metric of the masses.
 
@@ -14,10 +15,18 @@ from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import action_force
 from particlerb.joints.block_cholesky import solve
 from particlerb.joints.coordinates import count_turns, store_turns
+from particlerb.joints.drives import set_moving
 from particlerb.joints.records import HOLDS, STATE, Jointed, Joints, L, P, Q, Work, X
-from particlerb.joints.rows import add_impulses, attitude, by_inverse_inertia, vector
-from particlerb.joints.solver import constrained_drift, factorise_cluster, project_momenta
-from particlerb.maths.vec3 import Floats, Vec3, add, cross, dot, scale
+from particlerb.joints.rows import (
+    add_impulses,
+    attitude,
+    by_inverse_inertia,
+    linearise,
+    vector,
+)
+from particlerb.joints.solver import constrained_drift, factorise_cluster, keep_rates
+from particlerb.joints.trees import COM, GIVEN, JointTree, accelerate_tree
+from particlerb.maths.vec3 import Floats, Vec3, add, cross, dot, scale, subtract
 from particlerb.model.block import BOOKED
 
 _NOTHING = (0.0, 0.0, 0.0)
@@ -131,6 +140,41 @@ def _find_multipliers(joints: Joints, work: Work) -> None:
         solve(joints.program, joints.clusters, work.factor, work.z, c)
 
 
+@lean
+def _prepare(tree: JointTree | None, joints: Joints, work: Work, t: float) -> None:
+    """Gradients of all rows and the factor of A; in trees gradients alone, of what acts."""
+    if tree is None:
+        for c in range(joints.clusters.body.size - 1):
+            factorise_cluster(joints, work, c, 0.0, t)
+        return
+    for r in range(joints.rows.kind.size):
+        if joints.rows.action[r] != HOLDS:
+            linearise(joints, work, r, r + 1)
+
+
+@lean
+def _add_what_holds(
+    tree: JointTree | None, books: Flag, jointed: Jointed, slope: Floats, w: int
+) -> None:
+    """Add what keeps the joints to the loads in `work.change`, and book it."""
+    joints, work = jointed.joints, jointed.work
+    if tree is None:
+        _find_multipliers(joints, work)
+        m = joints.rows.kind.size
+        for r in range(m):
+            _book_row(books, jointed, slope, w, r, work.z[r], -work.z[r] * work.moving[r])
+        add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, 0, m, work.change, 0)
+        return
+    accelerate_tree(joints, tree, work.y, work.change)
+    for i in range(tree.body.size):
+        if joints.inv_mass[tree.before[i]] == 0.0:
+            k = tree.body[i]
+            at = subtract(vector(work.y, k, X), vector(tree.room, k, COM))
+            F = vector(tree.room, k, GIVEN)
+            about_origin = add(vector(tree.room, k, GIVEN + 3), cross(at, F))
+            _book(books, jointed, slope, w, k, 0.0, F, about_origin)
+
+
 @lean_kernel
 def add_reactions(
     books: Flag, jointed: Jointed | None, states: Floats, slope: Floats, w: int, t: float
@@ -150,15 +194,10 @@ def add_reactions(
     for k in range(jointed.block.size):
         for i in range(6):
             work.change[k, i] = slope[jointed.block[k], (P + i) * w + jointed.lane[k]]
-    for c in range(joints.clusters.body.size - 1):
-        factorise_cluster(joints, work, c, 0.0, t)
+    _prepare(jointed.tree, joints, work, t)
     _act_if_any(joints.acts, books, jointed, slope, w)
     _damp_if_any(joints.acts, joints.damps, books, jointed, slope, w)
-    _find_multipliers(joints, work)
-    m = joints.rows.kind.size
-    for r in range(m):
-        _book_row(books, jointed, slope, w, r, work.z[r], -work.z[r] * work.moving[r])
-    add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, 0, m, work.change, 0)
+    _add_what_holds(jointed.tree, books, jointed, slope, w)
     for k in range(jointed.block.size):
         for i in range(6):
             slope[jointed.block[k], (P + i) * w + jointed.lane[k]] = work.change[k, i]
@@ -168,14 +207,17 @@ def add_reactions(
 def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> None:
     """Bring states (blocks, rows * w) at t [s] to where joints hold, and their momenta.
 
-    Bodies are moved by impulses along the gradients from rest, over a second.
+    Bodies are moved by impulses along the gradients from rest, over a second. One factor of A is
+    enough, as what is off is small.
     """
     if jointed is None:
         return
     joints, work = jointed.joints, jointed.work
     _put_state(jointed, states, w)
     for c in range(joints.clusters.body.size - 1):
-        first, last = joints.clusters.body[c], joints.clusters.body[c + 1]
+        joint, body = joints.clusters.joint, joints.clusters.body
+        lo, hi = joints.program.start[joint[c]], joints.program.start[joint[c + 1]]
+        first, last = body[c], body[c + 1]
         for k in range(first, last):
             for i in range(6):
                 work.change[k, i], work.y[k, P + i] = work.y[k, P + i], 0.0
@@ -183,7 +225,9 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
         for k in range(first, last):
             for i in range(6):
                 work.y[k, P + i] = work.change[k, i]
-        project_momenta(joints, work, c, 0.0, t, 0.0)
+        linearise(joints, work, lo, hi)
+        set_moving(joints.moves, joints, work, lo, hi, t)
+        keep_rates(joints, work, c, lo, hi)
     _give_state(jointed, states, w)
 
 

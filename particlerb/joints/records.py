@@ -15,6 +15,7 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 
 if TYPE_CHECKING:
     from particlerb.contact.prescribed_motion import PrescribedBodies
+    from particlerb.joints.trees import JointTree
 
 ALONG: Final = 0  # u·d = 0 with d = x_a + r_a - x_b - r_b, u fixed in b
 WORLD_ALONG: Final = 1  # the same with u fixed in the world
@@ -203,6 +204,7 @@ class Jointed(NamedTuple):
     given: Flag  # whether forces without potential act: what they gave is kept
     driven: "PrescribedBodies | None"  # in the order of the clusters; None: there are none
     start: float  # [s] when the segment began
+    tree: "JointTree | None" = None  # the joints as trees, for accelerations; None: by multipliers
 
 
 def room_for_joints(joints: Joints) -> Work:

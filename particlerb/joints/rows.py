@@ -226,8 +226,8 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[f
 
 
 @lean
-def _inverse_inertia(R: Matrix, a: Vec3) -> Matrix:
-    """J⁻¹ in world axes from its moments a: R diag(a) Rᵀ."""
+def tensor(R: Matrix, a: Vec3) -> Matrix:
+    """R diag(a) Rᵀ: J⁻¹ in world axes from its moments."""
     x, y, z = component_product(a, R[0]), component_product(a, R[1]), component_product(a, R[2])
     xy, xz, yz = dot(x, R[1]), dot(x, R[2]), dot(y, R[2])
     return (dot(x, R[0]), xy, xz), (xy, dot(y, R[1]), yz), (xz, yz, dot(z, R[2]))
@@ -237,8 +237,8 @@ def _inverse_inertia(R: Matrix, a: Vec3) -> Matrix:
 def _inverse_inertias(joints: Joints, r: int, R: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]:
     """The same of both bodies of row r."""
     a, b = joints.rows.a[r], joints.rows.b[r]
-    one = _inverse_inertia(R[0], vector(joints.inv_inertia, a, 0))
-    return one, _inverse_inertia(R[1], vector(joints.inv_inertia, b, 0))
+    one = tensor(R[0], vector(joints.inv_inertia, a, 0))
+    return one, tensor(R[1], vector(joints.inv_inertia, b, 0))
 
 
 @lean

@@ -261,6 +261,12 @@ def project_momenta(
     lo, hi = start[first], start[last]
     factorise_cluster(joints, work, c, span, t)
     kick_actions(joints.acts, joints, work, lo, hi, kick_dt)
+    keep_rates(joints, work, c, lo, hi)
+
+
+@lean
+def keep_rates(joints: Joints, work: Work, c: int, lo: int, hi: int) -> None:
+    """Take from the momenta what breaks rows lo to hi, those of cluster c, by the factor of A."""
     before = 1e300
     for _ in range(_MOST_PASSES):
         worst = rates(joints, work, lo, hi)

@@ -38,6 +38,7 @@ from particlerb.integrators.joint_slopes import (
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter_loads
 from particlerb.joints.records import Jointed
+from particlerb.joints.trees import tree_of
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import CHANGING, Q, assign, get, in_blocks, put, state_rows
@@ -259,6 +260,8 @@ class CoupledAdaptiveMotion(AdaptiveRun):
         first = np.arange(0, n, BLOCK)
         self.layout = Layout(first, np.minimum(BLOCK, n - first), 0)
         self.jointed = jointed_in(group, state, np.arange(n), start, np.nan)
+        if self.jointed is not None:
+            self.jointed = self.jointed._replace(tree=tree_of(self.jointed.joints))
         self.vectors = self.make_vectors(ALONE if self.account.books is None else CHANGING)
         self.clock = np.array([[0.0, first_step, 0.0]])
         self.cost = method.cost * n + method.evaluations * self.forces.cost

@@ -1,0 +1,305 @@
+"""Accelerations of bodies whose joints form trees, without multipliers: leaves go first.
+
+What a joint gives to a body, and so to all that hangs on it, is f = I a + b: a force, and a torque
+about the point of the joint, where a is the acceleration of that point of the body, and of its
+turning. Along a direction s that the joint leaves free s·f = 0: each is taken out in turn,
+
+    U = I s,  d = s·U:   I <- I - U Uᵀ/d,   b <- b - U s·b/d
+
+and what is left is added to the body before, at its own point. In stages of a step, which are a
+little off the joints, each point and direction is that of the body in which it is fixed.
+
+Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 7.3; a joint of several
+directions is as many joints, with bodies without mass between them.
+"""
+
+from collections import defaultdict
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from particlerb.compiled.jit import lean
+from particlerb.joints.records import DISTANCE, DOT, HOLDS, ConstraintRows, Joints, L, P, X
+from particlerb.joints.rows import attitude, put_vector, tensor, vector
+from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
+from particlerb.maths.vec3 import (
+    Bools,
+    Floats,
+    Ints,
+    Vec3,
+    add,
+    add_scaled,
+    component_product,
+    cross,
+    dot,
+    scale,
+    subtract,
+)
+
+_ZERO: Final = (0.0, 0.0, 0.0)
+_R, _SPIN, COM, _WAY, _MORE, _A, _I, GIVEN, _ROOM = 0, 9, 12, 15, 18, 24, 30, 57, 63
+_S, _U, _D, _B, _TAKEN = 0, 3, 9, 10, 11
+_Direction: TypeAlias = tuple[bool, int, Floats]  # whether it is a shift; where it is fixed
+_Inertia: TypeAlias = tuple[Matrix, Matrix, Matrix]  # A, B, C of [[A, B], [Bᵀ, C]]: shifts, turns
+
+
+class JointTree(NamedTuple):
+    """Bodies that joints hold, each behind the one before it on the way to what stands still.
+
+    One that nothing holds is behind the world, with six free directions.
+    """
+
+    body: Ints  # (n,)
+    before: Ints  # (n,) bodies, or the world
+    arm: Floats  # (n, 6) [m] point of the joint in the body, and in the one before
+    free: Ints  # (n + 1,) where its free directions are in the next ones
+    is_shift: Bools  # (d,) or a turn
+    of: Ints  # (d,) the body in which it is fixed, or the world,
+    axis: Floats  # (d, 3) and what it is there
+    room: Floats  # (bodies + 1, 63) R, ω, from the point to com, from the point before to this one,
+    # what a is more than that of the body before, a, I, b: of what stands still f
+    taken: Floats  # (d, 11) s, U, 1/d and s·b
+
+
+def tree_of(joints: Joints) -> JointTree | None:
+    """Joints as trees; None where they close loops, or move by themselves, or tie thin bodies."""
+    rows, start, world = joints.rows, joints.program.start, joints.inv_mass.size - 1
+    near: defaultdict[int, list[tuple[int, Ints]]] = defaultdict(list)
+    for j in range(start.size - 1):
+        own = np.arange(start[j], start[j + 1])
+        own = own[rows.action[own] == HOLDS]
+        for one, other in ((rows.a, rows.b), (rows.b, rows.a)) if own.size else ():
+            near[int(one[own[0]])].append((int(other[own[0]]), own))
+    is_held = joints.inv_mass == 0.0
+    is_thin = ~is_held & (joints.inv_inertia == 0.0).any(axis=1)
+    has_distance = bool((rows.kind == DISTANCE).any())
+    if not near or joints.moves is not None or has_distance or is_thin[[*near]].any():
+        return None
+    axes = [(is_shift, world, axis) for is_shift in (True, False) for axis in np.eye(3)]
+    found: list[tuple[int, int, Floats, list[_Direction]]] = []
+    known: set[int] = set()
+    used: set[int] = set()
+    for root in sorted(near, key=lambda k: not is_held[k]):
+        if root not in known and not is_held[root]:
+            found.append((root, world, np.zeros(6), axes))
+        known.add(root)
+        ahead = [root]
+        while ahead:
+            p = ahead.pop()
+            for k, own in near[p]:
+                if own[0] in used:
+                    continue
+                if k in known or is_held[k]:
+                    return None
+                used.add(own[0])
+                known.add(k)
+                ahead.append(k)
+                ends = rows.first[own[0]], rows.second[own[0]]
+                arm = np.concatenate(ends if k == rows.a[own[0]] else ends[::-1])
+                found.append((k, p, arm, _directions(rows, own, p, world)))
+    body, before, arms, free = zip(*found, strict=True)
+    flat = [*(one for own in free for one in own), (False, world, np.zeros(3))]
+    is_shift, of, axis = zip(*flat, strict=True)
+    return JointTree(
+        np.array(body), np.array(before), np.array(arms),
+        np.cumsum([0, *(len(own) for own in free)]), np.array(is_shift), np.array(of),
+        np.array(axis), np.zeros((world + 1, _ROOM)), np.zeros((len(of), _TAKEN)),
+    )  # fmt: skip
+
+
+def _directions(rows: ConstraintRows, own: Ints, before: int, world: int) -> list[_Direction]:
+    """Shifts, then turns, that rows of a joint leave free; those fixed in the body before first."""
+    a, b, dots = rows.a[own[0]], rows.b[own[0]], own[rows.kind[own] == DOT]
+    across = [(b, rows.axis[r]) for r in dots]
+    normal = [(a, rows.first[r]) for r in dots[:1]]
+    points = own.size - dots.size
+    shifts = {3: [], 2: normal, 1: across}[points]
+    turns = {0: [(world, axis) for axis in np.eye(3)], 1: normal + across, 2: normal, 3: []}
+    found = [(True, *one) for one in shifts] + [(False, *one) for one in turns[dots.size]]
+    return sorted(found, key=lambda one: (not one[0], one[1] != before))
+
+
+@lean
+def _matrix_at(room: Floats, k: int, at: int) -> Matrix:
+    """Matrix of body k."""
+    return vector(room, k, at), vector(room, k, at + 3), vector(room, k, at + 6)
+
+
+@lean
+def _put_matrix(room: Floats, k: int, at: int, M: Matrix) -> None:
+    """Write it."""
+    for i in range(3):
+        put_vector(room, k, at + 3 * i, M[i])
+
+
+@lean
+def _place(joints: Joints, tree: JointTree, y: Floats, k: int) -> None:
+    """Attitude of body k, and how it turns."""
+    R, inverse = matrix(attitude(y, k)), vector(joints.inv_inertia, k, 0)
+    spin = turn(R, component_product(inverse, turn_back(R, vector(y, k, L))))
+    _put_matrix(tree.room, k, _R, R)
+    put_vector(tree.room, k, _SPIN, spin)
+
+
+@lean
+def _shift_on(joints: Joints, tree: JointTree, y: Floats, i: int, way: Vec3) -> tuple[Vec3, Vec3]:
+    """Way from the point before to that of body i of the tree, and how fast this one shifts."""
+    room, k, p = tree.room, tree.body[i], tree.before[i]
+    com, of_before = vector(room, k, COM), vector(room, p, COM)
+    between = subtract(vector(y, k, X), vector(y, p, X))
+    gap = subtract(subtract(between, com), subtract(way, of_before))
+    for t in range(tree.free[i], tree.free[i + 1]):
+        if tree.is_shift[t]:
+            s = vector(tree.taken, t, _S)
+            way = add_scaled(dot(s, gap), s, way)
+    v = scale(joints.inv_mass[k], vector(y, k, P))
+    v = add_scaled(-joints.inv_mass[p], vector(y, p, P), v)
+    v = subtract(v, cross(vector(room, k, _SPIN), com))
+    return way, subtract(v, cross(vector(room, p, _SPIN), subtract(way, of_before)))
+
+
+@lean
+def _set_out(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -> None:
+    """What body i of the tree is by itself, and what more than the one before it accelerates."""
+    room, taken, k, p = tree.room, tree.taken, tree.body[i], tree.before[i]
+    R, first, last = _matrix_at(room, k, _R), tree.free[i], tree.free[i + 1]
+    spin, before = vector(room, k, _SPIN), vector(room, p, _SPIN)
+    com = scale(-1.0, turn(R, vector(tree.arm, i, 0)))
+    put_vector(room, k, COM, com)
+    way = add(vector(room, p, COM), turn(_matrix_at(room, p, _R), vector(tree.arm, i, 3)))
+    for t in range(first, last):
+        put_vector(taken, t, _S, turn(_matrix_at(room, tree.of[t], _R), vector(tree.axis, t, 0)))
+    shifting, middle = _ZERO, before
+    if first < last and tree.is_shift[first]:
+        way, shifting = _shift_on(joints, tree, y, i, way)
+    elif last - first == 2:
+        s = vector(taken, first, _S)
+        middle = add_scaled(dot(s, subtract(spin, before)), s, before)
+    put_vector(room, k, _WAY, way)
+    put_vector(room, k, _MORE, cross(before, add_scaled(2.0, shifting, cross(before, way))))
+    put_vector(room, k, _MORE + 3, add(cross(before, middle), cross(middle, spin)))
+    m, inverse = 1.0 / joints.inv_mass[k], vector(joints.inv_inertia, k, 0)
+    J = tensor(R, (1.0 / inverse[0], 1.0 / inverse[1], 1.0 / inverse[2]))
+    none = _ZERO, _ZERO, _ZERO
+    for c in range(_I, GIVEN):
+        room[k, c] = 0.0
+    diagonal = (m, 0.0, 0.0), (0.0, m, 0.0), (0.0, 0.0, m)
+    _add_inertia(room, k, _at_point_before((diagonal, none, J), com))
+    F = subtract(scale(m, cross(spin, cross(spin, com))), vector(load, k, 0))
+    tau = subtract(cross(spin, vector(y, k, L)), vector(load, k, 3))
+    put_vector(room, k, GIVEN, F)
+    put_vector(room, k, GIVEN + 3, add(tau, cross(com, F)))
+
+
+@lean
+def _plus(M: Matrix, f: float, u: Vec3, v: Vec3) -> Matrix:
+    """M + f u vᵀ."""
+    return (
+        add_scaled(f * u[0], v, M[0]),
+        add_scaled(f * u[1], v, M[1]),
+        add_scaled(f * u[2], v, M[2]),
+    )
+
+
+@lean
+def _add_inertia(room: Floats, k: int, inertia: _Inertia) -> None:
+    """Add to I of body k."""
+    A, B, C = inertia
+    for i in range(3):
+        at = _I + 3 * i
+        put_vector(room, k, at, add(vector(room, k, at), A[i]))
+        put_vector(room, k, at + 9, add(vector(room, k, at + 9), B[i]))
+        put_vector(room, k, at + 18, add(vector(room, k, at + 18), C[i]))
+
+
+@lean
+def _at_point_before(inertia: _Inertia, r: Vec3) -> _Inertia:
+    """I at a point from which r leads to its own, where a = a' + α × r."""
+    A, B, C = inertia
+    x, y, z = r
+    u, v = subtract(B[0], cross(A[0], r)), subtract(B[1], cross(A[1], r))
+    w = subtract(B[2], cross(A[2], r))
+    C = (
+        subtract(C[0], cross((B[0][0], B[1][0], B[2][0]), r)),
+        subtract(C[1], cross((B[0][1], B[1][1], B[2][1]), r)),
+        subtract(C[2], cross((B[0][2], B[1][2], B[2][2]), r)),
+    )
+    C = (
+        add_scaled(y, w, add_scaled(-z, v, C[0])),
+        add_scaled(z, u, add_scaled(-x, w, C[1])),
+        add_scaled(x, v, add_scaled(-y, u, C[2])),
+    )
+    return A, (u, v, w), C
+
+
+@lean
+def _eliminate(tree: JointTree, i: int, is_held: bool) -> None:
+    """Take the free directions out of body i of the tree, and add it to the body before."""
+    room, taken, k, p = tree.room, tree.taken, tree.body[i], tree.before[i]
+    A, B, C = (
+        _matrix_at(room, k, _I), _matrix_at(room, k, _I + 9), _matrix_at(room, k, _I + 18),
+    )  # fmt: skip
+    linear, angular = vector(room, k, _MORE), vector(room, k, _MORE + 3)
+    F = add(vector(room, k, GIVEN), add(turn(A, linear), turn(B, angular)))
+    tau = add(vector(room, k, GIVEN + 3), add(turn_back(B, linear), turn(C, angular)))
+    for t in range(tree.free[i], tree.free[i + 1]):
+        s = vector(taken, t, _S)
+        if tree.is_shift[t]:
+            u, v, b = turn(A, s), turn_back(B, s), dot(s, F)
+            f = 1.0 / dot(s, u)
+        else:
+            u, v, b = turn(B, s), turn(C, s), dot(s, tau)
+            f = 1.0 / dot(s, v)
+        put_vector(taken, t, _U, u)
+        put_vector(taken, t, _U + 3, v)
+        taken[t, _D], taken[t, _B] = f, b
+        A, B, C = _plus(A, -f, u, u), _plus(B, -f, u, v), _plus(C, -f, v, v)
+        F, tau = add_scaled(-f * b, u, F), add_scaled(-f * b, v, tau)
+    put_vector(room, k, GIVEN, F)
+    put_vector(room, k, GIVEN + 3, tau)
+    if is_held:
+        return
+    way = vector(room, k, _WAY)
+    _add_inertia(room, p, _at_point_before((A, B, C), way))
+    put_vector(room, p, GIVEN, add(vector(room, p, GIVEN), F))
+    tau = add(tau, cross(way, F))
+    put_vector(room, p, GIVEN + 3, add(vector(room, p, GIVEN + 3), tau))
+
+
+@lean
+def _accelerate(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -> None:
+    """Acceleration of body i of the tree from that of the one before; its load with its joints."""
+    room, taken, k, p = tree.room, tree.taken, tree.body[i], tree.before[i]
+    turning = vector(room, p, _A + 3)
+    a = add(vector(room, p, _A), cross(turning, vector(room, k, _WAY)))
+    for t in range(tree.free[i + 1] - 1, tree.free[i] - 1, -1):
+        rate = taken[t, _B] + dot(vector(taken, t, _U), a)
+        rate = -taken[t, _D] * (rate + dot(vector(taken, t, _U + 3), turning))
+        if tree.is_shift[t]:
+            a = add_scaled(rate, vector(taken, t, _S), a)
+        else:
+            turning = add_scaled(rate, vector(taken, t, _S), turning)
+    a, turning = add(a, vector(room, k, _MORE)), add(turning, vector(room, k, _MORE + 3))
+    put_vector(room, k, _A, a)
+    put_vector(room, k, _A + 3, turning)
+    R, spin, com = _matrix_at(room, k, _R), vector(room, k, _SPIN), vector(room, k, COM)
+    at_com = add(a, add(cross(turning, com), cross(spin, cross(spin, com))))
+    put_vector(load, k, 0, scale(1.0 / joints.inv_mass[k], at_com))
+    inverse = vector(joints.inv_inertia, k, 0)
+    local = turn_back(R, turning)
+    local = local[0] / inverse[0], local[1] / inverse[1], local[2] / inverse[2]
+    put_vector(load, k, 3, add(turn(R, local), cross(spin, vector(y, k, L))))
+
+
+@lean
+def accelerate_tree(joints: Joints, tree: JointTree, y: Floats, load: Floats) -> None:
+    """Forces and torques with those of joints, in place of loads (bodies + 1, 6) without them."""
+    for k in range(joints.inv_mass.size):
+        _place(joints, tree, y, k)
+    n = tree.body.size
+    for i in range(n):
+        _set_out(joints, tree, y, load, i)
+    for i in range(n - 1, -1, -1):
+        _eliminate(tree, i, joints.inv_mass[tree.before[i]] == 0.0)
+    for i in range(n):
+        _accelerate(joints, tree, y, load, i)
