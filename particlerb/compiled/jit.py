@@ -254,7 +254,10 @@ def _helper(**options: Any) -> Callable[[Function], Function]:
             return function
         is_ours = Path(function.__code__.co_filename).is_relative_to(_PACKAGE)
         kept = keep if is_ours else None  # the name of the folder covers no other text
-        return cast(Function, Helper(function, _FLAGS | options, compile_with(**options), kept))
+        own = (
+            options if is_ours else {"_nrt": True} | options
+        )  # users may make arrays, in any caller
+        return cast(Function, Helper(function, _FLAGS | own, compile_with(**own), kept))
 
     return decorate
 
@@ -279,7 +282,7 @@ lean = _helper(forceinline=True, _nrt=False)
 lean_kernel = _kernel(_nrt=False)
 
 
-def kernel_from(template: Function, name: str, **names: Any) -> Function:
+def kernel_from(template: Function, name: str, by: Any = kernel, **names: Any) -> Function:
     """Compile a kernel from a function whose globals of these names are to be others.
 
     A method brings its step, the loop around it is the same for all. Handed over as an argument,
@@ -289,7 +292,7 @@ def kernel_from(template: Function, name: str, **names: Any) -> Function:
     function = FunctionType(template.__code__, template.__globals__ | names, name)
     function.__qualname__ = f"{template.__qualname__}_{name}"
     function.__doc__ = template.__doc__
-    return kernel(cast(Function, function))
+    return cast(Function, by(function))
 
 
 def inline_from(source: str, file: str, name: str, names: dict[str, Any]) -> Callable[..., Any]:

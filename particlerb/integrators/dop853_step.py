@@ -15,7 +15,7 @@ import numpy as np
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.forces.kernels import Acting, set_time
 from particlerb.forces.registry import STAGE as WORK
-from particlerb.integrators.dop853_table import NODES, STAGES, A, D, E
+from particlerb.integrators.dop853_table import END, NODES, STAGES, A, D, E
 from particlerb.integrators.slopes import Pose, slopes
 from particlerb.maths.quaternion import matrix_along
 from particlerb.maths.vec3 import Floats
@@ -121,6 +121,13 @@ def take_stages(
 
 
 @inline
+def take_step(h: float, K: Floats, y: Floats, new: Floats) -> None:
+    """State at the end of a step, with its stages."""
+    assign(new, y)
+    add_rows(h, A[END], K, END, new)
+
+
+@inline
 def _larger(pack: Pack, lo: int, hi: int, b: int) -> float:
     """Length of numbers lo to hi of body b, at the start of the step or at its end."""
     old_size, new_size = 0.0, 0.0
@@ -170,8 +177,8 @@ def _scales_of(pack: Pack, b: int, h: float, tolerance: float) -> tuple[float, f
 def differences(K: Floats, five: Floats, three: Floats) -> None:
     """Differences from the embedded results of orders 5 and 3."""
     five[:], three[:] = 0.0, 0.0
-    add_rows(1.0, E[0], K, 13, five)
-    add_rows(1.0, E[1], K, 13, three)
+    add_rows(1.0, E[0], K, END, five)
+    add_rows(1.0, E[1], K, END, three)
 
 
 @kernel
@@ -225,21 +232,22 @@ def factor_of(error: float) -> float:
 
 @kernel
 def find_step(equations: Equations, pack: Pack, t: float, h: float) -> tuple[float, float]:
-    """Longest step up to h that is accurate, and the one to try after it.
+    """Longest step up to h that is accurate, and the one to try after it; K[0] is known.
 
     Bodies for which no step is short enough become NaN: their state is not finite, or the forces
     are not smooth. The others go on.
     """
     rows, n, w, y, new, K = pack
     errors, five, three = np.zeros(n), np.empty(y.size), np.empty(y.size)
-    take_slopes(equations, rows, n, w, t, y, K[0])
     longest = h
     while True:
-        take_stages(equations, pack, new, t, h, 1, 13)
+        take_stages(equations, pack, new, t, h, 1, END)
+        take_step(h, K, y, new)
         differences(K, five, three)
         error = errors_of(pack, five, three, h, equations.tolerance, errors)
         if error < 1.0:
             normalise(new, n, w)
+            take_slopes(equations, rows, n, w, t + h, new, K[END])
             return h, h * factor_of(error)
         h *= factor_of(error)
         if not h > LEAST_STEP * t:
@@ -251,9 +259,8 @@ def find_step(equations: Equations, pack: Pack, t: float, h: float) -> tuple[flo
 
 
 @kernel
-def interpolate(pack: Pack, h: float, share: float, out: Floats) -> None:
-    """State at a share of a step by the polynomial of order 7; |q| = 1."""
-    _, n, w, y, new, K = pack
+def interpolate(K: Floats, y: Floats, new: Floats, h: float, share: float, out: Floats) -> None:
+    """State at a share of a step by the polynomial of order 7; |q| is not quite 1."""
     rest = 1.0 - share
     out[:] = 0.0
     for i in range(4):
@@ -262,7 +269,6 @@ def interpolate(pack: Pack, h: float, share: float, out: Floats) -> None:
             out[c] *= share if i % 2 == 0 else rest
     for c in range(out.size):
         change = new[c] - y[c]
-        value = (out[c] + 2.0 * change - h * (K[12, c] + K[0, c])) * share
+        value = (out[c] + 2.0 * change - h * (K[END, c] + K[0, c])) * share
         value = (value + h * K[0, c] - change) * rest
         out[c] = y[c] + (value + change) * share
-    normalise(out, n, w)

@@ -1,8 +1,8 @@
 """Coefficients of DOP853: Runge-Kutta of order 8 with error estimates of order 5 and 3.
 
-A[i, j] weighs slope j in stage i; stage 12 is the end of the step, stages 13 to 15 serve the dense
-output alone. The rows of E weigh the slopes to the estimates of order 5 and 3, those of D to the
-last four polynomials of the dense output of order 7. Only what is not zero is written down.
+A[i, j] weighs slope j in stage i; stages 13 to 15 serve the dense output alone. The rows of E weigh
+the slopes to the estimates of order 5 and 3, those of D to the last four polynomials of the dense
+output of order 7. Only what is not zero is written down.
 
 Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I (1993), section
 II.10, after the authors' Fortran code DOP853.
@@ -16,6 +16,7 @@ from particlerb.maths.vec3 import Floats
 
 _Entries = tuple[tuple[int, int, float], ...]
 STAGES: Final = 16
+END: Final = 12  # the stage at the end of a step, where the next one begins
 
 
 def table(shape: tuple[int, int], entries: _Entries) -> Floats:

@@ -22,9 +22,11 @@ from particlerb.integrators.dop853_step import (
     Pack,
     find_step,
     interpolate,
+    normalise,
+    take_slopes,
     take_stages,
 )
-from particlerb.integrators.dop853_table import STAGES
+from particlerb.integrators.dop853_table import END, STAGES
 from particlerb.integrators.method import Method
 from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import rows4
@@ -73,6 +75,16 @@ class _OnePack(NamedTuple):
     first: int  # body of the group
 
 
+def begin(bodies: Any, t: float) -> None:
+    """Slopes at the start of a step."""
+    raise NotImplementedError
+
+
+def go_on(bodies: Any) -> None:
+    """The end of a step, with its slopes, is the start of the next one."""
+    raise NotImplementedError
+
+
 def find(bodies: Any, t: float, h: float) -> tuple[float, float]:
     """Longest step up to h from t that is accurate, and the one to try after it."""
     raise NotImplementedError
@@ -94,7 +106,7 @@ def write(bodies: Any, recording: Recording, frame: int) -> None:
 
 
 def advance_steps(
-    bodies: Any, y: Floats, new: Floats, out: Floats, clock: Floats, leg: Leg, recording: Recording
+    bodies: Any, y: Floats, out: Floats, clock: Floats, leg: Leg, recording: Recording
 ) -> None:
     """All frames, then on to the step around `until`, or to `stop` if it is finite.
 
@@ -104,20 +116,21 @@ def advance_steps(
     ----------
     bodies
         What these functions take.
-    y, new, out : ndarray
-        States of the bodies at the start and the end of a step, and for a frame.
+    y, out : ndarray
+        States of the bodies at the start of a step, and for a frame.
     clock : ndarray, (3,)
         Time from which the next step starts, step to try [s], and steps taken.
     leg, recording : Leg, Recording
     """
     times, rows, until, stop = leg
     t, h, taken = clock[0], clock[1], clock[2]
+    begin(bodies, t)
     h, h_next = find(bodies, t, h)
     is_dense = False
     for f in range(times.size):
         while times[f] > t + h:
             t, taken = t + h, taken + 1.0
-            assign(y, new)
+            go_on(bodies)
             h, h_next = find(bodies, t, h_next)
             is_dense = False
         assign(out, y)
@@ -129,11 +142,11 @@ def advance_steps(
         write(bodies, recording, rows[f])
     while t + h < until:
         t, taken = t + h, taken + 1.0
-        assign(y, new)
+        go_on(bodies)
         h, h_next = find(bodies, t, h_next)
     while t < stop < np.inf:  # the last step may have to be cut again
         h, h_next = find(bodies, t, min(stop - t, h))
-        assign(y, new)
+        go_on(bodies)
         if not h > 0.0:
             break
         t, taken = stop if h >= stop - t else t + h, taken + 1.0
@@ -179,6 +192,21 @@ def store_vectors(
 
 
 @inline
+def _begin(bodies: _OnePack, t: float) -> None:
+    """`begin` of a pack."""
+    rows, n, w, y, _, K = bodies.pack
+    take_slopes(bodies.equations, rows, n, w, t, y, K[0])
+
+
+@inline
+def _go_on(bodies: _OnePack) -> None:
+    """`go_on` of a pack."""
+    _, _, _, y, new, K = bodies.pack
+    assign(y, new)
+    assign(K[0], K[END])
+
+
+@inline
 def _find(bodies: _OnePack, t: float, h: float) -> tuple[float, float]:
     """`find` of a pack."""
     return find_step(bodies.equations, bodies.pack, t, h)
@@ -187,13 +215,15 @@ def _find(bodies: _OnePack, t: float, h: float) -> tuple[float, float]:
 @inline
 def _take_last_stages(bodies: _OnePack, t: float, h: float) -> None:
     """`take_last_stages` of a pack."""
-    take_stages(bodies.equations, bodies.pack, bodies.out, t, h, 13, STAGES)
+    take_stages(bodies.equations, bodies.pack, bodies.out, t, h, END + 1, STAGES)
 
 
 @inline
 def _show(bodies: _OnePack, t: float, h: float, share: float) -> None:
     """`show` of a pack."""
-    interpolate(bodies.pack, h, share, bodies.out)
+    _, n, w, y, new, K = bodies.pack
+    interpolate(K, y, new, h, share, bodies.out)
+    normalise(bodies.out, n, w)
 
 
 @inline
@@ -205,7 +235,8 @@ def _write(bodies: _OnePack, recording: Recording, frame: int) -> None:
 
 _advance_pack = kernel_from(
     advance_steps, "alone",
-    find=_find, take_last_stages=_take_last_stages, show=_show, write=_write,
+    begin=_begin, go_on=_go_on, find=_find, take_last_stages=_take_last_stages, show=_show,
+    write=_write,
 )  # fmt: skip
 
 
@@ -226,7 +257,7 @@ def _advance_blocks(
         n = min(members.size - lo, PACK)
         _take_pack(blocks, k, n, w, rows, y)
         bodies = _OnePack(equations, Pack(rows, n, w, y, new, K), out, lo)
-        _advance_pack(bodies, y, new, out, clock[k], leg, recording)
+        _advance_pack(bodies, y, out, clock[k], leg, recording)
         _give_pack(y, w, blocks, k, n)
 
 

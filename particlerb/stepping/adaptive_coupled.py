@@ -7,11 +7,11 @@ are worth several threads, the same loops run as Python and spread them.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb.compiled.jit import in_python, inline, kernel, kernel_from
+from particlerb.compiled.jit import in_python, inline, kernel, kernel_from, lean_kernel
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import row_count, rows_of_terms
 from particlerb.forces.registry import STAGE
@@ -28,7 +28,7 @@ from particlerb.integrators.dop853_step import (
     normalise,
     take_slopes,
 )
-from particlerb.integrators.dop853_table import NODES, STAGES, A
+from particlerb.integrators.dop853_table import END, NODES, STAGES, A
 from particlerb.integrators.joint_slopes import (
     add_reactions,
     bring_back,
@@ -49,6 +49,8 @@ from particlerb.stepping.loop import Recording
 from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
+
+_Maker: TypeAlias = Callable[..., Callable[..., Any]]
 
 
 class _CommonVectors(NamedTuple):
@@ -81,7 +83,7 @@ def _pack_of(blocks: Floats, layout: Layout, common: _CommonVectors, k: int, K: 
     return Pack(blocks[k], layout.size[k], common.width, common.y[k], common.new[k], K)
 
 
-@kernel
+@lean_kernel
 def _spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
     """Vectors into states (13, n), with |q| = 1."""
     for k in range(layout.first.size):
@@ -94,7 +96,7 @@ def _spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
             store4(own, b, normalised(load4(own, b)))
 
 
-@kernel
+@lean_kernel
 def _slopes_of_blocks(
     equations: Equations, blocks: Floats, layout: Layout, w: int, t: float, y: Floats,
     slope: Floats,
@@ -109,20 +111,32 @@ def _common_slopes(bodies: _AllBodies, t: float, y: Floats, slope: Floats) -> No
     """Slopes of all bodies in the states y at a time [s] since the segment began."""
     links, own, attraction, work, with_dashpots, clock, states, load, _ = bodies.pairs
     layout, w = bodies.layout, bodies.vectors.width
-    _spread_out(y, layout, w, states)
-    clock[0] = clock[2] + t
-    pair_loads(links, own, attraction, work, with_dashpots, clock, states, load)
-    scatter_loads(load, bodies.blocks, layout)
+    if bodies.equations.acting.pair is not None:
+        _spread_out(y, layout, w, states)
+        clock[0] = clock[2] + t
+        pair_loads(links, own, attraction, work, with_dashpots, clock, states, load)
+        scatter_loads(load, bodies.blocks, layout)
     _slopes_of_blocks(bodies.equations, bodies.blocks, layout, w, t, y, slope)
     books = bodies.equations.books
     add_reactions(books, bodies.jointed, y, slope.reshape(y.shape), w, t)
 
 
-@kernel
+@lean_kernel
 def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
     """State where the slope of a stage is taken."""
     assign(new, y)
     add_rows(h, A[stage], K, stage, new.reshape(new.size))
+
+
+def _begin(bodies: _AllBodies, t: float) -> None:
+    """`begin` of all bodies."""
+    _common_slopes(bodies, t, bodies.vectors.y, bodies.vectors.K[0])
+
+
+def _go_on(bodies: _AllBodies) -> None:
+    """`go_on` of all bodies."""
+    assign(bodies.vectors.y, bodies.vectors.new)
+    assign(bodies.vectors.K[0], bodies.vectors.K[END])
 
 
 def _common_stages(bodies: _AllBodies, at: Floats, t: float, h: float, i: int, j: int) -> None:
@@ -133,7 +147,7 @@ def _common_stages(bodies: _AllBodies, at: Floats, t: float, h: float, i: int, j
         _common_slopes(bodies, t + NODES[stage] * h, at, K[stage])
 
 
-@kernel
+@lean_kernel
 def _common_error(
     blocks: Floats, layout: Layout, vectors: _CommonVectors, h: float, tolerance: float
 ) -> float:
@@ -149,14 +163,14 @@ def _common_error(
     return worst
 
 
-@kernel
+@lean_kernel
 def _normalise_blocks(values: Floats, layout: Layout, w: int) -> None:
     """Make |q| = 1."""
     for k in range(layout.first.size):
         normalise(values[k], layout.size[k], w)
 
 
-@kernel
+@lean_kernel
 def _give_up(layout: Layout, vectors: _CommonVectors) -> None:
     """Make bodies NaN whose error no step is short enough for."""
     y, w = vectors.y, vectors.width
@@ -172,14 +186,15 @@ def _find_common_step(bodies: _AllBodies, t: float, h: float) -> tuple[float, fl
     layout, common = bodies.layout, bodies.vectors
     h = count_on(bodies.jointed, common.y, common.width, h)
     tolerance = bodies.equations.tolerance
-    _common_slopes(bodies, t, common.y, common.K[0])
     longest = h
     while True:
-        _common_stages(bodies, common.new, t, h, 1, 13)
+        _common_stages(bodies, common.new, t, h, 1, END)
+        _add_stages(h, END, common.K, common.y, common.new)
         error = _common_error(bodies.blocks, layout, common, h, tolerance)
         if error < 1.0:
             _normalise_blocks(common.new, layout, common.width)
             bring_back(bodies.jointed, common.new, common.width, t + h)
+            _common_slopes(bodies, t + h, common.new, common.K[END])
             return h, h * factor_of(error)
         h *= factor_of(error)
         if not h > LEAST_STEP * t:
@@ -189,25 +204,22 @@ def _find_common_step(bodies: _AllBodies, t: float, h: float) -> tuple[float, fl
 
 def _take_last_stages(bodies: _AllBodies, t: float, h: float) -> None:
     """`take_last_stages` of all bodies."""
-    _common_stages(bodies, bodies.vectors.out, t, h, 13, STAGES)
+    _common_stages(bodies, bodies.vectors.out, t, h, END + 1, STAGES)
 
 
 @kernel
-def _interpolate_blocks(
-    blocks: Floats, layout: Layout, vectors: _CommonVectors, h: float, share: float
-) -> None:
+def _interpolate_blocks(common: _CommonVectors, h: float, share: float) -> None:
     """State at a share of a step, into `out`."""
-    y, K = vectors.y, vectors.K
-    own = K.reshape((K.shape[0], y.shape[0], y.shape[1]))
-    for k in range(layout.first.size):
-        pack = _pack_of(blocks, layout, vectors, k, np.ascontiguousarray(own[:, k]))
-        interpolate(pack, h, share, vectors.out[k])
+    size = common.y.size
+    y, new, out = common.y.reshape(size), common.new.reshape(size), common.out.reshape(size)
+    interpolate(common.K, y, new, h, share, out)
 
 
 def _show(bodies: _AllBodies, t: float, h: float, share: float) -> None:
     """`show` of all bodies."""
     common = bodies.vectors
-    _interpolate_blocks(bodies.blocks, bodies.layout, common, h, share)
+    _interpolate_blocks(common, h, share)
+    _normalise_blocks(common.out, bodies.layout, common.width)
     bring_back(bodies.jointed, common.out, common.width, t + share * h)
 
 
@@ -226,17 +238,19 @@ def _write(bodies: _AllBodies, recording: Recording, frame: int) -> None:
     store_coordinates(bodies.jointed, common.out, common.width, recording.turned, frame)
 
 
-def _family(make: Callable[..., Callable[..., Any]], **names: Any) -> Callable[..., None]:
+def _family(make: _Maker, make_lean: _Maker, **names: Any) -> Callable[..., None]:
     """`advance_steps` of all bodies and what it calls, made anew with other globals."""
-    own = _common_slopes, _common_stages, _find_common_step, _take_last_stages, _show, _write
-    for function in own:
-        names[function.__name__] = make(function, **names)
-    find, last_stages = names["_find_common_step"], names["_take_last_stages"]
-    shown = {"show": names["_show"], "write": names["_write"]}
-    return make(advance_steps, find=find, take_last_stages=last_stages, **shown)
+    for function in (_common_slopes, _common_stages, _begin, _go_on, _find_common_step):
+        names[function.__name__] = make_lean(function, **names)
+    moving = {"begin": names["_begin"], "go_on": names["_go_on"]}
+    moving |= {"find": names["_find_common_step"]}
+    shown = {"take_last_stages": _take_last_stages, "show": _show, "write": _write}
+    shown = {name: make(function, **names) for name, function in shown.items()}
+    return make(advance_steps, **moving, **shown)
 
 
-_compiled = _family(partial(kernel_from, name="here"))
+_own = partial(kernel_from, name="here")
+_compiled = _family(_own, partial(_own, by=lean_kernel))
 
 
 class CoupledAdaptiveMotion(AdaptiveRun):
@@ -299,9 +313,9 @@ class CoupledAdaptiveMotion(AdaptiveRun):
         bodies = _AllBodies(
             self.equations, self.blocks, self.layout, self.forces.pairs, self.jointed, common
         )
-        arguments = bodies, common.y, common.new, common.out, self.clock[0], leg, recording
+        arguments = bodies, common.y, common.out, self.clock[0], leg, recording
         if self.forces.is_large:
-            _family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)
+            _family(in_python, in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)
         else:
             THREADS.alone(_compiled, *arguments)
 
