@@ -54,11 +54,23 @@ def motion_at(scene, t, monkeypatch):
     return kept[-1]
 
 
-@pytest.mark.parametrize(
-    "scene", [every_type(True), every_type(False), SCENES["chain6"]()], ids=["tied", "free", "six"]
-)
-def test_trees_accelerate_as_by_multipliers(scene, monkeypatch):
-    motion = motion_at(scene, 0.2, monkeypatch)
+def rods():
+    """Two bodies without a moment about their axes."""
+    bodies = [bar("a", [0, 0, 0], [1, 0, 0], side=0.0), bar("b", [1, 0, 0], [1, 1, 0], side=0.0)]
+    return case(bodies, [joint("ball", "a"), joint("ball", "b", "a", [1, 0, 0])])
+
+
+TREES = {
+    "all types": every_type(True),
+    "in space": every_type(False),
+    "six hinges": SCENES["chain6"](),
+    "rods": rods(),
+}
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_trees_accelerate_as_by_multipliers(name, monkeypatch):
+    motion = motion_at(TREES[name], 0.2, monkeypatch)
     found = []
     assert motion.jointed.tree is not None
     for tree in (motion.jointed.tree, None):
@@ -73,6 +85,19 @@ def test_trees_accelerate_as_by_multipliers(scene, monkeypatch):
     assert found[0] == pytest.approx(found[1], abs=1e-11)
 
 
-@pytest.mark.parametrize("name", ["bricard", "mixed_chain"])
-def test_loops_and_distances_keep_their_rows(name, monkeypatch):
-    assert motion_at(SCENES[name](), 0.01, monkeypatch).jointed.tree is None
+def alone(kind, **keys):
+    """A bar on one joint."""
+    return case([bar("a", [0, 0, 0], [1, 0, 0])], [joint(kind, "a", None, [0, 0, 0], X, **keys)])
+
+
+WITH_ROWS = {
+    "a loop": SCENES["bricard"](),
+    "a distance": SCENES["mixed_chain"](),
+    "a screw": alone("screw", lead=0.1),
+    "a drive": alone("hinge", drive={"speed": 0.0}),
+}
+
+
+@pytest.mark.parametrize("name", WITH_ROWS)
+def test_what_is_no_tree_keeps_its_rows(name, monkeypatch):
+    assert motion_at(WITH_ROWS[name], 0.01, monkeypatch).jointed.tree is None
