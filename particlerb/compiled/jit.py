@@ -254,9 +254,7 @@ def _helper(**options: Any) -> Callable[[Function], Function]:
             return function
         is_ours = Path(function.__code__.co_filename).is_relative_to(_PACKAGE)
         kept = keep if is_ours else None  # the name of the folder covers no other text
-        own = (
-            options if is_ours else {"_nrt": True} | options
-        )  # users may make arrays, in any caller
+        own = options if is_ours else {"_nrt": True} | options  # users may make arrays
         return cast(Function, Helper(function, _FLAGS | own, compile_with(**own), kept))
 
     return decorate

@@ -9,6 +9,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import particlerb
@@ -340,3 +341,16 @@ def test_a_full_disk_is_not_blamed_on_the_case(make, monkeypatch):
     monkeypatch.setattr(to_system, "mass_properties", fail)
     with pytest.raises(OSError, match="No space left"):
         to_system.to_system(make.case(make.body()))
+
+
+@pytest.mark.compiled
+def test_a_users_function_may_make_arrays_where_its_caller_makes_none():
+    @_jit.inline
+    def of_a_user(x):
+        return np.array([x, 2.0 * x]).sum()
+
+    @_jit.lean_kernel
+    def caller(x):
+        return of_a_user(x)
+
+    assert caller(1.0) == 3.0
