@@ -49,8 +49,8 @@ def contacts(n: int, m: int) -> Impulses:
     rows.limits[:, GAP], rows.limits[:, SLOW] = rng.normal(0.0, 1e-4, m), 0.04
     partners.velocity[:n] = rng.normal(0.0, 0.01, (n, 6))
     newton = room_for_newton(np.zeros(0, dtype=np.bool_), none, none, 0)
-    rules = ImpulseRules(np.zeros(1), 1e-3, 20, 0.3, 1e-5, False)
-    return Impulses(rules, partners, rows, np.array([m]), np.zeros(TALLY), newton)
+    rules = ImpulseRules(np.zeros(1), 1e-3, 20, 0.3, 1e-5, 0.0, False)
+    return Impulses(rules, partners, rows, np.array([m, -1]), np.zeros(TALLY), newton)
 
 
 def nanoseconds(part: Callable[[], object], m: int) -> float:
@@ -84,7 +84,7 @@ def main() -> None:
         "push-out": lambda: push_out(impulses, None, 2e-3),  # first: sweeps change the velocities
         "sweep": lambda: _sweep(partners, rows, None, m),
         "sweep with conjugate gradients": with_gradients,
-        "residual": lambda: residual(partners, rows, None, m, 1e-6),
+        "residual": lambda: residual(partners, rows, None, m, 1e-6, 1.0),
         "work": lambda: book_impulses(impulses, None),
     }
     figures = [(f"{name} [ns]", nanoseconds(part, m)) for name, part in parts.items()]

@@ -56,7 +56,7 @@ class Measured:
 
     def figures(self) -> dict[str, float]:
         """What is compared, now."""
-        tally = self.ours.run.travellers[0].motion.impulse_tally()
+        tally = self.ours.run.group_runs[0].motion.impulse_tally()
         found = {
             "cost [s/s]": self.seconds / self.ours.time,
             "rms overlap [R]": float(np.sqrt((self.depth**2).mean())),

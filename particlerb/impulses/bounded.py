@@ -70,6 +70,14 @@ def ends_of(values: Floats, k: int, u: float) -> tuple[float, float]:
 
 
 @inline
+def inverse_of(values: Floats, k: int) -> float:
+    """Sum of the inverse masses of both bodies of row k [1/kg]; 0 where it is left out."""
+    weight = values[k, B_WEIGHT]
+    inverse: float = values[k, B_INVERSE] / weight if weight > 0.0 else 0.0
+    return inverse
+
+
+@inline
 def within(values: Floats, k: int, r: float) -> float:
     """r, or the nearest impulse that row k may have."""
     largest = values[k, B_LARGEST]
@@ -209,14 +217,29 @@ def mix_bounded(bounded: Bounded, velocity: Floats, beta: float, is_last: bool) 
 
 
 @lean
-def miss_of_bounded(bounded: Bounded, velocity: Floats) -> float:
-    """Square of how far these impulses are from a solution [(N s)²]."""
-    off = 0.0
+def miss_of_bounded(bounded: Bounded, velocity: Floats) -> tuple[float, float]:
+    """Squares of how far these impulses are from a solution [(N s)², (m/s)²]."""
+    off, left, values = 0.0, 0.0, bounded.values
     for k in range(bounded.kind.size):
-        miss = bounded.values[k, B_IMPULSE]
-        miss -= _nearest(bounded.values, k, rate_along(bounded, velocity, k))
-        off += bounded.values[k, B_WEIGHT] * miss * miss
-    return off
+        miss = values[k, B_IMPULSE] - _nearest(values, k, rate_along(bounded, velocity, k))
+        square = values[k, B_WEIGHT] * miss * miss
+        off += square
+        left += inverse_of(values, k) ** 2 * square
+    return off, left
+
+
+@lean
+def speed_of_bounded(bounded: Bounded, velocity: Floats, floor: float) -> float:
+    """Square of the rates that miss what they may be without impulses, with a floor [(m/s)²]."""
+    size, values = 0.0, bounded.values
+    for k in range(bounded.kind.size):
+        u = rate_along(bounded, velocity, k)
+        off = max(values[k, B_LEAST] - u, u - values[k, B_MOST], 0.0)
+        off = min(off, values[k, B_LARGEST] * values[k, B_INVERSE])
+        least = floor * values[k, B_SLOW]
+        if values[k, B_WEIGHT] > 0.0:
+            size += (off * off + least * least) / values[k, B_WEIGHT]
+    return size
 
 
 @lean

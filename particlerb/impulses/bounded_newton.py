@@ -1,9 +1,7 @@
 """Newton's method for rows within bounds: their parts of what newton.py does for contacts."""
 
-from typing import Final
-
 from particlerb.compiled.jit import inline, lean
-from particlerb.impulses.bounded import ends_of, rate_along, within
+from particlerb.impulses.bounded import ends_of, inverse_of, rate_along, within
 from particlerb.impulses.mechanisms import has_response
 from particlerb.impulses.records import (
     B_CHANGE,
@@ -20,8 +18,6 @@ from particlerb.impulses.records import (
 )
 from particlerb.maths.vec3 import Floats
 
-_SMALL: Final = 1e-9  # part of one in the slope of a row, as in newton.py
-
 
 @inline
 def _cluster_of(bounded: Bounded, newton: Newton, k: int) -> int:
@@ -30,20 +26,31 @@ def _cluster_of(bounded: Bounded, newton: Newton, k: int) -> int:
 
 
 @lean
-def linearise_bounded(bounded: Bounded, newton: Newton, velocity: Floats, size: int) -> None:
-    """Write c and K of all rows, and add their F² to that column of the clusters."""
+def linearise_bounded(
+    bounded: Bounded,
+    newton: Newton,
+    velocity: Floats,
+    how: tuple[int, float, float],
+) -> None:
+    """Write c and K of all rows, and add their F² to a column of the clusters.
+
+    How: that column, a mass [kg] that makes impulses of velocities, and the small part of one in
+    the slope, as in newton.py.
+    """
+    size, mass, small = how
     values = bounded.values
     for k in range(bounded.kind.size):
         u = rate_along(bounded, velocity, k)
         by_least, by_most = ends_of(values, k, u)
         r = max(by_least, min(by_most, 0.0))
         miss = values[k, B_IMPULSE] - within(values, k, r)
-        values[k, B_CHANGE], values[k, B_SLOPE] = miss / (1.0 + _SMALL), 0.0
+        values[k, B_CHANGE], values[k, B_SLOPE] = miss / (1.0 + small), 0.0
         if r in (by_least, by_most) and abs(r) < values[k, B_LARGEST]:
-            values[k, B_CHANGE] = miss / _SMALL
-            values[k, B_SLOPE] = 1.0 / (_SMALL * values[k, B_INVERSE])
+            values[k, B_CHANGE] = miss / small
+            values[k, B_SLOPE] = 1.0 / (small * values[k, B_INVERSE])
         own = _cluster_of(bounded, newton, k)
-        newton.clusters[own, size] += values[k, B_WEIGHT] * miss * miss
+        square = values[k, B_WEIGHT] * miss * miss
+        newton.clusters[own, size] += square * (1.0 + (mass * inverse_of(values, k)) ** 2)
 
 
 @lean

@@ -61,7 +61,6 @@ from particlerb.impulses.rows import (
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _MOST: Final = 40  # evaluations of F
-_SMALL: Final = 1e-9  # part of the unit matrix in E
 _ROUNDING: Final = 1e-13  # of all impulses: where |F| may stop to fall
 _GAIN: Final = 0.5  # of |F|, by which it falls else
 _TINY: Final = 1e-300  # [N s]
@@ -89,6 +88,15 @@ def refresh_velocities(
 
 
 @inline
+def measured(inverse: float, mass: float) -> float:
+    """What the square of an impulse [N s] counts: as a velocity as well, times a mass [kg].
+
+    That of the size of all impulses and of all velocities makes both as in `solver.residual`.
+    """
+    return 1.0 + (inverse * mass) ** 2
+
+
+@inline
 def _cluster_of(newton: Newton, rows: ImpulseRows, k: int) -> int:
     """Cluster of a contact: that of the partner that moves."""
     return max(int(newton.cluster[rows.first[k]]), int(newton.cluster[rows.second[k]]))
@@ -104,8 +112,10 @@ def _put_slopes(slopes: Floats, k: int, c: Vec3, kn: Vec3, k1: Vec3, k2: Vec3) -
 
 
 @lean_kernel
-def _linearise(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) -> float:
-    """Write c = E⁻¹ F and K = E⁻¹ B of contact k; |F|².
+def _linearise(
+    partners: Partners, rows: ImpulseRows, newton: Newton, k: int, mass: float, small: float
+) -> float:
+    """Write c = E⁻¹ F and K = E⁻¹ B of contact k; |F|² with that of velocities: see `measured`.
 
     The slope of P is one along e, which is any direction within the cone and its edge where it
     slides, g across the edge and none else.
@@ -117,23 +127,23 @@ def _linearise(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) ->
     x, y = r[1] - share * u[1], r[2] - share * u[2]
     f, t = subtract(r, nearest_in_cone(n, x, y, mu)), max(math.sqrt(x * x + y * y), _TINY)
     up = mu / speed if speed > 0.0 else 0.0
-    lift, stiff, one = (1.0, up * u[1], up * u[2]), share / _SMALL, 1.0 + _SMALL
+    lift, stiff, one = (1.0, up * u[1], up * u[2]), share / small, 1.0 + small
     if mu * t <= -n:
         _put_slopes(newton.slopes, k, scale(1.0 / one, f), ZERO, ZERO, ZERO)
     elif t <= mu * n and mu > 0.0:
         rest = (0.0, stiff, 0.0), (0.0, 0.0, stiff)
-        _put_slopes(newton.slopes, k, scale(1.0 / _SMALL, f), scale(stiff, lift), *rest)
+        _put_slopes(newton.slopes, k, scale(1.0 / small, f), scale(stiff, lift), *rest)
     else:
         a1, a2, long = x / t, y / t, math.sqrt(1.0 + mu * mu)
         e, out = (1.0 / long, mu * a1 / long, mu * a2 / long), (-mu / long, a1 / long, a2 / long)
         g = mu * (n + mu * t) / ((1.0 + mu * mu) * t)
         across, soft = (0.0, -a2, a1), share * g / (one - g)
-        c = scale(dot(e, f) / _SMALL, e)
+        c = scale(dot(e, f) / small, e)
         c = add_scaled(dot(across, f) / (one - g), across, add_scaled(dot(out, f) / one, out, c))
         el = scale(stiff, (e[0], e[0] * lift[1] + e[1], e[0] * lift[2] + e[2]))
         k1, k2 = add_scaled(-soft * a2, across, scale(e[1], el)), scale(e[2], el)
         _put_slopes(newton.slopes, k, c, scale(e[0], el), k1, add_scaled(soft * a1, across, k2))
-    return dot(f, f)
+    return dot(f, f) * measured(frame[k, INVERSE], mass)
 
 
 @inline
@@ -205,16 +215,19 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
 
 @lean_kernel
 def _evaluate(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int
-) -> None:
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int,
+    mass: float, small: float,
+) -> None:  # fmt: skip
     """Slopes of all contacts, and |F| of each cluster, which then goes on, halves or is done."""
     clusters = newton.clusters
     for j in range(clusters.shape[0]):
         clusters[j, _SIZE] = 0.0
     for k in range(count):
-        clusters[_cluster_of(newton, rows, k), _SIZE] += _linearise(partners, rows, newton, k)
+        clusters[_cluster_of(newton, rows, k), _SIZE] += _linearise(
+            partners, rows, newton, k, mass, small
+        )
     if bounded is not None:
-        linearise_bounded(bounded, newton, partners.velocity, _SIZE)
+        linearise_bounded(bounded, newton, partners.velocity, (_SIZE, mass, small))
 
 
 @lean_kernel
@@ -308,8 +321,9 @@ def _into_the_cones(rows: ImpulseRows, count: int) -> None:
 
 @lean_kernel
 def take_newton_steps(
-    impulses: Impulses, bounded: Bounded | None, tolerance: float, size: float
-) -> bool:
+    impulses: Impulses, bounded: Bounded | None, tolerance: float, size: float, speed: float,
+    small: float,
+) -> bool:  # fmt: skip
     """Go on from impulses until |F| is within the tolerance, or does not fall any more.
 
     Parameters
@@ -320,8 +334,10 @@ def take_newton_steps(
         What acts in joints within bounds.
     tolerance : float
         Of |F| of each cluster, over the size.
-    size : float [N s]
-        Of all impulses.
+    size, speed : float [N s, m/s]
+        Of all impulses, and of all velocities that need them.
+    small : float
+        Part of the unit matrix in E. |F| falls by it times the ratio of masses in a step, at best.
 
     Returns
     -------
@@ -334,7 +350,7 @@ def take_newton_steps(
         clusters[j, _BEST], clusters[j, _SHARE], clusters[j, _STATE] = math.inf, 1.0, _TO_SOLVE
     for _ in range(_MOST):
         tally[NEWTON_STEPS] += 1.0
-        _evaluate(partners, rows, bounded, newton, count)
+        _evaluate(partners, rows, bounded, newton, count, size / speed, small)
         goes_on = _decide(newton, tolerance * size, _ROUNDING * size)
         if not goes_on:
             break

@@ -16,7 +16,7 @@ De Saxcé and Feng, Mathematical and Computer Modelling 28, 225 (1998), û.
 import math
 from typing import Final
 
-from particlerb.compiled.jit import lean_kernel
+from particlerb.compiled.jit import inline, lean_kernel
 from particlerb.impulses.bounded import (
     begin_bounded,
     give_bounded,
@@ -24,6 +24,7 @@ from particlerb.impulses.bounded import (
     miss_of_bounded,
     mix_bounded,
     size_of_bounded,
+    speed_of_bounded,
     sweep_bounded,
 )
 from particlerb.impulses.cone import nearest_in_cone, on_disc
@@ -45,17 +46,20 @@ from particlerb.impulses.records import (
     UNMET,
     WORST,
     WORST_EVER,
+    ZERO,
     Bounded,
     ImpulseRows,
     Impulses,
     Partners,
 )
 from particlerb.impulses.rows import approach, change_by, column3, give, in_frame, put_column3
-from particlerb.maths.vec3 import dot, subtract
+from particlerb.maths.vec3 import Vec3, dot, subtract
 
 _EVERY: Final = 5  # sweeps from residual to residual
 _ROUNDS: Final = 4  # of Newton's method
 _MORE: Final = 4  # times as many sweeps after one that has not come to an end
+_SMALL: Final = 1e-9  # part of the unit matrix in Newton's method; in each round
+_SMALLER: Final = 0.01  # times as much
 _WITHIN: Final = 0.1  # of the tolerance, for Newton's method
 _FLOOR: Final = 1e-6  # of all impulses of the kick: what contacts carry less than this is nothing
 
@@ -115,24 +119,50 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
     return changed
 
 
+@inline
+def _miss(partners: Partners, rows: ImpulseRows, k: int, r: Vec3) -> Vec3:
+    """By how much contact k misses the law with an impulse r [N s], and the velocities of now."""
+    frame, u = rows.frame, approach(partners, rows, k)
+    mu, share = frame[k, FRICTION], 1.0 / frame[k, INVERSE]
+    lifted = u[0] - frame[k, LEAST] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
+    x, y = r[1] - share * u[1], r[2] - share * u[2]
+    return subtract(r, nearest_in_cone(r[0] - share * lifted, x, y, mu))
+
+
+@lean_kernel
+def _speed(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int) -> float:
+    """Size of the velocities that the law misses without impulses, or a floor [m/s]."""
+    size = 0.0
+    for k in range(count):
+        miss, least = _miss(partners, rows, k, ZERO), _FLOOR * rows.limits[k, SLOW]
+        size += rows.frame[k, INVERSE] ** 2 * dot(miss, miss) + least * least
+    if bounded is not None:
+        size += speed_of_bounded(bounded, partners.velocity, _FLOOR)
+    return max(math.sqrt(size), 1e-300)
+
+
 @lean_kernel
 def residual(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float
-) -> float:
-    """How far impulses are from a solution, over their size, or a floor [N s]."""
-    frame, off, size = rows.frame, 0.0, 0.0
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float,
+    speed: float,
+) -> float:  # fmt: skip
+    """How far impulses are from a solution, over their size, or a floor [N s].
+
+    What this is as velocities, over a speed [m/s], is added by squares: beside what heavy bodies
+    press, the impulse that would keep them apart from a light one is small.
+    """
+    off, size, left = 0.0, 0.0, 0.0
     for k in range(count):
-        u, r = approach(partners, rows, k), column3(rows.impulse, k, 0)
-        mu, share = frame[k, FRICTION], 1.0 / frame[k, INVERSE]
-        lifted = u[0] - frame[k, LEAST] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
-        x, y = r[1] - share * u[1], r[2] - share * u[2]
-        miss = subtract(r, nearest_in_cone(r[0] - share * lifted, x, y, mu))
-        off += dot(miss, miss)
+        r = column3(rows.impulse, k, 0)
+        miss = _miss(partners, rows, k, r)
+        square = dot(miss, miss)
+        off += square
+        left += rows.frame[k, INVERSE] ** 2 * square
         size += dot(r, r)
     if bounded is not None:
-        off += miss_of_bounded(bounded, partners.velocity)
-        size += size_of_bounded(bounded)
-    return math.sqrt(off) / max(math.sqrt(size), floor, 1e-300)
+        more, as_speed = miss_of_bounded(bounded, partners.velocity)
+        off, left, size = off + more, left + as_speed, size + size_of_bounded(bounded)
+    return math.sqrt(off / max(size, floor * floor, 1e-300) + left / (speed * speed))
 
 
 @lean_kernel
@@ -156,7 +186,9 @@ def _mix(
 
 
 @lean_kernel
-def _sweeps(impulses: Impulses, bounded: Bounded | None, most: int, floor: float) -> float:
+def _sweeps(
+    impulses: Impulses, bounded: Bounded | None, most: int, floor: float, speed: float,
+) -> float:  # fmt: skip
     """Sweep over all contacts until the residual is within the tolerance; the last one."""
     rules, partners, rows, count, tally, _ = impulses
     m, sweeps, before, found = count[0], 0, 0.0, math.inf
@@ -167,7 +199,7 @@ def _sweeps(impulses: Impulses, bounded: Bounded | None, most: int, floor: float
         changed = _sweep(partners, rows, bounded, m)
         sweeps += 1
         if sweeps % _EVERY == 0 or sweeps == most or changed == 0.0:
-            found = residual(partners, rows, bounded, m, floor)
+            found = residual(partners, rows, bounded, m, floor, speed)
         if changed == 0.0:
             break
         beta = changed / before if 0.0 < changed < before else 0.0
@@ -210,18 +242,23 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float) -> None:
     for b in range(partners.free.shape[0]):
         for i in range(6):
             partners.free[b, i] = partners.velocity[b, i]
+    speed = _speed(partners, rows, bounded, m)
     _begin_where_it_ended(impulses, bounded)
     floor, most, is_done = _FLOOR * moved, rules.iterations, newton.change.size == 0
-    found = _sweeps(impulses, bounded, most, floor)
+    found = _sweeps(impulses, bounded, most, floor, speed)
+    small = _SMALL
     for _ in range(_ROUNDS):
         if found <= rules.tolerance or is_done:
             break
         size = _size(rows, bounded, m, floor)
-        is_done = take_newton_steps(impulses, bounded, _WITHIN * rules.tolerance, size)
-        found = residual(partners, rows, bounded, m, floor)
+        is_done = take_newton_steps(
+            impulses, bounded, _WITHIN * rules.tolerance, size, speed, small
+        )
+        small *= _SMALLER
+        found = residual(partners, rows, bounded, m, floor, speed)
         if found > rules.tolerance and not is_done:
             most *= _MORE
-            found = _sweeps(impulses, bounded, most, floor)
+            found = _sweeps(impulses, bounded, most, floor, speed)
     for k in range(m):
         give(partners, rows, k, column3(rows.impulse, k, 0))
     if bounded is not None:
