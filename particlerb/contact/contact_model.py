@@ -123,7 +123,9 @@ class Workspace(NamedTuple):
     xyzr: Floats  # (n_spheres, 4) [m] centre and radius
     poses: Records  # (n_walls,) POSE
     bodies: Records  # (n_bodies,) BODY
-    deepest: Floats  # (threads, 3) deepest of contacts too deep: overlap and radius [m], body; or 0
+    deepest: (
+        Floats  # (threads, 5) a contact too deep: overlap, radius [m], body; partner, [s]; or 0
+    )
     gross_work: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect_loads`
     step_start: Records  # (1,) STEP_START: all threads write the same
     impulses: Impulses | None = None  # where contacts have no stiffness

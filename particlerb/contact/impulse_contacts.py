@@ -23,6 +23,7 @@ from particlerb.impulses.records import (
     INVERSE,
     LEAST,
     NORMAL,
+    RADIUS,
     RESTITUTION,
     SLOW,
     Impulses,
@@ -43,6 +44,7 @@ class _Near(NamedTuple):
     pair: int  # of materials
     entry: int  # of the list: see `impulses.records.Rows`
     gap: float  # [m]
+    radius: float  # [m] the smaller one
     slow: float  # [m/s]
     normal: Vec3  # from the second to the first
     point: Vec3  # [m] in the middle of the gap
@@ -88,6 +90,7 @@ def _take_in(
     rows.frame[k, LEAST] = -max(gap, 0.0) / dt
     rows.frame[k, FRICTION] = setup.model.law.friction[pair]
     rows.limits[k, GAP], rows.limits[k, SLOW] = gap, near.slow
+    rows.limits[k, RADIUS] = near.radius
     rows.limits[k, RESTITUTION] = impulses.rules.restitution[pair]
     c = entry if entry >= 0 else ~entry
     put_column3(rows.impulse, k, 0, scale(dt, row3(force, c)))
@@ -131,7 +134,7 @@ def _sphere_contact(
     normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
     point = add_scaled(-(xyzr[i, 3] + 0.5 * gap), normal, row3(xyzr, i))
     pair = model.pair_of[model.spheres.material[i], model.spheres.partner[j]]
-    near = _Near(a, b, pair, c, gap, slow, normal, point)
+    near = _Near(a, b, pair, c, gap, min(xyzr[i, 3], xyzr[j, 3]), slow, normal, point)
     _take_in(setup, impulses, contacts.history.force, near, dt)
 
 
@@ -168,7 +171,7 @@ def _wall_contact(
         _forget(contacts, c)
         return
     pair = model.pair_of[model.spheres.material[i], model.wall_material[primitive]]
-    near = _Near(a, b, pair, ~c, gap, slow, normal, point)
+    near = _Near(a, b, pair, ~c, gap, radius, slow, normal, point)
     _take_in(setup, impulses, contacts.history.force, near, dt)
 
 

@@ -11,23 +11,40 @@ from typing import Final
 from particlerb.compiled.jit import inline, lean_kernel
 from particlerb.impulses.bounded_effects import find_overrun, push_back_from_stops
 from particlerb.impulses.mechanisms import all_have_moved
-from particlerb.impulses.records import GAP, INVERSE, LEAST, NEVER, NORMAL, SLOW, Bounded, Impulses
+from particlerb.impulses.records import (
+    GAP,
+    INVERSE,
+    LEAST,
+    NEVER,
+    NORMAL,
+    RADIUS,
+    SLOW,
+    Bounded,
+    Impulses,
+)
 from particlerb.impulses.rows import approach, column3, in_frame, push_apart, velocity_between
 from particlerb.maths.vec3 import scale
 
 _SWEEPS: Final = 10  # at most
+_TOO_DEEP: Final = 0.5  # of the smaller radius: no contact keeps what overlaps by more
 _ENOUGH: Final = 0.1  # of the slop: moves smaller than this end the sweeps
 
 
 @inline
 def _find_overlaps(impulses: Impulses, dt: float) -> bool:
-    """Find gaps at the next middle of a step; whether any overlaps by more than the slop."""
+    """Find gaps at the next middle of a step; whether any overlaps by more than the slop.
+
+    One that is going to be too deep is told, whatever is done about it.
+    """
     rules, partners, rows, count, _, _ = impulses
-    found = False
+    found, count[1] = False, -1
     for k in range(count[0]):
         u = approach(partners, rows, k)
         gap = rows.limits[k, GAP] + dt * u[0]
-        if u[0] > rows.limits[k, SLOW] or rows.frame[k, LEAST] == NEVER:
+        if gap < -max(_TOO_DEEP * rows.limits[k, RADIUS], rules.allowed):
+            count[1] = k
+        parts = u[0] > rows.limits[k, SLOW] and rows.impulse[k, 0] == 0.0
+        if parts or rows.frame[k, LEAST] == NEVER:
             gap = math.inf
         rows.old[k, 0], rows.old[k, 1] = 0.0, gap
         found = found or gap < -rules.slop

@@ -26,7 +26,8 @@ N_COLUMNS: Final = 22
 GAP: Final = 0  # [m] at the middle of the step; negative: an overlap
 RESTITUTION: Final = 1
 SLOW: Final = 2  # [m/s] what approaches no faster does not bounce
-_N_LIMITS: Final = 3
+RADIUS: Final = 3  # [m] the smaller one
+_N_LIMITS: Final = 4
 
 STOP, MOTOR, RUBS = 0, 1, 2  # kinds of rows of `Bounded`
 # Columns of `Bounded.values`; impulses, and so what they belong to, along the coordinate
@@ -88,6 +89,7 @@ class ImpulseRules(NamedTuple):
     iterations: int  # sweeps at most
     push_out: float  # share of an overlap that is taken away in a step
     slop: float  # [m] overlap that stays
+    allowed: float  # [m] overlap that the case allows at t = 0
     newton: bool  # whether Newton's method goes on where sweeps do not end
 
 
@@ -151,7 +153,7 @@ class ImpulseRows(NamedTuple):
     second: Ints
     entry: Ints  # k of the list of spheres, ~k of the list of walls
     frame: Floats  # (.., 22)
-    limits: Floats  # (.., 3)
+    limits: Floats  # (.., 4)
     impulse: Floats  # (.., 3) [N s] along n, t₁, t₂, on the first
     impact: Floats  # (.., 3) [N s] the same of impacts
     old: Floats  # (.., 3) before a sweep, and shares of the push-out
@@ -177,7 +179,7 @@ class Impulses(NamedTuple):
     rules: ImpulseRules
     partners: Partners
     rows: ImpulseRows
-    filled: Ints  # (1,) contacts of this step
+    filled: Ints  # (2,) contacts of this step; one that is going to be too deep, or -1
     tally: Floats  # (TALLY,) sums since the segment began
     newton: Newton
 

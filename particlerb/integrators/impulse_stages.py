@@ -18,14 +18,16 @@ from particlerb.impulses.bounded import keep_bounded
 from particlerb.impulses.impacts import take_impacts
 from particlerb.impulses.push_out import push_out
 from particlerb.impulses.records import (
+    GAP,
     PUSH_OUT_WORK,
+    RADIUS,
     ZERO,
     Bounded,
     Impulses,
     Mechanisms,
     Partners,
 )
-from particlerb.impulses.rows import column3, put_column3
+from particlerb.impulses.rows import approach, column3, put_column3
 from particlerb.impulses.solver import leave_out_what_will_bounce, solve
 from particlerb.integrators.contact_stages import place_within_step
 from particlerb.integrators.external_work import book
@@ -337,6 +339,18 @@ def _keep_among_joints(jointed: Jointed | None, bounded: Bounded | None, dt: flo
         keep_bounded(bounded, dt)
 
 
+@inline
+def _note_overlap(contact: MovingContact, impulses: Impulses, dt: float) -> None:
+    """Note the first contact that is going to be too deep, for the host to say."""
+    workspace, rows, k = contact.workspace, impulses.rows, impulses.filled[1]
+    if k < 0 or workspace.deepest[0, 0] > 0.0:
+        return
+    found, limits = workspace.deepest[0], rows.limits
+    found[0] = -limits[k, GAP] - dt * approach(impulses.partners, rows, k)[0]
+    found[1], found[2], found[3] = limits[k, RADIUS], rows.first[k], rows.second[k]
+    found[4] = workspace.step_start.time[0] + 1.5 * dt
+
+
 @kernel
 def press(
     contact: MovingContact | None,
@@ -365,6 +379,7 @@ def press(
         keep_impulses(contact.lists, impulses, dt)
         _keep_among_joints(jointed, bounded, dt)
         moves = push_out(impulses, bounded, dt)
+        _note_overlap(contact, impulses, dt)
         for _ in range(_MOVES):
             if not moves:
                 break

@@ -22,11 +22,11 @@ def rules_of(touching: ContactSetup, radius: float, n: int) -> ImpulseRules | No
     if asked.law != "impulse":
         return None
     restitution = touching.pairs.restitution.ravel()
-    slop = asked.slop * radius
     newton = asked.solver == "newton" or (asked.solver == "auto" and n <= MOST_BODIES)
     return ImpulseRules(
-        restitution, asked.tolerance, asked.iterations, asked.push_out, slop, newton
-    )
+        restitution, asked.tolerance, asked.iterations, asked.push_out, asked.slop * radius,
+        asked.overlap, newton,
+    )  # fmt: skip
 
 
 def events_of(system: System, touching: ContactSetup) -> EventRules | None:

@@ -11,6 +11,7 @@ from particlerb.contact.contact_frequency import contact_frequency
 from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.missed_pairs import Missed, Watch, WatchedBodies, bounding_radii, peak_speed
 from particlerb.contact.wall_motion import motion_in
+from particlerb.impulses.records import WORST_EVER
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.stepping.motion import MotionError, SegmentGroup
 
@@ -142,7 +143,18 @@ class ContactChecks:
     def depth(self, contact: MovingContact, now: float) -> None:
         """Raise MotionError where a body lies so deep that it may come out on the other side."""
         deepest = max(contact.workspace.deepest.tolist(), key=lambda row: (row[0], -row[2]))
-        depth, radius, body = deepest  # the same for any number of threads
+        depth, radius, body, other, time = deepest  # the same for any number of threads
+        if depth > 0.0 and (impulses := contact.workspace.impulses) is not None:
+            k = int(other) - self.members.size
+            partner = f"wall {k}" if k >= 0 else f"body {int(self.members[int(other)])}"
+            raise MotionError(
+                f"at t = {contact.memory.start + time:.6g} s body {int(self.members[int(body)])}"
+                f" and {partner} overlap by {depth:.3g} m, {depth / radius:.2g} of the smaller"
+                f" radius: they are too fast for a step of {self.dt:.3g} s, or no impulses were"
+                " found that keep them apart (residual"
+                f" {impulses.tally[WORST_EVER]:.2g} at worst): take a shorter run.dt, more"
+                ' contact.iterations or contact.solver = "newton"'
+            )
         if depth > 0.0:
             raise MotionError(
                 f"at t = {now:.6g} s or before, body"

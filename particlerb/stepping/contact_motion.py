@@ -134,7 +134,7 @@ class ContactMotion(SteppedMotion):
         self.checks = ContactChecks(group, dt, watch, method.stability_limit, own)
         poses = zero_records(POSE, len(setup.motions))
         xyzr, bodies = np.zeros((n_spheres, 4)), zero_records(BODY, n)
-        deepest, step_start = np.zeros((len(self.blocks), 3)), zero_records(STEP_START, 1)
+        deepest, step_start = np.zeros((len(self.blocks), 5)), zero_records(STEP_START, 1)
         workspace = Workspace(
             xyzr, poses, bodies, deepest, np.zeros(n), step_start, self.impulses_of(setup)
         )

@@ -36,7 +36,7 @@ class ImpulseMotion(ContactMotion):
         n, joints = self.group.members.size + len(setup.motions), self.group.terms.joints
         mechanisms = None if joints is None else mechanisms_of(joints, n)
         partners = room_for_partners(n, mechanisms)
-        count = np.zeros(1, dtype=np.int64)
+        count = np.array([0, -1])
         nothing = np.zeros(0, dtype=np.int64)
         newton = room_for_newton(np.zeros(0, dtype=np.bool_), nothing, nothing, 0)
         bounded = None if joints is None or mechanisms is None else bounded_of(joints, mechanisms)

@@ -120,7 +120,7 @@ def pressed(end=0.3, speed=2.0, **keys):
 @pytest.mark.parametrize(("end", "x_end"), [(0.25, 0.2), (0.35, 0.25)])
 def test_a_motor_presses_with_what_friction_leaves(end, x_end):
     """3 N go through the ball into the wall, but for 0.5 N: or none where the stop comes first."""
-    t, x = go(pressed(end, push_out=1.0), 0.9, 0.025)
+    t, x = go(pressed(end, push_out=1.0, slop=0.0), 0.9, 0.025)
     force = np.asarray(t.wall_force)[-1, 0, 0]
     assert x[-1] == pytest.approx(x_end, abs=1e-9)
     assert 2.5 - 1e-9 <= force <= 3.5 + 1e-9 if end < 0.3 else force == 0.0

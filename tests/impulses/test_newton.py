@@ -3,13 +3,14 @@
 import numba
 import numpy as np
 import pytest
-from impulse_scenes import DOWN, G, R, case, clump, impulse, plane, sphere
+from impulse_scenes import DOWN, G, R, case, clump, go, impulse, plane, sphere
 from test_whole_steps import tumbling
 
 import particlerb
 from particlerb.case.to_system import to_system
 from particlerb.impulses.band import solve_band
 from particlerb.simulation.run import prepare
+from particlerb.simulation.whole_run import RunError
 
 plain = pytest.mark.skipif(
     not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more"
@@ -59,13 +60,42 @@ def test_wedged_bodies_are_solved_by_newton_and_not_by_sweeps(scene):
 def test_a_box_carries_ten_thousand_times_its_mass():
     boxes = clump("light", position=[0, 0, 2 * R]), clump("heavy", 1e4, position=[0, 0, 6 * R])
     keys = {"wall": [plane()], "gravity": DOWN, "dt": 5e-3, "t_end": 0.5, "every": 0.1}
-    moved = []
-    for solver in ("auto", "sweeps"):
-        contact = impulse(0.0, 0.5, tolerance=1e-9, solver=solver)
-        t = particlerb.run(case(*boxes, contact=contact, **keys))
-        moved.append(np.abs(t.position - t.position[0]).max())
-    assert moved[0] < 1e-6
-    assert moved[1] > 1e-3
+    t = go(*boxes, contact=impulse(0.0, 0.5, tolerance=1e-9), **keys)
+    assert np.abs(t.position - t.position[0]).max() < 1e-6
+    with pytest.raises(RunError, match=r"body 0 and body 1 overlap by .* of the smaller radius"):
+        go(*boxes, contact=impulse(0.0, 0.5, solver="sweeps"), **keys)
+
+
+@plain
+@pytest.mark.parametrize("ratio", [1e4, 1e8, 1e12])
+@pytest.mark.parametrize("gap", [0.0, 0.2])
+def test_a_light_ball_carries_a_heavy_one_at_the_default_tolerance(ratio, gap):
+    """The floor bears the weight of both; nothing sinks by more than the slop, 1e-4 R a contact."""
+    light, heavy = (
+        sphere("light", position=[0, 0, R]),
+        sphere("heavy", position=[0, 0, 3 * R + gap]),
+    )
+    heavy["mass"] *= ratio
+    t = go(light, heavy, contact=impulse(0.0, 0.5), wall=[plane()], gravity=DOWN, dt=5e-3,
+           t_end=0.5, every=0.1, output={"fields": ["position", "wall_force"]})  # fmt: skip
+    assert np.abs(t.position[-1, :, 2] - [R, 3 * R]).max() < 3e-4 * R
+    assert t.wall_force[-1, 0, 2] == pytest.approx(-2.0 * (1.0 + ratio) * G, rel=1e-3)
+    assert t.observable("impulse_residual").max() <= 1e-3
+
+
+@plain
+@pytest.mark.parametrize(("e", "speed"), [(0.5, 0.7), (0.0, 0.0)])
+def test_what_overlaps_by_half_a_radius_ends_the_run_with_the_pair_and_the_time(e, speed):
+    """A ball lands by 0.7 R in its first step; another begins so deep, and the case allows it."""
+    h = 5e-3
+    ball = sphere(position=[0, 0, 1.351 * R if e else 0.3 * R], velocity=[0, 0, -speed * R / h])
+    keys = {"contact": impulse(e), "wall": [plane()], "dt": h, "t_end": 0.1, "every": 0.05}
+    if e:
+        with pytest.raises(RunError, match=r"t = 0.0075 s body 0 and wall 0 overlap by 0.069"):
+            go(ball, **keys)
+    else:
+        keys["contact"] |= {"overlap": 0.8 * R}
+        assert go(ball, **keys).position[-1, 0, 2] == pytest.approx(R, abs=0.1 * R)
 
 
 @plain
@@ -104,7 +134,7 @@ def test_a_rod_that_slides_on_its_tip_comes_to_rest_though_forces_would_have_no_
     assert (gained - pushed <= 0.5 * (G * h) ** 2).all()
     assert t.observable("impulse_residual").max() <= 1e-9
     assert t.position[-1, 0, 2] == pytest.approx(radius, abs=1e-5)
-    assert np.abs(t.velocity[-1]).max() < 1e-9
+    assert np.abs(t.velocity[-1]).max() < 1e-8  # it rolls
     assert (t.position[:, 0, 2].max() > 0.5) == (mu > 4.0 / 3.0)
 
 
