@@ -289,21 +289,27 @@ def _approach(values: Floats, k: int, u: float) -> tuple[float, float]:
     return (values[k, B_GAP], -u) if u < 0.0 else (values[k, B_GAP + 1], u)
 
 
-@lean
-def bounce_at_stops(bounded: Bounded, partners: Partners) -> int:
-    """Let stops bounce that are met faster than slowly: u⁺ = -e u⁻; how many did."""
-    values, hits = bounded.values, 0
-    for k in range(bounded.kind.size):
-        u = rate_along(bounded, partners.velocity, k)
-        gap, speed = _approach(values, k, u)
-        e = values[k, B_RESTITUTION]
-        if e > 0.0 and gap <= 0.0 and speed > values[k, B_SLOW]:
-            r = -(1.0 + e) * u / values[k, B_INVERSE]
-            push_along(bounded, partners.velocity, k, r)
-            _give(bounded, partners.given, k, r)
-            values[k, B_IMPACT] += r
-            hits += 1
-    return hits
+@inline
+def time_since_stop(bounded: Bounded, velocity: Floats, k: int) -> float:
+    """Since when row k is beyond its stop [s], if it goes on there and is to bounce; else -1."""
+    values, u = bounded.values, rate_along(bounded, velocity, k)
+    gap, speed = _approach(values, k, u)
+    if values[k, B_RESTITUTION] > 0.0 and gap <= 0.0 and speed > values[k, B_SLOW]:
+        return -gap / speed
+    return -1.0
+
+
+@inline
+def bounce_at_stop(bounded: Bounded, partners: Partners, k: int) -> bool:
+    """Let row k bounce, if it is still to: u⁺ = -e u⁻; whether it did."""
+    if time_since_stop(bounded, partners.velocity, k) < 0.0:
+        return False
+    u, values = rate_along(bounded, partners.velocity, k), bounded.values
+    r = -(1.0 + values[k, B_RESTITUTION]) * u / values[k, B_INVERSE]
+    push_along(bounded, partners.velocity, k, r)
+    _give(bounded, partners.given, k, r)
+    values[k, B_IMPACT] += r
+    return True
 
 
 @lean

@@ -1,9 +1,10 @@
 """Restitution, by impacts one after the other: Newton's law u⁺ = -e u⁻ with Coulomb's friction.
 
-Contacts that touch and approach faster than what their forces give in two steps bounce in the order
-of the list, again and again until none is left. So a hit runs through a row of balls, whatever
-their masses. Friction can make a single impact gain energy where e > 0; then e is halved for this
-impact, and it gains none. What hits at the same time from several sides is resolved in this order
+Contacts that touch and approach faster than what their forces give in two steps bounce, stops of
+joints too, the one first that closed first by its speed of now; again and again until none is left.
+So a hit runs through a row of balls, whatever their masses, and the order of the bodies does not
+matter. Friction can make a single impact gain energy where e > 0; then e is halved for this impact,
+and it gains none. What closes at the same time on several sides is resolved one after the other
 too: the result does not change from run to run, but it need not have the symmetry of the hit.
 
 Sources: Kane and Levinson, Dynamics (1985), for impacts that gain energy; Moreau, Unilateral
@@ -13,7 +14,7 @@ contact and dry friction in finite freedom dynamics (1988), for restitution in t
 from typing import Final
 
 from particlerb.compiled.jit import inline, lean_kernel
-from particlerb.impulses.bounded import bounce_at_stops
+from particlerb.impulses.bounded import bounce_at_stop, time_since_stop
 from particlerb.impulses.cone import impulse_alone
 from particlerb.impulses.records import (
     COUPLING,
@@ -30,7 +31,8 @@ from particlerb.impulses.records import (
 from particlerb.impulses.rows import approach, change_by, give
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
 
-_PASSES: Final = 20  # over all contacts, at most
+_PASSES: Final = 20  # over all contacts, at most,
+_FEW: Final = 1000  # or as many visits as of so many contacts
 _HALVINGS: Final = 6  # of a restitution that would gain energy; then it is 0
 _ROUNDING: Final = 1e-14
 
@@ -60,28 +62,70 @@ def impact(frame: Floats, k: int, u: Vec3, restitution: float) -> Vec3:
     return r
 
 
+@inline
+def _find_impacts(impulses: Impulses, bounded: Bounded | None) -> int:
+    """Find what touches and approaches, and for how long [s]; how many there are.
+
+    Contacts have their numbers, stops ~k.
+    """
+    _, partners, rows, count, _, _ = impulses
+    limits, order, n = rows.limits, rows.order, 0
+    for k in range(count[0]):
+        if limits[k, GAP] > 0.0 or limits[k, RESTITUTION] == 0.0:
+            continue
+        speed = -approach(partners, rows, k)[0]
+        if speed > limits[k, SLOW]:
+            order[n, 0], order[n, 1] = -limits[k, GAP] / speed, k
+            n += 1
+    if bounded is not None:
+        for k in range(bounded.kind.size):
+            order[n, 0], order[n, 1] = time_since_stop(bounded, partners.velocity, k), ~k
+            n += order[n, 0] >= 0.0
+    return n
+
+
+@inline
+def _put_first_first(order: Floats, n: int) -> None:
+    """Sort n rows, the largest first, by Shell's method."""
+    step = n // 2
+    while step > 0:
+        for i in range(step, n):
+            time, which, j = order[i, 0], order[i, 1], i
+            while j >= step and order[j - step, 0] < time:
+                order[j, 0], order[j, 1] = order[j - step, 0], order[j - step, 1]
+                j -= step
+            order[j, 0], order[j, 1] = time, which
+        step //= 2
+
+
+@inline
+def _bounce(impulses: Impulses, k: int) -> bool:
+    """Let contact k bounce, if it still approaches; whether it did."""
+    _, partners, rows, _, _, _ = impulses
+    u = approach(partners, rows, k)
+    if u[0] >= -rows.limits[k, SLOW]:
+        return False
+    r = impact(rows.frame, k, u, rows.limits[k, RESTITUTION])
+    change_by(partners, rows, k, r)
+    give(partners, rows, k, r)
+    for i in range(3):
+        rows.impact[k, i] += r[i]
+    return True
+
+
 @lean_kernel
 def take_impacts(impulses: Impulses, bounded: Bounded | None) -> None:
     """Let contacts bounce, and give momenta."""
-    _, partners, rows, count, tally, _ = impulses
-    frame, limits = rows.frame, rows.limits
-    for _ in range(_PASSES):
-        hits = 0
-        for k in range(count[0]):
-            if limits[k, GAP] > 0.0 or limits[k, RESTITUTION] == 0.0:
-                continue
-            u = approach(partners, rows, k)
-            if u[0] >= -limits[k, SLOW]:
-                continue
-            r = impact(frame, k, u, limits[k, RESTITUTION])
-            change_by(partners, rows, k, r)
-            give(partners, rows, k, r)
-            for i in range(3):
-                rows.impact[k, i] += r[i]
-            hits += 1
-        if bounded is not None:
-            hits += bounce_at_stops(bounded, partners)
-        tally[IMPACTS] += hits
-        if hits == 0:
+    tally, order, m = impulses.tally, impulses.rows.order, impulses.filled[0]
+    for _ in range(max(_PASSES, _PASSES * _FEW // max(m, 1))):
+        n = _find_impacts(impulses, bounded)
+        if n == 0:
             return
+        _put_first_first(order, n)
+        for i in range(n):
+            k = int(order[i, 1])
+            if k >= 0:
+                tally[IMPACTS] += _bounce(impulses, k)
+            elif bounded is not None:
+                tally[IMPACTS] += bounce_at_stop(bounded, impulses.partners, ~k)
     tally[UNENDED] += 1.0

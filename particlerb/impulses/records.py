@@ -158,6 +158,7 @@ class ImpulseRows(NamedTuple):
     impact: Floats  # (.., 3) [N s] the same of impacts
     old: Floats  # (.., 3) before a sweep, and shares of the push-out
     direction: Floats  # (.., 3) of the conjugate gradients
+    order: Floats  # (.., 2) of impacts: since when [s], and which
     bounded: Bounded | None = None  # None: nothing acts in joints within bounds
 
 
@@ -198,9 +199,9 @@ def room_for_rows(n: int, bounded: Bounded | None = None) -> ImpulseRows:
     first, second, entry = np.zeros((3, n), dtype=np.int64)
     frame, limits = np.zeros((n, N_COLUMNS)), np.zeros((n, _N_LIMITS))
     impulse, impact, old, direction = np.zeros((4, n, 3))
-    return ImpulseRows(
-        first, second, entry, frame, limits, impulse, impact, old, direction, bounded
-    )
+    order = np.zeros((n + (1 if bounded is None else 1 + bounded.kind.size), 2))
+    arrays = first, second, entry, frame, limits, impulse, impact, old, direction, order
+    return ImpulseRows(*arrays, bounded)
 
 
 def room_for_bounded(kind: Ints, first: Ints, second: Ints, members: list[Ints]) -> Bounded:
