@@ -197,6 +197,20 @@ def joint_of(dice: random.Random, bodies: list[Table], k: int) -> Table:
     return joint
 
 
+def bounded(dice: random.Random, joint: Table) -> None:
+    """Let something act in a joint within bounds, by impulses, where nothing drives it."""
+    acting = {
+        "limit": {"range": [-0.05, 0.1], "restitution": dice.choice((0.0, 0.6))},
+        "motor": {"speed": dice.choice((-1.0, 2.0)), "largest": dice.choice((0.5, 20.0))},
+        "friction": dice.choice((0.1, 2.0)),
+    }
+    has_one = joint["type"] in ("hinge", "slider", *ALONG) and "drive" not in joint
+    if has_one and "breaks_at" not in joint:
+        joint |= {key: value for key, value in acting.items() if dice.random() < 0.4}
+        if joint["type"] in ALONG and acting.keys() & joint.keys():
+            joint.setdefault("along", dice.choice(ALONG[joint["type"]]))
+
+
 def touching(dice: random.Random, case: Table) -> None:
     """Let bodies of a case touch each other and walls."""
     law = dice.choice(("hooke", "hooke", "impulse", "events"))
@@ -238,9 +252,20 @@ def scene(k: int) -> Table:
     n_jointed = 0 if by_events or dice.random() < 0.5 else len(bodies)
     jointed = [k for k in range(n_jointed) if dice.random() < 0.75]
     case["joint"] = [joint_of(dice, bodies, k) for k in jointed]
+    by_impulses = case.get("contact", {}).get("law") == "impulse"
+    for joint in case["joint"] if by_impulses else []:
+        bounded(dice, joint)
     if len(bodies) > 1 and not by_events and dice.random() < 0.15:
         case["attraction"] = {"G": 1.0, "sum": dice.choice(("auto", "direct", "tree"))}
-    methods = JOINTED if jointed else TOUCHING if "contact" in case else FREE
+    methods = (
+        ("moreau",)
+        if by_impulses
+        else JOINTED
+        if jointed
+        else TOUCHING
+        if "contact" in case
+        else FREE
+    )
     run["method"] = "auto" if by_events or dice.random() < 0.4 else dice.choice(methods)
     if by_events or run["method"] in ("dop853", "exact") or dice.random() < 0.2:
         del run["dt"]
