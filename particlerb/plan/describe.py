@@ -134,7 +134,10 @@ def _contact_line(system: System, plan: Plan) -> str:
     if contact.n_interior:
         what += f", {contact.n_interior} inner spheres left out, which nothing can reach"
     if contact.rules is not None:
+        what = what if spheres else "nothing, impulse in joints alone"
         what += f", {_solved(system, plan, system.contact)}"
+        if not spheres:
+            return what
     if contact.events is not None:
         again = f"what hits again within {contact.events.contact_time:.3g} s bounces elastically"
         return f"{what}, at the instants of impacts, one after the other; {again}"
@@ -146,10 +149,10 @@ def _solved(system: System, plan: Plan, table: ContactTable) -> str:
     own = [(group, segment) for group, segment in plan.segments if touches_by_impulses(segment)]
     overlap = max(expected_overlap(system, *each) for each in own)
     after = _after_sweeps(table.solver, max(group.members.size for group, _ in own))
-    return (
-        f"residual {table.tolerance:.3g} or {table.iterations} sweeps, {after}; the fastest impact"
-        f" may overlap by about {overlap:.3g} m"
-    )
+    ends = f"residual {table.tolerance:.3g} or {table.iterations} sweeps, {after}"
+    if not plan.contacts[0].model.spheres.radius.size:
+        return ends
+    return f"{ends}; the fastest impact may overlap by about {overlap:.3g} m"
 
 
 def _after_sweeps(solver: str, n: int) -> str:

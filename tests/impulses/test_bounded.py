@@ -6,6 +6,9 @@ from impulse_scenes import DOWN, G, R, case, clump, errors, exact, impulse, plan
 
 import particlerb
 from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
+from particlerb.simulation.run import prepare
 
 pytestmark = pytest.mark.plain
 
@@ -193,6 +196,31 @@ def test_what_is_solved_beside_contacts_is_recorded_with_them():
     assert np.abs(t.wall_force[-1]).max() == pytest.approx(M * G, rel=1e-9)
 
 
+def whip(dt):
+    """Two bars of 1 m that turn by 8 rad/s as one about a pin, against stops of both hinges."""
+    links = [[x, 0, 0] for x in (-0.4, -0.15, 0.15, 0.4)]
+    shape = {"type": "points", "mass": 0.25, "radius": 0.02, "position": links}
+    bars = [
+        {"name": name, "shape": shape, "contact": False, "position": [x, 0, 0],
+         "velocity": [0, 0, -8.0 * x], "angular_velocity": [0, 8.0, 0]}
+        for name, x in (("near", 0.5), ("far", 1.5))
+    ]  # fmt: skip
+    hinge = {"type": "hinge", "axis": [0, 1, 0]}
+    pin = hinge | {"body": "near", "at": [0, 0, 0], "limit": {"range": [-0.5, 0.5]}}
+    elbow = hinge | {"body": "far", "to": "near", "at": [1, 0, 0], "limit": {"range": [-0.4, 0.4]}}
+    for joint in (pin, elbow):
+        joint["limit"] |= {"restitution": 0.5}
+    keys = {"contact": impulse(tolerance=1e-12), "output": {"fields": FIELDS}}
+    return go(case(*bars, joint=[pin, elbow], **keys), 0.24, dt)[0]
+
+
+def test_a_whip_against_stops_errs_by_the_error_of_its_joints():
+    """It stores 86 J, loses most of it in its stops, and the energy balance is of order 2."""
+    coarse, fine = (errors(whip(dt))[0] for dt in (16e-3, 8e-3))
+    assert coarse / fine > 3.0
+    assert 1e-3 < fine < 0.1
+
+
 @pytest.mark.parametrize(
     ("joint", "run", "words"),
     [
@@ -213,3 +241,10 @@ def test_a_bound_on_what_another_joint_drives_is_refused():
     scene["joint"].append(other | {"drive": {"speed": [[0.0, 0.0], [1.0, 1.0]]}})
     with pytest.raises(CaseError, match="another joint of the same bodies has a drive"):
         particlerb.run(scene)
+
+
+def test_a_plan_of_joints_alone_promises_no_overlap():
+    text = prepare(to_system(load(hinged(friction=1.0)))).text
+    assert "contact         nothing, impulse in joints alone, residual 1e-12 or 20 sweeps" in text
+    assert "overlap" not in text
+    assert "0 spheres" not in text
