@@ -4,6 +4,7 @@ Bodies on which the same forms of forces act share a group. Bodies that act on e
 through others, are a cluster and share one too, with copies of it; asymmetric bodies come first.
 """
 
+import itertools
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -35,6 +36,7 @@ from particlerb.plan.contact_rules import events_of, refuse_too_many, rules_of
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.joint_ends import Ties
 from particlerb.plan.joints import JointSetup
+from particlerb.plan.known_courses import Behind
 from particlerb.plan.links import (
     AnyLink,
     Link,
@@ -60,6 +62,7 @@ class GroupSetup(NamedTuple):
     attracts: bool  # whether they attract each other
     touches: bool  # whether they touch
     joints: JointSetup | None = None  # of the system, if any are among them
+    behind: Behind | None = None  # what was planned before, and is over
 
 
 def groups_of(
@@ -67,9 +70,10 @@ def groups_of(
     loads: Sequence[ResolvedForce],
     links: Sequence[AnyLink],
     touching: ContactSetup | None,
-    joints: JointSetup | None = None,
+    joints: JointSetup | None,
+    apart: Ints,
 ) -> list[GroupSetup]:
-    """Groups of a system, in the order of their first bodies."""
+    """Groups of a system, in the order of their first bodies; those of unlike `apart` in others."""
     heavy = attracted(system)
     solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
     held = None if joints is None else joints.acting
@@ -79,11 +83,11 @@ def groups_of(
     absent = bound if system.merging is None else np.union1d(bound, system.merging.carried)
     groups = [
         GroupSetup(members, forces, [], False, False)
-        for members, forces in _groups_alone(system, loads, absent)
+        for members, forces in _groups_alone(system, loads, absent, apart)
     ]
     together = solid if joints is None else joints.solved_with(solid)
     label = components(len(system.kind), ties, heavy, together)
-    for members in clusters(system, loads, links, label, bound, held):
+    for members in clusters(system, loads, links, label, bound, apart, held):
         own = np.zeros(len(system.kind), dtype=bool)
         own[members] = True
         inside = [within(link, own) for link in links if own[link.first].any()]
@@ -102,20 +106,20 @@ def part_of(group: GroupSetup, which: Ints) -> GroupSetup:
 
 
 def _groups_alone(
-    system: System, loads: Sequence[ResolvedForce], bound: Ints
+    system: System, loads: Sequence[ResolvedForce], bound: Ints, apart: Ints
 ) -> list[tuple[Ints, list[Forces]]]:
     """Bodies that no other body acts on, with forces of the same forms, and these forces."""
     alone = np.ones(len(system.kind), dtype=bool)
     alone[bound] = False
-    like = np.zeros(alone.size, dtype=np.int64)  # number of the sequence of forms on each body
-    sequences: dict[tuple[object, ...], int] = {}
+    like = apart.copy()  # number of the sequence of forms on each body
+    number = itertools.count(len(like))
+    sequences: defaultdict[tuple[object, ...], int] = defaultdict(number.__next__)
     numbers = np.zeros((len(loads), max([N_NUMBERS, *(len(load.numbers) for load in loads)])))
     for k, load in enumerate(loads):
         numbers[k, : len(load.numbers)] = load.numbers
         form, before = load.form, like[load.members]
         for one in np.unique(before).tolist():
-            longer = sequences.setdefault((one, form), len(sequences) + 1)
-            like[load.members[before == one]] = longer
+            like[load.members[before == one]] = sequences[one, form]
     none = np.zeros(0, dtype=np.int64)
     bodies = np.concatenate([none, *(load.members for load in loads)])
     order = np.argsort(bodies, kind="stable")
@@ -139,6 +143,7 @@ def clusters(
     links: Sequence[AnyLink],
     label: Ints,
     bound: Ints,
+    apart: Ints,
     joints: Ties | None = None,
 ) -> list[Ints]:
     """Bodies of each group of clusters that are copies of each other; asymmetric ones first."""
@@ -147,7 +152,7 @@ def clusters(
     order = bound[np.argsort(label[bound], kind="stable")]
     starts = np.flatnonzero(np.diff(label[order], prepend=-1))
     signs: dict[int, list[object]] = {
-        int(label[part[0]]): [tuple(system.kind[part % system.in_each].tolist())]
+        int(label[part[0]]): [(int(apart[part[0]]), *system.kind[part % system.in_each].tolist())]
         for part in np.split(order, starts[1:])
     }
     for link in links:

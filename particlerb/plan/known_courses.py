@@ -9,6 +9,7 @@ All that has acted since the start counts, and nothing of what a state comes to 
 and its continuation have the same plan.
 """
 
+import copy
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -38,18 +39,64 @@ class Stretch(NamedTuple):
     jumps: tuple[Impulse, ...]  # at its start
 
 
-@np.errstate(over="ignore", invalid="ignore")
+class Courses:
+    """What is known of bodies by all that has acted on them since the start of the run."""
+
+    def __init__(self, bodies: Bodies, state: State) -> None:
+        self.turning, self.straight = _Turning(bodies, state), _Straight(bodies, state)
+        self.asked = False  # whether something might have used it
+
+    def copied(self) -> "Courses":
+        """The same, to go on by itself."""
+        other = copy.copy(self)
+        other.turning, other.straight = copy.copy(self.turning), copy.copy(self.straight)
+        other.turning.axis = self.turning.axis.copy()  # these two are written in place
+        other.straight.holds = self.straight.holds.copy()
+        return other
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def under(self, stretch: Stretch) -> Terms:
+        """Go on into a stretch: its terms with what is known."""
+        terms = stretch.terms
+        self.asked |= _asks(terms)
+        for jump in stretch.jumps:
+            self.turning.jump(jump)
+            self.straight.jump(jump)
+        axis, on_line = self.turning.axis_under(terms), self.straight.under(terms)
+        if axis is None and on_line is None:
+            return terms
+        return terms._replace(axis=axis, is_straight=on_line)
+
+    def leave(self, is_closed: Bools) -> None:
+        """Leave a stretch in which these bodies had a closed form."""
+        self.turning.axis[~is_closed] = _LOST
+        self.straight.leave(is_closed)
+
+
+class Behind(NamedTuple):
+    """What a group has left behind that shall not be planned again."""
+
+    begin: float  # [s] of the segment that it is in
+    courses: Courses | None  # before that; None where it has no closed form by its method
+
+
 def with_known_courses(
-    bodies: Bodies, state: State, stretches: Sequence[Stretch], scene: Ints | None
+    bodies: Bodies,
+    state: State,
+    stretches: Sequence[Stretch],
+    scene: Ints | None,
+    courses: Courses | None = None,
 ) -> list[tuple[Terms, Bools]]:
     """Terms of all segments with what is known, and which bodies then have a closed form.
 
     Parameters
     ----------
     bodies, state
-        Of a group, at the start of the first segment.
+        Of a group, at the start of the run.
     scene : ndarray, shape (n,), optional
         Of each body, where those of a scene have a closed form together, or none of them.
+    courses : Courses, optional
+        What is known before the first stretch, where the run does not start with it.
 
     Raises
     ------
@@ -64,20 +111,14 @@ def with_known_courses(
             known[id(terms)] = _closed(bodies, terms, scene)
         return known[id(terms)]
 
-    if not any(_asks(stretch.terms) for stretch in stretches):
+    asked = courses is not None and courses.asked
+    if not (asked or any(_asks(stretch.terms) for stretch in stretches)):
         return [(one.terms, closed(one.terms)) for one in stretches]
-    turning, straight, found = _Turning(bodies, state), _Straight(bodies, state), []
-    for given, jumps in stretches:
-        for jump in jumps:
-            turning.jump(jump)
-            straight.jump(jump)
-        axis, on_line = turning.axis_under(given), straight.under(given)
-        terms = given
-        if axis is not None or on_line is not None:
-            terms = given._replace(axis=axis, is_straight=on_line)
+    courses, found = Courses(bodies, state) if courses is None else courses.copied(), []
+    for stretch in stretches:
+        terms = courses.under(stretch)
         is_closed = closed(terms)
-        turning.axis[~is_closed] = _LOST
-        straight.leave(is_closed)
+        courses.leave(is_closed)
         found.append((terms, is_closed))
     return found
 

@@ -5,19 +5,30 @@ an impulse acts. What a system does not use is neither computed nor compiled, an
 in words.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
 
 from particlerb.case.coarse_lattice import coarse
 from particlerb.case.problems import CaseError
+from particlerb.maths.vec3 import Ints
 from particlerb.model.state import State
 from particlerb.model.system import System
 from particlerb.plan.case_forces import impossible, loads_of
 from particlerb.plan.contact_setup import contact_of
-from particlerb.plan.groups import groups_of
+from particlerb.plan.groups import GroupSetup, groups_of
 from particlerb.plan.joints import joints_of
+from particlerb.plan.known_courses import Behind
 from particlerb.plan.links import Link, coincident, links_of
 from particlerb.plan.merging import merged, on_hosts
-from particlerb.plan.segments import GroupPlan, Plan, cut_into_segments, refuse_method
+from particlerb.plan.segments import (
+    GroupPlan,
+    Plan,
+    RegroupedError,
+    cut_into_segments,
+    refuse_method,
+)
 from particlerb.plan.time_step import (
     Stepping,
     as_warning,
@@ -36,6 +47,7 @@ def make_plan(
     system: System,
     choose: Callable[[GroupPlan], Stepping | None] = lambda group: None,
     now: tuple[float, State] | None = None,
+    behind: Mapping[bytes, Behind] = MappingProxyType({}),
 ) -> Plan:
     """Plan of a system.
 
@@ -48,12 +60,16 @@ def make_plan(
     now : tuple of float and State, optional
         Time from which on to plan [s], and the state then; left out, t = 0 and that of the system.
         Springs, joints and driven bodies are tied as they were at t = 0.
+    behind : mapping of bytes to Behind, optional
+        By the members of each group: what is over for it, and need not be among the forces.
 
     Raises
     ------
     CaseError
         If a torque overflows or turns a body that cannot turn so, if the method does not accept a
         force, or if no step can be chosen.
+    RegroupedError
+        If bodies no longer belong to the groups of `behind`.
     """
     system = merged(system)
     loads = loads_of(system)
@@ -70,7 +86,9 @@ def make_plan(
     if now is not None and system.merging is not None:
         state = system.merging.together(state)
     system = system._replace(state=state)
-    grouped = groups_of(system, loads, links, touching, joints)
+    grouped = groups_of(system, loads, links, touching, joints, _apart(behind, system.n_bodies))
+    if behind:
+        grouped = _after(behind, grouped)
     asked = touching, start, now is None
     cut = [part for group in grouped for part in cut_into_segments(system, group, *asked)]
     cut.sort(key=lambda group: int(group.members.min()))
@@ -90,3 +108,19 @@ def make_plan(
     told = [*(coarse(system) if now is None else ()), *growing_contacts(system, groups)]
     warnings = (*map(as_warning, told), *step_warnings(system, groups))
     return Plan(groups, step_reason(system, groups, choice), warnings)
+
+
+def _apart(behind: Mapping[bytes, Behind], n_bodies: int) -> Ints:
+    """(n_bodies,) number of the group that each body has been in."""
+    number = np.zeros(n_bodies, dtype=np.int64)
+    for k, members in enumerate(behind):
+        number[np.frombuffer(members, dtype=np.int64)] = k
+    return number
+
+
+def _after(behind: Mapping[bytes, Behind], groups: list[GroupSetup]) -> list[GroupSetup]:
+    """The same groups with what they have left behind."""
+    found = [behind.get(group.members.tobytes()) for group in groups]
+    if None in found:
+        raise RegroupedError
+    return [group._replace(behind=own) for group, own in zip(groups, found, strict=True)]

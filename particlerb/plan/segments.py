@@ -40,7 +40,7 @@ from particlerb.plan.case_forces import Forces, acting_terms, jumps_of
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.groups import GroupSetup, part_of, terms_between
 from particlerb.plan.joint_drives import drives_from
-from particlerb.plan.known_courses import Stretch, with_known_courses
+from particlerb.plan.known_courses import Behind, Courses, Stretch, with_known_courses
 from particlerb.rotors.rotor_class import POINT
 from particlerb.stepping.closed_forms import has_closed_form
 from particlerb.stepping.motion import SegmentGroup, Shared
@@ -60,6 +60,10 @@ _NEEDS: Final = {
     FLOWS: "it depends on velocities, and joints hold bodies",
     GRID: "it takes steps of one length",
 }
+
+
+class RegroupedError(Exception):
+    """Groups of which something was left behind are no longer these."""
 
 
 class Segment(NamedTuple):
@@ -125,6 +129,8 @@ def cut_into_segments(
     others where they are not stepped.
     """
     members = group.members
+    if group.behind is not None:
+        begin, is_first = group.behind.begin, True
     spans = [force.form.edges or _ALWAYS for force in group.forces]  # of an impulse: its instant
     spans_of_links = [link.force.edges or _ALWAYS for link in group.links]
     edges = {begin}.union(*spans, *spans_of_links)
@@ -158,7 +164,8 @@ def cut_into_segments(
     closed, segments = [], []
     scene = system.world[members] if group.joints is not None or group.links else None
     named, stops = system.run.method, [*starts[1:], np.inf]
-    known = _with_closed_forms(named, bodies, taken(system.state, members), stretches, scene)
+    own = bodies, taken(system.state, members)
+    known = _with_closed_forms(named, *own, stretches, scene, group.behind)
     for start, stop, (_, jumps), (terms, is_closed) in zip(
         starts, stops, stretches, known, strict=True
     ):
@@ -170,6 +177,8 @@ def cut_into_segments(
         n = system.n_worlds
         worlds = worlds_among(system.world[members], n) if n > 1 else None
         return [GroupPlan(members, bodies, tuple(segments), worlds)]
+    if group.behind is not None:
+        raise RegroupedError
     parts = [np.flatnonzero(kind == k) for k in range(kinds.shape[1])]
     return [
         part
@@ -253,13 +262,34 @@ def _may_be_closed(named: str, terms: Terms) -> bool:
 
 
 def _with_closed_forms(
-    named: str, bodies: Bodies, state: State, stretches: list[Stretch], scene: Ints | None
+    named: str,
+    bodies: Bodies,
+    state: State,
+    stretches: list[Stretch],
+    scene: Ints | None,
+    behind: Behind | None,
 ) -> list[tuple[Terms, Bools]]:
     """Terms of all segments, and which bodies have a closed form that counts."""
-    if all(_may_be_closed(named, one.terms) for one in stretches):
-        return with_known_courses(bodies, state, stretches, scene)
+    courses = None if behind is None else behind.courses
+    might = behind is None or courses is not None
+    if might and all(_may_be_closed(named, one.terms) for one in stretches):
+        return with_known_courses(bodies, state, stretches, scene, courses)
     none = np.zeros(bodies.mass.size, dtype=bool)
     return [(one.terms, none) for one in stretches]
+
+
+def left_behind(system: System, group: GroupPlan, number: int, before: Behind | None) -> Behind:
+    """What a group has left behind in its segment `number`, beside what it had at the first."""
+    passed, method = group.segments[:number], system.run.method
+    start = group.bodies, taken(system.state, group.members)
+    courses = Courses(*start) if before is None else before.courses
+    if courses is None or not all(_may_be_closed(method, one.terms) for one in passed):
+        return Behind(group.segments[number].start, None)
+    courses = courses.copied()
+    for one in passed:
+        courses.under(Stretch(one.terms, one.jumps))
+        courses.leave(np.full(group.members.size, not has_step(one.method)))
+    return Behind(group.segments[number].start, courses)
 
 
 def _chosen_method(named: str, bodies: Bodies, terms: Terms, is_closed: Bools) -> str:

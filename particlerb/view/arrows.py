@@ -64,7 +64,7 @@ class Arrows:
     def draw_force(self, session: Session, place: Floats) -> None:
         """The last force, at its point; it stays where it was when the push has ended."""
         stage = self.stage
-        applied = session.applied[-1] if session.applied else None
+        applied = next(reversed(session.last.values()), None)
         if applied is None or not self.shown["force"].value:
             stage.point("force", place, _NONE)
         elif session.time <= applied.stop or "force" not in stage.arrows or not self.trail:

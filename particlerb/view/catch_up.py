@@ -1,16 +1,20 @@
-"""Brings a new run of the same bodies to where the old one has gone.
+"""Lets a run go on by a new plan of the same bodies, or brings a new run to where it has gone.
 
 Groups whose past has not changed keep what they have computed; others go through it again.
 """
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import room_for
-from particlerb.plan.segments import GroupPlan
+from particlerb.model.system import System
+from particlerb.plan.known_courses import Behind
+from particlerb.plan.segments import GroupPlan, Plan, left_behind
 from particlerb.simulation.group_run import GroupRun, record_all
+from particlerb.simulation.state_checks import StateChecks
 from particlerb.simulation.whole_run import Run
 
 CHUNK: Final = 256  # frames that are computed together
@@ -27,13 +31,53 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def _continues(group_run: GroupRun, plan: GroupPlan, time: float) -> bool:
-    """Whether a group that went on by its old plan until a time has gone on by the new one."""
-    n = group_run.number + 1
-    was, now = group_run.plan.segments[:n], plan.segments[:n]
-    if len(now) < n or now[-1].stop < time or not same(was[:-1], now[:-1]):
+def _place_in(plan: GroupPlan, group_run: GroupRun, time: float) -> int | None:
+    """Number of the segment that a group is in by another plan; None if its past differs.
+
+    Either plan may leave out the first segments.
+    """
+    was, now = group_run.plan.segments[: group_run.number + 1], plan.segments
+    k = next((k for k, one in enumerate(now) if one.start == was[-1].start), None)
+    if k is None or now[k].stop < time:
+        return None
+    both = min(k + 1, len(was))
+    was, now = was[-both:], now[k + 1 - both : k + 1]
+    is_same = same(was[:-1], now[:-1])
+    is_same = is_same and same(was[-1]._replace(stop=0.0), now[-1]._replace(stop=0.0))
+    return k if is_same else None
+
+
+def left_by(run: Run, before: Mapping[bytes, Behind]) -> tuple[dict[bytes, Behind], Floats]:
+    """What groups have left behind, beside what they had before, by their members; and since when.
+
+    The times [s] are of each body: that from which on its group is planned.
+    """
+    behind = {}
+    for t in run.group_runs:
+        key = t.plan.members.tobytes()
+        behind[key] = left_behind(run.moving, t.plan, t.number, before.get(key))
+    begins = np.full(run.system.n_bodies, min(one.begin for one in behind.values()))
+    if run.moving.merging is None:
+        for t in run.group_runs:
+            begins[t.plan.members] = behind[t.plan.members.tobytes()].begin
+    return behind, begins
+
+
+def followed(run: Run, system: System, plan: Plan, time: float) -> bool:
+    """Let a run that has come to a time [s] go on by another plan; False where groups cannot."""
+    runs = {t.plan.members.tobytes(): t for t in run.group_runs}
+    found = [(runs.get(group.members.tobytes()), group) for group in plan.groups]
+    places = [None if t is None else _place_in(group, t, time) for t, group in found]
+    if len(run.superblocks) > 1 or None in places:
         return False
-    return same(was[-1]._replace(stop=0.0), now[-1]._replace(stop=0.0))
+    for (group_run, group), k in zip(found, places, strict=True):
+        if group_run is not None and k is not None:
+            group_run.plan, group_run.number = group, k
+    run.system, checks = system, StateChecks(run.moving, plan)
+    checks.rod_limit = np.maximum(checks.rod_limit, run.checks.rod_limit)
+    run.checks = checks
+    run.sums_itself = [run.sums_itself[0] and all(t.sums_itself for t in run.group_runs)]
+    return True
 
 
 def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
@@ -47,8 +91,9 @@ def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
     for runs in run.superblocks:
         for k, group_run in enumerate(runs):
             old = known.get(group_run.plan.members.tobytes())
-            if before and old and _continues(old, group_run.plan, time):
-                old.plan = group_run.plan
+            place = None if old is None else _place_in(group_run.plan, old, time)
+            if before and old and place is not None:
+                old.plan, old.number = group_run.plan, place
                 runs[k] = old
                 run.last[old.plan.members] = before.last[old.plan.members]
             else:

@@ -335,9 +335,8 @@ class Live(Page):
         """The table of numbers and the line of the clock."""
         session, b = self.session, self.body
         parts = state_parts(session.system, b, motion)
-        pushes = [k for k, one in enumerate(session.applied) if one.push.body == b]
-        if pushes:
-            last, end = session.applied[pushes[-1]], session.ends.get(pushes[-1])
+        last, end = session.last.get(b), session.ends.get(b)
+        if last is not None:
             parts = [push_part(last, self.drift(last, motion)), *parts]
             joints = self.stage.joints
             if joints is None or b not in joints.held:  # whose joints push too

@@ -40,7 +40,7 @@ def recorded(session: Session) -> str:
 def header(session: Session, t_end: float) -> list[str]:
     """What the file says of itself."""
     path = session.start_path
-    pushes = len(session.applied)
+    pushes = session.n_pushes
     return [
         f"Recorded by `particlerb view` {particlerb.__version__}"
         + (f" from {path.name}" if path else "")

@@ -11,9 +11,9 @@ grid before the push stays as it was. Must not know the browser.
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -25,14 +25,22 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
 from particlerb.model.state import Frames, rotate
 from particlerb.model.system import System
+from particlerb.plan.known_courses import Behind
 from particlerb.plan.make_plan import make_plan
-from particlerb.plan.segments import Plan, Segment, has_step, is_adaptive
+from particlerb.plan.segments import (
+    Plan,
+    RegroupedError,
+    Segment,
+    has_step,
+    is_adaptive,
+)
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.frame_times import multiples
 from particlerb.simulation.whole_run import Prepared, Run, RunError
 from particlerb.stepping.motion import MotionError
-from particlerb.view.catch_up import CHUNK, catch_up
+from particlerb.view.catch_up import CHUNK, catch_up, followed, left_by
 
+_Force: TypeAlias = dict[str, Any]
 _STEPS_PER_FRAME: Final = 5000  # of a push on bodies that are free otherwise, per run.every
 LEAST_STEPS_PER_FRAME: Final = 32  # of bodies that are stepped all the time
 _LONGEST: Final = 1000.0  # length of a session over t_end of its case, at least
@@ -100,11 +108,14 @@ class Session:
         """Back to t = 0, without the pushes."""
         self.raw: dict[str, Any] = copy.deepcopy(self.start)
         self.system, self.warnings, self.run = self.prepared()
+        self.lasting: list[dict[str, Any]] = []  # forces of the session that are not over
+        self.behind: dict[bytes, Behind] = {}  # by the members of groups: what is over
         self.time, self.next_frame = 0.0, 0
-        self.applied: list[AppliedPush] = []
-        self.ends: dict[int, Frames] = {}  # when the last push of a body, by number, was over
+        self.n_pushes = 0
+        self.last: dict[int, AppliedPush] = {}  # push of each body, the latest at the end
+        self.ends: dict[int, Frames] = {}  # states when these were over
         self.has_gravity = self.own_gravity
-        self.gravity_pushes: list[int] = []  # the forces that stand for switched gravity now
+        self.weights: list[dict[str, Any]] = []  # the forces that stand for switched gravity now
         self.frame, self.entries = self.computed_at(np.zeros(1), np.ones(1, dtype=np.bool_))
         self.next_frame = 1
 
@@ -126,7 +137,7 @@ class Session:
             return
         if time > self.longest:
             raise SessionError(f"a session of this case ends at {self.longest:g} s: reset it")
-        ends = {applied.stop for applied in self.applied if self.time < applied.stop < time}
+        ends = {one.stop for one in self.last.values() if self.time < one.stop < time}
         for until in (*sorted(ends), time):
             self.compute_until(until)
             self.keep_ends()
@@ -143,9 +154,9 @@ class Session:
 
     def keep_ends(self) -> None:
         """Keep the state in which a push ends now."""
-        for k, applied in enumerate(self.applied):
+        for b, applied in self.last.items():
             if applied.stop == self.time:
-                self.ends.setdefault(k, self.frame)
+                self.ends.setdefault(b, self.frame)
 
     def frames_until(self, time: float) -> Floats:
         """Times of the frames of the case that lie after those taken, up to a time [s]."""
@@ -199,10 +210,11 @@ class Session:
         momenta = p[0, push.body].copy(), L[0, push.body].copy()
         turned = orientation[0, push.body].copy()
         applied = AppliedPush(push, start, stop, lever, *momenta, turned)
-        self.continue_with([*self.raw["force"], entry])
-        for k in [k for k in self.ends if self.applied[k].push.body == push.body]:
-            del self.ends[k]
-        self.applied.append(applied)
+        self.continue_with([entry])
+        for latest in self.last, self.ends:
+            latest.pop(push.body, None)
+        self.last[push.body] = applied
+        self.n_pushes += 1
         self.keep_ends()
         return applied
 
@@ -217,20 +229,11 @@ class Session:
         if on == self.has_gravity:
             return
         self.advance(self.next_step(range(self.system.n_bodies)))
-        forces = copy.deepcopy(self.raw["force"])
-        gravity_pushes: list[int] = []
-        if self.gravity_pushes:
-            for k in self.gravity_pushes:
-                forces[k]["during"][1] = self.time
-            forces = [f for f in forces if "during" not in f or f["during"][0] < f["during"][1]]
-        else:
-            weights = self.weights(-1.0 if self.own_gravity else 1.0)
-            gravity_pushes = list(range(len(forces), len(forces) + len(weights)))
-            forces += weights
-        self.continue_with(forces)
-        self.gravity_pushes, self.has_gravity = gravity_pushes, on
+        new = [] if self.weights else self.new_weights(-1.0 if self.own_gravity else 1.0)
+        self.continue_with(new, self.weights)
+        self.weights, self.has_gravity = new, on
 
-    def weights(self, sign: float) -> list[dict[str, Any]]:
+    def new_weights(self, sign: float) -> list[dict[str, Any]]:
         """Pushes that stand for gravity, or take it away, from now on; one per [[body]]."""
         system, entries = self.system, []
         gravity = system.gravity.acceleration if system.gravity else G
@@ -248,37 +251,54 @@ class Session:
         return entries
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def continue_with(self, forces: list[dict[str, Any]]) -> None:
-        """Go on as the run of the case with these forces, from the time that it is.
+    def continue_with(self, new: list[_Force], ended: Sequence[_Force] = ()) -> None:
+        """Go on as the run of the case with more forces, of which others end at this time.
 
         Raises
         ------
         SessionError
             If there can be no such case; nothing has changed then.
         """
-        before = self.raw, self.system, self.warnings
-        self.raw = {**self.raw, "force": forces}
-        try:
-            self.system, self.warnings, run = self.prepared()
-        except CaseError as error:
-            self.raw = before[0]
-            raise SessionError(error.problems[0].reason) from None
+        before = self.raw, self.lasting
+        forces, lasting = (
+            [*_ending(ended, self.time, forces), *new] for forces in (before[0]["force"], before[1])
+        )
+        self.raw, self.lasting = {**self.raw, "force": forces}, lasting
         now, is_frame = np.array([self.time]), np.zeros(1, dtype=np.bool_)
         try:
-            catch_up(run, self.run, self.frame_times_until_now(), self.time)
-            self.run = run
+            if not self.goes_on():
+                self.begin_again(self.run)
             self.frame, self.entries = self.computed_at(now, is_frame)
+        except CaseError as error:
+            self.raw, self.lasting = before
+            raise SessionError(error.problems[0].reason) from None
         except (SessionError, MotionError, RunError) as error:
-            self.raw, self.system, self.warnings = before
-            run = self.prepared()[2]
-            catch_up(run, None, self.frame_times_until_now(), self.time)
-            self.run = run
+            self.raw, self.lasting = before
+            self.begin_again(None)
             self.frame, self.entries = self.computed_at(now, is_frame)
             raise SessionError(str(error)) from None
 
-    def frame_times_until_now(self) -> Floats:
-        """Times of the frames of the case until now [s]."""
-        return multiples(self.every, 0, self.next_frame)
+    def goes_on(self) -> bool:
+        """Go on by a plan without what is over; False where groups do not stay as they are."""
+        behind, begins = left_by(self.run, self.behind)
+        bodies = self.system.names
+        self.lasting = [f for f in self.lasting if _end(f) >= begins[bodies.find(f["body"])].min()]
+        raw = {**self.raw, "force": [*self.start["force"], *self.lasting]}
+        system = with_records(self.system, load(raw))
+        try:
+            plan = make_plan(system, behind=behind)
+        except RegroupedError:
+            return False
+        if not followed(self.run, system, plan, self.time):
+            return False
+        self.system, self.warnings, self.behind = system, plan.warnings, behind
+        return True
+
+    def begin_again(self, before: Run | None) -> None:
+        """A run of the whole case until now, with what another has computed of it."""
+        self.system, self.warnings, run = self.prepared()
+        catch_up(run, before, multiples(self.every, 0, self.next_frame), self.time)
+        self.run, self.behind = run, {}
 
     def grids(self, bodies: Any) -> list[Segment]:
         """Segments that outlast the session on whose grids these bodies are."""
@@ -309,6 +329,20 @@ class Session:
         return round(time / quantum) * quantum
 
 
+def _end(force: _Force) -> float:
+    """When a force of the session acts last [s]."""
+    return float(force["during"][1] if "during" in force else force["time"])
+
+
+def _ending(ended: Sequence[_Force], time: float, forces: list[_Force]) -> list[_Force]:
+    """Forces of which some end at a time [s]; those that would begin then are left out."""
+    if not ended:
+        return forces
+    cut = {id(f): {**f, "during": [f["during"][0], time]} for f in ended}
+    found = (cut.get(id(f), f) for f in forces)
+    return [f for f in found if "during" not in f or f["during"][0] < f["during"][1]]
+
+
 def opening(system: System, plan: Plan, longest: float) -> dict[str, Any]:
     """Data of the case with which a session starts: its step written out, its checks left out."""
     raw: dict[str, Any] = copy.deepcopy(dict(system.source.raw))
@@ -332,7 +366,7 @@ def _with_absolute_files(raw: Any, folder: Path | None) -> Any:
     if isinstance(raw, Mapping):
         return {
             key: str(((folder or Path()) / value).absolute())
-            if key == "file" and isinstance(value, str)
+            if key in ("file", "table") and isinstance(value, str)
             else _with_absolute_files(value, folder)
             for key, value in raw.items()
         }

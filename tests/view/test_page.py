@@ -89,16 +89,16 @@ def test_a_click_at_the_centre_does_not_turn_and_off_it_does(cube):
     cube.choose("direction", "along the view")
     x, y = cube.canvas()
     cube.click(x, y)
-    cube.until(lambda: cube.serving.session.applied, "clicked")
-    first = cube.serving.session.applied[0]
+    cube.until(lambda: cube.serving.session.n_pushes, "clicked")
+    first = cube.serving.session.last[0]
     arm = np.linalg.norm(np.cross(first.lever, first.push.vector)) / 0.1  # [m] past the centre
     assert arm < 0.005  # a pixel or two
     assert np.linalg.norm(state(cube)[2][0]) == pytest.approx(0.1, rel=1e-12)  # N s
     before = state(cube)[3][0].copy()
     cube.press("reset")
     cube.click(x + 90, y)
-    cube.until(lambda: cube.serving.session.applied, "clicked again")
-    second = cube.serving.session.applied[0]
+    cube.until(lambda: cube.serving.session.n_pushes, "clicked again")
+    second = cube.serving.session.last[0]
     gained = state(cube)[3][0]
     expected = np.cross(second.lever, second.push.vector)
     assert np.linalg.norm(gained) > 5 * np.linalg.norm(before)
@@ -119,13 +119,13 @@ def test_dragging_the_camera_does_not_push(cube):
     mouse.move(x + 120, y + 30, steps=12)
     mouse.up()
     cube.page.wait_for_timeout(1000)
-    assert not cube.serving.session.applied
+    assert not cube.serving.session.n_pushes
     assert not state(cube)[2].any()
 
 
 def test_reset_brings_back_the_start(cube):
     cube.press("push at this point")
-    cube.until(lambda: cube.serving.session.applied, "pushed")
+    cube.until(lambda: cube.serving.session.n_pushes, "pushed")
     cube.until(lambda: cube.serving.session.time > 0.2, "running, as it was pushed")
     cube.press("reset")
     cube.until(lambda: cube.serving.session.time == 0.0, "reset")
@@ -165,9 +165,9 @@ def test_the_page_on_a_phone(cube):
         assert 422 < box["y"] < 844 - box["height"]
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= 390
-        before = len(cube.serving.session.applied)
+        before = cube.serving.session.n_pushes
         button.click()
-        cube.until(lambda: len(cube.serving.session.applied) > before, "pushed from the phone")
+        cube.until(lambda: cube.serving.session.n_pushes > before, "pushed from the phone")
         clients = cube.serving.server.get_clients().values()
         phone = next(one for one in clients if one.camera.aspect < 0.6)
         assert phone.camera.look_at[2] < 0.0  # so that the scene lies above the fields
@@ -182,13 +182,13 @@ def test_no_number_in_a_field_breaks_the_scene(cube):
         before = state(cube)
         cube.press("push at this point")
         cube.page.wait_for_timeout(200)
-        if not cube.serving.session.applied:
+        if not cube.serving.session.n_pushes:
             assert all((was == now).all() for was, now in zip(before, state(cube), strict=True))
             assert cube.serving.message, wrong
         cube.press("reset")
     cube.fill("force [N]", "50")
     cube.press("push at this point")
-    cube.until(lambda: len(cube.serving.session.applied) == 1, "pushed after all that")
+    cube.until(lambda: cube.serving.session.n_pushes == 1, "pushed after all that")
 
 
 def test_a_file_is_replayed(serve, tmp_path):
