@@ -64,8 +64,6 @@ def view_command(options: argparse.Namespace) -> int:
 
 def push(options: argparse.Namespace, server: "viser.ViserServer", access: "Access") -> int:
     """Serve a case, and the scenes that are chosen on its page after it."""
-    from particlerb.view.page import note
-
     live = _live(options, server)
     with open_to(access, options.no_browser):
         while True:
@@ -73,10 +71,8 @@ def push(options: argparse.Namespace, server: "viser.ViserServer", access: "Acce
             _save(live)
             if live.chosen is None:
                 break
-            server.gui.reset()
-            server.scene.reset()
-            said = f"preparing {live.chosen}: the first start compiles, for a minute or more"
-            server.gui.add_html(note(said))
+            live.say(f"preparing {live.chosen}: the first start compiles, for a minute or more")
+            live.write_status("")
             options.case, options.overrides = SCENES[live.chosen], []
             live = _live(options, server)
     if not live.is_over:  # a signal has ended it
@@ -98,7 +94,8 @@ def _live(options: argparse.Namespace, server: "viser.ViserServer") -> "Live":
         system = to_system(case)
         print("preparing (the first start compiles, 15 s or longer) ...", file=sys.stderr)
         rehearse(system)
-        server.gui.reset()
+        server.gui.reset()  # long after its last update: a browser misses a field that is gone
+        server.scene.reset()
         return Live(system, server, path, list(dict.fromkeys((name, *SCENES))))
 
 

@@ -1,13 +1,20 @@
 """The page in a real browser: pushes, numbers, replay, and what no page would send."""
 
+import argparse
+import contextlib
 import os
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import particlerb
+from particlerb.cli import view
+from particlerb.view import live
+from particlerb.view.session import Session
 
+OF_THE_RENDERER = ("THREE.Clock", "WebGL")  # which has no card here, nor is it ours
 PICTURES = os.environ.get("PARTICLERB_PICTURES")  # folder for the screenshots of docs/
 pytestmark = pytest.mark.slow
 BRICKS = {
@@ -215,3 +222,50 @@ def test_a_file_is_replayed(serve, tmp_path):
         assert Path(download.value.path()).read_bytes()[:4] == b"\x89PNG"
         served.press("play / pause")
         served.until(lambda: served.serving.frame > 32, "playing")
+
+
+class Scenes:
+    """What `view` serves: a scene, and those that are chosen after it."""
+
+    def __init__(self, server, monkeypatch) -> None:
+        self.server, self.pages, prepared = server, [], view._live
+
+        def kept(*given):
+            self.pages.append(prepared(*given))
+            return self.pages[-1]
+
+        monkeypatch.setattr(view, "_live", kept)
+        monkeypatch.setattr(view, "open_to", lambda *_: contextlib.nullcontext())
+
+    def go(self) -> None:
+        """Serve them until `stop`."""
+        options = {"case": "cube_at_rest", "overrides": [], "commands": (), "output": None}
+        view.push(argparse.Namespace(**options, no_browser=True), self.server, None)
+
+    def stop(self) -> None:
+        """End the one that is served."""
+        self.pages[-1].stop()
+
+    @property
+    def message(self) -> str:
+        """What it says."""
+        return self.pages[-1].message
+
+
+def test_no_scene_of_the_page_says_anything_on_the_console(serve, tmp_path, monkeypatch):
+    """Each is chosen while the one before moves, until the first is back."""
+    monkeypatch.chdir(tmp_path)
+    still = lambda session, time: setattr(session, "time", time)  # noqa: E731 - compiles nothing
+    monkeypatch.setattr(Session, "advance", still)
+    monkeypatch.setattr(live, "rehearse", lambda system: time.sleep(0.3))
+    with serve(lambda server: Scenes(server, monkeypatch)) as served:
+        for n, name in enumerate([*list(view.SCENES)[1:], "cube"], start=2):
+            served.pages = served.serving.pages
+            served.pages[-1].is_running = True
+            served.page.wait_for_timeout(300)
+            served.choose("scene", name)
+            served.until(lambda n=n: len(served.pages) == n, name)
+            served.page.wait_for_timeout(1500)
+            assert served.field("scene").input_value() == name
+            wrong = [text for kind, text in served.seen if kind in ("warning", "error")]
+            assert not [text for text in wrong if not any(own in text for own in OF_THE_RENDERER)]
