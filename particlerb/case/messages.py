@@ -58,6 +58,12 @@ def without_typos(found: Sequence[Message]) -> list[Message]:
     return [one for one in found if one.reason != "missing" or one.path not in meant]
 
 
+def decides_on_others(message: Message) -> bool:
+    """Whether rules of other tables cannot be judged before this is mended."""
+    is_no_table = len(message.path) == 1 and message.reason.startswith("must be")
+    return is_no_table or message.path == ("contact", "law")
+
+
 def _is_follow_up(error: ErrorDetails) -> bool:
     """Whether a list is called too short only because its entries are wrong."""
     return error["type"] == "too_short" and bool(error["input"])
@@ -82,7 +88,13 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
         known = re.findall(r"'([^']*)'", context["expected"])
         hint = forms(path) or nearest(str(value), known)
         return Message(path, f"unknown: {shown(value)}", hint)
-    return Message(path, _reason_of(kind, context, value) or error["msg"])
+    reason = _reason_of(kind, context, value) or error["msg"]
+    if kind == "float_type" and _tables(_types_at(raw, path, root), None):
+        reason = reason.replace("a number", "a number or a table", 1)
+    hint = f"write [[{path[0]}]]" if kind == "tuple_type" and len(path) == 1 else ""
+    if kind == "model_type":
+        hint = f"keys: {', '.join(_table_keys(raw, path, root))}"
+    return Message(path, reason, hint)
 
 
 def forms(path: Path) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from particlerb.case.case_names import case_path, nearest_names
-from particlerb.case.messages import Message, messages_of, without_typos
+from particlerb.case.messages import Message, decides_on_others, messages_of, without_typos
 from particlerb.case.overrides import overridden
 from particlerb.case.problems import (
     CaseError,
@@ -190,7 +190,8 @@ def build(source: Source, overrides: Sequence[str]) -> Case:
         try:
             case = Case.model_validate(raw)
         except ValidationError as error:
-            found = messages_of(raw, error.errors(include_url=False)) + found
+            wrong = messages_of(raw, error.errors(include_url=False))
+            found = wrong if any(map(decides_on_others, wrong)) else wrong + found
         if found:
             raise CaseError(_located(source, without_typos(found)))
     except RecursionError:

@@ -77,6 +77,14 @@ MISTAKES = [
         "must be a number, got true or false: True",
         "",
     ),
+    (
+        "[run]",
+        "gravity = -9.81\n[run]",
+        2,
+        "gravity",
+        "must be a table, got a number: -9.81",
+        "keys: acceleration",
+    ),
     ("every = 0.1", "", 2, "run.every", "missing", "keys here: t_end, every, method"),
     ("every = 0.1", "every = 6", 4, "run.every", "must be <= run.t_end = 5.0, got 6.0", ""),
     ("every = 0.1", "every = 1e-300", 4, "run.every", "makes more than 1e+09 frames", "longer"),
@@ -1384,3 +1392,24 @@ wall = [{ type = "cylinder", name = "w", radius = 1.0, length = 2.4e101, open = 
 body = [{ name = "a", shape = { type = "sphere", radius = 0.2 }, mass = 1.0 }]
 """
     prepare(to_system(parse(text)))
+
+
+@pytest.mark.parametrize("motor", ["fast", [1.0]])
+def test_a_motor_is_a_number_or_a_table(make, motor):
+    hinge = {"type": "hinge", "name": "h", "body": "body", "at": [0, 0, 0], "axis": [0, 0, 1]}
+    with pytest.raises(CaseError) as caught:
+        parse(make.case(make.body(), joint=[hinge | {"motor": motor}]))
+    (problem,) = caught.value.problems
+    assert problem.reason.startswith("must be a number or a table, got a")
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"contact": {"law": "impulses", "tolerance": 1e-6}}, {"material": {"name": "steel"}}]
+)
+def test_what_others_depend_on_is_mended_before_they_are_judged(make, wrong):
+    """An unknown law made its own keys wrong, and one [material] all that name it."""
+    case = make.case(make.sphere(material="steel"), contact={"law": "impulse"}, wall=[make.plane()])
+    case["check"] = {"value": [{"quantity": "impulse_residual", "below": 1.0}]}
+    with pytest.raises(CaseError) as caught:
+        parse(case | wrong)
+    assert len(caught.value.problems) == 1

@@ -257,6 +257,7 @@ def test_no_scene_of_the_page_says_anything_on_the_console(serve, tmp_path, monk
     monkeypatch.chdir(tmp_path)
     still = lambda session, time: setattr(session, "time", time)  # noqa: E731 - compiles nothing
     monkeypatch.setattr(Session, "advance", still)
+    monkeypatch.setattr(live, "NUMBERS_EVERY", 0.0)  # fields change until the end
     monkeypatch.setattr(live, "rehearse", lambda system: time.sleep(0.3))
     with serve(lambda server: Scenes(server, monkeypatch)) as served:
         for n, name in enumerate([*list(view.SCENES)[1:], "cube"], start=2):
