@@ -1398,7 +1398,7 @@ body = [{ name = "a", shape = { type = "sphere", radius = 0.2 }, mass = 1.0 }]
 def test_a_motor_is_a_number_or_a_table(make, motor):
     hinge = {"type": "hinge", "name": "h", "body": "body", "at": [0, 0, 0], "axis": [0, 0, 1]}
     with pytest.raises(CaseError) as caught:
-        parse(make.case(make.body(), joint=[hinge | {"motor": motor}]))
+        load(make.case(make.body(), joint=[hinge | {"motor": motor}]))
     (problem,) = caught.value.problems
     assert problem.reason.startswith("must be a number or a table, got a")
 
@@ -1409,7 +1409,9 @@ def test_a_motor_is_a_number_or_a_table(make, motor):
 def test_what_others_depend_on_is_mended_before_they_are_judged(make, wrong):
     """An unknown law made its own keys wrong, and one [material] all that name it."""
     case = make.case(make.sphere(material="steel"), contact={"law": "impulse"}, wall=[make.plane()])
-    case["check"] = {"value": [{"quantity": "impulse_residual", "below": 1.0}]}
+    case["check"] = {
+        "value": [{"quantity": "impulse_residual", "time": 1.0, "value": 0.0, "tolerance": 1.0}]
+    }
     with pytest.raises(CaseError) as caught:
-        parse(case | wrong)
+        load(case | wrong)
     assert len(caught.value.problems) == 1
