@@ -20,7 +20,7 @@ from particlerb.plan.contact_setup import contact_of
 from particlerb.plan.groups import GroupSetup, groups_of
 from particlerb.plan.joints import joints_of
 from particlerb.plan.known_courses import Behind
-from particlerb.plan.links import Link, coincident, links_of
+from particlerb.plan.links import AnyLink, Link, coincident, links_of
 from particlerb.plan.merging import merged, on_hosts
 from particlerb.plan.segments import (
     GroupPlan,
@@ -73,11 +73,7 @@ def make_plan(
     """
     system = merged(system)
     loads = loads_of(system)
-    links = links_of(system)
-    if system.merging is not None:
-        links = [
-            on_hosts(link, system.merging) if isinstance(link, Link) else link for link in links
-        ]
+    links = _links_on_hosts(system)
     problems = impossible(system, loads) + coincident(system)
     if problems:
         raise CaseError(problems)
@@ -87,8 +83,7 @@ def make_plan(
         state = system.merging.together(state)
     system = system._replace(state=state)
     grouped = groups_of(system, loads, links, touching, joints, _apart(behind, system.n_bodies))
-    if behind:
-        grouped = _after(behind, grouped)
+    grouped = _after(behind, grouped) if behind else grouped
     asked = touching, start, now is None
     cut = [part for group in grouped for part in cut_into_segments(system, group, *asked)]
     cut.sort(key=lambda group: int(group.members.min()))
@@ -108,6 +103,14 @@ def make_plan(
     told = [*(coarse(system) if now is None else ()), *growing_contacts(system, groups)]
     warnings = (*map(as_warning, told), *step_warnings(system, groups))
     return Plan(groups, step_reason(system, groups, choice), warnings)
+
+
+def _links_on_hosts(system: System) -> list[AnyLink]:
+    """Links of a system, between the bodies that move."""
+    links, merging = links_of(system), system.merging
+    if merging is None:
+        return links
+    return [on_hosts(link, merging) if isinstance(link, Link) else link for link in links]
 
 
 def _apart(behind: Mapping[bytes, Behind], n_bodies: int) -> Ints:

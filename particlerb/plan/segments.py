@@ -177,14 +177,22 @@ def cut_into_segments(
         n = system.n_worlds
         worlds = worlds_among(system.world[members], n) if n > 1 else None
         return [GroupPlan(members, bodies, tuple(segments), worlds)]
+    parts = [np.flatnonzero(kind == k) for k in range(kinds.shape[1])]
+    return _cut_apart(system, group, parts, touching, (begin, is_first))
+
+
+def _cut_apart(
+    system: System,
+    group: GroupSetup,
+    parts: list[Ints],
+    touching: ContactSetup | None,
+    start: tuple[float, bool],
+) -> list[GroupPlan]:
+    """Parts of a group by themselves, as `cut_into_segments`."""
     if group.behind is not None:
         raise RegroupedError
-    parts = [np.flatnonzero(kind == k) for k in range(kinds.shape[1])]
-    return [
-        part
-        for which in parts
-        for part in cut_into_segments(system, part_of(group, which), touching, begin, is_first)
-    ]
+    own = [part_of(group, which) for which in parts]
+    return [part for one in own for part in cut_into_segments(system, one, touching, *start)]
 
 
 def _acting(
