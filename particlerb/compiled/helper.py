@@ -19,7 +19,7 @@ from llvmlite import binding
 from numba import types
 from numba.core import caching, codegen, compiler, registry
 
-from particlerb.compiled.vector_width import numbas_compiler
+from particlerb.compiled.lowering import Compiler
 
 Function: TypeAlias = Callable[..., Any]
 Options: TypeAlias = Mapping[str, Any]
@@ -112,7 +112,7 @@ class Helper(registry.CPUDispatcher):
     """
 
     def __init__(self, function: Function, options: Options, compiled: Compile, keep: Keep) -> None:
-        stops_early = type("_CopyingCompiler", (_Copying, numbas_compiler()), {})
+        stops_early = type("_CopyingCompiler", (_Copying, Compiler), {})
         super().__init__(function, {}, {**options, **_ONLY_COPIED}, stops_early)
         self.compiled, self.keep = compiled, keep
 
@@ -157,7 +157,7 @@ class Kernel(registry.CPUDispatcher):
         self, function: Function, options: Options, copied: Callable[[Function], Function]
     ) -> None:
         called = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
-        super().__init__(function, {}, {**options, **called}, numbas_compiler())
+        super().__init__(function, {}, {**options, **called}, Compiler)
         self.make_copied = copied
 
     def compile(self, signature: Any) -> Any:

@@ -4,9 +4,7 @@
 `kernel` for loops over bodies; kernels run without the interpreter's lock, so that `threads` can
 spread them. A kernel that only others call is compiled as they are, once, with no entry for Python.
 Both are kept on disk. `splice` is for a function that does no more than call others: it is copied
-into its callers, and not compiled by itself. `lean` and `lean_kernel` do not count who uses an
-array, which costs 5 ns for each that a loop takes out of a tuple or hands to a helper: they can
-make none.
+into its callers, and not compiled by itself.
 Numba's cache does not notice an edit in another file, nor a changed NUMBA_* flag; so the cache
 folder has a hash of all of it in its name. Nor does it notice that a file was cut or changed, or
 give up where none can be written: each file has a hash of its content, what is damaged is compiled
@@ -34,7 +32,7 @@ from numba.core import caching
 from numba.core.event import install_timer
 
 from particlerb.compiled.helper import Helper, KeptCode, Kernel
-from particlerb.compiled.vector_width import numbas_compiler
+from particlerb.compiled.lowering import Compiler
 
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -238,7 +236,7 @@ def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Fu
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        dispatcher = numba.njit(pipeline_class=numbas_compiler(), **_FLAGS, **options)(function)
+        dispatcher = numba.njit(pipeline_class=Compiler, **_FLAGS, **options)(function)
         if cache:
             keep(dispatcher)
         return cast(Function, dispatcher)
@@ -254,30 +252,22 @@ def _helper(**options: Any) -> Callable[[Function], Function]:
             return function
         is_ours = Path(function.__code__.co_filename).is_relative_to(_PACKAGE)
         kept = keep if is_ours else None  # the name of the folder covers no other text
-        own = options if is_ours else {"_nrt": True} | options  # users may make arrays
-        return cast(Function, Helper(function, _FLAGS | own, compile_with(**own), kept))
-
-    return decorate
-
-
-def _kernel(**options: Any) -> Callable[[Function], Function]:
-    """Return a decorator for functions that Python calls, or that kernels have once, and call."""
-
-    def decorate(function: Function) -> Function:
-        if CACHE_FOLDER is None:
-            return function
-        dispatcher = Kernel(function, _FLAGS | options, _helper(**options))
-        keep(dispatcher)
-        return cast(Function, dispatcher)
+        return cast(Function, Helper(function, _FLAGS | options, compile_with(**options), kept))
 
     return decorate
 
 
 inline = _helper(forceinline=True)
 splice = compile_with(inline="always")
-kernel = _kernel()
-lean = _helper(forceinline=True, _nrt=False)
-lean_kernel = _kernel(_nrt=False)
+
+
+def kernel(function: Function) -> Function:
+    """A function that Python calls, or that kernels have once, and call."""
+    if CACHE_FOLDER is None:
+        return function
+    dispatcher = Kernel(function, _FLAGS, _helper())
+    keep(dispatcher)
+    return cast(Function, dispatcher)
 
 
 def kernel_from(template: Function, name: str, by: Any = kernel, **names: Any) -> Function:

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.contact_model import ContactList, ContactModel, NeighbourLists, Workspace
 from particlerb.contact.piston import Pistons
 from particlerb.contact.records import Records, row3, row4
@@ -37,7 +37,7 @@ class _BodyLoad(NamedTuple):
     gross_power: float  # [W]
 
 
-@lean
+@inline
 def _add_contact(
     rolling: Floats | None,
     forces: Records,
@@ -76,7 +76,7 @@ def _add_contact(
     )
 
 
-@lean
+@inline
 def _add_correction(forces: Records, c: int, arm: Vec3, load: _BodyLoad) -> _BodyLoad:
     """Add the correction impulse of a wall contact; `arm` to the centre of the sphere [m]."""
     impulse = row3(forces.correction_impulse, c)
@@ -85,7 +85,7 @@ def _add_correction(forces: Records, c: int, arm: Vec3, load: _BodyLoad) -> _Bod
     return _BodyLoad(*load[:7], correction, torque, load.gross_power)
 
 
-@lean
+@inline
 def _rolling_torque_of(rolling: Floats | None, forces: Records, c: int) -> Vec3:
     """Torque of contact c against rolling, if anything resists."""
     if rolling is None:
@@ -93,7 +93,7 @@ def _rolling_torque_of(rolling: Floats | None, forces: Records, c: int) -> Vec3:
     return row3(forces.rolling_torque, c)
 
 
-@lean
+@inline
 def _angular_acceleration(model: ContactModel, bodies: Records, b: int, torque: Vec3) -> Vec3:
     """I⁻¹ τ of body b, world axes [rad/s²]."""
     inertia = model.inv_inertia
@@ -102,7 +102,7 @@ def _angular_acceleration(model: ContactModel, bodies: Records, b: int, torque: 
     return turn(R, component_product(inverse, turn_back(R, torque)))
 
 
-@lean_kernel
+@kernel
 def collect_loads(
     model: ContactModel,
     workspace: Workspace,
@@ -158,7 +158,7 @@ def collect_loads(
         put(rows, at + POWER, k, get(rows, at + POWER, k) + power)
 
 
-@lean
+@inline
 def _load_of(
     model: ContactModel,
     workspace: Workspace,
@@ -190,7 +190,7 @@ def _load_of(
     return touches, load
 
 
-@lean
+@inline
 def load_pistons(
     pistons: Pistons | None,
     state: Records,
@@ -225,13 +225,13 @@ def load_pistons(
         state.correction_power[k] *= -0.25 * state.other_force[k] / pistons.mass[k]
 
 
-@lean
+@inline
 def _add_to(rows: Floats, at: int, b: int, v: Vec3) -> None:
     """Add to the vector of body b from row `at` on."""
     put3(rows, at, b, add_scaled(1.0, v, get3(rows, at, b)))
 
 
-@lean_kernel
+@kernel
 def find_stored_energy(model: ContactModel, lists: NeighbourLists, stored: Floats) -> None:
     """Write the energy of the normal springs of each body [J], (n_bodies,), each spring once.
 
@@ -256,7 +256,7 @@ def find_stored_energy(model: ContactModel, lists: NeighbourLists, stored: Float
         stored[b] = energy
 
 
-@lean_kernel
+@kernel
 def sum_in_bins(values: Floats, bins: Ints, sums: Floats) -> None:
     """Add the numbers of bodies, in their order, to those of their bins."""
     for b in range(values.size):

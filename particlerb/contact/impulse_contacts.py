@@ -9,7 +9,7 @@ a body does to the other end is foreseen.
 
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.contact_model import ContactList, GroupContact, NeighbourLists, Workspace
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS
 from particlerb.contact.records import Records, put_row3, row3, row4
@@ -50,7 +50,7 @@ class _Near(NamedTuple):
     point: Vec3  # [m] in the middle of the gap
 
 
-@lean
+@inline
 def _by_turning(impulses: Impulses, a: int, arm: float) -> tuple[float, float]:
     """Speeds [m/s] of a body's points by turning, and by what half a kick gives in four."""
     velocity, before = impulses.partners.velocity, impulses.partners.before
@@ -61,7 +61,7 @@ def _by_turning(impulses: Impulses, a: int, arm: float) -> tuple[float, float]:
     return arm * length(w), _KICKS * (given + arm * turned) + rounding
 
 
-@lean
+@inline
 def _is_near(
     setup: GroupContact, impulses: Impulses, a: int, b: int, radii: float, gap: float,
     between: Vec3, dt: float,
@@ -77,7 +77,7 @@ def _is_near(
     return gap <= dt * (length(between) + turning + slow), slow
 
 
-@lean
+@inline
 def _take_in(
     setup: GroupContact, impulses: Impulses, force: Floats, near: _Near, dt: float
 ) -> None:
@@ -99,7 +99,7 @@ def _take_in(
         tally[deepest] = max(tally[deepest], -gap)
 
 
-@lean
+@inline
 def _forget(contacts: ContactList, c: int) -> None:
     """Contact c has no impulse: it is too far."""
     if contacts.active[c]:
@@ -108,7 +108,7 @@ def _forget(contacts: ContactList, c: int) -> None:
         contacts.active[c] = False
 
 
-@lean
+@inline
 def _sphere_contact(
     setup: GroupContact, workspace: Workspace, contacts: ContactList, impulses: Impulses, c: int,
     dt: float,
@@ -138,7 +138,7 @@ def _sphere_contact(
     _take_in(setup, impulses, contacts.history.force, near, dt)
 
 
-@lean
+@inline
 def _wall_contact(
     setup: GroupContact, workspace: Workspace, contacts: ContactList, impulses: Impulses, c: int,
     dt: float,
@@ -175,7 +175,7 @@ def _wall_contact(
     _take_in(setup, impulses, contacts.history.force, near, dt)
 
 
-@lean
+@inline
 def _find_reach(setup: GroupContact, impulses: Impulses, arm: float, dt: float) -> float:
     """Write how far points of bodies come in a step, at most; the farthest [m]."""
     reach, velocity, farthest = impulses.partners.reach, impulses.partners.velocity, 0.0
@@ -186,7 +186,7 @@ def _find_reach(setup: GroupContact, impulses: Impulses, arm: float, dt: float) 
     return farthest
 
 
-@lean_kernel
+@kernel
 def find_impulse_contacts(
     setup: GroupContact, workspace: Workspace, lists: NeighbourLists, impulses: Impulses,
     extremes: Records, dt: float,
@@ -220,7 +220,7 @@ def find_impulse_contacts(
         begin_spheres, begin_walls = spheres.shell_ends[s], walls.shell_ends[s]
 
 
-@lean
+@inline
 def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) -> None:
     """Keep the impulses of row k in contact c of its list."""
     history, forces, rows = contacts.history, contacts.forces, impulses.rows
@@ -235,7 +235,7 @@ def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) 
     contacts.active[c] = True
 
 
-@lean_kernel
+@kernel
 def keep_impulses(lists: NeighbourLists, impulses: Impulses, dt: float) -> None:
     """Keep the impulses of a step of dt [s] as forces: for the next one, and for who looks."""
     for k in range(impulses.filled[0]):

@@ -9,7 +9,7 @@ the normal force has a potential and is kept apart from the rest, which is booke
 import math
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.contact_model import (
     ContactList,
     ContactModel,
@@ -71,7 +71,7 @@ class Collision(NamedTuple):
 # Bodies at the instant of a kick
 
 
-@lean_kernel
+@kernel
 def place_bodies(
     model: ContactModel,
     workspace: Workspace,
@@ -127,7 +127,7 @@ def place_bodies(
             xyzr[i, 3] = radius[i]
 
 
-@lean
+@inline
 def max_speeds(bodies: Records, first: int, end: int) -> tuple[float, float]:
     """Largest speed [m/s] and angular speed [rad/s] of bodies first to end."""
     v, w = 0.0, 0.0
@@ -136,7 +136,7 @@ def max_speeds(bodies: Records, first: int, end: int) -> tuple[float, float]:
     return v, w
 
 
-@lean
+@inline
 def max_point_speed(bodies: Records, arm: float, first: int, end: int) -> float:
     """Largest speed [m/s] of points of bodies first to end, within an arm [m] of their centres.
 
@@ -148,7 +148,7 @@ def max_point_speed(bodies: Records, arm: float, first: int, end: int) -> float:
     return v
 
 
-@lean
+@inline
 def velocity_at(bodies: Records, b: int, point: Vec3) -> Vec3:
     """Velocity of a point of body b [m/s]."""
     arm = subtract(point, row3(bodies.position, b))
@@ -156,7 +156,7 @@ def velocity_at(bodies: Records, b: int, point: Vec3) -> Vec3:
     return add_scaled(1.0, cross(omega, arm), row3(bodies.velocity, b))
 
 
-@lean
+@inline
 def inv_effective_mass(
     model: ContactModel, bodies: Records, b: int, point: Vec3, normal: Vec3
 ) -> float:
@@ -172,7 +172,7 @@ def inv_effective_mass(
 # One contact
 
 
-@lean
+@inline
 def note_overlap(on: Evaluation, overlap: float, radius: float, b: int) -> None:
     """Note that a body lies too deep in another or in a wall, for the host to say."""
     deepest, rank = on.workspace.deepest, on.rank
@@ -180,7 +180,7 @@ def note_overlap(on: Evaluation, overlap: float, radius: float, b: int) -> None:
         deepest[rank, 0], deepest[rank, 1], deepest[rank, 2] = overlap, radius, b
 
 
-@lean
+@inline
 def begin_contact(on: Evaluation, pair: int, c: int, inv_mass: float, r_eff: float) -> None:
     """Keep what contact c has as long as it lasts; `inv_mass` is 1/m_eff [1/kg]."""
     history = on.contacts.history
@@ -189,7 +189,7 @@ def begin_contact(on: Evaluation, pair: int, c: int, inv_mass: float, r_eff: flo
     begin_stages(on.contacts.stages, c)
 
 
-@lean
+@inline
 def end_contact(rolling: Floats | None, contacts: ContactList, c: int) -> None:
     """Contact c has no force and no history; it stays so for who looks at a frame."""
     history, forces = contacts.history, contacts.forces
@@ -203,7 +203,7 @@ def end_contact(rolling: Floats | None, contacts: ContactList, c: int) -> None:
     contacts.active[c] = False
 
 
-@lean
+@inline
 def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
     """Find the forces of contact c, and keep what the next instant needs.
 
@@ -242,7 +242,7 @@ def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
     on.contacts.active[c] = True
 
 
-@lean
+@inline
 def _resist_rolling(
     rolling: Floats | None,
     on: Evaluation,
@@ -269,7 +269,7 @@ def _resist_rolling(
 # Spheres with each other
 
 
-@lean_kernel
+@kernel
 def sphere_contact_forces(
     model: ContactModel,
     workspace: Workspace,
@@ -315,7 +315,7 @@ def sphere_contact_forces(
             end_contact(model.law.rolling, contacts, c)
 
 
-@lean
+@inline
 def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
     """Forces of contact c between two spheres, d [m] from centre to centre."""
     model, workspace, contacts = on.model, on.workspace, on.contacts
@@ -343,7 +343,7 @@ def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
     contact_force(on, pair, c, now)
 
 
-@lean
+@inline
 def _normal_rate(slope: Slope | None, on: Evaluation, i: int, j: int, d: Vec3) -> Vec3:
     """ṅ [1/s] between two spheres, d [m] from centre to centre, where a method asks for it."""
     if slope is None:
@@ -356,7 +356,7 @@ def _normal_rate(slope: Slope | None, on: Evaluation, i: int, j: int, d: Vec3) -
     return scale(1.0 / math.sqrt(square), add_scaled(-dot(away, d) / square, d, away))
 
 
-@lean
+@inline
 def boundary_velocity(
     prescribed: PrescribedBodies | None, bodies: Records, a: int, b: int, v_a: Vec3, v_b: Vec3
 ) -> Vec3:
@@ -368,7 +368,7 @@ def boundary_velocity(
     return scale(-1.0, v_a) if bodies.inv_mass[a] == 0.0 else (0.0, 0.0, 0.0)
 
 
-@lean
+@inline
 def _comes_near(
     bodies: Records, a: int, b: int, square: float, touching: float, longer: float
 ) -> bool:

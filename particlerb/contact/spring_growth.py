@@ -11,7 +11,7 @@ take all three terms at each: turned by `rotated_spring` alone, they would be of
 
 from typing import NamedTuple
 
-from particlerb.compiled.jit import Flag, lean
+from particlerb.compiled.jit import Flag, inline
 from particlerb.contact.contact_model import Evaluation, Slope
 from particlerb.contact.friction import rotated_spring
 from particlerb.contact.law import ContactState
@@ -29,7 +29,7 @@ class Sliding(NamedTuple):
     is_rolling: bool
 
 
-@lean
+@inline
 def spring_at(slope: Slope | None, before: float, kept: Vec3, sliding: Vec3, normal: Vec3) -> Vec3:
     """Spring [m] at an evaluation, from what was kept, in the tangent plane."""
     if slope is None:
@@ -39,7 +39,7 @@ def spring_at(slope: Slope | None, before: float, kept: Vec3, sliding: Vec3, nor
     return add_scaled(-dot(kept, normal), normal, kept)
 
 
-@lean
+@inline
 def overlap_before(slope: Slope | None, kept: float, now: float) -> float:
     """Overlap [m] to which what is kept belongs; with slopes, that of now."""
     if slope is None:
@@ -47,7 +47,7 @@ def overlap_before(slope: Slope | None, kept: float, now: float) -> float:
     return now
 
 
-@lean
+@inline
 def begin_stages(stages: Records | None, c: int) -> None:
     """A contact that begins within a step has had no spring so far."""
     if stages is None:
@@ -59,7 +59,7 @@ def begin_stages(stages: Records | None, c: int) -> None:
     put_row3(stages.rolling_total, c, zero)
 
 
-@lean
+@inline
 def hand_over_stages(stages: Records | None, source: int, to: int) -> None:
     """Hand springs on with the history of a contact."""
     if stages is None:
@@ -67,7 +67,7 @@ def hand_over_stages(stages: Records | None, source: int, to: int) -> None:
     stages[to] = stages[source]
 
 
-@lean
+@inline
 def _lost_share(hertz: Flag, state: ContactState, step: float) -> float:
     """Share of a spring that the force kept of a stiffer one takes in a step, at most all of it."""
     if hertz is None:
@@ -75,7 +75,7 @@ def _lost_share(hertz: Flag, state: ContactState, step: float) -> float:
     return min(0.5 * step * max(state.overlap_rate, 0.0) / state.overlap, 1.0)
 
 
-@lean
+@inline
 def spring_after(
     on: Evaluation, c: int, now: Sliding, state: ContactState, springs: tuple[Vec3, Vec3]
 ) -> Vec3:
@@ -95,7 +95,7 @@ def spring_after(
     )
 
 
-@lean
+@inline
 def _spring_after(
     slope: Slope | None,
     after: float,

@@ -28,7 +28,7 @@ how it changes at the vertices of a polyhedron.
 
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.contact_model import (
     ContactList,
     ContactModel,
@@ -76,7 +76,7 @@ from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import Vec3, add_scaled, cross, dot, scale, subtract
 
 
-@lean
+@inline
 def _gap_rate(one: Primitive, y: Vec3, v: Vec3) -> Vec3:
     """How the gap to a primitive changes [m/s] where that may turn it; all in the wall's frame.
 
@@ -98,7 +98,7 @@ def _gap_rate(one: Primitive, y: Vec3, v: Vec3) -> Vec3:
     return ZERO
 
 
-@lean
+@inline
 def wall_normal_rate(
     slope: Slope | None, on: Evaluation, at: SphereAtWall, piece: WallPiece, normal: Vec3
 ) -> Vec3:
@@ -130,13 +130,13 @@ class _Survey(NamedTuple):
     gap: Vec3  # and the gap there [m], frame of the wall
 
 
-@lean
+@inline
 def _one_norm(v: Vec3) -> float:
     """|v₁| + |v₂| + |v₃|: at least the length, and without a root."""
     return abs(v[0]) + abs(v[1]) + abs(v[2])
 
 
-@lean
+@inline
 def _end_of(model: ContactModel, contacts: ContactList, first: int, most: int) -> int:
     """Where contacts end that are of the same sphere and the same wall as the first."""
     wall, c = model.walls.wall, first + 1
@@ -146,7 +146,7 @@ def _end_of(model: ContactModel, contacts: ContactList, first: int, most: int) -
     return c
 
 
-@lean
+@inline
 def _sphere_at_wall(on: Evaluation, c: int, end: int) -> SphereAtWall:
     """The sphere and the wall of contacts c to end."""
     spheres, walls, contacts = on.model.spheres, on.model.walls, on.contacts
@@ -161,7 +161,7 @@ def _sphere_at_wall(on: Evaluation, c: int, end: int) -> SphereAtWall:
     return SphereAtWall(c, end, x, to_body(q, d), q, radius, a, w, displacement)
 
 
-@lean_kernel
+@kernel
 def wall_contact_forces(
     model: ContactModel,
     workspace: Workspace,
@@ -204,7 +204,7 @@ def wall_contact_forces(
         end_leftovers(on, at)
 
 
-@lean
+@inline
 def _survey(on: Evaluation, at: SphereAtWall) -> _Survey:
     """What there is around a sphere."""
     nearest, others, active, last, gap = 0, 0, 0, -1, at.y
@@ -218,7 +218,7 @@ def _survey(on: Evaluation, at: SphereAtWall) -> _Survey:
     return _Survey(nearest, others, active, last, gap)
 
 
-@lean
+@inline
 def _velocity_of_wall(poses: Records, w: int, x: Vec3, gap: Vec3, point: Vec3) -> Vec3:
     """Velocity of a wall [m/s] at a point at a gap below a centre x."""
     omega = row3(poses.angular_velocity, w)
@@ -227,7 +227,7 @@ def _velocity_of_wall(poses: Records, w: int, x: Vec3, gap: Vec3, point: Vec3) -
     return add_scaled(1.0, cross(omega, add_scaled(1.0, gap, subtract(point, x))), v)
 
 
-@lean
+@inline
 def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
     """Find the forces of a piece; end its contact if it is out of reach."""
     model, contacts = on.model, on.contacts

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, lean
+from particlerb.compiled.jit import inline
 from particlerb.contact.records import (
     MOTION,
     POSE,
@@ -78,7 +78,7 @@ def pose_at(motion: PrescribedMotion, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]
     return x, q, subtract(v, cross(omega, arm)), omega
 
 
-@lean
+@inline
 def put_poses(motions: Records, t: float, poses: Records) -> None:
     """Write the poses of all walls at a time; `motions` from `motion_records`."""
     for w in range(motions.size):

@@ -7,7 +7,7 @@ Needed where more than one point counts, or where a history has to go to another
 import math
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import lean
+from particlerb.compiled.jit import inline
 from particlerb.contact.contact_model import ContactList, Evaluation, Workspace
 from particlerb.contact.law import (
     ContactState,
@@ -62,7 +62,7 @@ class WallPiece(NamedTuple):
     is_too_weak: bool  # whether it is a ring that presses too little
 
 
-@lean
+@inline
 def point_in_reach(on: Evaluation, at: SphereAtWall, c: int) -> tuple[int, bool, Vec3]:
     """`euler_count` of the primitive of contact c, 0 out of reach; and the gap, wall's frame."""
     walls = on.model.walls
@@ -74,7 +74,7 @@ def point_in_reach(on: Evaluation, at: SphereAtWall, c: int) -> tuple[int, bool,
     return count, is_nearest, away
 
 
-@lean
+@inline
 def write_points(on: Evaluation, at: SphereAtWall) -> None:
     """Write the points that count, each as a piece of its own."""
     forces = on.contacts.forces
@@ -85,7 +85,7 @@ def write_points(on: Evaluation, at: SphereAtWall) -> None:
         put_row3(forces.gap, c, to_world(at.q, away))
 
 
-@lean
+@inline
 def _outside_cap(
     contacts: ContactList, at: SphereAtWall, c: int, away: Vec3, slack: float
 ) -> float:
@@ -99,7 +99,7 @@ def _outside_cap(
     return length(d) - math.sqrt(cap) - slack
 
 
-@lean
+@inline
 def join_pieces(contacts: ContactList, at: SphereAtWall) -> None:
     """Write of which piece each point is: what counts beside the nearest joins those around it."""
     forces, changes = contacts.forces, 1
@@ -122,7 +122,7 @@ def join_pieces(contacts: ContactList, at: SphereAtWall) -> None:
                     changes += 1
 
 
-@lean
+@inline
 def next_piece(contacts: ContactList, at: SphereAtWall) -> int:
     """First contact of a piece that is not dealt with; -1: there is none."""
     for c in range(at.first, at.end):
@@ -131,7 +131,7 @@ def next_piece(contacts: ContactList, at: SphereAtWall) -> int:
     return -1
 
 
-@lean
+@inline
 def approach_velocity(workspace: Workspace, at: SphereAtWall) -> Vec3:
     """Velocity of the centre of a sphere relative to the wall there [m/s]."""
     d = subtract(at.x, row3(workspace.poses.position, at.wall))
@@ -139,7 +139,7 @@ def approach_velocity(workspace: Workspace, at: SphereAtWall) -> Vec3:
     return subtract(velocity_at(workspace.bodies, at.body, at.x), moving)
 
 
-@lean
+@inline
 def piece_at(on: Evaluation, at: SphereAtWall, root: int) -> WallPiece:
     """The piece that begins with a contact, its points summed.
 
@@ -177,7 +177,7 @@ def piece_at(on: Evaluation, at: SphereAtWall, root: int) -> WallPiece:
     return WallPiece(first, n_points, gap, elastic, impulse, energy, radius - least, is_too_weak)
 
 
-@lean
+@inline
 def hand_over_history(on: Evaluation, at: SphereAtWall, root: int, to: int) -> None:
     """Hand the history of a piece, of its points or of what was one of them, to a contact of it.
 
@@ -202,7 +202,7 @@ def hand_over_history(on: Evaluation, at: SphereAtWall, root: int, to: int) -> N
             pieces[c] = _HANDLED
 
 
-@lean
+@inline
 def _belongs_to(on: Evaluation, at: SphereAtWall, c: int, root: int) -> bool:
     """Whether contact c is of a piece, or has been where the piece is now."""
     contacts, points, walls = on.contacts, on.contacts.forces, on.model.walls
@@ -216,7 +216,7 @@ def _belongs_to(on: Evaluation, at: SphereAtWall, c: int, root: int) -> bool:
     return belongs
 
 
-@lean
+@inline
 def end_leftovers(on: Evaluation, at: SphereAtWall) -> None:
     """End contacts whose points have ended, and have handed on nothing."""
     contacts, rolling = on.contacts, on.model.law.rolling

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel, lean
+from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.records import Records, row3, row4
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, load3, scale, subtract
@@ -137,7 +137,7 @@ class Primitive(NamedTuple):
     n: Vec3
 
 
-@lean
+@inline
 def primitive_at(kind: Ints, rows: Floats, p: int) -> Primitive:
     """Primitive p, from the kinds and parameters of `Walls`."""
     a, b = (rows[p, 0], rows[p, 1], rows[p, 2]), (rows[p, 3], rows[p, 4], rows[p, 5])
@@ -145,7 +145,7 @@ def primitive_at(kind: Ints, rows: Floats, p: int) -> Primitive:
     return Primitive(kind[p], a, b, c, n)
 
 
-@lean
+@inline
 def length(v: Vec3) -> float:
     """|v|."""
     return math.sqrt(dot(v, v))
@@ -193,7 +193,7 @@ def _is_over_face(a: Vec3, b: Vec3, c: Vec3, n: Vec3, x: Vec3) -> bool:
     return side(a, b, n, x) > 0.0 and side(b, c, n, x) > 0.0 and side(a, c, n, x) < 0.0
 
 
-@lean
+@inline
 def _count_at_edge(a: Vec3, b: Vec3, around: Floats, lo: int, hi: int, x: Vec3) -> tuple[int, bool]:
     """`euler_count` of an edge: the faces that x is beyond, but for all but one that meet there."""
     ab = subtract(b, a)
@@ -205,7 +205,7 @@ def _count_at_edge(a: Vec3, b: Vec3, around: Floats, lo: int, hi: int, x: Vec3) 
     return beyond - (hi - lo) + 1, beyond == hi - lo
 
 
-@lean
+@inline
 def _count_at_vertex(
     a: Vec3, around: Floats, lo: int, middle: int, hi: int, x: Vec3
 ) -> tuple[int, bool]:
@@ -223,7 +223,7 @@ def _count_at_vertex(
     return count, nearer == 0
 
 
-@lean
+@inline
 def euler_count(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
     """How often a point of a primitive counts, and whether it is nearer to x than all around it.
 
@@ -249,7 +249,7 @@ def euler_count(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
     return (1, True) if is_opposite else (0, False)
 
 
-@lean
+@inline
 def gap_vector(one: Primitive, x: Vec3) -> Vec3:
     """Vector to x from the nearest point of a primitive, of a face from that of its plane."""
     if one.kind == PLANE:
@@ -259,19 +259,19 @@ def gap_vector(one: Primitive, x: Vec3) -> Vec3:
     return subtract(x, nearest(one, x))
 
 
-@lean
+@inline
 def in_frame_of(poses: Records, w: int, x: Vec3) -> Vec3:
     """Point of the world in the frame of wall w."""
     return to_body(row4(poses.orientation, w), subtract(x, row3(poses.position, w)))
 
 
-@lean
+@inline
 def wall_velocity(poses: Records, w: int, arm: Vec3) -> Vec3:
     """Velocity [m/s] of wall w at an arm from the origin of its frame, world axes."""
     return add_scaled(1.0, cross(row3(poses.angular_velocity, w), arm), row3(poses.velocity, w))
 
 
-@lean
+@inline
 def gap_and_velocity(walls: Walls, poses: Records, p: int, x: Vec3) -> tuple[Vec3, Vec3]:
     """Gap between a primitive and the centre of a sphere, and how fast the wall moves there.
 

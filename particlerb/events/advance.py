@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.events.collide import collide
 from particlerb.events.predict import cross, predict
@@ -41,7 +41,7 @@ _AT_ONCE: Final = 1000  # impacts of a body in an instant, on average, that are 
 _INSTANT: Final = 1e-5  # share of the period
 
 
-@lean
+@inline
 def _hit(scene: EventScene, state: EventState, work: EventWork, b: int, c: int, t: float) -> int:
     """Let the impact of body b with c happen; how that ends."""
     instant = _INSTANT * scene.period if scene.period < np.inf else 0.0
@@ -55,7 +55,7 @@ def _hit(scene: EventScene, state: EventState, work: EventWork, b: int, c: int, 
     return DONE if collide(scene, state, work, first, second, own, other, t) else OVERLAP
 
 
-@lean
+@inline
 def _count_anew(scene: EventScene, state: EventState) -> None:
     """Count times from a period later on."""
     for b in range(state.place.size):
@@ -71,7 +71,7 @@ def _count_anew(scene: EventScene, state: EventState) -> None:
     state.sums[ZERO] += scene.period
 
 
-@lean_kernel
+@kernel
 def advance(
     scene: EventScene, state: EventState, work: EventWork, until: float, most: int
 ) -> tuple[int, int]:

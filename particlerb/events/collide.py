@@ -9,7 +9,7 @@ contacts in place of bodies.
 
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.walls import primitive_at
 from particlerb.events.flight import attitude, bring, in_box, place, posed, set_spin
 from particlerb.events.records import (
@@ -75,7 +75,7 @@ _MOST_LATE: Final = 1e-15  # of the time
 _NOTHING: Final = (0.0, 0.0, 0.0)
 
 
-@lean
+@inline
 def _restitution(
     scene: EventScene, state: EventState, a: int, key: int, pair: int, t: float
 ) -> float:
@@ -94,7 +94,7 @@ def _restitution(
     return float(scene.rules[pair, 0])
 
 
-@lean
+@inline
 def _partner(
     scene: EventScene, state: EventState, work: EventWork, b: int, at: int, shift: Vec3, t: float
 ) -> None:
@@ -112,13 +112,13 @@ def _partner(
             column += 1
 
 
-@lean
+@inline
 def _row(R: Matrix, i: int) -> Vec3:
     """Row i of a matrix."""
     return R[0] if i == 0 else R[1] if i == 1 else R[2]
 
 
-@lean
+@inline
 def _wall_partner(work: EventWork) -> None:
     """Write a wall as the second partner of an impact."""
     for k in range(7):
@@ -129,7 +129,7 @@ def _wall_partner(work: EventWork) -> None:
         work.place[1, k] = 0.0
 
 
-@lean
+@inline
 def _given(scene: EventScene, state: EventState, work: EventWork, b: int, at: int, p: Vec3,
            t: float) -> None:  # fmt: skip
     """Let a body go on with what an impact has given it."""
@@ -141,7 +141,7 @@ def _given(scene: EventScene, state: EventState, work: EventWork, b: int, at: in
     set_spin(scene, state, b, t, attitude(scene, state, b, t), spin)
 
 
-@lean
+@inline
 def _sphere(
     around: Flag, scene: EventScene, state: EventState, b: int, i: int, x: Vec3, t: float
 ) -> Vec3:
@@ -152,7 +152,7 @@ def _sphere(
     return add(x, turn(R, row3(scene.sphere, i)))
 
 
-@lean_kernel
+@kernel
 def _geometry(
     scene: EventScene, state: EventState, a: int, b: int, i: int, j: int, t: float
 ) -> tuple[Vec3, Vec3, float, float, Vec3]:
@@ -176,7 +176,7 @@ def _geometry(
     return n, add_scaled(-r - 0.5 * gap, n, c), gap, size + radius, subtract(apart, d)
 
 
-@lean
+@inline
 def _fastest(state: EventState, b: int) -> float:
     """Speed of any point of a body [m/s], at most."""
     return norm(column3(state.flight, b, V)) + float(
@@ -184,7 +184,7 @@ def _fastest(state: EventState, b: int) -> float:
     )
 
 
-@lean
+@inline
 def _watch(scene: EventScene, state: EventState, i: int, b: int, j: int, gap: float) -> None:
     """Keep what gaps were at impacts."""
     radius = scene.sphere[i, RADIUS]
@@ -197,7 +197,7 @@ def _watch(scene: EventScene, state: EventState, i: int, b: int, j: int, gap: fl
     tally[DEEPEST_NOW] = max(tally[DEEPEST_NOW], -gap)
 
 
-@lean
+@inline
 def _count(state: EventState, is_wall: bool, normal: float, rubbed: float, grazes: bool) -> None:
     """Count an impact and its work [J]."""
     state.tally[IMPACTS] += 1.0
@@ -209,7 +209,7 @@ def _count(state: EventState, is_wall: bool, normal: float, rubbed: float, graze
     state.sums[BOOKED] += normal + rubbed
 
 
-@lean
+@inline
 def _give_outside(state: EventState, point: Vec3, p: Vec3) -> None:
     """Sum the impulse [N s] that a wall or a held body has given, at a point."""
     for k in range(3):
@@ -217,7 +217,7 @@ def _give_outside(state: EventState, point: Vec3, p: Vec3) -> None:
     _give_spin(state, point, p)
 
 
-@lean
+@inline
 def _give_spin(state: EventState, arm: Vec3, p: Vec3) -> None:
     """Sum the angular impulse [N m s] from outside, or between a body and an image of another."""
     spin = cross(arm, p)
@@ -225,7 +225,7 @@ def _give_spin(state: EventState, arm: Vec3, p: Vec3) -> None:
         state.sums[BOOKED + 4 + k] += spin[k]
 
 
-@lean
+@inline
 def _hit_of_balls(scene: EventScene, state: EventState, a: int, b: int, n: Vec3, e: float) -> Vec3:
     """Frictionless impact along a normal through both centres of mass; the impulse on a."""
     u = column3(state.flight, a, V)
@@ -258,7 +258,7 @@ class Impact(NamedTuple):
     t: float  # [s]
 
 
-@lean_kernel
+@kernel
 def _hit(scene: EventScene, state: EventState, work: EventWork, of: Impact) -> Vec3:
     """Impact of any two; the impulse on a."""
     a, b, t, frame = of.a, of.b, of.t, work.frame
@@ -283,7 +283,7 @@ def _hit(scene: EventScene, state: EventState, work: EventWork, of: Impact) -> V
     return p
 
 
-@lean
+@inline
 def _hit_of_any(
     rubs: Flag, scene: EventScene, state: EventState, work: EventWork, of: Impact
 ) -> Vec3:
@@ -296,7 +296,7 @@ def _hit_of_any(
     return _hit(scene, state, work, of)
 
 
-@lean
+@inline
 def collide(
     scene: EventScene, state: EventState, work: EventWork, a: int, b: int, i: int, j: int,
     t: float,

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.events.records import (
     ASYMMETRIC,
     BEND,
@@ -43,7 +43,7 @@ from particlerb.rotors.single_turn import set_steady_turn, set_turn, steadily_tu
 _NOTHING: Final = (0.0, 0.0, 0.0)
 
 
-@lean
+@inline
 def pull(scene: EventScene, b: int) -> Vec3:
     """Acceleration of a body [m/s²]."""
     if b >= scene.n_moving:
@@ -51,7 +51,7 @@ def pull(scene: EventScene, b: int) -> Vec3:
     return scene.gravity
 
 
-@lean
+@inline
 def place(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Vec3, Vec3]:
     """Centre of mass [m] and velocity [m/s] of a body at a time."""
     x, v, g = row3(state.flight, b), column3(state.flight, b, V), pull(scene, b)
@@ -60,7 +60,7 @@ def place(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Vec3,
     return add_scaled(h, mean, x), add_scaled(h, g, v)
 
 
-@lean
+@inline
 def in_box(box: tuple[Vec3, Vec3] | None, d: Vec3) -> Vec3:
     """Shortest of the vectors from a point to the images of another, of that to one of them [m]."""
     if box is None:
@@ -73,7 +73,7 @@ def in_box(box: tuple[Vec3, Vec3] | None, d: Vec3) -> Vec3:
     )
 
 
-@lean
+@inline
 def _turned(turns: Flag, state: EventState, b: int, t: float) -> Quat:
     """`attitude`, where some body is asymmetric or none."""
     if turns is None:
@@ -81,13 +81,13 @@ def _turned(turns: Flag, state: EventState, b: int, t: float) -> Quat:
     return turned(state.turn, b, t - state.spin[b, TURNED])
 
 
-@lean
+@inline
 def attitude(scene: EventScene, state: EventState, b: int, t: float) -> Quat:
     """Orientation of a body at a time, rotor frame to world."""
     return _turned(scene.turns, state, b, t)
 
 
-@lean
+@inline
 def _set_turn(
     turns: Flag, scene: EventScene, state: EventState, b: int, q: Quat, spin: Vec3
 ) -> None:
@@ -100,14 +100,14 @@ def _set_turn(
         set_turn(state.turn, b, inertia, inverse, is_asymmetric, q, spin)
 
 
-@lean
+@inline
 def angular_velocity(scene: EventScene, state: EventState, b: int, R: Matrix) -> Vec3:
     """Angular velocity [rad/s] of a body that is turned by R, world axes."""
     m = turn_back(R, row3(state.spin, b))
     return turn(R, component_product(column3(scene.body, b, INV_INERTIA), m))
 
 
-@lean
+@inline
 def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, spin: Vec3) -> None:
     """Let a body turn from a time on, from q with the angular momentum `spin` [kg m²/s].
 
@@ -127,7 +127,7 @@ def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, sp
     state.spin[b, BEND] = scene.body[b, CURVED] * fastest * fastest
 
 
-@lean
+@inline
 def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
     """End a flight at a time, and begin the next one there."""
     if b >= scene.n_moving:
@@ -139,7 +139,7 @@ def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
     state.flight[b, SINCE] = t
 
 
-@lean
+@inline
 def add_moment(scene: EventScene, state: EventState, b: int, t: float, to: Floats, at: int) -> None:
     """Add m ∫ x dt of a flight until a time [kg m s] to three numbers from `at` on."""
     h = t - state.flight[b, SINCE]
@@ -152,7 +152,7 @@ def add_moment(scene: EventScene, state: EventState, b: int, t: float, to: Float
         to[at + k] += path[k]
 
 
-@lean_kernel
+@kernel
 def states_at(
     scene: EventScene, state: EventState, t: float, to: Ints, out: State, moment: Floats
 ) -> None:
@@ -177,7 +177,7 @@ def states_at(
             out.q[k, i] = q[k]
 
 
-@lean
+@inline
 def set_off(scene: EventScene, state: EventState, b: int, given: State, i: int) -> None:
     """Let a body set off at time 0 from column i of the states given."""
     x = (given.com[0, i], given.com[1, i], given.com[2, i])
@@ -189,7 +189,7 @@ def set_off(scene: EventScene, state: EventState, b: int, given: State, i: int) 
     set_spin(scene, state, b, 0.0, q, spin)
 
 
-@lean
+@inline
 def posed(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Matrix, Vec3]:
     """Rotation matrix of a body at a time, and its angular velocity; of a ball at rest in it."""
     R = matrix(attitude(scene, state, b, t))

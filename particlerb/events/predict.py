@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.events.flight import place, pull, set_off
 from particlerb.events.queue import put
 from particlerb.events.records import (
@@ -36,20 +36,20 @@ from particlerb.maths.vec3 import Floats, Ints, Vec3
 from particlerb.model.state import State
 
 
-@lean
+@inline
 def _cell(scene: EventScene, i: int, j: int, k: int) -> int:
     """Number of a cell, of whose three numbers each is in its range."""
     _, ny, nz = scene.cells
     return (i * ny + j) * nz + k
 
 
-@lean
+@inline
 def _within(i: int, n: int) -> int:
     """I modulo n, of a neighbour of a number from 0 to n - 1."""
     return i - n if i >= n else i + n if i < 0 else i
 
 
-@lean
+@inline
 def _home(scene: EventScene, state: EventState, b: int) -> tuple[int, int, int]:
     """Cell that a body is in, its numbers modulo the numbers of cells."""
     nx, ny, nz = scene.cells
@@ -57,7 +57,7 @@ def _home(scene: EventScene, state: EventState, b: int) -> tuple[int, int, int]:
     return int(np.int64(i) % nx), int(np.int64(j) % ny), int(np.int64(k) % nz)
 
 
-@lean
+@inline
 def _enter_cell(scene: EventScene, state: EventState, b: int) -> None:
     """Add a body to the list of its cell."""
     i, j, k = _home(scene, state, b)
@@ -69,7 +69,7 @@ def _enter_cell(scene: EventScene, state: EventState, b: int) -> None:
     state.head[c] = b
 
 
-@lean
+@inline
 def _leave_cell(state: EventState, b: int) -> None:
     """Take a body out of the list of its cell."""
     before, after = state.info[b, PREVIOUS], state.next[b]
@@ -81,7 +81,7 @@ def _leave_cell(state: EventState, b: int) -> None:
         state.info[after, PREVIOUS] = before
 
 
-@lean
+@inline
 def cross(scene: EventScene, state: EventState, b: int) -> None:
     """Let a body go into the next cell."""
     _leave_cell(state, b)
@@ -90,7 +90,7 @@ def cross(scene: EventScene, state: EventState, b: int) -> None:
     state.tally[CROSSINGS] += 1.0
 
 
-@lean
+@inline
 def _until_crossing(
     scene: EventScene, state: EventState, b: int, x: Vec3, v: Vec3
 ) -> tuple[float, int]:
@@ -114,14 +114,14 @@ def _until_crossing(
     return best, leaves
 
 
-@lean
+@inline
 def _earlier(t: float, s: float) -> float:
     """t + s, rounded down."""
     time = t + s
     return max(time - 1.2e-16 * abs(time), t) if time - t > s else time
 
 
-@lean
+@inline
 def _note(state: EventState, b: int, t: float, s: float, hit: tuple[int, int, int]) -> None:
     """Make an impact after a time s that of body b, if it comes earlier than what it has."""
     time = _earlier(t, s)
@@ -132,7 +132,7 @@ def _note(state: EventState, b: int, t: float, s: float, hit: tuple[int, int, in
             state.info[b, STAMP] = state.info[hit[0], HITS]
 
 
-@lean
+@inline
 def _look(
     around: Flag, scene: EventScene, state: EventState, work: Floats, one: Flying, c: int,
     stays: float,
@@ -148,7 +148,7 @@ def _look(
     return s != LOST
 
 
-@lean
+@inline
 def _look_at_walls(
     scene: EventScene, state: EventState, work: Floats, one: Flying, home: int, stays: float
 ) -> bool:
@@ -162,7 +162,7 @@ def _look_at_walls(
     return found
 
 
-@lean
+@inline
 def _first_and_last(side: int, axis: int) -> tuple[int, int]:
     """First and last row of cells to look at along an axis: of a side alone, the new ones."""
     if side < 0 or side // 2 != axis:
@@ -171,7 +171,7 @@ def _first_and_last(side: int, axis: int) -> tuple[int, int]:
     return new, new
 
 
-@lean
+@inline
 def predict(
     scene: EventScene, state: EventState, work: Floats, b: int, t: float, side: int
 ) -> bool:
@@ -209,7 +209,7 @@ def predict(
     return found
 
 
-@lean_kernel
+@kernel
 def set_all(scene: EventScene, state: EventState, which: Ints, given: State) -> None:
     """Let all bodies set off at time 0, in their cells; body b is column which[b] of `given`."""
     for b in range(state.place.size - 1, -1, -1):

@@ -4,13 +4,13 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import lean
+from particlerb.compiled.jit import inline
 from particlerb.events.records import EventState
 
 _BRANCHES: Final = 4
 
 
-@lean
+@inline
 def _sift_up(state: EventState, k: int, t: float, b: int) -> int:
     """Let the free place at k rise until body b belongs there; where that is."""
     heap, time = state.heap, state.heap_time
@@ -23,7 +23,7 @@ def _sift_up(state: EventState, k: int, t: float, b: int) -> int:
     return k
 
 
-@lean
+@inline
 def _sift_down(state: EventState, k: int, t: float, b: int) -> int:
     """Let the free place at k sink until body b belongs there; where that is."""
     heap, time = state.heap, state.heap_time
@@ -44,7 +44,7 @@ def _sift_down(state: EventState, k: int, t: float, b: int) -> int:
     return k
 
 
-@lean
+@inline
 def put(state: EventState, b: int, t: float) -> None:
     """Queue the event of body b at a time, in place of the one before."""
     k = _sift_up(state, int(np.int64(state.place[b])), t, b)

@@ -13,7 +13,7 @@ Rigid Body Systems, PhD thesis, Berkeley (1996), section 2.3.
 import math
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import Flag, inline, lean, lean_kernel
+from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.walls import (
     DISC,
     FACE,
@@ -109,7 +109,7 @@ def _balls_meet(x: Vec3, u: Vec3, R: float) -> float:
     return t
 
 
-@lean
+@inline
 def _ready(
     scene: EventScene, state: EventState, work: Floats, b: int, shift: Vec3, t: float
 ) -> tuple[Vec3, Vec3]:
@@ -143,7 +143,7 @@ def _span(x: Vec3, u: Vec3, R: float) -> tuple[float, float]:
     return max((-b - root) / square, 0.0), (root - b) / square
 
 
-@lean
+@inline
 def _nearest_spheres(
     scene: EventScene, state: EventState, work: Floats, pair: tuple[int, int], shift: Vec3,
     t: float, fall: float,
@@ -186,7 +186,7 @@ def _nearest_spheres(
     return least, first, second, False
 
 
-@lean_kernel
+@kernel
 def _spheres_meet(
     scene: EventScene, state: EventState, work: Floats, pair: tuple[int, int], shift: Vec3,
     t: float, span: tuple[float, float], fall: float,
@@ -212,7 +212,7 @@ class Flying(NamedTuple):
     v: Vec3  # [m/s]
 
 
-@lean
+@inline
 def balls_meet(scene: EventScene, state: EventState, one: Flying, c: int) -> float:
     """Time [s] until a ball and ball c touch and approach, both in free flight; inf: never."""
     xc, vc = place(scene, state, c, one.t)
@@ -221,7 +221,7 @@ def balls_meet(scene: EventScene, state: EventState, one: Flying, c: int) -> flo
     return _balls_meet(x, u, R + rounding(one.x, R))
 
 
-@lean
+@inline
 def bodies_meet(
     scene: EventScene, state: EventState, work: Floats, one: Flying, c: int, until: float
 ) -> tuple[float, int, int]:
@@ -333,7 +333,7 @@ def _until_wall(
     return soonest(gap, rate, curved, touch, radius)
 
 
-@lean
+@inline
 def _ready_for_wall(
     around: Flag, scene: EventScene, state: EventState, work: Floats, b: int, t: float
 ) -> None:
@@ -347,7 +347,7 @@ def _ready_for_wall(
     work[0, 6] = 0.0
 
 
-@lean_kernel
+@kernel
 def _wall_meets(
     scene: EventScene, state: EventState, work: Floats, a: int, p: int, t: float,
     until: float,
@@ -384,7 +384,7 @@ def _at_least_away(one: Primitive, x: Vec3) -> float:
     return away if one.kind == PLANE else abs(away)
 
 
-@lean
+@inline
 def wall_meets(
     scene: EventScene, state: EventState, work: Floats, one: Flying, p: int, until: float
 ) -> tuple[float, int]:

@@ -3,11 +3,11 @@
 Source: Golub and Van Loan, Matrix Computations, 4th ed., section 4.3.
 """
 
-from particlerb.compiled.jit import lean_kernel
+from particlerb.compiled.jit import kernel
 from particlerb.maths.vec3 import Floats
 
 
-@lean_kernel
+@kernel
 def solve_band(matrix: Floats, x: Floats, reach: int) -> None:
     """Solve A x = b in place: x comes in as b, and the matrix is used up.
 

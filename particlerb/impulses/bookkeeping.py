@@ -5,7 +5,7 @@ step. So the impulses that came in between do the work r·½(u⁰ + u¹), and gr
 potential says.
 """
 
-from particlerb.compiled.jit import inline, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses.bounded_effects import book_bounded
 from particlerb.impulses.records import (
     ARM,
@@ -38,7 +38,7 @@ def _book_outside(
     return dot(p, moving)
 
 
-@lean_kernel
+@kernel
 def book_impulses(impulses: Impulses, bounded: Bounded | None) -> None:
     """Sum what all impulses of the step have done, by partners and in the tally."""
     _, partners, rows, count, tally, _ = impulses

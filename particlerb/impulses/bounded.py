@@ -16,7 +16,7 @@ Where a scene has no such rows, nothing of this is compiled.
 import math
 from typing import Final
 
-from particlerb.compiled.jit import inline, lean
+from particlerb.compiled.jit import inline
 from particlerb.impulses.records import (
     B_DIRECTION,
     B_FORCE,
@@ -95,7 +95,7 @@ def _nearest(values: Floats, k: int, u: float) -> float:
 # A row for a step
 
 
-@lean
+@inline
 def write_gradient(
     bounded: Bounded, k: int, by_a: Vec3, turning_a: Vec3, by_b: Vec3, turning_b: Vec3
 ) -> None:
@@ -105,7 +105,7 @@ def write_gradient(
         bounded.gradient[k, 6 + i], bounded.gradient[k, 9 + i] = by_b[i], turning_b[i]
 
 
-@lean
+@inline
 def write_response(
     bounded: Bounded, mechanisms: Mechanisms, k: int, mass: float, free: float
 ) -> None:
@@ -144,7 +144,7 @@ def write_response(
         values[k, B_INVERSE], values[k, B_WEIGHT] = inverse, inverse / mass
 
 
-@lean
+@inline
 def write_bounds(
     bounded: Bounded, partners: Partners, k: int, speed: float, largest: float, dt: float
 ) -> None:
@@ -176,7 +176,7 @@ def write_bounds(
 # What the solver does with them
 
 
-@lean
+@inline
 def begin_bounded(bounded: Bounded, velocity: Floats) -> None:
     """Take the forces of the step before."""
     for k in range(bounded.kind.size):
@@ -189,7 +189,7 @@ def begin_bounded(bounded: Bounded, velocity: Floats) -> None:
         push_along(bounded, velocity, k, r)
 
 
-@lean
+@inline
 def sweep_bounded(bounded: Bounded, velocity: Floats) -> float:
     """One step of each row; the sum of all squared changes [(N s)²]."""
     values, changed = bounded.values, 0.0
@@ -204,7 +204,7 @@ def sweep_bounded(bounded: Bounded, velocity: Floats) -> float:
     return changed
 
 
-@lean
+@inline
 def mix_bounded(bounded: Bounded, velocity: Floats, beta: float, is_last: bool) -> None:
     """Go on along the direction of before: see `solver`."""
     values = bounded.values
@@ -216,7 +216,7 @@ def mix_bounded(bounded: Bounded, velocity: Floats, beta: float, is_last: bool) 
         values[k, B_DIRECTION] = on + change
 
 
-@lean
+@inline
 def miss_of_bounded(bounded: Bounded, velocity: Floats) -> tuple[float, float]:
     """Squares of how far these impulses are from a solution [(N s)², (m/s)²]."""
     off, left, values = 0.0, 0.0, bounded.values
@@ -228,7 +228,7 @@ def miss_of_bounded(bounded: Bounded, velocity: Floats) -> tuple[float, float]:
     return off, left
 
 
-@lean
+@inline
 def speed_of_bounded(bounded: Bounded, velocity: Floats, floor: float) -> float:
     """Square of the rates that miss what they may be without impulses, with a floor [(m/s)²]."""
     size, values = 0.0, bounded.values
@@ -242,7 +242,7 @@ def speed_of_bounded(bounded: Bounded, velocity: Floats, floor: float) -> float:
     return size
 
 
-@lean
+@inline
 def size_of_bounded(bounded: Bounded) -> float:
     """Square of the size of these impulses [(N s)²]."""
     size = 0.0
@@ -251,14 +251,14 @@ def size_of_bounded(bounded: Bounded) -> float:
     return size
 
 
-@lean
+@inline
 def push_by_bounded(bounded: Bounded, velocity: Floats) -> None:
     """Change velocities by all of these impulses."""
     for k in range(bounded.kind.size):
         push_along(bounded, velocity, k, bounded.values[k, B_IMPULSE])
 
 
-@lean
+@inline
 def _give(bounded: Bounded, given: Floats, k: int, r: float) -> None:
     """Give momenta: an impulse along row k."""
     for i in range(6):
@@ -266,14 +266,14 @@ def _give(bounded: Bounded, given: Floats, k: int, r: float) -> None:
         given[bounded.second[k], i] += r * bounded.gradient[k, 6 + i]
 
 
-@lean
+@inline
 def give_bounded(bounded: Bounded, given: Floats) -> None:
     """Give the momenta of all of these impulses."""
     for k in range(bounded.kind.size):
         _give(bounded, given, k, bounded.values[k, B_IMPULSE])
 
 
-@lean
+@inline
 def keep_bounded(bounded: Bounded, dt: float) -> None:
     """Keep the impulses of a step of dt [s] as forces, for the next one."""
     for k in range(bounded.kind.size):
@@ -312,7 +312,7 @@ def bounce_at_stop(bounded: Bounded, partners: Partners, k: int) -> bool:
     return True
 
 
-@lean
+@inline
 def leave_out_stops(bounded: Bounded, velocity: Floats) -> None:
     """Leave out stops that are not met yet, and will bounce when they are."""
     values = bounded.values

@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from particlerb.compiled.jit import lean
+from particlerb.compiled.jit import inline
 from particlerb.impulses.bounded import push_along, rate_along
 from particlerb.impulses.records import (
     B_CHANGE,
@@ -31,7 +31,7 @@ from particlerb.maths.vec3 import Bools, Floats, add_scaled, cross, dot, scale
 _FITS: Final = 1e-12  # [rad or m] what a stop may be overrun by
 
 
-@lean
+@inline
 def find_overrun(bounded: Bounded, velocity: Floats, dt: float) -> bool:
     """Find by how much stops are overrun at the next middle of a step; whether any is."""
     values, found = bounded.values, False
@@ -49,7 +49,7 @@ def find_overrun(bounded: Bounded, velocity: Floats, dt: float) -> bool:
     return found
 
 
-@lean
+@inline
 def push_back_from_stops(bounded: Bounded, move: Floats, has_moved: Bools, share: float) -> None:
     """Moves that take away a share of that."""
     values = bounded.values
@@ -70,7 +70,7 @@ def push_back_from_stops(bounded: Bounded, move: Floats, has_moved: Bools, share
 # What they have done
 
 
-@lean
+@inline
 def book_bounded(bounded: Bounded, partners: Partners, tally: Floats) -> None:
     """Sum what these impulses have done, as `bookkeeping` does for contacts."""
     values = bounded.values
@@ -90,7 +90,7 @@ def book_bounded(bounded: Bounded, partners: Partners, tally: Floats) -> None:
         partners.booked[mine, 7] += abs(hit * u) + abs(pressed * u) + abs(moved)
 
 
-@lean
+@inline
 def _book_outside(bounded: Bounded, partners: Partners, k: int, r: float) -> float:
     """Book what the world or a held body has given along row k; the work [J] of its motion."""
     a, b, gradient, moved = bounded.first[k], bounded.second[k], bounded.gradient, 0.0

@@ -1,6 +1,6 @@
 """Newton's method for rows within bounds: their parts of what newton.py does for contacts."""
 
-from particlerb.compiled.jit import inline, lean
+from particlerb.compiled.jit import inline
 from particlerb.impulses.bounded import ends_of, inverse_of, rate_along, within
 from particlerb.impulses.mechanisms import has_response
 from particlerb.impulses.records import (
@@ -25,7 +25,7 @@ def _cluster_of(bounded: Bounded, newton: Newton, k: int) -> int:
     return max(int(newton.cluster[bounded.first[k]]), int(newton.cluster[bounded.second[k]]))
 
 
-@lean
+@inline
 def linearise_bounded(
     bounded: Bounded,
     newton: Newton,
@@ -53,7 +53,7 @@ def linearise_bounded(
         newton.clusters[own, size] += square * (1.0 + (mass * inverse_of(values, k)) ** 2)
 
 
-@lean
+@inline
 def add_bounded(
     bounded: Bounded, newton: Newton, mechanisms: Mechanisms | None, state: int,
     to_solve: float,
@@ -81,7 +81,7 @@ def add_bounded(
                         matrix[at + i, away + reach] += bounded.gradient[k, of + i] * by
 
 
-@lean
+@inline
 def step_bounded(
     bounded: Bounded, newton: Newton, move: Floats, columns: tuple[int, int],
     states: tuple[float, float],
@@ -101,7 +101,7 @@ def step_bounded(
             values[k, B_IMPULSE] = values[k, B_OLD] + share * values[k, B_DIRECTION]
 
 
-@lean
+@inline
 def end_bounded(bounded: Bounded, newton: Newton, state: int, done: float) -> None:
     """Go back to where rows of clusters went on from that are not done; all within bounds."""
     values = bounded.values

@@ -13,7 +13,7 @@ contact and dry friction in finite freedom dynamics (1988), for restitution in t
 
 from typing import Final
 
-from particlerb.compiled.jit import inline, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses.bounded import bounce_at_stop, time_since_stop
 from particlerb.impulses.cone import impulse_alone
 from particlerb.impulses.records import (
@@ -113,7 +113,7 @@ def _bounce(impulses: Impulses, k: int) -> bool:
     return True
 
 
-@lean_kernel
+@kernel
 def take_impacts(impulses: Impulses, bounded: Bounded | None) -> None:
     """Let contacts bounce, and give momenta."""
     tally, order, m = impulses.tally, impulses.rows.order, impulses.filled[0]

@@ -21,7 +21,7 @@ Mathematical Programming 58, 353 (1993), Newton's method with such slopes.
 import math
 from typing import Final
 
-from particlerb.compiled.jit import inline, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses.band import solve_band
 from particlerb.impulses.bounded import push_by_bounded
 from particlerb.impulses.bounded_newton import (
@@ -71,7 +71,7 @@ _SIZE, _BEST, _SHARE, _STATE = 0, 1, 2, 3
 _DONE, _HALVED, _TO_SOLVE = 0.0, 1.0, 2.0
 
 
-@lean_kernel
+@kernel
 def refresh_velocities(
     partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int
 ) -> None:
@@ -111,7 +111,7 @@ def _put_slopes(slopes: Floats, k: int, c: Vec3, kn: Vec3, k1: Vec3, k2: Vec3) -
     put_column3(slopes, k, 9, k2)
 
 
-@lean_kernel
+@kernel
 def _linearise(
     partners: Partners, rows: ImpulseRows, newton: Newton, k: int, mass: float, small: float
 ) -> float:
@@ -213,7 +213,7 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
                     _add_column(newton, rows, k, two, ARM + 3, -1.0, r, column + i)
 
 
-@lean_kernel
+@kernel
 def _evaluate(
     partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int,
     mass: float, small: float,
@@ -230,7 +230,7 @@ def _evaluate(
         linearise_bounded(bounded, newton, partners.velocity, (_SIZE, mass, small))
 
 
-@lean_kernel
+@kernel
 def _decide(newton: Newton, enough: float, rounding: float) -> bool:
     """What each cluster does now; whether any goes on."""
     clusters, goes_on = newton.clusters, False
@@ -250,7 +250,7 @@ def _decide(newton: Newton, enough: float, rounding: float) -> bool:
     return goes_on
 
 
-@lean_kernel
+@kernel
 def _solve_for_bodies(
     partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int
 ) -> None:
@@ -287,7 +287,7 @@ def _solve_for_bodies(
             push(move, partners.inverse, partners.mechanisms, b, p, m)
 
 
-@lean_kernel
+@kernel
 def _step(
     partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int
 ) -> None:
@@ -309,7 +309,7 @@ def _step(
         step_bounded(bounded, newton, partners.move, (_SHARE, _STATE), (_TO_SOLVE, _DONE))
 
 
-@lean_kernel
+@kernel
 def _into_the_cones(rows: ImpulseRows, count: int) -> None:
     """Take away by what impulses leave their cones: no more than F."""
     for k in range(count):
@@ -319,7 +319,7 @@ def _into_the_cones(rows: ImpulseRows, count: int) -> None:
         put_column3(rows.impulse, k, 0, (n, x, y))
 
 
-@lean_kernel
+@kernel
 def take_newton_steps(
     impulses: Impulses, bounded: Bounded | None, tolerance: float, size: float, speed: float,
     small: float,

@@ -8,7 +8,7 @@ left alone. What the moves do to the energy and the angular momentum is booked.
 import math
 from typing import Final
 
-from particlerb.compiled.jit import inline, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses.bounded_effects import find_overrun, push_back_from_stops
 from particlerb.impulses.mechanisms import all_have_moved
 from particlerb.impulses.records import (
@@ -51,7 +51,7 @@ def _find_overlaps(impulses: Impulses, dt: float) -> bool:
     return found
 
 
-@lean_kernel
+@kernel
 def push_out(impulses: Impulses, bounded: Bounded | None, dt: float) -> bool:
     """Find the moves of all partners; whether there are any."""
     rules, partners, rows, count, _, _ = impulses

@@ -16,7 +16,7 @@ De Saxcé and Feng, Mathematical and Computer Modelling 28, 225 (1998), û.
 import math
 from typing import Final
 
-from particlerb.compiled.jit import inline, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses.bounded import (
     begin_bounded,
     give_bounded,
@@ -64,7 +64,7 @@ _WITHIN: Final = 0.1  # of the tolerance, for Newton's method
 _FLOOR: Final = 1e-6  # of all impulses of the kick: what contacts carry less than this is nothing
 
 
-@lean_kernel
+@kernel
 def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None) -> None:
     """Leave out contacts that have not closed yet and will bounce when they have."""
     _, partners, rows, count, _, _ = impulses
@@ -77,7 +77,7 @@ def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None) -> N
         leave_out_stops(bounded, partners.velocity)
 
 
-@lean_kernel
+@kernel
 def _begin_where_it_ended(impulses: Impulses, bounded: Bounded | None) -> None:
     """Take the impulses of the step before, in the frames of now and within the cones."""
     _, partners, rows, count, _, _ = impulses
@@ -93,7 +93,7 @@ def _begin_where_it_ended(impulses: Impulses, bounded: Bounded | None) -> None:
         begin_bounded(bounded, partners.velocity)
 
 
-@lean_kernel
+@kernel
 def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int) -> float:
     """One step of each contact in turn; the sum of all squared changes [(N s)²]."""
     frame, impulse = rows.frame, rows.impulse
@@ -129,7 +129,7 @@ def _miss(partners: Partners, rows: ImpulseRows, k: int, r: Vec3) -> Vec3:
     return subtract(r, nearest_in_cone(r[0] - share * lifted, x, y, mu))
 
 
-@lean_kernel
+@kernel
 def _speed(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int) -> float:
     """Size of the velocities that the law misses without impulses, or a floor [m/s]."""
     size = 0.0
@@ -141,7 +141,7 @@ def _speed(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
     return max(math.sqrt(size), 1e-300)
 
 
-@lean_kernel
+@kernel
 def residual(
     partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float,
     speed: float,
@@ -165,7 +165,7 @@ def residual(
     return math.sqrt(off / max(size, floor * floor, 1e-300) + left / (speed * speed))
 
 
-@lean_kernel
+@kernel
 def _mix(
     partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int, beta: float,
     is_last: bool,
@@ -185,7 +185,7 @@ def _mix(
         mix_bounded(bounded, partners.velocity, beta, is_last)
 
 
-@lean_kernel
+@kernel
 def _sweeps(
     impulses: Impulses, bounded: Bounded | None, most: int, floor: float, speed: float,
 ) -> float:  # fmt: skip
@@ -209,7 +209,7 @@ def _sweeps(
     return found
 
 
-@lean_kernel
+@kernel
 def _size(rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float) -> float:
     """Size of all impulses [N s], or a floor."""
     size = 0.0
@@ -221,7 +221,7 @@ def _size(rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float) 
     return max(math.sqrt(size), floor)
 
 
-@lean_kernel
+@kernel
 def solve(impulses: Impulses, bounded: Bounded | None, moved: float) -> None:
     """Find all impulses, and give momenta.
 

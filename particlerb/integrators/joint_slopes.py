@@ -10,7 +10,7 @@ Source: Hairer and Wanner, Solving Ordinary Differential Equations II (1996), se
 VII.2; the rows in joints/rows.py.
 """
 
-from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import action_force
 from particlerb.joints.block_cholesky import solve
@@ -34,7 +34,7 @@ _COUNTED = 2.0  # rad of two bodies against each other in a step, by their rates
 _WORK, _IMPULSE, _ANGULAR = BOOKED, BOOKED + 1, BOOKED + 4
 
 
-@lean
+@inline
 def _put_state(jointed: Jointed, states: Floats, w: int) -> None:
     """States of the mechanisms, from blocks (blocks, 13 w or more), with |q| = 1."""
     y = jointed.work.y
@@ -48,7 +48,7 @@ def _put_state(jointed: Jointed, states: Floats, w: int) -> None:
             y[k, c] /= square**0.5
 
 
-@lean
+@inline
 def _give_state(jointed: Jointed, states: Floats, w: int) -> None:
     """The same back."""
     for k in range(jointed.block.size):
@@ -56,7 +56,7 @@ def _give_state(jointed: Jointed, states: Floats, w: int) -> None:
             states[jointed.block[k], c * w + jointed.lane[k]] = jointed.work.y[k, c]
 
 
-@lean
+@inline
 def _book(
     books: Flag, jointed: Jointed, slope: Floats, w: int, k: int, power: float, F: Vec3, tau: Vec3
 ) -> None:
@@ -70,7 +70,7 @@ def _book(
         own[(_ANGULAR + i) * w + lane] += tau[i]
 
 
-@lean
+@inline
 def _book_row(
     books: Flag, jointed: Jointed, slope: Floats, w: int, r: int, z: float, power: float
 ) -> None:
@@ -88,7 +88,7 @@ def _book_row(
     _book(books, jointed, slope, w, k, power, F, tau)
 
 
-@lean
+@inline
 def _act(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
     """Add to the loads what springs, stops, motors and dampers do along their rows."""
     joints, work = jointed.joints, jointed.work
@@ -102,7 +102,7 @@ def _act(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
             _book_row(books, jointed, slope, w, r, force, power)
 
 
-@lean
+@inline
 def _act_if_any(acts: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
     """Do the work of `_act` where springs, stops or motors are."""
     if acts is None:
@@ -110,7 +110,7 @@ def _act_if_any(acts: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int
     _act(books, jointed, slope, w)
 
 
-@lean
+@inline
 def _damp_if_any(
     acts: Flag, damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int
 ) -> None:
@@ -131,7 +131,7 @@ def _damp_if_any(
         _book(books, jointed, slope, w, k, dot(F, v) + dot(tau, spin), F, about_origin)
 
 
-@lean
+@inline
 def _find_multipliers(joints: Joints, work: Work) -> None:
     """z = λ of all rows under the loads in `work.change`."""
     start, joint = joints.program.start, joints.clusters.joint
@@ -140,7 +140,7 @@ def _find_multipliers(joints: Joints, work: Work) -> None:
         solve(joints.program, joints.clusters, work.factor, work.z, c)
 
 
-@lean
+@inline
 def _prepare(tree: JointTree | None, joints: Joints, work: Work, t: float) -> None:
     """Gradients of all rows and the factor of A; in trees gradients alone, of what acts."""
     if tree is None:
@@ -152,7 +152,7 @@ def _prepare(tree: JointTree | None, joints: Joints, work: Work, t: float) -> No
             linearise(joints, work, r, r + 1)
 
 
-@lean
+@inline
 def _add_what_holds(
     tree: JointTree | None, books: Flag, jointed: Jointed, slope: Floats, w: int
 ) -> None:
@@ -175,7 +175,7 @@ def _add_what_holds(
             _book(books, jointed, slope, w, k, 0.0, F, about_origin)
 
 
-@lean_kernel
+@kernel
 def add_reactions(
     books: Flag, jointed: Jointed | None, states: Floats, slope: Floats, w: int, t: float
 ) -> None:
@@ -203,7 +203,7 @@ def add_reactions(
             slope[jointed.block[k], (P + i) * w + jointed.lane[k]] = work.change[k, i]
 
 
-@lean_kernel
+@kernel
 def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> None:
     """Bring states (blocks, rows * w) at t [s] to where joints hold, and their momenta.
 
@@ -231,7 +231,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
     _give_state(jointed, states, w)
 
 
-@lean
+@inline
 def _spin(jointed: Jointed, k: int) -> float:
     """Size of the angular velocity of body k [rad/s]; of what stands still 0."""
     y, inverse = jointed.work.y, jointed.joints.inv_inertia
@@ -240,7 +240,7 @@ def _spin(jointed: Jointed, k: int) -> float:
     return size
 
 
-@lean_kernel
+@kernel
 def count_on(jointed: Jointed | None, states: Floats, w: int, h: float) -> float:
     """Take the coordinates of joints on to these states; a step h, or the longest that counts them.
 
@@ -256,7 +256,7 @@ def count_on(jointed: Jointed | None, states: Floats, w: int, h: float) -> float
     return min(h, _COUNTED / fastest) if fastest > 0.0 else h
 
 
-@lean_kernel
+@kernel
 def store_coordinates(
     jointed: Jointed | None, states: Floats, w: int, stored: Floats, frame: int
 ) -> None:

@@ -7,7 +7,7 @@ from math import nan
 from typing import Final
 
 from particlerb.compiled.barrier import Team
-from particlerb.compiled.jit import Flag, inline, lean, lean_kernel
+from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
     prescribed_acceleration,
@@ -36,7 +36,7 @@ from particlerb.model.load import STATE_ROWS
 _NOTHING: Final = (0.0, 0.0, 0.0)
 
 
-@lean
+@inline
 def keep_given(
     jointed: Jointed | None, acting: Acting, rows: Floats, b: int, R: Matrix, dt: float,
     old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
@@ -47,7 +47,7 @@ def keep_given(
     _keep(jointed.given, acting, rows, b, R, dt, old, new)
 
 
-@lean
+@inline
 def _keep(
     given: Flag, acting: Acting, rows: Floats, b: int, R: Matrix, dt: float,
     old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
@@ -62,7 +62,7 @@ def _keep(
     put3(rows, STAGE + 3, b, subtract(new[1], spin))
 
 
-@lean
+@inline
 def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
     """States of cluster c."""
     joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
@@ -73,7 +73,7 @@ def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
             work.change[k, i] = get(blocks[block[k]], STAGE + 6 + i, lane[k])
 
 
-@lean
+@inline
 def place_driven(
     driven: PrescribedBodies | None, jointed: Jointed, t: float, dt: float, first: int, last: int
 ) -> None:
@@ -97,7 +97,7 @@ def place_driven(
             put_pose(jointed.work.later, b, x, q)
 
 
-@lean
+@inline
 def _scatter(jointed: Jointed, blocks: Floats, c: int) -> None:
     """States of cluster c, back into the blocks; nothing but NaN where it was lost."""
     joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
@@ -106,7 +106,7 @@ def _scatter(jointed: Jointed, blocks: Floats, c: int) -> None:
             put(blocks[block[k]], COM + i, lane[k], nan if work.lost[c] else work.y[k, i])
 
 
-@lean
+@inline
 def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Floats) -> None:
     """Book the impulses of joints with the world of cluster c, whose bodies were at `at`."""
     if books is None:
@@ -126,7 +126,7 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
             book(books, blocks[block[b]], lane[b], 1.0, (0.0, impulse, turning))
 
 
-@lean
+@inline
 def _book_given(
     books: Flag, given: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float
 ) -> None:
@@ -153,7 +153,7 @@ def _book_given(
         book(books, rows, b, 0.5, (found, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
-@lean
+@inline
 def book_work(books: Flag, jointed: Jointed, blocks: Floats, r: int, work: float) -> None:
     """Book work of what acts along row r, on the first of its bodies that is in a block."""
     n = jointed.block.size
@@ -161,7 +161,7 @@ def book_work(books: Flag, jointed: Jointed, blocks: Floats, r: int, work: float
     book(books, blocks[jointed.block[k]], jointed.lane[k], 1.0, (work, _NOTHING, _NOTHING))
 
 
-@lean
+@inline
 def _book_drives(books: Flag, moves: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
     """Book the work -λ ∂g/∂t of constraints of cluster c that move by themselves."""
     if books is None or moves is None:
@@ -172,7 +172,7 @@ def _book_drives(books: Flag, moves: Flag, jointed: Jointed, blocks: Floats, c: 
             book_work(books, jointed, blocks, r, -work.moving[r] * work.total[r])
 
 
-@lean
+@inline
 def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) -> None:
     """Let dampers, dashpots and drag of cluster c act over a span, within its constraints."""
     if damps is None or span == 0.0:
@@ -194,7 +194,7 @@ def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, sp
         book(books, blocks[block[k]], lane[k], 1.0, entry)
 
 
-@lean_kernel
+@kernel
 def drift_jointed(
     books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int, kick_dt: float,
     ahead: float, dt: float,
@@ -217,7 +217,7 @@ def drift_jointed(
         _scatter(jointed, blocks, c)
 
 
-@lean_kernel
+@kernel
 def project_jointed(
     books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int, kick_dt: float,
     span: float,

@@ -15,7 +15,7 @@ themselves change by J⁻¹ (τ - ω × L), positions by F/M.
 
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.drives import course
 from particlerb.joints.records import ALONG, DOT, GEAR, RACK, TURN, WORLD_ALONG, Joints, L, P, Work
 from particlerb.joints.rows import arms_at, attitudes, is_of_other_bodies, rate, vector
@@ -42,7 +42,7 @@ class _Spin(NamedTuple):
     lost: Vec3  # J⁻¹ (ω × L) [rad/s²]
 
 
-@lean
+@inline
 def _spin_of(joints: Joints, work: Work, k: int, R: Matrix) -> _Spin:
     """How body k turns in an orientation."""
     inverse, m = vector(joints.inv_inertia, k, 0), turn_back(R, vector(work.y, k, L))
@@ -51,13 +51,13 @@ def _spin_of(joints: Joints, work: Work, k: int, R: Matrix) -> _Spin:
     return _Spin(add(turn(R, w), vector(work.motion, k, 3)), lost)
 
 
-@lean
+@inline
 def _velocity(joints: Joints, work: Work, k: int) -> Vec3:
     """Velocity of body k [m/s]."""
     return add_scaled(joints.inv_mass[k], vector(work.y, k, P), vector(work.motion, k, 0))
 
 
-@lean
+@inline
 def _convective(
     joints: Joints, work: Work, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
 ) -> float:
@@ -82,13 +82,13 @@ def _convective(
     return found
 
 
-@lean
+@inline
 def _by_given(work: Work, a: int, b: int) -> Vec3:
     """How the accelerations of bodies that move as prescribed differ."""
     return subtract(vector(work.motion, a, 6), vector(work.motion, b, 6))
 
 
-@lean
+@inline
 def _centripetal(
     joints: Joints, work: Work, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
 ) -> Vec3:
@@ -101,7 +101,7 @@ def _centripetal(
     return add(k, _by_given(work, joints.rows.a[r], joints.rows.b[r]))
 
 
-@lean_kernel
+@kernel
 def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) -> None:
     """z = -g̈ of rows lo to hi under loads (n + 1, 6), force and torque, without reactions."""
     if lo == hi:

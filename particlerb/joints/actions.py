@@ -11,7 +11,7 @@ in the factor with 2/(s c) on its diagonal, drag in the masses: M + s D/2 in pla
 
 from math import inf
 
-from particlerb.compiled.jit import Flag, lean, lean_kernel
+from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.joints.records import HOLDS, Actions, Joints, P, Work
 from particlerb.joints.rows import add_impulses, attitude, coordinate, rate, shorter, vector
 from particlerb.maths.quaternion import to_body, to_world
@@ -28,20 +28,20 @@ from particlerb.maths.vec3 import (
 )
 
 
-@lean
+@inline
 def _from_rest(actions: Actions, k: int, kind: int, x: float) -> float:
     """How far action k is from its rest; angles the shorter way."""
     return shorter(kind, x - actions.rest[k])
 
 
-@lean
+@inline
 def _beyond(actions: Actions, k: int, x: float) -> float:
     """How far x is beyond the stops of action k."""
     found: float = max(x - actions.upper[k], 0.0) + min(x - actions.lower[k], 0.0)
     return found
 
 
-@lean
+@inline
 def set_compliance(joints: Joints, work: Work, r: int, span: float) -> None:
     """What row r has on its diagonal over a span; inf where nothing damps."""
     k = joints.rows.action[r]
@@ -55,7 +55,7 @@ def set_compliance(joints: Joints, work: Work, r: int, span: float) -> None:
     work.compliance[r] = 2.0 / (span * c) if c > 0.0 else inf
 
 
-@lean
+@inline
 def kick_actions(acts: Flag, joints: Joints, work: Work, lo: int, hi: int, dt: float) -> None:
     """Let springs, stops and motors of rows lo to hi act over dt; `total` has the impulses."""
     if acts is None:
@@ -75,7 +75,7 @@ def kick_actions(acts: Flag, joints: Joints, work: Work, lo: int, hi: int, dt: f
             add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, r, r + 1, work.y, P)
 
 
-@lean
+@inline
 def work_of_motor(joints: Joints, work: Work, r: int, dt: float) -> float:
     """Work of a motor in a kick: with its rates before, and after the impulses of the joints."""
     after = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
@@ -83,7 +83,7 @@ def work_of_motor(joints: Joints, work: Work, r: int, dt: float) -> float:
     return found
 
 
-@lean_kernel
+@kernel
 def add_stored_energy(joints: Joints, y: Floats, world: Ints, sums: Floats) -> None:
     """Add the energy of all springs and stops [J] in the poses y to the sum of their scene.
 
@@ -99,7 +99,7 @@ def add_stored_energy(joints: Joints, y: Floats, world: Ints, sums: Floats) -> N
             sums[world[joints.rows.a[r]]] += 0.5 * energy
 
 
-@lean
+@inline
 def action_force(joints: Joints, work: Work, r: int) -> tuple[float, float]:
     """What acts along row r [N or N m], and the power of that which has no potential [W]."""
     actions, k = joints.actions, joints.rows.action[r]
@@ -112,7 +112,7 @@ def action_force(joints: Joints, work: Work, r: int) -> tuple[float, float]:
     return f, (actions.motor[k] - c * v) * v
 
 
-@lean_kernel
+@kernel
 def add_action_loads(joints: Joints, work: Work, load: Floats) -> None:
     """Add drag, and what springs, stops, motors and dampers do, to loads (n + 1, 6).
 
@@ -134,7 +134,7 @@ def add_action_loads(joints: Joints, work: Work, load: Floats) -> None:
 # Damping
 
 
-@lean
+@inline
 def soften(joints: Joints, work: Work, c: int, span: float) -> None:
     """Inverse masses of cluster c with half of its drag over a span; keep its momenta."""
     for b in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
@@ -147,13 +147,13 @@ def soften(joints: Joints, work: Work, c: int, span: float) -> None:
             work.change[b, i] = work.y[b, P + i]
 
 
-@lean
+@inline
 def softened(joints: Joints, work: Work) -> Joints:
     """The joints of bodies with these masses; of the same type, or all is compiled twice."""
     return Joints(joints.order, work.inv_mass, work.inv_inertia, *joints[3:])
 
 
-@lean
+@inline
 def finish_damping(joints: Joints, work: Work, b: int, span: float) -> tuple[float, Vec3, Vec3]:
     """Momenta of body b after the span, from those of the middle; work, impulse, torque of drag."""
     q, at = attitude(work.y, b), vector(work.y, b, 0)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.fives import down_fives, up_fives, update_fives
 from particlerb.joints.records import Clusters, ConstraintRows, Program, Work
 from particlerb.joints.rows import vector
@@ -130,7 +130,7 @@ def _shared(a: Ints, b: Ints, pair: Ints, inv_mass: Floats) -> Bools:
     return np.stack([(p[i] == q[j]) & (inv_mass[p[i]] > 0.0) for p, q in ends], axis=1)
 
 
-@lean
+@inline
 def _on_diagonal(work: Work, k: int, at: int, n: int, m: float) -> None:
     """Lower half of the diagonal block k of n rows from `at` on, and its diagonal."""
     gradient, factor = work.gradient, work.factor
@@ -145,7 +145,7 @@ def _on_diagonal(work: Work, k: int, at: int, n: int, m: float) -> None:
         factor[k, r, r] += work.compliance[at + r]
 
 
-@lean
+@inline
 def _add_shared(
     work: Work, k: int, i: int, j: int, rows: int, columns: int, of: tuple[float, int, int]
 ) -> None:
@@ -161,7 +161,7 @@ def _add_shared(
             factor[k, r, s] += v + dot(turning, vector(gradient, j + s, by_j))
 
 
-@lean
+@inline
 def _off_diagonal(
     work: Work, shares: Bools, k: int, i: int, j: int, rows: int, columns: int,
     inv_mass: tuple[float, float],
@@ -181,7 +181,7 @@ def _off_diagonal(
         _add_shared(work, k, i, j, rows, columns, (second, 6, 12))
 
 
-@lean_kernel
+@kernel
 def assemble(
     program: Program, ends: ConstraintRows, inv_mass: Floats, work: Work, lo: int, hi: int
 ) -> None:
@@ -204,7 +204,7 @@ def assemble(
             _off_diagonal(work, shares, k, at, to, rows, columns, (first, second))
 
 
-@lean
+@inline
 def _factorise_diagonal(
     factor: Floats, k: int, n: int, smallest: float, scale: Floats, at: int
 ) -> None:
@@ -220,7 +220,7 @@ def _factorise_diagonal(
             factor[k, r, c] = share
 
 
-@lean
+@inline
 def _factorise_below(factor: Floats, k: int, n: int, at: int, rows: int) -> None:
     """B L⁻ᵀ of a block B below the diagonal block k, L D of the whole factor."""
     for r in range(rows):
@@ -231,7 +231,7 @@ def _factorise_below(factor: Floats, k: int, n: int, at: int, rows: int) -> None
             factor[at, r, c] = v
 
 
-@lean
+@inline
 def _update(
     factor: Floats, k: int, one: int, other: int, target: int, rows: int, columns: int, n: int
 ) -> None:
@@ -244,7 +244,7 @@ def _update(
             factor[target, r, c] = v
 
 
-@lean
+@inline
 def _eliminate(
     program: Program, factor: Floats, scale: Floats, e: int, k: int, d: int, n: int,
     smallest_pivot: float,
@@ -273,7 +273,7 @@ def _eliminate(
             _update(factor, d, one, other, target, rows, columns, n)
 
 
-@lean_kernel
+@kernel
 def factorise(program: Program, clusters: Clusters, factor: Floats, scale: Floats, c: int) -> None:
     """Factors in place, of cluster c.
 
@@ -292,7 +292,7 @@ def factorise(program: Program, clusters: Clusters, factor: Floats, scale: Float
             _eliminate(program, factor, scale, e, k, d, n, smallest_pivot)
 
 
-@lean
+@inline
 def _take_below(factor: Floats, block: int, at: int, to: int, n: int, z: Floats, rows: int) -> None:
     """z of the rows of a block below, from `to` on, without what z of joint k gives them."""
     for r in range(rows):
@@ -302,7 +302,7 @@ def _take_below(factor: Floats, block: int, at: int, to: int, n: int, z: Floats,
         z[to + r] = v
 
 
-@lean
+@inline
 def _down(program: Program, factor: Floats, z: Floats, e: int, k: int, d: int, n: int) -> None:
     """Forward substitution with all blocks of joint k: see `_eliminate`."""
     start = program.start
@@ -323,7 +323,7 @@ def _down(program: Program, factor: Floats, z: Floats, e: int, k: int, d: int, n
             _take_below(factor, block, at, start[i], n, z, rows)
 
 
-@lean
+@inline
 def _give_below(
     factor: Floats, k: int, block: int, at: int, to: int, n: int, z: Floats, rows: int
 ) -> None:
@@ -335,7 +335,7 @@ def _give_below(
         z[at + c] -= factor[k, c, c] * v
 
 
-@lean
+@inline
 def _up(program: Program, factor: Floats, z: Floats, e: int, k: int, d: int, n: int) -> None:
     """Back substitution with them."""
     start = program.start
@@ -354,7 +354,7 @@ def _up(program: Program, factor: Floats, z: Floats, e: int, k: int, d: int, n: 
         z[at + r] = v
 
 
-@lean_kernel
+@kernel
 def solve(program: Program, clusters: Clusters, factor: Floats, z: Floats, c: int) -> None:
     """z <- A⁻¹ z of cluster c."""
     order, start = program.order, program.start

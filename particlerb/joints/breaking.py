@@ -14,7 +14,7 @@ time is the middle of that step.
 from math import inf, sqrt
 from typing import Final
 
-from particlerb.compiled.jit import Flag, lean
+from particlerb.compiled.jit import Flag, inline
 from particlerb.joints.records import HOLDS, Breaks, Joints, P, Work
 from particlerb.joints.rows import add_impulses, attitude, vector
 from particlerb.maths.quaternion import to_world
@@ -23,7 +23,7 @@ from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, row3, su
 _SAME: Final = 1e-9  # over a step: instants as near as this are one
 
 
-@lean
+@inline
 def leave_out(breaks: Breaks | None, joints: Joints, work: Work, c: int, t: float) -> None:
     """Leave out the rows of joints of cluster c that have broken before t, and no others."""
     if breaks is None:
@@ -33,7 +33,7 @@ def leave_out(breaks: Breaks | None, joints: Joints, work: Work, c: int, t: floa
         _set_held(joints, work, j, work.broken[j] >= now)
 
 
-@lean
+@inline
 def _set_held(joints: Joints, work: Work, j: int, is_held: bool) -> None:
     """Say whether the rows of joint j hold, or are left out."""
     start = joints.program.start
@@ -42,7 +42,7 @@ def _set_held(joints: Joints, work: Work, j: int, is_held: bool) -> None:
             work.compliance[r] = 0.0 if is_held else inf
 
 
-@lean
+@inline
 def let_break(
     breaks: Breaks | None, joints: Joints, work: Work, c: int, kick_dt: float, t: float, dt: float
 ) -> bool:
@@ -77,7 +77,7 @@ def let_break(
     return True
 
 
-@lean
+@inline
 def keep_impulses(
     breaks: Breaks | None, joints: Joints, work: Work, c: int, is_first: bool
 ) -> None:
@@ -89,7 +89,7 @@ def keep_impulses(
         work.kept[r] = work.total[r] if is_first else work.kept[r] + work.total[r]
 
 
-@lean
+@inline
 def _impulses(joints: Joints, work: Work, j: int, kept: Floats) -> tuple[float, float]:
     """Sizes of the impulse of joint j, kept by rows, and of its moment about its point."""
     start, impulse, turning = joints.program.start, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -101,13 +101,13 @@ def _impulses(joints: Joints, work: Work, j: int, kept: Floats) -> tuple[float, 
     return _length(impulse), _length(subtract(turning, cross(arm, impulse)))
 
 
-@lean
+@inline
 def _length(v: Vec3) -> float:
     """|v|."""
     return sqrt(dot(v, v))
 
 
-@lean
+@inline
 def _ahead(load: float, before: float, limit: float) -> float:
     """In how many steps a load reaches a limit; before: one step ago, negative if not known."""
     if load > limit:
@@ -115,7 +115,7 @@ def _ahead(load: float, before: float, limit: float) -> float:
     return (limit - load) / (load - before) if 0.0 <= before < load else inf
 
 
-@lean
+@inline
 def foresee_breaks(
     breaks: Breaks | None, damps: Flag, joints: Joints, work: Work, c: int, kick_dt: float, t: float
 ) -> None:
@@ -141,7 +141,7 @@ def foresee_breaks(
         work.load[j, 1] = -1.0 if is_first else torque
 
 
-@lean
+@inline
 def carry_in_drift(breaks: Breaks | None, work: Work, is_first: bool) -> None:
     """Count the impulses of a drift among those of a step, of which it is the first or not."""
     if breaks is None:
@@ -150,7 +150,7 @@ def carry_in_drift(breaks: Breaks | None, work: Work, is_first: bool) -> None:
         work.carried[r] = work.total[r] + (0.0 if is_first else work.carried[r])
 
 
-@lean
+@inline
 def carry_in_projection(breaks: Breaks | None, work: Work) -> None:
     """Count the impulses of a projection, damping included."""
     if breaks is None:
@@ -159,7 +159,7 @@ def carry_in_projection(breaks: Breaks | None, work: Work) -> None:
         work.carried[r] += work.kept[r]
 
 
-@lean
+@inline
 def break_overloaded(breaks: Breaks | None, joints: Joints, work: Work, dt: float) -> None:
     """Break joints that have carried too much in a step of dt [s], of which it is the middle."""
     if breaks is None:

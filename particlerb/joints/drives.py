@@ -7,12 +7,12 @@ the extended phase space, in which the method is symplectic.
 
 from math import cos, sin
 
-from particlerb.compiled.jit import Flag, lean
+from particlerb.compiled.jit import Flag, inline
 from particlerb.joints.records import AT_REST, Drives, Joints, P, Work
 from particlerb.maths.vec3 import Bools, Vec3
 
 
-@lean
+@inline
 def course(drives: Drives | None, k: int, t: float) -> Vec3:
     """c, ċ and c̈ of drive k at a time [s]; zero where there is none."""
     if drives is None:
@@ -20,7 +20,7 @@ def course(drives: Drives | None, k: int, t: float) -> Vec3:
     return _course(drives, k, t) if k != AT_REST else (0.0, 0.0, 0.0)
 
 
-@lean
+@inline
 def _course(drives: Drives, k: int, t: float) -> Vec3:
     """Do the work of `course`."""
     p, amplitude, rate = drives.polynomial, drives.wave[k, 0], drives.wave[k, 1]
@@ -30,7 +30,7 @@ def _course(drives: Drives, k: int, t: float) -> Vec3:
     return c, speed, 2.0 * p[k, 2] + 6.0 * t * p[k, 3] - amplitude * rate * rate * along
 
 
-@lean
+@inline
 def set_moving(moves: Flag, joints: Joints, work: Work, lo: int, hi: int, t: float) -> None:
     """∂g/∂t of rows lo to hi at a time, if any moves by itself."""
     if moves is None:
@@ -40,7 +40,7 @@ def set_moving(moves: Flag, joints: Joints, work: Work, lo: int, hi: int, t: flo
         work.moving[r] += _by_carried(joints.carried, joints, work, r)
 
 
-@lean
+@inline
 def _by_carried(carried: Bools | None, joints: Joints, work: Work, r: int) -> float:
     """What bodies that move as prescribed do to g of row r, per second."""
     if carried is None:
@@ -53,7 +53,7 @@ def _by_carried(carried: Bools | None, joints: Joints, work: Work, r: int) -> fl
     return found
 
 
-@lean
+@inline
 def carry(carried: Bools | None, work: Work, first: int, last: int) -> None:
     """Put bodies first to last that move as prescribed where they are at the end of a drift."""
     if carried is None:

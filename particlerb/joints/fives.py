@@ -6,7 +6,7 @@ read numbers again after each that is written.
 
 from typing import TypeAlias
 
-from particlerb.compiled.jit import lean
+from particlerb.compiled.jit import inline
 from particlerb.joints.records import Program
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import unsigned
@@ -14,26 +14,26 @@ from particlerb.model.block import unsigned
 Five: TypeAlias = tuple[float, float, float, float, float]
 
 
-@lean
+@inline
 def _row(factor: Floats, block: int, row: int) -> Five:
     """Row of a block of five columns."""
     k, r = unsigned(block), unsigned(row)
     return factor[k, r, 0], factor[k, r, 1], factor[k, r, 2], factor[k, r, 3], factor[k, r, 4]
 
 
-@lean
+@inline
 def _diagonal(factor: Floats, k: int) -> Five:
     """Diagonal of block k."""
     return factor[k, 0, 0], factor[k, 1, 1], factor[k, 2, 2], factor[k, 3, 3], factor[k, 4, 4]
 
 
-@lean
+@inline
 def _product(u: Five, v: Five) -> float:
     """Sum of products."""
     return (u[0] * v[0] + u[1] * v[1]) + (u[2] * v[2] + u[3] * v[3]) + u[4] * v[4]
 
 
-@lean
+@inline
 def update_fives(factor: Floats, k: int, one: int, other: int, target: int) -> None:
     """Target -= one D⁻¹ otherᵀ, with D of the diagonal block k; of a diagonal block its half."""
     d = _diagonal(factor, k)
@@ -44,7 +44,7 @@ def update_fives(factor: Floats, k: int, one: int, other: int, target: int) -> N
             factor[target, r, c] -= _product(u, _row(factor, other, c))
 
 
-@lean
+@inline
 def down_fives(program: Program, factor: Floats, z: Floats, e: int, k: int, d: int) -> None:
     """Forward substitution with all blocks of joint k, the one at place e, whose own block is d."""
     at = program.start[k]
@@ -63,7 +63,7 @@ def down_fives(program: Program, factor: Floats, z: Floats, e: int, k: int, d: i
             z[first + r] -= _product(_row(factor, block, r), own)
 
 
-@lean
+@inline
 def up_fives(program: Program, factor: Floats, z: Floats, e: int, k: int, d: int) -> None:
     """Back substitution with them."""
     at = program.start[k]

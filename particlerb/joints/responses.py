@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses.bounded import write_bounds, write_gradient, write_response
 from particlerb.impulses.records import (
     B_GAP,
@@ -79,7 +79,7 @@ def pairs_through(mechanisms: Mechanisms | None, a: Ints, b: Ints) -> tuple[Ints
     return one, other
 
 
-@lean_kernel
+@kernel
 def _clear(work: Work, first: int, last: int) -> None:
     """No impulse on bodies first to last."""
     for k in range(first, last):
@@ -87,7 +87,7 @@ def _clear(work: Work, first: int, last: int) -> None:
             work.change[k, i] = 0.0
 
 
-@lean_kernel
+@kernel
 def _put_velocities(
     partners: Partners, mechanisms: Mechanisms, work: Work, c: int, to: int
 ) -> None:
@@ -102,7 +102,7 @@ def _put_velocities(
         to += 6
 
 
-@lean_kernel
+@kernel
 def _respond(
     joints: Joints, work: Work, partners: Partners, mechanisms: Mechanisms, c: int
 ) -> None:
@@ -127,7 +127,7 @@ def _respond(
             _put_velocities(partners, mechanisms, work, c, to)
 
 
-@lean
+@inline
 def _know_bounded(bounded: Bounded, mechanisms: Mechanisms) -> None:
     """Ask for the responses of bodies with a coordinate within bounds."""
     for k in range(bounded.kind.size):
@@ -135,7 +135,7 @@ def _know_bounded(bounded: Bounded, mechanisms: Mechanisms) -> None:
             mechanisms.is_known[b] = mechanisms.number[b] >= 0
 
 
-@lean
+@inline
 def _find_bounded(
     bounded: Bounded, bounds: Bounds, joints: Joints, work: Work, partners: Partners,
     mechanisms: Mechanisms, dt: float,
@@ -159,7 +159,7 @@ def _find_bounded(
         write_bounds(bounded, partners, k, bounds.speed[k], most, dt)
 
 
-@lean_kernel
+@kernel
 def find_responses(
     joints: Joints, work: Work, impulses: Impulses, mechanisms: Mechanisms,
     bounded: Bounded | None, bounds: Bounds | None, dt: float,
@@ -189,7 +189,7 @@ def find_responses(
         _find_bounded(bounded, bounds, joints, work, partners, mechanisms, dt)
 
 
-@lean_kernel
+@kernel
 def move_to_joints(joints: Joints, work: Work, partners: Partners, mechanisms: Mechanisms) -> bool:
     """Find moves of bodies that have been pushed out, to where joints hold; whether there are any.
 

@@ -21,7 +21,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.drives import course
 from particlerb.joints.records import (
     ALONG,
@@ -72,14 +72,14 @@ _WHOLE_TURN: Final = 2.0 * pi
 Three: TypeAlias = tuple[Vec3, Vec3, Vec3]
 
 
-@lean
+@inline
 def vector(values: Floats, k: int, at: int) -> Vec3:
     """Three numbers of row k from `at` on; with unsigned indices Numba asks not about signs."""
     row = unsigned(k)
     return values[row, unsigned(at)], values[row, unsigned(at + 1)], values[row, unsigned(at + 2)]
 
 
-@lean
+@inline
 def put_vector(values: Floats, k: int, at: int, v: Vec3) -> None:
     """Write three numbers of row k from `at` on."""
     row = unsigned(k)
@@ -87,39 +87,39 @@ def put_vector(values: Floats, k: int, at: int, v: Vec3) -> None:
     values[row, unsigned(at + 2)] = v[2]
 
 
-@lean
+@inline
 def attitude(y: Floats, k: int) -> Quat:
     """Orientation of body k."""
     row = unsigned(k)
     return y[row, Q], y[row, Q + 1], y[row, Q + 2], y[row, Q + 3]
 
 
-@lean
+@inline
 def put_pose(y: Floats, k: int, x: Vec3, q: Quat) -> None:
     """Write where body k is."""
     put_vector(y, k, X, x)
     y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
 
 
-@lean
+@inline
 def by_inverse_inertia(inv_inertia: Floats, q: Quat, k: int, v: Vec3) -> Vec3:
     """J⁻¹ v in world axes, of body k with the orientation q."""
     return to_world(q, component_product(row3(inv_inertia, k), to_body(q, v)))
 
 
-@lean
+@inline
 def arms(rows: ConstraintRows, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """r_a (or n), r_b, u and d of row r, in world axes."""
     return arms_at(rows, y, r, attitudes(rows, y, r))
 
 
-@lean
+@inline
 def attitudes(rows: ConstraintRows, y: Floats, r: int) -> tuple[Matrix, Matrix]:
     """Rotation matrices of the bodies of row r."""
     return matrix(attitude(y, rows.a[r])), matrix(attitude(y, rows.b[r]))
 
 
-@lean
+@inline
 def arms_at(
     rows: ConstraintRows, y: Floats, r: int, R: tuple[Matrix, Matrix]
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
@@ -132,13 +132,13 @@ def arms_at(
     return ra, rb, u, subtract(between, subtract(rb, ra))
 
 
-@lean
+@inline
 def is_of_directions(kind: int) -> bool:
     """Whether no points are in a row of a kind."""
     return kind == DOT or kind >= TURN
 
 
-@lean
+@inline
 def _rotation(rows: ConstraintRows, y: Floats, r: int) -> Vec3:
     """Rotation vector of the bodies of row r against each other, world axes, at most π long."""
     x, z = row3(rows.first, r), row3(rows.second, r)
@@ -150,7 +150,7 @@ def _rotation(rows: ConstraintRows, y: Floats, r: int) -> Vec3:
     return scale(copysign(f, q[0]), v)
 
 
-@lean
+@inline
 def coordinate(rows: ConstraintRows, y: Floats, r: int) -> float:
     """Coordinate of row r [m or rad]; angles between -π and π."""
     ra, rb, u, d = arms(rows, y, r)
@@ -163,13 +163,13 @@ def coordinate(rows: ConstraintRows, y: Floats, r: int) -> float:
     return norm(d) if kind == STRETCH else dot(u, d)
 
 
-@lean
+@inline
 def shorter(kind: int, away: float) -> float:
     """A difference of coordinates; of angles the shorter way."""
     return away - _WHOLE_TURN * np.floor(away / _WHOLE_TURN + 0.5) if kind >= TURN else away
 
 
-@lean
+@inline
 def residual(rows: ConstraintRows, drives: Drives | None, y: Floats, r: int, t: float) -> float:
     """g of row r at a time."""
     kind = rows.kind[r]
@@ -187,13 +187,13 @@ def residual(rows: ConstraintRows, drives: Drives | None, y: Floats, r: int, t: 
     return along
 
 
-@lean
+@inline
 def is_of_other_bodies(rows: ConstraintRows, lo: int, r: int) -> bool:
     """Whether row r ties other bodies than the one before, or is the first from lo on."""
     return r == lo or rows.a[r] != rows.a[r - 1] or rows.b[r] != rows.b[r - 1]
 
 
-@lean_kernel
+@kernel
 def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[float, int]:
     """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row."""
     rows, y, g = joints.rows, work.y, work.g
@@ -225,7 +225,7 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[f
     return worst, where
 
 
-@lean
+@inline
 def tensor(R: Matrix, a: Vec3) -> Matrix:
     """R diag(a) Rᵀ: J⁻¹ in world axes from its moments."""
     x, y, z = component_product(a, R[0]), component_product(a, R[1]), component_product(a, R[2])
@@ -233,7 +233,7 @@ def tensor(R: Matrix, a: Vec3) -> Matrix:
     return (dot(x, R[0]), xy, xz), (xy, dot(y, R[1]), yz), (xz, yz, dot(z, R[2]))
 
 
-@lean
+@inline
 def _inverse_inertias(joints: Joints, r: int, R: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]:
     """The same of both bodies of row r."""
     a, b = joints.rows.a[r], joints.rows.b[r]
@@ -241,7 +241,7 @@ def _inverse_inertias(joints: Joints, r: int, R: tuple[Matrix, Matrix]) -> tuple
     return one, tensor(R[1], vector(joints.inv_inertia, b, 0))
 
 
-@lean
+@inline
 def _by_turning(rows: ConstraintRows, r: int, ra: Vec3, rb: Vec3, u: Vec3, d: Vec3) -> Three:
     """∂g/∂x_a, ∂g/∂θ_a and ∂g/∂θ_b of row r from its arms."""
     kind = rows.kind[r]
@@ -259,7 +259,7 @@ def _by_turning(rows: ConstraintRows, r: int, ra: Vec3, rb: Vec3, u: Vec3, d: Ve
     return by_x, cross(ra, by_x), cross(by_x, arm)
 
 
-@lean_kernel
+@kernel
 def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
     """Gradients of rows lo to hi, and J⁻¹ times them."""
     rows, y, gradient = joints.rows, work.y, work.gradient
@@ -285,7 +285,7 @@ def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
         put_vector(gradient, r, 12, turn(inverse[1], by_b))
 
 
-@lean
+@inline
 def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
     """Row r of G M⁻¹ times momenta, or loads, that stand in y from `at` on."""
     a, b = joints.rows.a[r], joints.rows.b[r]
@@ -297,7 +297,7 @@ def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
     return found + dot(vector(gradient, r, 12), vector(y, b, at + 3))
 
 
-@lean_kernel
+@kernel
 def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
     """z = -ġ of rows lo to hi; the largest over its size [1/s]."""
     worst = 0.0
@@ -313,7 +313,7 @@ def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
     return worst
 
 
-@lean_kernel
+@kernel
 def add_impulses(
     rows: ConstraintRows, inv_mass: Floats, gradient: Floats, z: Floats, lo: int, hi: int,
     y: Floats, at: int,

@@ -17,7 +17,7 @@ J. Numer. Anal. 49, 1715 (2011).
 from math import inf
 from typing import Final
 
-from particlerb.compiled.jit import lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.actions import kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.breaking import leave_out, let_break
@@ -47,7 +47,7 @@ _TENFOLD: Final = 7  # times at most that the pivot below which rows rest grows,
 _MOST_OPEN: Final = 1e-4  # and what the residual of a row that rests may be, over its size
 
 
-@lean
+@inline
 def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
     """Drift of cluster c from where it began, with the momenta of now."""
     y, pose = work.y, work.pose
@@ -63,7 +63,7 @@ def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
     carry(joints.carried, work, joints.clusters.body[c], joints.clusters.body[c + 1])
 
 
-@lean
+@inline
 def factorise_cluster(joints: Joints, work: Work, c: int, span: float, t: float) -> None:
     """G and the factor of A of cluster c at its pose and at t; rows that damp do so over a span."""
     clusters, start = joints.clusters, joints.program.start
@@ -77,7 +77,7 @@ def factorise_cluster(joints: Joints, work: Work, c: int, span: float, t: float)
     _factor(joints, work, c)
 
 
-@lean
+@inline
 def _factor(joints: Joints, work: Work, c: int) -> None:
     """Factor of A of cluster c from its gradients."""
     block = joints.clusters.block
@@ -85,14 +85,14 @@ def _factor(joints: Joints, work: Work, c: int) -> None:
     factorise(joints.program, joints.clusters, work.factor, work.scale, c)
 
 
-@lean
+@inline
 def _solve_and_add(joints: Joints, work: Work, c: int, lo: int, hi: int) -> None:
     """Impulses that take away the right sides z of rows lo to hi, those of cluster c."""
     solve(joints.program, joints.clusters, work.factor, work.z, c)
     _add(joints, work, lo, hi)
 
 
-@lean
+@inline
 def _add(joints: Joints, work: Work, lo: int, hi: int) -> None:
     """Add impulses z of rows lo to hi to the momenta, and to `total`."""
     for r in range(lo, hi):
@@ -100,7 +100,7 @@ def _add(joints: Joints, work: Work, lo: int, hi: int) -> None:
     add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, lo, hi, work.y, P)
 
 
-@lean
+@inline
 def begin_with_guess(joints: Joints, work: Work, c: int, kick_dt: float) -> None:
     """Begin with the impulses that a cubic through those of the last four steps foresees.
 
@@ -119,7 +119,7 @@ def begin_with_guess(joints: Joints, work: Work, c: int, kick_dt: float) -> None
     _add(joints, work, start[first], start[last])
 
 
-@lean
+@inline
 def remember(work: Work, lo: int, hi: int, kick_dt: float) -> None:
     """Keep the impulses of rows lo to hi for the guess of the next step."""
     for r in range(lo, hi):
@@ -129,7 +129,7 @@ def remember(work: Work, lo: int, hi: int, kick_dt: float) -> None:
             found -= before
 
 
-@lean_kernel
+@kernel
 def constrained_drift(
     joints: Joints, work: Work, c: int, kick_dt: float, t: float, dt: float
 ) -> None:
@@ -160,7 +160,7 @@ def constrained_drift(
         _fly_to_joints(joints, work, c, t, dt)
 
 
-@lean_kernel
+@kernel
 def _pass_singular_pose(joints: Joints, work: Work, c: int, t: float, dt: float) -> None:
     """Drift anew without the rows that all but depend on others: for this step they rest.
 
@@ -197,7 +197,7 @@ def _pass_singular_pose(joints: Joints, work: Work, c: int, t: float, dt: float)
     share[c] = usual
 
 
-@lean
+@inline
 def _is_weak(joints: Joints, work: Work, c: int, lo: int, hi: int) -> bool:
     """Whether no impulse of rows lo to hi is above √(2 M T), where the drift begins."""
     T, M, largest = 0.0, 0.0, 0.0
@@ -212,7 +212,7 @@ def _is_weak(joints: Joints, work: Work, c: int, lo: int, hi: int) -> bool:
     return largest * largest <= 2.0 * M * T
 
 
-@lean
+@inline
 def _share_of_last(joints: Joints, work: Work, lo: int, hi: int) -> float:
     """How much of the last gain to take back, so that the residual over the sizes is least."""
     along, square = 0.0, 0.0
@@ -223,7 +223,7 @@ def _share_of_last(joints: Joints, work: Work, lo: int, hi: int) -> float:
     return along / square if square > 0.0 else 0.0
 
 
-@lean_kernel
+@kernel
 def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> None:
     """Drift with impulses along the gradients so that g = 0 at its end: see above."""
     clusters, start = joints.clusters, joints.program.start
@@ -247,7 +247,7 @@ def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> N
     work.lost[c] = 1 + where
 
 
-@lean_kernel
+@kernel
 def project_momenta(
     joints: Joints, work: Work, c: int, kick_dt: float, t: float, span: float
 ) -> None:
@@ -264,7 +264,7 @@ def project_momenta(
     keep_rates(joints, work, c, lo, hi)
 
 
-@lean
+@inline
 def keep_rates(joints: Joints, work: Work, c: int, lo: int, hi: int) -> None:
     """Take from the momenta what breaks rows lo to hi, those of cluster c, by the factor of A."""
     before = 1e300

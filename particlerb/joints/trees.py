@@ -18,7 +18,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb.compiled.jit import lean
+from particlerb.compiled.jit import inline
 from particlerb.joints.records import DISTANCE, DOT, HOLDS, ConstraintRows, Joints, L, P, X
 from particlerb.joints.rows import attitude, put_vector, tensor, vector
 from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
@@ -119,20 +119,20 @@ def _directions(rows: ConstraintRows, own: Ints, before: int, world: int) -> lis
     return sorted(found, key=lambda one: (not one[0], one[1] != before))
 
 
-@lean
+@inline
 def _matrix_at(room: Floats, k: int, at: int) -> Matrix:
     """Matrix of body k."""
     return vector(room, k, at), vector(room, k, at + 3), vector(room, k, at + 6)
 
 
-@lean
+@inline
 def _put_matrix(room: Floats, k: int, at: int, M: Matrix) -> None:
     """Write it."""
     for i in range(3):
         put_vector(room, k, at + 3 * i, M[i])
 
 
-@lean
+@inline
 def _place(joints: Joints, tree: JointTree, y: Floats, k: int) -> None:
     """Attitude of body k, and how it turns."""
     R, inverse = matrix(attitude(y, k)), vector(joints.inv_inertia, k, 0)
@@ -141,7 +141,7 @@ def _place(joints: Joints, tree: JointTree, y: Floats, k: int) -> None:
     put_vector(tree.room, k, _SPIN, spin)
 
 
-@lean
+@inline
 def _shift_on(joints: Joints, tree: JointTree, y: Floats, i: int, way: Vec3) -> tuple[Vec3, Vec3]:
     """Way from the point before to that of body i of the tree, and how fast this one shifts."""
     room, k, p = tree.room, tree.body[i], tree.before[i]
@@ -158,7 +158,7 @@ def _shift_on(joints: Joints, tree: JointTree, y: Floats, i: int, way: Vec3) -> 
     return way, subtract(v, cross(vector(room, p, _SPIN), subtract(way, of_before)))
 
 
-@lean
+@inline
 def _set_out(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -> None:
     """What body i of the tree is by itself, and what more than the one before it accelerates."""
     room, taken, k, p = tree.room, tree.taken, tree.body[i], tree.before[i]
@@ -191,7 +191,7 @@ def _set_out(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -
     put_vector(room, k, GIVEN + 3, add(tau, cross(com, F)))
 
 
-@lean
+@inline
 def _plus(M: Matrix, f: float, u: Vec3, v: Vec3) -> Matrix:
     """M + f u vᵀ."""
     return (
@@ -201,7 +201,7 @@ def _plus(M: Matrix, f: float, u: Vec3, v: Vec3) -> Matrix:
     )
 
 
-@lean
+@inline
 def _add_inertia(room: Floats, k: int, inertia: _Inertia) -> None:
     """Add to I of body k."""
     A, B, C = inertia
@@ -212,7 +212,7 @@ def _add_inertia(room: Floats, k: int, inertia: _Inertia) -> None:
         put_vector(room, k, at + 18, add(vector(room, k, at + 18), C[i]))
 
 
-@lean
+@inline
 def _at_point_before(inertia: _Inertia, r: Vec3) -> _Inertia:
     """I at a point from which r leads to its own, where a = a' + α × r."""
     A, B, C = inertia
@@ -232,7 +232,7 @@ def _at_point_before(inertia: _Inertia, r: Vec3) -> _Inertia:
     return A, (u, v, w), C
 
 
-@lean
+@inline
 def _eliminate(tree: JointTree, i: int, is_held: bool) -> None:
     """Take the free directions out of body i of the tree, and add it to the body before."""
     room, taken, k, p = tree.room, tree.taken, tree.body[i], tree.before[i]
@@ -266,7 +266,7 @@ def _eliminate(tree: JointTree, i: int, is_held: bool) -> None:
     put_vector(room, p, GIVEN + 3, add(vector(room, p, GIVEN + 3), tau))
 
 
-@lean
+@inline
 def _accelerate(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -> None:
     """Acceleration of body i of the tree from that of the one before; its load with its joints."""
     room, taken, k, p = tree.room, tree.taken, tree.body[i], tree.before[i]
@@ -291,7 +291,7 @@ def _accelerate(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int
     put_vector(load, k, 3, add(turn(R, local), cross(spin, vector(y, k, L))))
 
 
-@lean
+@inline
 def accelerate_tree(joints: Joints, tree: JointTree, y: Floats, load: Floats) -> None:
     """Forces and torques with those of joints, in place of loads (bodies + 1, 6) without them."""
     for k in range(joints.inv_mass.size):

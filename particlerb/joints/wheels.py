@@ -19,25 +19,25 @@ from math import atan2
 
 import numpy as np
 
-from particlerb.compiled.jit import Flag, lean
+from particlerb.compiled.jit import Flag, inline
 from particlerb.joints.records import GEAR, RACK, ConstraintRows
 from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Vec3, add_scaled, cross, dot, norm, scale
 
 
-@lean
+@inline
 def _three(rows: ConstraintRows, r: int, at: int) -> Vec3:
     """A direction of the wheel of row r."""
     return rows.wheel[r, at], rows.wheel[r, at + 1], rows.wheel[r, at + 2]
 
 
-@lean
+@inline
 def _angle(n: Vec3, v: Vec3, w: Vec3) -> float:
     """Angle from v to w about n."""
     return atan2(dot(n, cross(v, w)), dot(v, w))
 
 
-@lean
+@inline
 def rolled(
     rolls: Flag, rows: ConstraintRows, r: int, R: tuple[Matrix, Matrix], u: Vec3, d: Vec3
 ) -> float:
@@ -55,14 +55,14 @@ def rolled(
     return nearest
 
 
-@lean
+@inline
 def tangent(n: Vec3, d: Vec3) -> Vec3:
     """Where teeth of a gear push."""
     across = cross(d, n)
     return scale(1.0 / max(norm(across), 1e-300), across)
 
 
-@lean
+@inline
 def with_turns(
     rolls: Flag, rows: ConstraintRows, r: int, R: tuple[Matrix, Matrix], by_a: Vec3, by_b: Vec3
 ) -> tuple[Vec3, Vec3]:

@@ -7,7 +7,7 @@ turn. docs/free_rotation.md.
 import math
 from typing import Final
 
-from particlerb.compiled.jit import inline, lean, lean_kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.maths import double_double as dd
 from particlerb.maths.quaternion import Quat, multiply, to_body
 from particlerb.maths.trig import cos_sin_half_turns
@@ -36,19 +36,19 @@ def _unit(v: Vec3) -> float:
     return math.ldexp(1.0, 1 - math.frexp(largest)[1])
 
 
-@lean
+@inline
 def _put(turn: Floats, b: int, at: int, q: Quat) -> None:
     """Write four numbers of row b from a column on."""
     turn[b, at], turn[b, at + 1], turn[b, at + 2], turn[b, at + 3] = q
 
 
-@lean
+@inline
 def _quat(turn: Floats, b: int, at: int) -> Quat:
     """Four numbers of row b from a column on."""
     return turn[b, at], turn[b, at + 1], turn[b, at + 2], turn[b, at + 3]
 
 
-@lean
+@inline
 def _set_steady(turn: Floats, b: int, q: Quat, L: Vec3, about: float, along: float) -> None:
     """Write a turn at the rate `about` [rad/s] about L, and at `along` about rotor axis 3."""
     inverse = 1.0 / max(norm(L), TINY)
@@ -57,7 +57,7 @@ def _set_steady(turn: Floats, b: int, q: Quat, L: Vec3, about: float, along: flo
     _put(turn, b, 6, q)
 
 
-@lean
+@inline
 def _set_theta(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
     """Write a turn of `exact.ThetaTurn`; moments and L in units whose ratio is `rate`."""
     clock, left, right, of = theta_turn(inertia, dd.to_body(q, L), q, rate)
@@ -67,7 +67,7 @@ def _set_theta(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: floa
     turn[b, 12], turn[b, 13], turn[b, 14] = of.cosh, of.sinh, of.kappa
 
 
-@lean
+@inline
 def _set_near(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
     """Write a turn of `exact.HyperbolicTurn`."""
     clock, left, right, of = near_turn(inertia, dd.to_body(q, L), q, rate)
@@ -80,14 +80,14 @@ def _set_near(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float
         turn[b, 17 + k], turn[b, 23 + k] = of.cosines[k], of.sines[k]
 
 
-@lean
+@inline
 def set_steady_turn(turn: Floats, b: int, inverse: Vec3, q: Quat, L: Vec3) -> None:
     """`set_turn` of a body that is not asymmetric."""
     along = to_body(q, L)[2] * (inverse[2] - inverse[0])
     _set_steady(turn, b, q, L, norm(L) * inverse[0], along)
 
 
-@lean_kernel
+@kernel
 def set_turn(
     turn: Floats, b: int, inertia: Vec3, inverse: Vec3, is_asymmetric: bool, q: Quat, L: Vec3
 ) -> None:
@@ -122,7 +122,7 @@ def set_turn(
         _set_near(turn, b, moments, q, spin, one / other)
 
 
-@lean
+@inline
 def steadily_turned(turn: Floats, b: int, t: float) -> Quat:
     """`turned` of a body whose turn is steady."""
     cos, sin, _ = cos_sin_half_turns(turn[b, 4] * t)
@@ -131,7 +131,7 @@ def steadily_turned(turn: Floats, b: int, t: float) -> Quat:
     return multiply((cos, sin * turn[b, 1], sin * turn[b, 2], sin * turn[b, 3]), q)
 
 
-@lean_kernel
+@kernel
 def turned(turn: Floats, b: int, t: float) -> Quat:
     """Orientation of body b after t [s]."""
     if turn[b, 0] == _STEADY:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb.compiled.jit import in_python, inline, kernel, kernel_from, lean_kernel
+from particlerb.compiled.jit import in_python, inline, kernel, kernel_from
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import row_count, rows_of_terms
 from particlerb.forces.registry import STAGE
@@ -83,7 +83,7 @@ def _pack_of(blocks: Floats, layout: Layout, common: _CommonVectors, k: int, K: 
     return Pack(blocks[k], layout.size[k], common.width, common.y[k], common.new[k], K)
 
 
-@lean_kernel
+@kernel
 def _spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
     """Vectors into states (13, n), with |q| = 1."""
     for k in range(layout.first.size):
@@ -96,7 +96,7 @@ def _spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
             store4(own, b, normalised(load4(own, b)))
 
 
-@lean_kernel
+@kernel
 def _slopes_of_blocks(
     equations: Equations, blocks: Floats, layout: Layout, w: int, t: float, y: Floats,
     slope: Floats,
@@ -121,7 +121,7 @@ def _common_slopes(bodies: _AllBodies, t: float, y: Floats, slope: Floats) -> No
     add_reactions(books, bodies.jointed, y, slope.reshape(y.shape), w, t)
 
 
-@lean_kernel
+@kernel
 def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
     """State where the slope of a stage is taken."""
     assign(new, y)
@@ -147,7 +147,7 @@ def _common_stages(bodies: _AllBodies, at: Floats, t: float, h: float, i: int, j
         _common_slopes(bodies, t + NODES[stage] * h, at, K[stage])
 
 
-@lean_kernel
+@kernel
 def _common_error(
     blocks: Floats, layout: Layout, vectors: _CommonVectors, h: float, tolerance: float
 ) -> float:
@@ -163,14 +163,14 @@ def _common_error(
     return worst
 
 
-@lean_kernel
+@kernel
 def _normalise_blocks(values: Floats, layout: Layout, w: int) -> None:
     """Make |q| = 1."""
     for k in range(layout.first.size):
         normalise(values[k], layout.size[k], w)
 
 
-@lean_kernel
+@kernel
 def _give_up(layout: Layout, vectors: _CommonVectors) -> None:
     """Make bodies NaN whose error no step is short enough for."""
     y, w = vectors.y, vectors.width
@@ -250,7 +250,7 @@ def _family(make: _Maker, make_lean: _Maker, **names: Any) -> Callable[..., None
 
 
 _own = partial(kernel_from, name="here")
-_compiled = _family(_own, partial(_own, by=lean_kernel))
+_compiled = _family(_own, partial(_own, by=kernel))
 
 
 class CoupledAdaptiveMotion(AdaptiveRun):

@@ -349,7 +349,7 @@ def test_a_users_function_may_make_arrays_where_its_caller_makes_none():
     def of_a_user(x):
         return np.array([x, 2.0 * x]).sum()
 
-    @_jit.lean_kernel
+    @_jit.kernel
     def caller(x):
         return of_a_user(x)
 
