@@ -270,7 +270,7 @@ def kernel(function: Function) -> Function:
     return cast(Function, dispatcher)
 
 
-def kernel_from(template: Function, name: str, by: Any = kernel, **names: Any) -> Function:
+def kernel_from(template: Function, name: str, **names: Any) -> Function:
     """Compile a kernel from a function whose globals of these names are to be others.
 
     A method brings its step, the loop around it is the same for all. Handed over as an argument,
@@ -280,7 +280,7 @@ def kernel_from(template: Function, name: str, by: Any = kernel, **names: Any) -
     function = FunctionType(template.__code__, template.__globals__ | names, name)
     function.__qualname__ = f"{template.__qualname__}_{name}"
     function.__doc__ = template.__doc__
-    return cast(Function, by(function))
+    return kernel(cast(Function, function))
 
 
 def inline_from(source: str, file: str, name: str, names: dict[str, Any]) -> Callable[..., Any]:

@@ -238,10 +238,10 @@ def _write(bodies: _AllBodies, recording: Recording, frame: int) -> None:
     store_coordinates(bodies.jointed, common.out, common.width, recording.turned, frame)
 
 
-def _family(make: _Maker, make_lean: _Maker, **names: Any) -> Callable[..., None]:
+def _family(make: _Maker, **names: Any) -> Callable[..., None]:
     """`advance_steps` of all bodies and what it calls, made anew with other globals."""
     for function in (_common_slopes, _common_stages, _begin, _go_on, _find_common_step):
-        names[function.__name__] = make_lean(function, **names)
+        names[function.__name__] = make(function, **names)
     moving = {"begin": names["_begin"], "go_on": names["_go_on"]}
     moving |= {"find": names["_find_common_step"]}
     shown = {"take_last_stages": _take_last_stages, "show": _show, "write": _write}
@@ -249,8 +249,7 @@ def _family(make: _Maker, make_lean: _Maker, **names: Any) -> Callable[..., None
     return make(advance_steps, **moving, **shown)
 
 
-_own = partial(kernel_from, name="here")
-_compiled = _family(_own, partial(_own, by=kernel))
+_compiled = _family(partial(kernel_from, name="here"))
 
 
 class CoupledAdaptiveMotion(AdaptiveRun):
@@ -315,7 +314,7 @@ class CoupledAdaptiveMotion(AdaptiveRun):
         )
         arguments = bodies, common.y, common.out, self.clock[0], leg, recording
         if self.forces.is_large:
-            _family(in_python, in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)
+            _family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)
         else:
             THREADS.alone(_compiled, *arguments)
 
