@@ -5,7 +5,6 @@ is known before a run is one contact of two bodies, and who touches at the start
 at the contacts that there are. It knows no steps and no methods.
 """
 
-import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -16,7 +15,8 @@ from particlerb.contact.wall_motion import motion_in, poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import rotate, rotate_back
+from particlerb.model.power_method import fastest_frequency
+from particlerb.model.state import rotate
 
 _ITERATIONS: Final = 20  # of the power method: within a few per cent
 _TOUCHING: Final = 1e-6  # share of the smallest radius by which two that touch may be apart
@@ -135,38 +135,9 @@ def _frequency_on(
     model: ContactModel, com: Floats, q: Floats, parts: tuple[_Springs, _Springs]
 ) -> float:
     """Fastest frequency of bodies on springs between each other, and to walls [rad/s]."""
-    first, second, point, normal, k, shear = (
+    first, second, point, *springs = (
         np.concatenate(pair, axis=-1) for pair in zip(*parts, strict=True)
     )
-    n = com.shape[1]
-    if not first.size:
-        return 0.0
-    ends = [
-        (body, point - np.column_stack([com, np.zeros(3)])[:, body], sign)
-        for body, sign in ((first, -1.0), (second, 1.0))
-    ]
-    v, w = np.random.default_rng(0).standard_normal((2, 3, n + 1))
-    squared = 0.0
-    for _ in range(_ITERATIONS):
-        v[:, :-1] *= model.inv_mass > 0.0
-        w[:, :-1] *= model.inv_mass > 0.0
-        v[:, -1], w[:, -1] = 0.0, 0.0  # the world
-        u = sum(sign * (v[:, body] + np.cross(w[:, body], arm, axis=0)) for body, arm, sign in ends)
-        along = normal * (normal * u).sum(axis=0)
-        f = k * along + shear * (u - along)
-        F, tau = np.zeros_like(v), np.zeros_like(w)
-        for body, arm, sign in ends:
-            turning = np.cross(arm, f, axis=0)
-            for c in range(3):
-                F[c] += sign * np.bincount(body, f[c], n + 1)
-                tau[c] += sign * np.bincount(body, turning[c], n + 1)
-        moved = model.inv_mass * F[:, :-1]
-        spun = rotate(q, model.inv_inertia * rotate_back(q, tau[:, :-1]))
-        given = (F[:, :-1] * moved).sum() + (tau[:, :-1] * spun).sum()  # u K M⁻¹ K u
-        stored = (u * f).sum()
-        squared = float(given / stored) if stored > 0.0 else 0.0
-        size = max(float(np.abs(moved).max()), float(np.abs(spun).max()))
-        if not 0.0 < size < np.inf:
-            break
-        v[:, :-1], w[:, :-1] = moved / size, spun / size
-    return math.sqrt(squared)
+    places = np.column_stack([com, np.zeros(3)])  # the last is that of the world
+    ends = [(body, point - places[:, body]) for body in (first, second)]
+    return fastest_frequency((model.inv_mass, model.inv_inertia), q, ends, springs, _ITERATIONS)

@@ -119,8 +119,6 @@ def stable_turn(plan: Plan) -> float:
 def stable_step(system: System, group: GroupPlan, segment: Segment) -> float:
     """Longest step [s] with which the springs of a segment stay bounded at t = 0; inf: any."""
     everything = with_springs(segment.terms.links, segment.terms.loads, group.bodies)
-    if not everything.first.size:
-        return np.inf
     state = taken(system.state, group.members)
     rate = fastest_oscillation(everything, group.bodies, state.com, state.q)
     return float(METHODS[segment.method].stability_limit / rate) if rate > 0.0 else np.inf
