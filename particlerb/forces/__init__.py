@@ -12,22 +12,10 @@ import numpy as np
 
 from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.prescribed_motion import PrescribedBodies
+from particlerb.forces import kinds
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
 from particlerb.forces.kernels import Acting, own_functions
-from particlerb.forces.kinds import (
-    BODIES,
-    CONTACT,
-    EVENTS,
-    FLOWS,
-    GRID,
-    IMPULSES,
-    JOINTS,
-    PISTONS,
-    TIME,
-    VELOCITY,
-    Kick,
-)
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import FIRST, KICKS, MANY, MANY_KICKS, PAIR, TERMS, term_of
 from particlerb.forces.user_pairs import OwnPairs
@@ -102,7 +90,7 @@ def summed(loads: list[Any]) -> tuple[Any, ...]:
     return (*found, *(load for load in loads if type(load) not in TERMS))
 
 
-def _parts_of(terms: Terms) -> list[tuple[Kick, Floats]]:
+def _parts_of(terms: Terms) -> list[tuple[kinds.Kick, Floats]]:
     """Numbers of all loads and gravity, and the kick that takes them."""
     parts = [] if terms.gravity is None else parts_of_gravity(terms.gravity)
     for load in terms.loads:
@@ -113,7 +101,7 @@ def _parts_of(terms: Terms) -> list[tuple[Kick, Floats]]:
 def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
     """Parameters of the terms, and the rows of a block where they go."""
     parts: dict[int, Floats] = {}
-    apart: list[tuple[Kick, Floats]] = []
+    apart: list[tuple[kinds.Kick, Floats]] = []
     for kick, values in _parts_of(terms):
         if kick.is_many:
             apart.append((kick, values))
@@ -133,7 +121,7 @@ def acting_of(terms: Terms) -> Acting:
     names, own = [kick.name for kick in parts], tuple(kick for kick in parts if kick not in KICKS)
     acting = [*(kick for kick in KICKS if kick.name in names), *own]
 
-    def tag(kick: Kick) -> int | tuple[int, ...] | None:
+    def tag(kick: kinds.Kick) -> int | tuple[int, ...] | None:
         if kick not in acting:
             return None
         return tuple(range(names.count(kick.name))) if kick.is_many else 1
@@ -212,22 +200,24 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         needs[term.name] = frozenset().union(*(kick.needs for kick in kicks))
         flows = any(kick.load is not None and kick.damp is None for kick in kicks)
         if terms.joints is not None and flows:
-            needs[term.name] |= {FLOWS}
+            needs[term.name] |= {kinds.FLOWS}
     if terms.links is not None:
-        needs["links"] = frozenset({BODIES})
+        needs["links"] = frozenset({kinds.BODIES})
         if terms.links.damping is not None:
-            needs["dashpots"] = frozenset({BODIES, VELOCITY})
+            needs["dashpots"] = frozenset({kinds.BODIES, kinds.VELOCITY})
     for force in () if terms.own_pairs is None else terms.own_pairs.functions.forces:
-        moves = {VELOCITY} if force.depends_on_velocity else set()
-        moves |= {FLOWS} if moves and terms.joints is not None else set()
-        needs[force.name] = frozenset({BODIES, *moves, *([TIME] if "t" in force.signature else [])})
+        moves = {kinds.VELOCITY} if force.depends_on_velocity else set()
+        moves |= {kinds.FLOWS} if moves and terms.joints is not None else set()
+        needs[force.name] = frozenset(
+            {kinds.BODIES, *moves, *([kinds.TIME] if "t" in force.signature else [])}
+        )
     if terms.attraction is not None:
-        needs["attraction"] = frozenset({BODIES})
+        needs["attraction"] = frozenset({kinds.BODIES})
     if terms.contact is not None:
-        without = EVENTS if terms.collides_by_events else IMPULSES
-        needs["contact"] = frozenset({CONTACT if terms.has_springy_contact else without})
+        without = kinds.EVENTS if terms.collides_by_events else kinds.IMPULSES
+        needs["contact"] = frozenset({kinds.CONTACT if terms.has_springy_contact else without})
         if terms.contact.pistons is not None:
-            needs["walls with a piston"] = frozenset({CONTACT, PISTONS})
+            needs["walls with a piston"] = frozenset({kinds.CONTACT, kinds.PISTONS})
     if terms.joints is not None:
         needs |= _needs_of_joints(terms, terms.joints)
     return needs
@@ -235,13 +225,13 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
 
 def _needs_of_joints(terms: Terms, joints: Joints) -> dict[str, frozenset[str]]:
     """The same for joints."""
-    needs = {"joints": frozenset({JOINTS})}
+    needs = {"joints": frozenset({kinds.JOINTS})}
     if joints.damps is not None:
-        needs["damping among joints"] = frozenset({JOINTS, VELOCITY})
+        needs["damping among joints"] = frozenset({kinds.JOINTS, kinds.VELOCITY})
     if terms.driven is not None:
-        needs["driven bodies at joints"] = frozenset({JOINTS, GRID})
+        needs["driven bodies at joints"] = frozenset({kinds.JOINTS, kinds.GRID})
     if joints.breaks is not None:
-        needs["joints that break"] = frozenset({JOINTS, GRID, VELOCITY})
+        needs["joints that break"] = frozenset({kinds.JOINTS, kinds.GRID, kinds.VELOCITY})
     return needs
 
 

@@ -12,18 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
+from particlerb.forces import user_kicks
 from particlerb.forces.kinds import Force, ForceError
-from particlerb.forces.user_kicks import (
-    DIFFERENCE,
-    Lengths,
-    Written,
-    class_of,
-    energies,
-    gradient,
-    loads_in,
-    rotor_axes,
-    scales,
-)
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import State, lengths, omega_world, quaternion_product, rotation_matrix
@@ -110,7 +100,7 @@ def refuse_length(name: str, values: Floats, n: int) -> None:
         raise ForceError(f"per_body.{name}", reason, "give an entry for each")
 
 
-def lengths_of(table: "PythonTable") -> Lengths:
+def lengths_of(table: "PythonTable") -> user_kicks.Lengths:
     """Lengths of the parameters, 0 for numbers."""
     values = parameters_of(table).items()
     return tuple((name, value.shape[1] if value.ndim > 1 else 0) for name, value in values)
@@ -144,7 +134,9 @@ def resolve(
     return [(members[i : i + 1], tuple(row)) for i, row in enumerate(rows.tolist())]
 
 
-def _term_of(table: "PythonTable", numbers: Floats, bodies: Bodies, start: float) -> Written:
+def _term_of(
+    table: "PythonTable", numbers: Floats, bodies: Bodies, start: float
+) -> user_kicks.Written:
     """Parameters, the time, and the axes of the rotor frame."""
     force: UserForce = table.function
     of = lengths_of(table)
@@ -153,8 +145,8 @@ def _term_of(table: "PythonTable", numbers: Floats, bodies: Bodies, start: float
     if "t" in force.signature:
         parts.append(np.array([[start], [start]]).repeat(n, axis=1))
     if "R" in force.signature:
-        parts.append(rotor_axes(bodies))
-    return class_of(force, of)(np.ascontiguousarray(np.concatenate(parts)))
+        parts.append(user_kicks.rotor_axes(bodies))
+    return user_kicks.class_of(force, of)(np.ascontiguousarray(np.concatenate(parts)))
 
 
 # What can be wrong with it
@@ -175,7 +167,7 @@ def _try(table: "PythonTable", rows: Floats, members: Ints, system: "System") ->
     load = _term_of(table, numbers, bodies, start)
     if wrong := wrong_result(force, given_to(load, bodies, state, 0), start):
         raise ForceError("function", wrong)
-    values = attempt(force, lambda: loads_in(load, bodies, state))
+    values = attempt(force, lambda: user_kicks.loads_in(load, bodies, state))
     turned = np.flatnonzero((bodies.rotor_class == POINT) & values[3:].any(axis=0))
     if turned.size:
         reason = f"{where}: {force.name} turns {{name}}, which is a point: nothing can turn it"
@@ -183,8 +175,8 @@ def _try(table: "PythonTable", rows: Floats, members: Ints, system: "System") ->
     if force.potential is not None:
         few = np.arange(0, members.size, -(-members.size // LOOKED_AT))
         load, bodies, state = type(load)(load.rows[:, few]), taken(bodies, few), taken(state, few)
-        loads = partial(loads_in, load, bodies)
-        compare(force, bodies, state, loads, lambda s: energies(load, s.com, s.q))
+        loads = partial(user_kicks.loads_in, load, bodies)
+        compare(force, bodies, state, loads, lambda s: user_kicks.energies(load, s.com, s.q))
 
 
 def attempt(force: UserForce, evaluate: Callable[[], Floats]) -> Floats:
@@ -211,7 +203,7 @@ def attempt(force: UserForce, evaluate: Callable[[], Floats]) -> Floats:
     return values
 
 
-def given_to(load: Written, bodies: Bodies, state: State, b: int) -> dict[str, Any]:
+def given_to(load: user_kicks.Written, bodies: Bodies, state: State, b: int) -> dict[str, Any]:
     """What the function is handed over for body b, but for the time."""
     return of_body(bodies, state, b) | numbers_in(load.lengths, load.rows[1:, b])
 
@@ -225,7 +217,7 @@ def of_body(bodies: Bodies, state: State, b: int, end: str = "") -> dict[str, An
     return given | {f"{name}{end}": tuple(v.tolist()) for name, v in named}
 
 
-def numbers_in(of: Lengths, numbers: Floats) -> dict[str, Any]:
+def numbers_in(of: user_kicks.Lengths, numbers: Floats) -> dict[str, Any]:
     """Parameters by their names, from a row of numbers."""
     given, row = {}, 0
     for name, length in of:
@@ -265,15 +257,17 @@ def compare(
     """
     centre = np.zeros_like(state.com) if other is None else other
     reach = lengths(state.com - centre)
-    away = state._replace(com=state.com + 3e4 * scales(bodies, reach) * _ASIDE)
+    away = state._replace(com=state.com + 3e4 * user_kicks.scales(bodies, reach) * _ASIDE)
     half = np.array([[np.cos(0.4)], [0.3], [-0.2], [0.1]])
     turn = np.repeat(half / np.linalg.norm(half), len(state.q.T), axis=1)
     for now in (state, away._replace(q=quaternion_product(turn, state.q))):
         reach = lengths(now.com - centre)
         with np.errstate(all="ignore"):
             given, potential = loads(now), energy(now)
-            found = -gradient(lambda s: energy(s)[None], bodies, now, reach)[:6, 0]
-            steps = np.where(np.arange(6)[:, None] < 3, scales(bodies, reach), DIFFERENCE)
+            found = -user_kicks.gradient(lambda s: energy(s)[None], bodies, now, reach)[:6, 0]
+            steps = np.where(
+                np.arange(6)[:, None] < 3, user_kicks.scales(bodies, reach), user_kicks.DIFFERENCE
+            )
             noise = 1e-14 * np.abs(potential) / steps
         for part, what in ((slice(0, 3), "force [N]"), (slice(3, 6), "torque [N m]")):
             size = np.maximum(lengths(given[part]), lengths(found[part]))

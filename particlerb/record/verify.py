@@ -13,16 +13,7 @@ import numpy as np
 from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.model.totals import totals
-from particlerb.record import schema
-from particlerb.record.checked_reading import (
-    TrajectoryError,
-    attribute,
-    can_be_continued,
-    dataset_at,
-    integer_attribute,
-    object_at,
-    trajectory_errors,
-)
+from particlerb.record import checked_reading, schema
 from particlerb.record.checkpoint import slot_in, states_of
 from particlerb.record.checksums import digest, frame_checksums, list_checksums
 from particlerb.record.parts import part_paths
@@ -75,7 +66,7 @@ def verify(trajectory: Trajectory) -> list[Finding]:
     for what, look in looks.items():
         try:
             found.append(Finding(what, True, look(trajectory)))
-        except (_Flaw, TrajectoryError) as flaw:
+        except (_Flaw, checked_reading.TrajectoryError) as flaw:
             found.append(Finding(what, False, str(flaw)))
     return found
 
@@ -84,9 +75,9 @@ def _verify_tables(trajectory: Trajectory) -> str:
     """Compare the digest of what does not change."""
     for table in ("bodies", "names", "particles"):
         getattr(trajectory, table)  # with its types and shapes
-    with trajectory_errors(trajectory.file):
-        place = object_at(trajectory.file, schema.INTEGRITY)
-        stored = bytes(attribute(place, "digest", "S")).decode(errors="replace")
+    with checked_reading.trajectory_errors(trajectory.file):
+        place = checked_reading.object_at(trajectory.file, schema.INTEGRITY)
+        stored = bytes(checked_reading.attribute(place, "digest", "S")).decode(errors="replace")
         now = digest(trajectory.file)
     if now != stored:
         raise _Flaw(f"have the digest {now[:12]}…, written was {stored[:12]}…")
@@ -96,8 +87,8 @@ def _verify_tables(trajectory: Trajectory) -> str:
 def _verify_times(trajectory: Trajectory) -> str:
     """Require steps 0, 1, 2, … at ascending times."""
     n, time = trajectory.n_frames, trajectory.time
-    step = dataset_at(trajectory.file, f"{schema.TRAJECTORY}/step", "i", (None,))
-    with trajectory_errors(trajectory.file):
+    step = checked_reading.dataset_at(trajectory.file, f"{schema.TRAJECTORY}/step", "i", (None,))
+    with checked_reading.trajectory_errors(trajectory.file):
         if not np.array_equal(step[:n], np.arange(n)):
             raise _Flaw("steps do not count the frames")
     if (np.diff(time) <= 0.0).any():
@@ -108,7 +99,9 @@ def _verify_times(trajectory: Trajectory) -> str:
 def _verify_checksums(trajectory: Trajectory) -> str:
     """Compute the checksum of every frame again."""
     n = trajectory.n_frames
-    stored = dataset_at(trajectory.file, f"{schema.INTEGRITY}/checksum", "u", (None,))
+    stored = checked_reading.dataset_at(
+        trajectory.file, f"{schema.INTEGRITY}/checksum", "u", (None,)
+    )
     wrong: list[int] = []
     recorded = {*trajectory.fields, *trajectory.other_fields}
     for part in trajectory.portions():
@@ -116,7 +109,7 @@ def _verify_checksums(trajectory: Trajectory) -> str:
         values: list[Any] = [trajectory.series(path, part) for path in schema.series_of(recorded)]
         if schema.CONTACTS in recorded:
             values.append(list_checksums(*trajectory.contact_rows(part.start, part.stop)))
-        with trajectory_errors(trajectory.file):
+        with checked_reading.trajectory_errors(trajectory.file):
             written = stored[part]
         if len(written) != size:
             raise _Flaw(f"end before frame {n - 1}")
@@ -180,7 +173,7 @@ def _summed_again(trajectory: Trajectory, part: slice) -> float:
 def counted(trajectory: Trajectory) -> Bodies:
     """Bodies as the energy balance counts them: those that the case holds have no mass."""
     bodies = trajectory.bodies
-    with trajectory_errors(trajectory.file):
+    with checked_reading.trajectory_errors(trajectory.file):
         blocks = trajectory.parameter("case_resolved")["body"]
         fixed = [bool(block.get("fixed") or block.get("motion")) for block in blocks]
         counts = [int(block["count"]) for block in blocks]
@@ -192,7 +185,7 @@ def counted(trajectory: Trajectory) -> Bodies:
 
 def _has_pistons(trajectory: Trajectory) -> bool:
     """Whether walls of the case slide."""
-    with trajectory_errors(trajectory.file):
+    with checked_reading.trajectory_errors(trajectory.file):
         return any(wall.get("piston") for wall in trajectory.parameter("case_resolved")["wall"])
 
 
@@ -211,13 +204,15 @@ def _verify_frames(trajectory: Trajectory) -> str:
 
 def _verify_steps(trajectory: Trajectory) -> str:
     """Require that VTK counts the same frames at the same times."""
-    with trajectory_errors(trajectory.file):
+    with checked_reading.trajectory_errors(trajectory.file):
         if schema.VTKHDF not in trajectory.file:
             return "none: positions were not recorded"
-        counted = integer_attribute(object_at(trajectory.file, f"{schema.VTKHDF}/Steps"), "NSteps")
-        values: Any = dataset_at(trajectory.file, STEP_TIMES, "f", (None,))
+        counted = checked_reading.integer_attribute(
+            checked_reading.object_at(trajectory.file, f"{schema.VTKHDF}/Steps"), "NSteps"
+        )
+        values: Any = checked_reading.dataset_at(trajectory.file, STEP_TIMES, "f", (None,))
         same = np.array_equal(values[: trajectory.n_frames], trajectory.time)
-        first: Any = dataset_at(trajectory.file, STEP_STARTS, "i", (None,))
+        first: Any = checked_reading.dataset_at(trajectory.file, STEP_STARTS, "i", (None,))
         starts = np.arange(trajectory.n_frames) * trajectory.n_bodies
         same = same and np.array_equal(first[: trajectory.n_frames], starts)
     if counted < trajectory.n_frames or not same:
@@ -227,7 +222,7 @@ def _verify_steps(trajectory: Trajectory) -> str:
 
 def _verify_checkpoint(trajectory: Trajectory) -> str:
     """Compute the hash of the state from which the run can go on."""
-    with trajectory_errors(trajectory.file):
+    with checked_reading.trajectory_errors(trajectory.file):
         if paths := part_paths(trajectory.file):
             return _states_of_parts(trajectory, paths)
         if schema.CHECKPOINT not in trajectory.file:
@@ -246,7 +241,7 @@ def _verify_checkpoint(trajectory: Trajectory) -> str:
 
 def _states_of_parts(trajectory: Trajectory, paths: Sequence[Path]) -> str:
     """The same, of a state that all parts have."""
-    if not can_be_continued(trajectory.file):
+    if not checked_reading.can_be_continued(trajectory.file):
         return "none: the run cannot be continued"
     common = set(range(trajectory.n_frames + 1)).intersection(*map(states_of, paths))
     if not common:

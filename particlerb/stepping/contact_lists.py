@@ -10,6 +10,7 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
+from particlerb.contact import records
 from particlerb.contact.contact_model import (
     ContactList,
     ContactMemory,
@@ -24,16 +25,6 @@ from particlerb.contact.neighbour_list import (
     find_shells,
     incidence,
     order_contacts,
-)
-from particlerb.contact.records import (
-    STAGES,
-    Records,
-    columns_of,
-    forces_record,
-    from_floats,
-    history_record,
-    to_floats,
-    zero_records,
 )
 from particlerb.contact.sphere_search import LARGEST_NUMBER, SphereSearch
 from particlerb.contact.wall_motion import farthest_distances, motion_in, wall_displacement
@@ -105,7 +96,7 @@ class ContactLists:
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
         with_rolling = contact.model.law.rolling is not None
-        self.record = history_record(with_rolling, contact.rules is not None)
+        self.record = records.history_record(with_rolling, contact.rules is not None)
         self.histories = histories or (empty_history(self.record),) * 2
         self._search = SphereSearch(spheres.radius, spheres.body, spheres.apart, spheres.world)
         self._walls = WallSearch(walls, spheres.radius)
@@ -136,7 +127,9 @@ class ContactLists:
         alone = incidence(none.astype(np.int64), none.astype(np.int64), n)
         return NeighbourLists(spheres, walls, alone, alone, self._max_contact_arm)
 
-    def look_ahead(self, corners: Floats, poses: Records, now: float, lasted: Lasted) -> WallsAhead:
+    def look_ahead(
+        self, corners: Floats, poses: records.Records, now: float, lasted: Lasted
+    ) -> WallsAhead:
         """Fit the skin of the next lists, and look how long they hold as walls move.
 
         Parameters
@@ -202,7 +195,7 @@ class ContactLists:
         return int(self.own[np.where(model.inv_mass[a] > 0.0, a, b)].sum())
 
     def _fit_skin(
-        self, corners: Floats, poses: Records, reach: Sequence[float], lasted: Lasted
+        self, corners: Floats, poses: records.Records, reach: Sequence[float], lasted: Lasted
     ) -> None:
         """Widen the skin where making lists costs more than going through them, and the reverse.
 
@@ -233,7 +226,7 @@ class ContactLists:
         """
         steps, skin = min(max(_FEW_STEPS, 2 * lasted), _MOST_STEPS), self.skin
         sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
-        if not to_floats(self.contact.motions)[:, 3:].any():
+        if not records.to_floats(self.contact.motions)[:, 3:].any():
             return WallsAhead(_MOST_STEPS * self.dt, sliding)
         reach = [far + skin for far in reach]  # as bodies move
         while steps > 1 and wall_displacement(self.motions, steps * self.dt, reach) > skin:
@@ -263,13 +256,13 @@ class ContactLists:
     ) -> ContactList:
         """Contacts of spheres, or of walls, with rows of their history."""
         m, with_rolling = first.size, self.contact.model.law.rolling is not None
-        record = forces_record(with_rolling, which == 1)
-        rows_of_forces = self._buffer(f"forces {which}", m, columns_of(record))
+        record = records.forces_record(with_rolling, which == 1)
+        rows_of_forces = self._buffer(f"forces {which}", m, records.columns_of(record))
         rows_of_forces[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
-        forces = from_floats(rows_of_forces, record)
-        history = from_floats(values, self.record)
+        forces = records.from_floats(rows_of_forces, record)
+        history = records.from_floats(values, self.record)
         active = history.inv_effective_mass > 0.0
-        stages = zero_records(STAGES, m) if self.with_stages else None
+        stages = records.zero_records(records.STAGES, m) if self.with_stages else None
         return ContactList(first, second, history, forces, active, ends, stages)
 
     def _buffer(self, name: str, m: int, columns: int) -> Floats:
@@ -289,8 +282,8 @@ class ContactLists:
         """Go on from what was saved, with the lists of then."""
         spheres, walls = lists.spheres.history, lists.walls.history
         self.histories = (
-            ContactHistory(saved["keys.0"], saved["rows.0"], to_floats(spheres)),
-            ContactHistory(saved["keys.1"], saved["rows.1"], to_floats(walls)),
+            ContactHistory(saved["keys.0"], saved["rows.0"], records.to_floats(spheres)),
+            ContactHistory(saved["keys.1"], saved["rows.1"], records.to_floats(walls)),
         )
         self.skin, self.count = float(saved["skin"]), int(saved["count"])
         self.n_pairs = lists.spheres.first.size + lists.walls.first.size

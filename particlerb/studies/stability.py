@@ -21,23 +21,9 @@ from particlerb.forces import Terms
 from particlerb.forces.spring import Spring
 from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.studies import stability_runs
 from particlerb.studies.resting_contacts import THEORY, contact_limits
 from particlerb.studies.stability_limits import LIMITS, Limit, limits_of, tops
-from particlerb.studies.stability_runs import (
-    ACCURATE,
-    FAMILIES,
-    MOMENTS,
-    TURNS,
-    VERDICTS,
-    StabilityOutcome,
-    StabilityScene,
-    energy_errors,
-    history,
-    row_of,
-    sampling,
-    scene,
-    unit_vectors,
-)
 from particlerb.studies.text import chosen_names
 
 _BUDGET: Final = 240.0  # [s] of two cores for all methods, without compilation
@@ -91,10 +77,12 @@ def _columns_of(method: str, budget: float) -> int:
     return min(max(int(most * budget / _BUDGET) // 2 * 2 + 1, 5), _MOST_COLUMNS)
 
 
-def _maps_of(method: str, columns: int, rows: Sequence[StabilityOutcome]) -> list[Map]:
+def _maps_of(
+    method: str, columns: int, rows: Sequence[stability_runs.StabilityOutcome]
+) -> list[Map]:
     """Maps of a method from its rows."""
     maps = []
-    for k, (family, make) in enumerate(FAMILIES.items()):
+    for k, (family, make) in enumerate(stability_runs.FAMILIES.items()):
         own = slice(k * columns, (k + 1) * columns)
         parts = (np.array([values[own] for values in column]) for column in zip(*rows, strict=True))
         maps.append(Map(method, family, _paces(method), make(columns)[0], *parts))
@@ -125,24 +113,26 @@ class EnergyDrift(NamedTuple):
         return np.maximum.accumulate(self.error.max(axis=1))
 
 
-def free_bodies() -> StabilityScene:
+def free_bodies() -> stability_runs.StabilityScene:
     """Eight bodies, I = (1, 2, 3), that spin about different axes with 1 rad/s."""
-    return scene(MOMENTS, _eight_spins())
+    return stability_runs.scene(stability_runs.MOMENTS, _eight_spins())
 
 
-def _sprung_bodies() -> StabilityScene:
+def _sprung_bodies() -> stability_runs.StabilityScene:
     """The same, each hung up at one of its points by a spring, 1 m off the other end: chaotic."""
     at = np.tile([[0.3], [0.2], [0.4]], (1, 8))
     spring = Spring(at, np.zeros((3, 8)), np.full(8, 0.25), np.zeros(8))
-    return scene(MOMENTS, _eight_spins(), Terms(loads=(spring,)), (1.0, 0.0, 0.0))
+    return stability_runs.scene(
+        stability_runs.MOMENTS, _eight_spins(), Terms(loads=(spring,)), (1.0, 0.0, 0.0)
+    )
 
 
 def _eight_spins() -> Floats:
     """Angular velocities of 1 rad/s about different axes, (8, 3)."""
-    return unit_vectors(8, seed=3)
+    return stability_runs.unit_vectors(8, seed=3)
 
 
-MOTIONS: Final[dict[str, Callable[[], StabilityScene]]] = {
+MOTIONS: Final[dict[str, Callable[[], stability_runs.StabilityScene]]] = {
     FREE: free_bodies,
     # The same in a field that would let them librate with Ω = 0.3 rad/s about axis 1.
     "top in a field": lambda: tops(_eight_spins(), np.full(8, 0.1)),
@@ -153,9 +143,9 @@ MOTIONS: Final[dict[str, Callable[[], StabilityScene]]] = {
 def drift_of(method: str, motion: str, turns: float) -> EnergyDrift:
     """Errors of one method and motion over many turns."""
     moved, pace = MOTIONS[motion](), _DRIFT_PACES.get(method, _DRIFT_PACE)
-    times = sampling(pace, turns)
-    frames = history(moved, method, pace, times, chunks=50)
-    error = energy_errors(moved, frames)
+    times = stability_runs.sampling(pace, turns)
+    frames = stability_runs.history(moved, method, pace, times, chunks=50)
+    error = stability_runs.energy_errors(moved, frames)
     with np.errstate(all="ignore"):
         size = np.linalg.norm(frames.angular_momentum, axis=2)
         spin = np.abs(size / np.linalg.norm(moved.state.L, axis=0) - 1.0)
@@ -196,7 +186,7 @@ def stability(
     methods: Sequence[str] = (),
     budget: float = _BUDGET,
     progress: Callable[[int], object] = lambda _: None,
-    turns: float = TURNS,
+    turns: float = stability_runs.TURNS,
 ) -> Stability:
     """Maps, limits and drift of some methods.
 
@@ -231,7 +221,7 @@ def stability(
 
 
 def _tasks_of(
-    methods: Sequence[str], budget: float = _BUDGET, turns: float = TURNS
+    methods: Sequence[str], budget: float = _BUDGET, turns: float = stability_runs.TURNS
 ) -> dict[_Key, Callable[[], Any]]:
     """What there is to do, the longest first."""
     names = chosen_names(methods, UNJOINTED, "method")
@@ -248,7 +238,9 @@ def _tasks_of(
         if name in THEORY
     }
     return tasks | {
-        ("row", name, repr(pace)): partial(row_of, name, pace, _columns_of(name, budget), turns)
+        ("row", name, repr(pace)): partial(
+            stability_runs.row_of, name, pace, _columns_of(name, budget), turns
+        )
         for name in names
         for pace in _paces(name).tolist()
     }
@@ -294,6 +286,6 @@ def onsets(one: Map) -> dict[str, float]:
     """Smallest step of a map at which each verdict but the best occurs."""
     return {
         name: float(one.pace[(one.verdict == k).any(axis=1).argmax()])
-        for k, name in enumerate(VERDICTS)
-        if k != ACCURATE and (one.verdict == k).any()
+        for k, name in enumerate(stability_runs.VERDICTS)
+        if k != stability_runs.ACCURATE and (one.verdict == k).any()
     }

@@ -6,15 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.studies.stability import (
-    FREE,
-    EnergyDrift,
-    Map,
-    Stability,
-    growth_exponent,
-    largest_pace,
-    onsets,
-)
+from particlerb.studies import stability
 from particlerb.studies.stability_limits import Limit
 from particlerb.studies.stability_runs import LARGE, SMALL, VERDICTS
 from particlerb.studies.text import aligned
@@ -31,7 +23,7 @@ below: largest h|ω| (dop853: tolerance) so that neither it nor any smaller one 
   energy; 10 % off: turns until then at the smallest one, of the first body"""
 
 
-def table(study: Stability) -> str:
+def table(study: stability.Stability) -> str:
     """Limits beside theory, drift, and for each map how far it is accurate and what comes then."""
     parts = []
     if study.limits:
@@ -57,31 +49,33 @@ def _percent(value: float) -> str:
     return "-" if math.isnan(value) else f"{100.0 * value:.3f} %"
 
 
-def _drift_row(drift: EnergyDrift) -> tuple[str, ...]:
+def _drift_row(drift: stability.EnergyDrift) -> tuple[str, ...]:
     """Texts of a drift."""
-    p, spread = growth_exponent(drift)
+    p, spread = stability.growth_exponent(drift)
     found = f"{drift.largest[-1]:.1e}", f"{p:.2f} ± {spread:.2f}"
     if math.isnan(p):
         ended = drift.turns[np.isinf(drift.largest).argmax()]
         found = f"inf after {ended:.2g} turns", "-"
-    spin = "-" if math.isnan(p) or drift.motion != FREE else f"{drift.spin_error.max():.0e}"
+    spin = (
+        "-" if math.isnan(p) or drift.motion != stability.FREE else f"{drift.spin_error.max():.0e}"
+    )
     return drift.method, drift.motion, f"{drift.pace:g}", *found, spin
 
 
-def _map_row(one: Map) -> tuple[str, ...]:
+def _map_row(one: stability.Map) -> tuple[str, ...]:
     """Texts of a map."""
     if not one.pace.any():
         worst = f"no step; worst error {one.error.max():.0e}"
         return one.method, one.family, "any", "any", "-", worst
     first = one.turns[0].min()
-    steps = (f"{largest_pace(one, error):.2g}" for error in (SMALL, LARGE))
+    steps = (f"{stability.largest_pace(one, error):.2g}" for error in (SMALL, LARGE))
     lost = f"{first:.2g} turns" if math.isfinite(first) else "-"
     return one.method, one.family, *steps, lost, _what_happens(one)
 
 
-def _what_happens(one: Map) -> str:
+def _what_happens(one: stability.Map) -> str:
     """Verdicts in the order in which they set in."""
-    found = sorted(onsets(one).items(), key=lambda item: item[1])
+    found = sorted(stability.onsets(one).items(), key=lambda item: item[1])
     if not found:
         return f"accurate throughout; worst error {one.error.max():.0e}"
     return "; ".join(f"{name} from {pace:.2g}" for name, pace in found)
@@ -93,7 +87,7 @@ _CSV_HEAD: Final = (
 )  # fmt: skip
 
 
-def csv_rows(study: Stability) -> Iterator[Sequence[object]]:
+def csv_rows(study: stability.Stability) -> Iterator[Sequence[object]]:
     """Rows of numbers, the header first: maps, limits and drift, empty where a column has no sense.
 
     `pace` is h|ω| [rad] or the tolerance, `across` the side ratio or 2HI₂/L², `turns` those until
