@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.forces import AnyForce, LoadTable, read_load
-from particlerb.case.problems import CaseError, Problem, problem_at
+from particlerb.case.problems import CaseError, Problem
 from particlerb.forces import Terms, summed
 from particlerb.forces.gravity import UniformGravity
 from particlerb.forces.impulse import Impulse
@@ -23,8 +23,8 @@ from particlerb.model.bodies import Bodies, taken
 from particlerb.model.merging import Merging
 from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
-from particlerb.plan.links import AXIAL_ROUNDING, is_link
-from particlerb.rotors.rotor_class import NAMES, POINT, ROD
+from particlerb.plan.links import AXIAL_ROUNDING, force_problem, is_link, turned_problem
+from particlerb.rotors.rotor_class import POINT, ROD
 
 N_NUMBERS: Final = 12
 
@@ -71,7 +71,7 @@ def loads_of(system: System) -> list[ResolvedForce]:
             force = with_code(_with_knots(given, system), system)
             found = force_of(force).resolve(force, members, whole)
         except ForceError as error:
-            problems.append(_problem_of(system, number, members, error))
+            problems.append(force_problem(system, number, error, members))
             continue
         resolved = [ResolvedForce(number, force, *one) for one in found]
         if system.merging is not None:
@@ -135,12 +135,6 @@ def _with_knots(force: AnyForce, system: System) -> AnyForce:
     return force
 
 
-def _problem_of(system: System, number: int, members: Ints, error: ForceError) -> Problem:
-    """What is wrong with a [[force]], in the words of its file."""
-    reason = error.reason.replace("{name}", system.names[int(members[error.body])])
-    return problem_at(system, f"force[{number}].{error.key}", reason, error.hint)
-
-
 def impossible(system: System, loads: list[ResolvedForce]) -> list[Problem]:
     """What is wrong with forces where the bodies are, and with torques that they cannot follow."""
     checks = refused, _impossible_torques
@@ -155,7 +149,7 @@ def refused(system: System, load: ResolvedForce) -> list[Problem]:
     try:
         check(load.force, np.array(load.numbers)[:, None], system.state.com[:, load.members])
     except ForceError as error:
-        return [_problem_of(system, load.number, load.members, error)]
+        return [force_problem(system, load.number, error, load.members)]
     return []
 
 
@@ -187,15 +181,10 @@ def _impossible_torques(system: System, load: ResolvedForce) -> list[Problem]:
     wrong = np.flatnonzero(axial > AXIAL_ROUNDING * np.maximum(size, 1e-300))
     if not wrong.size:
         return []
-    b = int(wrong[0])
-    name, code = system.names[int(index[b])], int(bodies.rotor_class[b])
-    what = "has no extent: nothing can turn it" if code == POINT else "cannot turn about its axis"
-    reason = (
-        f"{name} is a {NAMES[code]} with moments {sorted(bodies.inertia[:, b].tolist())} kg m²"
-        f" and {what}, but this {load.force.type} would"
-    )
-    key, hint = kind.turning(load.force, code == POINT)
-    return [problem_at(system, f"force[{load.number}].{key}", reason, hint)]
+    b = int(index[wrong[0]])
+    key, hint = kind.turning(load.force, bool(system.bodies.rotor_class[b] == POINT))
+    where = f"force[{load.number}].{key}"
+    return [turned_problem(system, load.force.type, where, b, hint)]
 
 
 def _turning_part(load: ResolvedForce, bodies: Bodies, q: Floats) -> tuple[Floats, Floats]:

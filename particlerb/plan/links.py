@@ -11,7 +11,7 @@ import numpy as np
 
 from particlerb.case.forces import AnyForce, PythonTable, SpringTable
 from particlerb.case.problems import CaseError, Problem, problem_at
-from particlerb.forces.kinds import ForceError
+from particlerb.forces.kinds import ForceError, by_its_arm
 from particlerb.forces.links import WORLD
 from particlerb.forces.python import with_code
 from particlerb.forces.python_pairs import numbers_of_pairs, try_pairs
@@ -138,8 +138,7 @@ def _own_link_of(system: System, number: int, force: PythonTable) -> OwnLink:
         first, second = found(system, number, force)
         return OwnLink(number, force, first, second, numbers_of_pairs(force, first, second, system))
     except ForceError as error:
-        key = f"force[{number}].{error.key}"
-        raise CaseError([problem_at(system, key, error.reason, error.hint)]) from None
+        raise CaseError([force_problem(system, number, error)]) from None
 
 
 def _try_own(system: System, number: int, links: Sequence[OwnLink]) -> None:
@@ -155,10 +154,25 @@ def _try_own(system: System, number: int, links: Sequence[OwnLink]) -> None:
     try:
         try_pairs(links[0].force, first, second, numbers, system)
     except ForceError as error:
-        names = (system.names[int(end[error.body])] for end in (first, second))
-        reason = error.reason.replace("{name}", " and ".join(names))
-        key = f"force[{number}].{error.key}"
-        raise CaseError([problem_at(system, key, reason, error.hint)]) from None
+        raise CaseError([force_problem(system, number, error, first, second)]) from None
+
+
+def force_problem(system: System, number: int, error: ForceError, *bodies: Ints) -> Problem:
+    """What is wrong with a [[force]]; where it has a name to say, it is of these bodies."""
+    names = (system.names[int(those[error.body])] for those in bodies)
+    reason = error.reason.replace("{name}", " and ".join(names))
+    return problem_at(system, f"force[{number}].{error.key}", reason, error.hint)
+
+
+def turned_problem(system: System, force: str, key: str, b: int, hint: str) -> Problem:
+    """What is wrong with a force that turns a point, or a rod about its own axis."""
+    code = int(system.bodies.rotor_class[b])
+    what = "has no extent: nothing can turn it" if code == POINT else "cannot turn about its axis"
+    reason = (
+        f"{system.names[b]} is a {NAMES[code]} with moments"
+        f" {sorted(system.bodies.inertia[:, b].tolist())} kg m² and {what}, but this {force} would"
+    )
+    return problem_at(system, key, reason, hint)
 
 
 def _pairs_as_named(
@@ -266,19 +280,8 @@ def _misplaced_ends(system: System, link: Link) -> list[Problem]:
         if not wrong.size:
             continue
         b = int(wrong[0])
-        code = int(system.bodies.rotor_class[b])
-        what = (
-            "has no extent: nothing can turn it" if code == POINT else "cannot turn about its axis"
-        )
-        reason = (
-            f"{system.names[b]} is a {NAMES[code]} with moments"
-            f" {sorted(system.bodies.inertia[:, b].tolist())} kg m² and {what},"
-            " but this spring would"
-        )
-        where = "the centre of mass" if code == POINT else "a point of the rod's axis"
-        problems.append(
-            problem_at(system, f"force[{link.number}].{key}", reason, f"act at {where}")
-        )
+        _, hint = by_its_arm(link.force, bool(system.bodies.rotor_class[b] == POINT))
+        problems.append(turned_problem(system, "spring", f"force[{link.number}].{key}", b, hint))
     return problems
 
 
