@@ -127,3 +127,9 @@ def is_file(path: FilePath) -> bool:
         return path.is_file()
     except (OSError, ValueError):
         return False
+
+
+def table_beside(module: str, name: str) -> list[list[str]]:
+    """Cells of a table of the package in the folder of a module, below the names of its columns."""
+    lines = FilePath(module).with_name(name).read_text(encoding="utf-8").splitlines()[1:]
+    return [[cell.strip() for cell in line.split("|")] for line in lines]

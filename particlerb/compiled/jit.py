@@ -59,7 +59,7 @@ class CacheWarning(RuntimeWarning):
 def source_hash() -> str:
     """Hash of everything that decides what the compiler makes: sources, flags, versions."""
     digest = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*.py")):
+    for path in sorted([*_PACKAGE.rglob("*.py"), *_PACKAGE.rglob("*.txt")]):
         digest.update(path.relative_to(_PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
     flags = {k: v for k, v in os.environ.items() if k.startswith("NUMBA_")}
