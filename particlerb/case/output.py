@@ -17,26 +17,18 @@ from particlerb.case.values import (
     distinct,
     one_of,
 )
+from particlerb.model.fields import names_of
 
-FIELDS = ("position", "orientation", "linear_momentum", "angular_momentum")
-_OF_BODIES = (*FIELDS, "velocity", "angular_velocity")
-FIELDS_OF_WALLS = ("wall_force", "wall_torque", "wall_position", "wall_velocity")
-FIELDS_OF_JOINTS = (
-    "joint_force",
-    "joint_torque",
-    "joint_force_determined",
-    "joint_torque_determined",
-    "joint_misfit",
-    "joint_rate",
-    "joint_coordinate",
-    "joint_break_time",
-)
+_OF_BODIES = names_of("body")
+FIELDS = _OF_BODIES[:4]  # a state, which is recorded unasked
+FIELDS_OF_WALLS = names_of("wall")
+FIELDS_OF_JOINTS = names_of("joint", "coordinate")
 FIELDS_OF_LAWS = {  # what contacts without stiffness show, by their law
-    "impulse": ("impulse_residual", "impulse_overlap", "push_out_work"),
-    "events": ("impacts", "elastic_impacts", "smallest_gap", "impact_work", "friction_work"),
+    "impulse": names_of("impulse"),
+    "events": names_of("event"),
 }
-FIELDS_OF_IMPULSES = tuple(name for fields in FIELDS_OF_LAWS.values() for name in fields)
-FIELDS_OF_CONTACT = ("contacts", "contact_number", "contact_overlap", *FIELDS_OF_WALLS)
+FIELDS_OF_IMPULSES = names_of("impulse", "event")
+FIELDS_OF_CONTACT = ("contacts", *names_of("touching body"), *FIELDS_OF_WALLS)
 _NAMES = (*_OF_BODIES, *FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS, *FIELDS_OF_IMPULSES)
 _FieldName = Annotated[str, one_of(*_NAMES)]
 _FieldNames = Annotated[tuple[_FieldName, ...], Field(min_length=1), distinct("name")]

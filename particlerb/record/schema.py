@@ -1,6 +1,7 @@
 """Names, shapes and units of the trajectory file, each said once.
 
 `SERIES` is the list of what changes in time: whoever writes, reads or checks frames goes by it.
+Names, units and meanings are in model/fields.txt.
 
 The file is H5MD 1.1: one "particle" is one body. Rules that other readers ask for, found by trial:
 explicit step and time for each element, the group named `trajectory`, the attribute `units` and
@@ -13,6 +14,8 @@ from collections.abc import Collection
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+
+from particlerb.model.fields import ROWS
 
 SCHEMA_VERSION: Final = (2, 0)
 TRAJECTORY: Final = "particles/trajectory"
@@ -57,106 +60,27 @@ class Element(NamedTuple):
         return (len(self.components),) if self.components else ()
 
 
-FIELDS: Final[dict[str, Element]] = {
-    "position": Element("xyz", "m", "centre of mass", "world"),
-    "orientation": Element(
-        "wxyz", "1", "unit quaternion, scalar first, body frame to world", "body to world"
-    ),
-    "linear_momentum": Element("xyz", "kg m s-1", "of each body", "world"),
-    "angular_momentum": Element("xyz", "kg m2 s-1", "about the centre of mass", "world"),
-    "velocity": Element("xyz", "m s-1", "of the centre of mass", "world"),
-    "angular_velocity": Element("xyz", "rad s-1", "of each body", "world"),
-}
-CONTACT_FIELDS: Final[dict[str, Element]] = {  # per body too, where there is contact
-    "contact_number": Element("", "1", "contacts with other bodies and walls", is_count=True),
-    "contact_overlap": Element("", "m", "largest overlap with another body or a wall"),
-}
-WALLS: Final[dict[str, Element]] = {
-    "wall_force": Element("xyz", "N", "of all bodies on each wall", "world"),
-    "wall_torque": Element("xyz", "N m", "of all bodies on each wall, about its centre", "world"),
-    "wall_position": Element("xyz", "m", "centre of each wall, about which it turns", "world"),
-    "wall_velocity": Element("xyz", "m s-1", "of the centre of each wall", "world"),
-}
-JOINTS: Final[dict[str, Element]] = {
-    "joint_force": Element(
-        "xyz",
-        "N",
-        "on the first body, at the joint; NaN where contact acts",
-        "world",
-        has_gaps=True,
-    ),
-    "joint_torque": Element(
-        "xyz", "N m", "on it about the joint; NaN where contact acts", "world", has_gaps=True
-    ),
-    "joint_force_determined": Element(
-        "xyz", "1", "0 where redundant rows leave it open, else 1", "world", is_count=True
-    ),
-    "joint_torque_determined": Element(
-        "xyz", "1", "0 where redundant rows leave it open, else 1", "world", is_count=True
-    ),
-    "joint_misfit": Element("", "1", "largest error of a row, of lengths over the joint's size"),
-    "joint_rate": Element("", "s-1", "largest rate of these errors"),
-    "joint_break_time": Element("", "s", "when it has broken; 0 while it holds"),
-}
-COORDINATES: Final[dict[str, Element]] = {
-    "joint_coordinate": Element("", "1", "angles [rad], with their turns, and displacements [m]")
-}
-IMPULSES: Final[dict[str, Element]] = {
-    "impulse_residual": Element(
-        "", "1", "largest of all contacts by impulses since the last frame", is_asked=True
-    ),
-    "impulse_overlap": Element(
-        "", "m", "largest of all contacts by impulses since the last frame", is_asked=True
-    ),
-    "push_out_work": Element("", "J", "of all that was pushed out since t = 0", is_asked=True),
-    "impacts": Element("", "1", "of all bodies since t = 0, by events", is_asked=True),
-    "elastic_impacts": Element(
-        "", "1", "since t = 0, that hit again within the contact time", is_asked=True
-    ),
-    "smallest_gap": Element(
-        "",
-        "1",
-        "at an impact since t = 0, over the smaller radius; 0: none overlapped",
-        is_asked=True,
-    ),
-    "impact_work": Element("", "J", "of normal impulses since t = 0", is_asked=True),
-    "friction_work": Element("", "J", "of tangential impulses since t = 0", is_asked=True),
-}
-LEDGER: Final[dict[str, Element]] = {
-    "kinetic_energy": Element("", "J", "of all bodies"),
-    "potential_energy": Element(
-        "",
-        "J",
-        "of uniform gravity (zero at the origin), attraction, every spring, elastic contacts, and"
-        " loads on pistons",
-    ),
-    "energy": Element("", "J", "kinetic and potential"),
-    "work": Element(
-        "", "J", "of all other forces: pushes, fields, torques, drag, dashpots, friction, impulses"
-    ),
-    "energy_error": Element("", "J", "energy - initial energy - work"),
-    "linear_momentum": Element("xyz", "kg m s-1", "of all bodies", "world"),
-    "linear_momentum_error": Element(
-        "xyz", "kg m s-1", "total - initial - external impulses", "world"
-    ),
-    "angular_momentum": Element(
-        "xyz", "kg m2 s-1", "of all bodies, about the world's origin", "world"
-    ),
-    "angular_momentum_error": Element(
-        "xyz", "kg m2 s-1", "total - initial - external angular impulses", "world"
-    ),
-}
+def _elements(of: str, per: str = "", is_asked: bool = False) -> dict[str, Element]:
+    """What fields.txt lists of bodies, walls and so on, by name."""
+    return {
+        name: Element(
+            components, units, meaning, frame, "count" in flags, per, is_asked, "gaps" in flags
+        )
+        for own, name, components, units, frame, flags, meaning in ROWS
+        if own == of
+    }
 
-OBSERVED: Final[dict[str, Element]] = {  # what has entries that are not of bodies
-    name: element._replace(per=per)
-    for per, elements in (("wall", WALLS), ("joint", JOINTS), ("coordinate", COORDINATES))
-    for name, element in elements.items()
-}
+
+FIELDS: Final = _elements("body", "body")
+CONTACT_FIELDS: Final = _elements("touching body", "body")  # where there is contact
+WALLS: Final = _elements("wall", "wall")
+JOINTS: Final = _elements("joint", "joint")
+COORDINATES: Final = _elements("coordinate", "coordinate")
+IMPULSES: Final = _elements("impulse", is_asked=True) | _elements("event", is_asked=True)
+LEDGER: Final = _elements("total")
+OBSERVED: Final = WALLS | JOINTS | COORDINATES  # what has entries that are not of bodies
 SERIES: Final[dict[str, Element]] = {  # by their datasets, in the order of the checksums
-    **{
-        f"{TRAJECTORY}/{name}/value": element._replace(per="body")
-        for name, element in (FIELDS | CONTACT_FIELDS).items()
-    },
+    **{f"{TRAJECTORY}/{name}/value": one for name, one in (FIELDS | CONTACT_FIELDS).items()},
     TIME: Element("", "s", "of each frame; linked into every element"),
     **{f"{OBSERVABLES}/{name}/value": element for name, element in LEDGER.items()},
     **{f"{OBSERVABLES}/{name}/value": one for name, one in (OBSERVED | IMPULSES).items()},
@@ -180,22 +104,7 @@ def dtype_of(element: Element, dtype: "np.dtype[Any]") -> "np.dtype[Any]":
 
 
 CONTACTS: Final = "contacts"
-COLUMNS: Final[dict[str, Element]] = {  # of all contacts of all frames, frame after frame
-    name: element._replace(per="contact")
-    for name, element in {
-        "body": Element(
-            "12", "1", "the two bodies; the second is -1 where it is a wall", is_count=True
-        ),
-        "wall": Element(
-            "", "1", "number of the wall; -1 where the second is a body", is_count=True
-        ),
-        "point": Element("xyz", "m", "where the force acts, world frame"),
-        "force": Element(
-            "xyz", "N", "on the first body, world frame; the second feels the opposite"
-        ),
-        "overlap": Element("", "m", "of the two particles, or of the particle and the wall"),
-    }.items()
-}
+COLUMNS: Final = _elements("contact", "contact")  # of all contacts of all frames
 OFFSET: Final = f"{CONTACTS}/offset"  # contacts of frame f are offset[f] to offset[f + 1]
 
 
@@ -224,33 +133,7 @@ def parts_of(fields: Collection[str]) -> list[str]:
     return [part for part in PARTS if part in found]
 
 
-STATIC: Final[dict[str, Element]] = {
-    f"{TRAJECTORY}/id": Element("", "1", "number of the body"),
-    f"{TRAJECTORY}/mass": Element("", "kg", "of each body"),
-    f"{TRAJECTORY}/moment_inertia": Element(
-        "", "kg m2", "principal moments, in the order of the rotor frame", "rotor"
-    ),
-    f"{TRAJECTORY}/extent": Element(
-        "",
-        "m",
-        "edges of a box about the centre of mass that holds all particles, for glyphs",
-        "body",
-    ),
-    f"{BODIES}/names": Element("", "1", "of each body"),
-    f"{BODIES}/kind": Element("", "1", "kind of each body: which set of particles it is made of"),
-    f"{BODIES}/rotor_class": Element(
-        "", "1", "0 point, 1 rod, 2 sphere, 3 symmetric, 4 asymmetric"
-    ),
-    f"{BODIES}/rotor_frame": Element(
-        "", "1", "unit quaternion, scalar first, rotor frame to body frame", "rotor to body"
-    ),
-    f"{BODIES}/particles/position": Element("", "m", "from the centre of mass", "body"),
-    f"{BODIES}/particles/mass": Element("", "kg", "of each particle"),
-    f"{BODIES}/particles/radius": Element("", "m", "0 is a point mass"),
-    f"{BODIES}/particles/offset": Element(
-        "", "1", "kind k owns particles offset[k] to offset[k + 1]"
-    ),
-}
+STATIC: Final = _elements("constant")  # by their datasets
 
 
 def rows_per_chunk(n_frames: int) -> int:
