@@ -47,25 +47,7 @@ _HOMES = {
     "show_versions": "record.provenance",
     "sweep": "sweeping.driver",
 }
-__all__ = [
-    "Case",
-    "CaseError",
-    "ResumeError",
-    "RunError",
-    "Scene",
-    "Simulation",
-    "Trajectory",
-    "TrajectoryError",
-    "__version__",
-    "force",
-    "joint_loads",
-    "open",
-    "plot",
-    "resume",
-    "run",
-    "show_versions",
-    "sweep",
-]
+__all__ = ["__version__", *_HOMES]  # noqa: PLE0604  # names all of them
 
 
 def __getattr__(name: str) -> Any:
