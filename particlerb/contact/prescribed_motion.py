@@ -7,6 +7,8 @@ momenta, its state has velocities while contacts are evaluated.
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from particlerb.compiled.jit import inline
 from particlerb.contact.records import Records
 from particlerb.contact.wall_motion import motion_in, pose_at
@@ -56,3 +58,20 @@ def prescribed_momenta(
     inertia, mass = prescribed.inertia, prescribed.mass[k]
     spin = component_product((inertia[0, k], inertia[1, k], inertia[2, k]), to_body(q, omega))
     return (mass * v[0], mass * v[1], mass * v[2]), to_world(q, spin)
+
+
+def prescribed_among(prescribed: PrescribedBodies | None, members: Ints) -> PrescribedBodies | None:
+    """Those among the members of a group, with their numbers there; None where there are none."""
+    if prescribed is None:
+        return None
+    own = np.flatnonzero(np.isin(prescribed.which, members))
+    if not own.size:
+        return None
+    order = np.argsort(members)
+    which = order[np.searchsorted(members[order], prescribed.which[own])]
+    com, q, inertia = (
+        np.ascontiguousarray(values[:, own])
+        for values in (prescribed.com, prescribed.q, prescribed.inertia)
+    )
+    motions = prescribed.motions[own].view(Records)
+    return PrescribedBodies(which, motions, com, q, prescribed.mass[own], inertia)

@@ -123,6 +123,17 @@ def kind_of(particles: Particles, k: int) -> Particles:
     return united(Particles(position, mass, radius, particles.offset))
 
 
+def rows_of_kinds(offset: Ints, kinds: Ints) -> tuple[Ints, Ints]:
+    """Rows of these kinds, one after the other, and which of `kinds` each is of.
+
+    Those of kind k are offset[k] to offset[k + 1].
+    """
+    count = offset[kinds + 1] - offset[kinds]
+    owner = np.repeat(np.arange(kinds.size), count)
+    before = np.cumsum(count) - count
+    return np.arange(owner.size) + (offset[kinds] - before)[owner], owner
+
+
 def united(particles: Particles) -> Particles:
     """All particles as one kind: what a body of several parts is."""
     return particles._replace(offset=np.array([0, len(particles.mass)], dtype=np.int64))

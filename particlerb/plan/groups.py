@@ -16,6 +16,7 @@ from particlerb.compiled.jit import flag
 from particlerb.contact.contact_model import ContactModel, ContactSpheres, GroupContact
 from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.law import TANGENTIAL_DAMPING, Law
+from particlerb.contact.prescribed_motion import prescribed_among
 from particlerb.contact.sphere_search import KEY_BITS, pair_keys
 from particlerb.contact.wall_motion import motion_records
 from particlerb.contact.wall_shapes import has_edges
@@ -46,7 +47,6 @@ from particlerb.plan.links import (
     particles_of,
     tree_accuracy,
 )
-from particlerb.plan.obstacles import driven_among
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
@@ -231,7 +231,7 @@ def terms_between(
         held = group.joints.within(group.members, bodies, terms.links, time)
         if held is not None and terms.links is not None:
             terms = terms._replace(links=terms.links._replace(damping=None))
-        driven = driven_among(group.joints.driven, group.members)
+        driven = prescribed_among(group.joints.driven, group.members)
         terms = terms._replace(joints=held, driven=None if held is None else driven)
     return terms
 
@@ -329,7 +329,7 @@ def _contact_among(
     skin = touching.record.skin or SKIN * smallest
     model = ContactModel(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
-        driven_among(touching.driven, members),
+        prescribed_among(touching.driven, members),
     )  # fmt: skip
     motions = motion_records(touching.motions)
     is_shown = any(name in FIELDS_OF_CONTACT for name in system.output.fields)

@@ -16,6 +16,7 @@ from particlerb.forces.links import WORLD
 from particlerb.forces.python import with_code
 from particlerb.forces.python_pairs import numbers_of_pairs, try_pairs
 from particlerb.forces.spring import places
+from particlerb.geometry.particles import rows_of_kinds
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
@@ -339,11 +340,7 @@ def particles_of(system: System, bodies: Ints) -> tuple[Ints, Ints]:
     index, owner : ndarray, shape (n_particles,)
         Which of `system.particles` it is, and to which of these bodies it belongs.
     """
-    start = system.particles.offset[system.kind[bodies]]
-    count = system.particles.offset[system.kind[bodies] + 1] - start
-    before = np.cumsum(count) - count
-    index = np.repeat(start - before, count) + np.arange(int(count.sum()))
-    return index, np.repeat(np.arange(bodies.size), count)
+    return rows_of_kinds(system.particles.offset, system.kind[bodies])
 
 
 # Who belongs together

@@ -10,12 +10,11 @@ from particlerb.case.placement import quaternion_of
 from particlerb.case.problems import CaseError, problem_at
 from particlerb.contact.piston import Pistons
 from particlerb.contact.prescribed_motion import PrescribedBodies
-from particlerb.contact.records import Records
 from particlerb.contact.wall_motion import PrescribedMotion, motion_records
 from particlerb.contact.wall_shapes import box, cylinder, plane, surface, unit
 from particlerb.contact.walls import Walls
 from particlerb.geometry.mesh import triangles_of
-from particlerb.maths.vec3 import Floats, Ints, Vec3
+from particlerb.maths.vec3 import Floats, Vec3
 from particlerb.model.state import rotate
 from particlerb.model.system import System
 
@@ -139,19 +138,3 @@ def driven_bodies(system: System) -> PrescribedBodies | None:
         bodies.mass[which],
         np.ascontiguousarray(bodies.inertia[:, which]),
     )
-
-
-def driven_among(driven: PrescribedBodies | None, members: Ints) -> PrescribedBodies | None:
-    """Those among the members of a group, with their numbers there; None where there are none."""
-    if driven is None:
-        return None
-    own = np.flatnonzero(np.isin(driven.which, members))
-    if not own.size:
-        return None
-    order = np.argsort(members)
-    which = order[np.searchsorted(members[order], driven.which[own])]
-    com, q, inertia = (
-        np.ascontiguousarray(values[:, own]) for values in (driven.com, driven.q, driven.inertia)
-    )
-    motions = driven.motions[own].view(Records)
-    return PrescribedBodies(which, motions, com, q, driven.mass[own], inertia)

@@ -11,7 +11,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
 from particlerb.files import path_of
-from particlerb.geometry.particles import Particles
+from particlerb.geometry.particles import Particles, rows_of_kinds
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import Entries
 from particlerb.model.bodies import Bodies, made_of, taken
@@ -327,11 +327,8 @@ class Trajectory(LabelledReader):
     @cached_property
     def constituents(self) -> tuple[Ints, Ints]:
         """Body of each particle of the scene, and its row in `particles`, body after body."""
-        offset, kind = self.particles.offset, self.kind
-        counts = np.diff(offset)[kind]
-        body = np.repeat(np.arange(self.n_bodies), counts)
-        first = np.cumsum(counts) - counts
-        return body, offset[kind][body] + np.arange(counts.sum()) - first[body]
+        row, body = rows_of_kinds(self.particles.offset, self.kind)
+        return body, row
 
     def parameter(self, name: str) -> Any:
         """One entry of /parameters: case, case_resolved, plan, versions, machine, seed, ..."""

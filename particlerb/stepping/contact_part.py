@@ -2,19 +2,12 @@
 
 import numpy as np
 
-from particlerb.contact.prescribed_motion import PrescribedBodies
+from particlerb.contact.prescribed_motion import prescribed_among
 from particlerb.forces import terms_on
+from particlerb.geometry.particles import rows_of_kinds
 from particlerb.maths.vec3 import Ints
 from particlerb.model.bodies import taken
 from particlerb.stepping.motion import SegmentGroup
-
-
-def spheres_of(offset: Ints, which: Ints) -> Ints:
-    """Spheres of some bodies, those of body b being offset[b] to offset[b + 1]."""
-    counts = offset[which + 1] - offset[which]
-    before = np.cumsum(counts) - counts
-    spheres: Ints = np.arange(counts.sum()) + np.repeat(offset[which] - before, counts)
-    return spheres
 
 
 def contact_part(group: SegmentGroup, which: Ints) -> tuple[SegmentGroup, Ints]:
@@ -25,8 +18,7 @@ def contact_part(group: SegmentGroup, which: Ints) -> tuple[SegmentGroup, Ints]:
     contact = group.terms.contact
     assert contact is not None
     model = contact.model
-    kept = spheres_of(model.spheres.offset, which)
-    body = np.searchsorted(which, model.spheres.body[kept])
+    kept, body = rows_of_kinds(model.spheres.offset, which)
     spheres = model.spheres._replace(
         arm=np.ascontiguousarray(model.spheres.arm[:, kept]),
         radius=model.spheres.radius[kept],
@@ -40,15 +32,8 @@ def contact_part(group: SegmentGroup, which: Ints) -> tuple[SegmentGroup, Ints]:
         spheres=spheres,
         inv_mass=model.inv_mass[which],
         inv_inertia=np.ascontiguousarray(model.inv_inertia[:, which]),
-        prescribed=_prescribed_among(model.prescribed, which),
+        prescribed=prescribed_among(model.prescribed, which),
     )
     part = contact._replace(model=own, max_arm=contact.max_arm[which])
     terms = terms_on(group.terms._replace(contact=None), which)._replace(contact=part)
     return SegmentGroup(group.members[which], taken(group.bodies, which), terms), kept
-
-
-def _prescribed_among(prescribed: PrescribedBodies | None, which: Ints) -> PrescribedBodies | None:
-    """Prescribed bodies under new numbers."""
-    if prescribed is None:
-        return None
-    return prescribed._replace(which=np.searchsorted(which, prescribed.which))
