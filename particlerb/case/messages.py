@@ -92,8 +92,9 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     if kind == "float_type" and _tables(_types_at(raw, path, root), None):
         reason = reason.replace("a number", "a number or a table", 1)
     hint = f"write [[{path[0]}]]" if kind == "tuple_type" and len(path) == 1 else ""
-    if kind == "model_type":
-        hint = f"keys: {', '.join(_table_keys(raw, path, root))}"
+    if kind in {"model_type", "model_attributes_type"}:
+        are = "keys" if kind == "model_type" else "{ type = .. } with one of the types"
+        hint = f"{are}: {', '.join(_table_keys(raw, path, root))}"
     return Message(path, reason, hint)
 
 

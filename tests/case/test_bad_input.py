@@ -418,6 +418,14 @@ MISTAKES = [
     ),
     ("[[force]]", "[gravity]\n[[force]]", 15, "gravity.acceleration", "missing", "acceleration"),
     (
+        'shape = { type = "ball", radius = 0.5 }',
+        'shape = "ball"',
+        11,
+        "body[1].shape",
+        "must be a table, got a text: 'ball'",
+        "{ type = .. } with one of the types: box, ball, ",
+    ),
+    (
         'title = "a cube and a clump"',
         "output = 5",
         1,
