@@ -139,3 +139,14 @@ def test_attitudes_show_the_flip(make, monkeypatch):
     assert tips[0] > 0.3 > -0.3 > tips[-1]
     assert math.isclose(tips[0], -tips[-1], rel_tol=0.2)
     assert trajectory.n_frames == 121
+
+
+def test_a_single_frame_is_drawn_as_points(make, tmp_path):
+    """As a run leaves it that is stopped early: a line of one point is none."""
+    with particlerb.Simulation(particlerb.Scene.from_case(flip(make)), tmp_path / "a.h5"):
+        pass
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        assert trajectory.n_frames == 1
+        figure = particlerb.plot(trajectory)
+    lines = panel(figure, "angular velocity of body, body frame").get_lines()
+    assert {line.get_marker() for line in lines} == {"o"}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
@@ -65,11 +66,25 @@ def plot(
     check_trajectory(trajectory)
     case = trajectory.parameter("case_resolved")
     figure = _titled_figure(trajectory, case)
+    with rc_context(
+        {"lines.marker": "o" if trajectory.n_frames == 1 else "None"}
+    ):  # no line of one
+        _draw_panels(figure, trajectory, case, body)
+    if path is not None:
+        figure.savefig(path, dpi=130)
+    return figure
+
+
+def _draw_panels(
+    figure: Figure, trajectory: Trajectory, case: dict[str, Any], body: str | None
+) -> None:
+    """Draw what fits the scene, or a body."""
     one = _fastest(trajectory) if body is None else trajectory.names.index(body)
     is_top = _is_top(trajectory, one)
     shown = _shown(trajectory.n_bodies, _PATHS, one)
     is_still = not np.ptp(trajectory.read("position", bodies=shown), axis=0).any()
     is_shown_turning = is_still and not is_top and trajectory.omega_body(one)[0].any()
+    is_shown_turning = is_shown_turning and trajectory.n_frames > 1
     if is_shown_turning:
         grid = figure.add_gridspec(2, 3, height_ratios=(0.6, 1.0), width_ratios=(1.0, 1.0, 1.3))
         draw_attitudes(figure.add_subplot(grid[0, :]), trajectory, one)
@@ -91,17 +106,15 @@ def plot(
         _draw_angular_velocity(above, trajectory, one)
         (_draw_nutation if is_top else _draw_axis)(below, trajectory, one)
     _draw_conservation_errors(last, trajectory)
-    if path is not None:
-        figure.savefig(path, dpi=130)
-    return figure
 
 
 def _titled_figure(trajectory: Trajectory, case: dict[str, Any]) -> Figure:
     """Nothing but the title of a case, else name of its file; how many bodies and frames."""
     figure = Figure(figsize=(11, 7.2), layout="constrained")
     title = case["title"] or Path(trajectory.file.filename).name
-    counts = f"{count_of(trajectory.n_bodies, 'body', 'bodies')}, {trajectory.n_frames} frames"
-    figure.suptitle(f"{title}   ({counts})", color=INK)
+    bodies = count_of(trajectory.n_bodies, "body", "bodies")
+    frames = count_of(trajectory.n_frames, "frame", "frames")
+    figure.suptitle(f"{title}   ({bodies}, {frames})", color=INK)
     return figure
 
 
