@@ -83,7 +83,10 @@ class _Lower(lowering.Lower):
 
     def _makes(self, step: Any, signature: Any) -> bool:
         """Whether an operation makes an array; tuples and views only hold what there is."""
-        if signature is None or not self._is_counted(signature.return_type):
+        stores = isinstance(step, (ir.SetItem, ir.StaticSetItem))  # Numba may copy what it stores
+        if signature is None or not self._is_counted(
+            signature.args[-1] if stores else signature.return_type
+        ):
             return False
         if not isinstance(step, ir.Expr):
             return True

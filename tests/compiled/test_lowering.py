@@ -80,6 +80,13 @@ def walks(pair):
     return total
 
 
+@compiled
+def stores(pair):
+    """Numba copies an array before it is stored where it may come from."""
+    pair.first[1:] = pair.first[:-1]
+    return pair.first[-1] + pair.second[0]
+
+
 @pytest.fixture(autouse=True)
 def counted():
     """Let Numba say how much is made and freed."""
@@ -90,7 +97,13 @@ def counted():
 
 @pytest.mark.parametrize(
     ("function", "value"),
-    [(borrows, 3.0), (passes_back, 20.0), (makes, 9 * (2.0 + 4.0 + 3.0)), (walks, 3.0)],
+    [
+        (borrows, 3.0),
+        (passes_back, 20.0),
+        (makes, 9 * (2.0 + 4.0 + 3.0)),
+        (walks, 3.0),
+        (stores, 3.0),
+    ],
 )
 def test_arrays_live_as_long_as_needed(function, value):
     """As many arrays are freed as made, and those of the caller are as they were."""
