@@ -16,7 +16,15 @@ from functools import cached_property
 from typing import Any, Final
 
 from numba import types
-from numba.core import compiler, compiler_machinery, ir, lowering, targetconfig, typed_passes
+from numba.core import (
+    compiler,
+    compiler_machinery,
+    errors,
+    ir,
+    lowering,
+    targetconfig,
+    typed_passes,
+)
 
 from particlerb.compiled.vector_width import is_wide
 
@@ -36,6 +44,7 @@ class _Flags(compiler.Flags):
         return isinstance(other, _Flags) and self.text == other.text
 
 
+_COUNTS: Final = "counts owners"  # of what is known of a function, where Numba has asked for it
 _SIGNATURES: Final[dict[Any, Any]] = {}
 _signature: Any = types.BaseFunction.get_call_type
 
@@ -59,7 +68,7 @@ class _Lower(lowering.Lower):
 
     def __init__(self, *args: Any, **keys: Any) -> None:
         super().__init__(*args, **keys)
-        if not self._can_own():
+        if not keys["metadata"].get(_COUNTS) and not self._can_own():
             self.context.enable_nrt = False
             vars(self.context).pop("nrt", None)  # that of the context that this one is a copy of
 
@@ -105,9 +114,19 @@ class _Lower(lowering.Lower):
 
 @compiler_machinery.register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(typed_passes.NativeLowering):
-    """The pass that takes this step."""
+    """The pass that takes this step, once more where an array is made after all."""
 
     _name = "lowering"
+
+    def run_pass(self, state: Any) -> Any:
+        """Write the code of a function."""
+        try:
+            return super().run_pass(state)
+        except errors.NumbaError as error:
+            if "NRT required" not in str(error):
+                raise
+        state.metadata[_COUNTS] = True
+        return super().run_pass(state)
 
     @property
     def lowering_class(self) -> Any:

@@ -10,6 +10,7 @@ from numba.core.runtime import rtsys
 from numba.core.runtime.context import NRTContext
 
 from particlerb.compiled.jit import compile_with, inline
+from particlerb.compiled.lowering import _Lower
 
 pytestmark = pytest.mark.compiled
 compiled = compile_with()
@@ -131,3 +132,15 @@ def test_what_is_lent_is_not_counted(function, counts, monkeypatch):
     scale = (types.float64,) if function is lent else ()
     compile_with()(function.py_func).compile((pair, *scale))
     assert bool(calls) == counts
+
+
+def test_what_the_types_do_not_tell_is_asked_for(monkeypatch):
+    """Numba says where it makes an array: the code is written again, with owners counted."""
+    monkeypatch.setattr(_Lower, "_can_own", lambda self: False)
+
+    @compiled
+    def shifted(array):
+        array[1:] = array[:-1]
+        return array.sum()
+
+    assert shifted(np.array([1.0, 2.0, 3.0])) == 4.0
