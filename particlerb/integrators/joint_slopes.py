@@ -10,6 +10,8 @@ Source: Hairer and Wanner, Solving Ordinary Differential Equations II (1996), se
 VII.2; the rows in joints/rows.py.
 """
 
+from math import nan
+
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import action_force
@@ -228,6 +230,8 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
         linearise(joints, work, lo, hi)
         set_moving(joints.moves, joints, work, lo, hi, t)
         keep_rates(joints, work, c, lo, hi)
+        if work.lost[c] > 0:
+            work.y[first:last] = nan
     _give_state(jointed, states, w)
 
 

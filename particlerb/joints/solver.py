@@ -17,24 +17,28 @@ J. Numer. Anal. 49, 1715 (2011).
 from math import inf
 from typing import Final
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.joints.actions import kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.breaking import leave_out, let_break
 from particlerb.joints.drives import carry, set_moving
-from particlerb.joints.records import HOLDS, STATE, Joints, L, P, Q, Work, X
+from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, Joints, L, P, Q, Work, X
 from particlerb.joints.rows import (
     add_impulses,
+    arms_at,
     attitude,
+    attitudes,
     by_inverse_inertia,
     is_of_directions,
     linearise,
+    rate,
     rates,
     residuals,
     vector,
 )
+from particlerb.joints.wheels import is_out_of_mesh, nearest
 from particlerb.maths.quaternion import to_body
-from particlerb.maths.vec3 import dot
+from particlerb.maths.vec3 import Vec3, add, dot, scale
 from particlerb.rotors.symmetric_split import symmetric_split, symmetric_top
 
 MOST_ITERATIONS: Final = 60
@@ -158,6 +162,31 @@ def constrained_drift(
     if let_break(joints.breaks, joints, work, c, kick_dt, t, dt):
         _factor(joints, work, c)
         _fly_to_joints(joints, work, c, t, dt)
+    _see_teeth(joints.rolls, joints, work, c, dt)
+
+
+@inline
+def _turn(joints: Joints, work: Work, k: int, dt: float) -> Vec3:
+    """How far body k turns in a drift, if it went on as it begins."""
+    own = by_inverse_inertia(joints.inv_inertia, attitude(work.pose, k), k, vector(work.y, k, L))
+    return scale(dt, add(own, vector(work.motion, k, 3)))
+
+
+@inline
+def _see_teeth(rolls: Flag, joints: Joints, work: Work, c: int, dt: float) -> None:
+    """Give cluster c up where teeth were passed in a drift, or axes have left their place."""
+    if rolls is None:
+        return
+    rows, start, pose = joints.rows, joints.program.start, work.pose
+    lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
+    for r in range(lo, hi):
+        if rows.kind[r] in (RACK, GEAR) and work.compliance[r] == 0.0:
+            R, before = attitudes(rows, work.y, r), attitudes(rows, pose, r)
+            _, _, u, d = arms_at(rows, work.y, r, R)
+            _, _, u0, d0 = arms_at(rows, pose, r, before)
+            turned = _turn(joints, work, rows.a[r], dt), _turn(joints, work, rows.b[r], dt)
+            if is_out_of_mesh(rows, r, R, (u, d), before, (u0, d0), turned):
+                work.lost[c] = 1 + r
 
 
 @kernel
@@ -223,6 +252,25 @@ def _share_of_last(joints: Joints, work: Work, lo: int, hi: int) -> float:
     return along / square if square > 0.0 else 0.0
 
 
+@inline
+def _count_teeth(
+    rolls: Flag, joints: Joints, work: Work, lo: int, hi: int, dt: float, worst: float
+) -> float:
+    """Residuals of what rolls, with the teeth that it passes by its rates as no impulses hold it.
+
+    Returns the largest of all over its size.
+    """
+    if rolls is None:
+        return worst
+    rows = joints.rows
+    for r in range(lo, hi):
+        if rows.kind[r] in (RACK, GEAR) and work.compliance[r] == 0.0 and work.total[r] == 0.0:
+            passed = dt * (rate(joints, work.gradient, r, work.y, P) + work.moving[r])
+            work.g[r] = nearest(work.g[r], passed, rows.wheel[r, 11])
+            worst = max(worst, abs(work.g[r]) / rows.size[r])
+    return worst
+
+
 @kernel
 def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> None:
     """Drift with impulses along the gradients so that g = 0 at its end: see above."""
@@ -232,6 +280,8 @@ def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> N
     for _ in range(MOST_ITERATIONS):
         fly(joints, work, c, dt)
         worst, where = residuals(joints, work, lo, hi, t + dt)
+        if before == 1e300:
+            worst = _count_teeth(joints.rolls, joints, work, lo, hi, dt, worst)
         if worst <= _ROUNDING or (worst < _NEAR and worst > _GAIN * before):
             return
         share = _share_of_last(joints, work, lo, hi) if mixes and before < _MIXED else 0.0

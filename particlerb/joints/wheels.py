@@ -16,6 +16,7 @@ g̈ neither ṅ nor v̇ of a gear is a part.
 """
 
 from math import atan2
+from typing import Final
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from particlerb.compiled.jit import Flag, inline
 from particlerb.joints.records import GEAR, RACK, ConstraintRows
 from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Vec3, add_scaled, cross, dot, norm, scale
+
+_MOST_ASKEW: Final = 1e-4  # rad, or over the radius: what holds the axes leaves less
 
 
 @inline
@@ -44,15 +47,55 @@ def rolled(
     """g of a row that rolls [m]."""
     if rolls is None:
         return 0.0
-    n, k, pitch = turn(R[1], _three(rows, r, 0)), rows.wheel[r, 9], rows.wheel[r, 11]
+    n, k = turn(R[1], _three(rows, r, 0)), rows.wheel[r, 9]
     a, b = turn(R[0], _three(rows, r, 3)), turn(R[1], _three(rows, r, 6))
     if rows.kind[r] == GEAR:
         line = scale(-1.0, d)
         g = k * (_angle(n, line, a) + rows.wheel[r, 10] * _angle(n, line, b))
     else:
         g = dot(u, d) + k * _angle(n, b, a)
-    nearest: float = g - pitch * np.floor(g / pitch + 0.5)
-    return nearest
+    return nearest(g, 0.0, rows.wheel[r, 11])
+
+
+@inline
+def nearest(g: float, to: float, period: float) -> float:
+    """Of g and all that differ from it by periods, the nearest to a number."""
+    found: float = g - period * np.floor((g - to) / period + 0.5)
+    return found
+
+
+@inline
+def is_out_of_mesh(
+    rows: ConstraintRows,
+    r: int,
+    R: tuple[Matrix, Matrix],
+    arms: tuple[Vec3, Vec3],
+    before: tuple[Matrix, Matrix],
+    arms_before: tuple[Vec3, Vec3],
+    turned: tuple[Vec3, Vec3],
+) -> bool:
+    """Whether row r has passed teeth since the pose before, or its axes are not where they belong.
+
+    `arms` are u and d; `turned` is about how far a and b have turned, to count whole turns.
+    """
+    n, k, (u, d) = turn(R[1], _three(rows, r, 0)), rows.wheel[r, 9], arms
+    a, b = turn(R[0], _three(rows, r, 3)), turn(R[1], _three(rows, r, 6))
+    first, mark = turn(before[0], _three(rows, r, 3)), turn(before[1], _three(rows, r, 6))
+    n0, pitch = turn(before[1], _three(rows, r, 0)), rows.wheel[r, 11]
+    angle, far = _angle(n, b, a) - _angle(n0, mark, first), dot(n, turned[0]) - dot(n, turned[1])
+    if rows.kind[r] == GEAR:
+        apart = k * (1.0 + rows.wheel[r, 10])
+        swept = _angle(n, b, scale(-1.0, d)) - _angle(n0, mark, scale(-1.0, arms_before[1]))
+        s = -apart * nearest(swept, -dot(n, turned[1]), 2.0 * np.pi)
+        off = norm(cross(n, d)) / abs(apart) - 1.0
+    else:
+        s = dot(u, d) - dot(arms_before[0], arms_before[1])
+        off = dot(d, cross(n, u)) / k
+    on: float = (
+        rolled(True, rows, r, before, *arms_before) + s + k * nearest(angle, far, 2.0 * np.pi)
+    )
+    askew: float = max(abs(off), abs(dot(n, a)))
+    return abs(on) > 0.5 * pitch or askew > _MOST_ASKEW
 
 
 @inline

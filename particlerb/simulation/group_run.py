@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from particlerb.case.joints import ROLLING
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.forces import Terms, energies_of_loads, has_energy
 from particlerb.forces.gravity_tree.opening_angle import fitting_angle, sampled_error
@@ -341,6 +342,12 @@ def lost(system: System, runs: Sequence[GroupRun]) -> str:
     setup = joints_of(system) if joints else None
     if setup is None:
         return ""
+    if setup.types[min(joints)] in ROLLING:
+        return (
+            f"joint {setup.names[min(joints)]} no longer rolls: in a step teeth, or turns, were"
+            " passed, or its axes have left their place: take a shorter run.dt, and hold the axes"
+            " by hinges, parallel and at their distance"
+        )
     is_composed = METHODS[joints[min(joints)].segment.method].evaluations > 1
     other = ', or run.method = "rattle", which passes such poses best' if is_composed else ""
     return (

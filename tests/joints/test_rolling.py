@@ -5,7 +5,7 @@ import pytest
 from scenes import X, Y, Z, body, case, joint
 
 import particlerb
-from particlerb import CaseError, joint_loads
+from particlerb import CaseError, RunError, joint_loads
 
 METHODS = {
     "rattle": {"dt": 0.01},
@@ -218,6 +218,57 @@ def test_whole_turns_of_gears_need_no_count():
     with moved(scene, 5.0, "rattle", 5.0) as trajectory:
         spin = np.array(trajectory.angular_velocity)[-1, :, 2]
     assert spin == pytest.approx([turn / 0.01, -0.5 * turn / 0.01], rel=1e-13)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("torque", [100.0, 300.0])
+def test_teeth_that_are_pushed_over_some_in_a_step_hold(torque):
+    """Without the other wheel, a would turn by torque h²/4, some of the 20 teeth."""
+    force = [{"type": "torque", "body": "a", "torque": [0, 0, torque]}]
+    with moved(two_gears(force=force), 0.2, "rattle", 0.2, dt=0.1) as trajectory:
+        turn = np.array(trajectory.joint_coordinate)[-1]
+    assert turn == pytest.approx(0.02 * torque / 2.75 * np.array([1, -0.5]), rel=1e-9)
+
+
+@pytest.mark.plain
+def test_a_step_in_which_teeth_are_passed_ends_the_run():
+    force = [{"type": "torque", "body": "a", "torque": [0, 0, 1e4]}]
+    with pytest.raises(RunError, match="joint a-b no longer rolls"):
+        moved(two_gears(force=force), 1.0, "rattle", 0.5, dt=0.1)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("lead", [1e-4, 1e-6])
+def test_a_nut_on_a_fine_thread_does_not_fall(lead):
+    scene = case([body("nut", 2, [0.2, 0.2, 0.3], [0, 0, 1])],
+                 [joint("screw", "nut", None, [0, 0, 1], Z, lead=lead)])  # fmt: skip
+    with moved(scene, 1.0, "rattle", 1.0) as trajectory:
+        turn = np.array(trajectory.joint_coordinate)[-1, 1]
+    p = lead / (2 * np.pi)
+    assert turn == pytest.approx(-0.5 * 9.81 * p / (p * p + 0.15), rel=1e-5)
+
+
+def unheld(holds):
+    """Gears of which one axis, or both, may tilt, or that nothing holds."""
+    scene = two_gears()
+    a, b = scene["body"]
+    a["angular_velocity"], b["angular_velocity"] = [0.5, 0, 2], [0, 0.3, -1]
+    if holds == "balls":
+        for hinge in scene["joint"][:2]:
+            hinge["type"] = "ball"
+            del hinge["axis"]
+    else:
+        del scene["joint"][:2]
+    return scene
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("method", ["rattle", "dop853"])
+@pytest.mark.parametrize("holds", ["balls", "nothing"])
+def test_gears_whose_axes_tilt_end_the_run(holds, method):
+    times = {"t_end": 2.0, "every": 0.5, "method": method} | METHODS[method]
+    with pytest.raises(RunError, match="joint a-b no longer rolls"):
+        particlerb.run({"run": times, **unheld(holds)})
 
 
 @pytest.mark.parametrize(
