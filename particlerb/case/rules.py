@@ -268,9 +268,9 @@ def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[F
         for key in ("stiffness", "tangential_stiffness"):
             if given(table, key):
                 yield (*path, key), "impulses have no stiffness", "leave it out"
-        if given(table, "rolling_friction"):
-            reason = "impulses do not resist rolling yet"
-            yield (*path, "rolling_friction"), reason, 'leave it out, or take law = "hooke"'
+        if law == "events" and given(table, "rolling_friction"):
+            reason = "impacts at an instant do not resist rolling"
+            yield (*path, "rolling_friction"), reason, 'leave it out, or take law = "impulse"'
         return
     if law == "hertz":
         for key in ("stiffness", "tangential_stiffness"):

@@ -26,7 +26,9 @@ from particlerb.impulses.records import (
     RADIUS,
     RESTITUTION,
     SLOW,
+    ZERO,
     Impulses,
+    Rolling,
 )
 from particlerb.impulses.rows import column3, in_world, put_column3, write_frame
 from particlerb.maths.quaternion import to_body, to_world
@@ -45,6 +47,7 @@ class _Near(NamedTuple):
     entry: int  # of the list: see `impulses.records.Rows`
     gap: float  # [m]
     radius: float  # [m] the smaller one
+    effective: float  # [m] R*
     slow: float  # [m/s]
     normal: Vec3  # from the second to the first
     point: Vec3  # [m] in the middle of the gap
@@ -79,7 +82,7 @@ def _is_near(
 
 @inline
 def _take_in(
-    setup: GroupContact, impulses: Impulses, force: Floats, near: _Near, dt: float
+    setup: GroupContact, impulses: Impulses, contacts: ContactList, near: _Near, dt: float
 ) -> None:
     """Write the row of a contact, which begins with the force of the step before."""
     _, partners, rows, count, tally, _ = impulses
@@ -93,17 +96,39 @@ def _take_in(
     rows.limits[k, RADIUS] = near.radius
     rows.limits[k, RESTITUTION] = impulses.rules.restitution[pair]
     c = entry if entry >= 0 else ~entry
-    put_column3(rows.impulse, k, 0, scale(dt, row3(force, c)))
-    put_column3(rows.impact, k, 0, (0.0, 0.0, 0.0))
+    put_column3(rows.impulse, k, 0, scale(dt, row3(contacts.history.force, c)))
+    put_column3(rows.impact, k, 0, ZERO)
+    _take_in_rolling(rows.rolling, setup.model.law.rolling, contacts, c, k, near, dt)
     for deepest in (DEEPEST, DEEPEST_NOW):
         tally[deepest] = max(tally[deepest], -gap)
 
 
 @inline
-def _forget(contacts: ContactList, c: int) -> None:
+def _take_in_rolling(
+    rolling: Rolling | None, coefficient: Floats | None, contacts: ContactList, c: int, k: int,
+    near: _Near, dt: float,
+) -> None:  # fmt: skip
+    """Write how contact c, which is row k, resists rolling, if anything does."""
+    if rolling is None or coefficient is None:
+        return
+    rolling.limit[k, 0] = coefficient[near.pair] * near.effective
+    put_column3(rolling.impulse, k, 0, scale(dt, row3(contacts.history.torque, c)))
+    put_column3(rolling.impact, k, 0, ZERO)
+
+
+@inline
+def _put_torque(rolling: Rolling | None, contacts: ContactList, c: int, pressed: Vec3) -> None:
+    """Keep the torque of contact c against rolling, if anything resists."""
+    if rolling is not None:
+        put_row3(contacts.history.torque, c, pressed)
+
+
+@inline
+def _forget(contacts: ContactList, c: int, rolling: Rolling | None) -> None:
     """Contact c has no impulse: it is too far."""
     if contacts.active[c]:
-        put_row3(contacts.history.force, c, (0.0, 0.0, 0.0))
+        put_row3(contacts.history.force, c, ZERO)
+        _put_torque(rolling, contacts, c, ZERO)
         contacts.history.inv_effective_mass[c] = 0.0
         contacts.active[c] = False
 
@@ -123,19 +148,20 @@ def _sphere_contact(
     far = touching + reach[a, 0] + reach[b, 0]
     is_held = model.inv_mass[a] == 0.0 and model.inv_mass[b] == 0.0
     if square > far * far or is_held:
-        _forget(contacts, c)
+        _forget(contacts, c, impulses.rows.rolling)
         return
     distance = length(d)
     gap, between = distance - touching, subtract(column3(place, a, 0), column3(place, b, 0))
     is_near, slow = _is_near(setup, impulses, a, b, touching, gap, between, dt)
     if not is_near:
-        _forget(contacts, c)
+        _forget(contacts, c, impulses.rows.rolling)
         return
     normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
     point = add_scaled(-(xyzr[i, 3] + 0.5 * gap), normal, row3(xyzr, i))
     pair = model.pair_of[model.spheres.material[i], model.spheres.partner[j]]
-    near = _Near(a, b, pair, c, gap, min(xyzr[i, 3], xyzr[j, 3]), slow, normal, point)
-    _take_in(setup, impulses, contacts.history.force, near, dt)
+    smaller, effective = min(xyzr[i, 3], xyzr[j, 3]), xyzr[i, 3] * xyzr[j, 3] / touching
+    near = _Near(a, b, pair, c, gap, smaller, effective, slow, normal, point)
+    _take_in(setup, impulses, contacts, near, dt)
 
 
 @inline
@@ -159,7 +185,7 @@ def _wall_contact(
         away = scale(1.0 / distance, away) if distance > 0.0 else (0.0, 0.0, 1.0)
     gap = distance - radius
     if not is_nearest or model.inv_mass[a] == 0.0:
-        _forget(contacts, c)
+        _forget(contacts, c, impulses.rows.rolling)
         return
     normal = to_world(q, away)
     point, b = add_scaled(-(radius + 0.5 * gap), normal, x), model.inv_mass.size + w
@@ -168,11 +194,11 @@ def _wall_contact(
     between = subtract(column3(velocity, a, 0), moving)
     is_near, slow = _is_near(setup, impulses, a, b, radius, gap, between, dt)
     if not is_near:
-        _forget(contacts, c)
+        _forget(contacts, c, impulses.rows.rolling)
         return
     pair = model.pair_of[model.spheres.material[i], model.wall_material[primitive]]
-    near = _Near(a, b, pair, ~c, gap, radius, slow, normal, point)
-    _take_in(setup, impulses, contacts.history.force, near, dt)
+    near = _Near(a, b, pair, ~c, gap, radius, radius, slow, normal, point)
+    _take_in(setup, impulses, contacts, near, dt)
 
 
 @inline
@@ -232,7 +258,25 @@ def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) 
     put_row3(forces.other, c, in_world(rows.frame, k, (0.0, total[1], total[2])))
     arm, place = column3(rows.frame, k, ARM), impulses.partners.place
     put_row3(forces.point, c, add(arm, column3(place, rows.first[k], 0)))
+    _keep_rolling(rows.rolling, contacts, c, impulses, k, dt)
     contacts.active[c] = True
+
+
+@inline
+def _keep_rolling(
+    rolling: Rolling | None, contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float
+) -> None:
+    """Keep the angular impulses of row k."""
+    if rolling is None:
+        return
+    pressed, impact, frame = (
+        column3(rolling.impulse, k, 0),
+        column3(rolling.impact, k, 0),
+        impulses.rows.frame,
+    )
+    _put_torque(rolling, contacts, c, scale(1.0 / dt, in_world(frame, k, pressed)))
+    total = scale(1.0 / dt, in_world(frame, k, add(pressed, impact)))
+    put_row3(contacts.forces.rolling_torque, c, total)
 
 
 @kernel

@@ -56,6 +56,7 @@ _IMPULSE_HISTORY: Final = record(
     force=3,  # [N] mean of the last step on the first body
     inv_effective_mass=1,  # [1/kg] 0 where the contact is not active
 )
+_ROLLING_IMPULSE_HISTORY: Final = record(_IMPULSE_HISTORY, torque=3)  # [N m] against rolling
 _ROLLING_HISTORY: Final = record(_HISTORY, rolling_spring=3)  # [m]
 
 # Forces of a contact on its first body, world axes
@@ -128,7 +129,7 @@ STAGES: Final = record(start=3, total=3, rolling_start=3, rolling_total=3)  # [m
 def history_record(with_rolling: bool, with_impulses: bool = False) -> np.dtype[Any]:
     """Record of what a contact remembers."""
     if with_impulses:
-        return _IMPULSE_HISTORY
+        return _ROLLING_IMPULSE_HISTORY if with_rolling else _IMPULSE_HISTORY
     return _ROLLING_HISTORY if with_rolling else _HISTORY
 
 

@@ -17,25 +17,27 @@ from particlerb.impulses.records import (
     Impulses,
     Partners,
 )
+from particlerb.impulses.rolling import rolled
 from particlerb.impulses.rows import column3, in_frame, in_world, put_column3, velocity_between
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale
 
 
 @inline
 def _book_outside(
-    partners: Partners, frame: Floats, k: int, mine: int, other: int, at: int, p: Vec3
-) -> float:
+    partners: Partners, frame: Floats, k: int, mine: int, other: int, at: int, p: Vec3,
+    m: Vec3,
+) -> float:  # fmt: skip
     """Book what a wall or a held body has given; the work [J] that it has done by moving.
 
-    `at` is the column of the arm of `other`, p [N s] the impulse on `mine`.
+    `at` is the column of the arm of `other`; p [N s] and m [N m s] act on `mine`.
     """
     arm, booked = column3(frame, k, at), partners.booked
     omega = column3(partners.velocity, other, 3)
     moving = add_scaled(1.0, cross(omega, arm), column3(partners.velocity, other, 0))
     point = add(arm, column3(partners.place, other, 0))
     put_column3(booked, mine, 1, add(p, column3(booked, mine, 1)))
-    put_column3(booked, mine, 4, add(cross(point, p), column3(booked, mine, 4)))
-    return dot(p, moving)
+    put_column3(booked, mine, 4, add(add(cross(point, p), m), column3(booked, mine, 4)))
+    return dot(p, moving) + dot(m, omega)
 
 
 @kernel
@@ -56,13 +58,14 @@ def book_impulses(impulses: Impulses, bounded: Bounded | None) -> None:
         end = velocity_between(partners.velocity, frame, k, a, b)
         u = in_frame(frame, k, scale(0.5, add(begin, end)))
         bounced, normal = dot(impact, u), pressed[0] * u[0]
-        rubbed, moved, p = pressed[1] * u[1] + pressed[2] * u[2], 0.0, in_world(frame, k, r)
-        mine = a
+        m, resisted = rolled(rows.rolling, partners, rows, k)
+        rubbed = pressed[1] * u[1] + pressed[2] * u[2] + resisted
+        mine, moved, p = a, 0.0, in_world(frame, k, r)
         if inverse[b, 0] == 0.0:
-            moved = _book_outside(partners, frame, k, a, b, ARM + 3, p)
+            moved = _book_outside(partners, frame, k, a, b, ARM + 3, p, m)
         elif inverse[a, 0] == 0.0:
             mine = b
-            moved = _book_outside(partners, frame, k, b, a, ARM, scale(-1.0, p))
+            moved = _book_outside(partners, frame, k, b, a, ARM, scale(-1.0, p), scale(-1.0, m))
         booked[mine, 0] += bounced + normal + rubbed + moved
         booked[mine, 7] += abs(bounced) + abs(normal) + abs(rubbed) + abs(moved)
         tally[IMPACT_WORK] += bounced

@@ -28,6 +28,7 @@ from particlerb.impulses.records import (
     Bounded,
     Impulses,
 )
+from particlerb.impulses.rolling import bounce_rolling
 from particlerb.impulses.rows import approach, change_by, give
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
 
@@ -108,6 +109,7 @@ def _bounce(impulses: Impulses, k: int) -> bool:
     r = impact(rows.frame, k, u, rows.limits[k, RESTITUTION])
     change_by(partners, rows, k, r)
     give(partners, rows, k, r)
+    bounce_rolling(rows.rolling, partners, rows, k, r[0])
     for i in range(3):
         rows.impact[k, i] += r[i]
     return True

@@ -38,14 +38,20 @@ from particlerb.impulses.records import (
     INVERSE,
     LEAST,
     NEWTON_STEPS,
-    NORMAL,
-    TANGENT,
     ZERO,
     Bounded,
     ImpulseRows,
     Impulses,
     Newton,
     Partners,
+)
+from particlerb.impulses.rolling import into_the_discs, push_by_rolling
+from particlerb.impulses.rolling_newton import (
+    linearise_rolling,
+    rolling_by,
+    rolling_c,
+    solve_rolling,
+    step_rolling,
 )
 from particlerb.impulses.rows import (
     approach,
@@ -83,6 +89,7 @@ def refresh_velocities(
         r = column3(rows.impulse, k, 0)
         if dot(r, r) > 0.0:
             change_by(partners, rows, k, r)
+    push_by_rolling(rows.rolling, partners, rows, count)
     if bounded is not None:
         push_by_bounded(bounded, partners.velocity)
 
@@ -157,37 +164,26 @@ def _k_times(slopes: Floats, k: int, du: Vec3) -> Vec3:
 
 
 @inline
-def _add_column(
-    newton: Newton, rows: ImpulseRows, k: int, at: int, of: int, sign: float, r: Vec3, column: int
-) -> None:
-    """Add impulses r along n, t₁, t₂ on a partner to a column of the matrix.
-
-    `at` is the first row of the partner, `of` the column of its arm.
-    """
-    frame, matrix, reach = rows.frame, newton.matrix, newton.reach[0]
-    p = scale(sign * r[0], column3(frame, k, NORMAL))
-    q, o = column3(frame, k, TANGENT), column3(frame, k, TANGENT + 3)
-    p = (
-        p[0] + sign * (r[1] * q[0] + r[2] * o[0]),
-        p[1] + sign * (r[1] * q[1] + r[2] * o[1]),
-        p[2] + sign * (r[1] * q[2] + r[2] * o[2]),
-    )
-    m = cross(column3(frame, k, of), p)
+def _add_column(newton: Newton, at: int, column: int, p: Vec3, m: Vec3) -> None:
+    """Add an impulse and an angular impulse on a partner, whose first row is `at`, to a column."""
+    matrix, reach = newton.matrix, newton.reach[0]
     for i in range(3):
         matrix[at + i, column - at - i + reach] += p[i]
         matrix[at + 3 + i, column - at - 3 - i + reach] += m[i]
 
 
 @inline
-def _velocity_by(partners: Partners, body: int, source: int, i: int, arm: Vec3) -> Vec3:
-    """Velocity of a point of a body by unit i of the impulse and angular impulse on another."""
+def _velocities_by(
+    partners: Partners, body: int, source: int, i: int, arm: Vec3
+) -> tuple[Vec3, Vec3]:
+    """Velocity of a point of a body, and ω, by unit i of what an impulse has six of on another."""
     unit, v, omega = _UNITS[i % 3], ZERO, ZERO
     if i < 3:
         v = scale(partners.inverse[body, 0], unit)
     else:
         omega = inverse_inertia_times(partners.inverse, body, unit)
     v, omega = through_joints(partners.mechanisms, body, source, i, v, omega)
-    return add_scaled(1.0, cross(omega, arm), v)
+    return add_scaled(1.0, cross(omega, arm), v), omega
 
 
 @inline
@@ -205,12 +201,16 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
             source = member(mechanisms, body, j)
             column = newton.place[source]
             for i in range(6 if column >= 0 and has_response(mechanisms, source) else 0):
-                v = _velocity_by(partners, body, source, i, arms)
+                v, omega = _velocities_by(partners, body, source, i, arms)
                 r = _k_times(slopes, k, in_frame(frame, k, scale(sign, v)))
+                p, omega = in_world(frame, k, r), in_frame(frame, k, scale(sign, omega))
+                m = rolling_by(rows.rolling, rows, k, omega, -r[0])
                 if one >= 0:
-                    _add_column(newton, rows, k, one, ARM, 1.0, r, column + i)
+                    turn = add(cross(column3(frame, k, ARM), p), m)
+                    _add_column(newton, one, column + i, p, turn)
                 if two >= 0:
-                    _add_column(newton, rows, k, two, ARM + 3, -1.0, r, column + i)
+                    turn = add(cross(column3(frame, k, ARM + 3), p), m)
+                    _add_column(newton, two, column + i, scale(-1.0, p), scale(-1.0, turn))
 
 
 @kernel
@@ -223,9 +223,10 @@ def _evaluate(
     for j in range(clusters.shape[0]):
         clusters[j, _SIZE] = 0.0
     for k in range(count):
-        clusters[_cluster_of(newton, rows, k), _SIZE] += _linearise(
-            partners, rows, newton, k, mass, small
-        )
+        own, inverse = _cluster_of(newton, rows, k), rows.frame[k, INVERSE]
+        clusters[own, _SIZE] += _linearise(partners, rows, newton, k, mass, small)
+        rolls = linearise_rolling(rows.rolling, partners, rows, k, small)
+        clusters[own, _SIZE] += rolls * measured(inverse, mass)
     if bounded is not None:
         linearise_bounded(bounded, newton, partners.velocity, (_SIZE, mass, small))
 
@@ -264,11 +265,12 @@ def _solve_for_bodies(
         if newton.clusters[_cluster_of(newton, rows, k), _STATE] != _TO_SOLVE:
             continue
         _add_contact(partners, rows, newton, k)
-        p = scale(-1.0, in_world(rows.frame, k, column3(newton.slopes, k, 0)))
+        c = column3(newton.slopes, k, 0)
+        p, turn = scale(-1.0, in_world(rows.frame, k, c)), rolling_c(rows.rolling, rows, k, -c[0])
         for body, arm, sign in ((rows.first[k], ARM, 1.0), (rows.second[k], ARM + 3, -1.0)):
             at = newton.place[body]
             if at >= 0:
-                m = cross(column3(rows.frame, k, arm), p)
+                m = add(cross(column3(rows.frame, k, arm), p), turn)
                 for i in range(3):
                     change[at + i] += sign * p[i]
                     change[at + 3 + i] += sign * m[i]
@@ -302,9 +304,11 @@ def _step(
             step = add(column3(newton.slopes, k, 0), _k_times(newton.slopes, k, du))
             put_column3(direction, k, 0, scale(-1.0, step))
             put_column3(old, k, 0, column3(impulse, k, 0))
+            solve_rolling(rows.rolling, partners, rows, k)
         if state != _DONE:
             r = add_scaled(share, column3(direction, k, 0), column3(old, k, 0))
             put_column3(impulse, k, 0, r)
+            step_rolling(rows.rolling, k, share)
     if bounded is not None:
         step_bounded(bounded, newton, partners.move, (_SHARE, _STATE), (_TO_SOLVE, _DONE))
 
@@ -317,6 +321,7 @@ def _into_the_cones(rows: ImpulseRows, count: int) -> None:
         n = max(n, 0.0)
         x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
         put_column3(rows.impulse, k, 0, (n, x, y))
+    into_the_discs(rows.rolling, rows, count)
 
 
 @kernel
@@ -360,6 +365,7 @@ def take_newton_steps(
     for k in range(count):
         if clusters[_cluster_of(newton, rows, k), _STATE] != _DONE:
             put_column3(rows.impulse, k, 0, column3(rows.old, k, 0))
+            step_rolling(rows.rolling, k, 0.0)
     if bounded is not None:
         end_bounded(bounded, newton, _STATE, _DONE)
     _into_the_cones(rows, count)

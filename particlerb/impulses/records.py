@@ -146,6 +146,17 @@ class Bounded(NamedTuple):
     values: Floats  # (k, 16)
 
 
+class Rolling(NamedTuple):
+    """Resistance of contacts to rolling, see `rolling`: room as in `ImpulseRows`."""
+
+    limit: Floats  # (.., 2) [m] μ_r R*, [1/(kg m²)] the largest inverse inertia across the normal
+    impulse: Floats  # (.., 3) [N m s] 0, along t₁, t₂, on the first; world axes until the solve
+    impact: Floats  # (.., 3) [N m s] the same of impacts
+    old: Floats  # (.., 3) before a sweep
+    direction: Floats  # (.., 3) of the conjugate gradients
+    slopes: Floats  # (.., 9) of Newton's method, see `rolling_newton`
+
+
 class ImpulseRows(NamedTuple):
     """Contacts of a step: room for `first.size`."""
 
@@ -160,6 +171,7 @@ class ImpulseRows(NamedTuple):
     direction: Floats  # (.., 3) of the conjugate gradients
     order: Floats  # (.., 2) of impacts: since when [s], and which
     bounded: Bounded | None = None  # None: nothing acts in joints within bounds
+    rolling: Rolling | None = None  # None: nothing resists rolling
 
 
 class Newton(NamedTuple):
@@ -194,14 +206,18 @@ def room_for_partners(n: int, mechanisms: Mechanisms | None = None) -> Partners:
     return Partners(*arrays, mechanisms)
 
 
-def room_for_rows(n: int, bounded: Bounded | None = None) -> ImpulseRows:
+def room_for_rows(
+    n: int, bounded: Bounded | None = None, with_rolling: bool = False
+) -> ImpulseRows:
     """Room for n contacts."""
     first, second, entry = np.zeros((3, n), dtype=np.int64)
     frame, limits = np.zeros((n, N_COLUMNS)), np.zeros((n, _N_LIMITS))
     impulse, impact, old, direction = np.zeros((4, n, 3))
     order = np.zeros((n + (1 if bounded is None else 1 + bounded.kind.size), 2))
     arrays = first, second, entry, frame, limits, impulse, impact, old, direction, order
-    return ImpulseRows(*arrays, bounded)
+    widths = (2, 3, 3, 3, 3, 9) if with_rolling else ()
+    rolling = Rolling(*(np.zeros((n, width)) for width in widths)) if widths else None
+    return ImpulseRows(*arrays, bounded, rolling)
 
 
 def room_for_bounded(kind: Ints, first: Ints, second: Ints, members: list[Ints]) -> Bounded:

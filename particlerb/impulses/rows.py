@@ -196,14 +196,21 @@ def change_by(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
 
 
 @inline
-def _moved_along(partners: Partners, frame: Floats, c: int, a: int, b: int, along: Vec3) -> Vec3:
-    """What a unit impulse in contact c does to its velocity, along n, t₁, t₂."""
+def clear_moves(partners: Partners, a: int, b: int) -> None:
+    """No move of two partners, and of all that joints tie to them."""
     move, mechanisms = partners.move, partners.mechanisms
     for body in (a, b):
         for j in range(count_members(mechanisms, body)):
             put_column3(move, member(mechanisms, body, j), 0, ZERO)
             put_column3(move, member(mechanisms, body, j), 3, ZERO)
-    push_apart(move, partners.inverse, mechanisms, frame, c, a, b, along)
+
+
+@inline
+def _moved_along(partners: Partners, frame: Floats, c: int, a: int, b: int, along: Vec3) -> Vec3:
+    """What a unit impulse in contact c does to its velocity, along n, t₁, t₂."""
+    move = partners.move
+    clear_moves(partners, a, b)
+    push_apart(move, partners.inverse, partners.mechanisms, frame, c, a, b, along)
     return in_frame(frame, c, velocity_between(move, frame, c, a, b))
 
 

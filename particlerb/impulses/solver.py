@@ -52,6 +52,14 @@ from particlerb.impulses.records import (
     Impulses,
     Partners,
 )
+from particlerb.impulses.rolling import (
+    begin_rolling,
+    give_rolling,
+    miss_of_rolling,
+    mix_rolling,
+    size_of_rolling,
+    sweep_rolling,
+)
 from particlerb.impulses.rows import approach, change_by, column3, give, in_frame, put_column3
 from particlerb.maths.vec3 import Vec3, dot, subtract
 
@@ -89,6 +97,7 @@ def _begin_where_it_ended(impulses: Impulses, bounded: Bounded | None) -> None:
         x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
         put_column3(rows.impulse, k, 0, (n, x, y))
         change_by(partners, rows, k, (n, x, y))
+    begin_rolling(rows.rolling, partners, rows, count[0])
     if bounded is not None:
         begin_bounded(bounded, partners.velocity)
 
@@ -114,6 +123,7 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
             put_column3(impulse, k, 0, (n, x, y))
             change_by(partners, rows, k, change)
         changed += square
+    changed += sweep_rolling(rows.rolling, partners, rows, count)
     if bounded is not None:
         changed += sweep_bounded(bounded, partners.velocity)
     return changed
@@ -159,6 +169,8 @@ def residual(
         off += square
         left += rows.frame[k, INVERSE] ** 2 * square
         size += dot(r, r)
+    more, as_speed = miss_of_rolling(rows.rolling, partners, rows, count)
+    off, left, size = off + more, left + as_speed, size + size_of_rolling(rows.rolling, rows, count)
     if bounded is not None:
         more, as_speed = miss_of_bounded(bounded, partners.velocity)
         off, left, size = off + more, left + as_speed, size + size_of_bounded(bounded)
@@ -181,6 +193,7 @@ def _mix(
             change_by(partners, rows, k, on)
         for i in range(3):
             direction[k, i] = on[i] + change[i]
+    mix_rolling(rows.rolling, partners, rows, count, beta, is_last)
     if bounded is not None:
         mix_bounded(bounded, partners.velocity, beta, is_last)
 
@@ -216,6 +229,7 @@ def _size(rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float) 
     for k in range(count):
         r = column3(rows.impulse, k, 0)
         size += dot(r, r)
+    size += size_of_rolling(rows.rolling, rows, count)
     if bounded is not None:
         size += size_of_bounded(bounded)
     return max(math.sqrt(size), floor)
@@ -261,6 +275,7 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float) -> None:
             found = _sweeps(impulses, bounded, most, floor, speed)
     for k in range(m):
         give(partners, rows, k, column3(rows.impulse, k, 0))
+    give_rolling(rows.rolling, partners, rows, m)
     if bounded is not None:
         give_bounded(bounded, partners.given)
     tally[STEPS] += 1.0

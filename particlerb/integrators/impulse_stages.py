@@ -27,6 +27,7 @@ from particlerb.impulses.records import (
     Mechanisms,
     Partners,
 )
+from particlerb.impulses.rolling import write_rolling
 from particlerb.impulses.rows import approach, column3, put_column3
 from particlerb.impulses.solver import leave_out_what_will_bounce, solve
 from particlerb.integrators.contact_stages import place_within_step
@@ -193,6 +194,8 @@ def bounce(
         _gather_walls(contact, impulses.partners)
         find_impulse_contacts(setup, workspace, contact.lists, impulses, extremes, dt)
         _let_joints_hold(jointed, impulses.partners.mechanisms, impulses, dt)
+        rows = impulses.rows
+        write_rolling(rows.rolling, impulses.partners, rows, impulses.filled[0])
         take_impacts(impulses, impulses.rows.bounded)
         _apply_given(impulses, blocks, layout)
     meet(team)

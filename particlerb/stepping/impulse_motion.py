@@ -40,7 +40,7 @@ class ImpulseMotion(ContactMotion):
         nothing = np.zeros(0, dtype=np.int64)
         newton = room_for_newton(np.zeros(0, dtype=np.bool_), nothing, nothing, 0)
         bounded = None if joints is None or mechanisms is None else bounded_of(joints, mechanisms)
-        rows = room_for_rows(0, bounded)
+        rows = room_for_rows(0, bounded, setup.model.law.rolling is not None)
         return Impulses(setup.rules, partners, rows, count, np.zeros(TALLY), newton)
 
     def make_lists(self) -> None:
@@ -73,7 +73,8 @@ class ImpulseMotion(ContactMotion):
         n, impulses = lists.spheres.first.size + lists.walls.first.size, workspace.impulses
         assert impulses is not None
         if n > impulses.rows.first.size:
-            rows = room_for_rows(int(_GROWTH * n), impulses.rows.bounded)
+            bounded, with_rolling = impulses.rows.bounded, impulses.rows.rolling is not None
+            rows = room_for_rows(int(_GROWTH * n), bounded, with_rolling)
             impulses = impulses._replace(rows=rows)
         if impulses.rules.newton:
             owner, (first, second, *_) = setup.model.spheres.body, lists.spheres

@@ -219,8 +219,8 @@ def touching(dice: random.Random, case: Table) -> None:
     if law == "hooke":
         case["contact"]["stiffness"] = 2e3
         case["run"] |= {"t_end": 0.05, "every": 0.05}
-        if dice.random() < 0.2:
-            case["contact"]["rolling_friction"] = 0.1
+    if law != "events" and dice.random() < 0.2:
+        case["contact"]["rolling_friction"] = 0.1
     for body in case["body"]:
         if body["shape"]["type"] in ("moments", "box") and dice.random() < 0.5:
             body["shape"] = copy.deepcopy(CLUMP)

@@ -205,7 +205,7 @@ MESH = {"type": "mesh", "name": "mesh", "file": "a.stl"}
 REFUSED = [
     ({"contact": events(0.0)}, "contact.restitution: bodies that do not part again"),
     ({"contact": events(stiffness=1e5)}, "contact.stiffness: impulses have no stiffness"),
-    ({"contact": events(rolling_friction=0.1)}, "contact.rolling_friction: impulses do not"),
+    ({"contact": events(rolling_friction=0.1)}, "impacts at an instant do not resist"),
     ({"contact": events(relax=True)}, "contact.relax: collisions by events have no use for it"),
     ({"contact": events(overlap=0.1)}, "contact.overlap: collisions by events begin without"),
     ({"contact": events(skin=0.1)}, "contact.skin: collisions by events have no use for it"),

@@ -12,7 +12,6 @@ SPRING = {"type": "spring", "body": "ball", "stiffness": 10.0, "at": [0, 0, 0],
           "anchor": [0, 0, 1]}  # fmt: skip
 REFUSED = [
     ({"contact": impulse(stiffness=1e5)}, "contact.stiffness: impulses have no stiffness"),
-    ({"contact": impulse(rolling_friction=0.1)}, "contact.rolling_friction: impulses do not"),
     ({"contact": impulse(attract=True)}, "contact.attract: impulses have neither"),
     ({"contact": HOOKE | {"slop": 0.1}}, 'contact.slop: is for impulses'),
     ({"contact": HOOKE | {"solver": "newton"}}, 'contact.solver: is for impulses'),

@@ -1,0 +1,243 @@
+"""Resistance to rolling: angular impulses of contacts along their tangents.
+
+Where two roll on each other with ω across the normal, the angular impulse m on the first is
+opposite to ω, or ends it, and at most μ_r R* times the normal impulse in size:
+
+    m = P(m - ω / λ),   P the projection onto the disc of radius μ_r R* r_n
+
+λ is the largest inverse inertia across the normal. In sums beside contacts m counts by λ / W_nn, so
+that one of N m s is as large as one of N s with the same energy. About the normal nothing resists.
+Where no material resists rolling, nothing of this is compiled.
+
+Source: Ai, Chen, Rotter and Ooi, Powder Technology 206, 269 (2011), the bound.
+"""
+
+import math
+from typing import Final
+
+from particlerb.compiled.jit import inline
+from particlerb.impulses.cone import on_disc
+from particlerb.impulses.records import INVERSE, ZERO, ImpulseRows, Partners, Rolling
+from particlerb.impulses.rows import (
+    clear_moves,
+    column3,
+    in_frame,
+    in_world,
+    push,
+    put_column3,
+)
+from particlerb.maths.vec3 import Floats, Vec3, add, dot, scale, subtract
+
+_LOCKED: Final = 1e-9  # of the inverse inertia without joints: below it these hold all
+
+
+@inline
+def turning(velocity: Floats, rows: ImpulseRows, k: int) -> Vec3:
+    """Relative angular velocity [rad/s] of contact k along t₁, t₂, behind a 0."""
+    a, b = rows.first[k], rows.second[k]
+    between = subtract(column3(velocity, a, 3), column3(velocity, b, 3))
+    omega = in_frame(rows.frame, k, between)
+    return 0.0, omega[1], omega[2]
+
+
+@inline
+def _turn(partners: Partners, velocity: Floats, rows: ImpulseRows, k: int, m: Vec3) -> None:
+    """Change velocities by the angular impulse m of contact k."""
+    along, inverse, mechanisms = in_world(rows.frame, k, m), partners.inverse, partners.mechanisms
+    push(velocity, inverse, mechanisms, rows.first[k], ZERO, along)
+    push(velocity, inverse, mechanisms, rows.second[k], ZERO, scale(-1.0, along))
+
+
+@inline
+def _give(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> None:
+    """Give angular momenta."""
+    along, given, a, b = in_world(rows.frame, k, m), partners.given, rows.first[k], rows.second[k]
+    put_column3(given, a, 3, add(column3(given, a, 3), along))
+    put_column3(given, b, 3, subtract(column3(given, b, 3), along))
+
+
+@inline
+def on_the_disc(rolling: Rolling, k: int, m: Vec3, n: float) -> Vec3:
+    """m, or the nearest that a normal impulse n lets be."""
+    x, y = on_disc(m[1], m[2], rolling.limit[k, 0] * n)
+    return 0.0, x, y
+
+
+@inline
+def _nearest(rolling: Rolling, partners: Partners, rows: ImpulseRows, k: int) -> Vec3:
+    """P of contact k with the velocities of now."""
+    share = -1.0 / rolling.limit[k, 1]
+    step = scale(share, turning(partners.velocity, rows, k))
+    return on_the_disc(rolling, k, add(column3(rolling.impulse, k, 0), step), rows.impulse[k, 0])
+
+
+@inline
+def square_of(rolling: Rolling, rows: ImpulseRows, k: int, m: Vec3) -> float:
+    """What m counts beside impulses [(N s)²]."""
+    square: float = rolling.limit[k, 1] / rows.frame[k, INVERSE] * dot(m, m)
+    return square
+
+
+@inline
+def write_rolling(
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+) -> None:
+    """Write λ of all contacts, whose frames are known; what joints hold is not resisted."""
+    if rolling is None:
+        return
+    for k in range(count):
+        a, b, inverse = rows.first[k], rows.second[k], partners.inverse
+        clear_moves(partners, a, b)
+        _turn(partners, partners.move, rows, k, (0.0, 1.0, 0.0))
+        one = turning(partners.move, rows, k)
+        clear_moves(partners, a, b)
+        _turn(partners, partners.move, rows, k, (0.0, 0.0, 1.0))
+        two = turning(partners.move, rows, k)
+        half = 0.5 * (one[1] - two[2])
+        largest = 0.5 * (one[1] + two[2]) + math.sqrt(half * half + one[2] * one[2])
+        free = inverse[a, 1] + inverse[a, 4] + inverse[a, 6]
+        free += inverse[b, 1] + inverse[b, 4] + inverse[b, 6]
+        rolling.limit[k, 1] = largest
+        if largest <= _LOCKED * free:
+            rolling.limit[k, 0], rolling.limit[k, 1] = 0.0, 1.0
+
+
+@inline
+def bounce_rolling(
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, k: int, n: float
+) -> None:
+    """Resist rolling in an impact of contact k with the normal impulse n."""
+    if rolling is None:
+        return
+    step = scale(-1.0 / rolling.limit[k, 1], turning(partners.velocity, rows, k))
+    m = on_the_disc(rolling, k, step, n)
+    _turn(partners, partners.velocity, rows, k, m)
+    _give(partners, rows, k, m)
+    put_column3(rolling.impact, k, 0, add(column3(rolling.impact, k, 0), m))
+
+
+# What the solver does with them
+
+
+@inline
+def begin_rolling(
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+) -> None:
+    """Take the angular impulses of the step before, in the frames of now and within the discs."""
+    if rolling is None:
+        return
+    for k in range(count):
+        m = in_frame(rows.frame, k, column3(rolling.impulse, k, 0))
+        m = on_the_disc(rolling, k, m, rows.impulse[k, 0])
+        put_column3(rolling.impulse, k, 0, m)
+        _turn(partners, partners.velocity, rows, k, m)
+
+
+@inline
+def sweep_rolling(
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+) -> float:
+    """One step of each contact; the sum of all squared changes [(N s)²]."""
+    changed = 0.0
+    if rolling is None:
+        return changed
+    for k in range(count):
+        old = column3(rolling.impulse, k, 0)
+        put_column3(rolling.old, k, 0, old)
+        m = _nearest(rolling, partners, rows, k)
+        change = subtract(m, old)
+        square = square_of(rolling, rows, k, change)
+        if square > 0.0:
+            put_column3(rolling.impulse, k, 0, m)
+            _turn(partners, partners.velocity, rows, k, change)
+        changed += square
+    return changed
+
+
+@inline
+def mix_rolling(
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int, beta: float,
+    is_last: bool,
+) -> None:  # fmt: skip
+    """Go on along the direction of before: see `solver`."""
+    if rolling is None:
+        return
+    impulse, direction = rolling.impulse, rolling.direction
+    for k in range(count):
+        change = subtract(column3(impulse, k, 0), column3(rolling.old, k, 0))
+        on = scale(beta, column3(direction, k, 0))
+        if not is_last and dot(on, on) > 0.0:
+            put_column3(impulse, k, 0, add(column3(impulse, k, 0), on))
+            _turn(partners, partners.velocity, rows, k, on)
+        put_column3(direction, k, 0, add(on, change))
+
+
+@inline
+def miss_of_rolling(
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+) -> tuple[float, float]:
+    """Squares of how far these are from a solution [(N s)², (m/s)²]."""
+    off, left = 0.0, 0.0
+    if rolling is None:
+        return off, left
+    for k in range(count):
+        miss = subtract(column3(rolling.impulse, k, 0), _nearest(rolling, partners, rows, k))
+        square = square_of(rolling, rows, k, miss)
+        off += square
+        left += rows.frame[k, INVERSE] ** 2 * square
+    return off, left
+
+
+@inline
+def size_of_rolling(rolling: Rolling | None, rows: ImpulseRows, count: int) -> float:
+    """Square of the size of all of these [(N s)²]."""
+    size = 0.0
+    if rolling is None:
+        return size
+    for k in range(count):
+        size += square_of(rolling, rows, k, column3(rolling.impulse, k, 0))
+    return size
+
+
+@inline
+def push_by_rolling(
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+) -> None:
+    """Change velocities by all of these."""
+    if rolling is None:
+        return
+    for k in range(count):
+        _turn(partners, partners.velocity, rows, k, column3(rolling.impulse, k, 0))
+
+
+@inline
+def into_the_discs(rolling: Rolling | None, rows: ImpulseRows, count: int) -> None:
+    """Take away what the normal impulses of now do not let be."""
+    if rolling is None:
+        return
+    for k in range(count):
+        m = on_the_disc(rolling, k, column3(rolling.impulse, k, 0), rows.impulse[k, 0])
+        put_column3(rolling.impulse, k, 0, m)
+
+
+@inline
+def give_rolling(
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+) -> None:
+    """Give the angular momenta of all of these."""
+    if rolling is None:
+        return
+    for k in range(count):
+        _give(partners, rows, k, column3(rolling.impulse, k, 0))
+
+
+@inline
+def rolled(
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, k: int
+) -> tuple[Vec3, float]:
+    """Angular impulse of a step on the first of contact k, world axes, and its work [J]."""
+    if rolling is None:
+        return ZERO, 0.0
+    m = add(column3(rolling.impulse, k, 0), column3(rolling.impact, k, 0))
+    turned = add(turning(partners.before, rows, k), turning(partners.velocity, rows, k))
+    return in_world(rows.frame, k, m), 0.5 * dot(m, turned)

@@ -1,0 +1,92 @@
+"""Newton's method for resistance to rolling: its parts of what newton.py does for contacts.
+
+The disc is as wide as the normal impulse r_n makes it. So an angular impulse changes by
+
+    dm = -c - K dω + q dr_n
+
+with q across the edge of the disc where m is on it, and 0 inside.
+"""
+
+import math
+from typing import Final
+
+from particlerb.compiled.jit import inline
+from particlerb.impulses.records import ZERO, ImpulseRows, Partners, Rolling
+from particlerb.impulses.rolling import on_the_disc, square_of, turning
+from particlerb.impulses.rows import column3, in_world, put_column3
+from particlerb.maths.vec3 import Vec3, add, add_scaled, scale, subtract
+
+_C, _K, _Q = 0, 3, 6  # columns of `Rolling.slopes`: c; K_11, K_12, K_22; q
+_TINY: Final = 1e-300
+
+
+@inline
+def linearise_rolling(
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, k: int, small: float
+) -> float:
+    """Write c, K and q of contact k; the square of what it misses [(N s)²].
+
+    The slope of P is 1 inside; on the edge g along it, and none across.
+    """
+    if rolling is None:
+        return 0.0
+    slopes, m = rolling.slopes, column3(rolling.impulse, k, 0)
+    n, share, one = max(rows.impulse[k, 0], 0.0), 1.0 / rolling.limit[k, 1], 1.0 + small
+    z = add_scaled(-share, turning(partners.velocity, rows, k), m)
+    f = subtract(m, on_the_disc(rolling, k, z, n))
+    size, radius = max(math.sqrt(z[1] * z[1] + z[2] * z[2]), _TINY), rolling.limit[k, 0] * n
+    if size <= radius:
+        put_column3(slopes, k, _C, scale(1.0 / small, f))
+        put_column3(slopes, k, _K, (share / small, 0.0, share / small))
+        put_column3(slopes, k, _Q, ZERO)
+    else:
+        x, y, g = z[1] / size, z[2] / size, radius / size
+        along = (f[2] * x - f[1] * y) / (one - g)
+        out, stiff = (f[1] * x + f[2] * y) / one, share * g / (one - g)
+        put_column3(slopes, k, _C, (0.0, out * x - along * y, out * y + along * x))
+        put_column3(slopes, k, _K, (stiff * y * y, -stiff * x * y, stiff * x * x))
+        put_column3(slopes, k, _Q, scale(rolling.limit[k, 0] / one, (0.0, x, y)))
+    return square_of(rolling, rows, k, f)
+
+
+@inline
+def _change(rolling: Rolling, k: int, omega: Vec3, dn: float) -> Vec3:
+    """K dω - q dr_n of contact k, with dω along t₁, t₂ behind a 0."""
+    k11, k12, k22 = column3(rolling.slopes, k, _K)
+    by = (0.0, k11 * omega[1] + k12 * omega[2], k12 * omega[1] + k22 * omega[2])
+    return add_scaled(-dn, column3(rolling.slopes, k, _Q), by)
+
+
+@inline
+def rolling_by(rolling: Rolling | None, rows: ImpulseRows, k: int, omega: Vec3, dn: float) -> Vec3:
+    """K dω - q dr_n of contact k in world axes, with dω in its frame."""
+    if rolling is None:
+        return ZERO
+    return in_world(rows.frame, k, _change(rolling, k, omega, dn))
+
+
+@inline
+def rolling_c(rolling: Rolling | None, rows: ImpulseRows, k: int, dn: float) -> Vec3:
+    """-c + q dr_n of contact k in world axes."""
+    if rolling is None:
+        return ZERO
+    c, q = column3(rolling.slopes, k, _C), column3(rolling.slopes, k, _Q)
+    return in_world(rows.frame, k, subtract(scale(dn, q), c))
+
+
+@inline
+def solve_rolling(rolling: Rolling | None, partners: Partners, rows: ImpulseRows, k: int) -> None:
+    """Find the step of contact k from the moves of its partners and the step of its impulse."""
+    if rolling is None:
+        return
+    by = _change(rolling, k, turning(partners.move, rows, k), rows.direction[k, 0])
+    put_column3(rolling.direction, k, 0, scale(-1.0, add(column3(rolling.slopes, k, _C), by)))
+    put_column3(rolling.old, k, 0, column3(rolling.impulse, k, 0))
+
+
+@inline
+def step_rolling(rolling: Rolling | None, k: int, share: float) -> None:
+    """Take a share of that step; with 0, go back to where it began."""
+    if rolling is not None:
+        m = add_scaled(share, column3(rolling.direction, k, 0), column3(rolling.old, k, 0))
+        put_column3(rolling.impulse, k, 0, m)

@@ -1,0 +1,161 @@
+"""Resistance to rolling with impulses: closed forms with the torque μ_r R* F_n, momenta, energy."""
+
+import math
+
+import numpy as np
+import pytest
+from impulse_scenes import DOWN, G, R, case, clump, errors, exact, go, impulse, plane, sphere
+
+import particlerb
+
+I = 0.4 * 2.0 * R * R  # noqa: E741 - of a ball of 2 kg
+
+FIELDS = ["orientation", "linear_momentum", "angular_momentum", "wall_force", "wall_torque"]
+
+plain = pytest.mark.plain
+
+
+def tilted(angle):
+    """Gravity over a slope [rad] down x."""
+    return {"acceleration": [G * math.sin(angle), 0.0, -G * math.cos(angle)]}
+
+
+def test_a_rolling_ball_slows_down_by_five_sevenths_of_the_coefficient():
+    """(m + I/R²) v̇ = -μ_r m g: friction of the floor speeds up what the torque turns too slowly."""
+    ball = sphere(position=[0, 0, R], velocity=[0.6, 0.8, 0], angular_velocity=[-8.0, 6.0, 0])
+    t = go(ball, contact=exact(0.0, 0.5, rolling_friction=0.1), wall=[plane()], gravity=DOWN,
+           dt=5e-3, t_end=2.0, every=0.25)  # fmt: skip
+    speed = np.maximum(1.0 - 5.0 / 7.0 * 0.1 * G * t.time, 0.0)
+    v, omega = t.velocity[:, 0], t.angular_velocity[:, 0]
+    assert np.abs(v - np.outer(speed, [0.6, 0.8, 0.0])).max() < 1e-12
+    assert np.abs(omega - np.outer(speed / R, [-0.8, 0.6, 0.0])).max() < 1e-11
+    assert speed[-2] == 0.0 < speed[4]
+    assert max(errors(t)) < 1e-12
+    assert (np.diff(t.energy) <= 1e-12).all()
+
+
+@plain
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_a_ball_rolls_from_the_angle_of_rolling_friction_on(share):
+    angle = math.atan(0.1 * share)
+    t = go(sphere(position=[0, 0, R]), contact=exact(0.0, 0.5, rolling_friction=0.1),
+           wall=[plane()], gravity=tilted(angle), dt=5e-3, t_end=1.0, every=0.25)  # fmt: skip
+    speed = 5.0 / 7.0 * G * max(0.0, math.sin(angle) - 0.1 * math.cos(angle))
+    assert t.velocity[-1, 0] == pytest.approx([speed, 0.0, 0.0], abs=1e-11)
+    assert max(errors(t)) < 1e-12
+
+
+@plain
+def test_a_ball_that_spins_in_place_stops_at_the_known_time():
+    ball = sphere(position=[0, 0, R], angular_velocity=[3.0, -4.0, 2.0])
+    t = go(ball, contact=exact(0.0, 0.0, rolling_friction=0.2), wall=[plane()], gravity=DOWN,
+           dt=5e-3, t_end=0.2, every=0.01, output={"fields": FIELDS})  # fmt: skip
+    slower = 0.2 * R * 2.0 * G / I
+    spin = np.maximum(5.0 - slower * t.time, 0.0)
+    assert np.abs(t.angular_velocity[:, 0, :2] - np.outer(spin, [0.6, -0.8])).max() < 1e-12
+    assert np.abs(t.angular_velocity[:, 0, 2] - 2.0).max() < 1e-14  # about the normal it spins on
+    assert spin[5] > 0.0 == spin[-1]
+    torque = 0.2 * R * 2.0 * G
+    assert t.wall_torque[5, 0] == pytest.approx([0.6 * torque, -0.8 * torque, 0.0], abs=1e-12)
+    assert max(errors(t)) < 1e-13
+
+
+@plain
+def test_two_balls_resist_by_their_common_radius():
+    """Pressed in free space: the torque μ_r R* F on both, R* = R₁R₂/(R₁ + R₂)."""
+    one = sphere("one", position=[0, 0, 0], angular_velocity=[0, 5.0, 0])
+    two = sphere("two", radius=0.3, position=[0.4, 0, 0], angular_velocity=[0, -1.0, 0])
+    force = [{"type": "push", "body": name, "force": [f, 0, 0]}
+             for name, f in (("one", 20.0), ("two", -20.0))]  # fmt: skip
+    t = go(one, two, contact=exact(0.0, 0.0, rolling_friction=0.2), force=force, dt=5e-3,
+           t_end=0.1, every=0.1)  # fmt: skip
+    torque, inertia = 0.2 * 0.075 * 20.0, np.array([I, 9.0 * I])
+    omega = np.array([5.0, -1.0]) + np.array([-1.0, 1.0]) * torque * 0.1 / inertia
+    assert t.angular_velocity[-1, :, 1] == pytest.approx(omega, abs=1e-12)
+    assert max(errors(t)[1:]) < 1e-13
+
+
+@plain
+def test_an_impact_resists_by_its_own_impulse():
+    ball = sphere(position=[0, 0, R], velocity=[0, 0, -2.0], angular_velocity=[0, 30.0, 0])
+    t = go(ball, contact=impulse(0.5, 0.0, rolling_friction=0.1), wall=[plane()], dt=5e-3,
+           t_end=0.1, every=0.05)  # fmt: skip
+    left = 30.0 - 0.1 * R * 2.0 * 1.5 * 2.0 / I
+    assert t.angular_velocity[-1, 0] == pytest.approx([0.0, left, 0.0], abs=1e-12)
+    assert t.velocity[-1, 0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-14)
+    assert max(errors(t)) < 1e-13
+
+
+@plain
+@pytest.mark.parametrize("restitution", [0.0, 0.8])
+def test_clumps_that_meet_keep_their_momenta_and_gain_no_energy(restitution):
+    rng = np.random.default_rng(5)
+    bodies = [
+        clump(f"c{i}", position=x.tolist(), velocity=(-1.5 * x).tolist(),
+              angular_velocity=rng.uniform(-3.0, 3.0, 3).tolist(), orientation=q.tolist())
+        for i, (x, q) in enumerate(zip(
+            0.75 * np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]),
+            rng.normal(size=(8, 4)), strict=True))
+    ]  # fmt: skip
+    contact = impulse(restitution, 0.5, rolling_friction=0.5, tolerance=1e-8, iterations=300,
+                      push_out=0.0)  # fmt: skip
+    t = go(*bodies, contact=contact, dt=4e-3, t_end=0.8, every=4e-3)
+    P, L = t.observable("linear_momentum"), t.observable("angular_momentum")
+    assert np.abs(P - P[0]).max() < 1e-13
+    assert np.abs(L - L[0]).max() < 1e-13
+    assert (np.diff(t.energy) <= 1e-13 * t.energy[0]).all()
+    assert t.energy[-1] < 0.9 * t.energy[0]
+    assert errors(t)[0] < 1e-12
+
+
+@plain
+def test_a_wheel_on_an_arm_is_resisted_by_what_it_carries():
+    """The arm of 1 kg rests on a hinge at one end, and on the wheel at the other."""
+    arm = clump("arm", position=[-0.25, 0, R], contact=False)
+    wheel = sphere("wheel", position=[0, 0, R], angular_velocity=[0, 40.0, 0])
+    hinge = {"type": "hinge", "axis": [0, 1, 0]}
+    joints = [hinge | {"body": "arm", "at": [-0.5, 0, R]},
+              hinge | {"body": "wheel", "to": "arm", "at": [0, 0, R]}]  # fmt: skip
+    t = go(arm, wheel, contact=exact(0.0, 0.0, rolling_friction=0.2), joint=joints,
+           wall=[plane()], gravity=DOWN, dt=5e-3, t_end=0.2, every=0.05)  # fmt: skip
+    slower = 0.2 * R * (2.0 + 0.5) * G / I
+    assert np.abs(t.angular_velocity[:, 1, 1] - 40.0 + slower * t.time).max() < 1e-9
+    assert errors(t)[0] < 1e-11
+
+
+@plain
+def test_what_a_driven_body_does_by_turning_is_booked():
+    wheel = sphere("wheel", radius=0.3, position=[0, 0, 0])
+    wheel["motion"] = {"angular_velocity": [0, 2.0, 0]}
+    ball = sphere(position=[0, 0, 0.4])
+    t = go(wheel, ball, contact=exact(0.0, 0.3, rolling_friction=0.3), gravity=DOWN, dt=5e-3,
+           t_end=0.1, every=0.05)  # fmt: skip
+    assert t.angular_velocity[-1, 1, 1] != 0.0
+    assert max(errors(t)) < 1e-12
+
+
+@plain
+def test_a_run_that_is_resumed_has_the_same_bits_and_does_not_see_its_frames(tmp_path):
+    """One sweep a step needs the torques of before."""
+    boxes = [clump(f"b{i}", position=[0, 0, 2 * R + 4 * R * i]) for i in range(3)]
+    contact = impulse(0.2, 0.5, rolling_friction=0.3, iterations=1, solver="sweeps")
+    keys = {"contact": contact, "wall": [plane()], "gravity": tilted(0.2), "dt": 5e-3}
+    whole = particlerb.run(case(*boxes, t_end=0.2, every=0.02, **keys))
+    path = tmp_path / "part.h5"
+    particlerb.run(case(*boxes, t_end=0.1, every=0.02, **keys), path).close()
+    with particlerb.resume(path, t_end=0.2) as t:
+        assert (t.angular_momentum == whole.angular_momentum).all()
+        assert (t.observable("energy_error") == whole.observable("energy_error")).all()
+    often = particlerb.run(case(*boxes, t_end=0.2, every=4e-3, **keys))
+    assert (often.angular_momentum[::5] == whole.angular_momentum).all()
+
+
+@plain
+def test_newtons_method_solves_balls_that_rolling_friction_holds_in_a_tower():
+    """On a slope: each carries a moment of those above it. After one sweep, and with no more."""
+    balls = [sphere(f"b{i}", position=[0, 0, R + 2 * R * i]) for i in range(4)]
+    contact = impulse(0.0, 0.8, rolling_friction=0.9, tolerance=1e-11, iterations=1)
+    t = go(*balls, contact=contact, wall=[plane()], gravity=tilted(0.02), dt=5e-3, t_end=0.2,
+           every=0.05)  # fmt: skip
+    assert t.observable("impulse_residual").max() <= 1e-11
+    assert np.abs(t.position[-1] - t.position[0]).max() < 1e-11
