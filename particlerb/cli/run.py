@@ -48,6 +48,7 @@ from particlerb.simulation.whole_run import Prepared, RunError
 
 _LONGEST_ENDING: Final = 10  # lines that a run ends with
 _BROKEN: Final = 3  # joints that are named
+_UNSOLVED: Final = 1.0  # residual of impulses that are no better than none
 
 
 def prepared_case(options: argparse.Namespace) -> Prepared:
@@ -328,8 +329,8 @@ def event_text(tally: Floats) -> str:
 
 
 def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
-    """Warnings about contacts of a body that are too stiff together, and about a tree that errs."""
-    found, limit, tree = [], stable_turn(prepared.plan), outcome.tree
+    """Warnings about what a run has seen: stiff contacts, a tree that errs, missing impulses."""
+    found, limit, tree, tally = [], stable_turn(prepared.plan), outcome.tree, outcome.tally
     if outcome.swing > limit:
         found.append(
             "particlerb: warning: all contacts of a body together reached"
@@ -342,6 +343,13 @@ def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
             f"particlerb: warning: the error of the tree of the attraction reached {tree.seen:.2g},"
             f" above the requested {tree.asked:.2g}: the scene has changed since its opening angle"
             f" was chosen; set attraction.opening_angle = {angle:.2g}"
+        )
+    if tally is not None and tally[records.WORST_EVER] >= _UNSOLVED:
+        found.append(
+            "particlerb: warning: impulses of contacts were not found: the residual reached"
+            f" {tally[records.WORST_EVER]:.2g} at t = {tally[records.WORST_TIME]:.6g} s, and where"
+            " it is 1 they are no better than none; take more contact.iterations or"
+            ' contact.solver = "newton"'
         )
     return found
 

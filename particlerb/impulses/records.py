@@ -75,7 +75,8 @@ CROSSINGS: Final = 22  # of bodies into other cells
 RENEWED: Final = 23  # events whose partner had hit another body before
 GROSS_WORK: Final = 24  # [J]
 MOTOR_WORK: Final = 25  # [J] of motors with a largest torque or force
-TALLY: Final = 26
+WORST_TIME: Final = 26  # [s] of WORST_EVER
+TALLY: Final = 27
 
 LEAST_CELLS: Final = 4  # along a side of a periodic box: two bodies meet in one image alone
 NEVER: Final = -1e300  # [m/s] least velocity of a contact that is left out of a solve

@@ -46,6 +46,7 @@ from particlerb.impulses.records import (
     UNMET,
     WORST,
     WORST_EVER,
+    WORST_TIME,
     ZERO,
     Bounded,
     ImpulseRows,
@@ -236,7 +237,7 @@ def _size(rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float) 
 
 
 @kernel
-def solve(impulses: Impulses, bounded: Bounded | None, moved: float) -> None:
+def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float) -> None:
     """Find all impulses, and give momenta.
 
     Parameters
@@ -247,6 +248,8 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float) -> None:
         What acts in joints within bounds.
     moved : float [N s]
         Sum of the sizes of all impulses of the kick.
+    time : float [s]
+        Of the middle of the step.
     """
     rules, partners, rows, count, tally, newton = impulses
     m = count[0]
@@ -283,4 +286,5 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float) -> None:
     tally[UNMET] += 1.0 if found > rules.tolerance else 0.0
     tally[RESIDUAL] = found
     tally[WORST] = max(tally[WORST], found)
-    tally[WORST_EVER] = max(tally[WORST_EVER], found)
+    if found > tally[WORST_EVER]:
+        tally[WORST_EVER], tally[WORST_TIME] = found, time

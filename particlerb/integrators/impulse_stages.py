@@ -374,7 +374,8 @@ def press(
         partners, bounded = impulses.partners, impulses.rows.bounded
         moved = _size_of_kick(contact, partners)
         leave_out_what_will_bounce(impulses, bounded)
-        solve(impulses, bounded, moved)
+        time = contact.memory.start + contact.workspace.step_start.time[0] + 0.5 * dt
+        solve(impulses, bounded, moved, time)
         _apply_given(impulses, blocks, layout)
         book_impulses(impulses, bounded)
         _book_bodies(contact, impulses, books, blocks, layout)

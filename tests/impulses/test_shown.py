@@ -7,6 +7,7 @@ from impulse_scenes import DOWN, G, R, case, clump, impulse, plane, sphere
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
+from particlerb.cli.run import run_warnings
 from particlerb.simulation.checks import results
 from particlerb.simulation.run import prepare, run_prepared
 
@@ -80,3 +81,26 @@ def test_a_check_of_impulses_is_refused_where_it_asks_for_nothing(keys, words):
     with pytest.raises(CaseError) as error:
         to_system(scene | {"check": {"value": [asked]}})
     assert words in str(error.value)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("solver", ["sweeps", "newton"])
+def test_a_run_whose_impulses_were_not_found_says_so_with_the_time(solver):
+    """A light ball under a heavy one, which comes after another segment has begun."""
+    light, heavy = sphere("light", position=[0, 0, R]), sphere("heavy", position=[0, 0, 3.2 * R])
+    heavy["mass"] = 2e4
+    push = {"type": "push", "body": "light", "force": [0, 0, -1e-9], "during": [0.02, 0.04]}
+    scene = case(light, heavy, contact=impulse(solver=solver), wall=[plane()], gravity=DOWN,
+                 force=[push], dt=5e-3, t_end=0.1, every=5e-3)  # fmt: skip
+    prepared = prepare(to_system(scene))
+    told = run_warnings(prepared, run_prepared(prepared, None))
+    t = particlerb.run(scene)
+    residual = t.observable("impulse_residual")
+    if solver == "newton":
+        assert told == []
+        assert residual.max() <= 1e-3
+    else:
+        time = t.time[residual.argmax()] - 2.5e-3
+        assert len(told) == 1
+        assert f"the residual reached {residual.max():.2g} at t = {time:.6g} s" in told[0]
+        assert 'contact.iterations or contact.solver = "newton"' in told[0]
