@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from particlerb.compiled.jit import Flag
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3
 
 # Columns of `Rows.frame`
@@ -132,6 +133,7 @@ class Partners(NamedTuple):
     given: Floats  # (.., 6) [N s, N m s] impulse and angular impulse
     booked: Floats  # (.., 8) work, impulse, angular impulse of a step, gross work
     mechanisms: Mechanisms | None  # None: no joint holds any
+    keeps_kick: Flag  # whether forces without potential act where there are no joints
 
 
 class Bounded(NamedTuple):
@@ -198,13 +200,15 @@ class Impulses(NamedTuple):
     newton: Newton
 
 
-def room_for_partners(n: int, mechanisms: Mechanisms | None = None) -> Partners:
+def room_for_partners(
+    n: int, mechanisms: Mechanisms | None = None, keeps_kick: Flag = None
+) -> Partners:
     """Room for n bodies and walls."""
     velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 6, 6, 7, 6))
     place, reach, given, booked = (np.zeros((n, width)) for width in (3, 1, 6, 8))
     has_moved = np.zeros(n, dtype=np.bool_)
     arrays = velocity, before, free, inverse, move, has_moved, place, reach, given, booked
-    return Partners(*arrays, mechanisms)
+    return Partners(*arrays, mechanisms, keeps_kick)
 
 
 def room_for_rows(

@@ -253,12 +253,12 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
     """
     rules, partners, rows, count, tally, newton = impulses
     m = count[0]
-    if m == 0 and bounded is None:
-        tally[RESIDUAL] = 0.0
-        return
     for b in range(partners.free.shape[0]):
         for i in range(6):
             partners.free[b, i] = partners.velocity[b, i]
+    if m == 0 and bounded is None:
+        tally[RESIDUAL] = 0.0
+        return
     speed = _speed(partners, rows, bounded, m)
     _begin_where_it_ended(impulses, bounded)
     floor, most, is_done = _FLOOR * moved, rules.iterations, newton.change.size == 0

@@ -12,7 +12,6 @@ from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.impulse_contacts import find_impulse_contacts, keep_impulses
 from particlerb.contact.records import row3
 from particlerb.forces.kernels import Acting, kick_potential, shift_time
-from particlerb.forces.registry import STAGE
 from particlerb.impulses.bookkeeping import book_impulses
 from particlerb.impulses.bounded import keep_bounded
 from particlerb.impulses.impacts import take_impacts
@@ -32,11 +31,16 @@ from particlerb.impulses.rows import approach, column3, put_column3
 from particlerb.impulses.solver import leave_out_what_will_bounce, solve
 from particlerb.integrators.contact_stages import place_within_step
 from particlerb.integrators.external_work import book
-from particlerb.integrators.joint_stages import book_work
+from particlerb.integrators.impulse_booking import (
+    book_among_joints,
+    book_bodies,
+    book_kick,
+    keep_momenta,
+)
 from particlerb.integrators.pair_stages import Layout, OwnBlocks
-from particlerb.joints.records import HOLDS, Jointed
+from particlerb.joints.records import Jointed
 from particlerb.joints.responses import find_responses, move_to_joints
-from particlerb.joints.rows import put_pose, vector
+from particlerb.joints.rows import put_pose
 from particlerb.maths.quaternion import (
     Matrix,
     Quat,
@@ -198,6 +202,7 @@ def bounce(
         write_rolling(rows.rolling, impulses.partners, rows, impulses.filled[0])
         take_impacts(impulses, impulses.rows.bounded)
         _apply_given(impulses, blocks, layout)
+        keep_momenta(impulses.partners.keeps_kick, blocks, layout)
     meet(team)
 
 
@@ -255,21 +260,6 @@ def _move(acting: Acting, books: Flag, rows: Floats, i: int, dx: Vec3, turn: Vec
 
 
 @inline
-def _book_bodies(
-    contact: MovingContact, impulses: Impulses, books: Flag, blocks: Floats, layout: Layout
-) -> None:
-    """Book what impulses have done to each body."""
-    booked, gross = impulses.partners.booked, contact.workspace.gross_work
-    for k in range(layout.first.size):
-        lo = layout.first[k]
-        for i in range(layout.size[k]):
-            b = lo + i
-            entry = booked[b, 0], column3(booked, b, 1), column3(booked, b, 4)
-            book(books, blocks[k], i, 1.0, entry)
-            gross[b] += booked[b, 7]
-
-
-@inline
 def _move_bodies(
     contact: MovingContact, jointed: Jointed | None, impulses: Impulses, acting: Acting,
     books: Flag, blocks: Floats, layout: Layout,
@@ -285,52 +275,6 @@ def _move_bodies(
                 impulses.tally[PUSH_OUT_WORK] += work
                 contact.workspace.gross_work[b] += abs(work)
                 _keep_pose(jointed, partners.mechanisms, b, get3(rows, COM, i), get4(rows, Q, i))
-
-
-@inline
-def _changed(jointed: Jointed, partners: Partners, k: int, at: int) -> Vec3:
-    """Change of the velocity, or of the angular velocity from 3 on, of body k of the joints."""
-    order = jointed.joints.order
-    if k >= order.size:
-        return ZERO
-    b = order[k]
-    return subtract(column3(partners.velocity, b, at), column3(partners.free, b, at))
-
-
-@inline
-def _book_given(
-    books: Flag, given: Flag, jointed: Jointed, partners: Partners, blocks: Floats, dt: float
-) -> None:
-    """Book the work of motors and forces without potential along what the solve has changed.
-
-    The second half kick has booked it with the velocities before.
-    """
-    if books is None or given is None:
-        return
-    joints, gradient = jointed.joints, jointed.work.gradient
-    for r in range(joints.rows.kind.size):
-        if joints.rows.action[r] != HOLDS:
-            a, b = joints.rows.a[r], joints.rows.b[r]
-            by_x = _changed(jointed, partners, a, 0), _changed(jointed, partners, b, 0)
-            gained = dot(row3(gradient, r), subtract(by_x[0], by_x[1]))
-            gained += dot(vector(gradient, r, 3), _changed(jointed, partners, a, 3))
-            gained += dot(vector(gradient, r, 6), _changed(jointed, partners, b, 3))
-            motor = joints.actions.motor[joints.rows.action[r]]
-            book_work(books, jointed, blocks, r, 0.5 * dt * motor * gained)
-    for k in range(joints.order.size):
-        rows, lane = blocks[jointed.block[k]], jointed.lane[k]
-        work = dot(get3(rows, STAGE, lane), _changed(jointed, partners, k, 0))
-        work += dot(get3(rows, STAGE + 3, lane), _changed(jointed, partners, k, 3))
-        book(books, rows, lane, 1.0, (work, ZERO, ZERO))
-
-
-@inline
-def _book_among_joints(
-    books: Flag, jointed: Jointed | None, partners: Partners, blocks: Floats, dt: float
-) -> None:
-    """Do the work of `_book_given`, if there are joints."""
-    if jointed is not None:
-        _book_given(books, jointed.given, jointed, partners, blocks, dt)
 
 
 @inline
@@ -376,10 +320,11 @@ def press(
         leave_out_what_will_bounce(impulses, bounded)
         time = contact.memory.start + contact.workspace.step_start.time[0] + 0.5 * dt
         solve(impulses, bounded, moved, time)
+        book_kick(books, partners.keeps_kick, acting, partners, blocks, layout, 0.5 * dt)
         _apply_given(impulses, blocks, layout)
         book_impulses(impulses, bounded)
-        _book_bodies(contact, impulses, books, blocks, layout)
-        _book_among_joints(books, jointed, partners, blocks, dt)
+        book_bodies(contact, impulses, books, blocks, layout)
+        book_among_joints(books, jointed, partners, blocks, dt)
         keep_impulses(contact.lists, impulses, dt)
         _keep_among_joints(jointed, bounded, dt)
         moves = push_out(impulses, bounded, dt)

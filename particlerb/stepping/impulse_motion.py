@@ -4,8 +4,10 @@ from typing import Final
 
 import numpy as np
 
+from particlerb.compiled.jit import flag
 from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.pair_force import max_point_speed
+from particlerb.forces import has_potential
 from particlerb.impulses.order import room_for_newton
 from particlerb.impulses.records import (
     B_FORCE,
@@ -35,7 +37,9 @@ class ImpulseMotion(ContactMotion):
         assert setup.rules is not None
         n, joints = self.group.members.size + len(setup.motions), self.group.terms.joints
         mechanisms = None if joints is None else mechanisms_of(joints, n)
-        partners = room_for_partners(n, mechanisms)
+        others = self.group.terms._replace(contact=None)
+        keeps_kick = flag(joints is None and not has_potential(others))
+        partners = room_for_partners(n, mechanisms, keeps_kick)
         count = np.array([0, -1])
         nothing = np.zeros(0, dtype=np.int64)
         newton = room_for_newton(np.zeros(0, dtype=np.bool_), nothing, nothing, 0)

@@ -189,3 +189,28 @@ def test_a_stack_stands_and_keeps_its_energy():
     moved = t.position[-1] - t.position[0]
     assert np.abs(moved).max() < 1e-7
     assert errors(t)[0] < 1e-12
+
+
+def pushed(restitution, dt, *more):
+    """Largest error of the balance [J] of a ball that is pushed down and along, and turned."""
+    ball = sphere(position=[0, 0, R], velocity=[0.5, 0.2, -1.0 if restitution else 0.0])
+    force = [{"type": "push", "body": "ball", "force": [6.0, 2.0, -20.0]},
+             {"type": "torque", "body": "ball", "torque": [0.1, 0.3, 0.2]}, *more]  # fmt: skip
+    t = go(ball, contact=exact(restitution, 0.1), wall=[plane()], gravity=DOWN, force=force, dt=dt,
+           t_end=0.4, every=0.1)  # fmt: skip
+    assert errors(t)[1] < 1e-13
+    return errors(t)[0]
+
+
+@plain
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+def test_what_presses_a_ball_onto_a_floor_does_no_work_by_that(restitution):
+    """It flies between bounces, and nothing is solved then."""
+    assert pushed(restitution, 5e-3) < 1e-13
+
+
+@plain
+def test_the_balance_of_what_drags_along_a_floor_is_of_order_two():
+    drag = {"type": "drag", "body": "ball", "translation": 0.5, "rotation": 0.005}
+    coarse, fine = pushed(0.0, 0.02, drag), pushed(0.0, 0.01, drag)
+    assert fine < 0.27 * coarse < 1e-3

@@ -1,0 +1,125 @@
+"""What impulses in the middle of a step have done, body by body.
+
+Half kicks book the work of forces without potential with the velocities around them. Contacts
+change the velocity of the other half of the step, and what such a force gives, Δp in each half
+kick, works along that too: Δp·(v after the solve - v before it).
+"""
+
+from particlerb.compiled.jit import Flag, inline
+from particlerb.contact.contact_model import MovingContact
+from particlerb.contact.records import row3
+from particlerb.forces.kernels import Acting, kick_potential
+from particlerb.forces.registry import STAGE
+from particlerb.impulses.records import ZERO, Impulses, Partners
+from particlerb.impulses.rows import column3
+from particlerb.integrators.external_work import book
+from particlerb.integrators.joint_stages import book_work
+from particlerb.integrators.pair_stages import Layout
+from particlerb.joints.records import HOLDS, Jointed
+from particlerb.joints.rows import vector
+from particlerb.maths.quaternion import matrix
+from particlerb.maths.vec3 import Floats, Vec3, dot, subtract
+from particlerb.model.block import COM, L, P, Q, get3, get4, put3
+
+
+@inline
+def book_bodies(
+    contact: MovingContact, impulses: Impulses, books: Flag, blocks: Floats, layout: Layout
+) -> None:
+    """Book what impulses have done to each body."""
+    booked, gross = impulses.partners.booked, contact.workspace.gross_work
+    for k in range(layout.first.size):
+        lo = layout.first[k]
+        for i in range(layout.size[k]):
+            b = lo + i
+            entry = booked[b, 0], column3(booked, b, 1), column3(booked, b, 4)
+            book(books, blocks[k], i, 1.0, entry)
+            gross[b] += booked[b, 7]
+
+
+@inline
+def _changed(partners: Partners, b: int, at: int) -> Vec3:
+    """Change of the velocity, or of the angular velocity from 3 on, of body b by the solve."""
+    return subtract(column3(partners.velocity, b, at), column3(partners.free, b, at))
+
+
+@inline
+def _book_along(books: Flag, rows: Floats, i: int, partners: Partners, b: int) -> None:
+    """Book the work of what a kick gave body b without potential along what the solve changed."""
+    work = dot(get3(rows, STAGE, i), _changed(partners, b, 0))
+    work += dot(get3(rows, STAGE + 3, i), _changed(partners, b, 3))
+    book(books, rows, i, 1.0, (work, ZERO, ZERO))
+
+
+@inline
+def keep_momenta(keeps_kick: Flag, blocks: Floats, layout: Layout) -> None:
+    """Keep momenta before the second half kick, if forces without potential act."""
+    if keeps_kick is None:
+        return
+    for k in range(layout.first.size):
+        for i in range(layout.size[k]):
+            put3(blocks[k], STAGE, i, get3(blocks[k], P, i))
+            put3(blocks[k], STAGE + 3, i, get3(blocks[k], L, i))
+
+
+@inline
+def book_kick(
+    books: Flag, given: Flag, acting: Acting, partners: Partners, blocks: Floats, layout: Layout,
+    dt: float,
+) -> None:  # fmt: skip
+    """Book the work of forces without potential along what the solve has changed.
+
+    The half kicks of dt [s], after the second of which momenta still are, have booked it with the
+    velocities before.
+    """
+    if books is None or given is None:
+        return
+    for k in range(layout.first.size):
+        rows = blocks[k]
+        for i in range(layout.size[k]):
+            R, old = matrix(get4(rows, Q, i)), (get3(rows, STAGE, i), get3(rows, STAGE + 3, i))
+            p, spin = kick_potential(acting, rows, i, get3(rows, COM, i), R, dt, old[0], old[1])
+            put3(rows, STAGE, i, subtract(get3(rows, P, i), p))
+            put3(rows, STAGE + 3, i, subtract(get3(rows, L, i), spin))
+            _book_along(books, rows, i, partners, layout.first[k] + i)
+
+
+@inline
+def _changed_of(jointed: Jointed, partners: Partners, k: int, at: int) -> Vec3:
+    """The same of body k of the joints."""
+    order = jointed.joints.order
+    return ZERO if k >= order.size else _changed(partners, order[k], at)
+
+
+@inline
+def _book_given(
+    books: Flag, given: Flag, jointed: Jointed, partners: Partners, blocks: Floats, dt: float
+) -> None:
+    """Book the work of motors and forces without potential along what the solve has changed.
+
+    The second half kick has booked it with the velocities before.
+    """
+    if books is None or given is None:
+        return
+    joints, gradient = jointed.joints, jointed.work.gradient
+    for r in range(joints.rows.kind.size):
+        if joints.rows.action[r] != HOLDS:
+            a, b = joints.rows.a[r], joints.rows.b[r]
+            by_x = _changed_of(jointed, partners, a, 0), _changed_of(jointed, partners, b, 0)
+            gained = dot(row3(gradient, r), subtract(by_x[0], by_x[1]))
+            gained += dot(vector(gradient, r, 3), _changed_of(jointed, partners, a, 3))
+            gained += dot(vector(gradient, r, 6), _changed_of(jointed, partners, b, 3))
+            motor = joints.actions.motor[joints.rows.action[r]]
+            book_work(books, jointed, blocks, r, 0.5 * dt * motor * gained)
+    for k in range(joints.order.size):
+        rows, lane = blocks[jointed.block[k]], jointed.lane[k]
+        _book_along(books, rows, lane, partners, joints.order[k])
+
+
+@inline
+def book_among_joints(
+    books: Flag, jointed: Jointed | None, partners: Partners, blocks: Floats, dt: float
+) -> None:
+    """Do the work of `_book_given`, if there are joints."""
+    if jointed is not None:
+        _book_given(books, jointed.given, jointed, partners, blocks, dt)
