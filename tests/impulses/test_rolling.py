@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from impulse_scenes import DOWN, G, R, case, clump, errors, exact, go, impulse, plane, sphere
+from test_newton import wedged
 
 import particlerb
 
@@ -12,7 +13,7 @@ I = 0.4 * 2.0 * R * R  # noqa: E741 - of a ball of 2 kg
 
 FIELDS = ["orientation", "linear_momentum", "angular_momentum", "wall_force", "wall_torque"]
 
-plain = pytest.mark.plain
+pytestmark = pytest.mark.plain
 
 
 def tilted(angle):
@@ -34,7 +35,6 @@ def test_a_rolling_ball_slows_down_by_five_sevenths_of_the_coefficient():
     assert (np.diff(t.energy) <= 1e-12).all()
 
 
-@plain
 @pytest.mark.parametrize("share", [0.99, 1.01])
 def test_a_ball_rolls_from_the_angle_of_rolling_friction_on(share):
     angle = math.atan(0.1 * share)
@@ -45,7 +45,6 @@ def test_a_ball_rolls_from_the_angle_of_rolling_friction_on(share):
     assert max(errors(t)) < 1e-12
 
 
-@plain
 def test_a_ball_that_spins_in_place_stops_at_the_known_time():
     ball = sphere(position=[0, 0, R], angular_velocity=[3.0, -4.0, 2.0])
     t = go(ball, contact=exact(0.0, 0.0, rolling_friction=0.2), wall=[plane()], gravity=DOWN,
@@ -60,7 +59,6 @@ def test_a_ball_that_spins_in_place_stops_at_the_known_time():
     assert max(errors(t)) < 1e-13
 
 
-@plain
 def test_two_balls_resist_by_their_common_radius():
     """Pressed in free space: the torque μ_r R* F on both, R* = R₁R₂/(R₁ + R₂)."""
     one = sphere("one", position=[0, 0, 0], angular_velocity=[0, 5.0, 0])
@@ -75,7 +73,6 @@ def test_two_balls_resist_by_their_common_radius():
     assert max(errors(t)[1:]) < 1e-13
 
 
-@plain
 def test_an_impact_resists_by_its_own_impulse():
     ball = sphere(position=[0, 0, R], velocity=[0, 0, -2.0], angular_velocity=[0, 30.0, 0])
     t = go(ball, contact=impulse(0.5, 0.0, rolling_friction=0.1), wall=[plane()], dt=5e-3,
@@ -86,7 +83,6 @@ def test_an_impact_resists_by_its_own_impulse():
     assert max(errors(t)) < 1e-13
 
 
-@plain
 @pytest.mark.parametrize("restitution", [0.0, 0.8])
 def test_clumps_that_meet_keep_their_momenta_and_gain_no_energy(restitution):
     rng = np.random.default_rng(5)
@@ -108,7 +104,6 @@ def test_clumps_that_meet_keep_their_momenta_and_gain_no_energy(restitution):
     assert errors(t)[0] < 1e-12
 
 
-@plain
 def test_a_wheel_on_an_arm_is_resisted_by_what_it_carries():
     """The arm of 1 kg rests on a hinge at one end, and on the wheel at the other."""
     arm = clump("arm", position=[-0.25, 0, R], contact=False)
@@ -123,7 +118,6 @@ def test_a_wheel_on_an_arm_is_resisted_by_what_it_carries():
     assert errors(t)[0] < 1e-11
 
 
-@plain
 def test_what_a_driven_body_does_by_turning_is_booked():
     wheel = sphere("wheel", radius=0.3, position=[0, 0, 0])
     wheel["motion"] = {"angular_velocity": [0, 2.0, 0]}
@@ -134,7 +128,6 @@ def test_what_a_driven_body_does_by_turning_is_booked():
     assert max(errors(t)) < 1e-12
 
 
-@plain
 def test_a_run_that_is_resumed_has_the_same_bits_and_does_not_see_its_frames(tmp_path):
     """One sweep a step needs the torques of before."""
     boxes = [clump(f"b{i}", position=[0, 0, 2 * R + 4 * R * i]) for i in range(3)]
@@ -150,7 +143,6 @@ def test_a_run_that_is_resumed_has_the_same_bits_and_does_not_see_its_frames(tmp
     assert (often.angular_momentum[::5] == whole.angular_momentum).all()
 
 
-@plain
 def test_newtons_method_solves_balls_that_rolling_friction_holds_in_a_tower():
     """On a slope: each carries a moment of those above it. After one sweep, and with no more."""
     balls = [sphere(f"b{i}", position=[0, 0, R + 2 * R * i]) for i in range(4)]
@@ -159,3 +151,11 @@ def test_newtons_method_solves_balls_that_rolling_friction_holds_in_a_tower():
            every=0.05)  # fmt: skip
     assert t.observable("impulse_residual").max() <= 1e-11
     assert np.abs(t.position[-1] - t.position[0]).max() < 1e-11
+
+
+def test_newtons_method_follows_discs_that_grow_with_the_pressing_impulse(monkeypatch):
+    """Wedged bodies that roll on each other; one sweep, Newton's method once."""
+    monkeypatch.setattr("particlerb.impulses.solver._ROUNDS", 1)
+    keys = {"rolling_friction": 0.1, "iterations": 1, "solver": "newton"}
+    t = wedged(3, ["pair"] * 3, 1.0, 0.35, 0.2, **keys)
+    assert 0.0 < t.observable("impulse_residual").max() <= 1e-10
