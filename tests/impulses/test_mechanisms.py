@@ -129,14 +129,15 @@ def test_dampers_leave_the_order_two():
 
 
 @plain
-def test_the_balance_of_dampers_holds_where_nothing_is_near():
+def test_the_balance_of_what_is_turned_holds_where_nothing_is_near():
     """A floor is there, and no step has a contact: order 2, as without it."""
-    near, far = clump("near", position=[0.3, 0, 2.0]), clump("far", position=[0.9, 0, 2.0])
+    near, far = clump("near", position=[0.3, 0, 1.0]), clump("far", position=[0.9, 0, 1.0])
     far |= {"velocity": [0, 0, 1.2], "angular_velocity": [0, -4.0, 0]}
-    hinge = tied("hinge", to="near", body="far", at=[0.6, 0, 2.0], axis=[0, 1, 0], damper=0.05)
+    hinge = tied("hinge", to="near", body="far", at=[0.6, 0, 1.0], axis=[0, 1, 0], damper=0.05)
+    turn = {"type": "torque", "body": "far", "torque": [0, 0.2, 0.1]}
     coarse, fine = (
         errors(go(near, far, contact=impulse(), wall=[plane()], gravity=DOWN, joint=[hinge], dt=dt,
-                  t_end=0.3, every=0.1))[0]
+                  force=[turn], t_end=0.3, every=0.1))[0]
         for dt in (0.02, 0.01)
     )  # fmt: skip
     assert fine < 0.27 * coarse < 1e-3
