@@ -12,24 +12,24 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 25465
+LINES_OF_CODE = 25100
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
     "closed forms under force": 1596,
-    "joints": 4555,
+    "joints": 5094,
     "contact with every method": 480,
-    "contact by impulses": 2841,
+    "contact by impulses": 3366,
     "collisions by events": 1712,
     "forces: tables, gradients, written by users": 2151,
     "scenes and simulations in Python": 591,
     "sweeps": 1561,
     "one scene over ranks": 1923,
-    "reports, pictures, the page": 740,
+    "reports, pictures, the page": 888,
     "scenes for other programs": 392,
-    "speed of compiling and of whole calls": 612,
+    "speed of compiling and of whole calls": 685,
     "watches": 30,
-    "beside all these": 143,
+    "beside all these": 178,
 }
 """Lines of code that an ability took: see «Where things go» in docs/architecture.md."""
 
