@@ -57,7 +57,7 @@ def elsewhere(tmp_path_factory):
 
 def test_the_browser_finds_nothing_against_the_policy(cube):
     cube.press("push at this point")
-    cube.until(lambda: cube.serving.session.applied, "pushed")
+    cube.until(lambda: cube.serving.session.n_pushes, "pushed")
     assert cube.page.evaluate("window.violations") == []
     assert not [text for kind, text in cube.seen if "Content Security Policy" in text]
     assert not [text for kind, text in cube.seen if kind == "error"]
@@ -129,8 +129,8 @@ def test_after_hostile_clients_the_page_is_as_it_was(cube, monkeypatch):
     cube.fill("point [m]", "0.1, 0, 0")
     cube.fill("speed", "2")
     cube.press("push at this point")
-    cube.until(lambda: cube.serving.session.applied, "pushed")
-    blow = cube.serving.session.applied[0].push
+    cube.until(lambda: cube.serving.session.n_pushes, "pushed")
+    blow = cube.serving.session.last[0].push
     assert (blow.at, blow.vector, blow.duration) == ((0.1, 0.0, 0.0), (0.0, -3.5, 0.0), 0.0)
     assert cube.serving.digits.value == 9
     cube.fill("speed", "1")

@@ -98,14 +98,14 @@ def test_garbage_neither_ends_nor_changes_the_scene(page):
     ]  # fmt: skip
     for message in (*garbage, *wrong):
         send(page, message)
-    assert not page.session.applied
+    assert page.session.n_pushes == 0
     assert all((a == b).all() for a, b in zip(before, page.session.frame[:4], strict=True))
     c.direction.value, c.force.value, c.gravity.value = "+z", "50", False
     send(page, click((5.0, 0.1, 0.1), (-1.0, 0.0, 0.0)))  # and a right one is taken
     end = time.monotonic() + 60.0  # it may compile
-    while not page.session.applied and time.monotonic() < end:
+    while not page.session.n_pushes and time.monotonic() < end:
         time.sleep(0.05)
-    assert page.session.applied[0].push.at == pytest.approx((0.5, 0.1, 0.1))
+    assert page.session.last[0].push.at == pytest.approx((0.5, 0.1, 0.1))
 
 
 def settled(page):
@@ -241,11 +241,11 @@ def test_a_hostile_client_changes_nothing(page, monkeypatch, tmp_path):
     assert all((a == b).all() for a, b in zip(state, page.session.frame[:4], strict=True))
     assert not list(tmp_path.iterdir())
     assert not page.server.gui._current_file_upload_states
-    end, n = time.monotonic() + 60.0, len(page.session.applied)
+    end, n = time.monotonic() + 60.0, page.session.n_pushes
     send(page, click((5.0, 0.1, 0.1), (-1.0, 0.0, 0.0)))  # an honest one is heard
-    while len(page.session.applied) == n and time.monotonic() < end:
+    while page.session.n_pushes == n and time.monotonic() < end:
         time.sleep(0.05)
-    assert len(page.session.applied) == n + 1
+    assert page.session.n_pushes == n + 1
 
 
 def test_sessions_are_saved_a_hundred_times_and_never_written_over(page, monkeypatch, tmp_path):
