@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from conftest import python
 from impulse_scenes import DOWN, R, case, clump, go, impulse, plane, sphere
 from test_bounded import pressed
 
@@ -84,13 +83,13 @@ print(json.dumps([t.position.tolist(), t.angular_momentum.tolist(), t.observable
 
 
 @pytest.mark.compiled
-def test_compiled_code_solves_contacts_and_bounds_of_joints_as_plain_python_does():
+def test_compiled_code_solves_contacts_and_bounds_of_joints_as_plain_python_does(make):
     """A motor with friction and stops in its joint presses a spinning ball; 20 steps."""
     scene = pressed(0.25, rolling_friction=0.1)
     scene["body"][1]["angular_velocity"] = [3.0, 5.0, -2.0]
     scene["run"] |= {"t_end": 0.6, "dt": 0.03, "every": 0.03}
     code = RUN.format(scene=json.dumps(scene))
-    compiled, plain = (json.loads(python(code, NUMBA_DISABLE_JIT=flag)) for flag in ("0", "1"))
+    compiled, plain = (json.loads(make.python(code, NUMBA_DISABLE_JIT=flag)) for flag in ("0", "1"))
     for one, other in zip(compiled, plain, strict=True):
         assert np.asarray(one) == pytest.approx(np.asarray(other), abs=1e-12)
     assert np.ptp(np.asarray(plain[0])[:, 1, 0]) > 0.1
