@@ -4,7 +4,7 @@ Numba counts the owners of every array: for each assignment and each end of a va
 arrays out of a tuple and calls a counter for each. In kernels, which hand deep tuples of arrays on,
 this is half of the code that the compiler is given, and 5 ns a time for each array when it runs. A
 function that returns no array, and in which none is made, only borrows those of its caller: there
-nothing is counted.
+nothing is counted (docs/decisions/0024).
 
 On some processors vectors of 512 bits are set (see `vector_width`). The rest saves time of a first
 run, and changes no code: flags, compared some hundred thousand times, are told apart by a text that
@@ -82,7 +82,7 @@ class _Lower(lowering.Lower):
         """Whether an array may be returned or made, or kept in what is no tuple."""
         described: Any = self.fndesc
         kinds = [described.restype, *described.typemap.values()]
-        lent = (types.Array, types.BaseTuple)
+        lent = (types.Array, types.BaseTuple, types.BoundFunction)  # the last has what it is of
         return (
             self.generator_info is not None
             or self._is_counted(described.restype)
@@ -100,7 +100,9 @@ class _Lower(lowering.Lower):
         if not isinstance(step, ir.Expr):
             return True
         if step.op == "call":
-            return not isinstance(self.fndesc.typemap[step.func.name], types.NamedTupleClass)
+            called = self.fndesc.typemap[step.func.name]
+            is_view = getattr(called, "typing_key", None) == "array.reshape"
+            return not (is_view or isinstance(called, types.NamedTupleClass))
         if step.op in ("getitem", "static_getitem"):
             return any(self._is_counted(kind) for kind in signature.args[1:])
         if step.op == "binop":

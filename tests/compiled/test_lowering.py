@@ -34,6 +34,13 @@ def lent(pair, scale):
 
 
 @inline
+def reshaped(pair, scale):
+    """Another view of an array of its caller."""
+    rows = pair.first.reshape(1, -1)
+    return scale * rows[0, 1]
+
+
+@inline
 def given_back(pair):
     """An array of its caller."""
     return pair.second
@@ -54,6 +61,11 @@ def filled(n):
 @compiled
 def borrows(pair):
     return lent(pair, 3.0)
+
+
+@compiled
+def reshapes(pair):
+    return reshaped(pair, 2.0) + pair.second.reshape(5, 1)[2, 0]
 
 
 @compiled
@@ -100,6 +112,7 @@ def counted():
     ("function", "value"),
     [
         (borrows, 3.0),
+        (reshapes, 4.0),
         (passes_back, 20.0),
         (makes, 9 * (2.0 + 4.0 + 3.0)),
         (walks, 3.0),
@@ -120,7 +133,9 @@ def test_arrays_live_as_long_as_needed(function, value):
     assert pair.second.tolist() == [2.0] * 5
 
 
-@pytest.mark.parametrize(("function", "counts"), [(lent, False), (given_back, True)])
+@pytest.mark.parametrize(
+    ("function", "counts"), [(lent, False), (reshaped, False), (given_back, True)]
+)
 def test_what_is_lent_is_not_counted(function, counts, monkeypatch):
     """A function that returns no array and makes none has no code that counts owners."""
     calls = []
@@ -129,7 +144,7 @@ def test_what_is_lent_is_not_counted(function, counts, monkeypatch):
         NRTContext, "_call_incref_decref", lambda *args: calls.append(1) or count(*args)
     )
     pair = typeof(Pair(np.ones(5), np.ones(5)))
-    scale = (types.float64,) if function is lent else ()
+    scale = (types.float64,) if function is not given_back else ()
     compile_with()(function.py_func).compile((pair, *scale))
     assert bool(calls) == counts
 
