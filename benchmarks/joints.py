@@ -5,6 +5,7 @@
     python benchmarks/joints.py --energy     # Bricard's mechanism over a million steps
     python benchmarks/joints.py --masses     # two rods of which one is a million times as heavy
     python benchmarks/joints.py --linkages   # A02 of the IFToMM library: 40 four-bars, 20 s
+    python benchmarks/joints.py --trees      # what joints give to slopes: recursion beside rows
     python benchmarks/joints.py --cost --record   # and add the figures to results/joints.csv
 
 Processor seconds, medians of interleaved rounds; each figure is the difference of a long and a
@@ -25,6 +26,9 @@ from results import record
 from scipy.integrate import solve_ivp
 
 import particlerb
+from particlerb.compiled.jit import kernel
+from particlerb.integrators.joint_slopes import add_reactions
+from particlerb.stepping import adaptive_coupled
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "joints"))
 from scenes import SCENES, X, Y, Z, bar, body, case, hinge_chain, joint, reference
@@ -53,6 +57,7 @@ MEANS = 50  # of the energy, one after the other: a line is fitted to them
 MASSES = {"outer rod 1e6 times as heavy": 1e6, "outer rod 1e6 times as light": 1e-6}
 RATIO_STEPS = (0.002, 0.001)  # s
 LINKAGES = 40
+EVALUATIONS = 200_000
 Row = tuple[str, float]
 POINTS = [[0, 0, 0], [1, 0, 0], [1, -1, 0], [1, -1, 1], [0, -1, 1], [0, 0, 1]]
 
@@ -256,12 +261,46 @@ def peers(name: str) -> list[Row]:
     return told(f"{name} MuJoCo", PEERS[name], points)
 
 
+@kernel
+def _repeated(n, books, jointed, y, slope, width, t):
+    """Find n times what joints give to the slopes."""
+    for _ in range(n):
+        add_reactions(books, jointed, y, slope, width, t)
+
+
+def trees() -> list[Row]:
+    """Time of that for a link of chain6, with what brings states there and back, in both ways."""
+    kept, record_frames = [], adaptive_coupled.CoupledAdaptiveMotion.record
+
+    def and_keep(motion, *arguments):
+        kept.append(motion)
+        return record_frames(motion, *arguments)
+
+    adaptive_coupled.CoupledAdaptiveMotion.record = and_keep
+    particlerb.run(
+        {"run": {"t_end": 0.2, "every": 0.2} | asked("dop853", 1e-8), **SCENES["chain6"]()}
+    )
+    adaptive_coupled.CoupledAdaptiveMotion.record = record_frames
+    jointed, books = kept[-1].jointed, kept[-1].equations.books
+    y, width = kept[-1].vectors.y, kept[-1].vectors.width
+    ways = {"recursion": jointed, "rows": jointed._replace(tree=None)}
+    found: dict[str, list[float]] = {way: [] for way in ways}
+    for _, (way, own) in itertools.product(range(ROUNDS + 1), ways.items()):  # the first compiles
+        start = time.process_time()
+        _repeated(EVALUATIONS, books, own, y, np.zeros_like(y), width, 0.2)
+        found[way].append((time.process_time() - start) / (EVALUATIONS * jointed.block.size))
+    medians_of = {way: 1e6 * statistics.median(values[1:]) for way, values in found.items()}
+    rows = [(f"an evaluation of chain6 by {way}, us a link", medians_of[way]) for way in ways]
+    return [*rows, ("recursion over rows", medians_of["recursion"] / medians_of["rows"])]
+
+
 MEASURED = {
     "cost": (chains, equal_mechanisms),
     "peers": [partial(f, name) for name in ERRORS for f in (ours, peers)],
     "energy": (energy,),
     "masses": (masses,),
     "linkages": (linkages,),
+    "trees": (trees,),
 }
 
 
