@@ -37,12 +37,10 @@ def fastest_frequency(
     (inv_mass, inv_inertia), (normal, stiffness, shear) = inverse, springs
     n, (first, second) = inv_mass.size, ends
     signed = (*first, -1.0), (*second, 1.0)
-    v, w = np.random.default_rng(0).standard_normal((2, 3, n + 1))
+    moves = np.append(inv_mass > 0.0, False)  # what is held, and the world, stand still
+    v, w = np.random.default_rng(0).standard_normal((2, 3, n + 1)) * moves
     squared = 0.0
     for _ in range(iterations):
-        v[:, :-1] *= inv_mass > 0.0
-        w[:, :-1] *= inv_mass > 0.0
-        v[:, -1], w[:, -1] = 0.0, 0.0  # the world
         u = sum(
             sign * (v[:, body] + np.cross(w[:, body], arm, axis=0)) for body, arm, sign in signed
         )

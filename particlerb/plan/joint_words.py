@@ -111,7 +111,7 @@ def joint_line(system: System, plan: Plan) -> str:
     lasting = np.repeat(setup.until > 0.0, np.diff(setup.start))
     rows = int((setup.rows.action[lasting] == HOLDS).sum())
     held = f"{bodies} bod{'ies' if bodies > 1 else 'y'} in {clusters} cluster{'s' * (clusters > 1)}"
-    line = f"{counts}; {held}, {rows} rows"
+    line = f"{counts}; {held}, {rows} row{'s' * (rows != 1)}"
     if n_dependent:
         names = ", ".join(dependent[:_MOST_NAMED])
         more = ", ..." if len(dependent) > _MOST_NAMED else ""
