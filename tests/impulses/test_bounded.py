@@ -1,5 +1,7 @@
 """Stops, motors with a largest torque and friction in joints, by impulses: closed forms, bits."""
 
+import re
+
 import numpy as np
 import pytest
 from impulse_scenes import DOWN, G, R, case, clump, errors, exact, impulse, plane, sphere
@@ -8,6 +10,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
+from particlerb.cli import main
 from particlerb.simulation.run import prepare
 
 pytestmark = pytest.mark.plain
@@ -248,3 +251,14 @@ def test_a_plan_of_joints_alone_promises_no_overlap():
     assert "contact         nothing, impulse in joints alone, residual 1e-12 or 20 sweeps" in text
     assert "overlap" not in text
     assert "0 spheres" not in text
+
+
+def test_the_summary_tells_what_a_stop_has_taken(tmp_path, capsys):
+    """(1 - e²) I ω²/2."""
+    scene = hinged(omega=2.0, limit={"range": [-1.0, 0.3], "restitution": 0.5})
+    scene["run"] |= {"t_end": 0.3, "dt": 0.01, "every": 0.1}
+    path = tmp_path / "a.toml"
+    path.write_text(particlerb.Scene.from_case(scene).to_toml())
+    assert main([str(path), "-o", str(tmp_path / "a.h5")]) == 0
+    (taken,) = re.findall(r"work: impacts (\S+) J", capsys.readouterr().out)
+    assert float(taken) == pytest.approx(-1.5 * (M * D * D + OWN), rel=5e-3)
