@@ -330,6 +330,15 @@ def test_any_bytes_give_a_value_or_one_error(sound, tmp_path, data):
     except TrajectoryError as error:
         message = str(error)
         assert str(path) in message
+    except KeyError as error:  # the name of a field was hit
+        assert "was not recorded" in str(error)
+
+
+def test_states_that_overflow_are_a_flaw_and_no_warning(copy):
+    """A momentum of 1e300 kg m/s: its energy is inf, and so is the difference."""
+    with h5py.File(copy, "a") as file:
+        file["particles/trajectory/linear_momentum/value"][1] = 1e300
+    assert "energy balance" in damaged(copy)
 
 
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
