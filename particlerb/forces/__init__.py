@@ -226,7 +226,7 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
 def _needs_of_joints(terms: Terms, joints: Joints) -> dict[str, frozenset[str]]:
     """The same for joints."""
     needs = {"joints": frozenset({kinds.JOINTS})}
-    if joints.damps is not None:
+    if joints.damps:
         needs["damping among joints"] = frozenset({kinds.JOINTS, kinds.VELOCITY})
     if terms.driven is not None:
         needs["driven bodies at joints"] = frozenset({kinds.JOINTS, kinds.GRID})

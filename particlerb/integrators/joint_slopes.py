@@ -105,22 +105,10 @@ def _act(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
 
 
 @inline
-def _act_if_any(acts: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
-    """Do the work of `_act` where springs, stops or motors are."""
-    if acts is None:
-        return
-    _act(books, jointed, slope, w)
-
-
-@inline
-def _damp_if_any(
-    acts: Flag, damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int
-) -> None:
-    """Drag where something damps, and dampers where they are alone."""
+def _drag(damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
+    """Add the drag of all bodies to the loads, if something damps."""
     if damps is None:
         return
-    if acts is None:
-        _act(books, jointed, slope, w)
     joints, y, load = jointed.joints, jointed.work.y, jointed.work.change
     for k in range(jointed.block.size):
         v = scale(joints.inv_mass[k], vector(y, k, P))
@@ -197,8 +185,9 @@ def add_reactions(
         for i in range(6):
             work.change[k, i] = slope[jointed.block[k], (P + i) * w + jointed.lane[k]]
     _prepare(jointed.tree, joints, work, t)
-    _act_if_any(joints.acts, books, jointed, slope, w)
-    _damp_if_any(joints.acts, joints.damps, books, jointed, slope, w)
+    if joints.acts or joints.damps:
+        _act(books, jointed, slope, w)
+    _drag(jointed.damps, books, jointed, slope, w)
     _add_what_holds(jointed.tree, books, jointed, slope, w)
     for k in range(jointed.block.size):
         for i in range(6):
@@ -228,7 +217,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
             for i in range(6):
                 work.y[k, P + i] = work.change[k, i]
         linearise(joints, work, lo, hi)
-        set_moving(joints.moves, joints, work, lo, hi, t)
+        set_moving(joints, work, lo, hi, t)
         keep_rates(joints, work, c, lo, hi)
         if work.lost[c] > 0:
             work.y[first:last] = nan
@@ -268,5 +257,5 @@ def store_coordinates(
     if jointed is None:
         return
     _put_state(jointed, states, w)
-    store_turns(jointed.joints.coordinates, jointed.work.turned, stored, frame)
+    store_turns(jointed.work.turned, stored, frame)
     count_turns(jointed.joints.coordinates, jointed.work.y, stored[frame])

@@ -162,9 +162,9 @@ def book_work(books: Flag, jointed: Jointed, blocks: Floats, r: int, work: float
 
 
 @inline
-def _book_drives(books: Flag, moves: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
+def _book_drives(books: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
     """Book the work -λ ∂g/∂t of constraints of cluster c that move by themselves."""
-    if books is None or moves is None:
+    if books is None or not jointed.joints.moves:
         return
     work, start, joint = jointed.work, jointed.joints.program.start, jointed.joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
@@ -188,7 +188,7 @@ def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, sp
             book_work(books, jointed, blocks, r, -2.0 * work.compliance[r] * half * half)
     keep_impulses(joints.breaks, joints, work, c, False)
     _book_world(books, jointed, blocks, c, work.y)
-    _book_drives(books, joints.moves, jointed, blocks, c)
+    _book_drives(books, jointed, blocks, c)
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         entry = finish_damping(joints, work, k, span)
         book(books, blocks[block[k]], lane[k], 1.0, entry)
@@ -210,9 +210,9 @@ def drift_jointed(
         constrained_drift(jointed.joints, jointed.work, c, kick_dt, t, dt)
         if dt == jointed.work.clock[1]:  # and not a part of a step, to a frame
             joints = jointed.joints
-            foresee_breaks(joints.breaks, joints.damps, joints, jointed.work, c, kick_dt, t)
+            foresee_breaks(joints.breaks, joints, jointed.work, c, kick_dt, t)
         _book_world(books, jointed, blocks, c, jointed.work.pose)
-        _book_drives(books, jointed.joints.moves, jointed, blocks, c)
+        _book_drives(books, jointed, blocks, c)
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
         _scatter(jointed, blocks, c)
 
@@ -230,9 +230,9 @@ def project_jointed(
         project_momenta(jointed.joints, jointed.work, c, kick_dt, t, 0.0)
         keep_impulses(jointed.joints.breaks, jointed.joints, jointed.work, c, True)
         _book_world(books, jointed, blocks, c, jointed.work.y)
-        _book_drives(books, jointed.joints.moves, jointed, blocks, c)
+        _book_drives(books, jointed, blocks, c)
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
-        _damp(books, jointed.joints.damps, jointed, blocks, c, span)
+        _damp(books, jointed.damps, jointed, blocks, c, span)
         _scatter(jointed, blocks, c)
 
 

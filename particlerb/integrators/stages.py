@@ -291,7 +291,7 @@ def _store_if_jointed(jointed: Jointed | None, stored: Floats, frame: int) -> No
     """Do the work of `store_coordinates`, if there are joints."""
     if jointed is None:
         return
-    store_turns(jointed.joints.coordinates, jointed.work.turned, stored, frame)
+    store_turns(jointed.work.turned, stored, frame)
 
 
 @stages

@@ -11,7 +11,7 @@ in the factor with 2/(s c) on its diagonal, drag in the masses: M + s D/2 in pla
 
 from math import inf
 
-from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.records import HOLDS, Actions, Joints, P, Work
 from particlerb.joints.rows import add_impulses, attitude, coordinate, rate, shorter, vector
 from particlerb.maths.quaternion import to_body, to_world
@@ -56,9 +56,9 @@ def set_compliance(joints: Joints, work: Work, r: int, span: float) -> None:
 
 
 @inline
-def kick_actions(acts: Flag, joints: Joints, work: Work, lo: int, hi: int, dt: float) -> None:
+def kick_actions(joints: Joints, work: Work, lo: int, hi: int, dt: float) -> None:
     """Let springs, stops and motors of rows lo to hi act over dt; `total` has the impulses."""
-    if acts is None:
+    if not joints.acts:
         return
     actions, kind = joints.actions, joints.rows.kind
     for r in range(lo, hi):

@@ -14,7 +14,7 @@ time is the middle of that step.
 from math import inf, sqrt
 from typing import Final
 
-from particlerb.compiled.jit import Flag, inline
+from particlerb.compiled.jit import inline
 from particlerb.joints.records import HOLDS, Breaks, Joints, P, Work
 from particlerb.joints.rows import add_impulses, attitude, vector
 from particlerb.maths.quaternion import to_world
@@ -117,7 +117,7 @@ def _ahead(load: float, before: float, limit: float) -> float:
 
 @inline
 def foresee_breaks(
-    breaks: Breaks | None, damps: Flag, joints: Joints, work: Work, c: int, kick_dt: float, t: float
+    breaks: Breaks | None, joints: Joints, work: Work, c: int, kick_dt: float, t: float
 ) -> None:
     """Find which joints of cluster c break until the end of the next step.
 
@@ -125,9 +125,9 @@ def foresee_breaks(
     """
     if breaks is None:
         return
-    keep_impulses(breaks, joints, work, c, damps is None)
+    keep_impulses(breaks, joints, work, c, not joints.damps)
     is_first, dt = t == 0.0, work.clock[1]
-    span = dt if damps is not None and not is_first else kick_dt
+    span = dt if joints.damps and not is_first else kick_dt
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
         if work.broken[j] < inf:
             continue

@@ -12,7 +12,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.records import Coordinates
-from particlerb.joints.rows import attitude, vector
+from particlerb.joints.rows import attitude, put_vector, vector
 from particlerb.joints.types import Ends
 from particlerb.maths.quaternion import to_world
 from particlerb.maths.vec3 import Floats, Vec3, dot, subtract
@@ -85,10 +85,8 @@ def _placed(y: Floats, k: int, v: Vec3) -> Vec3:
 
 
 @kernel
-def count_turns(coordinates: Coordinates | None, y: Floats, turned: Floats) -> None:
+def count_turns(coordinates: Coordinates, y: Floats, turned: Floats) -> None:
     """Take the angles and displacements (k, 3) on to the poses of now: see `Work.turned`."""
-    if coordinates is None:
-        return
     _, _, a, b, is_angle, vectors = coordinates
     for k in range(a.size):
         v = vectors[k]
@@ -111,12 +109,10 @@ def count_turns(coordinates: Coordinates | None, y: Floats, turned: Floats) -> N
 
 
 @kernel
-def store_turns(
-    coordinates: Coordinates | None, turned: Floats, stored: Floats, frame: int
-) -> None:
+def store_turns(turned: Floats, stored: Floats, frame: int) -> None:
     """Keep them for a frame."""
-    if coordinates is not None:
-        stored[frame] = turned
+    for k in range(len(turned)):
+        put_vector(stored[frame], k, 0, vector(turned, k, 0))
 
 
 def values_of(coordinates: Coordinates, turned: Floats) -> Floats:

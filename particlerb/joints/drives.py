@@ -7,22 +7,16 @@ the extended phase space, in which the method is symplectic.
 
 from math import cos, sin
 
-from particlerb.compiled.jit import Flag, inline
+from particlerb.compiled.jit import inline
 from particlerb.joints.records import AT_REST, Drives, Joints, P, Work
-from particlerb.maths.vec3 import Bools, Vec3
+from particlerb.maths.vec3 import Vec3
 
 
 @inline
-def course(drives: Drives | None, k: int, t: float) -> Vec3:
+def course(drives: Drives, k: int, t: float) -> Vec3:
     """c, ċ and c̈ of drive k at a time [s]; zero where there is none."""
-    if drives is None:
+    if k == AT_REST:
         return 0.0, 0.0, 0.0
-    return _course(drives, k, t) if k != AT_REST else (0.0, 0.0, 0.0)
-
-
-@inline
-def _course(drives: Drives, k: int, t: float) -> Vec3:
-    """Do the work of `course`."""
     p, amplitude, rate = drives.polynomial, drives.wave[k, 0], drives.wave[k, 1]
     along, across = sin(rate * t + drives.wave[k, 2]), cos(rate * t + drives.wave[k, 2])
     c = p[k, 0] + t * (p[k, 1] + t * (p[k, 2] + t * p[k, 3])) + amplitude * along
@@ -31,20 +25,18 @@ def _course(drives: Drives, k: int, t: float) -> Vec3:
 
 
 @inline
-def set_moving(moves: Flag, joints: Joints, work: Work, lo: int, hi: int, t: float) -> None:
+def set_moving(joints: Joints, work: Work, lo: int, hi: int, t: float) -> None:
     """∂g/∂t of rows lo to hi at a time, if any moves by itself."""
-    if moves is None:
+    if not joints.moves:
         return
     for r in range(lo, hi):
         work.moving[r] = -course(joints.drives, joints.rows.drive[r], t)[1]
-        work.moving[r] += _by_carried(joints.carried, joints, work, r)
+        work.moving[r] += _by_carried(joints, work, r)
 
 
 @inline
-def _by_carried(carried: Bools | None, joints: Joints, work: Work, r: int) -> float:
+def _by_carried(joints: Joints, work: Work, r: int) -> float:
     """What bodies that move as prescribed do to g of row r, per second."""
-    if carried is None:
-        return 0.0
     gradient, motion, a, b = work.gradient, work.motion, joints.rows.a[r], joints.rows.b[r]
     found = 0.0
     for i in range(3):
@@ -54,11 +46,9 @@ def _by_carried(carried: Bools | None, joints: Joints, work: Work, r: int) -> fl
 
 
 @inline
-def carry(carried: Bools | None, work: Work, first: int, last: int) -> None:
+def carry(joints: Joints, work: Work, first: int, last: int) -> None:
     """Put bodies first to last that move as prescribed where they are at the end of a drift."""
-    if carried is None:
-        return
     for b in range(first, last):
-        if carried[b]:
+        if joints.carried[b]:
             for i in range(P):
                 work.y[b, i] = work.later[b, i]

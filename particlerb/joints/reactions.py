@@ -139,7 +139,7 @@ def energy_of_joints(
     Of worlds, (n_worlds,).
     """
     sums = np.zeros(1 if worlds is None else len(worlds.bodies))
-    if joints.acts is None:
+    if not joints.acts:
         return sums if worlds is not None else 0.0
     y = np.zeros((joints.inv_mass.size, STATE))
     y[-1, Q] = 1.0

@@ -128,7 +128,11 @@ class Coordinates(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """Joints of a group."""
+    """Joints of a group.
+
+    What most mechanisms could have is always there, if empty: each type of its own would be
+    compiled anew.
+    """
 
     order: Ints  # (n,) members of the group, in the order of the clusters
     inv_mass: Floats  # (n + 1,) [1/kg]
@@ -140,12 +144,12 @@ class Joints(NamedTuple):
     actions: Actions
     drag: Floats  # (n + 1, 2) [N s/m], [N m s/rad]
     beside: Bools  # (m,) whether a row differs from the one before by its axis alone
-    acts: Flag = None  # whether there are springs, stops or motors,
-    damps: Flag = None  # or dampers, dashpots or drag
-    coordinates: Coordinates | None = None  # None: nobody asks for them
-    drives: Drives | None = None  # None: no coordinate is prescribed
-    carried: Bools | None = None  # (n + 1,) bodies that move as prescribed; None: there are none
-    moves: Flag = None  # whether constraints move by themselves
+    acts: bool  # whether there are springs, stops or motors,
+    damps: bool  # or dampers, dashpots or drag
+    coordinates: Coordinates  # that somebody asks for
+    drives: Drives
+    carried: Bools  # (n + 1,) bodies that move as prescribed
+    moves: bool  # whether constraints move by themselves
     breaks: Breaks | None = None  # None: no joint does
     bounds: Bounds | None = None  # None: nothing acts within bounds
     rolls: Flag = None  # whether there are gears, racks or screws
@@ -153,13 +157,13 @@ class Joints(NamedTuple):
     @property
     def has_potential(self) -> bool:
         """Whether all that acts along coordinates has one."""
-        return self.damps is None and not self.actions.motor.any()
+        return not self.damps and not self.actions.motor.any()
 
     @property
     def reach_out(self) -> bool:
         """Whether one ties a body to the world or to one that is held, or moves by itself."""
         ends = np.concatenate([self.rows.a, self.rows.b])
-        return self.moves is not None or bool((self.inv_mass[ends] == 0.0).any())
+        return self.moves or bool((self.inv_mass[ends] == 0.0).any())
 
 
 class Work(NamedTuple):
@@ -202,6 +206,7 @@ class Jointed(NamedTuple):
     block: Ints  # (n,)
     lane: Ints  # (n,)
     given: Flag  # whether forces without potential act: what they gave is kept
+    damps: Flag  # whether something damps
     driven: "PrescribedBodies | None"  # in the order of the clusters; None: there are none
     start: float  # [s] when the segment began
     tree: "JointTree | None" = None  # the joints as trees, for accelerations; None: by multipliers
@@ -235,7 +240,7 @@ def room_for_joints(joints: Joints) -> Work:
         np.zeros(m),
         np.zeros((len(joints.program.pair), width, width)),
         np.zeros(k, dtype=np.int64),
-        np.zeros((0 if joints.coordinates is None else joints.coordinates.a.size, 3)),
+        np.zeros((joints.coordinates.a.size, 3)),
         np.zeros((n, 6)),
         np.zeros(n),
         np.zeros((n, 3)),

@@ -170,7 +170,7 @@ def shorter(kind: int, away: float) -> float:
 
 
 @inline
-def residual(rows: ConstraintRows, drives: Drives | None, y: Floats, r: int, t: float) -> float:
+def residual(rows: ConstraintRows, drives: Drives, y: Floats, r: int, t: float) -> float:
     """g of row r at a time."""
     kind = rows.kind[r]
     if kind >= TURN:

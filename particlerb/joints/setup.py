@@ -8,6 +8,7 @@ import numpy as np
 from particlerb.compiled.jit import flag
 from particlerb.joints.block_cholesky import program_of
 from particlerb.joints.records import (
+    AT_REST,
     GEAR,
     HOLDS,
     RACK,
@@ -25,10 +26,17 @@ from particlerb.model.bodies import Bodies
 
 _LOOP_PIVOT = 1e-8  # over its diagonal: below it a row of a closed loop depends on those before
 
+NO_ACTIONS: Final = Actions(*np.zeros((8, 0)))
+_NONE: Final = np.zeros(0, dtype=np.int64)
+_NO_COORDINATES: Final = Coordinates(
+    _NONE, _NONE, _NONE, _NONE, np.zeros(0, dtype=np.bool_), np.zeros((0, 4, 3))
+)
+_NO_DRIVES: Final = Drives(np.zeros((0, 4)), np.zeros((0, 3)))
+
 
 def joints_among(
     number: Ints, start: Ints, rows: ConstraintRows, bodies: Bodies, actions: Actions,
-    coordinates: Coordinates | None = None, drives: Drives | None = None,
+    coordinates: Coordinates = _NO_COORDINATES, drives: Drives = _NO_DRIVES,
     carried: Bools | None = None,
 ) -> Joints:  # fmt: skip
     """Joints of a group.
@@ -66,8 +74,8 @@ def joints_among(
     inv_mass = np.append(bodies.inv_mass[order], 0.0)
     inv_inertia = np.vstack([bodies.inv_inertia.T[order], np.zeros(3)])
     ends = np.flatnonzero(np.diff(label[order], append=-1)) + 1
-    if coordinates is not None:
-        coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
+    coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
+    carried = np.append(np.zeros(n, dtype=np.bool_) if carried is None else carried[order], False)
     first, rank = np.r_[0, ends], np.r_[0, np.cumsum(count)]
     holds = np.logical_or.reduceat(rows.action == HOLDS, rank[:-1])
     clusters, program = _programs(first, label[a[own]], label[order], rows, rank, inv_mass, holds)
@@ -75,14 +83,10 @@ def joints_among(
     damps = actions.damping.any() or actions.stop_damping.any()
     return Joints(
         order, inv_mass, inv_inertia, rows, clusters, program, number[own], actions,
-        np.zeros((n + 1, 2)), _beside(rows), flag(acts), flag(bool(damps)), coordinates, drives,
-        None if carried is None else np.append(carried[order], False),
-        flag(drives is not None or carried is not None),
+        np.zeros((n + 1, 2)), _beside(rows), acts, bool(damps), coordinates, drives, carried,
+        bool((rows.drive != AT_REST).any() or carried.any()),
         rolls=flag(bool(np.isin(rows.kind, (RACK, GEAR)).any())),
     )  # fmt: skip
-
-
-NO_ACTIONS: Final = Actions(*np.zeros((8, 0)))
 
 
 def action(
@@ -103,7 +107,7 @@ def with_drag(joints: Joints, linear: Floats, angular: Floats) -> Joints:
     """Joints of bodies with drag, (n,) [N s/m] and [N m s/rad]."""
     drag = np.zeros_like(joints.drag)
     drag[:-1] = np.stack([linear, angular], axis=1)[joints.order]
-    return joints._replace(drag=drag, damps=flag(joints.damps is not None or bool(drag.any())))
+    return joints._replace(drag=drag, damps=joints.damps or bool(drag.any()))
 
 
 def _beside(rows: ConstraintRows) -> Bools:

@@ -64,7 +64,7 @@ def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
         a = vector(joints.inv_inertia, k, 0)
         q = symmetric_top(q, m, a, dt) if a[0] == a[1] else symmetric_split(q, m, a, dt)
         y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
-    carry(joints.carried, work, joints.clusters.body[c], joints.clusters.body[c + 1])
+    carry(joints, work, joints.clusters.body[c], joints.clusters.body[c + 1])
 
 
 @inline
@@ -77,7 +77,7 @@ def factorise_cluster(joints: Joints, work: Work, c: int, span: float, t: float)
         work.total[r] = 0.0
     leave_out(joints.breaks, joints, work, c, t)
     linearise(joints, work, start[lo], start[hi])
-    set_moving(joints.moves, joints, work, start[lo], start[hi], t)
+    set_moving(joints, work, start[lo], start[hi], t)
     _factor(joints, work, c)
 
 
@@ -147,7 +147,7 @@ def constrained_drift(
         for i in range(P):
             work.pose[k, i] = work.y[k, i]
     factorise_cluster(joints, work, c, 0.0, t)
-    kick_actions(joints.acts, joints, work, lo, hi, kick_dt)
+    kick_actions(joints, work, lo, hi, kick_dt)
     for k in range(clusters.body[c], clusters.body[c + 1]):
         for i in range(P, STATE):
             work.pose[k, i] = work.y[k, i]
@@ -310,7 +310,7 @@ def project_momenta(
     first, last = clusters.joint[c], clusters.joint[c + 1]
     lo, hi = start[first], start[last]
     factorise_cluster(joints, work, c, span, t)
-    kick_actions(joints.acts, joints, work, lo, hi, kick_dt)
+    kick_actions(joints, work, lo, hi, kick_dt)
     keep_rates(joints, work, c, lo, hi)
 
 

@@ -72,7 +72,7 @@ def tree_of(joints: Joints) -> JointTree | None:
             near[int(one[own[0]])].append((int(other[own[0]]), own))
     is_held = joints.inv_mass == 0.0
     is_thin = ~is_held & (joints.inv_inertia == 0.0).any(axis=1)
-    is_fixed = joints.moves is None and joints.rolls is None and not (rows.kind == DISTANCE).any()
+    is_fixed = not joints.moves and joints.rolls is None and not (rows.kind == DISTANCE).any()
     if not is_fixed or not near or is_thin[[*near]].any():
         return None
     axes = [(is_shift, world, axis) for is_shift in (True, False) for axis in np.eye(3)]

@@ -63,9 +63,8 @@ def _spline(t: Floats, x: Floats, ends: tuple[float, float]) -> Floats:
     return np.vstack([np.stack([x[:-1], v[:-1], curvature, rest], axis=1), last])
 
 
-def drives_from(courses: Sequence[DriveCourse], start: float) -> Drives | None:
-    """All of them from a time on; None where there are none."""
-    if not courses:
-        return None
-    polynomials, waves = zip(*(course.since(start) for course in courses), strict=True)
-    return Drives(np.array(polynomials), np.array(waves))
+def drives_from(courses: Sequence[DriveCourse], start: float) -> Drives:
+    """All of them from a time on."""
+    found = [course.since(start) for course in courses]
+    polynomials, waves = (np.array([own[k] for own in found]) for k in (0, 1))
+    return Drives(polynomials.reshape(-1, 4), waves.reshape(-1, 3))

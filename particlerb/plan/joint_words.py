@@ -68,10 +68,9 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
     inverse += (g[:, 3:9] * g[:, 9:15]).sum(1)
     for end in (rows.a, rows.b):
         np.add.at(squared, end[soft], stiffness * inverse)
-    if joints.drives is not None:
-        driven = np.flatnonzero(rows.drive != AT_REST)
-        for end in (rows.a, rows.b):
-            np.add.at(squared, end[driven], joints.drives.wave[rows.drive[driven], 1] ** 2)
+    driven = np.flatnonzero(rows.drive != AT_REST)
+    for end in (rows.a, rows.b):
+        np.add.at(squared, end[driven], joints.drives.wave[rows.drive[driven], 1] ** 2)
     found = np.empty(bodies.mass.size)
     found[joints.order] = np.sqrt(squared[:-1])
     return found

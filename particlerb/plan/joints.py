@@ -94,17 +94,16 @@ class JointSetup(NamedTuple):
         index = np.repeat(self.start[which] - start[:-1], count) + np.arange(start[-1])
         rows = ConstraintRows(*(values[index] for values in self.rows))
         rows = rows._replace(a=place[rows.a], b=place[rows.b])
-        coordinates, actions = None, self.actions
-        if self.counts_turns:
-            taken = np.isin(self.coordinates.joint, which)
-            coordinates = Coordinates._make(values[taken] for values in self.coordinates)
-            coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
+        taken = np.isin(self.coordinates.joint, which) & self.counts_turns
+        coordinates = Coordinates._make(values[taken] for values in self.coordinates)
+        coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
+        actions = self.actions
         if links is not None and links.damping is not None:
             rows, actions = joint_rows.with_dashpots(rows, actions, links, members.size)
             start = np.r_[start, start[-1] + 1 + np.arange(links.first.size)]
             which = np.r_[which, np.full(links.first.size, -1)]
-        drives = drives_from(self.courses, time) if self.drives_among(members) else None
-        carried = None if self.driven is None else np.isin(members, self.driven.which)
+        drives = drives_from(self.courses, time)
+        carried = np.isin(members, [] if self.driven is None else self.driven.which)
         joints = joints_among(which, start, rows, bodies, actions, coordinates, drives, carried)
         limits = Breaks(*(np.append(limit, np.inf)[joints.number] for limit in self.breaks))
         breaks = limits if np.isfinite(limits).any() else None
@@ -380,7 +379,7 @@ def _refuse_fast(system: System, setup: JointSetup, joints: Joints, work: Work) 
     """Raise CaseError where velocities at the start break a joint that may not be assembled."""
     m = joints.rows.kind.size
     linearise(joints, work, 0, m)
-    set_moving(joints.moves, joints, work, 0, m, 0.0)
+    set_moving(joints, work, 0, m, 0.0)
     rates(joints, work, 0, m)
     speed = np.zeros(m)
     for end in (joints.rows.a, joints.rows.b):

@@ -155,9 +155,8 @@ def cut_into_segments(
         if acting:
             terms = terms._replace(loads=acting_terms(system, bodies, acting, start).loads)
         if terms.joints is not None and group.joints is not None:
-            if terms.joints.drives is not None:
-                drives = drives_from(group.joints.courses, start)
-                terms = terms._replace(joints=terms.joints._replace(drives=drives))
+            drives = drives_from(group.joints.courses, start)
+            terms = terms._replace(joints=terms.joints._replace(drives=drives))
             terms = _with_drag_among_joints(terms, bodies)
         jumps = jumps_of(now, bodies) if start > begin or is_first else ()
         stretches.append(Stretch(terms, jumps))

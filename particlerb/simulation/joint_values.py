@@ -185,7 +185,7 @@ class JointReader:
         assert motion.jointed is not None
         jointed = motion.jointed._replace(work=work)
         place_driven(jointed.driven, jointed, work.clock[0], 0.0, 0, len(work.y))
-        set_moving(joints.moves, joints, work, 0, m, work.clock[0])
+        set_moving(joints, work, 0, m, work.clock[0])
         linearise(joints, work, 0, m)
         add_action_loads(joints, work, padded)
         find_multipliers(joints, work, padded)
@@ -206,6 +206,6 @@ class JointReader:
         values.joint_misfit[row, own] = misfit[is_joint]
         rate = np.maximum.reduceat(np.abs(work.z) / size, start)
         values.joint_rate[row, own] = rate[is_joint]
-        if turned is not None and joints.coordinates is not None:
+        if turned is not None:
             known = values_of(joints.coordinates, turned)
             values.joint_coordinate[row, joints.coordinates.number] = known

@@ -28,7 +28,8 @@ def jointed_in(
     given = flag(not has_potential(group.terms))
     if driven is not None:
         driven = driven._replace(which=np.argsort(joints.order)[driven.which])
-    return Jointed(joints, work, own // BLOCK, own % BLOCK, given, driven, start)
+    places = own // BLOCK, own % BLOCK
+    return Jointed(joints, work, *places, given, flag(joints.damps), driven, start)
 
 
 class JointedMotion(Motion):
@@ -80,7 +81,5 @@ class JointedMotion(Motion):
             return
         known = dict(zip(old.number.tolist(), before.broken.tolist(), strict=True))
         self.broken[:] = [known.get(number, np.inf) for number in new.number.tolist()]
-        if old.coordinates is None or new.coordinates is None:
-            return
         stayed = np.isin(old.coordinates.number, new.coordinates.number)
         self.turned[:] = before.turned[stayed]

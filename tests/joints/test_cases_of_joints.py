@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from holds import misfits
+from numba import typeof
 from scenes import SCENES, Y, bar, body, case, joint, moved
 
 import particlerb
@@ -260,3 +261,17 @@ def test_the_world_books_what_it_gives_through_joints():
         ledger = trajectory.ledger
         assert np.abs(ledger.linear_momentum_error).max() < 1e-13
         assert np.abs(ledger.angular_momentum_error).max() < 1e-13
+
+
+def test_what_compiled_code_knows_of_mechanisms_is_the_same_with_springs_drives_and_coordinates():
+    """Each type of its own would cost half a minute of compiling."""
+    types = set()
+    hinge = {"type": "hinge", "body": "b0", "axis": Y}
+    fields = {"output": {"fields": ["position", "joint_coordinate"]}}
+    driven = {"drive": {"position": [[0, 0], [0.5, 0.1], [1.0, 0.3]]}}
+    sprung = {"spring": {"stiffness": 2.0}}
+    for own, more in (({}, {}), (sprung, {}), ({}, fields), (driven, fields)):
+        groups = prepared(rods(hinge | own, n=1) | more).plan.groups
+        found = [group.segments[0].terms.joints for group in groups]
+        types.update(typeof(joints) for joints in found if joints is not None)
+    assert len(types) == 1

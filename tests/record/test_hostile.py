@@ -327,11 +327,9 @@ def test_any_bytes_give_a_value_or_one_error(sound, tmp_path, data):
         with particlerb.open(path) as t:
             verify(t)
             _ = t.position, t.names, t.ledger, t.parameter("case_resolved")
-    except TrajectoryError as error:
+    except (TrajectoryError, KeyError) as error:
         message = str(error)
-        assert str(path) in message
-    except KeyError as error:  # the name of a field was hit
-        assert "was not recorded" in str(error)
+        assert str(path) in message or "was not recorded" in message
 
 
 def test_states_that_overflow_are_a_flaw_and_no_warning(copy):
