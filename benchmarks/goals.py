@@ -42,6 +42,7 @@ _FORCED: Final = "forced_bodies.py", "forced"
 _DROP: Final = "clump_drop.py", "clump_drop"
 _NONE: Final = "no benchmark yet", ""
 _TREE: Final = "attraction.py", "attraction"
+_START: Final = "startup.py", "startup"
 
 GOALS: Final = (
     most("one free body, t = 100, motion of a prepared scene [ms]", 0.06, *_CALLS,
@@ -73,6 +74,15 @@ GOALS: Final = (
     least("clump drop of 8000, two threads", 1.85, *_DROP, "8000 clumps, two threads"),
     most("tree, 1e5 points of a ball, error asked 1e-4 [s]", 0.35, *_TREE,
          "tree, ball of 100000, error 0.0001 asked [s]"),
+    *(most(f"first run of {name}, wall [s]", 20 if name == "clump_drop" else 12, *_START,
+           f"{name}, first [s]")
+      for name in ("tumbling_brick", "heavy_top", "spring_net", "clump_drop", "binary_asteroid")),
+    most("first run of a random scene, median of 30 [s]", 5, *_START,
+         "random scenes, median, first [s]"),
+    most("first run of a random scene, the longest of 30 [s]", 12, *_START,
+         "random scenes, at most, first [s]"),
+    most("second run of a random scene, the longest of 30 [s]", 1, *_START,
+         "random scenes, at most, second [s]"),
 )  # fmt: skip
 
 
