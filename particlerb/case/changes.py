@@ -5,6 +5,7 @@ form: of such variants one is judged as a whole, and of the others what changes.
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Annotated, Any, Final
 
 from pydantic import TypeAdapter, ValidationError
@@ -26,11 +27,17 @@ _OF_PAIR: Final = 4  # parts of a key like contact.pair.0.friction
 def likeness(paths: Sequence[Path], values: Sequence[Any]) -> tuple[object, ...]:
     """What variants have in common that differ in nothing but numbers, none of them zero in one."""
     return tuple(
-        repr(value) if not _is_number(path) else "" if path == _SEED else _pattern(value)
+        value != 0.0 if type(value) is float and _is_number(path) else _likeness(path, value)
         for path, value in zip(paths, values, strict=True)
     )
 
 
+def _likeness(path: Path, value: Any) -> object:
+    """The same of one value that is no float."""
+    return repr(value) if not _is_number(path) else "" if path == _SEED else _pattern(value)
+
+
+@cache
 def _is_number(path: Path) -> bool:
     """Whether no rule compares the numbers at a key with other keys."""
     if path[0] == "contact":
@@ -103,10 +110,18 @@ def _place_of(path: Path) -> Path:
 
 def _adapter(case: Case, place: Path) -> TypeAdapter[list[Any]]:
     """What reads a list of records, or of entries."""
-    record: Any = getattr(case, str(place[0]))
     if place[0] == "body":
-        entry = Body.model_fields[str(place[2])]
+        return _reader_of(str(place[2]))
+    record: Any = getattr(case, str(place[0]))
+    kind: Any = type(record if len(place) == 1 else record[place[1]])
+    return _reader_of(kind)
+
+
+@cache
+def _reader_of(what: Any) -> TypeAdapter[list[Any]]:
+    """The same of an entry of bodies by its name, or of a kind of record."""
+    if isinstance(what, str):
+        entry = Body.model_fields[what]
         each: Any = list[Annotated[entry.annotation, entry]]  # type: ignore[name-defined]
         return TypeAdapter(each, config=Body.model_config)
-    kind = type(record if len(place) == 1 else record[place[1]])
-    return TypeAdapter(list[kind])  # type: ignore[valid-type]
+    return TypeAdapter(list[what])

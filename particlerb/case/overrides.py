@@ -60,7 +60,7 @@ def with_value(node: Any, path: Path, value: Any) -> Any:
     if not path:
         return value
     head, rest = path[0], path[1:]
-    if isinstance(node, Mapping):
+    if isinstance(node, (dict, Mapping)):  # dict is quick to see
         return {**node, str(head): with_value(node.get(str(head), {}), rest, value)}
     if not isinstance(node, list):
         raise LookupError(f"there is no {shown(head)} in {shown(node)}")

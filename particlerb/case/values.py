@@ -307,8 +307,8 @@ class Forms:
 
     def form(self, value: Any) -> str:
         """Form of a value among those that there are."""
-        if isinstance(value, (Mapping, BaseModel)):
-            keys = value if isinstance(value, Mapping) else type(value).model_fields
+        if isinstance(value, (dict, Mapping, BaseModel)):  # dict is quick to see
+            keys = type(value).model_fields if isinstance(value, BaseModel) else value
             found = "random" if "random" in keys and "random" in self.names else "table"
         elif isinstance(value, str):
             found = "word"

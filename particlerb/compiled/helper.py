@@ -85,7 +85,7 @@ class _Copying(compiler.CompilerBase):
 
 
 @contextmanager
-def _no_collection() -> Iterator[None]:
+def no_collection() -> Iterator[None]:
     """Let Python look for no garbage: while Numba compiles it would take a tenth of the time."""
     was_on = gc.isenabled()
     gc.disable()
@@ -124,7 +124,7 @@ class Helper(registry.CPUDispatcher):
         if self.keep is not None:
             self.keep(self)
             self.keep = None
-        with _no_collection():
+        with no_collection():
             return super().compile(signature)
 
     @cached_property
@@ -165,7 +165,7 @@ class Kernel(registry.CPUDispatcher):
 
     def compile(self, signature: Any) -> Any:
         """Code for a signature, from disk or from the compiler."""
-        with _no_collection():
+        with no_collection():
             return super().compile(signature)
 
     @cached_property

@@ -13,7 +13,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
-from particlerb.case.changes import likeness
 from particlerb.case.problems import CaseError, file_problem, path_of
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
@@ -124,8 +123,7 @@ def _tasks(
     source, share = base.source._replace(raw=raw, text=""), may_share(system)
     alike: dict[Any, list[Variant]] = {}
     for variant in left[1:]:
-        like = likeness(paths, variant.values) if share else None
-        alike.setdefault(like, []).append(variant)
+        alike.setdefault(variant.like if share else None, []).append(variant)
     fewest, most = 1, _MOST_IN_TASK
     if share:  # as much work as it takes to start another worker, at least
         steps = 0.0 if base.run.dt is None else base.run.t_end / base.run.dt

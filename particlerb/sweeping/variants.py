@@ -14,10 +14,12 @@ from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of, 
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
 from particlerb.case.sweep import SweepTable
+from particlerb.compiled.helper import no_collection
 from particlerb.compiled.jit import source_hash
 from particlerb.sweeping.designs import rows_of
 
 _MOST_PROBLEMS = 20
+_encoded = json.JSONEncoder(default=np.ndarray.tolist).encode
 
 
 class Variant(NamedTuple):
@@ -26,8 +28,10 @@ class Variant(NamedTuple):
     number: int
     values: tuple[Any, ...]  # of the axes
     hash: str  # of all that decides its row
+    like: tuple[object, ...]  # equal to that of others which differ in numbers alone
 
 
+@no_collection()
 def variants(case: Case, sweep: SweepTable) -> list[Variant]:
     """All variants of a case.
 
@@ -45,7 +49,7 @@ def variants(case: Case, sweep: SweepTable) -> list[Variant]:
         alike.setdefault(likeness(paths, row), []).append(number)
     found: list[Variant] = []
     problems: dict[tuple[str, str], Problem] = {}
-    for numbers in alike.values():
+    for like, numbers in alike.items():
         start, suspects = None, set(numbers)
         for number in numbers:
             if number in suspects:
@@ -62,8 +66,8 @@ def variants(case: Case, sweep: SweepTable) -> list[Variant]:
                     suspects = {numbers[1 + k] for k in changed(one, paths, others)[1]}
             assert start is not None
             hashed = start.copy()
-            hashed.update(json.dumps(rows[number], default=np.ndarray.tolist).encode())
-            found.append(Variant(number, rows[number], hashed.hexdigest()[:16]))
+            hashed.update(_encoded(rows[number]).encode())
+            found.append(Variant(number, rows[number], hashed.hexdigest()[:16], like))
     if problems:
         raise CaseError(problems.values())
     return sorted(found, key=lambda one: one.number)
