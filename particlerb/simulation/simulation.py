@@ -281,7 +281,7 @@ class Simulation(Closing):
         with THREADS.using(system.run.threads):
             reached = self._run.finish(self.time)
             self._run.restart(system, plan, state or reached, entries)
-            self._state = self._look(np.array([self.time]), np.zeros(1, np.bool_))
+            self._state = self._glance(self.time)
 
     def _state_now(self) -> State:
         """State of now, as a system has it at its start."""

@@ -1,12 +1,12 @@
 """A group of bodies on a grid of steps: its blocks, and the calls of the loop."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from particlerb.compiled.jit import flag
+from particlerb.compiled.jit import flag, for_types_of
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import acting_of, row_count, rows_of_terms
 from particlerb.forces.registry import STAGE
@@ -103,7 +103,8 @@ class SteppedMotion(JointedMotion):
         self.blocks = in_blocks(len(full) * BLOCK, n_rows, spaced)
         self.saved = np.empty((len(full), CHANGING * STRIDE))
         self.steps_done = 0
-        self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`
+        self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`,
+        self.pose_loop: Callable[..., Position] | None = None  # and for it
         self.account = WorkAccount(group, state, method.keeps_angular_momentum)
         self.jointed = jointed_in(group, state, self.slots, start, dt)
         links, own = terms.links, terms.own_pairs
@@ -192,7 +193,11 @@ class SteppedMotion(JointedMotion):
         _, schedule, recording = self.single
         schedule.steps[0], schedule.partial[0] = count, partial
         recording.sums.fill(0.0)
-        self.run(schedule, recording)
+        if self.pose_loop is None:
+            loop = compiled_loop(self.method, self.is_coupled)
+            given = self._arguments(schedule, recording)
+            self.pose_loop = for_types_of(loop, *given, 1, 0, 1)
+        self._run_through_loop(self.pose_loop, schedule, recording)
         self.steps_done = steps
 
     def finish(self, stop: float) -> tuple[State, Floats]:
@@ -228,17 +233,25 @@ class SteppedMotion(JointedMotion):
 
     def run(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule."""
-        n, n_blocks = self.group.members.size, len(self.blocks)
+        self._run_through_loop(compiled_loop(self.method, self.is_coupled), schedule, recording)
+
+    def _arguments(self, schedule: Schedule, recording: Recording) -> tuple[Any, ...]:
+        """What the loop takes before its range of blocks."""
         position = Position(0, 0, self.steps_done)
-        arguments = self.moving, schedule, recording, Copies(self.saved), position
+        return self.moving, schedule, recording, Copies(self.saved), position
+
+    def _run_through_loop(
+        self, loop: Callable[..., Position], schedule: Schedule, recording: Recording
+    ) -> None:
+        """Go through a schedule; forces that are large bring a loop of their own."""
+        n, n_blocks = self.group.members.size, len(self.blocks)
+        arguments = self._arguments(schedule, recording)
         if not self.is_coupled:
-            apart = partial(compiled_loop(self.method, False), *arguments, 1)
             stops = sum(schedule.steps.tolist()) + schedule.steps.size
-            THREADS.share(apart, n_blocks, n * stops)
+            THREADS.share(partial(loop, *arguments, 1), n_blocks, n * stops)
         elif self.forces is not None and self.forces.is_large:
             loop_over_threads(self.method, self.forces)(*arguments, n_blocks, 0, n_blocks)
         else:
-            loop = compiled_loop(self.method, True)
             THREADS.alone(loop, *arguments, n_blocks, 0, n_blocks)
 
     def schedules(self, counts: Ints, partial: Floats, rows: Ints) -> Iterator[Schedule]:
