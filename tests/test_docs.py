@@ -1,5 +1,7 @@
 """What pages show runs as it stands: cases, commands, Python, and what these print."""
 
+import importlib.util
+import json
 import linecache
 import re
 import shlex
@@ -14,7 +16,10 @@ from particlerb.cli import main
 DOCS = Path(__file__).parents[1] / "docs"
 TUTORIALS = sorted(f"tutorials/{path.name}" for path in (DOCS / "tutorials").glob("*.md"))
 SCENES = ["python.md", "forces.md"]
-SLOW = {"tutorials/accuracy.md", "tutorials/heap.md", "tutorials/hopper.md", "tutorials/sweep.md"}
+SLOW = {
+    f"tutorials/{name}.md"
+    for name in ("accuracy", "calibrate", "heap", "hopper", "magnet", "satellite", "sweep")
+}
 
 
 def blocks(page):
@@ -65,6 +70,23 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     outside = re.compile(r'(?:src|<link[^>]* href)="https?:')
     assert not [p for p in tmp_path.rglob("*.html") if outside.search(p.read_text())]
+
+
+def test_notebooks_are_those_of_their_pages_and_have_their_code():
+    found = importlib.util.spec_from_file_location("make_notebooks", DOCS / "make_notebooks.py")
+    make = importlib.util.module_from_spec(found)
+    found.loader.exec_module(make)
+    assert {p.stem for p in (DOCS / "tutorials").glob("*.ipynb")} == set(make.PAGES)
+    for name in make.PAGES:
+        page = f"tutorials/{name}.md"
+        text = (DOCS / "tutorials" / f"{name}.ipynb").read_text()
+        assert text == make.notebook((DOCS / page).read_text()), "python docs/make_notebooks.py"
+        cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+        code = ["".join(cell["source"]) for cell in cells]
+        printed = ["".join(out["text"]) for cell in cells for out in cell["outputs"]]
+        own = blocks(page)
+        assert code == [text.strip() for language, text in own if language == "python"]
+        assert printed == [text for language, text in own if language == "text"]
 
 
 def test_a_page_begins_with_what_its_reader_can_do_afterwards():
