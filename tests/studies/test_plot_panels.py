@@ -63,14 +63,31 @@ def layer(make):
     return make.case(ball | {"velocity": [0.1, 0, 0]}, t_end=0.2, dt=0.1)
 
 
+def apart(make):
+    """Two bodies that spin and do not act on each other."""
+    spin = {"inertia": (1.0, 1.0, 1.0), "angular_velocity": [0, 0, 2.0]}
+    move = {"velocity": [0, 0, 1.0]}
+    return make.case(make.body("left", **spin, **move), make.body("right", **spin), t_end=0.2)
+
+
+def points_apart(make):
+    """Two points that move past each other."""
+    point = {"shape": {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}}
+    two = [point | {"name": n, "velocity": [v, 0, 0]} for n, v in (("slow", 1.0), ("fast", 2.0))]
+    return make.case(*two, t_end=0.2)
+
+
+ERRORS = "conservation errors: largest so far"
 SCENES = {
     heap: ["energies", "height of bodies"],
     orbits: ["energies", "distance from the common centre of mass"],
     linkage: ["angular velocities", "energies"],
     top: ["angular velocity of body, body frame", "axis of body"],
-    flip: ["angular velocity of body, body frame", "x axis of body in the world"],
-    libration: ["energies", "longest axis to the line to the centre"],
+    flip: ["angular velocity of body, body frame", "angle of the y axis of body"],
+    libration: ["angular velocities", "longest axis to the line to the centre"],
     layer: ["energies", "distance from the common centre of mass"],
+    apart: ["energies", "angular velocities"],
+    points_apart: ["energies", "speeds"],
 }
 
 
@@ -94,7 +111,7 @@ def panel(figure, title):
 def test_panels_fit_the_scene(scene, make, monkeypatch):
     figure, _ = drawn(scene(make), monkeypatch)
     titles = [axes.get_title(loc="left") for axes in figure.axes[1:]]
-    assert [title for title in titles if title] == [*SCENES[scene], "conservation errors"]
+    assert [title for title in titles if title] == [*SCENES[scene], ERRORS]
 
 
 def test_a_body_that_is_named_has_its_own_panels(make, monkeypatch):
@@ -106,7 +123,7 @@ def test_a_body_that_is_named_has_its_own_panels(make, monkeypatch):
 def test_energies_are_those_of_the_balance(make, monkeypatch):
     figure, trajectory = drawn(orbits(make), monkeypatch)
     lines = {line.get_label(): line.get_ydata() for line in panel(figure, "energies").lines}
-    assert np.array_equal(lines["kinetic"] + lines["potential"], lines["both"])
+    assert np.array_equal(lines["kinetic"] + lines["potential"], lines["total"])
     assert lines["kinetic"][0] == 2 * 0.5 * 1.0 * 0.5**2
     assert trajectory.ledger.potential_energy[0] == pytest.approx(-1.0, rel=1e-15)
 
@@ -150,3 +167,40 @@ def test_a_single_frame_is_drawn_as_points(make, tmp_path):
         figure = particlerb.plot(trajectory)
     lines = panel(figure, "angular velocity of body, body frame").get_lines()
     assert {line.get_marker() for line in lines} == {"o"}
+
+
+def rods(make, at):
+    """Two rods of 1 m on hinges, given by their moments; the lower one starts to swing."""
+    moments = {"type": "moments", "inertia": [1 / 12, 1 / 12, 1e-3]}
+    rod = {"shape": moments, "mass": 1.0}
+    bodies = [rod | {"name": "upper", "position": [0, 0, -0.5]},
+              rod | {"name": "lower", "position": [0, 0, -1.5], "angular_velocity": [0, 3.0, 0],
+                     "velocity": [-1.5, 0, 0]}]  # fmt: skip
+    hinge = {"type": "hinge", "axis": [0, 1, 0]}
+    joint = [hinge | {"body": "upper", "at": [0, 0, 0]},
+             hinge | {"body": "lower", "to": "upper", "at": at, "at_to": [0, 0, -1.0]}]  # fmt: skip
+    return make.case(*bodies, t_end=0.4, dt=0.05, joint=joint, gravity=GRAVITY)
+
+
+@pytest.mark.parametrize("at", [[0, 0, -1.0], {"body": [0, 0, 0.5]}], ids=["world", "body"])
+def test_a_linkage_is_drawn_by_its_joints(make, monkeypatch, at):
+    """The upper hinge stays; the elbow is half a rod from both centres, which move along arcs."""
+    figure, trajectory = drawn(rods(make, at), monkeypatch)
+    lines = [line.get_xydata() for line in figure.axes[0].lines]
+    paths = [line for line in lines if len(line) == trajectory.n_frames]
+    assert np.array_equal(paths[1], trajectory.position[:, 1, ::2])
+    bars = np.array([line for line in lines if len(line) == 2])
+    assert len(bars) == 4 * 3  # at four instants: the upper rod has two joints, the lower one
+    assert np.allclose(np.linalg.norm(bars[:, 1] - bars[:, 0], axis=1), 0.5, rtol=0, atol=1e-6)
+    ends = bars[:, 1].reshape(4, 3, 2)
+    assert np.allclose(ends[:, 0], 0.0, rtol=0, atol=1e-6)
+    assert np.allclose(ends[:, 1], ends[:, 2], rtol=0, atol=1e-6)
+    assert np.ptp(ends[:, 1], axis=0).max() > 0.1
+
+
+def test_the_axis_of_a_flip_turns_over(make, monkeypatch):
+    figure, _ = drawn(flip(make), monkeypatch)
+    (line,) = panel(figure, "angle of the y axis of body").lines
+    angle = line.get_ydata()
+    assert angle[0] == pytest.approx(math.degrees(math.atan(math.hypot(0.5e-3, 1.5e-3))), rel=1e-6)
+    assert angle.max() > 179.0

@@ -1,6 +1,6 @@
-"""Bodies as a picture shows them: paths through space, a side view, and attitudes of one."""
+"""Bodies as a picture shows them: paths, a side view, a linkage at instants, attitudes of one."""
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,11 +8,11 @@ from matplotlib.collections import EllipseCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from mpl_toolkits.mplot3d import Axes3D
 
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.state import rotate, rotation_matrix
 from particlerb.record import schema
 from particlerb.record.trajectory import Trajectory
-from particlerb.studies.charts.style import COLOURS, INK, finish_panel
+from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style
 
 _ATTITUDES: Final = 7
 _APART: Final = 1.25  # of attitudes, in diagonals of the body
@@ -22,6 +22,10 @@ BODY: Final = "#eceff2"
 
 
 _FLAT: Final = 0.05  # height over width of what is seen from above
+_DEEP: Final = 0.4  # depth over width of what is seen at an angle
+_ANGLES: Final = np.radians((35.0, 22.0))  # of such a view: about the vertical, and from above
+_STILL: Final = 1e-3  # of the speed that all energy would give: at rest
+KEYED: Final = 6  # bodies at most that have a colour each
 
 
 def upright(trajectory: Trajectory) -> int:
@@ -64,28 +68,145 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     order = np.argsort(depth if (across, up) != (0, 2) else -depth)
     momenta = trajectory.read("linear_momentum", slice(frame, frame + 1))[0]
     speed = np.linalg.norm(momenta, axis=1) / trajectory.mass
-    share = (speed / (speed.max() or 1.0))[body][order, None]
+    highest = np.sqrt(2.0 * trajectory.ledger.kinetic_energy.max() / trajectory.mass.sum())
+    is_still = speed.max() <= _STILL * highest
+    share = (speed / (1.0 if is_still else speed.max()))[body][order, None]
     colours = 1.0 - share * (1.0 - np.array(to_rgb(COLOURS[0]))) - 0.08 * (1.0 - share)
     radii = trajectory.particles.radius[particle][order]
     reach = np.ptp(centres[:, shown], axis=0).max() or 1.0
     draw_particles(axes, centres[order][:, shown], np.maximum(radii, 0.003 * reach), colours)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    title = f"t = {trajectory.time[frame]:.4g} s; blue: up to {speed.max():.3g} m/s"
+    words = "at rest" if is_still else f"blue: up to {speed.max():.3g} m/s"
+    title = f"t = {trajectory.time[frame]:.4g} s; {words}"
     finish_panel(axes, title, xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")
     axes.grid(visible=False)
 
 
 def draw_paths(axes: Axes3D, trajectory: Trajectory, shown: list[int], body: int) -> None:
-    """Trajectories of some bodies, one of them in another colour."""
+    """Trajectories of some bodies: of a few in the colours of their lines, else one in another."""
     position = trajectory.read("position", bodies=shown)
+    is_keyed = trajectory.n_bodies <= KEYED
     for k, b in enumerate(shown):
         x, y, z = position[:, k].T
-        colour, opacity = (COLOURS[1], 1.0) if b == body else (COLOURS[0], 0.6)
-        axes.plot(x, y, z, lw=1.2, color=colour, alpha=opacity)
-        axes.plot(x[-1:], y[-1:], z[-1:], "o", ms=3.5, color=colour)
+        style = line_style(b) if is_keyed else {"color": COLOURS[b == body], "ls": "-"}
+        axes.plot(x, y, z, lw=1.2, alpha=1.0 if is_keyed or b == body else 0.6, **style)
+        axes.plot(x[-1:], y[-1:], z[-1:], "o", ms=3.5, color=style["color"])
     axes.set_title("trajectories" if len(shown) > 1 else "trajectory", fontsize=10, color=INK)
     set_equal_scale(axes, position.reshape(-1, 3))
+
+
+def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
+    """All bodies at some instants, the last in colour, with their joints and the paths of centres.
+
+    A body that is only its moments is drawn as lines from its centre to its joints, any other as a
+    box around its particles.
+    """
+    x = trajectory.read("position")
+    frames = np.unique(np.linspace(0, trajectory.n_frames - 1, 4).astype(int)).tolist()
+    edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))
+    points, is_bar = _joint_points(trajectory), _without_shape(trajectory)
+    edges[is_bar & np.array([np.abs(own).max(initial=0.0) > 0.0 for own in points])] = 0.0
+    boxes = _CORNERS * edges[:, None]
+    attitudes = [
+        [rotation_matrix(q) for q in row] for row in trajectory.read("orientation")[frames]
+    ]
+
+    def placed(local: Floats | list[Floats], k: int) -> list[Floats]:
+        """Points of each body at an instant, world frame."""
+        turns = zip(local, attitudes[k], x[frames[k]], strict=True)
+        return [own @ R.T + com for own, R, com in turns]
+
+    corners = np.stack([placed(boxes, k) for k in range(len(frames))])
+    hinges = [placed(points, k) for k in range(len(frames))]
+    everywhere = np.concatenate([corners.reshape(-1, 3), *(p for row in hinges for p in row)])
+    view, names = _view(trajectory, everywhere)
+    for path in np.moveaxis(x @ view.T, 1, 0):
+        axes.plot(*path[:, :2].T, color=COLOURS[1], lw=0.9, alpha=0.7, zorder=1.0)
+    for k in range(len(frames)):
+        is_last = k == len(frames) - 1
+        _draw_boxes(axes, corners[k] @ view.T, is_last, 2.0 + 0.1 * k)
+        line: dict[str, Any] = {
+            "color": COLOURS[0] if is_last else "#9aa5b1",
+            "zorder": 2.05 + 0.1 * k,
+        }
+        for com, own in zip(x[frames[k]] @ view.T, hinges[k], strict=True):
+            for end in own @ view.T:
+                axes.plot(*zip(com[:2], end[:2], strict=True), lw=2.2 if is_last else 1.2, **line)
+                axes.plot(*end[:2], "o", ms=4, mfc="white", **line)
+    axes.update_datalim((everywhere @ view.T)[:, :2])
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+    times = ", ".join(f"{trajectory.time[frame]:.3g}" for frame in frames)
+    title = f"t = {times} s (blue); orange: paths of centres"
+    finish_panel(axes, title, xlabel=names[0], ylabel=names[1])
+    axes.grid(visible=False)
+
+
+def _draw_boxes(axes: Axes, corners: Floats, is_last: bool, height: float) -> None:
+    """Faces of boxes with these corners in the view, (n, 8, 3); those in front last."""
+    faces = [own[list(face)] for own in corners if np.ptp(own) > 0.0 for face in _FACES]
+    faces.sort(key=lambda face: -float(face[:, 2].mean()))
+    tint, opacity = ("#a9cce3", 0.75) if is_last else (BODY, 0.35)
+    axes.add_collection(PolyCollection(
+        [face[:, :2] for face in faces], facecolors=tint, edgecolors=INK, linewidths=0.7,
+        alpha=opacity, zorder=height,
+    ))  # fmt: skip
+
+
+def _numbers(trajectory: Trajectory, names: list[str] | None) -> list[int]:
+    """Bodies of names of bodies and of blocks, in their order."""
+    return [
+        b
+        for name in names or []
+        for b, own in enumerate(trajectory.names)
+        if own == name or own.startswith(f"{name}[")
+    ]
+
+
+def _without_shape(trajectory: Trajectory) -> Bools:
+    """Bodies of which only the moments of inertia are known."""
+    found = np.zeros(trajectory.n_bodies, dtype=bool)
+    for body in trajectory.parameter("case_resolved")["body"]:
+        if (body["shape"] or {}).get("type") == "moments":
+            found[_numbers(trajectory, [body["name"]])] = True
+    return found
+
+
+def _joint_points(trajectory: Trajectory) -> list[Floats]:
+    """Points of joints in each body, its frame from its centre of mass, from the first frame."""
+    x, q = (trajectory.read(name, slice(0, 1))[0] for name in ("position", "orientation"))
+    found: list[list[Floats]] = [[] for _ in range(trajectory.n_bodies)]
+    for joint in trajectory.parameter("case_resolved")["joint"]:
+        first, second = (_numbers(trajectory, joint[key]) for key in ("body", "to"))
+        at, at_to = joint["at"], joint["at_to"] or joint["at"]
+        if joint["chain"]:
+            first, second = first[1:], first[:-1]
+        for side, point in ((first, at), (second, at_to)):
+            for b in side if point is not None else []:
+                is_own = isinstance(point, dict)
+                place = point["body"] if is_own else rotation_matrix(q[b]).T @ (point - x[b])
+                found[b].append(np.array(place))
+    return [np.array(own).reshape(-1, 3) for own in found]
+
+
+def _view(trajectory: Trajectory, points: Floats) -> tuple[Floats, tuple[str, str]]:
+    """Rows to the right, upwards and away, and names of the axes: along an axis, or at an angle."""
+    across, up = side_axes(trajectory, points)
+    away = 3 - across - up
+    extent = np.ptp(points, axis=0)
+    axis = np.eye(3)
+    if extent[away] < _DEEP * extent.max():
+        depth = np.cross(axis[up], axis[across])  # so that right, up and towards us turn as x, y, z
+        return np.stack([axis[across], axis[up], depth]), (
+            f"{'xyz'[across]} [m]",
+            f"{'xyz'[up]} [m]",
+        )
+    (cos, cos_up), (sin, sin_up) = np.cos(_ANGLES), np.sin(_ANGLES)
+    first, second = axis[(up + 1) % 3], axis[(up + 2) % 3]
+    right, level = cos * first + sin * second, cos * second - sin * first
+    rows = np.stack([right, cos_up * axis[up] + sin_up * level, cos_up * level - sin_up * axis[up]])
+    return rows, ("[m], seen from above at an angle", f"upwards: {'xyz'[up]} [m]")
 
 
 def draw_trace(axes: Axes3D, trajectory: Trajectory, body: int, axis: int) -> None:
@@ -105,8 +226,13 @@ def set_equal_scale(axes: Axes3D, points: Floats, unit: str = " [m]") -> None:
     half = np.where(half > 0.0, 1.05 * half, 1.0)
     middle = (low + high) / 2.0
     x, y, z = zip(middle - half, middle + half, strict=True)
+    power = 3 * int(np.log10(max(np.abs([x, y, z]).max(), 1e-300)) // 3)
+    power = power if abs(power) > 3 and unit else 0
+    unit = unit.replace("[", f"[1e{power} ") if power else unit
     labels = {f"{letter}label": f"{letter}{unit}" for letter in "xyz"}
     axes.set(xlim=x, ylim=y, zlim=z, **labels)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
     axes.set_box_aspect(half / half.max())
     axes.locator_params(nbins=4)
 
@@ -117,6 +243,12 @@ def direction(trajectory: Trajectory, body: int, axis: int) -> Floats:
     return rotate(q, np.tile(np.eye(3)[:, axis, None], q.shape[1])).T
 
 
+def spun_axis(trajectory: Trajectory, body: int) -> int:
+    """Axis of the body frame about which a body turns most at first, or on the whole."""
+    rates = np.abs(trajectory.omega_body(body))
+    return int(np.argmax(rates[0] if rates[0].any() else rates.mean(axis=0)))
+
+
 def draw_attitudes(axes: Axes, trajectory: Trajectory, body: int) -> None:
     """A body at some instants, seen with its angular momentum upwards.
 
@@ -124,7 +256,7 @@ def draw_attitudes(axes: Axes, trajectory: Trajectory, body: int) -> None:
     """
     momentum = trajectory.read("angular_momentum", bodies=body)[0]
     up = momentum / np.linalg.norm(momentum)
-    spun = int(np.argmax(np.abs(trajectory.omega_body(body)[0])))
+    spun = spun_axis(trajectory, body)
     height = direction(trajectory, body, spun) @ up
     frames = _instants(trajectory, body, height * np.sign(height[0]))
     side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])

@@ -26,6 +26,12 @@ METHOD_COLOURS: Final = {
 INK: Final = "#333333"
 GRID: Final = "#dddddd"
 
+
+def line_style(k: int) -> dict[str, Any]:
+    """Colour and dashes of the k-th of a few bodies, the same in all panels."""
+    return {"color": COLOURS[k % len(COLOURS)], "ls": ("-", "--", ":")[k // len(COLOURS) % 3]}
+
+
 CurveEnd = tuple[float, float, str, str]
 """x and y of the last point of a curve, its name, its colour."""
 

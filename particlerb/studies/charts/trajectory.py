@@ -20,18 +20,21 @@ from particlerb.model.state import derived, rotate
 from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.rotors.rotor_class import SYMMETRIC
 from particlerb.studies.charts.bodies import (
+    KEYED,
     direction,
     draw_attitudes,
+    draw_linkage,
     draw_paths,
     draw_side,
     draw_trace,
+    spun_axis,
     upright,
 )
-from particlerb.studies.charts.style import COLOURS, INK, finish_panel, write_beside
+from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style, write_beside
 from particlerb.studies.text import count_of
 
 _PATHS: Final = 12  # bodies whose trajectories are drawn
-_LINES: Final = 6  # in a panel over time
+_LOWEST: Final = 1e-17  # error that is drawn
 _SAMPLED: Final = 1000  # bodies whose heights are looked at
 
 
@@ -80,32 +83,56 @@ def _draw_panels(
 ) -> None:
     """Draw what fits the scene, or a body."""
     one = _fastest(trajectory) if body is None else trajectory.names.index(body)
-    is_top = _is_top(trajectory, one)
     shown = _shown(trajectory.n_bodies, _PATHS, one)
     is_still = not np.ptp(trajectory.read("position", bodies=shown), axis=0).any()
-    is_shown_turning = is_still and not is_top and trajectory.omega_body(one)[0].any()
-    is_shown_turning = is_shown_turning and trajectory.n_frames > 1
-    if is_shown_turning:
+    is_tumbling = is_still and not _is_top(trajectory, one) and trajectory.n_frames > 1
+    if is_tumbling and trajectory.omega_body(one)[0].any():
         grid = figure.add_gridspec(2, 3, height_ratios=(0.6, 1.0), width_ratios=(1.0, 1.0, 1.3))
         draw_attitudes(figure.add_subplot(grid[0, :]), trajectory, one)
         places = [grid[1, 0], grid[1, 1], grid[1, 2]]
     else:
         grid = figure.add_gridspec(2, 2)
-        is_many = trajectory.n_bodies > _PATHS and body is None
-        _draw_bodies(figure, grid[0, 0], trajectory, one, [] if is_many else shown)
+        _draw_bodies(figure, grid[0, 0], trajectory, case, one, shown, body is None)
         places = [grid[0, 1], grid[1, 0], grid[1, 1]]
-    librates = _centre(trajectory, case) is not None
     above, below, last = (figure.add_subplot(place) for place in places)
-    if body is None and case["joint"]:
+    _draw_motion(above, below, trajectory, case, one, body is not None or is_still)
+    _draw_conservation_errors(last, trajectory)
+
+
+def _draw_motion(
+    above: Axes,
+    below: Axes,
+    trajectory: Trajectory,
+    case: dict[str, Any],
+    one: int,
+    is_of_one: bool,
+) -> None:
+    """Two panels over time: of one body, or what moves the scene on."""
+    if case["joint"] and not is_of_one:
         _draw_joints(above, trajectory, case)
         _draw_energies(below, trajectory)
-    elif body is None and (librates or (trajectory.n_bodies > 1 and not is_still)):
+    elif _centre(trajectory, case) is not None and not is_of_one:
+        _draw_rates(above, trajectory, case)
+        _draw_libration(below, trajectory, case)
+    elif trajectory.n_bodies > 1 and not is_of_one:
         _draw_energies(above, trajectory)
-        (_draw_libration if librates else _draw_heights)(below, trajectory, case)
+        is_coupled = trajectory.n_bodies > _PATHS or _couples(case)
+        (_draw_heights if is_coupled else _draw_rates)(below, trajectory, case)
+    elif _is_top(trajectory, one):
+        _draw_angular_velocity(above, trajectory, one)
+        _draw_nutation(below, trajectory, one)
+    elif trajectory.ledger.potential_energy.any() and not is_of_one:
+        _draw_energies(above, trajectory)
+        _draw_angular_velocity(below, trajectory, one)
     else:
         _draw_angular_velocity(above, trajectory, one)
-        (_draw_nutation if is_top else _draw_axis)(below, trajectory, one)
-    _draw_conservation_errors(last, trajectory)
+        _draw_axis(below, trajectory, one, is_free=not case["force"])
+
+
+def _couples(case: dict[str, Any]) -> bool:
+    """Whether bodies may act on each other."""
+    links = any(force.get("to") or force.get("reach") for force in case["force"])
+    return bool(case["contact"] or case["attraction"] or links)
 
 
 def _titled_figure(trajectory: Trajectory, case: dict[str, Any]) -> Figure:
@@ -132,10 +159,20 @@ def _shown(n: int, most: int, body: int) -> list[int]:
 
 
 def _draw_bodies(
-    figure: Figure, place: SubplotSpec, trajectory: Trajectory, body: int, shown: list[int]
+    figure: Figure,
+    place: SubplotSpec,
+    trajectory: Trajectory,
+    case: dict[str, Any],
+    body: int,
+    shown: list[int],
+    is_scene: bool,
 ) -> None:
-    """Trajectories of those shown, a top by the path of its axis; none shown: all from the side."""
-    if not shown:
+    """A top by the path of its axis, a few by theirs or as a linkage; many, or contact: a view."""
+    is_few = trajectory.n_bodies <= _PATHS
+    if is_scene and is_few and case["joint"] and trajectory.n_frames > 1:
+        draw_linkage(figure.add_subplot(place), trajectory)
+        return
+    if is_scene and not (is_few and case["contact"] is None):
         draw_side(figure.add_subplot(place), trajectory, trajectory.n_frames - 1)
         return
     axes = figure.add_subplot(place, projection="3d")
@@ -175,10 +212,9 @@ def _centre(trajectory: Trajectory, case: dict[str, Any]) -> Floats | None:
 
 def _draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -> None:
     """A line for each of a few, else the median and the range that holds 80 % of them."""
-    if values.shape[1] <= _LINES:
+    if values.shape[1] <= KEYED:
         for k, name in enumerate(names):
-            colour, dashes = COLOURS[k % len(COLOURS)], ("-", "--")[k // len(COLOURS)]
-            axes.plot(time, values[:, k], dashes, color=colour, lw=1.3, label=name)
+            axes.plot(time, values[:, k], lw=1.3, label=name, **line_style(k))
         return
     low, middle, high = np.percentile(values, (10.0, 50.0, 90.0), axis=1)
     axes.fill_between(time, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="10 to 90 %")
@@ -188,12 +224,14 @@ def _draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) 
 def _draw_energies(axes: Axes, trajectory: Trajectory) -> None:
     """Energies of all bodies together, and the work that they were given."""
     ledger = trajectory.ledger
-    parts = {"kinetic": ledger.kinetic_energy, "potential": ledger.potential_energy}
-    parts |= {"both": ledger.energy, "work": ledger.work}
-    for (name, values), dashes in zip(parts.items(), ("-", "-", "-", "--"), strict=True):
-        if values.any():
-            colour = (*COLOURS, INK)[list(parts).index(name)]
-            axes.plot(trajectory.time, values, dashes, color=colour, lw=1.3, label=name)
+    parts = {"kinetic": (ledger.kinetic_energy, COLOURS[0], "-")}
+    if ledger.potential_energy.any():
+        parts["potential"] = (ledger.potential_energy, COLOURS[1], "-")
+        parts["total"] = (ledger.energy, COLOURS[2], "-")
+    if ledger.work.any():
+        parts["work of forces without a potential"] = (ledger.work, INK, "--")
+    for name, (values, colour, dashes) in parts.items():
+        axes.plot(trajectory.time, values, dashes, color=colour, lw=1.3, label=name)
     finish(axes, "energies", "E [J]")
 
 
@@ -217,7 +255,7 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
 
 def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
     """Angle of the axis of the least moment of each body with the line to what attracts it."""
-    angles, shown, centre = [], _shown(trajectory.n_bodies, _LINES, 0), _centre(trajectory, case)
+    angles, shown, centre = [], _shown(trajectory.n_bodies, KEYED, 0), _centre(trajectory, case)
     assert centre is not None
     for b in shown:
         least = _body_axis(trajectory, b, int(np.argmin(trajectory.bodies.inertia[:, b])))
@@ -242,9 +280,19 @@ def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> No
         _draw_lines(axes, time, np.linalg.norm(trajectory.joint_force, axis=2), names)
         finish(axes, "forces in joints", "|F| [N]")
     else:
-        rates = np.linalg.norm(trajectory.angular_velocity, axis=2)
-        _draw_lines(axes, time, rates, trajectory.names)
+        _draw_rates(axes, trajectory, case)
+
+
+def _draw_rates(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
+    """Angular velocities of all bodies; speeds where nothing turns."""
+    time, names = trajectory.time, trajectory.names
+    rates = np.linalg.norm(trajectory.angular_velocity, axis=2)
+    if rates.any():
+        _draw_lines(axes, time, rates, names)
         finish(axes, "angular velocities", "|ω| [rad/s]")
+    else:
+        _draw_lines(axes, time, np.linalg.norm(trajectory.velocity, axis=2), names)
+        finish(axes, "speeds", "|v| [m/s]")
 
 
 def _draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> None:
@@ -256,13 +304,20 @@ def _draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> Non
     finish(axes, f"angular velocity of {trajectory.names[body]}, body frame", "ω [rad/s]")
 
 
-def _draw_axis(axes: Axes, trajectory: Trajectory, body: int) -> None:
-    """Where the body's x axis points."""
-    axis = direction(trajectory, body, 0)
-    for k, letter in enumerate("xyz"):
-        axes.plot(trajectory.time, axis[:, k], color=COLOURS[k], lw=1.3, label=letter)
-    axes.set_ylim(-1.08, 1.08)
-    finish(axes, f"x axis of {trajectory.names[body]} in the world", "direction cosine")
+def _draw_axis(axes: Axes, trajectory: Trajectory, body: int, is_free: bool) -> None:
+    """Angle of the axis of a spin with the angular momentum, which is kept, or with its start."""
+    spun = spun_axis(trajectory, body)
+    axis, momentum = (
+        direction(trajectory, body, spun),
+        trajectory.read("angular_momentum", bodies=body),
+    )
+    is_free = is_free and bool(momentum[0].any())
+    towards = momentum[0] if is_free else axis[0]
+    across = np.linalg.norm(np.cross(axis, towards), axis=1)
+    angle = np.degrees(np.arctan2(across, axis @ towards))
+    what = "the angular momentum" if is_free else "its start"
+    axes.plot(trajectory.time, angle, color=COLOURS[0], lw=1.3, label=f"with {what}")
+    finish(axes, f"angle of the {'xyz'[spun]} axis of {trajectory.names[body]}", "angle [°]")
 
 
 def _draw_nutation(axes: Axes, trajectory: Trajectory, body: int) -> None:
@@ -292,13 +347,16 @@ def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
     time, epsilon = trajectory.time, np.finfo(float).eps
     for (name, error, scale), colour in zip(errors, COLOURS, strict=True):
         drift = np.maximum.accumulate(error) / (scale or 1.0)
-        label = name if drift[-1] > 0.0 else f"{name} (0)"
+        lowest = "" if drift[-1] > _LOWEST else f" (< {_LOWEST:g})" if drift[-1] else " (0)"
+        label = f"{name}{lowest}"
         axes.semilogy(time, np.where(drift > 0.0, drift, np.nan), color=colour, lw=1.3, label=label)
     axes.axhline(epsilon, color=INK, lw=0.8, ls=":")
     text = "machine epsilon"
     write_beside(axes, 0.99, 0.9 * epsilon, text, fontsize=8, color=INK, ha="right", va="top")
-    axes.set_ylim(min(axes.get_ylim()[0], 1e-17), max(axes.get_ylim()[1], 1e-14))
-    finish(axes, "conservation errors", "relative, external work removed")
+    axes.set_ylim(_LOWEST, max(axes.get_ylim()[1], 1e-14))
+    axes.set_xlim(left=min(time[0], axes.get_xlim()[0]))
+    axes.set_xlim(right=max(time[-1], axes.get_xlim()[1]))
+    finish(axes, "conservation errors: largest so far", "relative, work of forces counted")
 
 
 def finish(axes: Axes, title: str, label: str) -> None:
@@ -306,7 +364,7 @@ def finish(axes: Axes, title: str, label: str) -> None:
     finish_panel(axes, xlabel="t [s]", ylabel=label)
     axes.set_title(title, fontsize=10, loc="left", color=INK, pad=18)
     axes.legend(
-        fontsize=7.5, ncols=_LINES, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False,
+        fontsize=7.5, ncols=KEYED, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False,
         handlelength=1.4, columnspacing=1.0, borderaxespad=0.2, borderpad=0.0,
     )  # fmt: skip
     axes.yaxis.set_offset_position("right")  # a common power of ten: the legend is at the left
