@@ -85,7 +85,7 @@ SCENES = {
     top: ["angular velocity of body, body frame", "axis of body"],
     flip: ["angular velocity of body, body frame", "angle of the y axis of body"],
     libration: ["angular velocities", "longest axis to the line to the centre"],
-    layer: ["energies", "distance from the common centre of mass"],
+    layer: ["energies", "speeds"],
     apart: ["energies", "angular velocities"],
     points_apart: ["energies", "speeds"],
 }

@@ -24,7 +24,9 @@ BODY: Final = "#eceff2"
 _FLAT: Final = 0.05  # height over width of what is seen from above
 _DEEP: Final = 0.4  # depth over width of what is seen at an angle
 _ANGLES: Final = np.radians((35.0, 22.0))  # of such a view: about the vertical, and from above
-_STILL: Final = 1e-3  # of the speed that all energy would give: at rest
+_STILL: Final = 1e-3  # of the width, which bodies at rest would not move in the whole time
+_NARROW: Final = 0.3  # width over height of what has no room for numbers below
+FEW: Final = 12  # bodies at most whose paths are drawn
 KEYED: Final = 6  # bodies at most that have a colour each
 
 
@@ -68,15 +70,19 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     order = np.argsort(depth if (across, up) != (0, 2) else -depth)
     momenta = trajectory.read("linear_momentum", slice(frame, frame + 1))[0]
     speed = np.linalg.norm(momenta, axis=1) / trajectory.mass
-    highest = np.sqrt(2.0 * trajectory.ledger.kinetic_energy.max() / trajectory.mass.sum())
-    is_still = speed.max() <= _STILL * highest
+    reach = np.ptp(centres[:, shown], axis=0).max() or 1.0
+    is_still = speed.max() * np.ptp(trajectory.time) <= _STILL * reach
     share = (speed / (1.0 if is_still else speed.max()))[body][order, None]
     colours = 1.0 - share * (1.0 - np.array(to_rgb(COLOURS[0]))) - 0.08 * (1.0 - share)
     radii = trajectory.particles.radius[particle][order]
-    reach = np.ptp(centres[:, shown], axis=0).max() or 1.0
     draw_particles(axes, centres[order][:, shown], np.maximum(radii, 0.003 * reach), colours)
+    if trajectory.n_bodies <= FEW:
+        for path in np.moveaxis(trajectory.read("position")[: frame + 1], 1, 0):
+            axes.plot(*path[:, shown].T, color=COLOURS[1], lw=0.9, alpha=0.7)
     axes.set_aspect("equal")
     axes.autoscale_view()
+    if np.ptp(axes.get_xlim()) < _NARROW * np.ptp(axes.get_ylim()):
+        axes.locator_params(axis="x", nbins=1)
     words = "at rest" if is_still else f"blue: up to {speed.max():.3g} m/s"
     title = f"t = {trajectory.time[frame]:.4g} s; {words}"
     finish_panel(axes, title, xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")

@@ -20,6 +20,7 @@ from particlerb.model.state import derived, rotate
 from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.rotors.rotor_class import SYMMETRIC
 from particlerb.studies.charts.bodies import (
+    FEW,
     KEYED,
     direction,
     draw_attitudes,
@@ -33,7 +34,6 @@ from particlerb.studies.charts.bodies import (
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style, write_beside
 from particlerb.studies.text import count_of
 
-_PATHS: Final = 12  # bodies whose trajectories are drawn
 _LOWEST: Final = 1e-17  # error that is drawn
 _SAMPLED: Final = 1000  # bodies whose heights are looked at
 
@@ -83,7 +83,7 @@ def _draw_panels(
 ) -> None:
     """Draw what fits the scene, or a body."""
     one = _fastest(trajectory) if body is None else trajectory.names.index(body)
-    shown = _shown(trajectory.n_bodies, _PATHS, one)
+    shown = _shown(trajectory.n_bodies, FEW, one)
     is_still = not np.ptp(trajectory.read("position", bodies=shown), axis=0).any()
     is_tumbling = is_still and not _is_top(trajectory, one) and trajectory.n_frames > 1
     if is_tumbling and trajectory.omega_body(one)[0].any():
@@ -116,7 +116,7 @@ def _draw_motion(
         _draw_libration(below, trajectory, case)
     elif trajectory.n_bodies > 1 and not is_of_one:
         _draw_energies(above, trajectory)
-        is_coupled = trajectory.n_bodies > _PATHS or _couples(case)
+        is_coupled = trajectory.n_bodies > FEW or _couples(case)
         (_draw_heights if is_coupled else _draw_rates)(below, trajectory, case)
     elif _is_top(trajectory, one):
         _draw_angular_velocity(above, trajectory, one)
@@ -168,7 +168,7 @@ def _draw_bodies(
     is_scene: bool,
 ) -> None:
     """A top by the path of its axis, a few by theirs or as a linkage; many, or contact: a view."""
-    is_few = trajectory.n_bodies <= _PATHS
+    is_few = trajectory.n_bodies <= FEW
     if is_scene and is_few and case["joint"] and trajectory.n_frames > 1:
         draw_linkage(figure.add_subplot(place), trajectory)
         return
@@ -226,17 +226,20 @@ def _draw_energies(axes: Axes, trajectory: Trajectory) -> None:
     ledger = trajectory.ledger
     parts = {"kinetic": (ledger.kinetic_energy, COLOURS[0], "-")}
     if ledger.potential_energy.any():
-        parts["potential"] = (ledger.potential_energy, COLOURS[1], "-")
-        parts["total"] = (ledger.energy, COLOURS[2], "-")
+        has_zero = not trajectory.parameter("case_resolved")["gravity"]
+        start = 0.0 if has_zero else ledger.potential_energy[0]
+        name = "potential" if has_zero else "potential (0 at first)"
+        parts[name] = (ledger.potential_energy - start, COLOURS[1], "-")
+        parts["total"] = (ledger.energy - start, COLOURS[2], "-")
     if ledger.work.any():
-        parts["work of forces without a potential"] = (ledger.work, INK, "--")
+        parts["work of other forces"] = (ledger.work, INK, "--")
     for name, (values, colour, dashes) in parts.items():
         axes.plot(trajectory.time, values, dashes, color=colour, lw=1.3, label=name)
     finish(axes, "energies", "E [J]")
 
 
 def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
-    """Contacts if they were recorded, heights under gravity, else distances from the centre."""
+    """Contacts if recorded, heights under gravity, distances under attraction, else speeds."""
     time = trajectory.time
     if "contact_number" in trajectory.other_fields:
         _draw_lines(axes, time, trajectory.contact_number.astype(float), trajectory.names)
@@ -246,6 +249,9 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
         heights = trajectory.read("position", bodies=some)[:, :, up]
         _draw_lines(axes, time, heights, trajectory.names)
         finish(axes, "height of bodies", f"{'xyz'[up]} [m]")
+    elif not case["attraction"]:
+        _draw_lines(axes, time, np.linalg.norm(trajectory.velocity, axis=2), trajectory.names)
+        finish(axes, "speeds", "|v| [m/s]")
     else:
         x = trajectory.read("position")
         centre = np.average(x, axis=1, weights=trajectory.mass)[:, None]
