@@ -25,7 +25,7 @@ _FLAT: Final = 0.05  # height over width of what is seen from above
 _DEEP: Final = 0.4  # depth over width of what is seen at an angle
 _ANGLES: Final = np.radians((35.0, 22.0))  # of such a view: about the vertical, and from above
 _STILL: Final = 1e-3  # of the width, which bodies at rest would not move in the whole time
-_NARROW: Final = 0.3  # width over height of what has no room for numbers below
+_NARROW: Final = 0.1  # width over height of what has no room for numbers below
 FEW: Final = 12  # bodies at most whose paths are drawn
 KEYED: Final = 6  # bodies at most that have a colour each
 
@@ -77,12 +77,17 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     radii = trajectory.particles.radius[particle][order]
     draw_particles(axes, centres[order][:, shown], np.maximum(radii, 0.003 * reach), colours)
     if trajectory.n_bodies <= FEW:
+        _draw_outlines(axes, trajectory, frame, (across, up))
         for path in np.moveaxis(trajectory.read("position")[: frame + 1], 1, 0):
             axes.plot(*path[:, shown].T, color=COLOURS[1], lw=0.9, alpha=0.7)
     axes.set_aspect("equal")
     axes.autoscale_view()
-    if np.ptp(axes.get_xlim()) < _NARROW * np.ptp(axes.get_ylim()):
-        axes.locator_params(axis="x", nbins=1)
+    width, height = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
+    if min(width, height) < _NARROW * max(width, height):
+        narrow, middle = (
+            (axes.xaxis, axes.get_xlim()) if width < height else (axes.yaxis, axes.get_ylim())
+        )
+        narrow.set_ticks([float(f"{np.mean(middle):.2g}")])
     words = "at rest" if is_still else f"blue: up to {speed.max():.3g} m/s"
     title = f"t = {trajectory.time[frame]:.4g} s; {words}"
     finish_panel(axes, title, xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")
@@ -158,6 +163,19 @@ def _draw_boxes(axes: Axes, corners: Floats, is_last: bool, height: float) -> No
         [face[:, :2] for face in faces], facecolors=tint, edgecolors=INK, linewidths=0.7,
         alpha=opacity, zorder=height,
     ))  # fmt: skip
+
+
+def _draw_outlines(axes: Axes, trajectory: Trajectory, frame: int, shown: tuple[int, int]) -> None:
+    """Boxes around the particles of each body that has several, behind them."""
+    edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))
+    x, q = (
+        trajectory.read(name, slice(frame, frame + 1))[0] for name in ("position", "orientation")
+    )
+    several = np.flatnonzero(np.bincount(trajectory.constituents[0]) > 1)
+    view = np.eye(3)[[*shown, 3 - sum(shown)]]
+    turned = [_CORNERS * edges[b] @ rotation_matrix(q[b]).T + x[b] for b in several]
+    if turned:
+        _draw_boxes(axes, np.stack(turned) @ view.T, False, 0.5)
 
 
 def _numbers(trajectory: Trajectory, names: list[str] | None) -> list[int]:

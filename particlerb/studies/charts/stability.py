@@ -147,7 +147,7 @@ def _draw_levels(axes: Axes, one: Map) -> None:
         np.arange(one.across.size), one.pace, height, levels=levels, colors=INK, linewidths=0.7,
         linestyles="solid",
     )  # fmt: skip
-    axes.clabel(lines, fmt=lambda level: f"1e{level:.0f}", fontsize=8)
+    axes.clabel(lines, fmt=lambda level: f"1e{level:.0f}", fontsize=6.5)
 
 
 def _name_regions(axes: Axes, one: Map) -> None:
@@ -158,14 +158,14 @@ def _name_regions(axes: Axes, one: Map) -> None:
             continue
         axes.text(
             place[1], one.pace[place[0]], word, ha="center", va="center", fontsize=8,
-            weight="bold", color=_ink_on(k),
-            bbox={"facecolor": _TINTS[k], "edgecolor": "none", "alpha": 0.75, "pad": 1.5},
+            weight="bold", color=_ink_on(k), zorder=5,
+            bbox={"facecolor": _TINTS[k], "edgecolor": "none", "alpha": 0.9, "pad": 1.5},
         )  # fmt: skip
     if largest_pace(one, SMALL) > 0.0 or is_tolerance(one):
         return
     for row in (one.pace.size // 10, 5 * one.pace.size // 6):
         turns, verdict = one.turns[row], int(one.verdict[row].max())
-        text = f"energy off by 10 %\nafter {turns.min():.2g} turns\nor more"
+        text = f"10 % off after\n{turns.min():.2g} turns\nor more"
         axes.text((one.across.size - 1) / 2, one.pace[row], text, ha="center", va="center",
                   fontsize=7.5, color=_ink_on(verdict))  # fmt: skip
 
@@ -226,8 +226,8 @@ def _mark_pace(axes: Axes, one: Map) -> None:
     missing = one.pace[0] / _STEPS[0] if one.pace.any() else 1.0
     if missing > 2.0:
         height = 0.5 * math.log(missing) / math.log(_STEPS[-1] / _STEPS[0])
-        text = "not run: small steps\nof this method\ncost too much"
-        write_inside(axes, 0.5, height, text, ha="center", va="center", fontsize=7.5, color=INK)
+        text = "not run:\nsmall steps\ncost too much"
+        write_inside(axes, 0.5, height, text, ha="center", va="center", fontsize=7, color=INK)
 
 
 def _mark_steps_per_turn(axes: Axes) -> None:
@@ -311,7 +311,7 @@ def draw_drifts(study: Stability, path: Path) -> None:
         longest = max(one.turns[-1] for one in own)
         finish_panel(
             axes, f"{motion}, eight starts: every sample (dots), largest until then (line)",
-            xscale="log", yscale="log", xlim=(0.1, 3000.0 * longest), ylim=(_BOTTOM, _TOP),
+            xscale="log", yscale="log", xlim=(0.1, 2e4 * longest), ylim=(_BOTTOM, _TOP),
             xticks=[10.0**k for k in range(-1, round(math.log10(longest)) + 1)],
             ylabel="|E/E₀ − 1|",
         )  # fmt: skip
@@ -345,6 +345,6 @@ def _name_drifts(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
             text = f"{name} p = {abs(growth_exponent(drift)[0]):.2f}"
             ends.append((float(drift.turns[-1]), level, text, colour))
         else:
-            text = f"{name} NaN after {drift.turns[is_finite][-1]:.1g} turns"
+            text = f"{name} NaN after {float(f'{drift.turns[is_finite][-1]:.1g}'):g} turns"
             ends.append((math.nan, _BOTTOM, text, colour))
     name_curves(axes, ends, 1.6 * max(drift.turns[-1] for drift in drifts), gap=1.2)

@@ -34,6 +34,7 @@ from particlerb.studies.charts.bodies import (
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style, write_beside
 from particlerb.studies.text import count_of
 
+_UNTURNED: Final = 1e-6  # rad in the whole time that are no turn
 _LOWEST: Final = 1e-17  # error that is drawn
 _SAMPLED: Final = 1000  # bodies whose heights are looked at
 
@@ -293,7 +294,7 @@ def _draw_rates(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> Non
     """Angular velocities of all bodies; speeds where nothing turns."""
     time, names = trajectory.time, trajectory.names
     rates = np.linalg.norm(trajectory.angular_velocity, axis=2)
-    if rates.any():
+    if rates.max() * np.ptp(time) > _UNTURNED:
         _draw_lines(axes, time, rates, names)
         finish(axes, "angular velocities", "|ω| [rad/s]")
     else:
