@@ -92,6 +92,8 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     if kind == "float_type" and _tables(_types_at(raw, path, root), None):
         reason = reason.replace("a number", "a number or a table", 1)
     hint = f"write [[{path[0]}]]" if kind == "tuple_type" and len(path) == 1 else ""
+    if kind in {"float_type", "int_type"} and isinstance(value, str) and re.match(r"\W*\d", value):
+        hint = "numbers stand without quotes and without a unit, in SI units"
     if kind in {"model_type", "model_attributes_type"}:
         are = "keys" if kind == "model_type" else "{ type = .. } with one of the types"
         hint = f"{are}: {', '.join(_table_keys(raw, path, root))}"

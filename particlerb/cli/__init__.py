@@ -8,9 +8,11 @@ Exit codes: 0 done; 1 the run failed; 2 wrong usage or case; 3 a [check] was mis
 """
 
 import argparse
+import difflib
 import io
 import logging
 import os
+import re
 import signal
 import sys
 import warnings
@@ -40,10 +42,12 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"particlerb {particlerb.__version__}")
-    top.set_defaults(commands=tuple(COMMANDS))
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():
-        added = commands.add_parser(name, help=command.help)
+        added = commands.add_parser(
+            name, help=command.help, description=f"{command.help[0].upper()}{command.help[1:]}."
+        )
+        added.set_defaults(options_text=added.format_help)
         for add in command.options:
             add(added)
     return top
@@ -82,11 +86,28 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _parsed(top: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
-    """Options of a command line; a help text that cannot be written is an error."""
+    """Options of a command line; a help text that cannot be written is an error.
+
+    Raises
+    ------
+    Ending
+        If there are words that the command does not take; with the nearest option.
+    """
     try:
-        return top.parse_args(words)
+        options, beyond = top.parse_known_args(words)
     finally:
         sys.stdout.flush()
+    if beyond:
+        word = beyond[0].partition("=")[0]
+        known = re.findall(r"--[a-z-]+", options.options_text())
+        near = difflib.get_close_matches(word, known, 1, 0.75) if word.startswith("-") else []
+        hint = (
+            f"did you mean {near[0]}?"
+            if near
+            else f"`{options.command} --help` lists what it takes"
+        )
+        raise Ending(f"{options.command} does not take {beyond[0]}; {hint}")
+    return options
 
 
 def _drop_unwritten() -> None:

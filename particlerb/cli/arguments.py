@@ -21,26 +21,27 @@ def _names(text: str) -> list[str]:
 
 def _positive(text: str) -> float:
     """A positive number."""
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"must be a positive number, got {text}")
     return value
 
 
-def _number(text: str) -> int:
+def _number(text: str, most: int | None = None) -> int:
     """A whole number from 1 on."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be 1 or more, got {text}")
+    value = int(text) if text.isascii() and text.strip().isdigit() else 0
+    if value < 1 or (most and value > most):
+        allowed = f"between 1 and {most}" if most else "a whole number, 1 or more"
+        raise argparse.ArgumentTypeError(f"must be {allowed}, got {text}")
     return value
 
 
 def _port(text: str) -> int:
     """A port."""
-    value = int(text)
-    if not 1 <= value <= 65535:
-        raise argparse.ArgumentTypeError(f"must be between 1 and 65535, got {text}")
-    return value
+    return _number(text, 65535)
 
 
 def _frame_slice(text: str) -> slice:
@@ -116,7 +117,10 @@ _CODE: Final = _flag(
 _MPI: Final = _flag(
     "--mpi", help="share the bodies among the ranks of mpiexec or srun: see docs/scale.md"
 )
-_CASE: Final = (_option("case", metavar="CASE"), _SET, _CODE, _json())
+_CASE: Final = (
+    _option("case", metavar="CASE", help="a TOML file, or the name of an example: see `cases`"),
+    _SET, _CODE, _json(),
+)  # fmt: skip
 _PLAN: Final = (_THREADS, _flag("--strict", help="warnings are errors"))
 _REPORT: Final = (
     _option("--log", metavar="FILE", help="write a line each second: time, energy, error"),
@@ -158,7 +162,7 @@ COMMANDS: Final = {
         _option("--axis", dest="axes", action="append", default=[], metavar="KEY=VALUES",
                 help="values of a key, as in 'run.dt=[1e-3, 1e-4]'; replaces [sweep.axes];"
                 " repeatable"),
-        _option("--workers", type=int, metavar="N", help="processes; default: all cores"),
+        _option("--workers", type=_number, metavar="N", help="processes; default: all cores"),
         _option("--executor", choices=("local", "mpi", "dask"), default="local",
                 help="processes here, ranks (mpiexec -n N python -m particlerb sweep ..), or dask"),
         _option("--address", default="", metavar="URL", help="scheduler of a dask cluster"),
@@ -174,14 +178,14 @@ COMMANDS: Final = {
         _json(),
     )),
     "info": Command("show", "list what a trajectory file holds", (
-        _option("file", metavar="FILE", nargs="?"),
+        _option("file", metavar="FILE", nargs="?", help="a trajectory"),
         _flag("--machine",
               help="describe this machine and what is compiled for it; takes no FILE"),
         _json("machine-readable"),
         _flag("--verify", help="check that the file is undamaged; exit 1 if not"),
     )),
     "plot": Command("show", "draw a trajectory or its contacts", (
-        _option("file", metavar="FILE"),
+        _option("file", metavar="FILE", help="a trajectory"),
         *_output("PICTURE", "default: FILE with .png", "an existing picture"),
         _option("--body", metavar="NAME",
                 help="body whose angular velocity is drawn; default: the one that spins fastest"),
@@ -216,7 +220,7 @@ COMMANDS: Final = {
                 help="where a session is saved; default: output/<case>_session.toml"),
     )),
     "chart": Command("studies", "measure what accuracy costs, for every method", (
-        *_CASE, _METHODS, _list("--peers", "engines, or all"),
+        *_CASE, _METHODS, _list("--peers", "other engines, as scipy,mujoco; or all"),
         _option("--error", type=_positive, metavar="RAD",
                 help="error to reach; default: 1e-6, with contact the energy_drift of the case"),
         _flag("--processor-time",
@@ -228,7 +232,7 @@ COMMANDS: Final = {
     ),
     "converge": Command("studies", "measure how many particles a body needs", (
         _option("shapes", nargs="*", metavar="SHAPE", help="default: all"),
-        _option("--most", type=int, default=1_000_000, metavar="N",
+        _option("--most", type=_number, default=1_000_000, metavar="N",
                 help="largest number of particles per shape"),
         *_STUDY,
     )),

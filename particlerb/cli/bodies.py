@@ -66,7 +66,7 @@ def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[_Named
     Ending
         If the file or the body is wrong, or options do not go with it.
     """
-    path = find_case(options.file, options.commands)
+    path = find_case(options.file)
     if path.suffix.lower() in _READERS:
         return [_body_of_file(path, wanted, options)]
     for option in ("mass", "density", "scale", "spin"):
@@ -78,7 +78,7 @@ def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[_Named
 
 def case_of(options: argparse.Namespace) -> Case | None:
     """The case of a command line; None where its file holds a body."""
-    path = find_case(options.file, options.commands)
+    path = find_case(options.file)
     if path.suffix.lower() in _READERS:
         return None
     options.case = options.file

@@ -19,7 +19,7 @@ from particlerb.record.trajectory import Trajectory, TrajectoryError, open_traje
 PICTURES: Final = (".png", ".svg", ".pdf")
 
 
-def find_case(name: str, commands: tuple[str, ...]) -> Path:
+def find_case(name: str, commands: tuple[str, ...] = ()) -> Path:
     """Path of a case given by path or by name.
 
     Raises
@@ -29,8 +29,8 @@ def find_case(name: str, commands: tuple[str, ...]) -> Path:
     """
     path = case_path(name)
     if path is None:
-        hint = nearest_names(name, commands)
-        raise Ending(f"{name}: no such command, file or case; {hint}")
+        what = "command, file or case" if commands else "file or case"
+        raise Ending(f"{name}: no such {what}; {nearest_names(name, commands)}")
     return path
 
 
@@ -41,7 +41,7 @@ def read_case(options: argparse.Namespace) -> Case:
         overrides.append(f"run.threads={options.threads}")
     with ending(CaseError):
         allow_code = getattr(options, "allow_code", False)
-        return load(find_case(options.case, options.commands), overrides, allow_code)
+        return load(find_case(options.case), overrides, allow_code)
 
 
 def to_write(path: Path, overwrite: bool, source: Path | None = None) -> Path:

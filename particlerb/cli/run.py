@@ -47,6 +47,20 @@ from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, RunError
 
 _LONGEST_ENDING: Final = 10  # lines that a run ends with
+_OTHERS: Final = {
+    ".png",
+    ".svg",
+    ".pdf",
+    ".csv",
+    ".txt",
+    ".toml",
+    ".json",
+    ".gsd",
+    ".npz",
+    ".xml",
+    ".stl",
+    ".log",
+}
 _BROKEN: Final = 3  # joints that are named
 _UNSOLVED: Final = 1.0  # residual of impulses that are no better than none
 
@@ -147,7 +161,10 @@ def _output_path(options: argparse.Namespace, system: System) -> Path:
     """File of a run, which may be written."""
     source = system.source.path
     stem = source.stem if source else "run"
-    return output_of(options, Path("output") / f"{stem}.h5", source)
+    path = output_of(options, Path("output") / f"{stem}.h5", source)
+    if path.suffix.lower() in _OTHERS:
+        raise Ending(f"{path}: a trajectory is an HDF5 file, as {path.with_suffix('.h5')}")
+    return path
 
 
 def _disk_warnings(system: System, path: Path, done: int = 0) -> list[str]:

@@ -78,7 +78,10 @@ def open_file(path: str | Path) -> h5py.File:
     try:
         return h5py.File(to_read(Path(path)), "r", locking=False)
     except FAULTS as error:
-        raise TrajectoryError(f"{path} is not a readable HDF5 file: {reason_of(error)}") from None
+        reason = reason_of(error)
+        if "signature not found" in reason:
+            reason = "it is of another kind, or empty"
+        raise TrajectoryError(f"{path} is not a readable HDF5 file: {reason}") from None
 
 
 def reason_of(error: BaseException) -> str:

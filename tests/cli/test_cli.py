@@ -249,7 +249,7 @@ def test_set_and_threads_change_the_case(here, capsys):
     capsys.readouterr()
     with pytest.raises(SystemExit, match="2"):
         main(["check", "cube.toml", "--threads", "0"])
-    assert "argument --threads: must be 1 or more, got 0" in capsys.readouterr().err
+    assert "argument --threads: must be a whole number, 1 or more, got 0" in capsys.readouterr().err
 
 
 def test_check_prints_the_plan_and_writes_nothing(here, capsys):
@@ -447,10 +447,34 @@ def test_help_needs_no_heavy_library():
     assert "exit codes" in shown.stdout
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["cube.toml", "-o", "a.png"], "a.png: a trajectory is an HDF5 file, as a.h5"),
+        (["run", "cube.toml", "--sett", "x"], "run does not take --sett; did you mean --set?"),
+        (["run", "cube.toml", "more.toml"], "run does not take more.toml"),
+        (["chart", "tumbling_brik"], "no such file or case; did you mean tumbling_brick?"),
+        (["info", "cube.toml"], "cube.toml is not a readable HDF5 file: it is of another kind"),
+        (["cube.toml", "--set", 'run.t_end="1 ms"'], "hint: numbers stand without quotes"),
+    ],
+)
+def test_common_mistakes_are_told_what_would_be_right(here, capsys, words, message):
+    assert main(words) == 2
+    assert message in capsys.readouterr().err
+    assert not Path("a.png").exists()
+
+
+@pytest.mark.parametrize("number", ["x", "0", "1.5"])
+def test_a_number_of_threads_is_whole(here, capsys, number):
+    with pytest.raises(SystemExit):
+        main(["run", "cube.toml", "--threads", number])
+    assert f"must be a whole number, 1 or more, got {number}" in capsys.readouterr().err
+
+
 def test_an_unknown_option_is_exit_code_2():
     done = command("run", "paper_cube", "--fast")
     assert done.returncode == 2
-    assert "unrecognized arguments: --fast" in done.stderr
+    assert "run does not take --fast; `run --help` lists what it takes" in done.stderr
 
 
 def frames_in(path):

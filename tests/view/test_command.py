@@ -175,7 +175,7 @@ def test_a_session_without_changes_is_not_saved(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nothing_like_this"], "no such command, file or case"),
+        (["nothing_like_this"], "no such file or case"),
         (["nothing.h5"], "no such file"),
         (["--port", "0"], "must be between 1 and 65535"),
         (["cube_at_rest", "--set", "run.dtt=1"], "unknown key"),
