@@ -299,3 +299,17 @@ def test_axes_in_equal_ratios_are_logarithmic():
     scales = [[1.0, 2.0, 4.0], [1.0, 2.0, 3.0], [1.0, 5.0, 200.0], [-1.0, 1.0, 2.0], [1.0]]
     found = [sweep_chart._scale(np.array(x)) for x in scales]
     assert found == ["log", "linear", "log", "linear", "linear"]
+
+
+def test_values_have_their_units_beside_them(tmp_path, monkeypatch):
+    labels = []
+    draw_panel = sweep_chart.finish_panel
+    monkeypatch.setattr(
+        sweep_chart,
+        "finish_panel",
+        lambda *a, **k: labels.append(k["ylabel"]) or draw_panel(*a, **k),
+    )
+    x = np.array([1.0, 2.0])
+    values = [(name, x) for name in ("a.velocity.x", "velocity.angular_velocity.y", "hinge.count")]
+    sweep_chart.draw_sweep("Title", [("key", x)], values, tmp_path / "a.png")
+    assert labels == ["[m/s]", "[rad/s]", ""]

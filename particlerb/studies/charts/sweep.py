@@ -13,6 +13,11 @@ from particlerb.studies.charts.style import COLOURS, INK, finish_panel
 
 _MOST_PANELS: Final = 12
 _WIDTH, _HEIGHT = 4.6, 3.2  # [in] of a panel
+_UNITS: Final = {
+    "position": "m", "velocity": "m/s", "angular_velocity": "rad/s", "linear_momentum": "kg m/s",
+    "angular_momentum": "kg m²/s", "kinetic_energy": "J", "inertia": "kg m²", "joint_force": "N",
+    "joint_torque": "N m",
+}  # fmt: skip
 _EVEN: Final = 1e-9  # share by which differences, or ratios, of an axis may differ
 
 
@@ -59,14 +64,14 @@ def _draw_line(panel: Axes, axis: tuple[str, Floats], name: str, values: Floats)
     means = np.array([values[x == place].mean() for place in places])
     panel.plot(places, means, color=COLOURS[0], lw=1.2)
     panel.plot(x, values, "o", color=COLOURS[0], ms=4)
-    finish_panel(panel, name, xlabel=label, xscale=_scale(x))
+    finish_panel(panel, name, xlabel=label, ylabel=_unit(name), xscale=_scale(x))
 
 
 def _draw_points(panel: Axes, axis: tuple[str, Floats], name: str, values: Floats) -> None:
     """A value beside one of several axes."""
     label, x = axis
     panel.plot(x, values, ".", color=COLOURS[0], ms=4)
-    finish_panel(panel, name, xlabel=label, xscale=_scale(x))
+    finish_panel(panel, name, xlabel=label, ylabel=_unit(name), xscale=_scale(x))
 
 
 def _draw_map(
@@ -81,9 +86,14 @@ def _draw_map(
         drawn: Any = panel.pcolormesh(columns, rows, grid, cmap="viridis", shading="nearest")
     else:
         drawn = panel.scatter(x, y, c=values, cmap="viridis", s=16)
-    figure.colorbar(drawn, ax=panel)
+    figure.colorbar(drawn, ax=panel, label=_unit(name))
     finish_panel(panel, name, xlabel=across, ylabel=up, xscale=_scale(x), yscale=_scale(y))
     panel.grid(visible=False)
+
+
+def _unit(name: str) -> str:
+    """Unit of a value by its name, ball.velocity.x or ball.position; nothing where it has none."""
+    return next((f"[{_UNITS[part]}]" for part in name.split(".")[1:] if part in _UNITS), "")
 
 
 def _scale(x: Floats) -> str:
