@@ -219,19 +219,17 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         if terms.contact.pistons is not None:
             needs["walls with a piston"] = frozenset({kinds.CONTACT, kinds.PISTONS})
     if terms.joints is not None:
-        needs |= _needs_of_joints(terms, terms.joints)
+        needs |= _needs_of_joints(terms.joints)
     return needs
 
 
-def _needs_of_joints(terms: Terms, joints: Joints) -> dict[str, frozenset[str]]:
+def _needs_of_joints(joints: Joints) -> dict[str, frozenset[str]]:
     """The same for joints."""
     needs = {"joints": frozenset({kinds.JOINTS})}
     if joints.damps:
         needs["damping among joints"] = frozenset({kinds.JOINTS, kinds.VELOCITY})
-    if terms.driven is not None:
-        needs["driven bodies at joints"] = frozenset({kinds.JOINTS, kinds.GRID})
     if joints.breaks is not None:
-        needs["joints that break"] = frozenset({kinds.JOINTS, kinds.GRID, kinds.VELOCITY})
+        needs["joints that break"] = frozenset({kinds.JOINTS, kinds.VELOCITY})
     return needs
 
 

@@ -13,7 +13,7 @@ from types import FunctionType
 from typing import Final
 
 from particlerb.contact.contact_model import NOW
-from particlerb.forces.kinds import BODIES, GRID, JOINTS, POSE
+from particlerb.forces.kinds import BODIES, JOINTS, POSE
 from particlerb.integrators.method import Method, Step
 from particlerb.integrators.rattle import METHOD
 from particlerb.integrators.stages import MovingBodies, constrained_drift, kick, loads, stages
@@ -47,7 +47,7 @@ def composed(name: str, order: int, first: Sequence[float]) -> Method:
         summary=f"order {order}, symplectic; {len(weights)} stages of rattle; forces of the pose",
         order=order,
         free_order=order,
-        accepts=frozenset({POSE, BODIES, JOINTS, GRID}),
+        accepts=frozenset({POSE, BODIES, JOINTS}),
         cost=METHOD.cost * len(weights),
         evaluations=len(weights),
         stability_limit=2.0 / max(abs(weight) for weight in weights),

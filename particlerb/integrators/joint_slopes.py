@@ -13,6 +13,7 @@ VII.2; the rows in joints/rows.py.
 from math import nan
 
 from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.integrators.joint_stages import place_driven
 from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import action_force
 from particlerb.joints.block_cholesky import solve
@@ -59,6 +60,18 @@ def _give_state(jointed: Jointed, states: Floats, w: int) -> None:
 
 
 @inline
+def _give_slopes(jointed: Jointed, slope: Floats, w: int) -> None:
+    """Forces and torques back; bodies that nothing moves have no slopes, and book nothing."""
+    for k in range(jointed.block.size):
+        own, lane = slope[jointed.block[k]], jointed.lane[k]
+        for i in range(6):
+            own[(P + i) * w + lane] = jointed.work.change[k, i]
+        if jointed.joints.inv_mass[k] == 0.0:
+            for c in range(own.size // w):
+                own[c * w + lane] = 0.0
+
+
+@inline
 def _book(
     books: Flag, jointed: Jointed, slope: Floats, w: int, k: int, power: float, F: Vec3, tau: Vec3
 ) -> None:
@@ -101,6 +114,7 @@ def _act(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
             add_impulses(
                 joints.rows, joints.inv_mass, work.gradient, work.z, r, r + 1, work.change, 0
             )
+            power -= force * work.moving[r]
             _book_row(books, jointed, slope, w, r, force, power)
 
 
@@ -180,6 +194,7 @@ def add_reactions(
         return
     joints, work = jointed.joints, jointed.work
     _put_state(jointed, states, w)
+    place_driven(jointed.driven, jointed, t, 0.0, 0, jointed.block.size)
     work.clock[0] = t
     for k in range(jointed.block.size):
         for i in range(6):
@@ -189,9 +204,7 @@ def add_reactions(
         _act(books, jointed, slope, w)
     _drag(jointed.damps, books, jointed, slope, w)
     _add_what_holds(jointed.tree, books, jointed, slope, w)
-    for k in range(jointed.block.size):
-        for i in range(6):
-            slope[jointed.block[k], (P + i) * w + jointed.lane[k]] = work.change[k, i]
+    _give_slopes(jointed, slope, w)
 
 
 @kernel
@@ -205,6 +218,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
         return
     joints, work = jointed.joints, jointed.work
     _put_state(jointed, states, w)
+    place_driven(jointed.driven, jointed, t, 0.0, 0, jointed.block.size)
     for c in range(joints.clusters.body.size - 1):
         joint, body = joints.clusters.joint, joints.clusters.body
         lo, hi = joints.program.start[joint[c]], joints.program.start[joint[c + 1]]

@@ -14,7 +14,7 @@ from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.contact.contact_model import Instant
-from particlerb.forces.kinds import GRID, IMPULSES, JOINTS, POSE, TIME, VELOCITY
+from particlerb.forces.kinds import IMPULSES, JOINTS, POSE, TIME, VELOCITY
 from particlerb.integrators.impulse_stages import (
     bounce,
     gather_velocities,
@@ -87,7 +87,7 @@ METHOD: Final = Method(
     summary="order 1 in contacts, for law = 'impulse': midpoint step with impulses, exact cone",
     order=2,
     free_order=2,
-    accepts=frozenset({POSE, VELOCITY, TIME, IMPULSES, JOINTS, GRID}),
+    accepts=frozenset({POSE, VELOCITY, TIME, IMPULSES, JOINTS}),
     cost=12.0,
     evaluations=1,
     keeps_rods=True,

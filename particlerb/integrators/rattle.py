@@ -13,7 +13,6 @@ from particlerb.contact.contact_model import LEAPFROG, LoadTimes
 from particlerb.forces.kinds import (
     BODIES,
     CONTACT,
-    GRID,
     JOINTS,
     PISTONS,
     POSE,
@@ -52,7 +51,7 @@ METHOD: Final = Method(
     summary="order 2, symplectic; strang with joints; any force but magnus",
     order=2,
     free_order=2,
-    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, PISTONS, JOINTS, GRID}),
+    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, PISTONS, JOINTS}),
     cost=1500.0,
     evaluations=1,
     keeps_rods=True,

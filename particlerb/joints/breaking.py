@@ -6,6 +6,9 @@ the limit, the joint breaks within that step. There the joint gives its impulse 
 and its rows are left out, as those are of coordinates along which nothing acts. So the error of the
 instant is of order two. A load that is too large at once breaks its joint at the end of the step.
 
+Where steps have any length, joints break where the dense output says that a load is at its limit:
+a step ends there. In the next one `broken` is -inf, and their rows are left out.
+
 Where contacts have no stiffness, the load is the impulse of a whole step over this, those of
 impacts included, and a joint breaks at the end of the first step in which it is too large; its
 time is the middle of that step.
@@ -90,15 +93,43 @@ def keep_impulses(
 
 
 @inline
-def _impulses(joints: Joints, work: Work, j: int, kept: Floats) -> tuple[float, float]:
+def _impulses(
+    joints: Joints, work: Work, j: int, kept: Floats, pose: Floats
+) -> tuple[float, float]:
     """Sizes of the impulse of joint j, kept by rows, and of its moment about its point."""
     start, impulse, turning = joints.program.start, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for r in range(start[j], start[j + 1]):
         impulse = add_scaled(kept[r], vector(work.gradient, r, 0), impulse)
         turning = add_scaled(kept[r], vector(work.gradient, r, 3), turning)
     first = start[j]
-    arm = to_world(attitude(work.pose, joints.rows.a[first]), row3(joints.rows.first, first))
+    arm = to_world(attitude(pose, joints.rows.a[first]), row3(joints.rows.first, first))
     return _length(impulse), _length(subtract(turning, cross(arm, impulse)))
+
+
+@inline
+def break_by_multipliers(
+    breaks: Breaks, joints: Joints, work: Work, broken: Floats, t: float
+) -> bool:
+    """Whether joints that hold carry more than they can, by z in the states y; they break at t."""
+    found = False
+    for j in range(broken.size):
+        force, torque = _impulses(joints, work, j, work.z, work.y)
+        is_too_much = force > breaks.force[j] or torque > breaks.torque[j]
+        if is_too_much and broken[j] == inf:
+            broken[j], found = t, True
+    return found
+
+
+@inline
+def let_go(work: Work, broken: Floats, t: float) -> bool:
+    """Leave out what has broken by t, and forget what broke later; whether any held until now."""
+    found = False
+    for j in range(broken.size):
+        has_broken = broken[j] <= t
+        found = found or (has_broken and work.broken[j] == inf)
+        work.broken[j] = -inf if has_broken else inf
+        broken[j] = broken[j] if has_broken else inf
+    return found
 
 
 @inline
@@ -131,7 +162,7 @@ def foresee_breaks(
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
         if work.broken[j] < inf:
             continue
-        force, torque = _impulses(joints, work, j, work.kept)
+        force, torque = _impulses(joints, work, j, work.kept, work.pose)
         force, torque = force / span, torque / span
         steps = _ahead(force, work.load[j, 0], breaks.force[j])
         steps = min(steps, _ahead(torque, work.load[j, 1], breaks.torque[j]))
@@ -165,7 +196,7 @@ def break_overloaded(breaks: Breaks | None, joints: Joints, work: Work, dt: floa
     if breaks is None:
         return
     for j in range(work.broken.size):
-        force, torque = _impulses(joints, work, j, work.carried)
+        force, torque = _impulses(joints, work, j, work.carried, work.pose)
         is_too_much = force > dt * breaks.force[j] or torque > dt * breaks.torque[j]
         if is_too_much and work.broken[j] == inf:
             work.broken[j] = work.clock[2] + work.clock[0]

@@ -62,7 +62,7 @@ class JointTree(NamedTuple):
 
 
 def tree_of(joints: Joints) -> JointTree | None:
-    """Joints as trees; None where they close loops, move or roll, or tie thin bodies."""
+    """Joints as trees; None where they close loops, move, roll or break, or tie thin bodies."""
     rows, start, world = joints.rows, joints.program.start, joints.inv_mass.size - 1
     near: defaultdict[int, list[tuple[int, Ints]]] = defaultdict(list)
     for j in range(start.size - 1):
@@ -72,7 +72,8 @@ def tree_of(joints: Joints) -> JointTree | None:
             near[int(one[own[0]])].append((int(other[own[0]]), own))
     is_held = joints.inv_mass == 0.0
     is_thin = ~is_held & (joints.inv_inertia == 0.0).any(axis=1)
-    is_fixed = not joints.moves and joints.rolls is None and not (rows.kind == DISTANCE).any()
+    is_fixed = not joints.moves and joints.rolls is None and joints.breaks is None
+    is_fixed = is_fixed and not (rows.kind == DISTANCE).any()
     if not is_fixed or not near or is_thin[[*near]].any():
         return None
     axes = [(is_shift, world, axis) for is_shift in (True, False) for axis in np.eye(3)]

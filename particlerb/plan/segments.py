@@ -20,7 +20,6 @@ from particlerb.forces.kinds import (
     CONTACT,
     EVENTS,
     FLOWS,
-    GRID,
     IMPULSES,
     JOINTS,
     PISTONS,
@@ -58,7 +57,6 @@ _NEEDS: Final = {
     EVENTS: "bodies collide at the instants of their impacts",
     JOINTS: "joints hold bodies",
     FLOWS: "it depends on velocities, and joints hold bodies",
-    GRID: "it takes steps of one length",
 }
 
 

@@ -80,8 +80,8 @@ def begin(bodies: Any, t: float) -> None:
     raise NotImplementedError
 
 
-def go_on(bodies: Any) -> None:
-    """The end of a step, with its slopes, is the start of the next one."""
+def go_on(bodies: Any, t: float) -> None:
+    """The end of a step, with its slopes, is the start of the next one, from t on."""
     raise NotImplementedError
 
 
@@ -130,7 +130,7 @@ def advance_steps(
     for f in range(times.size):
         while times[f] > t + h:
             t, taken = t + h, taken + 1.0
-            go_on(bodies)
+            go_on(bodies, t)
             h, h_next = find(bodies, t, h_next)
             is_dense = False
         assign(out, y)
@@ -142,14 +142,16 @@ def advance_steps(
         write(bodies, recording, rows[f])
     while t + h < until:
         t, taken = t + h, taken + 1.0
-        go_on(bodies)
+        go_on(bodies, t)
         h, h_next = find(bodies, t, h_next)
+    h_next = h
     while t < stop < np.inf:  # the last step may have to be cut again
-        h, h_next = find(bodies, t, min(stop - t, h))
-        go_on(bodies)
+        h, h_next = find(bodies, t, min(stop - t, h_next))
+        ahead = stop if h >= stop - t else t + h
+        go_on(bodies, ahead)
         if not h > 0.0:
             break
-        t, taken = stop if h >= stop - t else t + h, taken + 1.0
+        t, taken = ahead, taken + 1.0
     clock[0], clock[1], clock[2] = t, h, taken
 
 
@@ -199,7 +201,7 @@ def _begin(bodies: _OnePack, t: float) -> None:
 
 
 @inline
-def _go_on(bodies: _OnePack) -> None:
+def _go_on(bodies: _OnePack, _t: float) -> None:
     """`go_on` of a pack."""
     _, _, _, y, new, K = bodies.pack
     assign(y, new)

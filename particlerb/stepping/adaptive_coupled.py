@@ -7,7 +7,7 @@ are worth several threads, the same loops run as Python and spread them.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -37,7 +37,8 @@ from particlerb.integrators.joint_slopes import (
 )
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter_loads
-from particlerb.joints.records import Jointed
+from particlerb.joints.breaking import break_by_multipliers, let_go
+from particlerb.joints.records import Breaks, Jointed
 from particlerb.joints.trees import tree_of
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
 from particlerb.maths.vec3 import Floats
@@ -50,6 +51,8 @@ from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 
+_LOOKS: Final = 8  # in a step, for loads under which joints break,
+_HALVINGS: Final = 50  # and between two of them, for the instant
 _Maker: TypeAlias = Callable[..., Callable[..., Any]]
 
 
@@ -64,6 +67,8 @@ class _CommonVectors(NamedTuple):
     K: Floats  # (STAGES, blocks * size * w)
     errors: Floats  # (blocks, w)
     width: int  # w
+    broken: Floats  # (j,) [s] when joints break, since t = 0; inf: they hold
+    tried: Floats  # (1,) [s] the step before it was cut where one breaks
 
 
 class _AllBodies(NamedTuple):
@@ -74,6 +79,7 @@ class _AllBodies(NamedTuple):
     layout: Layout
     pairs: PairTerms
     jointed: Jointed | None
+    breaks: Breaks | None
     vectors: _CommonVectors
 
 
@@ -128,15 +134,28 @@ def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None
     add_rows(h, A[stage], K, stage, new.reshape(new.size))
 
 
+@inline
+def _let_go(breaks: Breaks | None, bodies: _AllBodies, t: float) -> bool:
+    """Let joints go that have broken by t; whether any held until now."""
+    if breaks is None:
+        return False
+    jointed = bodies.jointed
+    assert jointed is not None
+    return let_go(jointed.work, bodies.vectors.broken, jointed.start + t)
+
+
 def _begin(bodies: _AllBodies, t: float) -> None:
     """`begin` of all bodies."""
+    _let_go(bodies.breaks, bodies, t)
     _common_slopes(bodies, t, bodies.vectors.y, bodies.vectors.K[0])
 
 
-def _go_on(bodies: _AllBodies) -> None:
+def _go_on(bodies: _AllBodies, t: float) -> None:
     """`go_on` of all bodies."""
     assign(bodies.vectors.y, bodies.vectors.new)
     assign(bodies.vectors.K[0], bodies.vectors.K[END])
+    if _let_go(bodies.breaks, bodies, t):
+        _common_slopes(bodies, t, bodies.vectors.y, bodies.vectors.K[0])
 
 
 def _common_stages(bodies: _AllBodies, at: Floats, t: float, h: float, i: int, j: int) -> None:
@@ -152,7 +171,7 @@ def _common_error(
     blocks: Floats, layout: Layout, vectors: _CommonVectors, h: float, tolerance: float
 ) -> float:
     """Largest error of a step over the tolerance, of the bodies that are numbers."""
-    _, _, _, five, three, K, errors, _ = vectors
+    five, three, K, errors = vectors.five, vectors.three, vectors.K, vectors.errors
     differences(K, five.reshape(five.size), three.reshape(three.size))
     worst = 0.0
     for k in range(layout.first.size):
@@ -181,6 +200,52 @@ def _give_up(layout: Layout, vectors: _CommonVectors) -> None:
                     y[k, c * w + b] = np.nan
 
 
+def _finish_step(bodies: _AllBodies, t: float, h: float) -> None:
+    """Bring the end of a step to where joints hold, and find the slopes there."""
+    common = bodies.vectors
+    _normalise_blocks(common.new, bodies.layout, common.width)
+    bring_back(bodies.jointed, common.new, common.width, t + h)
+    _common_slopes(bodies, t + h, common.new, common.K[END])
+
+
+def _breaks_at(breaks: Breaks, bodies: _AllBodies, t: float, h: float, share: float) -> bool:
+    """Whether joints carry too much at a share of a step; until it is forgotten, they break."""
+    common, jointed = bodies.vectors, bodies.jointed
+    assert jointed is not None
+    _show(bodies, t, h, share)
+    _common_slopes(bodies, t + share * h, common.out, common.five.reshape(common.five.size))
+    at = jointed.start + (t + share * h)
+    let_go(jointed.work, common.broken, jointed.start + t)
+    return break_by_multipliers(breaks, jointed.joints, jointed.work, common.broken, at)
+
+
+def _up_to_a_break(breaks: Breaks | None, bodies: _AllBodies, t: float, h: float) -> float:
+    """Step that ends at the instant at which a joint breaks, if one does within h; or h."""
+    if breaks is None:
+        return h
+    common, before, after = bodies.vectors, 0.0, LEAST_STEP
+    common.tried[0] = h
+    _take_last_stages(bodies, t, h)
+    for k in range(1, _LOOKS + 1):
+        if _breaks_at(breaks, bodies, t, h, after):
+            break
+        before, after = after, k / _LOOKS
+    if not _breaks_at(breaks, bodies, t, h, after):
+        return h
+    for _ in range(_HALVINGS if before > 0.0 else 0):
+        middle = 0.5 * (before + after)
+        if _breaks_at(breaks, bodies, t, h, middle):
+            after = middle
+        else:
+            before = middle
+    _breaks_at(breaks, bodies, t, h, after)
+    h *= after
+    _common_stages(bodies, common.new, t, h, 1, END)
+    _add_stages(h, END, common.K, common.y, common.new)
+    _finish_step(bodies, t, h)
+    return h
+
+
 def _find_common_step(bodies: _AllBodies, t: float, h: float) -> tuple[float, float]:
     """Longest step up to h that is accurate, and the one to try after it; see `find_step`."""
     layout, common = bodies.layout, bodies.vectors
@@ -192,10 +257,8 @@ def _find_common_step(bodies: _AllBodies, t: float, h: float) -> tuple[float, fl
         _add_stages(h, END, common.K, common.y, common.new)
         error = _common_error(bodies.blocks, layout, common, h, tolerance)
         if error < 1.0:
-            _normalise_blocks(common.new, layout, common.width)
-            bring_back(bodies.jointed, common.new, common.width, t + h)
-            _common_slopes(bodies, t + h, common.new, common.K[END])
-            return h, h * factor_of(error)
+            _finish_step(bodies, t, h)
+            return _up_to_a_break(bodies.breaks, bodies, t, h), h * factor_of(error)
         h *= factor_of(error)
         if not h > LEAST_STEP * t:
             h = longest
@@ -240,13 +303,13 @@ def _write(bodies: _AllBodies, recording: Recording, frame: int) -> None:
 
 def _family(make: _Maker, **names: Any) -> Callable[..., None]:
     """`advance_steps` of all bodies and what it calls, made anew with other globals."""
-    for function in (_common_slopes, _common_stages, _begin, _go_on, _find_common_step):
-        names[function.__name__] = make(function, **names)
-    moving = {"begin": names["_begin"], "go_on": names["_go_on"]}
-    moving |= {"find": names["_find_common_step"]}
+    moving = {"begin": _begin, "go_on": _go_on, "find": _find_common_step}
     shown = {"take_last_stages": _take_last_stages, "show": _show, "write": _write}
-    shown = {name: make(function, **names) for name, function in shown.items()}
-    return make(advance_steps, **moving, **shown)
+    called = _common_slopes, _common_stages, _take_last_stages, _show, _finish_step, _breaks_at
+    for function in (*called, _up_to_a_break, _begin, _go_on, _find_common_step, _write):
+        names[function.__name__] = make(function, **names)
+    functions = {key: names[own.__name__] for key, own in (moving | shown).items()}
+    return make(advance_steps, **functions)
 
 
 _compiled = _family(partial(kernel_from, name="here"))
@@ -272,7 +335,7 @@ class CoupledAdaptiveMotion(AdaptiveRun):
         self.blocks = in_blocks(n, STAGE + 2 * CHANGING, parts)
         first = np.arange(0, n, BLOCK)
         self.layout = Layout(first, np.minimum(BLOCK, n - first), 0)
-        self.jointed = jointed_in(group, state, np.arange(n), start, np.nan)
+        self.jointed = jointed_in(group, state, np.arange(n), start, 0.0)
         if self.jointed is not None:
             self.jointed = self.jointed._replace(tree=tree_of(self.jointed.joints))
         self.vectors = self.make_vectors(ALONE if self.account.books is None else CHANGING)
@@ -287,8 +350,14 @@ class CoupledAdaptiveMotion(AdaptiveRun):
         y, new, out, five, three = (np.zeros(shape) for _ in range(5))
         K = np.zeros((STAGES, shape[0] * shape[1]))
         return _CommonVectors(
-            y, new, out, five, three, K, np.zeros((len(self.blocks), width)), width
-        )
+            y, new, out, five, three, K, np.zeros((len(self.blocks), width)), width,
+            np.full_like(super().broken, np.inf), np.zeros(1),
+        )  # fmt: skip
+
+    @property
+    def broken(self) -> Floats:
+        """When joints have broken [s], (j,): inf where they hold."""
+        return self.vectors.broken
 
     def write_back(self) -> None:
         """Bring the vectors back to the blocks."""
@@ -297,26 +366,38 @@ class CoupledAdaptiveMotion(AdaptiveRun):
     def checkpoint(self) -> Saved:
         """States at the start of the step, when that is, and how long the step is."""
         saved = {"y": self.vectors.y.copy(), "clock": self.clock[0, :2].copy()}
+        saved |= {"broken": self.broken.copy()} if self.breaks else {}
         return saved | ({"turned": self.turned.copy()} if self.turned.size else {})
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         self.vectors.y[:] = saved["y"]
         self.clock[0, :2] = saved["clock"]
+        if self.breaks:
+            self.broken[:] = saved["broken"]
         if self.turned.size:
             self.turned[:] = saved["turned"]
 
     def advance_some(self, leg: Leg, recording: Recording) -> None:
         """All bodies together."""
-        common = self.vectors
+        common, joints = self.vectors, self.group.terms.joints
+        breaks = None if joints is None else joints.breaks
         bodies = _AllBodies(
-            self.equations, self.blocks, self.layout, self.forces.pairs, self.jointed, common
+            self.equations,
+            self.blocks,
+            self.layout,
+            self.forces.pairs,
+            self.jointed,
+            breaks,
+            common,
         )
         arguments = bodies, common.y, common.out, self.clock[0], leg, recording
         if self.forces.is_large:
             _family(in_python, pair_loads=lambda *_: self.forces.evaluate())(*arguments)
         else:
             THREADS.alone(_compiled, *arguments)
+        if breaks is not None:
+            self.clock[0, 1] = common.tried[0]
 
 
 @kernel

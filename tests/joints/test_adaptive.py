@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from holds import misfits
-from scenes import SCENES, X, Y, bar, case, joint, reference
+from scenes import SCENES, X, Y, Z, bar, body, case, joint, moved, reference
 from test_actions import MOMENT, OUTPUT, angle, flap
-from test_joint_drives import cart, exact_pendulum
+from test_breaking import instant, weight_on_a_wire
+from test_joint_drives import cart, exact_pendulum, platform, shaken
 
 import particlerb
 from particlerb import CaseError
@@ -123,7 +124,57 @@ def test_no_turn_is_lost_where_steps_might_be_longer_than_half_a_turn():
         assert turned == pytest.approx(5.0 * trajectory.time, abs=0.1)
 
 
-def test_what_a_grid_of_steps_finds_is_refused():
-    scene = flap(breaks_at={"force": 1.0})
-    with pytest.raises(CaseError, match=r"joints that break \(it takes steps of one length\)"):
-        adaptive(scene, 1.0, 1e-9)
+def test_a_wire_snaps_where_its_tension_is_reached_and_goes_on_bit_for_bit(tmp_path):
+    """Within the tolerance at the instant and then a parabola; paused before it and after."""
+    scene, whole = weight_on_a_wire(2 * 9.81), instant(2 / 3)
+    with adaptive(scene, 0.8, 1e-10, every=0.1) as trajectory:
+        t, x = trajectory.time, np.array(trajectory.position)[:, 0]
+        v = np.array(trajectory.velocity)[:, 0]
+        at = np.array(trajectory.joint_break_time)[:, 0]
+        assert at[-1] == pytest.approx(whole, abs=1e-9)
+        assert np.abs(trajectory.ledger.energy_error).max() < 1e-8
+        assert np.abs(trajectory.ledger.angular_momentum_error).max() < 1e-8
+    assert np.linalg.norm(x[t < whole], axis=1) == pytest.approx(1.0, abs=1e-13)
+    k = np.flatnonzero(t >= whole)[0]
+    s = (t[k:] - t[k])[:, None]
+    assert x[k:] == pytest.approx(x[k] + v[k] * s - 0.5 * 9.81 * s * s * np.array(Z), abs=1e-12)
+    assert v[k, 2] * (t[k] - whole) - x[k, 2] + 0.5 * 9.81 * (t[k] - whole) ** 2 == pytest.approx(
+        2 / 3, abs=1e-8
+    )
+    times = {"every": 0.1, "method": "dop853", "tolerance": 1e-10}
+    for n, pause in enumerate((0.2, 0.6)):
+        path = tmp_path / f"{n}.h5"
+        particlerb.run({"run": {"t_end": pause, **times}, **scene}, path).close()
+        particlerb.resume(path, 0.8).close()
+        with particlerb.open(path) as resumed:
+            assert (np.array(resumed.position)[:, 0] == x).all()
+            assert resumed.joint_break_time[-1, 0] == at[-1]
+
+
+def test_what_is_overloaded_breaks_at_once_and_its_neighbours_in_turn():
+    """A chain of weights hangs on wires: as the middle one snaps at the start, others hold."""
+    bobs = [body(f"b{k}", 1.0, [0.1, 0.1, 0.1], [0.0, 0, -1.0 - k]) for k in range(3)]
+    wires = [joint("distance", "b0", None, at_to=[0, 0, 0.0], at=[0, 0, -1.0])]
+    wires += [joint("distance", f"b{k}", f"b{k - 1}") for k in (1, 2)]
+    for wire, limit in zip(wires, (35.0, 15.0, 5.0), strict=True):
+        wire["breaks_at"] = {"force": limit}
+    with adaptive(case(bobs, wires, output=OUTPUT), 0.5, 1e-9) as trajectory:
+        at = np.array(trajectory.joint_break_time)[-1]
+        z = np.array(trajectory.position)[-1, :, 2]
+    assert at[0] == 0.0
+    assert 0.0 < at[1:].min() <= at[1:].max() < 1e-9
+    assert z == pytest.approx([-1.0, -2.0 - 0.125 * 9.81, -3.0 - 0.125 * 9.81], abs=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["fixed", "hinge"])
+def test_bodies_tied_to_a_driven_one_are_where_rattle_has_them_at_high_order(kind):
+    scene = platform(kind, **({"spring": {"stiffness": 0.5}} if kind == "hinge" else {}))
+    with moved(scene, 0.6, 0.01, "rattle8", every=0.2) as one:
+        expected, work = np.array(one.position), np.array(one.ledger.work)
+    with adaptive(scene, 0.6, 1e-11, every=0.2) as trajectory:
+        assert trajectory.position == pytest.approx(expected, abs=1e-9)
+        assert trajectory.velocity[:, 0] == pytest.approx(shaken(trajectory.time)[0], abs=1e-13)
+        assert trajectory.ledger.work == pytest.approx(work, abs=1e-8)
+        assert np.abs(work).max() > 1e-2
+        for error in ("energy", "linear_momentum", "angular_momentum"):
+            assert np.abs(getattr(trajectory.ledger, f"{error}_error")).max() < 1e-9

@@ -11,7 +11,8 @@ from test_joint_drives import SWING, swung
 
 
 @pytest.mark.compiled
-def test_a_load_tears_off_a_cart_that_slides_on_a_driven_base():
+@pytest.mark.parametrize("method", ["rattle", "dop853"])
+def test_a_load_tears_off_a_cart_that_slides_on_a_driven_base(method):
     """The cart is where both motions put it; its bob flies on a parabola once its wire snaps.
 
     A spring and a damper work against the drive; a bell swings on a ball joint with others. It
@@ -26,13 +27,16 @@ def test_a_load_tears_off_a_cart_that_slides_on_a_driven_base():
     own = {"spring": {"stiffness": 5.0}, "damper": 0.2}
     joints = [joint("slider", "cart", "base", [0, 0, 0.5], X, drive=SWING, **own), wire]
     joints.append(joint("ball", "bell", "base", [3, 0, 0], **own))
-    with moved(case([base, cart, bob, bell], joints, output=OUTPUT), 1.0, 2e-3, every=0.02) as t:
+    scene = case([base, cart, bob, bell], joints, output=OUTPUT)
+    keys = {"method": method, "tolerance": 1e-9, "every": 0.02}
+    with moved(scene, 1.0, 2e-3, **keys) as t:
         time, x, v = t.time, np.array(t.position), np.array(t.velocity)
         at, turned = float(t.joint_break_time[-1, 1]), angle(t, 3)
         lost = np.abs(t.ledger.energy_error)
         assert lost[time < at].max() < 4 * 2e-3**2
         assert lost.max() < 40 * 2e-3**2  # the instant of the break is of second order
-        assert np.abs(t.ledger.linear_momentum_error).max() < 1e-12
+        error = np.abs(t.ledger.linear_momentum_error).max()
+        assert error < (1e-12 if method == "rattle" else 1e-8)
     w = np.sqrt(50.0 - 1.0)
     assert turned == pytest.approx(0.6 / w * np.exp(-time) * np.sin(w * time), abs=1e-5)
     assert x[:, 1, 0] == pytest.approx(0.1 * time + swung(time)[0], abs=1e-13)
