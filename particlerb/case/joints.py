@@ -86,7 +86,8 @@ def _is_not_zero(value: float) -> float:
 
 
 _Number = Annotated[int, Strict()]
-_Teeth = Annotated[tuple[_Number, _Number], entries(2), AfterValidator(_mesh)]
+_TEETH = "give those of `body` and of the other side: teeth = [20, 40]"
+_Teeth = Annotated[tuple[_Number, _Number], entries(2, hint=_TEETH), AfterValidator(_mesh)]
 _Lead = Annotated[Real, AfterValidator(_is_not_zero)]
 
 

@@ -100,14 +100,14 @@ def broken(reason: str, key: str = "", hint: str = "") -> PydanticCustomError:
     return PydanticCustomError("rule", cast(Any, escaped), {"key": key, "hint": hint})
 
 
-def entries(length: int, of: str = "numbers") -> BeforeValidator:
+def entries(length: int, of: str = "numbers", hint: str = "") -> BeforeValidator:
     """Length of a list, checked before its entries so that a wrong one is a single error."""
 
     def check(value: Any) -> Any:
         if isinstance(value, (list, tuple)) and len(value) != length:
-            raise broken(f"must have {length} entries, has {len(value)}")
+            raise broken(f"must have {length} entries, has {len(value)}", hint=hint)
         if not isinstance(value, (list, tuple)):
-            raise broken(f"must be a list of {length} {of}")
+            raise broken(f"must be a list of {length} {of}", hint=hint)
         return value
 
     return BeforeValidator(check)

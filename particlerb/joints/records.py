@@ -190,7 +190,7 @@ class Work(NamedTuple):
     compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
     scale: Floats  # (m,) diagonal of A
     factor: Floats  # (blocks, w, w) for joints of w rows at most
-    lost: Ints  # (k,) 1 + row that did not converge; 0: none
+    lost: Ints  # (k,) 1 + row that did not converge, and m more if its axes left their place
     turned: Floats  # (c, 3) cosine, sine and whole turns of each angle; or displacement [m], 0, 0
     change: Floats  # (n + 1, 6) momenta that a kick gave; or those before damping
     inv_mass: Floats  # (n + 1,) [1/kg] with drag in it

@@ -36,7 +36,7 @@ from particlerb.joints.rows import (
     residuals,
     vector,
 )
-from particlerb.joints.wheels import is_out_of_mesh, nearest
+from particlerb.joints.wheels import nearest, out_of_mesh
 from particlerb.maths.quaternion import to_body
 from particlerb.maths.vec3 import Vec3, add, dot, scale
 from particlerb.rotors.symmetric_split import symmetric_split, symmetric_top
@@ -185,8 +185,9 @@ def _see_teeth(rolls: Flag, joints: Joints, work: Work, c: int, dt: float) -> No
             _, _, u, d = arms_at(rows, work.y, r, R)
             _, _, u0, d0 = arms_at(rows, pose, r, before)
             turned = _turn(joints, work, rows.a[r], dt), _turn(joints, work, rows.b[r], dt)
-            if is_out_of_mesh(rows, r, R, (u, d), before, (u0, d0), turned):
-                work.lost[c] = 1 + r
+            wrong = out_of_mesh(rows, r, R, (u, d), before, (u0, d0), turned)
+            if wrong > 0:
+                work.lost[c] = 1 + r + (wrong - 1) * rows.kind.size
 
 
 @kernel
@@ -294,7 +295,8 @@ def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> N
             work.z[r] -= share * work.last_gain[r]
             work.last_gain[r] = work.z[r]
         _add(joints, work, lo, hi)
-    work.lost[c] = 1 + where
+    if work.lost[c] == 0:  # later steps of what is lost are not numbers
+        work.lost[c] = 1 + where
 
 
 @kernel

@@ -65,7 +65,7 @@ def nearest(g: float, to: float, period: float) -> float:
 
 
 @inline
-def is_out_of_mesh(
+def out_of_mesh(
     rows: ConstraintRows,
     r: int,
     R: tuple[Matrix, Matrix],
@@ -73,8 +73,8 @@ def is_out_of_mesh(
     before: tuple[Matrix, Matrix],
     arms_before: tuple[Vec3, Vec3],
     turned: tuple[Vec3, Vec3],
-) -> bool:
-    """Whether row r has passed teeth since the pose before, or its axes are not where they belong.
+) -> int:
+    """1 where row r has passed teeth since the pose before, 2 where its axes have left their place.
 
     `arms` are u and d; `turned` is about how far a and b have turned, to count whole turns.
     """
@@ -95,7 +95,7 @@ def is_out_of_mesh(
         rolled(True, rows, r, before, *arms_before) + s + k * nearest(angle, far, 2.0 * np.pi)
     )
     askew: float = max(abs(off), abs(dot(n, a)))
-    return abs(on) > 0.5 * pitch or askew > _MOST_ASKEW
+    return 2 if askew > _MOST_ASKEW else int(abs(on) > 0.5 * pitch)
 
 
 @inline

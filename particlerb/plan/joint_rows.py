@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import NamedTuple
+from itertools import pairwise
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from particlerb.impulses.records import MOTOR, RUBS, STOP
 from particlerb.joints.coordinates import coordinates_of
 from particlerb.joints.records import (
     AT_REST,
+    GEAR,
+    RACK,
     STRETCH,
     WHEEL,
     Actions,
@@ -19,14 +22,22 @@ from particlerb.joints.records import (
     Breaks,
     ConstraintRows,
     Coordinates,
+    Joints,
+    L,
+    P,
+    Work,
 )
+from particlerb.joints.rows import arms_at, attitude, attitudes, by_inverse_inertia, vector
 from particlerb.joints.setup import NO_ACTIONS, action, both_actions
+from particlerb.joints.solver import factorise_cluster, keep_rates
 from particlerb.joints.types import Ends, rows_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.merging import Merging
 from particlerb.model.system import System
 from particlerb.plan.joint_ends import WORLD, in_hosts, joint_name
 from particlerb.plan.merging import merges
+
+_LOOSE: Final = 1e-6  # of a rate: what holds leaves less
 
 
 class TableJoints(NamedTuple):
@@ -107,6 +118,54 @@ def bounds_among(bounds: Bounds, rows: ConstraintRows) -> Bounds | None:
     """Those in rows of joints of a group, whose actions they name; None where there are none."""
     row, which = np.nonzero(rows.action[:, None] == bounds.row)
     return Bounds._make([row, *(values[which] for values in bounds[1:])]) if row.size else None
+
+
+def loose_wheels(joints: Joints, work: Work) -> dict[int, str]:
+    """Rows that roll and whose axes the joints do not hold, to first order: how they may move.
+
+    Of momenta along each such way, what the joints leave is to be nothing.
+    """
+    rows, y, found = joints.rows, work.y, dict[int, str]()
+    for c, (lo, hi) in enumerate(pairwise(joints.program.start[joints.clusters.joint].tolist())):
+        rolling = lo + np.flatnonzero(np.isin(rows.kind[lo:hi], (GEAR, RACK)))
+        if rolling.size:
+            factorise_cluster(joints, work, c, 0.0, 0.0)
+            work.moving[:] = 0.0
+        for r in rolling.tolist():
+            for words, way in _ways_of(joints, work, r):
+                y[:, P:] = 0.0
+                for k, own in ((rows.a[r], way[:6]), (rows.b[r], way[6:])):
+                    y[k, P:] += own * (joints.inv_mass[k] > 0.0)
+                before = _along(joints, y, r, way)
+                keep_rates(joints, work, c, lo, hi)
+                if _along(joints, y, r, way) > _LOOSE * before:
+                    found.setdefault(r, words)
+    return found
+
+
+def _ways_of(joints: Joints, work: Work, r: int) -> list[tuple[str, Floats]]:
+    """How the axes of row r must not move: gradients by x and θ of a, and of b, (12,)."""
+    rows, R = joints.rows, attitudes(joints.rows, work.y, r)
+    ra, rb, u, d = map(np.array, arms_at(rows, work.y, r, R))
+    n, none = np.array(R[1]) @ rows.wheel[r, :3], np.zeros(3)
+    across, arm = np.cross(n, u), rb + d
+    if rows.kind[r] == GEAR:
+        across, arm = d - n * (n @ d), rb
+    tilts = [np.cross(n, axis) for axis in np.eye(3)]
+    found = [("may tilt against each other", np.r_[none, v, none, -v]) for v in tilts]
+    if across.any():
+        way = np.r_[across, np.cross(ra, across), -across, -np.cross(arm, across)]
+        found.append(("may move apart", way))
+    return found
+
+
+def _along(joints: Joints, y: Floats, r: int, way: Floats) -> float:
+    """Rate of what has a gradient, by the momenta of the bodies of row r."""
+    found = 0.0
+    for k, own in ((joints.rows.a[r], way[:6]), (joints.rows.b[r], way[6:])):
+        spin = by_inverse_inertia(joints.inv_inertia, attitude(y, k), k, vector(y, k, L))
+        found += joints.inv_mass[k] * float(own[:3] @ y[k, P:L]) + float(own[3:] @ spin)
+    return found
 
 
 def breaks_of(system: System, record: Ints) -> Breaks:

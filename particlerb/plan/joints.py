@@ -42,14 +42,7 @@ from particlerb.model.state import State, lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan import joint_rows
 from particlerb.plan.joint_drives import DriveCourse, course_of, drives_from
-from particlerb.plan.joint_ends import (
-    WORLD,
-    Ties,
-    ends_of,
-    pairs_of,
-    unique,
-    wrong_place,
-)
+from particlerb.plan.joint_ends import WORLD, Ties, ends_of, pairs_of, unique, wrong_place
 from particlerb.plan.obstacles import driven_bodies
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
@@ -335,6 +328,7 @@ def assembled(system: System) -> System:
     moved = float(lengths((work.y - before)[:n, :3].T).max())
     state = np.empty((13, n))
     state[:, joints.order] = work.y[:n].T
+    _refuse_loose(system, setup, joints, work)
     found = system._replace(state=State(*np.split(state, (3, 7, 10))), placed=system.state)
     if moved <= _ALLOWED * float(joints.rows.size.max()):
         return found
@@ -359,6 +353,15 @@ def _refuse_misfits(
         problems[number] = problem_at(system, f"joint[{number}]", reason, hint)
     if problems:
         raise CaseError(problems.values())
+
+
+def _refuse_loose(system: System, setup: JointSetup, joints: Joints, work: Work) -> None:
+    """Raise CaseError where the axes of what rolls are not held."""
+    hint = "hold both bodies by hinges, parallel and at their distance"
+    for row, words in joint_rows.loose_wheels(joints, work).items():
+        joint = joint_of_row(joints, row)
+        reason = f"{setup.names[joint]} does not roll: its axes {words}"
+        raise CaseError([problem_at(system, f"joint[{setup.record[joint]}]", reason, hint)])
 
 
 def _refuse_apart(

@@ -342,13 +342,16 @@ def lost(system: System, runs: Sequence[GroupRun]) -> str:
     setup = joints_of(system) if joints else None
     if setup is None:
         return ""
+    first = joints[min(joints)]
     if setup.types[min(joints)] in ROLLING:
-        return (
-            f"joint {setup.names[min(joints)]} no longer rolls: in a step teeth, or turns, were"
-            " passed, or its axes have left their place: take a shorter run.dt, and hold the axes"
-            " by hinges, parallel and at their distance"
-        )
-    is_composed = METHODS[joints[min(joints)].segment.method].evaluations > 1
+        why = "in a step teeth, or turns, were passed: take a shorter run.dt"
+        if first.motion.lost_joints()[min(joints)]:
+            why = (
+                "its axes have left their place: hold them by hinges, parallel and at their"
+                " distance, or take a shorter run.dt"
+            )
+        return f"joint {setup.names[min(joints)]} no longer rolls: {why}"
+    is_composed = METHODS[first.segment.method].evaluations > 1
     other = ', or run.method = "rattle", which passes such poses best' if is_composed else ""
     return (
         f"joint {setup.names[min(joints)]} no longer holds: no impulse was found that keeps it; the"

@@ -38,14 +38,14 @@ class JointedMotion(Motion):
     group: SegmentGroup
     jointed: Jointed | None  # None: none does
 
-    def lost_joints(self) -> list[int]:
-        """Joints of the system that no impulse keeps any more."""
+    def lost_joints(self) -> dict[int, bool]:
+        """Joints that no impulse keeps any more, and whether axes have left their place."""
         if self.jointed is None:
-            return []
+            return {}
         joints, work = self.jointed.joints, self.jointed.work
-        rows = work.lost[work.lost > 0] - 1
+        is_askew, rows = np.divmod(work.lost[work.lost > 0] - 1, joints.rows.kind.size)
         which = np.searchsorted(joints.program.start, rows, side="right") - 1
-        return [int(number) for number in joints.number[which]]
+        return dict(zip(joints.number[which].tolist(), (is_askew > 0).tolist(), strict=True))
 
     @property
     def breaks(self) -> bool:

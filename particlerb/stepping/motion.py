@@ -107,9 +107,9 @@ class Motion(Protocol):
         """When joints of the group have broken [s], (j,): inf where they hold."""
         return np.zeros(0)
 
-    def lost_joints(self) -> list[int]:
-        """Joints of the system that no impulse keeps any more."""
-        return []
+    def lost_joints(self) -> dict[int, bool]:
+        """Joints that no impulse keeps any more, and whether axes have left their place."""
+        return {}
 
     def turn_on(self, before: "Motion") -> None:
         """Count the turns of joints on from where the segment before has left them."""

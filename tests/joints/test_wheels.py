@@ -6,6 +6,8 @@ from scenes import X, Y, Z, body, case, joint
 
 import particlerb
 from particlerb import CaseError, RunError, joint_loads
+from particlerb.case.to_system import to_system
+from particlerb.simulation.run import prepare
 
 METHODS = {
     "rattle": {"dt": 0.01},
@@ -127,18 +129,22 @@ def test_a_wheel_rolls_down_a_rack(method):
     assert w * r == pytest.approx(rate * t, abs=1e-12)
 
 
-@pytest.mark.plain
-def test_a_rack_is_pushed_by_its_pinion():
-    """τ = I α + m r² α, and the force of a tooth is m r α; to the side of the pitch line."""
+def rack_and_pinion(**keys):
+    """A pinion on a hinge, 0.5 kg m² about it, and a bar of 3 kg on a slider, 0.2 m apart."""
     bodies = [body("pinion", 1, [1, 1, 0.5], [0, 0, 0]), body("bar", 3, [1, 1, 1], [0, -0.2, 0])]
     joints = [
         joint("hinge", "pinion", None, [0, 0, 0], Z),
         joint("slider", "bar", None, [0, -0.2, 0], X),
         joint("rack", "pinion", "bar", [0, 0, 0], Z, axis_to=X, at_to=[0, -0.2, 0]),
     ]
+    return case(bodies, joints, (0, 0, 0), **keys)
+
+
+@pytest.mark.plain
+def test_a_rack_is_pushed_by_its_pinion():
+    """τ = I α + m r² α, and the force of a tooth is m r α; to the side of the pitch line."""
     force = [{"type": "torque", "body": "pinion", "torque": [0, 0, 1.0]}]
-    scene = case(bodies, joints, (0, 0, 0), force=force)
-    with moved(scene, 3.0, "rattle", 1.0) as trajectory:
+    with moved(rack_and_pinion(force=force), 3.0, "rattle", 1.0) as trajectory:
         x, t = np.array(trajectory.position)[:, 1, 0], trajectory.time
         loads = joint_loads(trajectory)
     rate = 1.0 / (0.5 + 3 * 0.2**2)
@@ -233,7 +239,7 @@ def test_teeth_that_are_pushed_over_some_in_a_step_hold(torque):
 @pytest.mark.plain
 def test_a_step_in_which_teeth_are_passed_ends_the_run():
     force = [{"type": "torque", "body": "a", "torque": [0, 0, 1e4]}]
-    with pytest.raises(RunError, match="joint a-b no longer rolls"):
+    with pytest.raises(RunError, match="joint a-b no longer rolls: in a step teeth"):
         moved(two_gears(force=force), 1.0, "rattle", 0.5, dt=0.1)
 
 
@@ -248,33 +254,45 @@ def test_a_nut_on_a_fine_thread_does_not_fall(lead):
     assert turn == pytest.approx(-0.5 * 9.81 * p / (p * p + 0.15), rel=1e-5)
 
 
-def unheld(holds):
-    """Gears of which one axis, or both, may tilt, or that nothing holds."""
-    scene = two_gears()
-    a, b = scene["body"]
-    a["angular_velocity"], b["angular_velocity"] = [0.5, 0, 2], [0, 0.3, -1]
-    if holds == "balls":
-        for hinge in scene["joint"][:2]:
-            hinge["type"] = "ball"
-            del hinge["axis"]
-    else:
-        del scene["joint"][:2]
-    return scene
+@pytest.mark.plain
+@pytest.mark.parametrize("method", ["rattle", "dop853"])
+@pytest.mark.parametrize("pair", ["gear", "rack"])
+def test_axes_that_tilt_once_they_are_released_end_the_run(pair, method):
+    scene = two_gears() if pair == "gear" else rack_and_pinion()
+    for hinge in scene["joint"][:2]:
+        hinge["during"] = [0, 0.1]
+    torque = {"type": "torque", "body": scene["body"][0]["name"], "torque": [0.5, 0.3, 0.2]}
+    times = {"t_end": 2.0, "every": 0.5, "method": method} | METHODS[method]
+    with pytest.raises(RunError, match=r"no longer rolls: its axes have left their place"):
+        particlerb.run({"run": times, **scene, "force": [torque]})
 
 
 @pytest.mark.plain
-@pytest.mark.parametrize("method", ["rattle", "dop853"])
-@pytest.mark.parametrize("holds", ["balls", "nothing"])
-def test_gears_whose_axes_tilt_end_the_run(holds, method):
-    times = {"t_end": 2.0, "every": 0.5, "method": method} | METHODS[method]
-    with pytest.raises(RunError, match="joint a-b no longer rolls"):
-        particlerb.run({"run": times, **unheld(holds)})
+@pytest.mark.parametrize(
+    ("pair", "other", "words"),
+    [
+        ("gear", None, "tilt"),
+        ("gear", {"type": "ball"}, "tilt"),
+        ("gear", {"type": "universal", "axis": Z, "axis_to": Y}, "tilt"),
+        ("gear", {"type": "planar", "axis": Z}, "move apart"),
+        ("rack", {"type": "planar", "axis": Z}, "move apart"),
+        ("rack", {"type": "cylindrical", "axis": X}, "tilt"),
+    ],
+)
+def test_axes_that_nothing_holds_are_named_by_the_plan(pair, other, words):
+    """The last joint but one is replaced, of two gears, and of a rack and its pinion."""
+    scene = two_gears() if pair == "gear" else rack_and_pinion()
+    scene["joint"][1:2] = [] if other is None else [{**scene["joint"][1], "axis": None} | other]
+    scene["joint"] = [{k: v for k, v in one.items() if v is not None} for one in scene["joint"]]
+    with pytest.raises(CaseError, match=f"does not roll: its axes may .*{words}"):
+        prepare(to_system({"run": {"t_end": 1, "every": 1, "dt": 0.01}, **scene}))
 
 
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
         ({"teeth": [20, 0]}, "teeth"),
+        ({"teeth": 20}, r"(?s)must be a list of 2 numbers.*teeth = \[20, 40\]"),
         ({"teeth": [20, -20]}, "negative one at most, of a ring"),
         ({"teeth": None}, "a gear joint needs one"),
         ({"lead": 0.1}, "a gear joint has none"),
