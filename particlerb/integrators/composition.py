@@ -39,8 +39,11 @@ def _with_weights(function: Step, weights: tuple[float, ...]) -> Step:
     return stages(FunctionType(function.__code__, names, function.__name__))
 
 
-def composed(name: str, order: int, first: Sequence[float]) -> Method:
-    """Composition whose weights begin so, up to the middle one, which follows from the sum."""
+def composed(name: str, order: int, limit: float, first: Sequence[float]) -> Method:
+    """Composition whose weights begin so, up to the middle one, which follows from the sum.
+
+    The limit is the largest hω below its first resonance.
+    """
     weights = (*first, 1.0 - 2.0 * sum(first), *reversed(first))
     return METHOD._replace(
         name=name,
@@ -50,7 +53,8 @@ def composed(name: str, order: int, first: Sequence[float]) -> Method:
         accepts=frozenset({POSE, BODIES, JOINTS}),
         cost=METHOD.cost * len(weights),
         evaluations=len(weights),
-        stability_limit=2.0 / max(abs(weight) for weight in weights),
+        stability_limit=limit,
         closing_kick=0.5 * weights[-1],
+        weights=weights,
         coupled_step=_with_weights(_coupled_step, weights),
     )

@@ -58,6 +58,8 @@ class Method(NamedTuple):
     """Whether it is for contacts without stiffness, and for no others."""
     has_dashpot_flows: bool = False
     """Whether dashpots between bodies are exact flows among the stages, and not loads."""
+    weights: tuple[float, ...] = (1.0,)
+    """Lengths of the stages of a composition, over the step."""
     rotor_constants: Callable[[Floats], Floats] | None = None
     """Constants of asymmetric bodies, from their inverse moments (3, n): rows ROTOR of a block.
     Where there are any, asymmetric bodies have blocks of their own."""

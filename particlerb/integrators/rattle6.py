@@ -7,6 +7,7 @@ from particlerb.integrators.composition import composed
 METHOD: Final = composed(
     "rattle6",
     6,
+    2.53,
     (
         0.39216144400731413928,
         0.33259913678935943860,

@@ -7,6 +7,7 @@ from particlerb.integrators.composition import composed
 METHOD: Final = composed(
     "rattle8",
     8,
+    3.09,
     (
         0.13020248308889008088,
         0.56116298177510838456,

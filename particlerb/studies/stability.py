@@ -3,7 +3,8 @@
 Maps: bodies on which nothing acts turn 10 000 times; the worst error of their energy says what
 became of them, for steps h|ω| [rad] from 0.02 to 4 and for many shapes and starts
 (stability_runs.py). Limits: steps up to which linear motions stay bounded, beside closed forms
-(stability_limits.py), also of a ball that rests on a floor (resting_contacts.py). Drift: energy
+(stability_limits.py), also of a ball that rests on a floor (resting_contacts.py) and of what rods
+under tension bring back (tension_modes.py), all that methods for joints have here. Drift: energy
 against time over a million turns. Explained in docs/stability.md; in words in stability_table.py.
 Nothing here prints, draws or knows of cases and files.
 """
@@ -24,6 +25,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.studies import stability_runs
 from particlerb.studies.resting_contacts import THEORY, contact_limits
 from particlerb.studies.stability_limits import LIMITS, Limit, limits_of, tops
+from particlerb.studies.tension_modes import tension_limits
 from particlerb.studies.text import chosen_names
 
 _BUDGET: Final = 240.0  # [s] of two cores for all methods, without compilation
@@ -38,6 +40,7 @@ _LEAST_PACE: Final = {"rkn6": 0.1, "force_gradient": 0.1}
 _DRIFT_PACE: Final = 0.25  # h|ω| of a drift
 _DRIFT_PACES: Final = {"rkn6": 0.5, "force_gradient": 0.5}
 """Where it is another: many kicks, and errors above rounding."""
+_FOR_JOINTS: Final = tuple(name for name, method in METHODS.items() if method.holds_joints)
 FREE: Final = "free body"
 
 
@@ -212,7 +215,9 @@ def stability(
     tasks = _tasks_of(methods, budget, turns)
     done = dict(zip(tasks, _in_parallel(list(tasks.values()), progress), strict=True))
     maps: list[Map] = []
-    for method in chosen_names(methods, UNJOINTED, "method"):
+    for method in _chosen(methods):
+        if method in _FOR_JOINTS:
+            continue
         rows = [value for key, value in done.items() if key[:2] == ("row", method)]
         maps += _maps_of(method, _columns_of(method, budget), rows)
     limits = [one for key, value in done.items() if key[0] == "limits" for one in value]
@@ -220,11 +225,17 @@ def stability(
     return Stability(turns, tuple(maps), tuple(limits), tuple(drifts))
 
 
+def _chosen(methods: Sequence[str]) -> list[str]:
+    """Names of methods; none were asked for: all but those for joints."""
+    return chosen_names(methods or UNJOINTED, (*UNJOINTED, *_FOR_JOINTS), "method")
+
+
 def _tasks_of(
     methods: Sequence[str], budget: float = _BUDGET, turns: float = stability_runs.TURNS
 ) -> dict[_Key, Callable[[], Any]]:
     """What there is to do, the longest first."""
-    names = chosen_names(methods, UNJOINTED, "method")
+    for_joints = [name for name in _chosen(methods) if name in _FOR_JOINTS]
+    names = [name for name in _chosen(methods) if name not in _FOR_JOINTS]
     stepped = [name for name in names if name in LIMITS]
     tasks: dict[_Key, Callable[[], Any]] = {
         ("drift", name, motion): partial(drift_of, name, motion, _LONGER * turns)
@@ -232,6 +243,7 @@ def _tasks_of(
         for name in stepped
     }
     tasks |= {("limits", name): partial(limits_of, name) for name in stepped}
+    tasks |= {("limits", name): partial(tension_limits, name) for name in for_joints}
     tasks |= {
         ("limits", name, "contact"): partial(contact_limits, name)
         for name in stepped

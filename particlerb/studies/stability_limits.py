@@ -124,11 +124,12 @@ def limit(
     low: float = 0.0,
     high: float = 10.0,
     steps: int = 20_000,
+    is_bounded: Callable[[str, StabilityScene, int], Bools] = _is_bounded,
 ) -> float:
     """Smallest z with an unbounded motion, by bisection, 128 at a time; inf if none is."""
     for k in range(3):
         z = np.linspace(low, high, 129)[1:]
-        bounded = _is_bounded(method, make(z), steps).reshape(-1, z.size).all(axis=0)
+        bounded = is_bounded(method, make(z), steps).reshape(-1, z.size).all(axis=0)
         if bounded.all():
             return math.inf if k == 0 else high
         first = int(bounded.argmin())

@@ -58,7 +58,7 @@ class StabilityScene(NamedTuple):
     state: State
 
 
-def bodies_of(inertia: Floats, mass: float = 1.0) -> Bodies:
+def bodies_of(inertia: Floats, mass: Floats | float = 1.0) -> Bodies:
     """Bodies with these principal moments, ascending, (n, 3) [kg m²]; zeros: points."""
     n = len(inertia)
     ordered, axes = rotor_order(inertia, np.tile(np.eye(3), (n, 1, 1)))

@@ -30,7 +30,8 @@ def table(study: stability.Stability) -> str:
         parts.append(aligned([_LIMIT_HEAD, *map(_limit_row, study.limits)]))
     if study.drifts:
         parts.append(aligned([_DRIFT_HEAD, *map(_drift_row, study.drifts)]))
-    parts.append(aligned([_MAP_HEAD, *map(_map_row, study.maps)]))
+    if study.maps:
+        parts.append(aligned([_MAP_HEAD, *map(_map_row, study.maps)]))
     return "\n\n".join([*parts, _EXPLANATION])
 
 

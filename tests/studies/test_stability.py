@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from particlerb.integrators import UNJOINTED
+from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.model.state import kinetic_energy
 from particlerb.studies import stability as studied
@@ -50,6 +50,7 @@ from particlerb.studies.stability_runs import (
     starts,
 )
 from particlerb.studies.stability_table import csv_rows, number, table
+from particlerb.studies.tension_modes import stays_across, tense, theory_of
 
 measured = functools.cache(limits_of)
 plain = pytest.mark.plain
@@ -488,3 +489,37 @@ def test_words_stand_in_the_widest_place():
     r, c = widest(region)
     assert (r, c) == (6, 5)
     assert widest(np.eye(9, dtype=bool)) is None
+
+
+# Tension modes of methods for joints
+
+
+@plain
+@pytest.mark.parametrize("method", ["rattle", "rattle4", "rattle6", "rattle8"])
+def test_tension_is_bounded_below_the_first_resonance_alone(method):
+    """A composition of leapfrog by its matrix; what the method says of itself is no more."""
+    theory = theory_of(method)
+    assert 0.99 * theory < METHODS[method].stability_limit <= theory
+    if method in ("rattle", "rattle6"):
+        steps = {"rattle": 300, "rattle6": 60}[method]
+        bounded = stays_across(method, tense(theory * np.array([0.98, 1.02])), steps)
+        assert bounded[:2].tolist() == [True, False]
+
+
+def test_a_composition_of_leapfrog_is_that_of_its_stages():
+    """The trace of five steps of leapfrog, one after the other, beside that of joined kicks."""
+    g = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
+    weights = (g, g, 1.0 - 4.0 * g, g, g)
+
+    def trace(z):
+        whole = np.eye(2)
+        for w in weights:
+            a = w * z
+            whole = np.array([[1 - a * a / 2, a], [-a + a**3 / 4, 1 - a * a / 2]]) @ whole
+        return abs(np.trace(whole)) / 2
+
+    z = theory_of("rattle4")
+    assert trace(0.999 * z) < 1.0 < trace(1.001 * z)
+    with pytest.raises(ValueError, match="no such method"):
+        n_tasks(["moreau"])
+    assert n_tasks(["rattle", "rattle8"]) == 2
