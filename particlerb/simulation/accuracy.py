@@ -35,8 +35,10 @@ from particlerb.simulation.whole_run import Prepared
 
 _FINER: Final = frozenset({"rkn6", "force_gradient"})  # which beat rk4 wherever they serve
 _CRUDE: Final = 1e-5  # accuracy below which a method of order 2 is no rival
-_JOINTED: Final = {1e-4: ("rattle", "rattle4"), 1e-7: ("rattle4", "rattle6")}  # down to these,
-_FINE: Final = ("rattle6", "rattle8")  # and below
+_JOINTED: Final = {  # down to these,
+    1e-4: ("rattle", "rattle4"), 1e-7: ("rattle4", "rattle6", "dop853"),
+}  # fmt: skip
+_FINE: Final = ("rattle6", "rattle8", "dop853")  # and below
 _SHARE: Final = 0.3  # of the wanted error of the energy that a step is chosen for
 
 
@@ -154,7 +156,7 @@ def search(system: System, group: GroupPlan) -> ChosenStep | None:
         raise CaseError([problem_at(system, "run.accuracy", reason, "give run.dt")])
     if any(s.terms.contact is not None for s in stepped):
         return by_energy(pilot, "rattle" if held else "strang")
-    family = [name for name in RATIO if METHODS[name].holds_joints == held]
+    family = [name for name in RATIO if METHODS[name].holds_joints == held or name == "dop853"]
     for segment in stepped:
         family = accepting(family, segment.terms)
     return cheapest(pilot, [Ladder(pilot, name) for name in candidates(pilot, family)])

@@ -15,6 +15,7 @@ from particlerb.case.problems import CaseError, problem_at
 from particlerb.forces import Terms
 from particlerb.integrators import METHODS
 from particlerb.integrators.dop853 import PACK
+from particlerb.joints.trees import tree_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import LINE
 from particlerb.model.bodies import taken
@@ -40,6 +41,8 @@ _FINER: Final = 0.7  # and of the step that it is compared with, of the first
 SET_UP: Final = 1.5e5  # ns of a trial beside its steps, roughly,
 _BEGIN: Final = 4e5  # and of a search beside its trials
 _ALONE: Final = 6  # bodies in the lanes of a register that one without a full register costs
+_IN_TREES: Final = 8000.0  # ns of a step of an adaptive method for a body that joints hold,
+_BY_ROWS: Final = 16000.0  # and where these are no trees
 _SAY_SO: Final = 2.0  # s after which a search says what it does
 
 
@@ -60,6 +63,9 @@ class Pilot:
         self.cost_between = max(cost_of(segment.terms) for segment in group.segments)
         self.is_coupled = any(segment.terms.is_coupled for segment in group.segments)
         self.sets_off_again = not any(_remembers(segment.terms) for segment in group.segments)
+        joints = [s.terms.joints for s in group.segments if s.terms.joints is not None]
+        has_rows = any(tree_of(own) is None for own in joints)
+        self.held = (_BY_ROWS if has_rows else _IN_TREES) if joints else 0.0
         self.asymmetric = float(np.mean(group.bodies.rotor_class == ASYMMETRIC))
         self.gone: tuple[Frames | None, Floats] = (None, np.empty(0))  # ways of the last reference
         self.rehearsal: Rehearsal | None = None
@@ -153,6 +159,8 @@ class Pilot:
             full = n - rest + (rest > 0) * LINE + (rest > LINE) * LINE
             lanes = 2 * lanes if self.is_coupled else full
         each = method.cost
+        if self.held:
+            lanes, each = n, self.held if method.is_adaptive else each
         if method.asymmetric_cost is not None:
             turns = stepping.dt * self.rate
             each *= 1.0 + self.asymmetric * (method.asymmetric_cost(turns) - 1.0)

@@ -97,18 +97,19 @@ def test_a_chart_of_a_mechanism_refuses_forces_that_the_reference_does_not_take(
 
 
 @pytest.mark.parametrize(
-    ("wanted", "method"),
-    [(1e-3, "rattle"), pytest.param(1e-6, "rattle4", marks=pytest.mark.compiled),
-     pytest.param(1e-8, "rattle6", marks=pytest.mark.compiled)],
+    ("name", "wanted", "method"),
+    [("bricard", 1e-3, "rattle"), ("chain6", 1e-6, "dop853"),
+     pytest.param("bricard", 1e-6, "rattle4", marks=pytest.mark.compiled),
+     pytest.param("bricard", 1e-8, "rattle6", marks=pytest.mark.compiled)],
 )  # fmt: skip
-def test_a_step_is_chosen_for_an_accuracy(wanted, method, tmp_path):
+def test_a_step_is_chosen_for_an_accuracy(name, wanted, method, tmp_path):
     """The true error is below what was asked for, and below what the file says."""
-    scene, path = SCENES["bricard"](), tmp_path / "run.h5"
+    scene, path = SCENES[name](), tmp_path / "run.h5"
     run = {"t_end": 0.5, "every": 0.25, "accuracy": wanted}
     with particlerb.run({"run": run, **scene}, path) as t:
         said = json.loads(t.parameter("accuracy"))
         x = np.array(t.position)[-1]
-    assert np.abs(x - reference("bricard", 0.5)[0]).max() < said["error"] <= wanted
+    assert np.abs(x - reference(name, 0.5)[0]).max() < said["error"] <= wanted
     assert said["groups"][0]["method"] == method
     if wanted == 1e-3:
         whole = x
