@@ -2,8 +2,9 @@
 
 Joints of a spanning tree become joints of nested bodies, whose coordinates are those of
 docs/joints.md; each other one closes a loop, and becomes an equality `connect` (a hinge two, on its
-axis) or `weld`, which MuJoCo keeps softly. A distance is an equality of a tendon. Universal,
-cylindrical, planar joints and sliders have no such equality: they come first into the tree.
+axis) or `weld`, which MuJoCo keeps softly. A distance is an equality of a tendon; a gear and
+a rack are one of the coordinates by which both bodies move against a third, a screw of its own two.
+Universal, cylindrical, planar joints, screws and sliders close no loop: they come first.
 
 Contact with `hooke` is MuJoCo's reference acceleration -k r/m - c v/m, r the gap, of a body of mass
 m against what does not move, at so small an impedance that it acts as a spring; between two bodies
@@ -22,10 +23,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, PlaneWall
-from particlerb.case.joints import ROLLING
 from particlerb.export import ExportError
 from particlerb.export.bodies import COMMENT, numbers, six
+from particlerb.export.mjcf_walls import geoms_of
 from particlerb.export.scene import FREE_STEP, left_out
 from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
@@ -44,7 +44,8 @@ from particlerb.plan.joint_ends import WORLD
 from particlerb.plan.joints import JointSetup, joints_of
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
-_ONLY_IN_TREES: Final = ("slider", "cylindrical", "universal", "planar")
+_ONLY_IN_TREES: Final = ("slider", "cylindrical", "universal", "planar", "screw")
+_OF_COORDINATES: Final = ("gear", "rack")
 _STIFF: Final = 2.0  # time constant of what is kept softly, in steps: the least MuJoCo takes
 _HELD: Final = -2  # in place of a joint, of bodies that stay where they are,
 _FREE: Final = -1  # and of those that nothing holds
@@ -85,6 +86,7 @@ class _Joint(NamedTuple):
     at_to: Floats
     axis: Floats
     axis_to: Floats
+    radius: float  # k of a rack or a screw [m/rad], z_b/z_a of a gear: joints/wheels.py
 
 
 def mjcf_scene(system: System, step: float = FREE_STEP) -> str:
@@ -100,7 +102,8 @@ def mjcf_scene(system: System, step: float = FREE_STEP) -> str:
     ------
     ExportError
         If a body has no three positive moments or moves as prescribed, a loop closes by a joint, or
-        bodies touch a wall, that MuJoCo has not, or contact differs from pair to pair.
+        bodies touch a wall, that MuJoCo has not, wheels do not turn on one body, or contact differs
+        from pair to pair.
     """
     for body in system.body:
         if body.motion is not None:
@@ -126,6 +129,7 @@ class _Writer:
         n_joints = 0 if setup is None else len(setup.names)
         self.joints = [_joint_of(system, setup, j) for j in range(n_joints) if setup is not None]
         self.speeds: dict[str, list[float]] = {}  # by the names of bodies
+        self.coordinates: dict[tuple[str, str], str] = {}  # by those of joints, and kinds
         self.root = ET.Element("mujoco", model=system.title or "scene")
         for line in (COMMENT, *(f"left out: {line}" for line in left_out(system))):
             self.root.append(ET.Comment(f" {line} "))
@@ -145,7 +149,8 @@ class _Writer:
         for b, (parent, j) in tree.items():
             self.add_body(b, parent, j)
         used = {j for _, j in tree.values()}
-        rest = [joint for j, joint in enumerate(self.joints) if j not in used]
+        joints = enumerate(self.joints)
+        rest = [joint for j, joint in joints if j not in used or joint.type == "screw"]
         if rest:
             self.add_equalities(rest)
         keys = ET.SubElement(self.root, "keyframe")
@@ -171,7 +176,7 @@ class _Writer:
         ranks = [0 if joint.type in _ONLY_IN_TREES else 1 for joint in self.joints]
         for j in np.argsort(ranks, kind="stable").tolist():
             one = self.joints[j]
-            if one.type == "distance" or label[one.first] == label[one.second]:
+            if one.type in ("distance", *_OF_COORDINATES) or label[one.first] == label[one.second]:
                 continue
             old, new = label[one.first], label[one.second]
             label = {b: new if own == old else own for b, own in label.items()}
@@ -251,7 +256,7 @@ class _Writer:
         if is_spring:
             self.option.set("impratio", numbers(_IMPRATIO))
         for wall in self.system.wall:
-            for k, text in enumerate(_geoms_of(wall)):
+            for k, text in enumerate(geoms_of(wall)):
                 name = wall.name + (f" {k}" if k else "")
                 # Without a stiffness of its own, so that the body's counts.
                 ET.SubElement(self.world, "geom", text, name=name, contype="1", conaffinity="1")
@@ -277,6 +282,7 @@ class _Writer:
             along, name = sign * axis, joint.name + (f" {k}" if k else "")
             text = numbers(own.turned_back(along))
             ET.SubElement(element, "joint", name=name, type=kind, pos=place, axis=text)
+            self.coordinates[joint.name, kind] = name
             speeds.append(float(along @ (spin if kind == "hinge" else moved)))
         return speeds
 
@@ -286,6 +292,12 @@ class _Writer:
         tendons: ET.Element | None = None
         soft = {"solref": numbers(_STIFF * self.step, 1.0)}
         for joint in joints:
+            if joint.type in _OF_COORDINATES or (joint.name, "slide") in self.coordinates:
+                names, factor = self.coupled(joint)
+                own = dict(zip(("joint1", "joint2"), names, strict=True))
+                text = numbers(0.0, factor, 0.0, 0.0, 0.0)
+                ET.SubElement(equality, "joint", soft | own, name=joint.name, polycoef=text)
+                continue
             if joint.type in _ONLY_IN_TREES:
                 raise ExportError(
                     f"{joint.name} closes a loop: MuJoCo has no {joint.type} for that"
@@ -305,6 +317,33 @@ class _Writer:
                 for x in points:
                     anchor = numbers(self.bodies[joint.first].local(x))
                     ET.SubElement(equality, "connect", soft | ends, anchor=anchor)
+
+    def coupled(self, joint: _Joint) -> tuple[tuple[str, str], float]:
+        """Two coordinates, and the first over the second, of a gear, a rack or a screw."""
+        if joint.type == "screw":
+            names = self.coordinates[joint.name, "slide"], self.coordinates[joint.name, "hinge"]
+            return names, -joint.radius
+        kind, way = ("hinge", joint.axis) if joint.type == "gear" else ("slide", joint.axis_to)
+        mine = self.movers(joint.first, "hinge", joint.axis)
+        other = self.movers(joint.second, kind, way)
+        for carrier in mine.keys() & other.keys():
+            (one, sign), (two, other_sign) = mine[carrier], other[carrier]
+            factor = -joint.radius if joint.type == "gear" else 1.0 / joint.radius
+            return (one, two), factor * sign * other_sign
+        raise ExportError(
+            f"{joint.name} is a {joint.type}, and no third body has both of its bodies on hinges,"
+            " or one on a slider, that MuJoCo keeps in its tree"
+        )
+
+    def movers(self, b: int, kind: str, way: Floats) -> dict[int, tuple[str, float]]:
+        """Coordinates of joints of a body, by the body at the other end, and shares along a way."""
+        found = {}
+        for one in self.joints:
+            name = self.coordinates.get((one.name, kind))
+            if name and one.type in ("hinge", "slider") and b in (one.first, one.second):
+                sign = float(one.axis @ way) * (1.0 if b == one.first else -1.0)
+                found[one.second if b == one.first else one.first] = name, sign
+        return found
 
     def add_distance(self, tendons: ET.Element, joint: _Joint) -> None:
         """Add a tendon between the two points, whose length stays."""
@@ -326,11 +365,12 @@ def _joint_of(system: System, setup: JointSetup, j: int) -> _Joint:
             own = rotate(np.repeat(system.state.q[:, [b]], 2, axis=1), own)
             own = own + system.state.com[:, [b]] * np.array([1.0, 0.0])
         points.append(own.T)
-    if setup.types[j] in ROLLING:
-        raise ExportError(f"{setup.names[j]} is a {setup.types[j]}: these are not written")
+    wheel = setup.rows.wheel[setup.start[j] : setup.start[j + 1]]
+    radius = wheel[np.abs(wheel[:, 9]).argmax(), 10 if setup.types[j] == "gear" else 9]
     (at, axis), (at_to, axis_to) = points
     first, second = ends.tolist()
-    return _Joint(setup.names[j], setup.types[j], first, second, at, at_to, axis, axis_to)
+    kind = setup.types[j]
+    return _Joint(setup.names[j], kind, first, second, at, at_to, axis, axis_to, float(radius))
 
 
 def _freedoms(joint: _Joint) -> list[tuple[str, Floats]]:
@@ -344,36 +384,7 @@ def _freedoms(joint: _Joint) -> list[tuple[str, Floats]]:
         "hinge": [("hinge", n)],
         "slider": [("slide", n)],
         "cylindrical": [("slide", n), ("hinge", n)],
+        "screw": [("slide", n), ("hinge", n)],
         "universal": [("hinge", m), ("hinge", n)],
     }
     return kinds.get(joint.type, [])
-
-
-def _geoms_of(wall: AnyWall) -> list[dict[str, str]]:
-    """A wall as geoms that bodies touch from where they are."""
-    if wall.motion is not None or wall.piston is not None:
-        raise ExportError(f"{wall.name} moves, which is not written")
-    if isinstance(wall, PlaneWall):
-        return [_plane(np.array(wall.point), np.array(wall.normal))]
-    if isinstance(wall, BoxWall):
-        low, high = np.array(wall.lower), np.array(wall.upper)
-        if wall.inside:
-            return [
-                _plane(low if sign > 0 else high, sign * normal)
-                for axis, normal in zip("xyz", np.eye(3), strict=True)
-                for end, sign in (("-", 1.0), ("+", -1.0))
-                if end + axis not in wall.open
-            ]
-        if not wall.open:
-            middle, half = numbers(0.5 * (low + high)), numbers(0.5 * (high - low))
-            return [{"type": "box", "pos": middle, "size": half}]
-    if isinstance(wall, CylinderWall) and not wall.inside and not wall.open:
-        size = numbers(wall.radius, 0.5 * wall.length)
-        place = {"pos": numbers(wall.centre), "zaxis": numbers(wall.axis)}
-        return [{"type": "cylinder", "size": size, **place}]
-    raise ExportError(f"{wall.name} is hollow: walls of MuJoCo are planes and solid bodies")
-
-
-def _plane(point: Floats, normal: Floats) -> dict[str, str]:
-    """A plane, drawn without end."""
-    return {"type": "plane", "size": "0 0 1", "pos": numbers(point), "zaxis": numbers(normal)}

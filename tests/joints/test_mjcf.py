@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scenes import SCENES, X, Y, Z, bar, body, case, joint, moved
+from test_wheels import planetary
 
 from particlerb.case.to_system import to_system
 from particlerb.cli import main
@@ -107,6 +108,50 @@ def test_loops_are_closed_by_equalities(name, n_equalities):
     assert found == pytest.approx(expected, abs=2e-3)
 
 
+def on_wheels(kind):
+    """Weights out of balance on two gears, a weight that pulls a rack, and a nut on a screw."""
+    if kind == "screw":
+        nut = body("nut", 2, [0.2, 0.2, 0.3], [0, 0, 1])
+        return case([nut], [joint("screw", "nut", None, [0, 0, 1], Z, lead=1.2)])
+    first = body("a", 1, [0.1, 0.1, 0.2], [0.2, 0, 0])
+    hinge = joint("hinge", "a", None, [0, 0, 0], Y)
+    if kind == "gear":
+        bodies = [first, body("b", 2, [0.2, 0.2, 0.3], [0.5, 0, 0.1])]
+        flipped = joint("hinge", "b", None, [0.5, 0, 0], [0, -1, 0])
+        gear = joint("gear", "a", "b", [0, 0, 0], Y, at_to=[0.5, 0, 0], teeth=[20, 30])
+        return case(bodies, [hinge, flipped, gear])
+    bodies = [first, body("b", 2, [0.2, 0.2, 0.3], [-0.2, 0, 0])]
+    slider = joint("slider", "b", None, [-0.2, 0, 0], Z)
+    rack = joint("rack", "a", "b", [0, 0, 0], Y, axis_to=[0, 0, -1], at_to=[-0.2, 0, 0])
+    return case(bodies, [hinge, slider, rack])
+
+
+@pytest.mark.parametrize("kind", ["gear", "rack", "screw"])
+def test_what_rolls_is_an_equality_of_two_coordinates(kind):
+    """MuJoCo keeps it softly; without it bodies would be more than 0.1 m elsewhere."""
+    scene = on_wheels(kind)
+    with moved(scene, 0.3, 0.01, "rattle6") as t:
+        expected = np.array(t.position)[-1]
+    model, _, found = in_mujoco(scene, 0.3, 2e-4)
+    assert (model.nv, model.neq) == (2, 1)
+    assert found == pytest.approx(expected, abs=1e-3)
+    start = np.array([b["position"] for b in scene["body"]])
+    assert np.abs(expected - start).max() > 0.05
+
+
+def test_a_planetary_gear_turns_in_mujoco_by_the_equation_of_willis():
+    """Coordinates of hinges on a carrier that turns: of the planet, the sun and the ring."""
+    mujoco = pytest.importorskip("mujoco")
+    scene = planetary(sun_on_carrier=True)
+    model, data, _ = in_mujoco(scene, 0.5, 2e-4)
+    assert (model.nv, model.neq) == (3, 2)
+    spins = np.zeros((3, 6))
+    for k, name in enumerate(("sun", "carrier", "planet")):
+        which = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, which, spins[k], 0)
+    assert spins[:, 2] == pytest.approx([7, 2, 2 - 60 / 18 * 2], abs=1e-3)
+
+
 def test_what_mujoco_cannot_hold_is_named():
     two = [bar("a", [0, 0, 0], [1, 0, 0]), bar("b", [1, 0, 0], [2, 0, 0])]
     joints = [joint("slider", "a", None, [0, 0, 0], Z), joint("slider", "b", "a", [1, 0, 0], Z),
@@ -115,6 +160,8 @@ def test_what_mujoco_cannot_hold_is_named():
         mjcf_scene(
             prepare(to_system({"run": {"t_end": 1, "every": 1}, **case(two, joints)})).system
         )
+    with pytest.raises(ExportError, match="sun-planet is a gear, and no third body has both"):
+        mjcf_scene(prepare(to_system({"run": {"t_end": 1, "every": 1}, **planetary()})).system)
     point = {"name": "p", "shape": {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}}
     table = {"type": "distance", "body": "p", "at_to": [0, 0, 1]}
     with pytest.raises(ExportError, match="p is a point"):

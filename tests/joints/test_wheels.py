@@ -54,7 +54,7 @@ def test_two_gears_turn_by_the_ratio_of_their_teeth(teeth, method):
     assert force == pytest.approx(3 * rate * abs(ratio) / radius, rel=1e-9)
 
 
-def planetary():
+def planetary(sun_on_carrier=False):
     """Sun on a carrier's axis, a planet on the carrier, a ring in the world; 24, 18 and 60 teeth.
 
     A tooth is 2π/600 m wide.
@@ -67,7 +67,7 @@ def planetary():
              [0, 0, 2 - 60 / 18 * 2]),
     ]  # fmt: skip
     joints = [
-        joint("hinge", "sun", None, [0, 0, 0], Z),
+        joint("hinge", "sun", "carrier" if sun_on_carrier else None, [0, 0, 0], Z),
         joint("hinge", "carrier", None, [0, 0, 0], Z),
         joint("hinge", "planet", "carrier", [arm, 0, 0], Z),
         {"type": "gear", "body": "sun", "to": "planet", "axis": Z, "teeth": [24, 18]},
