@@ -196,7 +196,7 @@ def stability(
     Parameters
     ----------
     methods : sequence of str
-        Keys of METHODS; none: all but those for joints.
+        Keys of METHODS; none: all but those for joints, of which limits alone are found.
     budget : float [s]
         The columns of the maps are in proportion to it, the rest is not. With the default, all
         methods take less than this on two cores, and compiling them once up to a minute more.

@@ -20,9 +20,9 @@ from particlerb.studies.stability_limits import Limit, limit, splitting_limit
 from particlerb.studies.stability_runs import StabilityScene, bodies_of, history, scene
 
 _GRAVITY: Final = 1e-5  # [m/s²] so that in a step of 1 s the heavy point falls far less than 1 m
-_PUSHED: Final = 1e-6  # [m] across the rods at first,
-_LARGE: Final = 1e-3  # and what no bounded motion reaches
-_STEPS: Final = 600
+_PUSHED: Final = 1e-10  # [m] across the rods at first,
+_LARGE: Final = 1e-6  # and what no bounded motion reaches; far more changes the tension
+_STEPS: Final = 1000
 _RANGE: Final = 1.9, 3.4  # of hω: the first resonances are narrow
 
 
