@@ -40,11 +40,16 @@ from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, sc
 from particlerb.joints.breaking import break_by_multipliers, let_go
 from particlerb.joints.records import Breaks, Jointed
 from particlerb.joints.trees import tree_of
-from particlerb.maths.quaternion import load4, normalised, rows4, store4
 from particlerb.maths.vec3 import Floats
-from particlerb.model.block import CHANGING, Q, assign, get, in_blocks, put, state_rows
+from particlerb.model.block import CHANGING, assign, in_blocks, state_rows
 from particlerb.model.state import State
 from particlerb.stepping.adaptive import AdaptiveRun, Leg, advance_steps, store_vectors
+from particlerb.stepping.common_vectors import (
+    CommonVectors,
+    give_blocks,
+    spread_out,
+    take_blocks,
+)
 from particlerb.stepping.jointed_motion import jointed_in
 from particlerb.stepping.loop import Recording
 from particlerb.stepping.motion import SegmentGroup
@@ -56,21 +61,6 @@ _HALVINGS: Final = 50  # and between two of them, for the instant
 _Maker: TypeAlias = Callable[..., Callable[..., Any]]
 
 
-class _CommonVectors(NamedTuple):
-    """Vectors of all bodies, (blocks, size * w) each."""
-
-    y: Floats
-    new: Floats
-    out: Floats
-    five: Floats
-    three: Floats
-    K: Floats  # (STAGES, blocks * size * w)
-    errors: Floats  # (blocks, w)
-    width: int  # w
-    broken: Floats  # (j,) [s] when joints break, since t = 0; inf: they hold
-    tried: Floats  # (1,) [s] the step before it was cut where one breaks
-
-
 class _AllBodies(NamedTuple):
     """All bodies of a group, as `advance_steps` takes them."""
 
@@ -80,26 +70,13 @@ class _AllBodies(NamedTuple):
     pairs: PairTerms
     jointed: Jointed | None
     breaks: Breaks | None
-    vectors: _CommonVectors
+    vectors: CommonVectors
 
 
 @inline
-def _pack_of(blocks: Floats, layout: Layout, common: _CommonVectors, k: int, K: Floats) -> Pack:
+def _pack_of(blocks: Floats, layout: Layout, common: CommonVectors, k: int, K: Floats) -> Pack:
     """Bodies of block k as a pack."""
     return Pack(blocks[k], layout.size[k], common.width, common.y[k], common.new[k], K)
-
-
-@kernel
-def _spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
-    """Vectors into states (13, n), with |q| = 1."""
-    for k in range(layout.first.size):
-        lo = layout.first[k]
-        for c in range(ALONE):
-            for b in range(layout.size[k]):
-                states[c, lo + b] = y[k, c * w + b]
-        own = rows4(states[Q : Q + 4], lo, lo + layout.size[k])
-        for b in range(layout.size[k]):
-            store4(own, b, normalised(load4(own, b)))
 
 
 @kernel
@@ -118,7 +95,7 @@ def _common_slopes(bodies: _AllBodies, t: float, y: Floats, slope: Floats) -> No
     links, own, attraction, work, with_dashpots, clock, states, load, _ = bodies.pairs
     layout, w = bodies.layout, bodies.vectors.width
     if bodies.equations.acting.pair is not None:
-        _spread_out(y, layout, w, states)
+        spread_out(y, layout, w, states)
         clock[0] = clock[2] + t
         pair_loads(links, own, attraction, work, with_dashpots, clock, states, load)
         scatter_loads(load, bodies.blocks, layout)
@@ -168,7 +145,7 @@ def _common_stages(bodies: _AllBodies, at: Floats, t: float, h: float, i: int, j
 
 @kernel
 def _common_error(
-    blocks: Floats, layout: Layout, vectors: _CommonVectors, h: float, tolerance: float
+    blocks: Floats, layout: Layout, vectors: CommonVectors, h: float, tolerance: float
 ) -> float:
     """Largest error of a step over the tolerance, of the bodies that are numbers."""
     five, three, K, errors = vectors.five, vectors.three, vectors.K, vectors.errors
@@ -190,7 +167,7 @@ def _normalise_blocks(values: Floats, layout: Layout, w: int) -> None:
 
 
 @kernel
-def _give_up(layout: Layout, vectors: _CommonVectors) -> None:
+def _give_up(layout: Layout, vectors: CommonVectors) -> None:
     """Make bodies NaN whose error no step is short enough for."""
     y, w = vectors.y, vectors.width
     for k in range(layout.first.size):
@@ -271,7 +248,7 @@ def _take_last_stages(bodies: _AllBodies, t: float, h: float) -> None:
 
 
 @kernel
-def _interpolate_blocks(common: _CommonVectors, h: float, share: float) -> None:
+def _interpolate_blocks(common: CommonVectors, h: float, share: float) -> None:
     """State at a share of a step, into `out`."""
     size = common.y.size
     y, new, out = common.y.reshape(size), common.new.reshape(size), common.out.reshape(size)
@@ -287,7 +264,7 @@ def _show(bodies: _AllBodies, t: float, h: float, share: float) -> None:
 
 
 @kernel
-def _store_blocks(layout: Layout, common: _CommonVectors, recording: Recording, frame: int) -> None:
+def _store_blocks(layout: Layout, common: CommonVectors, recording: Recording, frame: int) -> None:
     """Write `out` into a frame."""
     for k in range(layout.first.size):
         lo, n = layout.first[k], layout.size[k]
@@ -341,15 +318,15 @@ class CoupledAdaptiveMotion(AdaptiveRun):
         self.vectors = self.make_vectors(ALONE if self.account.books is None else CHANGING)
         self.clock = np.array([[0.0, first_step, 0.0]])
         self.cost = method.cost * n + method.evaluations * self.forces.cost
-        _take_blocks(self.blocks, self.layout, self.vectors)
+        take_blocks(self.blocks, self.layout, self.vectors)
 
-    def make_vectors(self, size: int) -> _CommonVectors:
+    def make_vectors(self, size: int) -> CommonVectors:
         """Vectors of `size` numbers for each body."""
         width = int(self.layout.size[0])
         shape = (len(self.blocks), size * width)
         y, new, out, five, three = (np.zeros(shape) for _ in range(5))
         K = np.zeros((STAGES, shape[0] * shape[1]))
-        return _CommonVectors(
+        return CommonVectors(
             y, new, out, five, three, K, np.zeros((len(self.blocks), width)), width,
             np.full_like(super().broken, np.inf), np.zeros(1),
         )  # fmt: skip
@@ -361,7 +338,7 @@ class CoupledAdaptiveMotion(AdaptiveRun):
 
     def write_back(self) -> None:
         """Bring the vectors back to the blocks."""
-        _give_blocks(self.blocks, self.layout, self.vectors)
+        give_blocks(self.blocks, self.layout, self.vectors)
 
     def checkpoint(self) -> Saved:
         """States at the start of the step, when that is, and how long the step is."""
@@ -398,23 +375,3 @@ class CoupledAdaptiveMotion(AdaptiveRun):
             THREADS.alone(_compiled, *arguments)
         if breaks is not None:
             self.clock[0, 1] = common.tried[0]
-
-
-@kernel
-def _take_blocks(blocks: Floats, layout: Layout, vectors: _CommonVectors) -> None:
-    """Bring the states of all blocks into vectors."""
-    w = vectors.width
-    for k in range(layout.first.size):
-        for c in range(vectors.y.shape[1] // w):
-            for b in range(layout.size[k]):
-                vectors.y[k, c * w + b] = get(blocks[k], c, b)
-
-
-@kernel
-def _give_blocks(blocks: Floats, layout: Layout, vectors: _CommonVectors) -> None:
-    """Write the vectors back."""
-    w = vectors.width
-    for k in range(layout.first.size):
-        for c in range(vectors.y.shape[1] // w):
-            for b in range(layout.size[k]):
-                put(blocks[k], c, b, vectors.y[k, c * w + b])
