@@ -29,6 +29,8 @@ from particlerb.impulses.rows import (
 from particlerb.maths.vec3 import Floats, Vec3, add, dot, scale, subtract
 
 _LOCKED: Final = 1e-9  # of the inverse inertia without joints: below it these hold all
+_MOST: Final = 200  # steps of an impact, and
+_EXACT: Final = 1e-14  # relative change at which there is one no more
 
 
 @inline
@@ -106,12 +108,22 @@ def write_rolling(
 def bounce_rolling(
     rolling: Rolling | None, partners: Partners, rows: ImpulseRows, k: int, n: float
 ) -> None:
-    """Resist rolling in an impact of contact k with the normal impulse n."""
+    """Resist rolling in an impact of contact k with the normal impulse n.
+
+    The step of a sweep again and again: each lowers the energy, and the end is that of the law,
+    whatever the moments of the two are.
+    """
     if rolling is None:
         return
-    step = scale(-1.0 / rolling.limit[k, 1], turning(partners.velocity, rows, k))
-    m = on_the_disc(rolling, k, step, n)
-    _turn(partners, partners.velocity, rows, k, m)
+    m, share = ZERO, -1.0 / rolling.limit[k, 1]
+    for _ in range(_MOST):
+        step = scale(share, turning(partners.velocity, rows, k))
+        nearer = on_the_disc(rolling, k, add(m, step), n)
+        change = subtract(nearer, m)
+        if dot(change, change) <= _EXACT * _EXACT * dot(nearer, nearer):
+            break
+        m = nearer
+        _turn(partners, partners.velocity, rows, k, change)
     _give(partners, rows, k, m)
     put_column3(rolling.impact, k, 0, add(column3(rolling.impact, k, 0), m))
 

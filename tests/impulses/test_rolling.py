@@ -8,6 +8,9 @@ from impulse_scenes import DOWN, G, R, case, clump, errors, exact, go, impulse, 
 from test_newton import wedged
 
 import particlerb
+from particlerb.impulses.records import room_for_partners, room_for_rows
+from particlerb.impulses.rolling import bounce_rolling, write_rolling
+from particlerb.impulses.rows import write_frame
 
 I = 0.4 * 2.0 * R * R  # noqa: E741 - of a ball of 2 kg
 
@@ -81,6 +84,27 @@ def test_an_impact_resists_by_its_own_impulse():
     assert t.angular_velocity[-1, 0] == pytest.approx([0.0, left, 0.0], abs=1e-12)
     assert t.velocity[-1, 0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-14)
     assert max(errors(t)) < 1e-13
+
+
+@pytest.mark.parametrize("limit", [0.02, 10.0])
+def test_an_impact_of_unequal_moments_resists_as_the_law_asks(limit):
+    """Where m is at its bound the turning that is left is opposite to it; else nothing is left."""
+    partners, rows = room_for_partners(2), room_for_rows(1, with_rolling=True)
+    partners.inverse[0, [0, 1, 2, 4, 6]] = 1.0, 20.0, 2.0, 3.0, 10.0
+    partners.velocity[0, 3:] = 3.0, -4.0, 1.0
+    rows.second[0] = 1
+    write_frame(partners, rows, 0, (0.0, 0.0, 1.0), (0.0, 0.0, -R))
+    rows.rolling.limit[0, 0] = limit
+    write_rolling(rows.rolling, partners, rows, 1)
+    before = partners.velocity[0, 3:].copy()
+    bounce_rolling(rows.rolling, partners, rows, 0, 1.5)
+    m, left = partners.given[0, 3:5], partners.velocity[0, 3:5]
+    assert left == pytest.approx(before[:2] + [[20.0, 2.0], [2.0, 3.0]] @ m, abs=1e-12)
+    if limit == 10.0:
+        assert np.abs(left).max() < 1e-12
+    else:
+        assert math.hypot(*m) == pytest.approx(1.5 * limit, rel=1e-14)
+        assert m @ left == pytest.approx(-math.hypot(*m) * math.hypot(*left), rel=1e-13)
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.8])
