@@ -320,10 +320,11 @@ def impulse_text(tally: Floats) -> str:
     works |= {"motors": records.MOTOR_WORK} if tally[records.MOTOR_WORK] else {}
     works |= {"push-out": records.PUSH_OUT_WORK}
     done = ", ".join(f"{name} {tally[k]:.3g} J" for name, k in works.items())
+    advice = ' (contact.iterations or solver = "newton" lower it)' if unmet > 0.0 else ""
     text = (
         f"impulses: residual {tally[records.RESIDUAL]:.2g} in the last step,"
         f" {tally[records.WORST_EVER]:.2g} at worst, above the tolerance in {unmet:.0f} of"
-        f" {steps:.0f} steps; per step {each[0]:.3g} contacts, {each[1]:.3g} sweeps and"
+        f" {steps:.0f} steps{advice}; per step {each[0]:.3g} contacts, {each[1]:.3g} sweeps and"
         f" {each[2]:.3g} Newton iterations; largest overlap {tally[records.DEEPEST]:.3g} m\n"
         f"work: {done}"
     )

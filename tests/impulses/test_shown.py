@@ -7,7 +7,8 @@ from impulse_scenes import DOWN, G, R, case, clump, impulse, plane, sphere
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
-from particlerb.cli.run import run_warnings
+from particlerb.cli.run import impulse_text, run_warnings
+from particlerb.impulses.records import STEPS, TALLY, UNMET
 from particlerb.simulation.checks import results
 from particlerb.simulation.run import prepare, run_prepared
 
@@ -104,3 +105,12 @@ def test_a_run_whose_impulses_were_not_found_says_so_with_the_time(solver):
         assert len(told) == 1
         assert f"the residual reached {residual.max():.2g} at t = {time:.6g} s" in told[0]
         assert 'contact.iterations or contact.solver = "newton"' in told[0]
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("unmet", [0.0, 3.0])
+def test_the_summary_says_what_lowers_a_residual_that_is_too_large(unmet):
+    tally = np.zeros(TALLY)
+    tally[[STEPS, UNMET]] = 8.0, unmet
+    advice = 'tolerance in 3 of 8 steps (contact.iterations or solver = "newton" lower it);'
+    assert (advice in impulse_text(tally)) == (unmet > 0.0)
