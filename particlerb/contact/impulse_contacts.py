@@ -28,6 +28,7 @@ from particlerb.impulses.records import (
     SLOW,
     ZERO,
     Impulses,
+    Partners,
     Rolling,
 )
 from particlerb.impulses.rows import column3, in_world, put_column3, write_frame
@@ -54,14 +55,21 @@ class _Near(NamedTuple):
 
 
 @inline
+def _note_speeds(partners: Partners, a: int) -> None:
+    """Write speeds of a body, and by how much the half kick has changed its velocities."""
+    velocity, before, speeds = partners.velocity, partners.before, partners.speeds
+    v, w = column3(velocity, a, 0), column3(velocity, a, 3)
+    speeds[a, 0], speeds[a, 1] = length(v), length(w)
+    speeds[a, 2] = length(subtract(v, column3(before, a, 0)))
+    speeds[a, 3] = length(subtract(w, column3(before, a, 3)))
+
+
+@inline
 def _by_turning(impulses: Impulses, a: int, arm: float) -> tuple[float, float]:
     """Speeds [m/s] of a body's points by turning, and by what half a kick gives in four."""
-    velocity, before = impulses.partners.velocity, impulses.partners.before
-    w = column3(velocity, a, 3)
-    given = length(subtract(column3(velocity, a, 0), column3(before, a, 0)))
-    turned = length(subtract(w, column3(before, a, 3)))
-    rounding = _ROUNDING * (length(column3(velocity, a, 0)) + arm * length(w))
-    return arm * length(w), _KICKS * (given + arm * turned) + rounding
+    speeds = impulses.partners.speeds
+    turning, given = arm * speeds[a, 1], speeds[a, 2] + arm * speeds[a, 3]
+    return turning, _KICKS * given + _ROUNDING * (speeds[a, 0] + turning)
 
 
 @inline
@@ -204,10 +212,12 @@ def _wall_contact(
 @inline
 def _find_reach(setup: GroupContact, impulses: Impulses, arm: float, dt: float) -> float:
     """Write how far points of bodies come in a step, at most; the farthest [m]."""
-    reach, velocity, farthest = impulses.partners.reach, impulses.partners.velocity, 0.0
+    partners, farthest = impulses.partners, 0.0
+    reach = partners.reach
     for b in range(setup.max_arm.size):
+        _note_speeds(partners, b)
         turning, slow = _by_turning(impulses, b, arm)
-        reach[b, 0] = dt * (length(column3(velocity, b, 0)) + turning + slow)
+        reach[b, 0] = dt * (partners.speeds[b, 0] + turning + slow)
         farthest = max(farthest, reach[b, 0])
     return farthest
 

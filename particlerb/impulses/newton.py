@@ -38,6 +38,7 @@ from particlerb.impulses.records import (
     INVERSE,
     LEAST,
     NEWTON_STEPS,
+    SHARE,
     ZERO,
     Bounded,
     ImpulseRows,
@@ -128,7 +129,7 @@ def _linearise(
     slides, g across the edge and none else.
     """
     frame, u, r = rows.frame, approach(partners, rows, k), column3(rows.impulse, k, 0)
-    mu, share = frame[k, FRICTION], 1.0 / frame[k, INVERSE]
+    mu, share = frame[k, FRICTION], frame[k, SHARE]
     speed = math.sqrt(u[1] * u[1] + u[2] * u[2])
     n = r[0] - share * (u[0] - frame[k, LEAST] + mu * speed)
     x, y = r[1] - share * u[1], r[2] - share * u[2]

@@ -18,6 +18,7 @@ from particlerb.impulses.records import (
     NEVER,
     NORMAL,
     RADIUS,
+    SHARE,
     SLOW,
     Bounded,
     Impulses,
@@ -25,7 +26,7 @@ from particlerb.impulses.records import (
 from particlerb.impulses.rows import approach, column3, in_frame, push_apart, velocity_between
 from particlerb.maths.vec3 import scale
 
-_SWEEPS: Final = 10  # at most
+_SWEEPS: Final = 5  # at most
 _TOO_DEEP: Final = 0.5  # of the smaller radius: no contact keeps what overlaps by more
 _ENOUGH: Final = 0.1  # of the slop: moves smaller than this end the sweeps
 
@@ -73,7 +74,7 @@ def push_out(impulses: Impulses, bounded: Bounded | None, dt: float) -> bool:
                 continue
             wanted = -rules.push_out * (gap + rules.slop)
             comes = in_frame(frame, k, velocity_between(move, frame, k, a, b))[0]
-            push = max(rows.old[k, 0] + (wanted - comes) / frame[k, INVERSE], 0.0)
+            push = max(rows.old[k, 0] + frame[k, SHARE] * (wanted - comes), 0.0)
             more = push - rows.old[k, 0]
             if more != 0.0:
                 rows.old[k, 0] = push

@@ -21,7 +21,9 @@ COUPLING: Final = 16  # W_n1, W_n2,
 SCHUR: Final = 18  # S_11, S_22
 LEAST: Final = 20  # [m/s] least normal velocity after the solve
 FRICTION: Final = 21  # [-] μ
-N_COLUMNS: Final = 22
+SHARE: Final = 22  # [kg] of velocities in a sweep: 1/W_nn,
+RUBBING: Final = 23  # 1/(max S + |W_nt|²/W_nn)
+N_COLUMNS: Final = 24  # three lines of a cache
 
 # Columns of `Rows.limits`
 GAP: Final = 0  # [m] at the middle of the step; negative: an overlap
@@ -130,6 +132,7 @@ class Partners(NamedTuple):
     has_moved: Bools  # (..,) whether anything has
     place: Floats  # (.., 3) [m] centre of mass, or origin of the wall's frame
     reach: Floats  # (.., 1) [m] that any point comes in a step, at most
+    speeds: Floats  # (.., 4) |v|, |ω|, and by how much half a kick has changed both
     given: Floats  # (.., 6) [N s, N m s] impulse and angular impulse
     booked: Floats  # (.., 8) work, impulse, angular impulse of a step, gross work
     mechanisms: Mechanisms | None  # None: no joint holds any
@@ -166,7 +169,7 @@ class ImpulseRows(NamedTuple):
     first: Ints  # partner
     second: Ints
     entry: Ints  # k of the list of spheres, ~k of the list of walls
-    frame: Floats  # (.., 22)
+    frame: Floats  # (.., 24)
     limits: Floats  # (.., 4)
     impulse: Floats  # (.., 3) [N s] along n, t₁, t₂, on the first
     impact: Floats  # (.., 3) [N s] the same of impacts
@@ -205,9 +208,9 @@ def room_for_partners(
 ) -> Partners:
     """Room for n bodies and walls."""
     velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 6, 6, 7, 6))
-    place, reach, given, booked = (np.zeros((n, width)) for width in (3, 1, 6, 8))
+    place, reach, speeds, given, booked = (np.zeros((n, width)) for width in (3, 1, 4, 6, 8))
     has_moved = np.zeros(n, dtype=np.bool_)
-    arrays = velocity, before, free, inverse, move, has_moved, place, reach, given, booked
+    arrays = velocity, before, free, inverse, move, has_moved, place, reach, speeds, given, booked
     return Partners(*arrays, mechanisms, keeps_kick)
 
 

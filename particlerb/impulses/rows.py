@@ -13,7 +13,9 @@ from particlerb.impulses.records import (
     NEVER,
     NORMAL,
     RESTITUTION,
+    RUBBING,
     SCHUR,
+    SHARE,
     TANGENT,
     ZERO,
     ImpulseRows,
@@ -163,6 +165,16 @@ def put_matrix(
     frame[c, COUPLING], frame[c, COUPLING + 1] = c_ * w1 + s_ * w2, c_ * w2 - s_ * w1
     frame[c, SCHUR] = c_ * c_ * s11 + 2.0 * c_ * s_ * s12 + s_ * s_ * s22
     frame[c, SCHUR + 1] = s_ * s_ * s11 - 2.0 * c_ * s_ * s12 + c_ * c_ * s22
+    _put_shares(frame, c)
+
+
+@inline
+def _put_shares(frame: Floats, c: int) -> None:
+    """Write by what a sweep multiplies velocities, once for all sweeps."""
+    a1, a2, share = frame[c, COUPLING], frame[c, COUPLING + 1], 1.0 / frame[c, INVERSE]
+    frame[c, SHARE] = share
+    largest = max(frame[c, SCHUR], frame[c, SCHUR + 1])
+    frame[c, RUBBING] = 1.0 / (largest + share * (a1 * a1 + a2 * a2))
 
 
 @inline
@@ -235,3 +247,4 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
     put_matrix(frame, c, (t1, t2), by_n, (by_1[1], by_1[2], by_2[2]))
     for i in range(2):
         frame[c, SCHUR + i] = max(frame[c, SCHUR + i], _LEAST_SCHUR * free)
+    _put_shares(frame, c)

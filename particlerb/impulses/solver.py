@@ -39,7 +39,8 @@ from particlerb.impulses.records import (
     NEVER,
     RESIDUAL,
     RESTITUTION,
-    SCHUR,
+    RUBBING,
+    SHARE,
     SLOW,
     STEPS,
     SWEEPS,
@@ -111,12 +112,11 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
     for k in range(count):
         u = approach(partners, rows, k)
         old = column3(impulse, k, 0)
-        w, a1, a2 = frame[k, INVERSE], frame[k, COUPLING], frame[k, COUPLING + 1]
-        n = max(old[0] - (u[0] - frame[k, LEAST]) / w, 0.0)
-        dn = n - old[0]
-        share = 1.0 / (max(frame[k, SCHUR], frame[k, SCHUR + 1]) + (a1 * a1 + a2 * a2) / w)
-        x = old[1] - share * (u[1] + a1 * dn)
-        y = old[2] - share * (u[2] + a2 * dn)
+        put_column3(rows.old, k, 0, old)
+        n = max(old[0] - frame[k, SHARE] * (u[0] - frame[k, LEAST]), 0.0)
+        dn, rubbing = n - old[0], frame[k, RUBBING]
+        x = old[1] - rubbing * (u[1] + frame[k, COUPLING] * dn)
+        y = old[2] - rubbing * (u[2] + frame[k, COUPLING + 1] * dn)
         x, y = on_disc(x, y, frame[k, FRICTION] * n)
         change = (dn, x - old[1], y - old[2])
         square = dot(change, change)
@@ -134,7 +134,7 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
 def _miss(partners: Partners, rows: ImpulseRows, k: int, r: Vec3) -> Vec3:
     """By how much contact k misses the law with an impulse r [N s], and the velocities of now."""
     frame, u = rows.frame, approach(partners, rows, k)
-    mu, share = frame[k, FRICTION], 1.0 / frame[k, INVERSE]
+    mu, share = frame[k, FRICTION], frame[k, SHARE]
     lifted = u[0] - frame[k, LEAST] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
     x, y = r[1] - share * u[1], r[2] - share * u[2]
     return subtract(r, nearest_in_cone(r[0] - share * lifted, x, y, mu))
@@ -207,9 +207,6 @@ def _sweeps(
     rules, partners, rows, count, tally, _ = impulses
     m, sweeps, before, found = count[0], 0, 0.0, math.inf
     while sweeps < most and found > rules.tolerance:
-        for k in range(m):
-            for i in range(3):
-                rows.old[k, i] = rows.impulse[k, i]
         changed = _sweep(partners, rows, bounded, m)
         sweeps += 1
         if sweeps % _EVERY == 0 or sweeps == most or changed == 0.0:
