@@ -19,6 +19,7 @@ _HEAD: Final = (
     f"{'time [s]':>14} {'frames':>14} {'energy [J]':>18} {'error [J]':>11}"
     f" {'elapsed [s]':>12} {'left [s]':>10}"
 )
+_UNTIMED: Final = 2  # reports of the start, and of a first frame, before which kernels compile
 _SECONDS: Final = {"lines": 10.0, "log": 1.0}  # between lines
 
 
@@ -64,7 +65,8 @@ class Report(Closing):
             self.outputs["lines"] = sys.stderr
         if log is not None:
             self.outputs["log"] = _new_log(Path(log))
-        self.start = 0.0  # when the first frames were there
+        self.start = 0.0  # when the first frames were there, and all was compiled
+        self.taken = 0  # reports so far
         self.said = dict.fromkeys(self.outputs, -math.inf)  # when a line was last written
         self.lines = 0  # on stderr
         self.last: Reached | None = None
@@ -75,10 +77,11 @@ class Report(Closing):
         self.bar.set_postfix_str(f"t = {reached.time:.6g} s", refresh=False)
         self.bar.update(reached.frames)
         now = time.monotonic()
-        if self.last is None:
+        if self.taken < _UNTIMED:
             self.start, self.first = now, self.done
             if "lines" in self.said:
                 self.said["lines"] = now
+        self.taken += 1
         self.last = reached
         for name, output in self.outputs.items():
             if now - self.said[name] >= _SECONDS[name]:

@@ -21,15 +21,16 @@ def test_lines_come_every_ten_seconds_after_the_first_frames(clock, capsys, tmp_
     with report.Report(100, 0, False, str(tmp_path / "a.log")) as one:
         clock[0] += 60.0  # compiling
         one.add(Reached(1, 0.0, 5.0, 0.0))
+        clock[0] += 60.0  # what moves on is compiled after the first frame
         for k in range(1, 25):
             clock[0] += 1.0
             one.add(Reached(2, 0.1 * k, 5.0, 1e-9 * k))
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].split()[:4] == ["time", "[s]", "frames", "energy"]
     rows = [line.split() for line in lines[1:]]
-    assert [row[0] for row in rows] == ["1", "2"]
-    assert [row[1] for row in rows] == ["21/100", "41/100"]
-    assert rows[0][3:] == ["1.00e-08", "10.0", "40"]  # 79 frames left at 2 a second
+    assert [row[0] for row in rows] == ["1.1", "2.1"]
+    assert [row[1] for row in rows] == ["23/100", "43/100"]
+    assert rows[0][3:] == ["1.10e-08", "10.0", "38"]  # 77 frames left at 2 a second
     logged = (tmp_path / "a.log").read_text().splitlines()
     assert len(logged) == 1 + 25 + 1
     assert logged[-1].split()[:2] == ["2.4", "49/100"]

@@ -37,6 +37,8 @@ BRICKS = {
 def picture(served, name: str) -> None:
     """Keep a screenshot where one is asked for."""
     if PICTURES:
+        served.page.mouse.move(700, 5)  # away from what explains itself below the mouse
+        served.page.evaluate("document.activeElement.blur()")
         served.page.wait_for_timeout(1500)
         served.page.screenshot(path=Path(PICTURES) / f"{name}.png")
 
