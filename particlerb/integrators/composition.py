@@ -49,7 +49,6 @@ def composed(name: str, order: int, limit: float, first: Sequence[float]) -> Met
         name=name,
         summary=f"order {order}, symplectic; {len(weights)} stages of rattle; forces of the pose",
         order=order,
-        free_order=order,
         accepts=frozenset({POSE, BODIES, JOINTS}),
         cost=METHOD.cost * len(weights),
         evaluations=len(weights),

@@ -19,7 +19,6 @@ METHOD: Final = Method(
     name="dop853",
     summary="order 8, adaptive by run.tolerance, dense output; the oracle; any force",
     order=8,
-    free_order=8,
     accepts=ACCEPTED | {JOINTS, FLOWS},
     cost=270.0,
     evaluations=12,

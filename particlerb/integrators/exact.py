@@ -14,7 +14,6 @@ METHOD: Final = Method(
     summary="closed form, no step; free bodies, tops, linear drag, some springs, orbits, and"
     " between collisions by events",
     order=0,
-    free_order=0,
     accepts=frozenset({EVENTS}),
     cost=4.0,
     keeps_rods=True,

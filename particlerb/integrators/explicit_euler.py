@@ -66,7 +66,6 @@ METHOD: Final = Method(
     name="explicit_euler",
     summary="order 1, baseline; explicit Euler on rates in the body; energy grows; any force",
     order=1,
-    free_order=1,
     accepts=ACCEPTED | {CONTACT, PISTONS},
     cost=3.0,
     evaluations=1,

@@ -93,7 +93,6 @@ METHOD: Final = Method(
     name="force_gradient",
     summary="order 4, symplectic; gradients of forces that have a potential",
     order=4,
-    free_order=8,
     accepts=frozenset({POSE, BODIES}),
     cost=25.0,
     evaluations=len(KICKS),

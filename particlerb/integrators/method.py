@@ -17,8 +17,6 @@ class Method(NamedTuple):
     """One line for `particlerb methods`."""
     order: int
     """0 for a closed form, which has no step."""
-    free_order: int
-    """Order where no force acts."""
     accepts: frozenset[str]
     """What it takes into account: see forces/kinds.py, for `exact` stepping/closed_forms.py."""
     cost: float

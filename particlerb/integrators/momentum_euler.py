@@ -41,7 +41,6 @@ METHOD: Final = Method(
     name="momentum_euler",
     summary="order 1, baseline; explicit Euler on (x, Q, P, L); energy grows; any force",
     order=1,
-    free_order=1,
     accepts=ACCEPTED,
     cost=3.0,
     evaluations=1,

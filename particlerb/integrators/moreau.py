@@ -86,7 +86,6 @@ METHOD: Final = Method(
     name="moreau",
     summary="order 1 in contacts, for law = 'impulse': midpoint step with impulses, exact cone",
     order=2,
-    free_order=2,
     accepts=frozenset({POSE, VELOCITY, TIME, IMPULSES, JOINTS}),
     cost=12.0,
     evaluations=1,

@@ -50,7 +50,6 @@ METHOD: Final = Method(
     name="rattle",
     summary="order 2, symplectic; strang with joints; any force but magnus",
     order=2,
-    free_order=2,
     accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, PISTONS, JOINTS}),
     cost=1500.0,
     evaluations=1,

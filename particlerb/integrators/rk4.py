@@ -141,7 +141,6 @@ METHOD: Final = Method(
     name="rk4",
     summary="order 4, baseline; Runge-Kutta on (x, Q, P, L); energy drifts; any force",
     order=4,
-    free_order=4,
     accepts=ACCEPTED | {CONTACT},
     cost=6.0,
     evaluations=4,

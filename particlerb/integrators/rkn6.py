@@ -74,7 +74,6 @@ METHOD: Final = Method(
     name="rkn6",
     summary="order 6 (8 on free bodies), symmetric; for forces without velocities",
     order=6,
-    free_order=8,
     accepts=frozenset({POSE, TIME, BODIES}),
     cost=66.0,
     evaluations=len(KICKS),

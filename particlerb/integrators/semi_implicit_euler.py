@@ -107,7 +107,6 @@ METHOD: Final = Method(
     name="semi_implicit_euler",
     summary="order 1, baseline; the game standard, implicit gyroscopic term; damps; any force",
     order=1,
-    free_order=1,
     accepts=ACCEPTED | {CONTACT, PISTONS},
     cost=4.0,
     evaluations=1,

@@ -82,7 +82,6 @@ METHOD: Final = Method(
     name="strang",
     summary="order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force",
     order=2,
-    free_order=2,
     accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, PISTONS}),
     cost=6.0,
     evaluations=1,

@@ -210,8 +210,8 @@ def test_what_a_method_keeps_of_a_free_body(make, method):
         assert (found.angular_momentum == found.angular_momentum[0]).all()
     energy = np.abs(found.ledger.energy_error).max() / found.ledger.kinetic_energy[0]
     # |ω| dt = 0.13: an error of (ω dt)^order of one radian, and 26 radians; rounding of 2200 drifts
-    limits = {"dop853": 3e-7, "rk4": 3e-4, "strang": 2e-2}
-    limit = limits.get(method, 3e-14 if METHODS[method].free_order == 8 else 1.0)
+    limits = {"dop853": 3e-7, "rk4": 3e-4, "strang": 2e-2, "rkn6": 3e-14, "force_gradient": 3e-14}
+    limit = limits.get(method, 1.0)
     assert energy < limit
     if limit > 3e-14:
         assert energy > 1e-3 * limit
