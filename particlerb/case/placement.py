@@ -126,12 +126,12 @@ def orientations(case: Case, block: int) -> FloatArray:
         return quaternion_of_euler(body.orientation.euler_deg)
     if isinstance(body.orientation, str):
         stream = random_stream(case.run.seed, block, "orientation")
-        return normalised(stream.standard_normal((body.count, 4)))
-    return normalised(np.asarray(body.orientation, dtype=np.float64))
+        return unit_vectors(stream.standard_normal((body.count, 4)))
+    return unit_vectors(np.asarray(body.orientation, dtype=np.float64))
 
 
-def normalised(q: FloatArray) -> FloatArray:
-    """Quaternions of length 1; scaled first, as squares of large or small numbers overflow."""
+def unit_vectors(q: FloatArray) -> FloatArray:
+    """Vectors of length 1; scaled first, as squares of large or small numbers overflow."""
     q = q / np.abs(q).max(axis=-1, keepdims=True)
     unit: FloatArray = q / np.sqrt(np.sum(q * q, axis=-1, keepdims=True))
     return unit
@@ -154,7 +154,7 @@ def quaternion_of_euler(euler_deg: Sequence[float]) -> FloatArray:
 
 def quaternion_of(given: Euler | Sequence[float]) -> FloatArray:
     """Unit quaternion (4,) of an orientation as a case gives it."""
-    return normalised(
+    return unit_vectors(
         quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
     )
 

@@ -14,10 +14,10 @@ from particlerb.case.overrides import with_value
 from particlerb.case.placement import (
     Placement,
     in_world,
-    normalised,
     orientations,
     place,
     positions,
+    unit_vectors,
     vectors,
 )
 from particlerb.case.problems import Path, Source
@@ -146,7 +146,7 @@ def _of_worlds(
     given = changes.get(("body", i, key), [getattr(body, key)] * n_worlds)
     if all(type(one) is tuple for one in given):
         values = np.array(given)[:, None]
-        return normalised(values) if key == "orientation" else values
+        return unit_vectors(values) if key == "orientation" else values
     if q is not None and all(isinstance(one, InBody) for one in given):
         return in_world(q, np.array([one.body for one in given])[:, None])
     found, records = [], list(case.body)

@@ -51,7 +51,7 @@ from particlerb.maths.vec3 import (
 from particlerb.model.block import COM, L, P, Q, get3, get4
 
 _NOWHERE: Final = 1e100  # [m] where contacts act that have ended
-_MAX_OVERLAP: Final = 1.0  # overlap of two spheres, in the smaller radius, that no contact may have
+_MAX_SPHERE_OVERLAP: Final = 1.0  # of two spheres, in the smaller radius: more is an error
 ZERO: Final = (0.0, 0.0, 0.0)
 
 
@@ -336,7 +336,7 @@ def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
         inv_mass = inv_effective_mass(model, bodies, a, point, normal)
         inv_mass += inv_effective_mass(model, bodies, b, point, normal)
         begin_contact(on, pair, c, inv_mass, r_eff)
-    if overlap > _MAX_OVERLAP * min(r_i, r_j):
+    if overlap > _MAX_SPHERE_OVERLAP * min(r_i, r_j):
         note_overlap(on, overlap, min(r_i, r_j), a)
     turning = _normal_rate(on.growth.slope, on, i, j, d)
     now = Collision(overlap, normal, point, subtract(v_a, v_b), omega, boundary, r_eff, turning)

@@ -117,7 +117,7 @@ def wall_normal_rate(
     return add_scaled(1.0, turning, scale(-1.0 / distance, across))
 
 
-_MAX_OVERLAP: Final = 0.8  # with a thin wall, in radii: beyond 1 it pushes to its other side
+_MAX_WALL_OVERLAP: Final = 0.8  # with a thin wall, in radii: beyond 1 it pushes to its other side
 
 
 class _Survey(NamedTuple):
@@ -252,7 +252,7 @@ def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
         inv_mass += dot(normal, row3(poses.piston_axis, w)) ** 2
         begin_contact(on, pair, c, inv_mass, radius)
     is_thin = model.walls.kind[primitive] != PLANE
-    if piece.is_too_weak or (piece.overlap > _MAX_OVERLAP * radius and is_thin):
+    if piece.is_too_weak or (piece.overlap > _MAX_WALL_OVERLAP * radius and is_thin):
         note_overlap(on, piece.overlap, radius, a)
     turning = wall_normal_rate(on.growth.slope, on, at, piece, normal)
     now = Collision(overlap, normal, point, relative, omega, moving, radius, turning)

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.walls import primitive_at
-from particlerb.events.flight import attitude, bring, in_box, place, posed, set_spin
+from particlerb.events.flight import bring, in_box, orientation_at, place, posed, set_spin
 from particlerb.events.records import (
     BOOKED,
     BOUND,
@@ -138,7 +138,7 @@ def _given(scene: EventScene, state: EventState, work: EventWork, b: int, at: in
     put_column3(state.flight, b, V, column3(work.velocity, at, 0))
     torque = cross(column3(work.frame, 0, ARM + 3 * at), p)
     spin = add(row3(state.spin, b), torque)
-    set_spin(scene, state, b, t, attitude(scene, state, b, t), spin)
+    set_spin(scene, state, b, t, orientation_at(scene, state, b, t), spin)
 
 
 @inline

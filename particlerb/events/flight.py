@@ -75,14 +75,14 @@ def in_box(box: tuple[Vec3, Vec3] | None, d: Vec3) -> Vec3:
 
 @inline
 def _turned(turns: Flag, state: EventState, b: int, t: float) -> Quat:
-    """`attitude`, where some body is asymmetric or none."""
+    """`orientation_at`, where some body is asymmetric or none."""
     if turns is None:
         return steadily_turned(state.turn, b, t - state.spin[b, TURNED])
     return turned(state.turn, b, t - state.spin[b, TURNED])
 
 
 @inline
-def attitude(scene: EventScene, state: EventState, b: int, t: float) -> Quat:
+def orientation_at(scene: EventScene, state: EventState, b: int, t: float) -> Quat:
     """Orientation of a body at a time, rotor frame to world."""
     return _turned(scene.turns, state, b, t)
 
@@ -168,7 +168,7 @@ def states_at(
     for b in range(state.place.size):
         i = to[b]
         x, v = place(scene, state, b, t)
-        q, spin = attitude(scene, state, b, t), row3(state.spin, b)
+        q, spin = orientation_at(scene, state, b, t), row3(state.spin, b)
         if b < scene.n_moving:
             add_moment(scene, state, b, t, moment, 0)
         for k in range(3):
@@ -192,5 +192,5 @@ def set_off(scene: EventScene, state: EventState, b: int, given: State, i: int) 
 @inline
 def posed(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Matrix, Vec3]:
     """Rotation matrix of a body at a time, and its angular velocity; of a ball at rest in it."""
-    R = matrix(attitude(scene, state, b, t))
+    R = matrix(orientation_at(scene, state, b, t))
     return R, angular_velocity(scene, state, b, R)

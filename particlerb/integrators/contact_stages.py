@@ -87,24 +87,16 @@ def place_contacts(
     """
     if contact is None or team is None:
         return True
-    reached = place_here(contact, team, pairs, own, instant)
+    begin_step(contact, instant)
+    reached = place_bodies_and_walls(contact, team, pairs, own, instant)
     return lists_hold(contact, instant, *reached)
 
 
 @kernel
-def place_here(
-    contact: MovingContact, team: Team, pairs: PairTerms | None, own: OwnBlocks, instant: Instant
-) -> tuple[float, float, float]:
-    """Place bodies and walls: the first half of `place_contacts`.
-
-    Returns
-    -------
-    path, v, w : float [m, m/s, rad/s]
-        The largest of all bodies of the team: how far a point has moved, speed, angular speed.
-    """
+def begin_step(contact: MovingContact, instant: Instant) -> None:
+    """Note when a step begins; all threads write the same."""
     step_start = contact.workspace.step_start
     step_start.time[0], step_start.before[0] = instant.time, instant.before
-    return _place(contact, team, pairs, own, instant)
 
 
 @kernel
@@ -141,15 +133,21 @@ def place_within_step(
         return
     time = contact.workspace.step_start.time[0] + later
     instant = Instant(0.0, 0.0, time, 0.0)
-    path, v, w = _place(contact, team, pairs, own, instant)
+    path, v, w = place_bodies_and_walls(contact, team, pairs, own, instant)
     lists_hold(contact, instant, path, v, w)
 
 
-@inline
-def _place(
+@kernel
+def place_bodies_and_walls(
     contact: MovingContact, team: Team, pairs: PairTerms | None, own: OwnBlocks, instant: Instant
 ) -> tuple[float, float, float]:
-    """Do the work of `place_here`."""
+    """Place bodies and walls at an instant.
+
+    Returns
+    -------
+    path, v, w : float [m, m/s, rad/s]
+        The largest of all bodies of the team: how far a point has moved, speed, angular speed.
+    """
     setup, workspace, lists, memory, _ = contact
     time, ahead = instant.time, instant.ahead
     model, t, path, v, w = setup.model, memory.start + time, 0.0, 0.0, 0.0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, PlaneWall
-from particlerb.case.placement import normalised
+from particlerb.case.placement import unit_vectors
 from particlerb.case.problems import CaseError, Problem, problem_at
 from particlerb.contact.sphere_search import neighbours
 from particlerb.contact.wall_motion import PrescribedMotion, poses_at
@@ -155,14 +155,14 @@ def _room_in(table: AnyWall, motion: PrescribedMotion, points: Floats) -> Floats
     shift = math.sin(motion.phase) * np.array(motion.amplitude)
     away = points - (np.array(middle(table)) + shift)[:, None]
     if isinstance(table, PlaneWall):
-        return np.asarray(normalised(np.array(table.normal)) @ away)
+        return np.asarray(unit_vectors(np.array(table.normal)) @ away)
     if isinstance(table, BoxWall) and table.inside:
         half = 0.5 * (np.array(table.upper) - np.array(table.lower))[:, None]
         room = np.concatenate([half + away, half - away])
         closed = [f"{sign}{axis}" not in table.open for sign in "-+" for axis in "xyz"]
         return np.asarray(room[closed].min(axis=0))
     if isinstance(table, CylinderWall) and table.inside:
-        axis = normalised(np.array(table.axis))
+        axis = unit_vectors(np.array(table.axis))
         along = axis @ away
         least = table.radius - lengths(away - axis[:, None] * along)
         for end, sign in (("-", 1.0), ("+", -1.0)):

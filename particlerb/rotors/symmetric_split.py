@@ -54,7 +54,7 @@ def turn_by(half: Vec3, q: Quat) -> Quat:
 
 
 @inline
-def normalised(q: Quat) -> Quat:
+def _renormalised(q: Quat) -> Quat:
     """One Newton step towards |q| = 1: enough where a product of unit quaternions was rounded."""
     f = 1.5 - 0.5 * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return f * q[0], f * q[1], f * q[2], f * q[3]
@@ -70,7 +70,7 @@ def _turn_of_top(q: Quat, m: Vec3, a: Vec3, dt: float) -> tuple[Vec3, Quat]:
 @inline
 def symmetric_top(q: Quat, m: Vec3, a: Vec3, dt: float) -> Quat:
     """The same as `symmetric_split`, bit for bit, where a[0] is a[1]."""
-    return normalised(_turn_of_top(q, m, a, dt)[1])
+    return _renormalised(_turn_of_top(q, m, a, dt)[1])
 
 
 @inline
@@ -80,4 +80,4 @@ def symmetric_split(q: Quat, m: Vec3, a: Vec3, dt: float) -> Quat:
     m, q = _turn_about_1(k * m[0], m, q)
     m, q = _turn_of_top(q, m, a, dt)
     _, q = _turn_about_1(k * m[0], m, q)
-    return normalised(q)
+    return _renormalised(q)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.case.output import Asked, Check, CheckValue
-from particlerb.case.placement import normalised
+from particlerb.case.placement import unit_vectors
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.balance import ConservationError
 from particlerb.model.bodies import taken
@@ -84,7 +84,7 @@ def _value_result(check: CheckValue, time: float, system: System, b: int, frames
         expected = np.diag(expected)
     error = float(np.abs(found - expected).max())
     if check.quantity == "orientation":
-        expected = normalised(expected)
+        expected = unit_vectors(expected)
         error = float(angles(taken(system.bodies, np.array([b])), expected[None], found[None])[0])
         found = found if found @ expected >= 0 else -found
     frame = f", {check.frame} frame" if check.frame == "body" else ""

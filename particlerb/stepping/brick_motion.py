@@ -20,7 +20,7 @@ from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
 from particlerb.contact.contact_model import ContactFrames, Instant, NeighbourLists
 from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.contact.records import PISTON, zero_records
-from particlerb.integrators.contact_stages import lists_hold, place_here
+from particlerb.integrators.contact_stages import begin_step, lists_hold, place_bodies_and_walls
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, OwnBlocks
 from particlerb.integrators.stages import MovingBodies
@@ -278,11 +278,12 @@ class BrickMotion(SharedContact):
         self.swap()
         contact = moving.contact
         assert contact is not None
+        begin_step(contact, instant)
 
         def here(moving: MovingBodies, lo: int, hi: int) -> tuple[float, float, float]:
             own = OwnBlocks(moving.blocks, moving.layout, lo, hi)
             assert moving.team is not None
-            return place_here(contact, moving.team, None, own, instant)
+            return place_bodies_and_walls(contact, moving.team, None, own, instant)
 
         reached = self.ranks.largest(np.array(self.enter(here, moving, first, last)))
         return bool(lists_hold(contact, instant, *reached.tolist()))
