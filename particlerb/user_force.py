@@ -140,6 +140,11 @@ def force(
         Energy [J] of the force; takes `x`, `R`, or those of both bodies, and parameters of the
         force by their names.
 
+    Returns
+    -------
+    UserForce
+        Or, where only a potential is given, a decorator.
+
     Raises
     ------
     TypeError

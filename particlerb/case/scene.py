@@ -4,6 +4,7 @@ A scene is a mapping with the keys of a case file, so whatever takes a case take
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from inspect import Parameter, Signature, signature
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
@@ -36,7 +37,11 @@ def _adds(
         getattr(scene, to).append(record)
         return record
 
-    add.__doc__ = f"Add a [[{to}]] with these keys, see docs/case.md; return it."
+    add.__doc__ = f"Add a [[{to}]] with these keys, see docs/case.md; return the record."
+    add.__name__, add.__qualname__ = f"add_{to}", f"Scene.add_{to}"
+    keys = [own.replace(annotation=Parameter.empty) for own in signature(table).parameters.values()]
+    shown = Signature([Parameter("self", Parameter.POSITIONAL_ONLY), *keys])
+    vars(add)["__signature__"] = shown  # what editors and notebooks complete
     return add
 
 
@@ -125,7 +130,18 @@ class Scene(Mapping[str, Any]):
     def from_case(
         cls, source: str | PathLike[str] | Mapping[str, Any] | Case, overrides: Sequence[str] = ()
     ) -> Self:
-        """Scene of a case: of a file, of an example by its name, of a dict.
+        """Scene of a case.
+
+        Parameters
+        ----------
+        source : str, Path, dict or Case
+            A file, an example by its name, tables, or a case that was read.
+        overrides : sequence of str
+            Changes, such as "run.dt=1e-3".
+
+        Returns
+        -------
+        Scene
 
         Raises
         ------

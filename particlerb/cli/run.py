@@ -47,7 +47,10 @@ from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, RunError
 
 _LONGEST_ENDING: Final = 10  # lines that a run ends with
-_OTHERS: Final = ".png .svg .pdf .csv .txt .toml .json .gsd .npz .xml .stl .log".split()
+_OTHERS: Final = (
+    ".png", ".svg", ".pdf", ".csv", ".txt", ".toml", ".json", ".gsd", ".npz", ".xml", ".stl",
+    ".log",
+)  # fmt: skip
 _BROKEN: Final = 3  # joints that are named
 _UNSOLVED: Final = 1.0  # residual of impulses that are no better than none
 

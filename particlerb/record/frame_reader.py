@@ -6,7 +6,7 @@ A file may still be growing in another process, and it may come from anyone: see
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -32,6 +32,16 @@ from particlerb.record.memory import Memory
 from particlerb.record.parts import range_in
 
 PORTION = 100_000  # states that are read at a time where all are gone through
+
+
+class Contacts(NamedTuple):
+    """All contacts in one frame: the force chains."""
+
+    body: Ints  # (m, 2) the two bodies, the first the lower; the second is -1 where it is a wall
+    wall: Ints  # (m,) number of the wall; -1 where the second is a body
+    point: Floats  # (m, 3) [m] where the force acts, world frame
+    force: Floats  # (m, 3) [N] on the first body, world frame; the second feels the opposite
+    overlap: Floats  # (m,) [m]
 
 
 class FrameReader(Closing):
@@ -240,6 +250,77 @@ class FrameReader(Closing):
             found = self.table(path, "S", (None,))
             self._texts[path] = [name.decode(errors="replace") for name in found]
         return self._texts[path]
+
+    @property
+    def n_contacts(self) -> int:
+        """Contacts of all frames together."""
+        self.require(schema.CONTACTS)
+        ends = self.table(schema.OFFSET, "i", (None,))
+        with trajectory_errors(self.file):
+            return int(ends[self.n_frames])
+
+    def contacts(self, frame: int) -> Contacts:
+        """All contacts in one frame: who touches whom, where, how hard, how deep.
+
+        Parameters
+        ----------
+        frame : int
+            Number of the frame; negative counts from the end.
+
+        Returns
+        -------
+        Contacts
+            The m contacts of the frame.
+
+        Raises
+        ------
+        KeyError
+            If contacts were not recorded.
+        IndexError
+            If there is no such frame.
+        """
+        k = range(self.n_frames)[frame]
+        return self.contact_rows(k, k + 1)[0]
+
+    def contact_rows(self, first: int, stop: int) -> tuple[Contacts, Ints]:
+        """Contacts in frames first .. stop - 1, one after the other, and the row behind each.
+
+        Parameters
+        ----------
+        first, stop : int
+            Numbers of frames, from 0 on.
+
+        Returns
+        -------
+        Contacts
+            Those of all these frames.
+        ndarray, shape (stop - first,)
+            How many there are up to the end of each frame.
+
+        Raises
+        ------
+        KeyError
+            If contacts were not recorded.
+        """
+        self.require(schema.CONTACTS)
+
+        def read() -> tuple[Contacts, Ints]:
+            with trajectory_errors(self.file):
+                offset: Ints = dataset_at(self.file, schema.OFFSET, "i", (None,))[first : stop + 1]
+                if len(offset) <= stop - first or (np.diff(offset) < 0).any() or offset[0] < 0:
+                    raise ValueError(
+                        f"{schema.OFFSET} does not ascend, or ends before frame {stop - 1}"
+                    )
+                found = []
+                for name, column in schema.COLUMNS.items():
+                    kinds, path = "i" if column.is_count else "f", f"{schema.CONTACTS}/{name}"
+                    values = dataset_at(self.file, path, kinds, (None, *column.width))
+                    if len(values) < offset[-1]:
+                        raise ValueError(f"{path} has no row {offset[-1] - 1}")
+                    found.append(values[offset[0] : offset[-1]])
+            return Contacts(*found), offset[1:] - offset[0]
+
+        return self.patiently(read)
 
 
 def _without_cache(values: h5py.Dataset) -> h5py.Dataset:

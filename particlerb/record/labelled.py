@@ -62,7 +62,19 @@ class LabelledReader(FrameReader):
         return lines
 
     def plot(self, path: str | PathLike[str] | None = None, *, body: str | None = None) -> Any:
-        """Draw it, as `particlerb.plot`: a figure with panels that fit the scene, or one body."""
+        """Draw it, as `particlerb.plot`.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+            Picture to write: .png, .svg or .pdf.
+        body : str, optional
+            Whose rotation is drawn; default: panels that fit the scene.
+
+        Returns
+        -------
+        matplotlib Figure
+        """
         return import_module("particlerb").plot(self, path, body=body)
 
     def view(self, *, port: int = 8080, browser: bool = True) -> Any:

@@ -3,7 +3,7 @@
 import json
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,27 +18,13 @@ from particlerb.model.bodies import Bodies, made_of, taken
 from particlerb.model.state import derived, rotate, rotate_back
 from particlerb.record import schema
 from particlerb.record.checked_reading import (
-    TrajectoryError,
-    dataset_at,
-    open_file,
-    patiently,
-    text_at,
-    trajectory_errors,
-)
+    TrajectoryError, open_file, patiently, text_at, trajectory_errors,
+)  # fmt: skip
+from particlerb.record.frame_reader import Contacts
 from particlerb.record.labelled import LabelledReader
 from particlerb.record.provenance import stored_case, stored_names
 
 __all__ = ["Contacts", "Trajectory", "TrajectoryError", "open_trajectory"]
-
-
-class Contacts(NamedTuple):
-    """All contacts in one frame: the force chains."""
-
-    body: Ints  # (m, 2) the two bodies, the first the lower; the second is -1 where it is a wall
-    wall: Ints  # (m,) number of the wall; -1 where the second is a body
-    point: Floats  # (m, 3) [m] where the force acts, world frame
-    force: Floats  # (m, 3) [N] on the first body, world frame; the second feels the opposite
-    overlap: Floats  # (m,) [m]
 
 
 _JSON_TEXTS = ("case_resolved", "versions")
@@ -106,7 +92,18 @@ class Trajectory(LabelledReader):
         return derived(self.bodies, self.orientation, momenta, momenta)[1]
 
     def omega_body(self, body: int) -> Floats:
-        """Angular velocity of one body in its own axes [rad/s], shape (T, 3)."""
+        """Angular velocity of one body in its own axes.
+
+        Parameters
+        ----------
+        body : int
+            Its number.
+
+        Returns
+        -------
+        ndarray, shape (T, 3) [rad/s]
+            Body frame.
+        """
         n = self.n_frames
         q = self.read("orientation", bodies=body).T
         L = self.read("angular_momentum", bodies=body).T
@@ -117,7 +114,13 @@ class Trajectory(LabelledReader):
         return omega
 
     def momentum_sizes(self) -> tuple[float, float]:
-        """Scales of the drifts: Σ|p| [kg m/s], and Σ|L| + Σ|x × p| [kg m²/s], largest of all."""
+        """Scales of the drifts of momenta.
+
+        Returns
+        -------
+        tuple of float
+            Σ|p| [kg m/s] and Σ|L| + Σ|x × p| [kg m²/s] over all bodies, the largest of all frames.
+        """
         linear = angular = 0.0
         for part in self.portions():
             x, p, L = (
@@ -172,7 +175,25 @@ class Trajectory(LabelledReader):
         return self.read("contact_overlap")
 
     def observed(self, name: str, frames: slice = slice(None)) -> Floats:
-        """One field of walls, joints or coordinates for some frames, (T, n) or (T, n, 3)."""
+        """One field of walls, joints or coordinates for some frames.
+
+        Parameters
+        ----------
+        name : str
+            Such as wall_force or joint_coordinate.
+        frames : slice
+            Which frames; default: all.
+
+        Returns
+        -------
+        ndarray, shape (T, n) or (T, n, 3)
+            In the unit of the property of this name.
+
+        Raises
+        ------
+        KeyError
+            If the field was not recorded.
+        """
         self.require(name)
         return self.series(f"{schema.OBSERVABLES}/{name}/value", frames)
 
@@ -237,60 +258,25 @@ class Trajectory(LabelledReader):
         return self.observed("joint_coordinate")
 
     @property
-    def n_contacts(self) -> int:
-        """Contacts of all frames together."""
-        self.require(schema.CONTACTS)
-        ends = self.table(schema.OFFSET, "i", (None,))
-        with trajectory_errors(self.file):
-            return int(ends[self.n_frames])
-
-    def contacts(self, frame: int) -> Contacts:
-        """All contacts in one frame: who touches whom, where, how hard, how deep.
-
-        Parameters
-        ----------
-        frame : int
-            Number of the frame; negative counts from the end.
-
-        Raises
-        ------
-        KeyError
-            If contacts were not recorded.
-        IndexError
-            If there is no such frame.
-        """
-        k = range(self.n_frames)[frame]
-        return self.contact_rows(k, k + 1)[0]
-
-    def contact_rows(self, first: int, stop: int) -> tuple[Contacts, Ints]:
-        """Contacts in frames first .. stop - 1, one after the other, and the row behind each."""
-        self.require(schema.CONTACTS)
-
-        def read() -> tuple[Contacts, Ints]:
-            with trajectory_errors(self.file):
-                offset: Ints = dataset_at(self.file, schema.OFFSET, "i", (None,))[first : stop + 1]
-                if len(offset) <= stop - first or (np.diff(offset) < 0).any() or offset[0] < 0:
-                    raise ValueError(
-                        f"{schema.OFFSET} does not ascend, or ends before frame {stop - 1}"
-                    )
-                found = []
-                for name, column in schema.COLUMNS.items():
-                    kinds, path = "i" if column.is_count else "f", f"{schema.CONTACTS}/{name}"
-                    values = dataset_at(self.file, path, kinds, (None, *column.width))
-                    if len(values) < offset[-1]:
-                        raise ValueError(f"{path} has no row {offset[-1] - 1}")
-                    found.append(values[offset[0] : offset[-1]])
-            return Contacts(*found), offset[1:] - offset[0]
-
-        return self.patiently(read)
-
-    @property
     def ledger(self) -> Entries:
         """Energy, momenta, booked work and the errors of integration, one entry per frame."""
         return Entries(*(self.observable(name) for name in Entries._fields))
 
     def observable(self, name: str, frames: slice = slice(None)) -> Floats:
-        """One of the observables for some frames, shape (T,) or (T, 3)."""
+        """One of the sums over all bodies, for some frames.
+
+        Parameters
+        ----------
+        name : str
+            Such as kinetic_energy or angular_momentum; docs/schema.md lists them.
+        frames : slice
+            Which frames; default: all.
+
+        Returns
+        -------
+        ndarray, shape (T,) or (T, 3)
+            SI units, world frame.
+        """
         return self.series(f"{schema.OBSERVABLES}/{name}/value", frames)
 
     @property
@@ -326,12 +312,23 @@ class Trajectory(LabelledReader):
 
     @cached_property
     def constituents(self) -> tuple[Ints, Ints]:
-        """Body of each particle of the scene, and its row in `particles`, body after body."""
+        """Body of each particle of the scene, (N_particles,), and its row in `particles`."""
         row, body = rows_of_kinds(self.particles.offset, self.kind)
         return body, row
 
     def parameter(self, name: str) -> Any:
-        """One entry of /parameters: case, case_resolved, plan, versions, machine, seed, ..."""
+        """One entry of /parameters.
+
+        Parameters
+        ----------
+        name : str
+            case, case_resolved, plan, versions, machine, seed or another that docs/schema.md lists.
+
+        Returns
+        -------
+        str, int or dict
+            Text; of seed a number, of case_resolved and versions a table.
+        """
         if name == "seed":
             return int(self.table(f"{schema.PARAMETERS}/seed", "iu", ()))
         words = text_at(self.file, f"{schema.PARAMETERS}/{name}")
@@ -363,6 +360,16 @@ def check_trajectory(given: object) -> None:
 
 def open_trajectory(path: str | Path) -> Trajectory:
     """Trajectory in a file, which may still be growing.
+
+    Parameters
+    ----------
+    path : str or Path
+        An HDF5 file that a run wrote, or is writing.
+
+    Returns
+    -------
+    Trajectory
+        Open; it closes with `close`, or at the end of a `with` block.
 
     Raises
     ------

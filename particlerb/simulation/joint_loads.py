@@ -40,6 +40,11 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
     trajectory : Trajectory
         With positions, orientations and both momenta.
 
+    Returns
+    -------
+    JointLoads
+        Force [N] and torque [N m], (T, j, 3), world frame, on the first body at the joint's point.
+
     Raises
     ------
     KeyError

@@ -144,7 +144,17 @@ class Simulation(Closing):
         return float(self._entries.energy_error[-1])
 
     def advance(self, until: float) -> BodyStates:
-        """Go on to a time [s]; the state there.
+        """Go on to a time.
+
+        Parameters
+        ----------
+        until : float
+            At most `run.t_end` [s].
+
+        Returns
+        -------
+        BodyStates
+            The state there: positions (N, 3) and the like, world frame.
 
         Raises
         ------
@@ -169,6 +179,16 @@ class Simulation(Closing):
         """States at the multiples of `every` [s] that lie ahead, until `run.t_end`; now first.
 
         What is changed between two of them acts from the first on.
+
+        Parameters
+        ----------
+        every : float
+            Time between two of them [s].
+
+        Yields
+        ------
+        BodyStates
+            As `advance` returns them.
 
         Raises
         ------
