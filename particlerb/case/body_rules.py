@@ -100,7 +100,7 @@ def held_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterato
         yield ("attraction", "body"), reason, "name the others"
 
 
-def many_bodies(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
+def count_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
     """Positions of `count` bodies."""
     count = body.get("count", 1)
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
@@ -124,7 +124,7 @@ def _grid_rules(path: Path, place: Any, count: int) -> Iterator[Finding]:
         yield (*path, "n"), f"holds {math.prod(n)} of {count} bodies", ""
 
 
-def shapes(path: Path, body: dict[str, Any], files: Files) -> Iterator[Finding]:
+def shape_file_rules(path: Path, body: dict[str, Any], files: Files) -> Iterator[Finding]:
     """Files that a shape names can be read."""
     places = [(path, body), *(((*path, "part", j), part) for j, part in tables(body, "part"))]
     for where, table in places:

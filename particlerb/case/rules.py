@@ -8,7 +8,13 @@ from collections.abc import Iterator
 from typing import Any
 
 from particlerb.case import output
-from particlerb.case.body_rules import body_rules, file_rules, held_rules, many_bodies, shapes
+from particlerb.case.body_rules import (
+    body_rules,
+    count_rules,
+    file_rules,
+    held_rules,
+    shape_file_rules,
+)
 from particlerb.case.contact import ContactTable
 from particlerb.case.forces import FORCES, ForceTable
 from particlerb.case.joints import TYPES_WITH_COORDINATES, joint_rules, within_bounds
@@ -29,13 +35,18 @@ from particlerb.user_force import UserForce
 
 _MOST_FRAMES = 10**9
 _OTHER = 'take law = "impulse" or "hooke"'
+_KEYS_OF_LAWS = {
+    "impulse": ("tolerance", "iterations", "solver", "push_out", "slop"),
+    "events": ("contact_time", "periodic"),
+}
+_NAMES_OF_LAWS = {"impulse": "impulses", "events": "events"}
 
 
 def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     """All broken rules of a case."""
-    yield from times(raw)
-    yield from names(raw)
-    yield from _references(raw)
+    yield from _time_rules(raw)
+    yield from _name_rules(raw)
+    yield from _reference_rules(raw)
     for i, force in tables(raw, "force"):
         table = _table_of(force)
         if table is not None:
@@ -46,14 +57,14 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     law = entry_at(raw.get("contact"), "law", str)
     for i, joint in tables(raw, "joint"):
         yield from joint_rules(("joint", i), joint, members(raw), law)
-    yield from _driven_bounds([joint for _, joint in tables(raw, "joint")])
+    yield from _driven_rules([joint for _, joint in tables(raw, "joint")])
     yield from _attraction_rules(raw.get("attraction"), members(raw))
     yield from _contact_rules(raw)
     for i, body in tables(raw, "body"):
         yield from body_rules(("body", i), body)
         yield from held_rules(("body", i), body, raw)
-        yield from many_bodies(("body", i), body)
-        yield from shapes(("body", i), body, files)
+        yield from count_rules(("body", i), body)
+        yield from shape_file_rules(("body", i), body, files)
     for i, wall in tables(raw, "wall"):
         yield from file_rules(("wall", i, "file"), wall.get("file"), files)
 
@@ -79,7 +90,7 @@ def _table_of(force: dict[str, Any]) -> type[ForceTable] | None:
     return FORCES.get(entry_at(force, "type", str))
 
 
-def times(raw: dict[str, Any]) -> Iterator[Finding]:
+def _time_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """Everything happens within the run."""
     run = raw.get("run")
     t_end, every = number(run, "t_end"), number(run, "every")
@@ -93,18 +104,18 @@ def times(raw: dict[str, Any]) -> Iterator[Finding]:
         for start in entry_at(force, "during", list)[:1]:
             if (finite(start) or 0.0) >= t_end:
                 yield ("force", i, "during"), f"must start before run.t_end = {t_end!r}", ""
-        yield from within(("force", i, "time"), number(force, "time"), t_end)
+        yield from _within(("force", i, "time"), number(force, "time"), t_end)
     for i, check in tables(raw.get("check"), "value"):
-        yield from within(("check", "value", i, "time"), number(check, "time"), t_end)
+        yield from _within(("check", "value", i, "time"), number(check, "time"), t_end)
 
 
-def within(path: Path, time: float | None, t_end: float) -> Iterator[Finding]:
+def _within(path: Path, time: float | None, t_end: float) -> Iterator[Finding]:
     """A time is not after the end."""
     if time is not None and time > t_end:
         yield path, f"must be <= run.t_end = {t_end!r}, got {time!r}", ""
 
 
-def names(raw: dict[str, Any]) -> Iterator[Finding]:
+def _name_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """Bodies and walls have different names, and so have materials."""
     for family in (("body", "wall"), ("material",), ("joint",)):
         first: dict[str, str] = {}
@@ -115,7 +126,7 @@ def names(raw: dict[str, Any]) -> Iterator[Finding]:
                     yield (kind, i, "name"), f'"{name}" is the name of {first[name]} already', ""
 
 
-def _references(raw: dict[str, Any]) -> Iterator[Finding]:
+def _reference_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """Forces and checks name bodies that are there."""
     counts: dict[str, Any] = {}
     for _, body in tables(raw, "body"):
@@ -123,25 +134,25 @@ def _references(raw: dict[str, Any]) -> Iterator[Finding]:
             counts.setdefault(body["name"], body.get("count", 1))
     for i, force in tables(raw, "force"):
         for key in (_table_of(force) or ForceTable).names_bodies:
-            yield from reference(("force", i, key), force.get(key), counts)
+            yield from _named_body(("force", i, key), force.get(key), counts)
     for i, joint in tables(raw, "joint"):
         for key in ("body", "to"):
-            yield from reference(("joint", i, key), joint.get(key), counts)
+            yield from _named_body(("joint", i, key), joint.get(key), counts)
     named = entry_at(raw, "attraction", dict).get("body")
-    yield from reference(("attraction", "body"), named, counts)
+    yield from _named_body(("attraction", "body"), named, counts)
     for i, check in tables(raw.get("check"), "value"):
         path: Path = ("check", "value", i)
-        yield from reference((*path, "body"), entry_at(check, "body", str), counts)
+        yield from _named_body((*path, "body"), entry_at(check, "body", str), counts)
         if given(check, "joint") and not tables(raw, "joint"):
             yield (*path, "joint"), "there is no [[joint]]", "leave it out"
 
 
-def reference(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Finding]:
+def _named_body(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Finding]:
     """One name, or a list of names."""
     if isinstance(value, list):
         for i, entry in enumerate(value):
             if isinstance(entry, str):
-                yield from reference((*path, i), entry, counts)
+                yield from _named_body((*path, i), entry, counts)
     if not isinstance(value, str) or not value:
         return
     match = REFERENCE.fullmatch(value)
@@ -154,7 +165,7 @@ def reference(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Findin
         yield path, f'there is no body "{value}"', f"{match['name']}[0] to [{count - 1}] exist"
 
 
-def _driven_bounds(joints: list[dict[str, Any]]) -> Iterator[Finding]:
+def _driven_rules(joints: list[dict[str, Any]]) -> Iterator[Finding]:
     """What acts within bounds does nothing where another joint prescribes the coordinate."""
     named = [tuple(joint.get(key) for key in ("body", "to", "type", "along")) for joint in joints]
     driven = [own for own, joint in zip(named, joints, strict=True) if given(joint, "drive")]
@@ -189,21 +200,24 @@ def _contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     known = [one["name"] for _, one in tables(raw, "material") if isinstance(one.get("name"), str)]
     for kind in ("body", "wall"):
         for i, table in tables(raw, kind):
-            yield from material((kind, i, "material"), table.get("material"), known)
+            yield from _named_material((kind, i, "material"), table.get("material"), known)
     first: dict[frozenset[str], int] = {}
     for i, pair in tables(contact, "pair"):
         path: Path = ("contact", "pair", i)
         listed = [name for name in entry_at(pair, "materials", list) if isinstance(name, str)]
         for j, name in enumerate(listed):
-            yield from material((*path, "materials", j), name, known)
+            yield from _named_material((*path, "materials", j), name, known)
         if len(listed) == 2 and first.setdefault(frozenset(listed), i) != i:
             reason = f"this pair is contact.pair[{first[frozenset(listed)]}] already"
             yield (*path, "materials"), reason, "name every pair once"
         yield from _number_rules(path, pair, contact)
     if isinstance(contact, dict):
         yield from _number_rules(("contact",), contact, contact)
-        yield from _impulse_rules(raw, contact)
-        yield from event_rules(raw, contact)
+        yield from _law_rules(contact)
+        if contact.get("law") == "impulse":
+            yield from _impulse_rules(raw, contact)
+        elif contact.get("law") == "events":
+            yield from _event_rules(raw, contact)
 
 
 def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -233,25 +247,28 @@ def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
 def _of_another_law(name: str) -> tuple[str, str]:
     """Why there is no such quantity, and what would be right."""
     law = next(law for law, fields in output.FIELDS_OF_LAWS.items() if name in fields)
-    what = "impulses" if law == "impulse" else "events"
-    return f"there is no {name} without {what}", f'take contact.law = "{law}", or leave it out'
+    hint = f'take contact.law = "{law}", or leave it out'
+    return f"there is no {name} without {_NAMES_OF_LAWS[law]}", hint
 
 
-def material(path: Path, name: Any, known: list[str]) -> Iterator[Finding]:
+def _named_material(path: Path, name: Any, known: list[str]) -> Iterator[Finding]:
     """A material that is named is there."""
     if isinstance(name, str) and name and name not in known:
         hint = nearest(name, known) or "there is no [[material]]"
         yield path, f'there is no material "{name}"', hint
 
 
-def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Finding]:
-    """Keys of impulses are for that law, and what it does not know is not there."""
-    if contact.get("law") != "impulse":
-        for key in ("tolerance", "iterations", "solver", "push_out", "slop"):
+def _law_rules(contact: dict[str, Any]) -> Iterator[Finding]:
+    """Keys of a law are for that law."""
+    for law, keys in _KEYS_OF_LAWS.items():
+        for key in keys if contact.get("law") != law else ():
             default = ContactTable.model_fields[key].default
             if contact.get(key, default) != default:  # a case that was saved has all of them
-                yield ("contact", key), "is for impulses", 'take law = "impulse"'
-        return
+                yield ("contact", key), f"is for {_NAMES_OF_LAWS[law]}", f'take law = "{law}"'
+
+
+def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Finding]:
+    """What contacts without stiffness do not know is not there."""
     for key in ("attract", "allow_unstable"):
         if contact.get(key) is True:
             yield ("contact", key), "impulses have neither damping nor stiffness", "leave it out"
@@ -285,19 +302,14 @@ def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[F
 # Collisions by events: what they do not do is refused where the case says it
 
 
-def event_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Finding]:
-    """Keys of events are for that law, and what it does not know is not there."""
-    if contact.get("law") != "events":
-        for key in ("contact_time", "periodic"):
-            if given(contact, key):
-                yield ("contact", key), "is for events", 'take law = "events"'
-        return
+def _event_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Finding]:
+    """What collisions by events do not know is not there."""
     yield from _event_number_rules(contact)
     yield from _term_rules(raw)
     yield from _periodic_rules(raw, contact.get("periodic"))
     for kind in ("wall", "body"):
         for i, table in tables(raw, kind):
-            yield from _still((kind, i), table)
+            yield from _still_rules((kind, i), table)
     for i, name in enumerate(entry_at(raw.get("output"), "fields", list)):
         if name in output.FIELDS_OF_CONTACT:
             reason = "an impact at an instant shows in no frame"
@@ -311,9 +323,9 @@ def _event_number_rules(contact: dict[str, Any]) -> Iterator[Finding]:
             yield ("contact", key), "collisions by events have no use for it", "leave it out"
     if number(contact, "overlap"):
         yield ("contact", "overlap"), "collisions by events begin without overlap", "leave it out"
-    yield from _without_restitution(("contact",), contact)
+    yield from _restitution_rules(("contact",), contact)
     for i, pair in tables(contact, "pair"):
-        yield from _without_restitution(("contact", "pair", i), pair)
+        yield from _restitution_rules(("contact", "pair", i), pair)
 
 
 def _term_rules(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -341,14 +353,14 @@ def _periodic_rules(raw: dict[str, Any], sides: Any) -> Iterator[Finding]:
             yield ("wall", i), reason, "leave it out, or give a side 0 to contact.periodic"
 
 
-def _without_restitution(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
+def _restitution_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
     """What does not part after an impact cannot be held together by impacts."""
     if number(table, "restitution") == 0.0:
         reason = "bodies that do not part again would collide without end"
         yield (*path, "restitution"), reason, 'give more than 0, or take law = "impulse"'
 
 
-def _still(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
+def _still_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
     """Walls and bodies that events do not know: what moves by itself, and meshes."""
     if given(table, "motion"):
         yield (*path, "motion"), "collisions by events know no prescribed motion yet", _OTHER
