@@ -41,7 +41,7 @@ class Acting(NamedTuple):
 
 
 @inline
-def kick_pair(
+def add_pair_load(
     pair: int | None, rows: Floats, at: int, b: int, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + F dt,  L + τ dt of the forces of other bodies."""
@@ -60,7 +60,7 @@ def less_internal(
         return entry
     work, impulse, angular = entry
     F, tau = get3(rows, PAIR, b), get3(rows, PAIR + PAIR_TORQUE, b)
-    F, tau = kick_pair(contact, rows, PAIR + OTHER, b, 1.0, F, tau)
+    F, tau = add_pair_load(contact, rows, PAIR + OTHER, b, 1.0, F, tau)
     turning = add_scaled(1.0, cross(x, F), tau)
     F = subtract(F, get3(rows, PAIR + OUTSIDE, b))
     turning = subtract(turning, get3(rows, PAIR + OUTSIDE + 3, b))
@@ -147,8 +147,8 @@ def made(family: _Family) -> Callable[..., Any]:
     able = [kick for kick in KICKS if family.has(kick) and not family.is_of_users]
     able = able[::-1] if family.is_reversed else able
     names: dict[str, Any] = {
-        "inline": inline, "kick_pair": kick_pair, "count": count, "PAIR": PAIR, "OTHER": OTHER,
-        "CHANGE": CHANGE,
+        "inline": inline, "add_pair_load": add_pair_load, "count": count, "PAIR": PAIR,
+        "OTHER": OTHER, "CHANGE": CHANGE,
         **{f"{kick.name}_{family.hook}": getattr(kick, family.hook) for kick in able},
     }  # fmt: skip
     _FAMILIES.append(family)
@@ -176,7 +176,7 @@ def own_functions(kicks: tuple[Kick, ...]) -> FunctionSet:
     return FunctionSet(key, found, all(kick.is_kept for kick in kicks))
 
 
-_PAIR_KICK: Final = "p, L = kick_pair(acting.{}, rows, {}, b, dt, p, L)"
+_PAIR_KICK: Final = "p, L = add_pair_load(acting.{}, rows, {}, b, dt, p, L)"
 kick_potential: Callable[..., Momenta] = made(
     _Family("kick_potential", "push", _POSE, "p, L", _PAIR_KICK.format("pair", "PAIR"),
             has_potential=True)
@@ -208,7 +208,7 @@ damp: Callable[..., Momenta] = made(_Family("damp", "damp", "b, R, p_old, L_old,
 change_of: Callable[..., Momenta] = made(
     _Family(
         "change_of", "change", "b, x, R, motion, F, tau", "F, tau",
-        "F, tau = kick_pair(acting.pair, rows, CHANGE, b, 1.0, F, tau)",
+        "F, tau = add_pair_load(acting.pair, rows, CHANGE, b, 1.0, F, tau)",
     )
 )  # fmt: skip
 """(acting, rows, b, x, R, motion, F, tau): F and τ with the rates at which all loads change."""

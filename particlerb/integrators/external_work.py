@@ -22,7 +22,7 @@ from particlerb.model.block import BOOKED, INV_INERTIA, INV_MASS, get, get3, put
 
 
 @inline
-def kick_entry(
+def entry_of_kick(
     rows: Floats,
     b: int,
     x: Vec3,

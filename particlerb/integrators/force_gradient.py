@@ -22,7 +22,7 @@ from particlerb.forces.links import change_links
 from particlerb.forces.registry import CHANGE
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, PairTerms, clear, gather_states, scatter
-from particlerb.integrators.rotor_drift import KickAndDrift, kick_then_drift
+from particlerb.integrators.rotor_drift import KickAndDrift, kick_and_rotor_drift
 from particlerb.integrators.stages import MovingBodies, loads, stages
 from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import Floats
@@ -80,13 +80,13 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     """A kick, three drifts with two bent kicks between them; the last kick stays open."""
     loads(moving, first, last, NOW)
     part = KickAndDrift(CLOSING_KICK * dt + open_kick, 0.0, 0.0, DRIFTS[0] * dt, _NO_SHARE, True)
-    kick_then_drift(moving, first, last, None, part)
+    kick_and_rotor_drift(moving, first, last, None, part)
     for k in range(1, len(DRIFTS)):
         loads(moving, first, last, NOW)
         _change_pairs(moving.acting, moving.pairs, moving.blocks, moving.layout)
         weight, drift_dt = GRADIENT * (dt * dt * dt), DRIFTS[k] * dt
         part = KickAndDrift(KICKS[k] * dt, weight, _TIMES[k] * dt, drift_dt, _NO_SHARE, False)
-        kick_then_drift(moving, first, last, 1, part)
+        kick_and_rotor_drift(moving, first, last, 1, part)
 
 
 METHOD: Final = Method(

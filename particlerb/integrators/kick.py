@@ -25,7 +25,7 @@ from particlerb.forces.kernels import (
 )
 from particlerb.forces.kinds import Momenta
 from particlerb.forces.registry import CHANGE, PAIR
-from particlerb.integrators.external_work import book, kick_entry
+from particlerb.integrators.external_work import book, entry_of_kick
 from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,
@@ -67,7 +67,7 @@ def _with_flow(
     """What is booked, with what a flow did from old to new momenta."""
     if flow is None:
         return entry
-    work, dp, dL = kick_entry(rows, b, x, R, old, old, new)
+    work, dp, dL = entry_of_kick(rows, b, x, R, old, old, new)
     return work + entry[0], add_scaled(1.0, dp, entry[1]), add_scaled(1.0, dL, entry[2])
 
 
@@ -244,7 +244,7 @@ def _entry_of(
 ) -> Entry:
     """What a kick books that came to `last` before the second half of the flows, and then `end`."""
     x, R = to.x, to.R
-    entry = kick_entry(rows, b, x, R, to.first, to.middle, last)
+    entry = entry_of_kick(rows, b, x, R, to.first, to.middle, last)
     entry = _with_flow(acting.flow, rows, b, x, R, to.old, to.first, entry)
     entry = _with_flow(acting.flow, rows, b, x, R, last, end, entry)
     entry = with_power(acting.clock, acting, rows, b, x, R, dt, entry)
@@ -270,14 +270,14 @@ def _less_change(
 
 
 @inline
-def kick_bent(
-    bent: Flag, acting: Acting, books: Flag, rows: Floats, b: int, dt: float, weight: float
+def kick_with_gradient(
+    gradient: Flag, acting: Acting, books: Flag, rows: Floats, b: int, dt: float, weight: float
 ) -> tuple[Vec3, Matrix]:
     """Kick body b over dt, bent by the gradient or not; L, which is stored with p, and R.
 
     `weight` [s³] is that of the rates at which force and torque change: see `force_gradient`.
     """
-    if bent is None:
+    if gradient is None:
         _, spin, R = kick_body(acting, books, rows, b, dt)
         return spin, R
     x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
@@ -290,7 +290,7 @@ def kick_bent(
     spin = add_scaled(weight, dtau, add_scaled(dt, tau, old[1]))
     put3(rows, P, b, p)
     put3(rows, L, b, spin)
-    entry = kick_entry(rows, b, x, R, old, (p, spin), (p, spin))
+    entry = entry_of_kick(rows, b, x, R, old, (p, spin), (p, spin))
     entry = less_internal(acting.pair, None, rows, b, x, dt, entry)
     book(books, rows, b, 1.0, _less_change(acting.pair, rows, b, x, v, weight, entry))
     return spin, R

@@ -17,7 +17,7 @@ from typing import Final
 from particlerb.contact.contact_model import NOW
 from particlerb.forces.kinds import BODIES, POSE, TIME
 from particlerb.integrators.method import Method
-from particlerb.integrators.rotor_drift import KickAndDrift, kick_then_drift
+from particlerb.integrators.rotor_drift import KickAndDrift, kick_and_rotor_drift
 from particlerb.integrators.stages import MovingBodies, loads, shift_pairs, stages
 from particlerb.rotors.moser_veselov import LARGEST_SHARE, LONGEST_PIECE, modified_inertia
 
@@ -67,7 +67,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
         kick_dt = KICKS[k] * dt if k > 0 else CLOSING_KICK * dt + open_kick
         drift_dt, share = DRIFTS[k] * dt, abs(DRIFTS[k])
         part = KickAndDrift(kick_dt, 0.0, _BEFORE[k] * dt, drift_dt, share, k == 0)
-        kick_then_drift(moving, first, last, None, part)
+        kick_and_rotor_drift(moving, first, last, None, part)
 
 
 METHOD: Final = Method(

@@ -12,7 +12,7 @@ import numpy as np
 
 from particlerb.compiled.jit import Flag, inline
 from particlerb.forces.kernels import shift_time
-from particlerb.integrators.kick import kick_bent
+from particlerb.integrators.kick import kick_with_gradient
 from particlerb.integrators.stages import MovingBodies, stage
 from particlerb.maths.quaternion import Matrix, matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, dot, scale
@@ -140,42 +140,44 @@ class KickAndDrift(NamedTuple):
 
 @inline
 def _drift_asymmetric(
-    kind: Flag, bent: Flag, moving: MovingBodies, first: int, last: int, part: KickAndDrift
+    kind: Flag, gradient: Flag, moving: MovingBodies, first: int, last: int, part: KickAndDrift
 ) -> None:
     """Kick and drift of asymmetric bodies, as long as the fastest of a block asks for."""
     if kind is None:
         return
+    acting, books = moving.acting, moving.books
     for block in range(first, min(last, moving.layout.asymmetric)):
         rows, n = moving.blocks[block], moving.layout.size[block]
         turned = abs(part.drift) * _turn_rate(rows, n, part.is_first)
         pieces = pieces_of(turned, part.share)
         iterations = iterations_of(turned / pieces)
         for b in range(n):
-            shift_time(moving.acting, rows, b, part.before)
-            spin, R = kick_bent(bent, moving.acting, moving.books, rows, b, part.kick, part.weight)
+            shift_time(acting, rows, b, part.before)
+            spin, R = kick_with_gradient(gradient, acting, books, rows, b, part.kick, part.weight)
             _start_drift(rows, b, spin, R, part.drift, pieces)
         _finish_drift(rows, n, part.drift, pieces, iterations)
 
 
 @inline
 def _drift_symmetric(
-    kind: Flag, bent: Flag, moving: MovingBodies, first: int, last: int, part: KickAndDrift
+    kind: Flag, gradient: Flag, moving: MovingBodies, first: int, last: int, part: KickAndDrift
 ) -> None:
     """Kick and drift of bodies whose drift has a closed form."""
     if kind is None:
         return
+    acting, books = moving.acting, moving.books
     for block in range(max(first, moving.layout.asymmetric), last):
         rows = moving.blocks[block]
         for b in range(moving.layout.size[block]):
-            shift_time(moving.acting, rows, b, part.before)
-            kick_bent(bent, moving.acting, moving.books, rows, b, part.kick, part.weight)
+            shift_time(acting, rows, b, part.before)
+            kick_with_gradient(gradient, acting, books, rows, b, part.kick, part.weight)
             _fly_and_split(rows, b, part.drift)
 
 
 @stage
-def kick_then_drift(
-    moving: MovingBodies, first: int, last: int, bent: Flag, part: KickAndDrift
+def kick_and_rotor_drift(
+    moving: MovingBodies, first: int, last: int, gradient: Flag, part: KickAndDrift
 ) -> None:
     """A kick, bent by the gradient or not, and the drift after it."""
-    _drift_asymmetric(moving.rotors.asymmetric, bent, moving, first, last, part)
-    _drift_symmetric(moving.rotors.symmetric, bent, moving, first, last, part)
+    _drift_asymmetric(moving.rotors.asymmetric, gradient, moving, first, last, part)
+    _drift_symmetric(moving.rotors.symmetric, gradient, moving, first, last, part)

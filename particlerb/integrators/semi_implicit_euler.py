@@ -22,7 +22,7 @@ from particlerb.forces.kernels import (
 from particlerb.forces.kinds import CONTACT, PISTONS
 from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, kick_walls
-from particlerb.integrators.external_work import book, kick_entry
+from particlerb.integrators.external_work import book, entry_of_kick
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
 from particlerb.integrators.stages import MovingBodies, loads, place, stage, stages
@@ -60,7 +60,7 @@ def _gyroscopic(w: Vec3, inverse: Vec3, dt: float) -> Vec3:
 
 
 @stage
-def _kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def _advance_implicitly(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """Momenta by the forces, rates by the gyroscopic term, then the pose by both."""
     acting, books = moving.acting, moving.books
     for k in range(first, last):
@@ -73,7 +73,7 @@ def _kick_and_drift(moving: MovingBodies, first: int, last: int, dt: float) -> N
             zero = (0.0, 0.0, 0.0)
             against, braking = load_of_velocity(acting, rows, b, y.x, R, y.p, y.L, zero, zero)
             p, L = add_scaled(dt, against, p), add_scaled(dt, braking, L)
-            entry = kick_entry(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
+            entry = entry_of_kick(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
             entry = less_internal(acting.pair, acting.contact, rows, b, y.x, dt, entry)
             book(books, rows, b, 1.0, with_power(acting.clock, acting, rows, b, y.x, R, dt, entry))
             w = _gyroscopic(component_product(inverse, turn_back(R, L)), inverse, dt)
@@ -92,7 +92,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     """One stage, with all loads taken at the beginning; springs of contacts take new velocities."""
     loads(moving, first, last, LoadTimes(dt, dt, NEW_VELOCITIES, None))
     kick_walls(moving.contact, moving.team, dt, 0.0, True)
-    _kick_and_drift(moving, first, last, dt)
+    _advance_implicitly(moving, first, last, dt)
     drift_walls(moving.contact, moving.team, dt)
 
 

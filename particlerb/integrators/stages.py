@@ -243,7 +243,7 @@ def _damp_if_jointed(
 
 
 @inline
-def _kick_again(damps: Flag, moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def _kick_if_damped(damps: Flag, moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """The kick after damping, if something damps."""
     if damps is None:
         return
@@ -252,8 +252,8 @@ def _kick_again(damps: Flag, moving: MovingBodies, first: int, last: int, dt: fl
 
 @stage
 def _kick_damped(moving: MovingBodies, first: int, last: int, dt: float) -> None:
-    """The same."""
-    _kick_again(moving.damps, moving, first, last, dt)
+    """The same, as a stage."""
+    _kick_if_damped(moving.damps, moving, first, last, dt)
 
 
 @stages
