@@ -18,7 +18,11 @@ from particlerb.model.bodies import Bodies, made_of, taken
 from particlerb.model.state import derived, rotate, rotate_back
 from particlerb.record import schema
 from particlerb.record.checked_reading import (
-    TrajectoryError, open_file, patiently, text_at, trajectory_errors,
+    TrajectoryError,
+    open_file,
+    patiently,
+    text_at,
+    trajectory_errors,
 )  # fmt: skip
 from particlerb.record.frame_reader import Contacts
 from particlerb.record.labelled import LabelledReader
