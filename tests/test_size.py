@@ -22,7 +22,7 @@ BUDGETS = {
     "contact by impulses": 3394,
     "collisions by events": 1712,
     "forces: tables, gradients, written by users": 2151,
-    "scenes and simulations in Python": 591,
+    "scenes and simulations in Python": 610,
     "sweeps": 1561,
     "one scene over ranks": 1923,
     "reports, pictures, the page": 1148,

@@ -23,7 +23,7 @@ from particlerb.record.checked_reading import (
     patiently,
     text_at,
     trajectory_errors,
-)  # fmt: skip
+)
 from particlerb.record.frame_reader import Contacts
 from particlerb.record.labelled import LabelledReader
 from particlerb.record.provenance import stored_case, stored_names
@@ -118,13 +118,7 @@ class Trajectory(LabelledReader):
         return omega
 
     def momentum_sizes(self) -> tuple[float, float]:
-        """Scales of the drifts of momenta.
-
-        Returns
-        -------
-        tuple of float
-            Σ|p| [kg m/s] and Σ|L| + Σ|x × p| [kg m²/s] over all bodies, the largest of all frames.
-        """
+        """Scales of the drifts: Σ|p| [kg m/s], and Σ|L| + Σ|x × p| [kg m²/s], largest of all."""
         linear = angular = 0.0
         for part in self.portions():
             x, p, L = (
@@ -326,12 +320,11 @@ class Trajectory(LabelledReader):
         Parameters
         ----------
         name : str
-            case, case_resolved, plan, versions, machine, seed or another that docs/schema.md lists.
+            case, case_resolved, plan, versions, machine, seed or another of docs/schema.md.
 
         Returns
         -------
-        str, int or dict
-            Text; of seed a number, of case_resolved and versions a table.
+        str, of seed int, of case_resolved and versions dict
         """
         if name == "seed":
             return int(self.table(f"{schema.PARAMETERS}/seed", "iu", ()))

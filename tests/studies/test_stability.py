@@ -437,7 +437,7 @@ def test_pictures_name_methods_and_verdicts(study, tmp_path):
         for name, draw in drawn.items():
             draw(study, tmp_path / f"{name}.svg")
             texts[name] = (tmp_path / f"{name}.svg").read_text()
-    for word in (*MEANING.values(), "no step, no limit", "energy off by 10 %"):
+    for word in (*MEANING.values(), "no step, no limit", "10 % off after"):
         assert word in texts["maps"]
     for text in texts.values():
         assert all(word in text for word in ("strang", "explicit_euler"))
