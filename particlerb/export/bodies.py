@@ -134,15 +134,15 @@ def lammps(bodies: Sequence[Exported]) -> dict[str, str]:
     body = only(bodies, "lammps")
     _refuse_degenerate(body, "fix rigid", POINT)
     mass, com, _, moments, axes, _ = (array[0] for array in body.properties)
-    own = _carriers_of(body)
-    place = _in_principal_axes(body, own.position)
+    carrying = _carriers_of(body)
+    place = _in_principal_axes(body, carrying.position)
     reach = np.linalg.norm(place, axis=1).max()
-    diameter = np.where(own.radius > 0.0, 2.0 * own.radius, SMALLEST * reach)
+    diameter = np.where(carrying.radius > 0.0, 2.0 * carrying.radius, SMALLEST * reach)
     columns = {
         "Coords": map(numbers, place),
         "Types": ["1"] * len(place),
         "Diameters": map(numbers, diameter),
-        "Masses": map(numbers, own.mass),
+        "Masses": map(numbers, carrying.mass),
     }
     sections = [
         "\n".join([name, "", *(f"{k} {text}" for k, text in enumerate(column, 1))])
@@ -154,7 +154,7 @@ def lammps(bodies: Sequence[Exported]) -> dict[str, str]:
         f"# axes {numbers(axes.T)} (rows are the principal axes as given)",
     ]
     header = [
-        f"{len(own.mass)} atoms",
+        f"{len(carrying.mass)} atoms",
         f"{numbers(mass)} mass",
         f"{numbers(np.zeros(3))} com",
         f"{numbers(moments, np.zeros(3))} inertia",
@@ -223,15 +223,15 @@ def _write_gsd(bodies: Sequence[Exported], path: Path) -> None:
     """One frame with one particle per body, turned to its principal axes; float64 in the log."""
     hoomd = gsd_hoomd()
     frame = hoomd.Frame()
-    own = frame.particles
+    particles = frame.particles
     mass, com, tensor, moments, axes, _ = (
         np.concatenate(column) for column in zip(*(b.properties for b in bodies), strict=True)
     )
-    own.N, own.typeid = len(bodies), np.arange(len(bodies))
-    own.types = [body.name for body in bodies]
-    own.type_shapes = [_shape_of(body) for body in bodies]
-    own.mass, own.moment_inertia = mass, moments
-    own.position, own.orientation = com, quaternions(axes)
+    particles.N, particles.typeid = len(bodies), np.arange(len(bodies))
+    particles.types = [body.name for body in bodies]
+    particles.type_shapes = [_shape_of(body) for body in bodies]
+    particles.mass, particles.moment_inertia = mass, moments
+    particles.position, particles.orientation = com, quaternions(axes)
     reach = max(float(np.abs(body.particles.position).max()) for body in bodies)
     edge = 2.02 * (reach + max(float(body.particles.radius.max()) for body in bodies)) or 1.0
     frame.configuration.box = [edge, edge, edge, 0, 0, 0]
@@ -242,10 +242,10 @@ def _write_gsd(bodies: Sequence[Exported], path: Path) -> None:
 
 def _shape_of(body: Exported) -> dict[str, Any]:
     """Shape of a body for OVITO; none where it has no radius."""
-    own = _carriers_of(body)
-    if not own.radius.any():
+    carrying = _carriers_of(body)
+    if not carrying.radius.any():
         return {}
-    return sphere_union(_in_principal_axes(body, own.position), own.radius)
+    return sphere_union(_in_principal_axes(body, carrying.position), carrying.radius)
 
 
 class _Format(NamedTuple):

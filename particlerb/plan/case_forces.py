@@ -85,16 +85,16 @@ def loads_of(system: System) -> list[ResolvedForce]:
 def _on_hosts(load: ResolvedForce, merging: Merging) -> list[ResolvedForce]:
     """The same force on the bodies that carry those on which it acts; none on what is held."""
     load = load._replace(members=load.members[~merging.is_held[load.members]])
-    own = merging.is_merged[load.members]
-    found = [load._replace(members=load.members[~own])] if not own.all() else []
+    is_merged = merging.is_merged[load.members]
+    carried = [load._replace(members=load.members[~is_merged])] if not is_merged.all() else []
     in_body = getattr(load.force, "frame", "world") == "body"
-    for b in load.members[own].tolist():
+    for b in load.members[is_merged].tolist():
         body, given = np.array([b]), np.array(load.numbers)[:, None]
         arm = merging.placed(body, given[:3]) if force_of(load.force).has_arm else given[:3]
         rest = merging.turned(body, given[3:6]) if in_body else given[3:]
         numbers = (*arm[:, 0].tolist(), *rest[:, 0].tolist())
-        found.append(load._replace(members=merging.host[body], numbers=numbers))
-    return found
+        carried.append(load._replace(members=merging.host[body], numbers=numbers))
+    return carried
 
 
 def _acting_forces(system: System) -> Iterator[tuple[int, AnyForce, Ints]]:

@@ -156,27 +156,27 @@ def clusters(
         for part in np.split(order, starts[1:])
     }
     for link in links:
-        found, count = np.unique(label[link.first], return_counts=True)
-        for one, springs in zip(found.tolist(), count.tolist(), strict=True):
+        labels, count = np.unique(label[link.first], return_counts=True)
+        for one, springs in zip(labels.tolist(), count.tolist(), strict=True):
             signs[one].append((link.number, springs))
     if joints is not None:
         for one, number in zip(label[joints.first].tolist(), joints.record.tolist(), strict=True):
             signs[one].append(("joint", number))
     for load in loads:
-        found = np.unique(label[load.members[np.isin(load.members, bound)]])
-        for one in found.tolist():
+        labels = np.unique(label[load.members[np.isin(load.members, bound)]])
+        for one in labels.tolist():
             signs[one].append(load.form)
     alike: defaultdict[tuple[object, ...], list[Ints]] = defaultdict(list)
     for part in np.split(order, starts[1:]):
         alike[tuple(signs[int(label[part[0]])])].append(part)
     whole = [np.sort(np.concatenate(parts)) for parts in alike.values()]
     is_asymmetric = system.bodies.rotor_class == ASYMMETRIC
-    return [own[np.argsort(~is_asymmetric[own], kind="stable")] for own in whole]
+    return [members[np.argsort(~is_asymmetric[members], kind="stable")] for members in whole]
 
 
-def within(link: AnyLink, own: Bools) -> AnyLink:
+def within(link: AnyLink, is_member: Bools) -> AnyLink:
     """The pairs of a link on bodies of a cluster."""
-    which = np.flatnonzero(own[link.first])
+    which = np.flatnonzero(is_member[link.first])
     values = {name: getattr(link, name)[..., which] for name in link._fields[2:]}
     return link._replace(**values)
 
@@ -184,13 +184,13 @@ def within(link: AnyLink, own: Bools) -> AnyLink:
 def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
     """Forces on the bodies of a cluster; those that act on some only are zero on the others."""
     place = {b: i for i, b in enumerate(members.tolist())}
-    found: dict[tuple[object, ...], list[tuple[Forces, Bools]]] = {}
+    rooms_of: dict[tuple[object, ...], list[tuple[Forces, Bools]]] = {}
     for load in loads:
-        own = np.array([place[b] for b in load.members.tolist() if b in place], dtype=np.int64)
-        if not own.size:
+        columns = np.array([place[b] for b in load.members.tolist() if b in place], dtype=np.int64)
+        if not columns.size:
             continue
-        rooms = found.setdefault(load.form, [])
-        free = next((room for room in rooms if not room[1][own].any()), None)
+        rooms = rooms_of.setdefault(load.form, [])
+        free = next((room for room in rooms if not room[1][columns].any()), None)
         if free is None:
             free = (
                 Forces(load.force, np.zeros((max(N_NUMBERS, len(load.numbers)), members.size))),
@@ -199,9 +199,9 @@ def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
             free[0].numbers[:3] = force_of(load.force).nowhere
             rooms.append(free)
         numbers, taken_ = free[0].numbers, free[1]
-        numbers[: len(load.numbers), own] = np.array(load.numbers)[:, None]
-        taken_[own] = True
-    return [forces for rooms in found.values() for forces, _ in rooms]
+        numbers[: len(load.numbers), columns] = np.array(load.numbers)[:, None]
+        taken_[columns] = True
+    return [forces for rooms in rooms_of.values() for forces, _ in rooms]
 
 
 def terms_between(

@@ -41,13 +41,13 @@ def pairs_of(system: System, table: JointTable) -> tuple[Ints, Ints]:
 
 def bodies_apart(system: System) -> Ints:
     """Pairs of bodies that joints tie and that are not to touch each other, ascending keys."""
-    found = [np.zeros(0, dtype=np.int64)]
+    keys = [np.zeros(0, dtype=np.int64)]
     for table in system.joint:
         first, second = pairs_of(system, table)
         if not table.collide:
             inside = second != WORLD
-            found.append(pair_keys(first[inside], second[inside]))
-    return np.unique(np.concatenate(found))
+            keys.append(pair_keys(first[inside], second[inside]))
+    return np.unique(np.concatenate(keys))
 
 
 def _frames(system: System, bodies: Ints) -> tuple[Floats, Floats, Floats]:
@@ -57,8 +57,8 @@ def _frames(system: System, bodies: Ints) -> tuple[Floats, Floats, Floats]:
     com = np.where(inside, system.state.com[:, index], 0.0)
     none = np.array([[1.0], [0.0], [0.0], [0.0]])
     rotor = np.where(inside, system.state.q[:, index], none)
-    own = body_orientation(system.state.q[:, index], system.bodies.rotor_frame[:, index])
-    body = np.where(inside, own, none)
+    orientation = body_orientation(system.state.q[:, index], system.bodies.rotor_frame[:, index])
+    body = np.where(inside, orientation, none)
     return com, body, rotor
 
 
@@ -81,8 +81,8 @@ def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> End
         return in_world(given, q) + (com if isinstance(given, InFrame) else 0.0)
 
     def direction(given: Given, q: Floats) -> Floats:
-        found = in_world(given, q)
-        return found / lengths(found)
+        vectors = in_world(given, q)
+        return vectors / lengths(vectors)
 
     here = place(table.at, com_a, body_a, com_a)
     stands_apart = table.type in ("distance", "gear")
@@ -120,20 +120,20 @@ def _rolling(table: JointTable, between: Floats, world: dict[str, Floats]) -> tu
 
     `between` leads from the point of the first body to that of the second.
     """
-    n, found = world["n"], np.zeros((between.shape[1], 3))
+    n, roll = world["n"], np.zeros((between.shape[1], 3))
     if table.type == "gear":
-        own, other = table.teeth or (1, 1)
+        teeth, teeth_to = table.teeth or (1, 1)
         line = between - n * (n * between).sum(axis=0)
         distance = lengths(line)
-        found[:, 0], found[:, 1] = distance * own / (own + other), other / own
-        found[:, 2] = 2.0 * np.pi * np.abs(found[:, 0]) / abs(own)
-        return found, line / np.where(distance > 0.0, distance, 1.0)
+        roll[:, 0], roll[:, 1] = distance * teeth / (teeth + teeth_to), teeth_to / teeth
+        roll[:, 2] = 2.0 * np.pi * np.abs(roll[:, 0]) / abs(teeth)
+        return roll, line / np.where(distance > 0.0, distance, 1.0)
     if table.type == "rack":
-        found[:, 0] = -(between * np.cross(n, world["m"], axis=0)).sum(axis=0)
+        roll[:, 0] = -(between * np.cross(n, world["m"], axis=0)).sum(axis=0)
     elif table.type == "screw":
-        found[:, 0] = -(table.lead or 0.0) / (2.0 * np.pi)
-    found[:, 2] = 2.0 * np.pi * np.abs(found[:, 0])
-    return found, world["e"]
+        roll[:, 0] = -(table.lead or 0.0) / (2.0 * np.pi)
+    roll[:, 2] = 2.0 * np.pi * np.abs(roll[:, 0])
+    return roll, world["e"]
 
 
 def wrong_place(system: System, number: int, ends: Ends) -> Problem | None:
@@ -163,10 +163,10 @@ def in_hosts(ends: Ends, merging: Merging) -> Ends:
     """The same joints between the bodies that carry theirs."""
 
     def carried(bodies: Ints, name: str, vectors: Floats) -> Floats:
-        inside, found = bodies != WORLD, vectors.copy()
+        inside, turned = bodies != WORLD, vectors.copy()
         if name not in ("x", "y", "z"):
-            found[inside] = merging.in_hosts(bodies[inside], vectors[inside], name == "at")
-        return found
+            turned[inside] = merging.in_hosts(bodies[inside], vectors[inside], name == "at")
+        return turned
 
     def host(bodies: Ints) -> Ints:
         return np.where(bodies == WORLD, WORLD, merging.host[bodies])
@@ -200,8 +200,8 @@ def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: 
 def unique(names: list[str]) -> tuple[str, ...]:
     """The names, those that were there before with a number behind them."""
     seen: dict[str, int] = {}
-    found = []
+    numbered = []
     for name in names:
         seen[name] = seen.get(name, 0) + 1
-        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    return tuple(found)
+        numbered.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return tuple(numbered)

@@ -96,9 +96,9 @@ class AtomicFile:
 
     def read(self, size: int) -> bytes:
         """Bytes from the place on."""
-        found = bytearray(size)
-        self.readinto(found)
-        return bytes(found)
+        content = bytearray(size)
+        self.readinto(content)
+        return bytes(content)
 
     def readinto(self, target: Any) -> int:
         """Fill a buffer from the place on, behind the end with zeros."""
@@ -242,14 +242,14 @@ def to_read(path: Path) -> Path | AtomicFile:
     left to that one.
     """
     source = path.open("rb")
-    found = AtomicFile(source, path)
+    file = AtomicFile(source, path)
     try:
-        if not found.is_in_place():
+        if not file.is_in_place():
             finish(path)
     except InUseError:
         pass
     except OSError:
-        return found
+        return file
     source.close()
     return path
 

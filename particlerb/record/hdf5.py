@@ -121,14 +121,14 @@ def header_attribute(place: Any, name: str, kinds: str) -> Any:
     """
     if not h5a.exists(place.id, name.encode()):
         raise KeyError(f"{name} is missing")
-    found = h5a.open(place.id, name.encode())
-    dtype = found.dtype
-    if dtype.kind not in kinds or dtype.hasobject or len(found.shape) > 1:
+    held = h5a.open(place.id, name.encode())
+    dtype = held.dtype
+    if dtype.kind not in kinds or dtype.hasobject or len(held.shape) > 1:
         raise ValueError(f"{name} has the type {dtype}")
-    if int(np.prod(found.shape)) * dtype.itemsize > _LARGEST_ATTRIBUTE:
+    if int(np.prod(held.shape)) * dtype.itemsize > _LARGEST_ATTRIBUTE:
         raise ValueError(f"{name} is too large")
-    values = np.empty(found.shape, dtype)
-    found.read(values)
+    values = np.empty(held.shape, dtype)
+    held.read(values)
     return values[()]
 
 

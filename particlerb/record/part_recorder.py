@@ -147,13 +147,13 @@ class PartRecorder:
         values = values_of(self.system, given)
         total = np.zeros(len(given.times), dtype=np.uint64)
         for (first, stop), recorder in self.own:
-            own = {
+            in_part = {
                 path: v[:, first - self.first : stop - self.first] if _is_of_bodies(path) else v
                 for path, v in values.items()
             }
-            shares = [v if _is_of_bodies(path) else _nothing(v) for path, v in own.items()]
+            shares = [v if _is_of_bodies(path) else _nothing(v) for path, v in in_part.items()]
             sums = frame_checksums(len(total), shares, first)
-            recorder.put(given, own, sums)
+            recorder.put(given, in_part, sums)
             total += sums
         return values, total
 

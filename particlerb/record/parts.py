@@ -70,21 +70,21 @@ def masters_of(folder: Path) -> list[Path]:
     """Files that have their parts in a folder: a master, and copies of it."""
     if not folder.is_dir():
         return []
-    beside = (own for own in sorted(folder.parent.iterdir()) if own.is_file() and is_hdf5(own))
-    found = ((own, _looked_up(own, parts_in)) for own in beside)
-    return [own for own, parts in found if parts and parts.folder == folder.name]
+    beside = (path for path in sorted(folder.parent.iterdir()) if path.is_file() and is_hdf5(path))
+    candidates = ((path, _looked_up(path, parts_in)) for path in beside)
+    return [path for path, parts in candidates if parts and parts.folder == folder.name]
 
 
 def parts_used_by(path: Path) -> list[Path]:
     """Parts of a file, those of them that are its alone; none where it has none."""
     parts = _looked_up(path, parts_in)
     each = zip(parts.names, parts.ranges, strict=True) if parts else ()
-    found = [(folder_beside(path) / name, of) for name, of in each]
-    own = [own for own, of in found if parts and _looked_up(own, range_in) == (of, parts.run)]
-    copies = [other for other in masters_of(own[0].parent) if other != path] if own else []
+    named = [(folder_beside(path) / name, of) for name, of in each]
+    used = [used for used, of in named if parts and _looked_up(used, range_in) == (of, parts.run)]
+    copies = [other for other in masters_of(used[0].parent) if other != path] if used else []
     if copies:
-        _LOG.warning("%s stays: %s has its parts there too", own[0].parent, copies[0])
-    return [] if copies else own
+        _LOG.warning("%s stays: %s has its parts there too", used[0].parent, copies[0])
+    return [] if copies else used
 
 
 def _looked_up(path: Path, what: Callable[[h5py.File], Found | None]) -> Found | None:
