@@ -151,10 +151,10 @@ def _output_path(options: argparse.Namespace, system: System) -> Path:
     """File of a run, which may be written."""
     source = system.source.path
     stem = source.stem if source else "run"
-    path = output_of(options, Path("output") / f"{stem}.h5", source)
-    if path.suffix.lower() in _OTHERS:
-        raise Ending(f"{path}: a trajectory is an HDF5 file, as {path.with_suffix('.h5')}")
-    return path
+    named = Path(options.output or stem)
+    if named.suffix.lower() in _OTHERS:
+        raise Ending(f"{named}: a trajectory is an HDF5 file, as {named.with_suffix('.h5')}")
+    return output_of(options, Path("output") / f"{stem}.h5", source)
 
 
 def _disk_warnings(system: System, path: Path, done: int = 0) -> list[str]:

@@ -121,6 +121,15 @@ def break_by_multipliers(
 
 
 @inline
+def may_break(breaks: Breaks, broken: Floats) -> bool:
+    """Whether a joint with a limit still holds."""
+    for j in range(broken.size):
+        if broken[j] == inf and min(breaks.force[j], breaks.torque[j]) < inf:
+            return True
+    return False
+
+
+@inline
 def let_go(work: Work, broken: Floats, t: float) -> bool:
     """Leave out what has broken by t, and forget what broke later; whether any held until now."""
     found = False

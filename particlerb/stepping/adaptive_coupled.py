@@ -37,7 +37,7 @@ from particlerb.integrators.joint_slopes import (
 )
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter_loads
-from particlerb.joints.breaking import break_by_multipliers, let_go
+from particlerb.joints.breaking import break_by_multipliers, let_go, may_break
 from particlerb.joints.records import Breaks, Jointed
 from particlerb.joints.trees import tree_of
 from particlerb.maths.vec3 import Floats
@@ -199,6 +199,8 @@ def _breaks_at(breaks: Breaks, bodies: _AllBodies, t: float, h: float, share: fl
 def _up_to_a_break(breaks: Breaks | None, bodies: _AllBodies, t: float, h: float) -> float:
     """Step that ends at the instant at which a joint breaks, if one does within h; or h."""
     if breaks is None:
+        return h
+    if not may_break(breaks, bodies.vectors.broken):
         return h
     common, before, after = bodies.vectors, 0.0, LEAST_STEP
     common.tried[0] = h

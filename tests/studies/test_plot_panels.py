@@ -177,8 +177,10 @@ def rods(make, at):
               rod | {"name": "lower", "position": [0, 0, -1.5], "angular_velocity": [0, 3.0, 0],
                      "velocity": [-1.5, 0, 0]}]  # fmt: skip
     hinge = {"type": "hinge", "axis": [0, 1, 0]}
-    joint = [hinge | {"body": "upper", "at": [0, 0, 0]},
-             hinge | {"body": "lower", "to": "upper", "at": at, "at_to": [0, 0, -1.0]}]  # fmt: skip
+    joint = [
+        hinge | {"body": "upper", "at": [0, 0, 0]},
+        hinge | {"body": "lower", "to": "upper", "at": at},
+    ]
     return make.case(*bodies, t_end=0.4, dt=0.05, joint=joint, gravity=GRAVITY)
 
 

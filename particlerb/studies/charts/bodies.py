@@ -200,17 +200,28 @@ def _without_shape(trajectory: Trajectory) -> Bools:
 def _joint_points(trajectory: Trajectory) -> list[Floats]:
     """Points of joints in each body, its frame from its centre of mass, from the first frame."""
     x, q = (trajectory.read(name, slice(0, 1))[0] for name in ("position", "orientation"))
+    turns = [rotation_matrix(own) for own in q]
     found: list[list[Floats]] = [[] for _ in range(trajectory.n_bodies)]
+
+    def placed(point: Any, b: int) -> Floats:
+        """A point of a body as a case gives it, world frame; none: its centre."""
+        local = point["body"] if isinstance(point, dict) else (0.0, 0.0, 0.0)
+        return np.array(point if isinstance(point, list) else x[b] + turns[b] @ local)
+
     for joint in trajectory.parameter("case_resolved")["joint"]:
         first, second = (_numbers(trajectory, joint[key]) for key in ("body", "to"))
-        at, at_to = joint["at"], joint["at_to"] or joint["at"]
         if joint["chain"]:
             first, second = first[1:], first[:-1]
-        for side, point in ((first, at), (second, at_to)):
-            for b in side if point is not None else []:
-                is_own = isinstance(point, dict)
-                place = point["body"] if is_own else rotation_matrix(q[b]).T @ (point - x[b])
-                found[b].append(np.array(place))
+        at, at_to = joint["at"], joint["at_to"]
+        has_own = at_to is not None or joint["type"] in ("distance", "gear")
+        for k, a in enumerate(first):
+            here = placed(at, a)
+            ends = [(a, here)]
+            if second:
+                b = second[k % len(second)]
+                ends.append((b, placed(at_to, b) if has_own else here))
+            for b, place in ends:
+                found[b].append(turns[b].T @ (place - x[b]))
     return [np.array(own).reshape(-1, 3) for own in found]
 
 
