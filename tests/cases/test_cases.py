@@ -31,7 +31,6 @@ MANY_STEPS = (
     "double_rod",
     "dominoes",
     "gimbals",
-    "governor",
     "granular_gas",
     "hundred_mechanisms",
     "incline",
@@ -48,7 +47,15 @@ MANY_STEPS = (
     "stack",
     "ten_thousand_clumps",
 )
-LONG_TO_COMPILE = {"bricks", "door", "four_bar", "ladder", "snapping_wire"}
+LONG_TO_COMPILE = {
+    "bricks",
+    "door",
+    "four_bar",
+    "governor",
+    "impulse_slope",
+    "ladder",
+    "snapping_wire",
+}
 LIGHTER = {  # 11 frames instead of 1001; tests run side by side, and threads would wait there
     "ten_thousand_clumps": ("run.every=1",),
     "hundred_mechanisms": ("run.threads=1",),
