@@ -200,10 +200,10 @@ def _up_to_a_break(breaks: Breaks | None, bodies: _AllBodies, t: float, h: float
     """Step that ends at the instant at which a joint breaks, if one does within h; or h."""
     if breaks is None:
         return h
-    if not may_break(breaks, bodies.vectors.broken):
-        return h
     common, before, after = bodies.vectors, 0.0, LEAST_STEP
     common.tried[0] = h
+    if not may_break(breaks, common.broken):
+        return h
     _take_last_stages(bodies, t, h)
     for k in range(1, _LOOKS + 1):
         if _breaks_at(breaks, bodies, t, h, after):
