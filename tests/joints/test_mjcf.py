@@ -109,9 +109,9 @@ def test_loops_are_closed_by_equalities(name, n_equalities):
 
 
 def on_wheels(kind):
-    """Weights out of balance on two gears, a weight that pulls a rack, and a nut on a screw."""
+    """Weights out of balance on two gears, a weight that pulls a rack, a nut beside its screw."""
     if kind == "screw":
-        nut = body("nut", 2, [0.2, 0.2, 0.3], [0, 0, 1])
+        nut = body("nut", 2, [0.2, 0.2, 0.3], [0.1, 0, 1])
         return case([nut], [joint("screw", "nut", None, [0, 0, 1], Z, lead=1.2)])
     first = body("a", 1, [0.1, 0.1, 0.2], [0.2, 0, 0])
     hinge = joint("hinge", "a", None, [0, 0, 0], Y)
