@@ -152,7 +152,7 @@ def _output_path(options: argparse.Namespace, system: System) -> Path:
     source = system.source.path
     stem = source.stem if source else "run"
     named = Path(options.output or stem)
-    if named.suffix.lower() in _OTHERS:
+    if named != source and named.suffix.lower() in _OTHERS:
         raise Ending(f"{named}: a trajectory is an HDF5 file, as {named.with_suffix('.h5')}")
     return output_of(options, Path("output") / f"{stem}.h5", source)
 

@@ -179,7 +179,7 @@ def test_the_page_on_a_phone(cube):
         cube.until(lambda: cube.serving.session.n_pushes > before, "pushed from the phone")
         clients = cube.serving.server.get_clients().values()
         phone = next(one for one in clients if one.camera.aspect < 0.6)
-        assert phone.camera.look_at[2] < 0.0  # so that the scene lies above the fields
+        cube.until(lambda: phone.camera.look_at[2] < 0.0, "the scene above the fields")
         picture_of(page, "view_phone")
     finally:
         page.close()
