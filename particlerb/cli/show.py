@@ -37,9 +37,9 @@ def info_command(options: argparse.Namespace) -> int:
         print(json.dumps({**facts, **texts, **verified}))
         return DONE if is_whole else FAILED
     print(_lines_of(facts))
-    for name, value in texts.items():
-        words = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-        print(f"\n{name}\n{tamed(_shortened(words.rstrip())) or '(none)'}")
+    for name in ("plan", "case"):
+        print(f"\n{name}\n{tamed(_shortened(str(texts[name]).rstrip())) or '(none)'}")
+    print("\n--json has all values of the case, defaults included")
     if options.verify:
         lines = (f"  {'ok' if f.is_whole else 'NOT OK':<7}{f.what:<15}{f.words}" for f in findings)
         print("\nverified", *map(tamed, lines), sep="\n")
@@ -48,8 +48,9 @@ def info_command(options: argparse.Namespace) -> int:
 
 
 def _lines_of(facts: dict[str, Any]) -> str:
-    """Facts in lines."""
-    return "\n".join(f"{name:<13} {tamed(_text_of(name, value))}" for name, value in facts.items())
+    """Facts in lines; nothing of what is empty."""
+    texts = {name: tamed(_text_of(name, value)) for name, value in facts.items()}
+    return "\n".join(f"{name:<13} {text}" for name, text in texts.items() if text)
 
 
 def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
@@ -89,6 +90,8 @@ def _text_of(name: str, value: Any) -> str:
     """A fact in words."""
     if name == "size":
         return amount(value)
+    if name == "time":
+        return " to ".join(f"{t:.10g}" for t in value) + " s" * bool(value)
     if isinstance(value, dict):
         return ", ".join(f"{name} {entry}" for name, entry in value.items())
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
