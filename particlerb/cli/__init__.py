@@ -33,9 +33,24 @@ exit codes: 0 done, 1 the run failed, 2 wrong usage or case, 3 a [check] was mis
 """
 
 
+def _listed(command: str) -> str:
+    """Where it says what a command takes."""
+    return f"`{command} --help` lists what it takes"
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong, and where it says what would be right."""
+        command = self.prog.removeprefix("python -m particlerb").strip()
+        told = message.removeprefix("argument ").removeprefix("the following arguments are ")
+        raise Ending(f"{command}: {told}; {_listed(command)}")
+
+
 def parser() -> argparse.ArgumentParser:
     """All commands and their options."""
-    top = argparse.ArgumentParser(
+    top = _Parser(
         prog="python -m particlerb",
         description="Many rigid bodies built from mass particles.",
         epilog=_EPILOG,
@@ -55,13 +70,13 @@ def parser() -> argparse.ArgumentParser:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
-    words = list(sys.argv[1:] if words is None else words)
+    words = list(sys.argv[1:] if words is None else words) or ["--help"]
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks Σ shows ? and goes on
             stream.reconfigure(errors="replace")
     top = parser()
     try:
-        if words and words[0] not in (*COMMANDS, "-h", "--help", "--version"):
+        if words[0] not in (*COMMANDS, "-h", "--help", "--version"):
             if not words[0].startswith("-"):
                 from particlerb.cli.common import find_case
 
@@ -101,11 +116,7 @@ def _parsed(top: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Name
         word = beyond[0].partition("=")[0]
         known = re.findall(r"--[a-z-]+", options.options_text())
         near = difflib.get_close_matches(word, known, 1, 0.75) if word.startswith("-") else []
-        hint = (
-            f"did you mean {near[0]}?"
-            if near
-            else f"`{options.command} --help` lists what it takes"
-        )
+        hint = f"did you mean {near[0]}?" if near else _listed(options.command)
         raise Ending(f"{options.command} does not take {beyond[0]}; {hint}")
     return options
 

@@ -247,9 +247,9 @@ def test_set_and_threads_change_the_case(here, capsys):
     with h5py.File("output/cube.h5") as file:
         assert len(file["particles/trajectory/time"]) == 3
     capsys.readouterr()
-    with pytest.raises(SystemExit, match="2"):
-        main(["check", "cube.toml", "--threads", "0"])
-    assert "argument --threads: must be a whole number, 1 or more, got 0" in capsys.readouterr().err
+    assert main(["check", "cube.toml", "--threads", "0"]) == 2
+    must = "check: --threads: must be a whole number, 1 or more, got 0; `check --help` lists what"
+    assert capsys.readouterr().err == f"particlerb: {must} it takes\n"
 
 
 def test_check_prints_the_plan_and_writes_nothing(here, capsys):
@@ -466,9 +466,20 @@ def test_common_mistakes_are_told_what_would_be_right(here, capsys, words, messa
 
 @pytest.mark.parametrize("number", ["x", "0", "1.5"])
 def test_a_number_of_threads_is_whole(here, capsys, number):
-    with pytest.raises(SystemExit):
-        main(["run", "cube.toml", "--threads", number])
+    assert main(["run", "cube.toml", "--threads", number]) == 2
     assert f"must be a whole number, 1 or more, got {number}" in capsys.readouterr().err
+
+
+def test_no_word_at_all_shows_the_commands(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main([])
+    assert "run a case into an HDF5 file" in capsys.readouterr().out
+
+
+def test_what_is_missing_is_said_in_one_line(capsys):
+    assert main(["plot"]) == 2
+    expected = "particlerb: plot: required: FILE; `plot --help` lists what it takes\n"
+    assert capsys.readouterr().err == expected
 
 
 def test_an_unknown_option_is_exit_code_2():

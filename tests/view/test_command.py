@@ -182,11 +182,7 @@ def test_a_session_without_changes_is_not_saved(monkeypatch, tmp_path):
     ],
 )
 def test_wrong_use_is_said_in_one_message(served, capsys, arguments, message):
-    try:
-        code = main(["view", *arguments])
-    except SystemExit as end:
-        code = end.code
-    assert code == 2
+    assert main(["view", *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not served
 
