@@ -25,7 +25,7 @@ BUDGETS = {
     "scenes and simulations in Python": 610,
     "sweeps": 1561,
     "one scene over ranks": 1923,
-    "reports, pictures, the page": 1162,
+    "reports, pictures, the page": 1170,
     "scenes for other programs": 432,
     "speed of compiling and of whole calls": 708,
     "watches": 30,

@@ -200,6 +200,19 @@ def test_a_linkage_is_drawn_by_its_joints(make, monkeypatch, at):
     assert np.ptp(ends[:, 1], axis=0).max() > 0.1
 
 
+def test_a_rod_of_a_pendulum_is_a_line_from_its_pivot(make, monkeypatch):
+    bob = make.body(position=[-1.0, 0.0, 0.0])
+    rod = {"type": "distance", "body": "body", "at_to": [0.0, 0.0, 0.0]}
+    case = make.case(bob, t_end=0.4, dt=0.05, joint=[rod], gravity=GRAVITY)
+    figure, trajectory = drawn(case, monkeypatch)
+    lines = [line.get_xydata() for line in figure.axes[0].lines]
+    (path,) = [line for line in lines if len(line) == trajectory.n_frames]
+    rods = np.array([line for line in lines if len(line) == 2 and (line[0] != line[1]).any()])
+    assert len(rods) == 4
+    assert np.allclose(rods[:, 1], 0.0, rtol=0, atol=1e-12)
+    assert np.allclose(rods[-1, 0], path[-1], rtol=0, atol=1e-12)
+
+
 def test_the_axis_of_a_flip_turns_over(make, monkeypatch):
     figure, _ = drawn(flip(make), monkeypatch)
     (line,) = panel(figure, "angle of the y axis of body").lines

@@ -1,6 +1,6 @@
 """Bodies as a picture shows them: paths, a side view, a linkage at instants, attitudes of one."""
 
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,15 +19,15 @@ _APART: Final = 1.25  # of attitudes, in diagonals of the body
 _FACES: Final = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 _CORNERS: Final = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3, indexing="ij"), -1).reshape(8, 3)
 BODY: Final = "#eceff2"
-
-
 _FLAT: Final = 0.05  # height over width of what is seen from above
+_WORLD: Final = -1  # in the place of a body
 _DEEP: Final = 0.4  # depth over width of what is seen at an angle
 _ANGLES: Final = np.radians((35.0, 22.0))  # of such a view: about the vertical, and from above
 _STILL: Final = 1e-3  # of the width, which bodies at rest would not move in the whole time
-_NARROW: Final = 0.1  # width over height of what has no room for numbers below
 FEW: Final = 12  # bodies at most whose paths are drawn
 KEYED: Final = 6  # bodies at most that have a colour each
+
+_End: TypeAlias = tuple[int, int, Floats]  # body, which of its points, place in the first frame
 
 
 def upright(trajectory: Trajectory) -> int:
@@ -80,14 +80,8 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
         _draw_outlines(axes, trajectory, frame, (across, up))
         for path in np.moveaxis(trajectory.read("position")[: frame + 1], 1, 0):
             axes.plot(*path[:, shown].T, color=COLOURS[1], lw=0.9, alpha=0.7)
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", adjustable="datalim")
     axes.autoscale_view()
-    width, height = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
-    if min(width, height) < _NARROW * max(width, height):
-        narrow, middle = (
-            (axes.xaxis, axes.get_xlim()) if width < height else (axes.yaxis, axes.get_ylim())
-        )
-        narrow.set_ticks([float(f"{np.mean(middle):.2g}")])
     words = "at rest" if is_still else f"blue: up to {speed.max():.3g} m/s"
     title = f"t = {trajectory.time[frame]:.4g} s; {words}"
     finish_panel(axes, title, xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")
@@ -111,12 +105,13 @@ def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
     """All bodies at some instants, the last in colour, with their joints and the paths of centres.
 
     A body that is only its moments is drawn as lines from its centre to its joints, any other as a
-    box around its particles.
+    box around its particles. What keeps a distance all the time is a line between its ends.
     """
     x = trajectory.read("position")
     frames = np.unique(np.linspace(0, trajectory.n_frames - 1, 4).astype(int)).tolist()
     edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))
-    points, is_bar = _joint_points(trajectory), _without_shape(trajectory)
+    points, distances = _joint_points(trajectory)
+    is_bar = _without_shape(trajectory)
     edges[is_bar & np.array([np.abs(own).max(initial=0.0) > 0.0 for own in points])] = 0.0
     boxes = _CORNERS * edges[:, None]
     attitudes = [
@@ -130,7 +125,9 @@ def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
 
     corners = np.stack([placed(boxes, k) for k in range(len(frames))])
     hinges = [placed(points, k) for k in range(len(frames))]
-    everywhere = np.concatenate([corners.reshape(-1, 3), *(p for row in hinges for p in row)])
+    fixed = [place[None] for ends in distances for b, _, place in ends if b == _WORLD]
+    joined = [p for row in hinges for p in row]
+    everywhere = np.concatenate([corners.reshape(-1, 3), *joined, *fixed])
     view, names = _view(trajectory, everywhere)
     for path in np.moveaxis(x @ view.T, 1, 0):
         axes.plot(*path[:, :2].T, color=COLOURS[1], lw=0.9, alpha=0.7, zorder=1.0)
@@ -145,8 +142,12 @@ def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
             for end in own @ view.T:
                 axes.plot(*zip(com[:2], end[:2], strict=True), lw=2.2 if is_last else 1.2, **line)
                 axes.plot(*end[:2], "o", ms=4, mfc="white", **line)
+        for ends in distances:
+            places = [place if b == _WORLD else hinges[k][b][n] for b, n, place in ends]
+            shown = np.array(places) @ view.T
+            axes.plot(*shown.T[:2], "-o", ms=4, mfc="white", lw=2.2 if is_last else 1.2, **line)
     axes.update_datalim((everywhere @ view.T)[:, :2])
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", adjustable="datalim")
     axes.autoscale_view()
     times = ", ".join(f"{trajectory.time[frame]:.3g}" for frame in frames)
     title = f"t = {times} s (blue); orange: paths of centres"
@@ -197,11 +198,12 @@ def _without_shape(trajectory: Trajectory) -> Bools:
     return found
 
 
-def _joint_points(trajectory: Trajectory) -> list[Floats]:
-    """Points of joints in each body, its frame from its centre of mass, from the first frame."""
+def _joint_points(trajectory: Trajectory) -> tuple[list[Floats], list[list[_End]]]:
+    """Points of joints in each body, its frame from its centre of mass, and ends of distances."""
     x, q = (trajectory.read(name, slice(0, 1))[0] for name in ("position", "orientation"))
     turns = [rotation_matrix(own) for own in q]
     found: list[list[Floats]] = [[] for _ in range(trajectory.n_bodies)]
+    distances: list[list[_End]] = []
 
     def placed(point: Any, b: int) -> Floats:
         """A point of a body as a case gives it, world frame; none: its centre."""
@@ -220,9 +222,14 @@ def _joint_points(trajectory: Trajectory) -> list[Floats]:
             if second:
                 b = second[k % len(second)]
                 ends.append((b, placed(at_to, b) if has_own else here))
+            elif isinstance(at_to, list):
+                ends.append((_WORLD, np.array(at_to)))
             for b, place in ends:
-                found[b].append(turns[b].T @ (place - x[b]))
-    return [np.array(own).reshape(-1, 3) for own in found]
+                if b != _WORLD:
+                    found[b].append(turns[b].T @ (place - x[b]))
+            if joint["type"] == "distance" and not (joint["breaks_at"] or joint["during"]):
+                distances.append([(b, len(found[b]) - 1, place) for b, place in ends])
+    return [np.array(own).reshape(-1, 3) for own in found], distances
 
 
 def _view(trajectory: Trajectory, points: Floats) -> tuple[Floats, tuple[str, str]]:
