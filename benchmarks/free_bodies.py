@@ -31,6 +31,7 @@ import particlerb
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.compiled.jit import compile_with, kernel
+from particlerb.compiled.plain import all_compiled
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import rows4
 from particlerb.rotors.exact import (
@@ -255,12 +256,14 @@ def main() -> None:
     parser.add_argument("--calls", action="store_true", help="whole calls alone")
     options = parser.parse_args()
     if options.calls:
-        figures = calls()
+        with all_compiled():
+            figures = calls()
         if options.record:
             record("calls", figures)
         return
     brick()
-    figures = [figure for n in options.bodies for figure in speed(n)]
+    with all_compiled():
+        figures = [figure for n in options.bodies for figure in speed(n)]
     figures += accuracy()
     if options.record:
         record("free", figures)

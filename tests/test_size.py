@@ -27,7 +27,7 @@ BUDGETS = {
     "one scene over ranks": 1923,
     "reports, pictures, the page": 1170,
     "scenes for other programs": 432,
-    "speed of compiling and of whole calls": 708,
+    "speed of compiling and of whole calls": 850,
     "watches": 30,
     "beside all these": 178,
 }

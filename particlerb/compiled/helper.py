@@ -28,6 +28,18 @@ Keep: TypeAlias = Callable[[Any], None] | None
 _ONLY_COPIED: Final = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
+class _UnfusedCode(codegen.JITCodeLibrary):
+    """Code in which each operation is rounded by itself, as in Python, helpers included."""
+
+    def _optimize_final_module(self) -> None:
+        """Take back that a b + c may be rounded once, then optimise."""
+        code: Any = self
+        lines = str(code._final_module).split("\n")  # of texts, which begin with @, nothing
+        unfused = (one if one.startswith("@") else one.replace(" contract", "") for one in lines)
+        code._final_module = binding.parse_assembly("\n".join(unfused))
+        cast(Any, super())._optimize_final_module()
+
+
 class _CopiedCode(codegen.JITCodeLibrary):
     """Code of a helper with that of the helpers that it calls, for those that link it."""
 
@@ -45,6 +57,10 @@ class _CopiedCode(codegen.JITCodeLibrary):
         """What is kept on disk: there is no object."""
         code: Any = self
         return self.name, code._get_module_for_linking().as_bitcode()
+
+
+class _UnfusedCopiedCode(_UnfusedCode, _CopiedCode):
+    """Both."""
 
 
 class KeptCode(caching.CompileResultCacheImpl):
@@ -74,13 +90,31 @@ class KeptCode(caching.CompileResultCacheImpl):
         )
 
 
-class _Copying(compiler.CompilerBase):
-    """What Numba's compiler does, but for machine code; comes before that compiler."""
+class _Copying(Compiler):
+    """The compiler without its last step, to machine code."""
+
+    code: type[codegen.JITCodeLibrary] = _CopiedCode
 
     def _compile_bytecode(self) -> Any:
-        numbas, library, state = cast(Any, super()), cast(Any, _CopiedCode), self.state
+        numbas, library, state = cast(Any, super()), cast(Any, self.code), self.state
         state.flags.no_compile = True
         state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
+        return numbas._compile_bytecode()
+
+
+class _UnfusedCopying(_Copying):
+    """The same for code in which each operation is rounded by itself."""
+
+    code = _UnfusedCopiedCode
+
+
+class UnfusedCompiler(Compiler):
+    """The compiler for kernels in which each operation is rounded by itself."""
+
+    def _compile_bytecode(self) -> Any:
+        numbas, library, state = cast(Any, super()), cast(Any, _UnfusedCode), self.state
+        state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
         return numbas._compile_bytecode()
 
 
@@ -109,10 +143,19 @@ class Helper(registry.CPUDispatcher):
         Compile a function that is called from Python.
     keep : callable or None
         Lets the code of a helper be kept on disk, when it is first needed.
+    is_fused : bool
+        Whether a b + c may be rounded once.
     """
 
-    def __init__(self, function: Function, options: Options, compiled: Compile, keep: Keep) -> None:
-        stops_early = type("_CopyingCompiler", (_Copying, Compiler), {})
+    def __init__(
+        self,
+        function: Function,
+        options: Options,
+        compiled: Compile,
+        keep: Keep,
+        is_fused: bool = True,
+    ) -> None:
+        stops_early = _Copying if is_fused else _UnfusedCopying
         super().__init__(function, {}, {**options, **_ONLY_COPIED}, stops_early)
         self.compiled, self.keep = compiled, keep
 
@@ -156,11 +199,13 @@ class Kernel(registry.CPUDispatcher):
         Make a helper of the function.
     """
 
+    compiler: type[Compiler] = Compiler
+
     def __init__(
         self, function: Function, options: Options, copied: Callable[[Function], Function]
     ) -> None:
         called = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
-        super().__init__(function, {}, {**options, **called}, Compiler)
+        super().__init__(function, {}, {**options, **called}, self.compiler)
         self.make_copied = copied
 
     def compile(self, signature: Any) -> Any:

@@ -32,6 +32,8 @@ def instruction(plain: _Plain) -> Callable[[Callable[..., Any]], _Plain]:
 
         typed.__signature__ = inspect.signature(build)  # type: ignore[attr-defined]
         typed.__name__, typed.__doc__ = build.__name__, build.__doc__
-        return intrinsic(typed)
+        made: Any = intrinsic(typed)
+        made.py_func = plain
+        return made
 
     return decorate

@@ -1,9 +1,10 @@
 """The only caller of Numba's compiler: two decorators and the place of the disk cache.
 
 `inline` is for helpers of scalars and tuples, which have no code of their own (see `helper`),
-`kernel` for loops over bodies; kernels run without the interpreter's lock, so that `threads` can
-spread them. A kernel that only others call is compiled as they are, once, with no entry for Python.
-Both are kept on disk. `splice` is for a function that does no more than call others: it is copied
+`kernel` for loops over bodies, `unfused_kernel` for those that Python may run too (see `plain`).
+Kernels run without the interpreter's lock, so that `threads` can spread them. One that only others
+call is compiled as they are, once, with no entry for Python. Both are kept on disk.
+`splice` is for a function that does no more than call others: it is copied
 into its callers, and not compiled by itself.
 Numba's cache does not notice an edit in another file, nor a changed NUMBA_* flag; so the cache
 folder has a hash of all of it in its name. Nor does it notice that a file was cut or changed, or
@@ -33,6 +34,7 @@ from numba.core.event import install_timer
 
 from particlerb.compiled.helper import Helper, KeptCode, Kernel
 from particlerb.compiled.lowering import Compiler
+from particlerb.compiled.plain import UnfusedKernel
 
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -198,6 +200,11 @@ class _KernelCache(caching.FunctionCache):
             _LOG.info("compiling %s ...", WHEN_COMPILING.pop())
         return None
 
+    def has(self, signature: Any, context: Any) -> bool:
+        """Whether the compiled code of a signature is kept."""
+        files: Any = self
+        return files._index_key(signature, context.codegen()) in self._cache_file._load_index()
+
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep the compiled code of a signature, if that can be."""
         try:
@@ -244,7 +251,7 @@ def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Fu
     return decorate
 
 
-def _helper(**options: Any) -> Callable[[Function], Function]:
+def _helper(is_fused: bool = True, **options: Any) -> Callable[[Function], Function]:
     """Return a decorator for functions that are copied into their callers."""
 
     def decorate(function: Function) -> Function:
@@ -252,22 +259,34 @@ def _helper(**options: Any) -> Callable[[Function], Function]:
             return function
         is_ours = Path(function.__code__.co_filename).is_relative_to(_PACKAGE)
         kept = keep if is_ours else None  # the name of the folder covers no other text
-        return cast(Function, Helper(function, _FLAGS | options, compile_with(**options), kept))
+        made = Helper(function, _FLAGS | options, compile_with(**options), kept, is_fused)
+        return cast(Function, made)
 
     return decorate
 
 
 inline = _helper(forceinline=True)
+unfused_inline = _helper(is_fused=False, forceinline=True)
 splice = compile_with(inline="always")
+
+
+def _kernel(made: type[Kernel], function: Function) -> Function:
+    """A kernel of a class, kept on disk."""
+    if CACHE_FOLDER is None:
+        return function
+    dispatcher = made(function, _FLAGS, _helper())
+    keep(dispatcher)
+    return cast(Function, dispatcher)
 
 
 def kernel(function: Function) -> Function:
     """A function that Python calls, or that kernels have once, and call."""
-    if CACHE_FOLDER is None:
-        return function
-    dispatcher = Kernel(function, _FLAGS, _helper())
-    keep(dispatcher)
-    return cast(Function, dispatcher)
+    return _kernel(Kernel, function)
+
+
+def unfused_kernel(function: Function) -> Function:
+    """A kernel that rounds each operation by itself, as Python does, which may run it: `plain`."""
+    return _kernel(UnfusedKernel, function)
 
 
 def kernel_from(template: Function, name: str, **names: Any) -> Function:
@@ -314,9 +333,3 @@ def for_types_of(function: Function, *arguments: Any) -> Function:
     dispatcher, signature = cast(Any, function), tuple(map(numba.typeof, arguments))
     dispatcher.compile(signature)
     return cast(Function, dispatcher.overloads[signature].entry_point)
-
-
-def in_python(function: Function, **names: Any) -> Function:
-    """A function, compiled or not, as Python whose globals of these names are to be others."""
-    plain = getattr(function, "py_func", function)
-    return cast(Function, FunctionType(plain.__code__, plain.__globals__ | names, plain.__name__))

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb.compiled.jit import config, inline, kernel
+from particlerb.compiled.jit import config, inline, unfused_kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.geometry.particles import Particles, check, refuse
 from particlerb.maths.vec3 import Bools, Floats, Ints, add_scaled, dot
@@ -38,6 +38,7 @@ X: Final = _ROWS  # rows of the group at hand: r, mass, radius
 _BUFFER: Final = (_ROWS + 5) * _LANES
 
 _unsigned: Any = int if config.DISABLE_JIT else np.uint64
+IN_PYTHON: Final = {"_unsigned": int}
 
 
 class _Sums(NamedTuple):
@@ -100,7 +101,7 @@ def _sampled(lo: int, n: int, s: int) -> int:
     return lo + int(n * ((s * _GOLDEN) % 1.0))
 
 
-@kernel
+@unfused_kernel
 def _guess(
     place: Floats, mass: Floats, radius: Floats, offset: Ints, origin: Floats, exponent: Ints
 ) -> None:
@@ -212,7 +213,7 @@ def _add_group(lanes: Floats) -> None:
         put(lanes, 10, lane, 0.4 * m * r * r)
 
 
-@kernel
+@unfused_kernel
 def _sum_chunks(
     place: Floats,
     mass: Floats,
@@ -264,7 +265,7 @@ def _sum_chunks(
             rows[c, row] = value
 
 
-@kernel
+@unfused_kernel
 def join(
     chunks: Ints, rows: Floats, origin: Floats, exponent: Ints, moments: Floats, again: Bools
 ) -> None:

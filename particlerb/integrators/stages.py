@@ -10,7 +10,8 @@ from functools import partial
 from typing import Any, Final, NamedTuple, TypeVar
 
 from particlerb.compiled.barrier import Team, meet, share_of
-from particlerb.compiled.jit import Flag, in_python, inline, kernel, splice
+from particlerb.compiled.jit import Flag, inline, kernel, splice
+from particlerb.compiled.plain import in_python
 from particlerb.compiled.threads import THREADS
 from particlerb.contact.contact_model import LEAPFROG, NOW, Instant, LoadTimes, MovingContact
 from particlerb.forces.kernels import Acting, load_at, prepare_kick, set_time

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import lengths
@@ -61,7 +61,7 @@ def _square(v: Floats) -> float:
     return value
 
 
-@kernel
+@unfused_kernel
 def _enter(
     sums: Floats,
     booked: Floats,

@@ -34,6 +34,7 @@ LOADS: Final = 56  # from here on the parameters of the terms
 
 
 unsigned: Any = int if config.DISABLE_JIT else np.uint64
+IN_PYTHON: Final = {"unsigned": int}
 
 
 @inline

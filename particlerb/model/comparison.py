@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.maths.quaternion import Quat, conjugate, multiply, to_world
 from particlerb.maths.vec3 import Floats, Ints, cross, dot
 from particlerb.model.bodies import Bodies
@@ -29,7 +29,7 @@ def _angle_between(code: int, frame: Quat, a: Quat, b: Quat) -> float:
     return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
-@kernel
+@unfused_kernel
 def compare(
     rotor_class: Ints, rotor_frame: Floats, x: Floats, q: Floats, y: Floats, r: Floats,
     angle: Floats, distance: Floats,

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import inline, unfused_inline, unfused_kernel
 from particlerb.maths.double_double import exact_difference
 from particlerb.maths.quaternion import Rows4, conjugate, load4, multiply, rows4, store4
 from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3, load3, rows3
@@ -73,7 +73,7 @@ def state_in(frames: Frames, row: int, index: Ints, bodies: Bodies) -> State:
     return State(x, quaternion_product(q, bodies.rotor_frame), p, L)
 
 
-@inline
+@unfused_inline
 def store_frame(
     frames: Frames,
     f: int,
@@ -116,7 +116,7 @@ def store_state(frames: Frames, f: int, index: Ints, rotor_frame: Floats, state:
     _store_all(frames.rows(slice(f, f + 1)), index, rotor_frame, state)
 
 
-@kernel
+@unfused_kernel
 def _store_all(frames: Frames, index: Ints, rotor_frame: Floats, state: State) -> None:
     """Write all bodies into the first frame."""
     n, (com, q, p, L) = index.size, state

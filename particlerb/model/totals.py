@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.maths.quaternion import Rows4, load4, rows4, to_body
 from particlerb.maths.vec3 import (
@@ -163,7 +163,7 @@ def sum_block(of: BlockRows, g: Vec3, bins: Ints | None, k: int, sums: Floats, o
         _add_to_bins(of.p, out, bins[k * BLOCK : k * BLOCK + of.mass.size], sums)
 
 
-@kernel
+@unfused_kernel
 def _sum_blocks(
     frames: Frames,
     bodies: Bodies,

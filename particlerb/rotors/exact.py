@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from particlerb.compiled.jit import compile_with, inline, kernel
+from particlerb.compiled.jit import compile_with, inline, unfused_kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, load4, multiply, rows4, store4
 from particlerb.maths.trig import cos_sin_half_turns
@@ -172,7 +172,7 @@ def turn_block(
         _hyperbolic_rows(hyperbolic, t, lo, hi, q)
 
 
-@kernel
+@unfused_kernel
 def turn_all(
     steady: SteadyTurn | None,
     theta: ThetaTurn | None,

@@ -9,12 +9,12 @@ the range of doubles; `unit` is (1 / unit of I, 1 / unit of L) of each body.
 """
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from particlerb.compiled.jit import compile_with, config, inline, kernel
+from particlerb.compiled.jit import compile_with, config, inline, unfused_kernel
 from particlerb.maths import double_double as dd
 from particlerb.maths.quaternion import Quat, Rows4, conjugate, load4, multiply, store4
 from particlerb.maths.trig import scale_of
@@ -33,6 +33,7 @@ from particlerb.rotors.theta import (
 )
 
 _BLOCK = 1 if config.DISABLE_JIT else 32
+IN_PYTHON: Final = {"_BLOCK": 1}
 _SMALLEST = 1e-290
 _INPUTS = 14  # rows: I (3), q (4), L in the rotor frame (6), rate
 MOMENTUM_ROWS = 6  # L in the rotor frame in 32 digits: high and low of each component
@@ -85,7 +86,7 @@ def _unit(vectors: Floats, b: int) -> float:
     return scale_of(max(abs(vectors[0, b]), abs(vectors[1, b]), abs(vectors[2, b]), _SMALLEST))
 
 
-@kernel
+@unfused_kernel
 def moduli(
     bodies: Tumblers, L: Floats, which: Ints, crossover: float, out: Floats
 ) -> tuple[int, int]:
@@ -123,7 +124,7 @@ def moduli(
     return n_turning, n_theta
 
 
-@kernel
+@unfused_kernel
 def _fill(bodies: Tumblers, which: Ints, lo: int, hi: int, s: Floats) -> None:
     """Copy bodies which[lo:hi] into the first rows of a scratch block; the last one fills it up."""
     inertia, q, momentum, units = bodies
@@ -138,7 +139,7 @@ def _fill(bodies: Tumblers, which: Ints, lo: int, hi: int, s: Floats) -> None:
         s[13, b] = units[0, j] / units[1, j]
 
 
-@kernel
+@unfused_kernel
 def _drain(s: Floats, lo: int, hi: int, table: Floats, frame: Bytes) -> None:
     """Copy the results of a block into their places."""
     for i in range(table.shape[0]):
@@ -204,7 +205,7 @@ def near_turn(
     return (time.start, time.rate * rate, time.nu * rate), left, body.frame, of
 
 
-@kernel
+@unfused_kernel
 def theta_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> None:
     """Constants of ThetaTurn: right, and in one table clock, left, series."""
     s = np.empty((_INPUTS + 4 + THETA_ROWS, _BLOCK))
@@ -223,7 +224,7 @@ def theta_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> N
         _drain(s, lo, hi, table, right)
 
 
-@kernel
+@unfused_kernel
 def near_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> None:
     """Constants of HyperbolicTurn: right, and in one table clock, left, scale, cosines, sines."""
     s = np.empty((_INPUTS + 4 + NEAR_ROWS, _BLOCK))
@@ -250,7 +251,7 @@ def near_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> No
         _drain(s, lo, hi, table, right)
 
 
-@kernel
+@unfused_kernel
 def steady_table(inv_inertia: Floats, q: Floats, L: Floats, which: Ints, table: Floats) -> None:
     """Constants of SteadyTurn: axis, clock, start."""
     for b in range(which.size):

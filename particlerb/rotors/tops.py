@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, conjugate, load4, multiply, rows4, to_body
 from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, load3, rows3
@@ -65,7 +65,7 @@ def _store(
         table[k, b] = value
 
 
-@kernel
+@unfused_kernel
 def _theta_table(
     omega: Floats, pull: Floats, q: Floats, stretch: Floats, table: Floats, modulus: Floats
 ) -> None:
@@ -85,7 +85,7 @@ def _theta_table(
         modulus[b] = of.kc * of.kc
 
 
-@kernel
+@unfused_kernel
 def _near_table(omega: Floats, pull: Floats, q: Floats, stretch: Floats, table: Floats) -> None:
     """Rows of NearTopTurn."""
     n = stretch.size

@@ -7,6 +7,7 @@ import numpy as np
 
 from particlerb.case.run import frame_count
 from particlerb.compiled.jit import compiling
+from particlerb.compiled.plain import all_compiled
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
@@ -32,7 +33,7 @@ def estimated_seconds(prepared: Prepared) -> float:
     """
     run, end = Run(prepared), prepared.system.run.t_end
     spent, reached, length = 0.0, 0.0, end * _FIRST_PIECE
-    with THREADS.using(prepared.system.run.threads):
+    with THREADS.using(prepared.system.run.threads), all_compiled():
         while reached < end:
             until = min(reached + length, end)
             times = _frames_between(prepared.system, reached, until)

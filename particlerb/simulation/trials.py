@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from particlerb.compiled.plain import all_compiled
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.impulse import apply_impulse
 from particlerb.integrators import METHODS
@@ -102,7 +103,8 @@ def states_at(part: BodySubset, times: Floats) -> tuple[Frames, _Books]:
 def seconds(part: BodySubset, t_end: float) -> float:
     """Time in kernels of a run to t_end with one frame, the set-up of the motion included [s]."""
     before = THREADS.busy
-    states_at(part, np.array([t_end]))
+    with all_compiled():
+        states_at(part, np.array([t_end]))
     return THREADS.busy - before
 
 

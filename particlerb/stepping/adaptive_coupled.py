@@ -11,7 +11,8 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb.compiled.jit import in_python, inline, kernel, kernel_from
+from particlerb.compiled.jit import inline, kernel, kernel_from
+from particlerb.compiled.plain import in_python
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import row_count, rows_of_terms
 from particlerb.forces.registry import STAGE

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import Flag, flag, inline, kernel
+from particlerb.compiled.jit import Flag, flag, inline, unfused_kernel
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import LINE
 from particlerb.forces.drag import Drag
@@ -150,7 +150,7 @@ def _move_block(
     translate(drag, spring, brake, drift, part.orbit, of, lo, t, given)
 
 
-@kernel
+@unfused_kernel
 def _fly_blocks(
     part: _Part,
     times: Floats,
@@ -193,7 +193,7 @@ def _fly_blocks(
                 sum_block(summed, g, bins, k, sums[f], room)
 
 
-@kernel
+@unfused_kernel
 def _end_blocks(part: _Part, t: float, end: State, given: Given | None) -> None:
     """State of the bodies of a part at one time; L only where it changes."""
     out, own = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, BLOCK))

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.forces.central import Central
 from particlerb.maths.quaternion import Quat
 from particlerb.maths.vec3 import Floats, add_scaled, cross, load3, rows3, scale, store3
@@ -103,7 +103,7 @@ def _anomaly(tau: float, r0: float, eta: float, mu: float, beta: float) -> float
     return s
 
 
-@kernel
+@unfused_kernel
 def _times_since(s: Floats, orbit: Orbit, since: Floats) -> None:
     """Times from the point from which an orbit is seen."""
     for b in range(s.size):

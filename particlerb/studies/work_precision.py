@@ -20,6 +20,7 @@ import numpy as np
 
 from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
+from particlerb.compiled.plain import all_compiled
 from particlerb.compiled.threads import THREADS
 from particlerb.integrators import JOINTED, UNJOINTED
 from particlerb.maths.vec3 import Floats, Ints
@@ -354,7 +355,8 @@ class Study:
         made = partial(Point, method, "", step or 0.0, has_step(method) and is_adaptive(method))
         before = THREADS.busy
         try:
-            frames, booked = states_at(own, self.times)
+            with all_compiled():
+                frames, booked = states_at(own, self.times)
         except MotionError as problem:
             error = Error(np.nan, np.nan, np.nan)
             return made(THREADS.busy - before, error, np.nan, np.nan, str(problem))

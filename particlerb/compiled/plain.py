@@ -1,0 +1,141 @@
+"""Kernels that Python runs itself where it has little to do: to compile them would take longer.
+
+In these kernels each operation is rounded by itself, compiled or not, so that Python gives the same
+bits, and the clock may decide: a process spends some seconds so at most, then it compiles. What has
+been compiled in a process, or is on disk and worth its loading, runs compiled. Where Python stops
+and compiled code would not, as at 1 / 0, the arrays are put back and the kernel is compiled.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import CodeType, FunctionType, ModuleType, SimpleNamespace
+from typing import Any, Final, TypeAlias, TypeVar, cast
+
+import numpy as np
+
+from particlerb.compiled.helper import Kernel, UnfusedCompiler
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+Array: TypeAlias = np.ndarray[Any, Any]
+
+BUDGET: Final = 2.5  # [s] of a process in Python: what some kernels take to be compiled
+_LONGEST: Final = 1.0  # [s] of one call
+_LOADING: Final = 0.02  # [s] that a kernel on disk takes to be loaded
+_RATE: Final = 1e-5  # [s] for a number of the arguments, before a kernel has run
+_PACKAGE: Final = __name__.partition(".")[0]
+_TWINS: Final[dict[FunctionType, FunctionType]] = {}
+
+
+class _Time:
+    """Time that this process may spend so."""
+
+    left = BUDGET  # [s]
+
+
+@contextmanager
+def all_compiled() -> Iterator[None]:
+    """Have every kernel compiled until the end of the block: for what measures time."""
+    before, _Time.left = _Time.left, 0.0
+    try:
+        yield
+    finally:
+        _Time.left = before
+
+
+# Functions in Python
+
+
+def in_python(function: Function, **names: Any) -> Function:
+    """A function, compiled or not, as Python whose globals of these names are to be others."""
+    plain: Any = getattr(function, "py_func", function)
+    values = plain.__globals__ | names
+    made = FunctionType(plain.__code__, values, plain.__name__, plain.__defaults__)
+    return cast(Function, made)
+
+
+def twin(function: Any) -> FunctionType:
+    """A compiled function as Python, with all that it calls.
+
+    A module whose names mean something else in Python says so in a dict IN_PYTHON.
+    """
+    plain: FunctionType = function.py_func
+    if plain not in _TWINS:
+        made = _TWINS[plain] = in_python(plain)  # before what it calls, which may be itself
+        names = set(_names(plain.__code__))
+        values = made.__globals__ | made.__globals__.get("IN_PYTHON", {})
+        found = {name: _twin_of(values[name], names) for name in names & values.keys()}
+        made.__globals__.update(found)
+    return _TWINS[plain]
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """Names of globals and attributes in a function."""
+    yield from code.co_names
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _names(inner)
+
+
+def _twin_of(value: Any, names: set[str]) -> Any:
+    """What a global is to be in Python."""
+    if isinstance(value, ModuleType) and value.__name__.partition(".")[0] == _PACKAGE:
+        used = {name: getattr(value, name) for name in names if hasattr(value, name)}
+        return SimpleNamespace(**{name: _twin_of(one, names) for name, one in used.items()})
+    return twin(value) if hasattr(value, "py_func") else value
+
+
+def _arrays(value: Any) -> Iterator[Array]:
+    """All arrays of arguments."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, tuple):
+        for one in value:
+            yield from _arrays(one)
+
+
+class UnfusedKernel(Kernel):
+    """A kernel in which each operation is rounded by itself."""
+
+    compiler = UnfusedCompiler
+    spent = 0.0  # [s] in Python so far, for
+    numbers = 0  # of the arguments
+
+    def _compile_for_args(self, *args: Any, **keys: Any) -> Any:
+        """What is called where nothing is compiled for arguments of these types."""
+        if not keys and self.is_quick(args):
+            return self.run_in_python
+        numbas: Any = super()
+        return numbas._compile_for_args(*args, **keys)
+
+    def is_quick(self, args: tuple[Any, ...]) -> bool:
+        """Whether Python may do this call."""
+        rate = self.spent / self.numbers if self.numbers else _RATE
+        expected = rate * sum(array.size for array in _arrays(args))
+        if expected > min(_Time.left, _LONGEST):
+            return False
+        return self.spent + expected < _LOADING or not self.is_kept(args)
+
+    def is_kept(self, args: tuple[Any, ...]) -> bool:
+        """Whether there is compiled code for arguments of these types on disk."""
+        cache, this = cast(Any, self)._cache, cast(Any, self)
+        has = getattr(cache, "has", None)
+        return has is not None and has(tuple(map(this.typeof_pyval, args)), this.targetctx)
+
+    def run_in_python(self, *args: Any) -> Any:
+        """Do a call in Python."""
+        before = [(array, array.copy()) for array in _arrays(args) if array.flags.writeable]
+        start = time.thread_time()
+        try:
+            with np.errstate(all="ignore"):
+                return twin(self)(*args)
+        except (ArithmeticError, ValueError):
+            for array, values in before:
+                array[...] = values
+            self.compile(tuple(map(cast(Any, self).typeof_pyval, args)))
+            return self(*args)
+        finally:
+            spent = time.thread_time() - start
+            self.spent += spent
+            self.numbers += sum(array.size for array in _arrays(args)) + 1
+            _Time.left -= spent

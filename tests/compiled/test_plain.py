@@ -1,0 +1,103 @@
+"""Kernels that Python may run: the same bits as compiled, and safe where Python would stop."""
+
+import hashlib
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import particlerb
+from particlerb.compiled.jit import config, inline, kernel, unfused_inline, unfused_kernel
+from particlerb.compiled.plain import all_compiled, twin
+from particlerb.maths import vec3
+
+pytestmark = [
+    pytest.mark.compiled,
+    pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled in plain Python"),
+]
+CASES = Path(__file__).parents[2] / "cases"
+CLOSED = ["tumbling_brick", "heavy_top"]
+CODE = """
+import json, particlerb
+from particlerb.compiled.jit import compiling
+from test_plain import bits_of
+with compiling() as spent:
+    found = [bits_of(name) for name in {names}]
+print(json.dumps([len(spent), found]))
+"""
+
+
+@inline
+def _dotted(x):
+    return vec3.dot(x, x) - x[0] * x[1]
+
+
+def _add_up(values, out):
+    for k in range(values.size - 2):
+        out[0] += _dotted((values[k], values[k + 1], values[k + 2]))
+    return out[0]
+
+
+_unfused = unfused_kernel(_add_up)
+
+
+@unfused_kernel
+def _divide(x, y, out):
+    for k in range(out.size):
+        out[k] += 1.0
+    return x / y + math.sqrt(y)
+
+
+@unfused_inline
+def _steady(x):
+    return vec3.dot(x, x)
+
+
+@kernel
+def _call_steady(values, out):
+    for k in range(out.size):
+        out[k] = _steady((values[k], values[k + 1], values[k + 2]))
+
+
+def bits_of(name):
+    """Hash of the motion of a case."""
+    with particlerb.run(CASES / f"{name}.toml") as t:
+        arrays = t.position, t.orientation, t.linear_momentum, t.angular_momentum
+        found = hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays))
+        found.update(t.ledger.kinetic_energy.tobytes() + t.ledger.work.tobytes())
+        return found.hexdigest()
+
+
+def test_helpers_in_unfused_kernels_are_rounded_as_in_python():
+    values, rooms = np.random.default_rng(3).normal(size=4000), np.zeros((2, 1))
+    with all_compiled():
+        found = _unfused(values, rooms[0])
+    assert found == twin(_unfused)(values, rooms[1])
+    assert "vfmadd" not in "".join(_unfused.inspect_asm().values())
+
+
+def test_an_unfused_helper_is_rounded_as_in_python_wherever_it_is_copied():
+    values, out = np.random.default_rng(4).normal(size=402), np.empty(400)
+    _call_steady(values, out)
+    rows = [values[k : k + 400] for k in range(3)]
+    assert (out == rows[0] * rows[0] + rows[1] * rows[1] + rows[2] * rows[2]).all()
+
+
+@pytest.mark.parametrize(("x", "y", "expected"), [(1.0, 0.0, math.inf), (1.0, -1.0, math.nan)])
+def test_what_python_refuses_is_compiled_and_done_once(x, y, expected):
+    out = np.zeros(3)
+    assert np.array_equal(_divide(x, y, out), expected, equal_nan=True)
+    assert (out == 1.0).all()
+
+
+def test_a_small_run_in_closed_form_compiles_nothing_and_has_the_bits_of_compiled_code(
+    make, tmp_path
+):
+    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+    code += CODE.format(names=CLOSED)
+    compiled, plain = json.loads(make.python(code, NUMBA_CACHE_DIR=str(tmp_path)))
+    assert compiled == 0
+    with all_compiled():
+        assert plain == [bits_of(name) for name in CLOSED]
