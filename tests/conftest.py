@@ -11,11 +11,14 @@ import hypothesis
 import numpy as np
 import pytest
 
+from particlerb.compiled import plain
+
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
 hypothesis.settings.register_profile("search", deadline=None, max_examples=1000)
 hypothesis.settings.load_profile("same")  # pytest --hypothesis-profile=search looks further
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+plain._Time.left = 0.0  # what is tested here is compiled, or plain Python throughout
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -259,7 +259,8 @@ def _helper(is_fused: bool = True, **options: Any) -> Callable[[Function], Funct
             return function
         is_ours = Path(function.__code__.co_filename).is_relative_to(_PACKAGE)
         kept = keep if is_ours else None  # the name of the folder covers no other text
-        made = Helper(function, _FLAGS | options, compile_with(**options), kept, is_fused)
+        alone = unfused_kernel if is_ours else compile_with(**options)
+        made = Helper(function, _FLAGS | options, alone, kept, is_fused)
         return cast(Function, made)
 
     return decorate

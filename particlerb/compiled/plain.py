@@ -14,6 +14,7 @@ from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import numpy as np
 
+from particlerb.compiled.function_set import FunctionSet
 from particlerb.compiled.helper import Kernel, UnfusedCompiler
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -85,13 +86,18 @@ def _twin_of(value: Any, names: set[str]) -> Any:
     return twin(value) if hasattr(value, "py_func") else value
 
 
+def _leaves(value: Any) -> Iterator[Any]:
+    """All that stands in tuples of arguments."""
+    if isinstance(value, tuple):
+        for one in value:
+            yield from _leaves(one)
+    else:
+        yield value
+
+
 def _arrays(value: Any) -> Iterator[Array]:
     """All arrays of arguments."""
-    if isinstance(value, np.ndarray):
-        yield value
-    elif isinstance(value, tuple):
-        for one in value:
-            yield from _arrays(one)
+    return (one for one in _leaves(value) if isinstance(one, np.ndarray))
 
 
 class UnfusedKernel(Kernel):
@@ -110,6 +116,8 @@ class UnfusedKernel(Kernel):
 
     def is_quick(self, args: tuple[Any, ...]) -> bool:
         """Whether Python may do this call."""
+        if any(isinstance(one, FunctionSet) for one in _leaves(args)):
+            return False
         rate = self.spent / self.numbers if self.numbers else _RATE
         expected = rate * sum(array.size for array in _arrays(args))
         if expected > min(_Time.left, _LONGEST):

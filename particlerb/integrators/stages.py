@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, Final, NamedTuple, TypeVar
 
 from particlerb.compiled.barrier import Team, meet, share_of
-from particlerb.compiled.jit import Flag, inline, kernel, splice
+from particlerb.compiled.jit import Flag, inline, kernel, splice, unfused_kernel
 from particlerb.compiled.plain import in_python
 from particlerb.compiled.threads import THREADS
 from particlerb.contact.contact_model import LEAPFROG, NOW, Instant, LoadTimes, MovingContact
@@ -301,7 +301,7 @@ def store_coordinates(moving: MovingBodies, stored: Floats, frame: int) -> None:
     _store_if_jointed(moving.jointed, stored, frame)
 
 
-@kernel
+@unfused_kernel
 def gather_loads(moving: MovingBodies, t: float, out: Floats) -> None:
     """Force and torque on all bodies (6, n) at t [s] since the segment began."""
     last = moving.layout.first.size

@@ -11,7 +11,7 @@ in the factor with 2/(s c) on its diagonal, drag in the masses: M + s D/2 in pla
 
 from math import inf
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.joints.records import HOLDS, Actions, Joints, P, Work
 from particlerb.joints.rows import add_impulses, attitude, coordinate, rate, shorter, vector
 from particlerb.maths.quaternion import to_body, to_world
@@ -83,7 +83,7 @@ def work_of_motor(joints: Joints, work: Work, r: int, dt: float) -> float:
     return found
 
 
-@kernel
+@unfused_kernel
 def add_stored_energy(joints: Joints, y: Floats, world: Ints, sums: Floats) -> None:
     """Add the energy of all springs and stops [J] in the poses y to the sum of their scene.
 
@@ -112,7 +112,7 @@ def action_force(joints: Joints, work: Work, r: int) -> tuple[float, float]:
     return f, (actions.motor[k] - c * v) * v
 
 
-@kernel
+@unfused_kernel
 def add_action_loads(joints: Joints, work: Work, load: Floats) -> None:
     """Add drag, and what springs, stops, motors and dampers do, to loads (n + 1, 6).
 

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import inline, kernel, unfused_kernel
 from particlerb.joints.records import Coordinates
 from particlerb.joints.rows import attitude, put_vector, vector
 from particlerb.joints.types import Ends
@@ -84,7 +84,7 @@ def _placed(y: Floats, k: int, v: Vec3) -> Vec3:
     return x[0] + r[0], x[1] + r[1], x[2] + r[2]
 
 
-@kernel
+@unfused_kernel
 def count_turns(coordinates: Coordinates, y: Floats, turned: Floats) -> None:
     """Take the angles and displacements (k, 3) on to the poses of now: see `Work.turned`."""
     _, _, a, b, is_angle, vectors = coordinates

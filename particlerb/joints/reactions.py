@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import kernel
+from particlerb.compiled.jit import unfused_kernel
 from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import add_stored_energy
 from particlerb.joints.block_cholesky import solve
@@ -22,7 +22,7 @@ _DEPENDENT: Final = 1e-10  # singular values over the largest
 _OPEN: Final = 1e-8  # share of the largest component of a null vector that is not its rounding
 
 
-@kernel
+@unfused_kernel
 def find_multipliers(joints: Joints, work: Work, load: Floats) -> None:
     """z = λ [N, or N m] of all rows in the state y under loads (n + 1, 6), force and torque."""
     clusters, start = joints.clusters, joints.program.start

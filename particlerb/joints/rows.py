@@ -21,7 +21,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import inline, kernel, unfused_kernel
 from particlerb.joints.drives import course
 from particlerb.joints.records import (
     ALONG,
@@ -193,7 +193,7 @@ def is_of_other_bodies(rows: ConstraintRows, lo: int, r: int) -> bool:
     return r == lo or rows.a[r] != rows.a[r - 1] or rows.b[r] != rows.b[r - 1]
 
 
-@kernel
+@unfused_kernel
 def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[float, int]:
     """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row."""
     rows, y, g = joints.rows, work.y, work.g
@@ -259,7 +259,7 @@ def _by_turning(rows: ConstraintRows, r: int, ra: Vec3, rb: Vec3, u: Vec3, d: Ve
     return by_x, cross(ra, by_x), cross(by_x, arm)
 
 
-@kernel
+@unfused_kernel
 def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
     """Gradients of rows lo to hi, and J⁻¹ times them."""
     rows, y, gradient = joints.rows, work.y, work.gradient
@@ -297,7 +297,7 @@ def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
     return found + dot(vector(gradient, r, 12), vector(y, b, at + 3))
 
 
-@kernel
+@unfused_kernel
 def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
     """z = -ġ of rows lo to hi; the largest over its size [1/s]."""
     worst = 0.0

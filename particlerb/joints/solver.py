@@ -17,7 +17,7 @@ J. Numer. Anal. 49, 1715 (2011).
 from math import inf
 from typing import Final
 
-from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.jit import Flag, inline, kernel, unfused_kernel
 from particlerb.joints.actions import kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.breaking import leave_out, let_break
@@ -133,7 +133,7 @@ def remember(work: Work, lo: int, hi: int, kick_dt: float) -> None:
             found -= before
 
 
-@kernel
+@unfused_kernel
 def constrained_drift(
     joints: Joints, work: Work, c: int, kick_dt: float, t: float, dt: float
 ) -> None:
@@ -299,7 +299,7 @@ def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> N
         work.lost[c] = 1 + where
 
 
-@kernel
+@unfused_kernel
 def project_momenta(
     joints: Joints, work: Work, c: int, kick_dt: float, t: float, span: float
 ) -> None:

@@ -100,11 +100,13 @@ def states_at(part: BodySubset, times: Floats) -> tuple[Frames, _Books]:
     return frames, _Books(given, first, later, gross, float(times[-1]))
 
 
+timed_states = all_compiled()(states_at)  # for what measures time
+
+
 def seconds(part: BodySubset, t_end: float) -> float:
     """Time in kernels of a run to t_end with one frame, the set-up of the motion included [s]."""
     before = THREADS.busy
-    with all_compiled():
-        states_at(part, np.array([t_end]))
+    timed_states(part, np.array([t_end]))
     return THREADS.busy - before
 
 

@@ -20,7 +20,6 @@ import numpy as np
 
 from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
-from particlerb.compiled.plain import all_compiled
 from particlerb.compiled.threads import THREADS
 from particlerb.integrators import JOINTED, UNJOINTED
 from particlerb.maths.vec3 import Floats, Ints
@@ -34,7 +33,7 @@ from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import Plan, has_step, is_adaptive
 from particlerb.plan.time_step import contact_limit
 from particlerb.simulation.frame_times import frame_times
-from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, states_at
+from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, timed_states
 from particlerb.stepping.motion import MotionError
 from particlerb.studies.peers import (
     JOINT_ORACLE,
@@ -249,7 +248,7 @@ class Study:
     def states(self, method: str, step: float | None) -> Frames:
         """States of the judged bodies at the way points."""
         own = part(self.system, self.plan(method, step), self.which)
-        return states_at(own, self.times)[0]
+        return timed_states(own, self.times)[0]
 
     def difference(self, a: Frames, b: Frames) -> float:
         """Largest angle, or relative distance, between two runs at t_end."""
@@ -355,8 +354,7 @@ class Study:
         made = partial(Point, method, "", step or 0.0, has_step(method) and is_adaptive(method))
         before = THREADS.busy
         try:
-            with all_compiled():
-                frames, booked = states_at(own, self.times)
+            frames, booked = timed_states(own, self.times)
         except MotionError as problem:
             error = Error(np.nan, np.nan, np.nan)
             return made(THREADS.busy - before, error, np.nan, np.nan, str(problem))
