@@ -28,7 +28,7 @@ from scipy.integrate import solve_ivp
 import particlerb
 from particlerb.compiled.jit import kernel
 from particlerb.integrators.joint_slopes import add_reactions
-from particlerb.stepping import adaptive_coupled
+from particlerb.stepping import adaptive
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "joints"))
 from scenes import SCENES, X, Y, Z, bar, body, case, hinge_chain, joint, reference
@@ -270,17 +270,17 @@ def _repeated(n, books, jointed, y, slope, width, t):
 
 def trees() -> list[Row]:
     """Time of that for a link of chain6, with what brings states there and back, in both ways."""
-    kept, record_frames = [], adaptive_coupled.CoupledAdaptiveMotion.record
+    kept, record_frames = [], adaptive.AdaptiveMotion.record
 
     def and_keep(motion, *arguments):
         kept.append(motion)
         return record_frames(motion, *arguments)
 
-    adaptive_coupled.CoupledAdaptiveMotion.record = and_keep
+    adaptive.AdaptiveMotion.record = and_keep
     particlerb.run(
         {"run": {"t_end": 0.2, "every": 0.2} | asked("dop853", 1e-8), **SCENES["chain6"]()}
     )
-    adaptive_coupled.CoupledAdaptiveMotion.record = record_frames
+    adaptive.AdaptiveMotion.record = record_frames
     jointed, books = kept[-1].jointed, kept[-1].equations.books
     y, width = kept[-1].vectors.y, kept[-1].vectors.width
     ways = {"recursion": jointed, "rows": jointed._replace(tree=None)}

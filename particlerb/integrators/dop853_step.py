@@ -14,8 +14,8 @@ import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.forces.kernels import Acting, set_time
-from particlerb.forces.registry import STAGE as WORK
-from particlerb.integrators.dop853_table import END, NODES, STAGES, A, D, E
+from particlerb.forces.registry import STAGE
+from particlerb.integrators.dop853_table import END, STAGES, D, E
 from particlerb.integrators.slopes import Pose, slopes
 from particlerb.maths.quaternion import matrix_along
 from particlerb.maths.vec3 import Floats
@@ -24,7 +24,6 @@ from particlerb.model.block import (
     INV_INERTIA,
     INV_MASS,
     Q,
-    assign,
     get,
     get3,
     get4,
@@ -50,14 +49,13 @@ class Equations(NamedTuple):
 
 
 class Pack(NamedTuple):
-    """Bodies that take the same steps, and room for one."""
+    """Bodies of a block, at both ends of a step."""
 
     rows: Floats  # of a block: constants of the bodies and of the forces
     n: int
     w: int  # n or more
     y: Floats  # states at the start of the step
     new: Floats  # at its end
-    K: Floats  # slopes, a row for each stage
 
 
 @kernel
@@ -69,26 +67,26 @@ def take_slopes(
     set_time(acting, rows, n, t)
     for c in range(ALONE):
         for b in range(n):
-            put(rows, WORK + c, b, y[c * w + b])
+            put(rows, STAGE + c, b, y[c * w + b])
     for b in range(n):
         now = Pose(
-            get3(rows, WORK, b),
-            get4(rows, WORK + 3, b),
-            get3(rows, WORK + 7, b),
-            get3(rows, WORK + 10, b),
+            get3(rows, STAGE, b),
+            get4(rows, STAGE + 3, b),
+            get3(rows, STAGE + 7, b),
+            get3(rows, STAGE + 10, b),
         )
         rate, (power, force, turning) = slopes(acting, rows, b, now, matrix_along(now.q))
-        put3(rows, WORK + CHANGING, b, rate.x)
-        put4(rows, WORK + CHANGING + 3, b, rate.q)
-        put3(rows, WORK + CHANGING + 7, b, rate.p)
-        put3(rows, WORK + CHANGING + 10, b, rate.L)
+        put3(rows, STAGE + CHANGING, b, rate.x)
+        put4(rows, STAGE + CHANGING + 3, b, rate.q)
+        put3(rows, STAGE + CHANGING + 7, b, rate.p)
+        put3(rows, STAGE + CHANGING + 10, b, rate.L)
         if equations.books is not None:
-            put(rows, WORK + CHANGING + 13, b, power)
-            put3(rows, WORK + CHANGING + 14, b, force)
-            put3(rows, WORK + CHANGING + 17, b, turning)
+            put(rows, STAGE + CHANGING + 13, b, power)
+            put3(rows, STAGE + CHANGING + 14, b, force)
+            put3(rows, STAGE + CHANGING + 17, b, turning)
     for c in range(y.size // w):
         for b in range(n):
-            slope[c * w + b] = get(rows, WORK + CHANGING + c, b)
+            slope[c * w + b] = get(rows, STAGE + CHANGING + c, b)
 
 
 @kernel
@@ -106,25 +104,6 @@ def add_rows(h: float, weights: Floats, K: Floats, count: int, out: Floats) -> N
         for i in range(out.size):
             out[i] += a * p[i]
         k += 1
-
-
-@kernel
-def take_stages(
-    equations: Equations, pack: Pack, at: Floats, t: float, h: float, i: int, j: int
-) -> None:
-    """Slopes of the stages i .. j - 1 of a step h from t; `at` is the state of the last one."""
-    rows, n, w, y, _, K = pack
-    for stage in range(i, j):
-        assign(at, y)
-        add_rows(h, A[stage], K, stage, at)
-        take_slopes(equations, rows, n, w, t + NODES[stage] * h, at, K[stage])
-
-
-@inline
-def take_step(h: float, K: Floats, y: Floats, new: Floats) -> None:
-    """State at the end of a step, with its stages."""
-    assign(new, y)
-    add_rows(h, A[END], K, END, new)
 
 
 @inline
@@ -228,34 +207,6 @@ def factor_of(error: float) -> float:
     most = _GROW if error < 1.0 else 1.0
     factor: float = _SAFETY * error ** (-1.0 / 8.0)
     return max(_SHRINK, min(most, factor))
-
-
-@kernel
-def find_step(equations: Equations, pack: Pack, t: float, h: float) -> tuple[float, float]:
-    """Longest step up to h that is accurate, and the one to try after it; K[0] is known.
-
-    Bodies for which no step is short enough become NaN: their state is not finite, or the forces
-    are not smooth. The others go on.
-    """
-    rows, n, w, y, new, K = pack
-    errors, five, three = np.zeros(n), np.empty(y.size), np.empty(y.size)
-    longest = h
-    while True:
-        take_stages(equations, pack, new, t, h, 1, END)
-        take_step(h, K, y, new)
-        differences(K, five, three)
-        error = errors_of(pack, five, three, h, equations.tolerance, errors)
-        if error < 1.0:
-            normalise(new, n, w)
-            take_slopes(equations, rows, n, w, t + h, new, K[END])
-            return h, h * factor_of(error)
-        h *= factor_of(error)
-        if not h > LEAST_STEP * t:
-            h = longest
-            for b in range(n):
-                for c in range(y.size // w):
-                    if not errors[b] < 1.0:
-                        y[c * w + b] = np.nan
 
 
 @kernel

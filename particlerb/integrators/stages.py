@@ -81,6 +81,13 @@ def stages(function: Function) -> Function:
     return spliced
 
 
+def caller_of_stages(function: Function) -> Function:
+    """Compile a function that calls stages by itself: for those that have several callers."""
+    compiled = kernel(function)
+    _LISTS[id(compiled)] = function
+    return compiled
+
+
 def over_threads(function: Function, **names: Any) -> Function:
     """A function made of stages, as Python that spreads each of them over threads.
 

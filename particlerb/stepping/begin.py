@@ -8,7 +8,6 @@ from particlerb.model.bodies import taken
 from particlerb.model.state import State
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.adaptive import AdaptiveMotion
-from particlerb.stepping.adaptive_coupled import CoupledAdaptiveMotion
 from particlerb.stepping.brick_motion import BrickMotion
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.event_motion import EventMotion
@@ -50,8 +49,7 @@ def begin(
     if method.order == 0:
         return FreeMotion(group, state, start)
     if method.is_adaptive:
-        adaptive = CoupledAdaptiveMotion if group.terms.is_coupled else AdaptiveMotion
-        return adaptive(method, group, state, start, dt, tolerance)
+        return AdaptiveMotion(method, group, state, start, dt, tolerance)
     if group.terms.contact is not None:
         return _begin_touching(method, group, state, start, dt, before)
     parts: list[tuple[Ints, Motion]] = []

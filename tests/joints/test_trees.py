@@ -6,7 +6,7 @@ from scenes import SCENES, X, Y, Z, bar, body, case, joint
 
 import particlerb
 from particlerb.integrators.joint_slopes import add_reactions
-from particlerb.stepping import adaptive_coupled
+from particlerb.stepping import adaptive, common_steps
 
 pytestmark = pytest.mark.plain
 
@@ -42,13 +42,13 @@ def every_type(is_tied):
 def motion_at(scene, t, monkeypatch):
     """The motion of a scene that was moved by DOP853 until t."""
     kept = []
-    record = adaptive_coupled.CoupledAdaptiveMotion.record
+    record = adaptive.AdaptiveMotion.record
 
     def and_keep(self, *arguments):
         kept.append(self)
         return record(self, *arguments)
 
-    monkeypatch.setattr(adaptive_coupled.CoupledAdaptiveMotion, "record", and_keep)
+    monkeypatch.setattr(adaptive.AdaptiveMotion, "record", and_keep)
     times = {"t_end": t, "every": t, "method": "dop853", "tolerance": 1e-8}
     particlerb.run({"run": times, **scene}).close()
     return kept[-1]
@@ -76,7 +76,7 @@ def test_trees_accelerate_as_by_multipliers(name, monkeypatch):
     for tree in (motion.jointed.tree, None):
         slope = np.zeros_like(motion.vectors.y)
         at = motion.vectors.width, 0.2, motion.vectors.y, slope
-        adaptive_coupled._slopes_of_blocks(motion.equations, motion.blocks, motion.layout, *at)
+        common_steps.slopes_of_blocks(motion.equations, motion.blocks, motion.layout, *at)
         own = motion.jointed._replace(tree=tree)
         books = motion.equations.books
         add_reactions(books, own, motion.vectors.y, slope, motion.vectors.width, 0.2)

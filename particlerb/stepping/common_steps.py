@@ -1,0 +1,400 @@
+"""The steps of DOP853 for bodies that take the same ones, and the loop over such steps.
+
+A step is as long as the error estimate of the worst body allows, so the grid of `loop` is not
+theirs. Frames come from the dense output of order 7, so they change nothing in the motion. The
+vectors of block k are one row of arrays (blocks, size * w), in the order of `dop853_step`.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.threads import BLOCK
+from particlerb.integrators.dop853_step import (
+    ALONE,
+    LEAST_STEP,
+    Equations,
+    Pack,
+    add_rows,
+    differences,
+    errors_of,
+    factor_of,
+    interpolate,
+    normalise,
+    take_slopes,
+)
+from particlerb.integrators.dop853_table import END, NODES, STAGES, A
+from particlerb.integrators.joint_slopes import (
+    add_reactions,
+    bring_back,
+    count_on,
+    store_coordinates,
+)
+from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter_loads
+from particlerb.integrators.stages import caller_of_stages
+from particlerb.joints.breaking import break_by_multipliers, let_go, may_break
+from particlerb.joints.records import Breaks, Jointed
+from particlerb.maths.quaternion import load4, normalised, rows4, store4
+from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.model.block import BOOKED, COM, L, P, Q, assign, get, put
+from particlerb.model.state import store_frame
+from particlerb.stepping.loop import Recording
+
+_LOOKS: Final = 8  # in a step, for loads under which joints break,
+_HALVINGS: Final = 50  # and between two of them, for the instant
+
+
+class Leg(NamedTuple):
+    """Frames to write, and how far to go after them; times are since the segment began."""
+
+    times: Floats  # (T,) [s] of the frames
+    rows: Ints  # (T,) of the frames
+    until: float  # [s] on to the step around it
+    stop: float  # [s] or exactly to here, if that is finite
+
+
+class CommonVectors(NamedTuple):
+    """Vectors of all bodies, (blocks, size * w) each."""
+
+    y: Floats
+    new: Floats
+    out: Floats
+    five: Floats
+    three: Floats
+    K: Floats  # (STAGES, blocks * size * w)
+    errors: Floats  # (blocks, w)
+    width: int  # w
+    broken: Floats  # (j,) [s] when joints break, since t = 0; inf: they hold
+    tried: Floats  # (1,) [s] the step before it was cut where one breaks
+
+
+class CommonSteps(NamedTuple):
+    """Bodies that take the same steps, and what acts on them."""
+
+    equations: Equations
+    blocks: Floats
+    layout: Layout
+    pairs: PairTerms | None  # None: no body acts on another
+    jointed: Jointed | None
+    breaks: Breaks | None
+    vectors: CommonVectors
+
+
+@kernel
+def room_for_vectors(n_blocks: int, size: int, width: int, broken: Floats) -> CommonVectors:
+    """Vectors of `size` numbers for each body, and what has broken."""
+    shape = (n_blocks, size * width)
+    return CommonVectors(
+        np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape),
+        np.zeros((STAGES, shape[0] * shape[1])), np.zeros((n_blocks, width)), width, broken,
+        np.zeros(1),
+    )  # fmt: skip
+
+
+@kernel
+def spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
+    """Vectors into states (13, n), with |q| = 1."""
+    for k in range(layout.first.size):
+        lo = layout.first[k]
+        for c in range(ALONE):
+            for b in range(layout.size[k]):
+                states[c, lo + b] = y[k, c * w + b]
+        own = rows4(states[Q : Q + 4], lo, lo + layout.size[k])
+        for b in range(layout.size[k]):
+            store4(own, b, normalised(load4(own, b)))
+
+
+@kernel
+def take_blocks(blocks: Floats, layout: Layout, vectors: CommonVectors) -> None:
+    """Bring the states of all blocks into vectors."""
+    w = vectors.width
+    for k in range(layout.first.size):
+        for c in range(vectors.y.shape[1] // w):
+            for b in range(layout.size[k]):
+                vectors.y[k, c * w + b] = get(blocks[k], c, b)
+
+
+@kernel
+def give_blocks(blocks: Floats, layout: Layout, vectors: CommonVectors) -> None:
+    """Write the vectors back."""
+    w = vectors.width
+    for k in range(layout.first.size):
+        for c in range(vectors.y.shape[1] // w):
+            for b in range(layout.size[k]):
+                put(blocks[k], c, b, vectors.y[k, c * w + b])
+
+
+@kernel
+def slopes_of_blocks(
+    equations: Equations, blocks: Floats, layout: Layout, w: int, t: float, y: Floats,
+    slope: Floats,
+) -> None:  # fmt: skip
+    """Slopes of all blocks in the states y, with the loads in their rows."""
+    own = slope.reshape(y.shape)
+    for k in range(layout.first.size):
+        take_slopes(equations, blocks[k], layout.size[k], w, t, y[k], own[k])
+
+
+@caller_of_stages
+def _put_loads(
+    pairs: PairTerms | None, blocks: Floats, layout: Layout, w: int, t: float, y: Floats
+) -> None:
+    """Loads in the states y between bodies, if there are any, into the rows of the blocks."""
+    if pairs is None:
+        return
+    links, own, attraction, work, with_dashpots, clock, states, load, _ = pairs
+    spread_out(y, layout, w, states)
+    clock[0] = clock[2] + t
+    pair_loads(links, own, attraction, work, with_dashpots, clock, states, load)
+    scatter_loads(load, blocks, layout)
+
+
+@caller_of_stages
+def _take_slopes(bodies: CommonSteps, t: float, y: Floats, slope: Floats) -> None:
+    """Slopes of all bodies in the states y at a time [s] since the segment began."""
+    layout, w = bodies.layout, bodies.vectors.width
+    _put_loads(bodies.pairs, bodies.blocks, layout, w, t, y)
+    slopes_of_blocks(bodies.equations, bodies.blocks, layout, w, t, y, slope)
+    books = bodies.equations.books
+    add_reactions(books, bodies.jointed, y, slope.reshape(y.shape), w, t)
+
+
+@kernel
+def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
+    """State where the slope of a stage is taken."""
+    assign(new, y)
+    add_rows(h, A[stage], K, stage, new.reshape(new.size))
+
+
+@inline
+def _let_go(breaks: Breaks | None, bodies: CommonSteps, t: float) -> bool:
+    """Let joints go that have broken by t; whether any held until now."""
+    if breaks is None:
+        return False
+    jointed = bodies.jointed
+    assert jointed is not None
+    return let_go(jointed.work, bodies.vectors.broken, jointed.start + t)
+
+
+@caller_of_stages
+def _begin(bodies: CommonSteps, t: float) -> None:
+    """Slopes at the start of a step."""
+    _let_go(bodies.breaks, bodies, t)
+    _take_slopes(bodies, t, bodies.vectors.y, bodies.vectors.K[0])
+
+
+@caller_of_stages
+def _go_on(bodies: CommonSteps, t: float) -> None:
+    """The end of a step, with its slopes, is the start of the next one, from t on."""
+    assign(bodies.vectors.y, bodies.vectors.new)
+    assign(bodies.vectors.K[0], bodies.vectors.K[END])
+    if _let_go(bodies.breaks, bodies, t):
+        _take_slopes(bodies, t, bodies.vectors.y, bodies.vectors.K[0])
+
+
+@caller_of_stages
+def _take_stages(bodies: CommonSteps, at: Floats, t: float, h: float, i: int, j: int) -> None:
+    """Slopes of the stages i .. j - 1 of a step h from t; `at` is the state of the last one."""
+    K, y = bodies.vectors.K, bodies.vectors.y
+    for stage in range(i, j):
+        _add_stages(h, stage, K, y, at)
+        _take_slopes(bodies, t + NODES[stage] * h, at, K[stage])
+
+
+@kernel
+def _error_of(
+    blocks: Floats, layout: Layout, vectors: CommonVectors, h: float, tolerance: float
+) -> float:
+    """Largest error of a step over the tolerance, of the bodies that are numbers."""
+    five, three, K, errors = vectors.five, vectors.three, vectors.K, vectors.errors
+    differences(K, five.reshape(five.size), three.reshape(three.size))
+    worst = 0.0
+    for k in range(layout.first.size):
+        y, new = vectors.y[k], vectors.new[k]
+        pack = Pack(blocks[k], layout.size[k], vectors.width, y, new)
+        error = errors_of(pack, five[k], three[k], h, tolerance, errors[k])
+        if not error <= worst:
+            worst = error
+    return worst
+
+
+@kernel
+def _normalise_blocks(values: Floats, layout: Layout, w: int) -> None:
+    """Make |q| = 1."""
+    for k in range(layout.first.size):
+        normalise(values[k], layout.size[k], w)
+
+
+@kernel
+def _give_up(layout: Layout, vectors: CommonVectors) -> None:
+    """Make bodies NaN whose error no step is short enough for."""
+    y, w = vectors.y, vectors.width
+    for k in range(layout.first.size):
+        for b in range(layout.size[k]):
+            for c in range(y.shape[1] // w):
+                if not vectors.errors[k, b] < 1.0:
+                    y[k, c * w + b] = np.nan
+
+
+@caller_of_stages
+def _finish_step(bodies: CommonSteps, t: float, h: float) -> None:
+    """Bring the end of a step to where joints hold, and find the slopes there."""
+    common = bodies.vectors
+    _normalise_blocks(common.new, bodies.layout, common.width)
+    bring_back(bodies.jointed, common.new, common.width, t + h)
+    _take_slopes(bodies, t + h, common.new, common.K[END])
+
+
+@caller_of_stages
+def _breaks_at(breaks: Breaks, bodies: CommonSteps, t: float, h: float, share: float) -> bool:
+    """Whether joints carry too much at a share of a step; until it is forgotten, they break."""
+    common, jointed = bodies.vectors, bodies.jointed
+    assert jointed is not None
+    _show(bodies, t, h, share)
+    _take_slopes(bodies, t + share * h, common.out, common.five.reshape(common.five.size))
+    at = jointed.start + (t + share * h)
+    let_go(jointed.work, common.broken, jointed.start + t)
+    return break_by_multipliers(breaks, jointed.joints, jointed.work, common.broken, at)
+
+
+@caller_of_stages
+def _up_to_a_break(breaks: Breaks | None, bodies: CommonSteps, t: float, h: float) -> float:
+    """Step that ends at the instant at which a joint breaks, if one does within h; or h."""
+    if breaks is None:
+        return h
+    common, before, after = bodies.vectors, 0.0, LEAST_STEP
+    common.tried[0] = h
+    if not may_break(breaks, common.broken):
+        return h
+    _take_last_stages(bodies, t, h)
+    for k in range(1, _LOOKS + 1):
+        if _breaks_at(breaks, bodies, t, h, after):
+            break
+        before, after = after, k / _LOOKS
+    if not _breaks_at(breaks, bodies, t, h, after):
+        return h
+    for _ in range(_HALVINGS if before > 0.0 else 0):
+        middle = 0.5 * (before + after)
+        if _breaks_at(breaks, bodies, t, h, middle):
+            after = middle
+        else:
+            before = middle
+    _breaks_at(breaks, bodies, t, h, after)
+    h *= after
+    _take_stages(bodies, common.new, t, h, 1, END)
+    _add_stages(h, END, common.K, common.y, common.new)
+    _finish_step(bodies, t, h)
+    return h
+
+
+@caller_of_stages
+def _find_step(bodies: CommonSteps, t: float, h: float) -> tuple[float, float]:
+    """Longest step up to h that is accurate, and the one to try after it; K[0] is known."""
+    layout, common = bodies.layout, bodies.vectors
+    h = count_on(bodies.jointed, common.y, common.width, h)
+    tolerance = bodies.equations.tolerance
+    longest = h
+    while True:
+        _take_stages(bodies, common.new, t, h, 1, END)
+        _add_stages(h, END, common.K, common.y, common.new)
+        error = _error_of(bodies.blocks, layout, common, h, tolerance)
+        if error < 1.0:
+            _finish_step(bodies, t, h)
+            return _up_to_a_break(bodies.breaks, bodies, t, h), h * factor_of(error)
+        h *= factor_of(error)
+        if not h > LEAST_STEP * t:
+            h = longest
+            _give_up(layout, common)
+
+
+@caller_of_stages
+def _take_last_stages(bodies: CommonSteps, t: float, h: float) -> None:
+    """Slopes that dense output needs beside those of the step."""
+    _take_stages(bodies, bodies.vectors.out, t, h, END + 1, STAGES)
+
+
+@caller_of_stages
+def _show(bodies: CommonSteps, t: float, h: float, share: float) -> None:
+    """State at a share of the step from t, for a frame."""
+    common = bodies.vectors
+    size = common.y.size
+    y, new, out = common.y.reshape(size), common.new.reshape(size), common.out.reshape(size)
+    interpolate(common.K, y, new, h, share, out)
+    _normalise_blocks(common.out, bodies.layout, common.width)
+    bring_back(bodies.jointed, common.out, common.width, t + share * h)
+
+
+@inline
+def _store_vectors(recording: Recording, f: int, lo: int, n: int, out: Floats, w: int) -> None:
+    """Write bodies from vectors as `dop853_step` has them into frame f, and what they book."""
+    shown = out.reshape(out.size // w, w)
+    com, q = rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n)
+    p, spin = rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n)
+    members, turn = recording.members[lo : lo + n], rows4(recording.rotor_frame, lo, lo + n)
+    store_frame(recording.frames, f, members, turn, com, q, p, spin)
+    for c in range(shown.shape[0] - ALONE):
+        for b in range(n):
+            recording.sums[f, lo // BLOCK, c] += shown[BOOKED + c, b]
+
+
+@kernel
+def _store_blocks(layout: Layout, common: CommonVectors, recording: Recording, frame: int) -> None:
+    """Write `out` into a frame."""
+    for k in range(layout.first.size):
+        lo, n = layout.first[k], layout.size[k]
+        _store_vectors(recording, frame, lo, n, common.out[k], common.width)
+
+
+@caller_of_stages
+def _write(bodies: CommonSteps, recording: Recording, frame: int) -> None:
+    """Write what is shown into a frame."""
+    common = bodies.vectors
+    _store_blocks(bodies.layout, common, recording, frame)
+    store_coordinates(bodies.jointed, common.out, common.width, recording.turned, frame)
+
+
+@caller_of_stages
+def advance_steps(bodies: CommonSteps, clock: Floats, leg: Leg, recording: Recording) -> None:
+    """All frames, then on to the step around `until`, or to `stop` if it is finite.
+
+    Parameters
+    ----------
+    bodies : CommonSteps
+    clock : ndarray, (3,)
+        Time from which the next step starts, step to try [s], and steps taken.
+    leg, recording : Leg, Recording
+    """
+    times, rows, until, stop = leg
+    t, h, taken = clock[0], clock[1], clock[2]
+    take_blocks(bodies.blocks, bodies.layout, bodies.vectors)
+    _begin(bodies, t)
+    h, h_next = _find_step(bodies, t, h)
+    is_dense = False
+    for f in range(times.size):
+        while times[f] > t + h:
+            t, taken = t + h, taken + 1.0
+            _go_on(bodies, t)
+            h, h_next = _find_step(bodies, t, h_next)
+            is_dense = False
+        assign(bodies.vectors.out, bodies.vectors.y)
+        if times[f] > t or not h > 0.0:
+            if not is_dense:
+                _take_last_stages(bodies, t, h)
+                is_dense = True
+            _show(bodies, t, h, (times[f] - t) / h)
+        _write(bodies, recording, rows[f])
+    while t + h < until:
+        t, taken = t + h, taken + 1.0
+        _go_on(bodies, t)
+        h, h_next = _find_step(bodies, t, h_next)
+    h_next = h
+    while t < stop < np.inf:  # the last step may have to be cut again
+        h, h_next = _find_step(bodies, t, min(stop - t, h_next))
+        ahead = stop if h >= stop - t else t + h
+        _go_on(bodies, ahead)
+        if not h > 0.0:
+            break
+        t, taken = ahead, taken + 1.0
+    give_blocks(bodies.blocks, bodies.layout, bodies.vectors)
+    clock[0], clock[1], clock[2] = t, h, taken
