@@ -6,7 +6,7 @@ Where a group has no joints, the compiler leaves all of it out.
 from math import nan
 from typing import Final
 
-from particlerb.compiled.barrier import Team
+from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
@@ -17,6 +17,7 @@ from particlerb.contact.prescribed_motion import (
 from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.external_work import book
+from particlerb.integrators.pair_stages import meet_all
 from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
 from particlerb.joints.breaking import (
     break_overloaded,
@@ -25,6 +26,7 @@ from particlerb.joints.breaking import (
     foresee_breaks,
     keep_impulses,
 )
+from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
 from particlerb.joints.rows import by_inverse_inertia, put_pose, put_vector, vector
 from particlerb.joints.solver import constrained_drift, project_momenta
@@ -194,15 +196,28 @@ def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, sp
         book(books, blocks[block[k]], lane[k], 1.0, entry)
 
 
+@inline
+def _share_of_clusters(jointed: Jointed, team: Team | None) -> tuple[int, int]:
+    """Clusters that this thread moves, once all have come here: they are of all blocks."""
+    n = jointed.joints.clusters.body.size - 1
+    if team is None:
+        return 0, n
+    meet(team)
+    return share_of(team, 0, n)
+
+
 @kernel
-def drift_jointed(
-    books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int, kick_dt: float,
+def drift_clusters(
+    jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
     ahead: float, dt: float,
 ) -> None:  # fmt: skip
-    """Kick of springs and constrained drift of clusters first to last, last excluded.
+    """Kick of springs and constrained drift of all clusters, if there are joints.
 
     The drift begins so long [s] after the step did.
     """
+    if jointed is None:
+        return
+    first, last = _share_of_clusters(jointed, team)
     t, body = jointed.work.clock[0] + ahead, jointed.joints.clusters.body
     for c in range(first, last):
         _gather(jointed, blocks, c)
@@ -215,14 +230,20 @@ def drift_jointed(
         _book_drives(books, jointed, blocks, c)
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
         _scatter(jointed, blocks, c)
+    meet_all(team)
+    if first == 0:
+        count_turns(jointed.joints.coordinates, jointed.work.y, jointed.work.turned)
 
 
 @kernel
-def project_jointed(
-    books: Flag, jointed: Jointed, blocks: Floats, first: int, last: int, kick_dt: float,
+def project_clusters(
+    jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
     span: float,
 ) -> None:  # fmt: skip
-    """Kick of springs, projection of the momenta and damping over a span of clusters, as above."""
+    """Kick of springs, projection of the momenta and damping over a span, as above."""
+    if jointed is None:
+        return
+    first, last = _share_of_clusters(jointed, team)
     t, body = jointed.work.clock[0], jointed.joints.clusters.body
     for c in range(first, last):
         _gather(jointed, blocks, c)
@@ -234,6 +255,14 @@ def project_jointed(
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
         _damp(books, jointed.damps, jointed, blocks, c, span)
         _scatter(jointed, blocks, c)
+    meet_all(team)
+
+
+@kernel
+def keep_coordinates(jointed: Jointed | None, stored: Floats, frame: int) -> None:
+    """Keep the coordinates of joints for a frame, if there are joints."""
+    if jointed is not None:
+        store_turns(jointed.work.turned, stored, frame)
 
 
 # Loads of joints that may break

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final, NamedTuple, TypeVar
 
-from particlerb.compiled.barrier import Team, meet, share_of
+from particlerb.compiled.barrier import Team
 from particlerb.compiled.jit import Flag, inline, kernel, splice, unfused_kernel
 from particlerb.compiled.plain import in_python
 from particlerb.compiled.threads import THREADS
@@ -21,19 +21,22 @@ from particlerb.integrators.contact_stages import (
     place_contacts,
     place_within_step,
 )
-from particlerb.integrators.joint_stages import drift_jointed, keep_given, project_jointed
+from particlerb.integrators.joint_stages import (
+    drift_clusters,
+    keep_coordinates,
+    keep_given,
+    project_clusters,
+)
 from particlerb.integrators.kick import begin_kick, kick_body
 from particlerb.integrators.pair_stages import (
     Layout,
     OwnBlocks,
     PairTerms,
     flow_pairs,
-    meet_all,
     put_pair_loads,
     set_pair_time,
     shift_pair_time,
 )
-from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import Floats
@@ -192,76 +195,20 @@ def flow_dashpots(moving: MovingBodies, dt: float, backwards: bool) -> None:
     )
 
 
-@inline
-def _share_of_clusters(jointed: Jointed, team: Team | None) -> tuple[int, int]:
-    """Mechanisms that this thread moves, once all have come here: they are of all blocks."""
-    n = jointed.joints.clusters.body.size - 1
-    if team is None:
-        return 0, n
-    meet(team)
-    return share_of(team, 0, n)
-
-
-@kernel
-def _drift_if_jointed(
-    jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
-    ahead: float, dt: float,
-) -> None:  # fmt: skip
-    """Do the work of `constrained_drift`, if there are joints."""
-    if jointed is None:
-        return
-    first, last = _share_of_clusters(jointed, team)
-    drift_jointed(books, jointed, blocks, first, last, kick_dt, ahead, dt)
-    meet_all(team)
-    if first == 0:
-        count_turns(jointed.joints.coordinates, jointed.work.y, jointed.work.turned)
-
-
 @stages
 def constrained_drift(moving: MovingBodies, kick_dt: float, ahead: float, dt: float) -> None:
     """Drift over dt with the impulses of joints that let it end where they hold.
 
     It begins so long [s] after the step did. Springs and motors of joints kick before it.
     """
-    _drift_if_jointed(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, ahead, dt)
-
-
-@kernel
-def _project_if_jointed(
-    jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
-    span: float,
-) -> None:  # fmt: skip
-    """Do the work of `project`, if there are joints."""
-    if jointed is None:
-        return
-    first, last = _share_of_clusters(jointed, team)
-    project_jointed(books, jointed, blocks, first, last, kick_dt, span)
-    meet_all(team)
-
-
-@inline
-def _damp_if_jointed(
-    damps: Flag, jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats,
-    closing: float, opening: float,
-) -> None:  # fmt: skip
-    """Project and damp, if something damps."""
-    if damps is None:
-        return
-    _project_if_jointed(jointed, team, books, blocks, closing, closing + opening)
-
-
-@inline
-def _kick_if_damped(damps: Flag, moving: MovingBodies, first: int, last: int, dt: float) -> None:
-    """The kick after damping, if something damps."""
-    if damps is None:
-        return
-    _kick_blocks(moving, first, last, dt)
+    drift_clusters(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, ahead, dt)
 
 
 @stage
 def _kick_damped(moving: MovingBodies, first: int, last: int, dt: float) -> None:
-    """The same, as a stage."""
-    _kick_if_damped(moving.damps, moving, first, last, dt)
+    """The kick after damping, if something damps."""
+    if moving.damps is not None:
+        _kick_blocks(moving, first, last, dt)
 
 
 @stages
@@ -270,9 +217,8 @@ def kick_jointed(
 ) -> None:
     """Kick of jointed bodies; between its two parts what damps acts, for as long as both."""
     kick(moving, first, last, closing if moving.damps is not None else closing + opening)
-    _damp_if_jointed(
-        moving.damps, moving.jointed, moving.team, moving.books, moving.blocks, closing, opening
-    )
+    if moving.damps is not None:
+        project(moving, closing, closing + opening)
     _kick_damped(moving, first, last, opening)
 
 
@@ -291,21 +237,13 @@ def project(moving: MovingBodies, kick_dt: float, span: float) -> None:
 
     Then what damps acts over a span.
     """
-    _project_if_jointed(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, span)
-
-
-@kernel
-def _store_if_jointed(jointed: Jointed | None, stored: Floats, frame: int) -> None:
-    """Do the work of `store_coordinates`, if there are joints."""
-    if jointed is None:
-        return
-    store_turns(jointed.work.turned, stored, frame)
+    project_clusters(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, span)
 
 
 @stages
 def store_coordinates(moving: MovingBodies, stored: Floats, frame: int) -> None:
     """Keep the coordinates of joints, (T, c, 3), for a frame."""
-    _store_if_jointed(moving.jointed, stored, frame)
+    keep_coordinates(moving.jointed, stored, frame)
 
 
 @unfused_kernel
