@@ -71,8 +71,8 @@ def _with_flow(
     return work + entry[0], add_scaled(1.0, dp, entry[1]), add_scaled(1.0, dL, entry[2])
 
 
-class _Kicked(NamedTuple):
-    """A body on its way through a kick: pairs of p and L."""
+class _Kick(NamedTuple):
+    """A kick of a body but for what depends on velocities: pairs of p and L."""
 
     x: Vec3
     R: Matrix
@@ -92,54 +92,56 @@ def begin_kick(acting: Acting, rows: Floats, n: int, dt: float) -> None:
     Where one does not converge it is lost: NaN.
     """
     prepare_kick(acting, rows, n, dt)
-    _settle(acting.own_flow, acting, rows, n, dt)
+    _solve_kicks(acting.own_flow, acting, rows, n, dt)
 
 
 @inline
-def _settle(own_flow: Flag, acting: Acting, rows: Floats, n: int, dt: float) -> None:
+def _solve_kicks(own_flow: Flag, acting: Acting, rows: Floats, n: int, dt: float) -> None:
     """The same, where there are any, of as many at a time as the first level of the cache has."""
     if own_flow is None:
         return
     for first in range(0, n, _TOGETHER):
-        _settle_some(acting, rows, first, min(first + _TOGETHER, n), dt)
+        _solve_some_kicks(acting, rows, first, min(first + _TOGETHER, n), dt)
 
 
 @inline
-def _settle_some(acting: Acting, rows: Floats, first: int, end: int, dt: float) -> None:
-    """The same, of bodies `first` to `end`."""
+def _solve_some_kicks(acting: Acting, rows: Floats, first: int, last: int, dt: float) -> None:
+    """The same, of bodies `first` to `last`, `last` excluded."""
     many = 0
-    for b in range(first, end):
+    for b in range(first, last):
         old = get3(rows, P, b), get3(rows, L, b)
         put3(rows, SCRATCH, b, old[0])
         put3(rows, SCRATCH + 3, b, old[1])
-        to = _kicked(acting, rows, b, dt, old)
-        known = _iterated(acting, rows, b, to, dt, _iterated(acting, rows, b, to, dt, to.last))
-        many += _iterate(acting, rows, b, to, dt, known, True)
+        kick = _kick_of(acting, rows, b, dt, old)
+        known = _iterated(
+            acting, rows, b, kick, dt, _iterated(acting, rows, b, kick, dt, kick.last)
+        )
+        many += _iterate(acting, rows, b, kick, dt, known, True)
     for _ in range(_MOST):
         if many == 0:
             return
         many = 0
-        for b in range(first, end):
+        for b in range(first, last):
             old = get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)
-            to, known = _kicked(acting, rows, b, dt, old), (get3(rows, P, b), get3(rows, L, b))
-            many += _iterate(acting, rows, b, to, dt, known, get(rows, _CHANGES, b) > 0.0)
-    for b in range(first, end):
+            kick, known = _kick_of(acting, rows, b, dt, old), (get3(rows, P, b), get3(rows, L, b))
+            many += _iterate(acting, rows, b, kick, dt, known, get(rows, _CHANGES, b) > 0.0)
+    for b in range(first, last):
         if get(rows, _CHANGES, b) > 0.0:
             put3(rows, P, b, (np.nan, np.nan, np.nan))
 
 
 @inline
 def _iterate(
-    acting: Acting, rows: Floats, b: int, to: _Kicked, dt: float, known: Momenta, changes: bool
+    acting: Acting, rows: Floats, b: int, kick: _Kick, dt: float, known: Momenta, changes: bool
 ) -> int:
     """Two iterations of body b from known momenta, unless it has converged; 1 if it needs more."""
-    second = _iterated(acting, rows, b, to, dt, known)
-    third = _iterated(acting, rows, b, to, dt, second)
+    second = _iterated(acting, rows, b, kick, dt, known)
+    third = _iterated(acting, rows, b, kick, dt, second)
     p, spin = _one_of(changes, third, known)
     put3(rows, P, b, p)
     put3(rows, L, b, spin)
-    more = _differs(known[0], second[0], third[0], to.first[0], to.last[0])
-    more = more | _differs(known[1], second[1], third[1], to.first[1], to.last[1])
+    more = _differs(known[0], second[0], third[0], kick.first[0], kick.last[0])
+    more = more | _differs(known[1], second[1], third[1], kick.first[1], kick.last[1])
     more = more & changes
     put(rows, _CHANGES, b, 1.0 if more else 0.0)
     return 1 if more else 0
@@ -147,15 +149,15 @@ def _iterate(
 
 @inline
 def _iterated(
-    acting: Acting, rows: Floats, b: int, to: _Kicked, dt: float, end: Momenta
+    acting: Acting, rows: Floats, b: int, kick: _Kick, dt: float, estimate: Momenta
 ) -> Momenta:
-    """Momenta at the end of a kick, by the loads half way to where it seemed to end."""
-    (p0, L0), (p, spin) = to.first, end
+    """Momenta at the end of a kick, by the loads half way to an estimate of them."""
+    (p0, L0), (p, spin) = kick.first, estimate
     v = scale(0.5 * get(rows, INV_MASS, b), add_scaled(1.0, p0, p))
-    omega = turn(to.inverse, scale(0.5, add_scaled(1.0, L0, spin)))
-    F, tau = load_of_users(acting, rows, b, to.x, to.R, v, omega, _ZERO, _ZERO)
-    p, spin = add_scaled(dt, F, to.last[0]), add_scaled(dt, tau, to.last[1])
-    return damp(acting, rows, b, to.R, p0, L0, p, spin)
+    omega = turn(kick.inverse, scale(0.5, add_scaled(1.0, L0, spin)))
+    F, tau = load_of_users(acting, rows, b, kick.x, kick.R, v, omega, _ZERO, _ZERO)
+    p, spin = add_scaled(dt, F, kick.last[0]), add_scaled(dt, tau, kick.last[1])
+    return damp(acting, rows, b, kick.R, p0, L0, p, spin)
 
 
 @inline
@@ -188,13 +190,13 @@ def kick_body(
     acting: Acting, books: Flag, rows: Floats, b: int, dt: float
 ) -> tuple[Vec3, Vec3, Matrix]:
     """Kick body b over dt after `begin_kick`; its new momenta, stored, and its rotation matrix."""
-    to = _kicked(acting, rows, b, dt, _old(acting.own_flow, rows, b))
-    last = _settled(acting.own_flow, acting, rows, b, to)
-    p, spin = flow_out(acting, rows, b, to.R, 0.5 * dt, last[0], last[1])
+    kick = _kick_of(acting, rows, b, dt, _old(acting.own_flow, rows, b))
+    last = _momenta_before_flows(acting.own_flow, acting, rows, b, kick)
+    p, spin = flow_out(acting, rows, b, kick.R, 0.5 * dt, last[0], last[1])
     put3(rows, P, b, p)
     put3(rows, L, b, spin)
-    book(books, rows, b, 1.0, _entry_of(acting, rows, b, dt, to, last, (p, spin)))
-    return p, spin, to.R
+    book(books, rows, b, 1.0, _entry_of(acting, rows, b, dt, kick, last, (p, spin)))
+    return p, spin, kick.R
 
 
 @inline
@@ -206,21 +208,25 @@ def _old(own_flow: Flag, rows: Floats, b: int) -> Momenta:
 
 
 @inline
-def _settled(own_flow: Flag, acting: Acting, rows: Floats, b: int, to: _Kicked) -> Momenta:
+def _momenta_before_flows(
+    own_flow: Flag, acting: Acting, rows: Floats, b: int, kick: _Kick
+) -> Momenta:
     """Momenta before the second half of the flows: with drag, or as `begin_kick` found them."""
     if own_flow is None:
-        return damp(acting, rows, b, to.R, to.first[0], to.first[1], to.last[0], to.last[1])
+        return damp(
+            acting, rows, b, kick.R, kick.first[0], kick.first[1], kick.last[0], kick.last[1]
+        )
     return get3(rows, P, b), get3(rows, L, b)
 
 
 @inline
-def _kicked(acting: Acting, rows: Floats, b: int, dt: float, old: Momenta) -> _Kicked:
+def _kick_of(acting: Acting, rows: Floats, b: int, dt: float, old: Momenta) -> _Kick:
     """A kick of body b but for what depends on velocities, and the second half of the flows."""
     x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
     first = flow_in(acting, rows, b, R, 0.5 * dt, old[0], old[1])
     middle = kick_potential(acting, rows, b, x, R, dt, first[0], first[1])
     last = kick_others(acting, rows, b, x, R, dt, middle[0], middle[1])
-    return _Kicked(x, R, old, first, middle, last, _in_world(R, get3(rows, INV_INERTIA, b)))
+    return _Kick(x, R, old, first, middle, last, _in_world(R, get3(rows, INV_INERTIA, b)))
 
 
 @inline
@@ -240,12 +246,12 @@ def _in_world(R: Matrix, diagonal: Vec3) -> Matrix:
 
 @inline
 def _entry_of(
-    acting: Acting, rows: Floats, b: int, dt: float, to: _Kicked, last: Momenta, end: Momenta
+    acting: Acting, rows: Floats, b: int, dt: float, kick: _Kick, last: Momenta, end: Momenta
 ) -> Entry:
     """What a kick books that came to `last` before the second half of the flows, and then `end`."""
-    x, R = to.x, to.R
-    entry = entry_of_kick(rows, b, x, R, to.first, to.middle, last)
-    entry = _with_flow(acting.flow, rows, b, x, R, to.old, to.first, entry)
+    x, R = kick.x, kick.R
+    entry = entry_of_kick(rows, b, x, R, kick.first, kick.middle, last)
+    entry = _with_flow(acting.flow, rows, b, x, R, kick.old, kick.first, entry)
     entry = _with_flow(acting.flow, rows, b, x, R, last, end, entry)
     entry = with_power(acting.clock, acting, rows, b, x, R, dt, entry)
     return less_internal(acting.pair, acting.contact, rows, b, x, dt, entry)
