@@ -89,7 +89,7 @@ def place_contacts(
         return True
     begin_step(contact, instant)
     reached = place_bodies_and_walls(contact, team, pairs, own, instant)
-    return lists_hold(contact, instant, *reached)
+    return keep_extremes(contact, instant, *reached)
 
 
 @kernel
@@ -100,8 +100,10 @@ def begin_step(contact: MovingContact, instant: Instant) -> None:
 
 
 @kernel
-def lists_hold(contact: MovingContact, instant: Instant, path: float, v: float, w: float) -> bool:
-    """Whether the lists hold for the step that follows, by the largest of all bodies.
+def keep_extremes(
+    contact: MovingContact, instant: Instant, path: float, v: float, w: float
+) -> bool:
+    """Keep the largest displacement and speeds; whether the lists hold for the step that follows.
 
     The second half of `place_contacts`; ranks tell each other in between. All threads write the
     same.
@@ -134,7 +136,7 @@ def place_within_step(
     time = contact.workspace.step_start.time[0] + later
     instant = Instant(0.0, 0.0, time, 0.0)
     path, v, w = place_bodies_and_walls(contact, team, pairs, own, instant)
-    lists_hold(contact, instant, path, v, w)
+    keep_extremes(contact, instant, path, v, w)
 
 
 @kernel

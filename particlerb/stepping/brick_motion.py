@@ -20,7 +20,7 @@ from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
 from particlerb.contact.contact_model import ContactFrames, Instant, NeighbourLists
 from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.contact.records import PISTON, zero_records
-from particlerb.integrators.contact_stages import begin_step, lists_hold, place_bodies_and_walls
+from particlerb.integrators.contact_stages import begin_step, keep_extremes, place_bodies_and_walls
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, OwnBlocks
 from particlerb.integrators.stages import MovingBodies
@@ -286,7 +286,7 @@ class BrickMotion(SharedContact):
             return place_bodies_and_walls(contact, moving.team, None, own, instant)
 
         reached = self.ranks.largest(np.array(self.enter(here, moving, first, last)))
-        return bool(lists_hold(contact, instant, *reached.tolist()))
+        return bool(keep_extremes(contact, instant, *reached.tolist()))
 
     def until_used_up(
         self, schedule: Schedule, recording: Recording, saved: Copies, position: Position
