@@ -34,7 +34,7 @@ class Placement(NamedTuple):
     """One per body."""
 
 
-def place(case: Case) -> Placement:
+def placement_of(case: Case) -> Placement:
     """Initial values of all bodies of a case.
 
     Returns

@@ -15,7 +15,7 @@ from particlerb.case.placement import (
     Placement,
     in_world,
     orientations,
-    place,
+    placement_of,
     positions,
     unit_vectors,
     vectors,
@@ -113,7 +113,7 @@ def _kinds(case: Case, changes: _Changes, first: System, n_worlds: int) -> dict[
 
 def _placement(case: Case, changes: _Changes, n_worlds: int) -> Placement:
     """Initial values of the bodies of all worlds."""
-    base = place(case)
+    base = placement_of(case)
     values = [np.tile(array, (n_worlds, 1, 1)) for array in base[1:5]]
     position, orientation, velocity, spin = values
     for i, body in enumerate(case.body):

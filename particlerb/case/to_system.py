@@ -16,7 +16,7 @@ import numpy as np
 from particlerb.case.bodies import Body, NormalDistribution, ShapePart
 from particlerb.case.matter import solid_of, spheres_of
 from particlerb.case.output import FIELDS_OF_LAWS
-from particlerb.case.placement import Placement, place, quaternion_of, random_stream
+from particlerb.case.placement import Placement, placement_of, quaternion_of, random_stream
 from particlerb.case.problems import CaseError, Problem, problem_at
 from particlerb.case.reader import load
 from particlerb.case.reduction import reduced
@@ -66,7 +66,7 @@ def to_system(
         body spins where it cannot; and as `load`.
     """
     case = load(given)
-    placement = place(case)
+    placement = placement_of(case)
     notes: list[tuple[str, str]] = []
     particles, properties, first_kind = kinds(case, notes)
     kind = _kinds_of_bodies(case, placement, first_kind)

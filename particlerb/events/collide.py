@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.walls import primitive_at
-from particlerb.events.flight import bring, in_box, orientation_at, place, posed, set_spin
+from particlerb.events.flight import bring, flight_at, in_box, orientation_at, posed, set_spin
 from particlerb.events.records import (
     BOOKED,
     BOUND,
@@ -99,7 +99,7 @@ def _partner(
     scene: EventScene, state: EventState, work: EventWork, b: int, at: int, shift: Vec3, t: float
 ) -> None:
     """Write a body, or its image that is shifted, as partner `at` of an impact."""
-    x, _ = place(scene, state, b, t)
+    x, _ = flight_at(scene, state, b, t)
     R, omega = posed(scene, state, b, t)
     moments = column3(scene.body, b, INV_INERTIA)
     put_column3(work.place, at, 0, add(x, shift))
@@ -160,14 +160,14 @@ def _geometry(
 
     By the shift [m] the image of b is away that hits a.
     """
-    x, _ = place(scene, state, a, t)
+    x, _ = flight_at(scene, state, a, t)
     c, r = _sphere(scene.around, scene, state, a, i, x, t), scene.sphere[i, RADIUS]
     size = abs(c[0]) + abs(c[1]) + abs(c[2]) + r
     if b == WALL:
         one = primitive_at(scene.wall_kind, scene.wall_parameter, j)
         distance, n, _ = normal_to(one, c)
         return n, add_scaled(-distance, n, c), distance - r, size, _NOTHING
-    y, _ = place(scene, state, b, t)
+    y, _ = flight_at(scene, state, b, t)
     apart = subtract(c, _sphere(scene.around, scene, state, b, j, y, t))
     d = in_box(scene.box, apart)
     distance = norm(d)

@@ -52,7 +52,7 @@ def pull(scene: EventScene, b: int) -> Vec3:
 
 
 @inline
-def place(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Vec3, Vec3]:
+def flight_at(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Vec3, Vec3]:
     """Centre of mass [m] and velocity [m/s] of a body at a time."""
     x, v, g = row3(state.flight, b), column3(state.flight, b, V), pull(scene, b)
     h = t - state.flight[b, SINCE]
@@ -132,7 +132,7 @@ def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
     """End a flight at a time, and begin the next one there."""
     if b >= scene.n_moving:
         return
-    x, v = place(scene, state, b, t)
+    x, v = flight_at(scene, state, b, t)
     add_moment(scene, state, b, t, state.sums, MOMENT)
     put_column3(state.flight, b, X, x)
     put_column3(state.flight, b, V, v)
@@ -167,7 +167,7 @@ def states_at(
         moment[k] = state.sums[MOMENT + k]
     for b in range(state.place.size):
         i = to[b]
-        x, v = place(scene, state, b, t)
+        x, v = flight_at(scene, state, b, t)
         q, spin = orientation_at(scene, state, b, t), row3(state.spin, b)
         if b < scene.n_moving:
             add_moment(scene, state, b, t, moment, 0)

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel
-from particlerb.events.flight import place, pull, set_off
+from particlerb.events.flight import flight_at, pull, set_off
 from particlerb.events.queue import put
 from particlerb.events.records import (
     CELL,
@@ -180,7 +180,7 @@ def predict(
     `side` is that by which the body has come into its cell; where it is not negative, only cells
     beyond are new. Balls in free flight are looked at for all time, all else until the body leaves.
     """
-    x, v = place(scene, state, b, t)
+    x, v = flight_at(scene, state, b, t)
     one, found = Flying(b, t, x, v), True
     stays, state.info[b, EXIT] = _until_crossing(scene, state, b, x, v)
     state.at[b, LEAVE] = t + stays

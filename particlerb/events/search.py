@@ -26,7 +26,7 @@ from particlerb.contact.walls import (
     radial,
     side,
 )
-from particlerb.events.flight import in_box, place, posed, pull
+from particlerb.events.flight import flight_at, in_box, posed, pull
 from particlerb.events.records import (
     BEND,
     BOUND,
@@ -114,7 +114,7 @@ def _ready(
     scene: EventScene, state: EventState, work: Floats, b: int, shift: Vec3, t: float
 ) -> tuple[Vec3, Vec3]:
     """Write centres, velocities and bends of the spheres of a body; where the body is, how fast."""
-    x, v = place(scene, state, b, t)
+    x, v = flight_at(scene, state, b, t)
     x = add(x, shift)
     R, omega = posed(scene, state, b, t)
     lo = scene.kind[b, FIRST]
@@ -151,7 +151,7 @@ def _nearest_spheres(
     """Time in which no spheres of two bodies meet [s]; which are next, and whether they touch."""
     a, b = pair
     xb, vb = _ready(scene, state, work, b, shift, t)
-    xa, va = place(scene, state, a, t)
+    xa, va = flight_at(scene, state, a, t)
     R, omega = posed(scene, state, a, t)
     bend, size = state.spin[a, BEND], min(state.flight[a, BOUND], state.flight[b, BOUND])
     touch = rounding(xa, size)
@@ -215,7 +215,7 @@ class Flying(NamedTuple):
 @inline
 def balls_meet(scene: EventScene, state: EventState, one: Flying, c: int) -> float:
     """Time [s] until a ball and ball c touch and approach, both in free flight; inf: never."""
-    xc, vc = place(scene, state, c, one.t)
+    xc, vc = flight_at(scene, state, c, one.t)
     x, u = in_box(scene.box, subtract(xc, one.x)), subtract(vc, one.v)
     R = state.flight[one.body, BOUND] + state.flight[c, BOUND]
     return _balls_meet(x, u, R + rounding(one.x, R))
@@ -246,7 +246,7 @@ def bodies_meet(
     if fall == 0.0 and scene.body[b, REACH] == 0.0 and scene.body[c, REACH] == 0.0:
         s, i, j = balls_meet(scene, state, one, c), min(b, c), max(b, c)
         return (s if s < until else math.inf), scene.kind[i, FIRST], scene.kind[j, FIRST]
-    xc, vc = place(scene, state, c, t)
+    xc, vc = flight_at(scene, state, c, t)
     apart, u = subtract(xc, one.x), subtract(vc, one.v)
     x = in_box(scene.box, apart)
     shift = subtract(x, apart)
@@ -341,7 +341,7 @@ def _ready_for_wall(
     if around is not None and scene.body[b, REACH] != 0.0:
         _ready(scene, state, work, b, _NOWHERE, t)
         return
-    x, v = place(scene, state, b, t)
+    x, v = flight_at(scene, state, b, t)
     for i in range(3):
         work[0, i], work[0, 3 + i] = x[i], v[i]
     work[0, 6] = 0.0
@@ -354,7 +354,7 @@ def _wall_meets(
 ) -> tuple[float, int]:  # fmt: skip
     """`wall_meets` where the two come near each other."""
     one, g = primitive_at(scene.wall_kind, scene.wall_parameter, p), pull(scene, a)
-    _, v = place(scene, state, a, t)
+    _, v = flight_at(scene, state, a, t)
     fastest = norm(v) + norm(g) * until + state.spin[a, FASTEST] * scene.body[a, REACH] + 1e-300
     s, lo = 0.0, scene.kind[a, FIRST]
     for _ in range(_MOST):

@@ -150,7 +150,7 @@ def squared(d: Vec3, softening: float) -> float:
 
 
 @inline
-def place(attraction: Attraction, work: Fields, y: Floats, first: int, last: int) -> None:
+def place_particles(attraction: Attraction, work: Fields, y: Floats, first: int, last: int) -> None:
     """Place the particles of bodies first to last: x = com + R r.
 
     Parameters
@@ -178,7 +178,7 @@ def place(attraction: Attraction, work: Fields, y: Floats, first: int, last: int
 @kernel
 def place_points(attraction: Attraction, work: Fields, y: Floats, first: int, last: int) -> None:
     """Place the particles of bodies first to last: see `place`."""
-    place(attraction, work, y, first, last)
+    place_particles(attraction, work, y, first, last)
 
 
 # Field at the points
@@ -290,7 +290,7 @@ def attraction_loads(attraction: Attraction, work: Fields, y: Floats, load: Floa
     of points.
     """
     n_bodies = attraction.offset.size - 1
-    place(attraction, work, y, 0, n_bodies)
+    place_particles(attraction, work, y, 0, n_bodies)
     pull(attraction, work, 0, len(work.tile))
     _collect(attraction, work, load, 0, n_bodies)
 

@@ -75,7 +75,7 @@ def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> End
     def in_world(given: Given, q: Floats) -> Floats:
         return rotate(q, spread(given.body)) if isinstance(given, InFrame) else spread(given)
 
-    def place(given: Given | None, com: Floats, q: Floats, default: Floats) -> Floats:
+    def point(given: Given | None, com: Floats, q: Floats, default: Floats) -> Floats:
         if given is None:
             return default
         return in_world(given, q) + (com if isinstance(given, InFrame) else 0.0)
@@ -84,9 +84,9 @@ def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> End
         vectors = in_world(given, q)
         return vectors / lengths(vectors)
 
-    here = place(table.at, com_a, body_a, com_a)
+    here = point(table.at, com_a, body_a, com_a)
     stands_apart = table.type in ("distance", "gear")
-    there = place(table.at_to, com_b, body_b, com_b if stands_apart else here)
+    there = point(table.at_to, com_b, body_b, com_b if stands_apart else here)
     world = {"n": direction(table.axis or (0.0, 0.0, 1.0), body_a)}
     world["e"], world["f"] = _across(world["n"])
     if table.axis_to is not None:

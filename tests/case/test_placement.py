@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from particlerb.case.placement import Placement, grid_size, place, random_stream
+from particlerb.case.placement import Placement, grid_size, placement_of, random_stream
 from particlerb.case.reader import load
 
 RANDOM = {
@@ -31,7 +31,7 @@ def scene(*bodies: dict, seed: int = 0):
 
 
 def placed(*bodies: dict, seed: int = 0) -> Placement:
-    return place(scene(*bodies, seed=seed))
+    return placement_of(scene(*bodies, seed=seed))
 
 
 def matrices(q: np.ndarray) -> np.ndarray:

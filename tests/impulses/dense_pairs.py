@@ -13,7 +13,7 @@ import numpy as np
 
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
-from particlerb.events.flight import place
+from particlerb.events.flight import flight_at
 from particlerb.events.search import Flying, bodies_meet
 from particlerb.simulation.run import Run, prepare
 
@@ -84,7 +84,7 @@ def missed(n: int) -> tuple[int, int, float]:
     hits, wrong, widest = 0, 0, 0.0
     for k in range(n):
         one, other = int(min(at[k], at[n + k])), int(max(at[k], at[n + k]))
-        x, v = place(motion.scene, motion.state, one, 0.0)
+        x, v = flight_at(motion.scene, motion.state, one, 0.0)
         flying = Flying(one, 0.0, x, v)
         time, *_ = bodies_meet(motion.scene, motion.state, motion.work.centre, flying, other, UNTIL)
         a, b = (
