@@ -19,7 +19,9 @@ _OF_BODIES: Final = frozenset(
     ("shape", "mass", "density", "position", "orientation", "velocity", "angular_velocity")
 )
 _OF_TIME: Final = frozenset(("during", "time", "times", "table", "file", "body", "to", "type"))
-_OF_CONTACT: Final = frozenset(("friction", "restitution", "rolling_friction", "stiffness"))
+_OF_CONTACT: Final = frozenset(
+    ("friction", "restitution", "rolling_friction", "stiffness", "torsional_friction")
+)
 _SEED: Final = ("run", "seed")
 _OF_PAIR: Final = 4  # parts of a key like contact.pair.0.friction
 

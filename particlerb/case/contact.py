@@ -54,6 +54,8 @@ class ContactNumbers(Table):
     """Coefficient of sliding friction. [-]"""
     rolling_friction: NonNegative | None = None
     """Coefficient of rolling friction; default: 0. [-]"""
+    torsional_friction: NonNegative | None = None
+    """Coefficient of friction against spinning about the normal, impulse; default: 0. [-]"""
 
 
 class Pair(ContactNumbers):

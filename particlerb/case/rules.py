@@ -281,6 +281,9 @@ def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Fin
 def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Finding]:
     """The law has a use for a number, and there is a damping for a restitution."""
     law = entry_at(contact, "law", str)
+    if law != "impulse" and given(table, "torsional_friction"):
+        reason = "impulses alone resist spinning about the normal"
+        yield (*path, "torsional_friction"), reason, 'leave it out, or take law = "impulse"'
     if law in output.FIELDS_OF_LAWS:
         for key in ("stiffness", "tangential_stiffness"):
             if given(table, key):

@@ -31,6 +31,7 @@ from particlerb.impulses.records import (
     Partners,
     Rolling,
 )
+from particlerb.impulses.rolling import ABOUT, ACROSS
 from particlerb.impulses.rows import column3, in_world, put_column3, write_frame
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
@@ -106,20 +107,22 @@ def _take_in(
     c = entry if entry >= 0 else ~entry
     put_column3(rows.impulse, k, 0, scale(dt, row3(contacts.history.force, c)))
     put_column3(rows.impact, k, 0, ZERO)
-    _take_in_rolling(rows.rolling, setup.model.law.rolling, contacts, c, k, near, dt)
+    _take_in_rolling(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
     for deepest in (DEEPEST, DEEPEST_NOW):
         tally[deepest] = max(tally[deepest], -gap)
 
 
 @inline
 def _take_in_rolling(
-    rolling: Rolling | None, coefficient: Floats | None, contacts: ContactList, c: int, k: int,
+    impulses: Impulses, coefficient: Floats | None, contacts: ContactList, c: int, k: int,
     near: _Near, dt: float,
 ) -> None:  # fmt: skip
-    """Write how contact c, which is row k, resists rolling, if anything does."""
+    """Write how contact c, which is row k, resists rolling and spinning, if anything does."""
+    rolling = impulses.rows.rolling
     if rolling is None or coefficient is None:
         return
-    rolling.limit[k, 0] = coefficient[near.pair] * near.effective
+    rolling.limit[k, ACROSS] = coefficient[near.pair] * near.effective
+    rolling.limit[k, ABOUT] = impulses.rules.torsion[near.pair] * near.effective
     put_column3(rolling.impulse, k, 0, scale(dt, row3(contacts.history.torque, c)))
     put_column3(rolling.impact, k, 0, ZERO)
 

@@ -16,8 +16,9 @@ def left_out(system: System) -> list[str]:
     if system.attraction is not None:
         lines.append("attraction")
     contact = system.contact
-    if contact and any(table.rolling_friction for table in (contact, *contact.pair)):
-        lines.append("rolling friction")
+    for key in ("rolling_friction", "torsional_friction"):
+        if contact and any(getattr(table, key) for table in (contact, *contact.pair)):
+            lines.append(key.replace("_", " "))
     for joint in system.joint:
         acting = [key for key in _ACTING if getattr(joint, key)]
         lines += [f"{key} of a {joint.type}" for key in acting]

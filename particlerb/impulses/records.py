@@ -89,6 +89,7 @@ class ImpulseRules(NamedTuple):
     """How contacts are solved that have no stiffness."""
 
     restitution: Floats  # (n_pairs,) of materials
+    torsion: Floats  # (n_pairs,) μ_t
     tolerance: float  # of the residual
     iterations: int  # sweeps at most
     push_out: float  # share of an overlap that is taken away in a step
@@ -153,14 +154,14 @@ class Bounded(NamedTuple):
 
 
 class Rolling(NamedTuple):
-    """Resistance of contacts to rolling, see `rolling`: room as in `ImpulseRows`."""
+    """Resistance of contacts to rolling and spinning, see `rolling`: room as in `ImpulseRows`."""
 
-    limit: Floats  # (.., 2) [m] μ_r R*, [1/(kg m²)] the largest inverse inertia across the normal
-    impulse: Floats  # (.., 3) [N m s] 0, along t₁, t₂, on the first; world axes until the solve
+    limit: Floats  # (.., 4) [m] μ_r R*, [1/(kg m²)] λ across the normal; μ_t R* and λ about it
+    impulse: Floats  # (.., 3) [N m s] along n, t₁, t₂, on the first; world axes until the solve
     impact: Floats  # (.., 3) [N m s] the same of impacts
     old: Floats  # (.., 3) before a sweep
     direction: Floats  # (.., 3) of the conjugate gradients
-    slopes: Floats  # (.., 9) of Newton's method, see `rolling_newton`
+    slopes: Floats  # (.., 10) of Newton's method, see `rolling_newton`
 
 
 class ImpulseRows(NamedTuple):
@@ -177,7 +178,7 @@ class ImpulseRows(NamedTuple):
     direction: Floats  # (.., 3) of the conjugate gradients
     order: Floats  # (.., 2) of impacts: since when [s], and which
     bounded: Bounded | None = None  # None: nothing acts in joints within bounds
-    rolling: Rolling | None = None  # None: nothing resists rolling
+    rolling: Rolling | None = None  # None: nothing resists rolling or spinning
 
 
 class Newton(NamedTuple):
@@ -223,7 +224,7 @@ def room_for_rows(
     impulse, impact, old, direction = np.zeros((4, n, 3))
     order = np.zeros((n + (1 if bounded is None else 1 + bounded.kind.size), 2))
     arrays = first, second, entry, frame, limits, impulse, impact, old, direction, order
-    widths = (2, 3, 3, 3, 3, 9) if with_rolling else ()
+    widths = (4, 3, 3, 3, 3, 10) if with_rolling else ()
     rolling = Rolling(*(np.zeros((n, width)) for width in widths)) if widths else None
     return ImpulseRows(*arrays, bounded, rolling)
 

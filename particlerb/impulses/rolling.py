@@ -1,13 +1,15 @@
-"""Resistance to rolling: angular impulses of contacts along their tangents.
+"""Resistance to rolling and spinning: angular impulses of contacts.
 
 Where two roll on each other with ω across the normal, the angular impulse m on the first is
 opposite to ω, or ends it, and at most μ_r R* times the normal impulse in size:
 
     m = P(m - ω / λ),   P the projection onto the disc of radius μ_r R* r_n
 
-λ is the largest inverse inertia across the normal. In sums beside contacts m counts by λ / W_nn, so
-that one of N m s is as large as one of N s with the same energy. About the normal nothing resists.
-Where no material resists rolling, nothing of this is compiled.
+λ is the largest inverse inertia across the normal. About the normal the same holds with the interval
+± μ_t R* r_n and the inverse inertia there; both λ are 1 + κ times as large where the two are coupled,
+κ = |W_n1, W_n2| / √(λ λ_n), so that steps of both at once lower the energy. In sums beside contacts m
+counts by λ / W_nn, so that one of N m s is as large as one of N s with the same energy. Where no
+material resists either, nothing of this is compiled.
 
 Source: Ai, Chen, Rotter and Ooi, Powder Technology 206, 269 (2011), the bound.
 """
@@ -28,6 +30,9 @@ from particlerb.impulses.rows import (
 )
 from particlerb.maths.vec3 import Floats, Vec3, add, dot, scale, subtract
 
+ACROSS: Final = 0  # columns of `Rolling.limit`: μ_r R* and λ across the normal
+ABOUT: Final = 2  # the same about it
+
 _LOCKED: Final = 1e-9  # of the inverse inertia without joints: below it these hold all
 _MOST: Final = 200  # steps of an impact, and
 _EXACT: Final = 1e-14  # relative change at which there is one no more
@@ -35,11 +40,9 @@ _EXACT: Final = 1e-14  # relative change at which there is one no more
 
 @inline
 def turning(velocity: Floats, rows: ImpulseRows, k: int) -> Vec3:
-    """Relative angular velocity [rad/s] of contact k along t₁, t₂, behind a 0."""
+    """Relative angular velocity [rad/s] of contact k along n, t₁, t₂."""
     a, b = rows.first[k], rows.second[k]
-    between = subtract(column3(velocity, a, 3), column3(velocity, b, 3))
-    omega = in_frame(rows.frame, k, between)
-    return 0.0, omega[1], omega[2]
+    return in_frame(rows.frame, k, subtract(column3(velocity, a, 3), column3(velocity, b, 3)))
 
 
 @inline
@@ -61,23 +64,39 @@ def _give(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> None:
 @inline
 def on_the_disc(rolling: Rolling, k: int, m: Vec3, n: float) -> Vec3:
     """m, or the nearest that a normal impulse n lets be."""
-    x, y = on_disc(m[1], m[2], rolling.limit[k, 0] * n)
-    return 0.0, x, y
+    x, y = on_disc(m[1], m[2], rolling.limit[k, ACROSS] * n)
+    most = rolling.limit[k, ABOUT] * n
+    return min(max(m[0], -most), most), x, y
+
+
+@inline
+def step_against(rolling: Rolling, k: int, omega: Vec3) -> Vec3:
+    """-ω / λ of contact k."""
+    across, about = -1.0 / rolling.limit[k, ACROSS + 1], -1.0 / rolling.limit[k, ABOUT + 1]
+    return about * omega[0], across * omega[1], across * omega[2]
 
 
 @inline
 def _nearest(rolling: Rolling, partners: Partners, rows: ImpulseRows, k: int) -> Vec3:
     """P of contact k with the velocities of now."""
-    share = -1.0 / rolling.limit[k, 1]
-    step = scale(share, turning(partners.velocity, rows, k))
+    step = step_against(rolling, k, turning(partners.velocity, rows, k))
     return on_the_disc(rolling, k, add(column3(rolling.impulse, k, 0), step), rows.impulse[k, 0])
 
 
 @inline
 def square_of(rolling: Rolling, rows: ImpulseRows, k: int, m: Vec3) -> float:
     """What m counts beside impulses [(N s)²]."""
-    square: float = rolling.limit[k, 1] / rows.frame[k, INVERSE] * dot(m, m)
-    return square
+    across, about = rolling.limit[k, ACROSS + 1], rolling.limit[k, ABOUT + 1]
+    square: float = across * (m[1] * m[1] + m[2] * m[2]) + about * m[0] * m[0]
+    return square / float(rows.frame[k, INVERSE])
+
+
+@inline
+def _turned_by(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> Vec3:
+    """What an angular impulse m of contact k does to its angular velocity."""
+    clear_moves(partners, rows.first[k], rows.second[k])
+    _turn(partners, partners.move, rows, k, m)
+    return turning(partners.move, rows, k)
 
 
 @inline
@@ -88,20 +107,23 @@ def write_rolling(
     if rolling is None:
         return
     for k in range(count):
-        a, b, inverse = rows.first[k], rows.second[k], partners.inverse
-        clear_moves(partners, a, b)
-        _turn(partners, partners.move, rows, k, (0.0, 1.0, 0.0))
-        one = turning(partners.move, rows, k)
-        clear_moves(partners, a, b)
-        _turn(partners, partners.move, rows, k, (0.0, 0.0, 1.0))
-        two = turning(partners.move, rows, k)
+        a, b, inverse, limit = rows.first[k], rows.second[k], partners.inverse, rolling.limit
+        n = _turned_by(partners, rows, k, (1.0, 0.0, 0.0))
+        one = _turned_by(partners, rows, k, (0.0, 1.0, 0.0))
+        two = _turned_by(partners, rows, k, (0.0, 0.0, 1.0))
         half = 0.5 * (one[1] - two[2])
         largest = 0.5 * (one[1] + two[2]) + math.sqrt(half * half + one[2] * one[2])
         free = inverse[a, 1] + inverse[a, 4] + inverse[a, 6]
         free += inverse[b, 1] + inverse[b, 4] + inverse[b, 6]
-        rolling.limit[k, 1] = largest
-        if largest <= _LOCKED * free:
-            rolling.limit[k, 0], rolling.limit[k, 1] = 0.0, 1.0
+        limit[k, ACROSS + 1], limit[k, ABOUT + 1] = largest, n[0]
+        for at in (ACROSS, ABOUT):
+            if limit[k, at + 1] <= _LOCKED * free:
+                limit[k, at], limit[k, at + 1] = 0.0, 1.0
+        across, about = limit[k, ACROSS + 1], limit[k, ABOUT + 1]
+        if limit[k, ACROSS] > 0.0 and limit[k, ABOUT] > 0.0:
+            coupling = math.sqrt((n[1] * n[1] + n[2] * n[2]) / (across * about))
+            limit[k, ACROSS + 1] += coupling * across
+            limit[k, ABOUT + 1] += coupling * about
 
 
 @inline
@@ -115,9 +137,9 @@ def bounce_rolling(
     """
     if rolling is None:
         return
-    m, share = ZERO, -1.0 / rolling.limit[k, 1]
+    m = ZERO
     for _ in range(_MOST):
-        step = scale(share, turning(partners.velocity, rows, k))
+        step = step_against(rolling, k, turning(partners.velocity, rows, k))
         nearer = on_the_disc(rolling, k, add(m, step), n)
         change = subtract(nearer, m)
         if dot(change, change) <= _EXACT * _EXACT * dot(nearer, nearer):

@@ -1,10 +1,11 @@
-"""Newton's method for resistance to rolling: its parts of what newton.py does for contacts.
+"""Newton's method for resistance to rolling and spinning: its parts of what newton.py does for contacts.
 
 The disc is as wide as the normal impulse r_n makes it. So an angular impulse changes by
 
     dm = -c - K dω + q dr_n
 
-with q across the edge of the disc where m is on it, and 0 inside.
+with q across the edge of the disc where m is on it, and 0 inside. About the normal an interval is in
+the place of the disc.
 """
 
 import math
@@ -12,11 +13,18 @@ from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.impulses.records import ZERO, ImpulseRows, Partners, Rolling
-from particlerb.impulses.rolling import on_the_disc, square_of, turning
+from particlerb.impulses.rolling import (
+    ABOUT,
+    ACROSS,
+    on_the_disc,
+    square_of,
+    step_against,
+    turning,
+)
 from particlerb.impulses.rows import column3, in_world, put_column3
 from particlerb.maths.vec3 import Vec3, add, add_scaled, scale, subtract
 
-_C, _K, _Q = 0, 3, 6  # columns of `Rolling.slopes`: c; K_11, K_12, K_22; q
+_C, _K, _Q, _KN = 0, 3, 6, 9  # columns of `Rolling.slopes`: c; K_11, K_12, K_22; q; K_nn
 _TINY: Final = 1e-300
 
 
@@ -31,29 +39,35 @@ def linearise_rolling(
     if rolling is None:
         return 0.0
     slopes, m = rolling.slopes, column3(rolling.impulse, k, 0)
-    n, share, one = max(rows.impulse[k, 0], 0.0), 1.0 / rolling.limit[k, 1], 1.0 + small
-    z = add_scaled(-share, turning(partners.velocity, rows, k), m)
+    n, limit, one = max(rows.impulse[k, 0], 0.0), rolling.limit, 1.0 + small
+    z = add(m, step_against(rolling, k, turning(partners.velocity, rows, k)))
     f = subtract(m, on_the_disc(rolling, k, z, n))
-    size, radius = max(math.sqrt(z[1] * z[1] + z[2] * z[2]), _TINY), rolling.limit[k, 0] * n
+    share, radius = 1.0 / limit[k, ACROSS + 1], limit[k, ACROSS] * n
+    size = max(math.sqrt(z[1] * z[1] + z[2] * z[2]), _TINY)
+    if abs(z[0]) <= limit[k, ABOUT] * n:
+        c, slopes[k, _KN], q = f[0] / small, 1.0 / (small * limit[k, ABOUT + 1]), 0.0
+    else:
+        c, slopes[k, _KN], q = f[0] / one, 0.0, math.copysign(limit[k, ABOUT] / one, z[0])
     if size <= radius:
-        put_column3(slopes, k, _C, scale(1.0 / small, f))
+        put_column3(slopes, k, _C, (c, f[1] / small, f[2] / small))
         put_column3(slopes, k, _K, (share / small, 0.0, share / small))
-        put_column3(slopes, k, _Q, ZERO)
+        put_column3(slopes, k, _Q, (q, 0.0, 0.0))
     else:
         x, y, g = z[1] / size, z[2] / size, radius / size
         along = (f[2] * x - f[1] * y) / (one - g)
         out, stiff = (f[1] * x + f[2] * y) / one, share * g / (one - g)
-        put_column3(slopes, k, _C, (0.0, out * x - along * y, out * y + along * x))
+        put_column3(slopes, k, _C, (c, out * x - along * y, out * y + along * x))
         put_column3(slopes, k, _K, (stiff * y * y, -stiff * x * y, stiff * x * x))
-        put_column3(slopes, k, _Q, scale(rolling.limit[k, 0] / one, (0.0, x, y)))
+        wider = limit[k, ACROSS] / one
+        put_column3(slopes, k, _Q, (q, wider * x, wider * y))
     return square_of(rolling, rows, k, f)
 
 
 @inline
 def _change(rolling: Rolling, k: int, omega: Vec3, dn: float) -> Vec3:
-    """K dω - q dr_n of contact k, with dω along t₁, t₂ behind a 0."""
-    k11, k12, k22 = column3(rolling.slopes, k, _K)
-    by = (0.0, k11 * omega[1] + k12 * omega[2], k12 * omega[1] + k22 * omega[2])
+    """K dω - q dr_n of contact k, with dω along n, t₁, t₂."""
+    (k11, k12, k22), kn = column3(rolling.slopes, k, _K), rolling.slopes[k, _KN]
+    by = (kn * omega[0], k11 * omega[1] + k12 * omega[2], k12 * omega[1] + k22 * omega[2])
     return add_scaled(-dn, column3(rolling.slopes, k, _Q), by)
 
 

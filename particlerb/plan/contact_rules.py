@@ -21,11 +21,14 @@ def rules_of(touching: ContactSetup, radius: float, n: int) -> ImpulseRules | No
     asked = touching.record
     if asked.law != "impulse":
         return None
-    restitution = touching.pairs.restitution.ravel()
+    restitution, torsion = (
+        numbers.ravel()
+        for numbers in (touching.pairs.restitution, touching.pairs.torsional_friction)
+    )
     newton = asked.solver == "newton" or (asked.solver == "auto" and n <= MOST_BODIES)
     return ImpulseRules(
-        restitution, asked.tolerance, asked.iterations, asked.push_out, asked.slop * radius,
-        asked.overlap, newton,
+        restitution, torsion, asked.tolerance, asked.iterations, asked.push_out,
+        asked.slop * radius, asked.overlap, newton,
     )  # fmt: skip
 
 

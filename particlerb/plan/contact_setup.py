@@ -39,6 +39,7 @@ class MaterialPairs(NamedTuple):
     damping_ratio: Floats  # (k, k) ζ that gives the restitution with this law
     friction: Floats  # (k, k)
     rolling_friction: Floats  # (k, k)
+    torsional_friction: Floats  # (k, k)
     can_meet: Bools  # (k, k)
 
 
@@ -195,7 +196,7 @@ def pairs_of(
         if missing:
             problems += [_missing_number(system, names, a, b, number, missing)]
             continue
-        for key in (*needed, "rolling_friction"):
+        for key in (*needed, "rolling_friction", "torsional_friction"):
             _both(getattr(pairs, key), a, b, _number_of(table, pair, key) or 0.0)
         if not table.has_stiffness:
             continue

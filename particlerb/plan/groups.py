@@ -382,7 +382,7 @@ def _law_of(touching: ContactSetup) -> Law:
         pairs.damping_ratio.ravel(),
         np.full(rolling.size, TANGENTIAL_DAMPING),
         pairs.friction.ravel(),
-        rolling if rolling.any() else None,
+        rolling if rolling.any() or pairs.torsional_friction.any() else None,
         flag(is_hertz),
         flag(touching.record.attract),
     )

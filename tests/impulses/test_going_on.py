@@ -85,7 +85,7 @@ print(json.dumps([t.position.tolist(), t.angular_momentum.tolist(), t.observable
 @pytest.mark.compiled
 def test_compiled_code_solves_contacts_and_bounds_of_joints_as_plain_python_does(make):
     """A motor with friction and stops in its joint presses a spinning ball; 20 steps."""
-    scene = pressed(0.25, rolling_friction=0.1)
+    scene = pressed(0.25, rolling_friction=0.1, torsional_friction=0.1)
     scene["body"][1]["angular_velocity"] = [3.0, 5.0, -2.0]
     scene["run"] |= {"t_end": 0.6, "dt": 0.03, "every": 0.03}
     code = RUN.format(scene=json.dumps(scene))

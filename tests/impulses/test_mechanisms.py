@@ -212,7 +212,7 @@ def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts(
     for k, x in enumerate((-0.2, 1.3)):
         write_frame(partners, contacts, k, (0.0, 0.0, 1.0), (x, 0.1, -0.1))
         contacts.frame[k, FRICTION] = 0.5
-    rules = ImpulseRules(np.zeros(1), 1e-12, 1, 0.0, 0.0, 0.0, True)
+    rules = ImpulseRules(np.zeros(1), np.zeros(1), 1e-12, 1, 0.0, 0.0, 0.0, True)
     newton = room_for_newton(partners.inverse[:, 0] > 0, a[:1], b[:1], 2)
     impulses = Impulses(rules, partners, contacts, np.array([2, -1]), np.zeros(TALLY), newton)
     find_responses(joints, work, impulses, mechanisms, None, None, 0.01)

@@ -9,7 +9,7 @@ from test_newton import wedged
 
 import particlerb
 from particlerb.impulses.records import room_for_partners, room_for_rows
-from particlerb.impulses.rolling import bounce_rolling, write_rolling
+from particlerb.impulses.rolling import ABOUT, ACROSS, bounce_rolling, write_rolling
 from particlerb.impulses.rows import write_frame
 
 I = 0.4 * 2.0 * R * R  # noqa: E741 - of a ball of 2 kg
@@ -86,22 +86,28 @@ def test_an_impact_resists_by_its_own_impulse():
     assert max(errors(t)) < 1e-13
 
 
-@pytest.mark.parametrize("limit", [0.02, 10.0])
-def test_an_impact_of_unequal_moments_resists_as_the_law_asks(limit):
+@pytest.mark.parametrize(
+    ("limit", "torsion"), [(0.02, 0.0), (10.0, 0.0), (0.02, 0.05), (10.0, 10.0)]
+)
+def test_an_impact_of_unequal_moments_resists_as_the_law_asks(limit, torsion):
     """Where m is at its bound the turning that is left is opposite to it; else nothing is left."""
+    W = np.array([[20.0, 2.0, 1.5], [2.0, 3.0, 0.5], [1.5, 0.5, 10.0]])
     partners, rows = room_for_partners(2), room_for_rows(1, with_rolling=True)
-    partners.inverse[0, [0, 1, 2, 4, 6]] = 1.0, 20.0, 2.0, 3.0, 10.0
+    partners.inverse[0] = [1.0, *W[np.triu_indices(3)]]
     partners.velocity[0, 3:] = 3.0, -4.0, 1.0
     rows.second[0] = 1
     write_frame(partners, rows, 0, (0.0, 0.0, 1.0), (0.0, 0.0, -R))
-    rows.rolling.limit[0, 0] = limit
+    rows.rolling.limit[0, [ACROSS, ABOUT]] = limit, torsion
     write_rolling(rows.rolling, partners, rows, 1)
     before = partners.velocity[0, 3:].copy()
     bounce_rolling(rows.rolling, partners, rows, 0, 1.5)
+    assert partners.velocity[0, 3:] == pytest.approx(before + W @ partners.given[0, 3:], abs=1e-12)
     m, left = partners.given[0, 3:5], partners.velocity[0, 3:5]
-    assert left == pytest.approx(before[:2] + [[20.0, 2.0], [2.0, 3.0]] @ m, abs=1e-12)
+    about, spin = partners.given[0, 5], partners.velocity[0, 5]
+    assert abs(about) <= 1.5 * torsion * (1.0 + 1e-14)
+    assert spin == pytest.approx(0.0, abs=1e-12) or about == -math.copysign(1.5 * torsion, spin)
     if limit == 10.0:
-        assert np.abs(left).max() < 1e-12
+        assert np.abs(left).max() < (1e-10 if torsion else 1e-12)  # each step leaves 0.89
     else:
         assert math.hypot(*m) == pytest.approx(1.5 * limit, rel=1e-14)
         assert m @ left == pytest.approx(-math.hypot(*m) * math.hypot(*left), rel=1e-13)
@@ -117,8 +123,8 @@ def test_clumps_that_meet_keep_their_momenta_and_gain_no_energy(restitution):
             0.75 * np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]),
             rng.normal(size=(8, 4)), strict=True))
     ]  # fmt: skip
-    contact = impulse(restitution, 0.5, rolling_friction=0.5, tolerance=1e-8, iterations=300,
-                      push_out=0.0)  # fmt: skip
+    contact = impulse(restitution, 0.5, rolling_friction=0.5, torsional_friction=0.4,
+                      tolerance=1e-8, iterations=300, push_out=0.0)  # fmt: skip
     t = go(*bodies, contact=contact, dt=4e-3, t_end=0.8, every=4e-3)
     P, L = t.observable("linear_momentum"), t.observable("angular_momentum")
     assert np.abs(P - P[0]).max() < 1e-13
@@ -155,7 +161,8 @@ def test_what_a_driven_body_does_by_turning_is_booked():
 def test_a_run_that_is_resumed_has_the_same_bits_and_does_not_see_its_frames(tmp_path):
     """One sweep a step needs the torques of before."""
     boxes = [clump(f"b{i}", position=[0, 0, 2 * R + 4 * R * i]) for i in range(3)]
-    contact = impulse(0.2, 0.5, rolling_friction=0.3, iterations=1, solver="sweeps")
+    contact = impulse(0.2, 0.5, rolling_friction=0.3, torsional_friction=0.3, iterations=1,
+                      solver="sweeps")  # fmt: skip
     keys = {"contact": contact, "wall": [plane()], "gravity": tilted(0.2), "dt": 5e-3}
     whole = particlerb.run(case(*boxes, t_end=0.2, every=0.02, **keys))
     path = tmp_path / "part.h5"
@@ -183,3 +190,47 @@ def test_newtons_method_follows_discs_that_grow_with_the_pressing_impulse(monkey
     keys = {"rolling_friction": 0.1, "iterations": 1, "solver": "newton"}
     t = wedged(3, ["pair"] * 3, 1.0, 0.35, 0.2, **keys)
     assert 0.0 < t.observable("impulse_residual").max() <= 1e-10
+
+
+# Spinning about the normal
+
+
+def test_a_ball_that_spins_about_the_normal_stops_at_the_known_time():
+    """At ω₀ I / (μ_t R m g) = 0.163 s, between frames; it rolls on, as nothing resists that."""
+    ball = sphere(position=[0, 0, R], angular_velocity=[0, 0, 4.0])
+    t = go(ball, contact=exact(0.0, 0.0, torsional_friction=0.1), wall=[plane()], gravity=DOWN,
+           dt=5e-3, t_end=0.2, every=0.01, output={"fields": FIELDS})  # fmt: skip
+    torque = 0.1 * R * 2.0 * G
+    spin = np.maximum(4.0 - torque / I * t.time, 0.0)
+    assert np.abs(t.angular_velocity[:, 0] - np.outer(spin, [0, 0, 1.0])).max() < 1e-12
+    assert spin[-5] > 0.0 == spin[-3]
+    assert t.wall_torque[5, 0] == pytest.approx([0.0, 0.0, torque], abs=1e-12)
+    assert max(errors(t)) < 1e-13
+
+
+def test_a_disc_of_four_balls_spins_down_by_torsion_and_friction_together():
+    """(I about z) ω̇ = -(μ d + μ_t R) m g, for balls at a distance d of the axis."""
+    d = 0.3
+    corners = [[d, 0, 0], [-d, 0, 0], [0, d, 0], [0, -d, 0]]
+    shape = {"type": "points", "mass": 0.25, "radius": R, "position": corners}
+    disc = {"name": "disc", "shape": shape, "position": [0, 0, R], "angular_velocity": [0, 0, 6.0]}
+    t = go(disc, contact=exact(0.0, 0.2, torsional_friction=0.5), wall=[plane()], gravity=DOWN,
+           dt=0.01, t_end=0.6, every=0.1)  # fmt: skip
+    slower = (0.2 * d + 0.5 * R) * G / (d * d + 0.4 * R * R)
+    spin = np.maximum(6.0 - slower * t.time, 0.0)
+    assert np.abs(t.angular_velocity[:, 0, 2] - spin).max() < 1e-12
+    assert spin[4] > 0.0 == spin[-1]
+    assert max(errors(t)) < 1e-12
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+@pytest.mark.parametrize("solver", ["sweeps", "newton"])
+def test_a_ball_turns_from_the_limit_of_torque_on(share, solver):
+    limit = 0.2 * R * 2.0 * G
+    twist = {"type": "torque", "body": "ball", "torque": [0, 0, share * limit], "frame": "world"}
+    contact = exact(0.0, 0.5, torsional_friction=0.2, rolling_friction=0.1, solver=solver)
+    t = go(sphere(position=[0, 0, R]), contact=contact, wall=[plane()], gravity=DOWN,
+           force=[twist], dt=5e-3, t_end=0.2, every=0.1)  # fmt: skip
+    spin = max(share - 1.0, 0.0) * limit / I * t.time
+    assert np.abs(t.angular_velocity[:, 0, 2] - spin).max() < 1e-12
+    assert max(errors(t)) < 1e-12
