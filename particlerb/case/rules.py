@@ -273,9 +273,9 @@ def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Fin
         if contact.get(key) is True:
             yield ("contact", key), "impulses have neither damping nor stiffness", "leave it out"
     for i, wall in tables(raw, "wall"):
-        if given(wall, "piston"):
-            reason = "impulses do not move pistons yet"
-            yield ("wall", i, "piston"), reason, 'take law = "hooke", or `motion`'
+        if given(entry_at(wall, "piston", dict), "limits"):
+            reason = "impulses do not stop pistons yet"
+            yield ("wall", i, "piston", "limits"), reason, 'leave it out, or take law = "hooke"'
 
 
 def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Finding]:

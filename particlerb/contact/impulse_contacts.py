@@ -86,6 +86,8 @@ def _is_near(
     if b < setup.max_arm.size:
         turning_b, slow_b = _by_turning(impulses, b, setup.max_arm[b] + radii)
         turning, slow = turning + turning_b, max(slow, slow_b)
+    else:
+        slow = max(slow, _KICKS * impulses.partners.speeds[b, 2])
     return gap <= dt * (length(between) + turning + slow), slow
 
 

@@ -9,8 +9,11 @@ without bouncing; what it loses then is booked.
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from particlerb.compiled.jit import inline
 from particlerb.contact.records import PISTON, Records, zero_records
+from particlerb.impulses.records import Mechanisms
 from particlerb.maths.vec3 import Floats, Ints
 
 
@@ -115,3 +118,69 @@ def piston_energies(pistons: Pistons | None, state: Records) -> tuple[float, flo
         return 0.0, 0.0
     kinetic = 0.5 * pistons.mass * state.velocity**2
     return float(kinetic.sum()), float(-(pistons.force * state.displacement).sum())
+
+
+# Pistons among impulses
+
+
+def with_pistons(mechanisms: Mechanisms | None, pistons: Pistons, n_partners: int) -> Mechanisms:
+    """Walls that slide are mechanisms of one member each, which moves along its axis alone."""
+    k, wall = pistons.wall.size, n_partners - pistons.of_wall.size + pistons.wall
+    if mechanisms is None:
+        number, none = np.full(n_partners, -1), np.zeros(0, dtype=np.int64)
+        known = np.zeros(n_partners, dtype=np.bool_)
+        place, zero = np.zeros(n_partners, dtype=np.int64), np.zeros(1, dtype=np.int64)
+        mechanisms = Mechanisms(number, place, none, zero, none, np.zeros(0), known)
+    number, place, member, first, start, response, known = mechanisms
+    number[wall], known[wall] = first.size - 1 + np.arange(k), True
+    own = np.zeros((k, 6, 6))
+    own[:, :3, :3] = np.einsum("ki,kj->kij", pistons.axis, pistons.axis)
+    own /= pistons.mass[:, None, None]
+    return Mechanisms(
+        number, place, np.append(member, wall), np.append(first, first[-1] + 1 + np.arange(k)),
+        np.append(start, response.size + 36 * np.arange(k)), np.append(response, own), known,
+    )  # fmt: skip
+
+
+@inline
+def push_pistons(pistons: Pistons | None, velocity: Floats, first: int, dt: float) -> None:
+    """Change velocities (partners, 6) by load and weight over dt; walls begin at `first`."""
+    if pistons is None:
+        return
+    for k in range(pistons.wall.size):
+        for c in range(3):
+            by = dt * pistons.force[k] / pistons.mass[k] * pistons.axis[k, c]
+            velocity[first + pistons.wall[k], c] += by
+
+
+@inline
+def along_axis(pistons: Pistons, k: int, vectors: Floats, first: int) -> float:
+    """Component of the vector of piston k along its axis."""
+    w, along = first + pistons.wall[k], 0.0
+    for c in range(3):
+        along += pistons.axis[k, c] * vectors[w, c]
+    return along
+
+
+@inline
+def keep_pistons(pistons: Pistons | None, state: Records, velocity: Floats, first: int) -> None:
+    """Take the velocities of pistons that impulses have left."""
+    if pistons is None:
+        return
+    for k in range(pistons.wall.size):
+        state.velocity[k] = along_axis(pistons, k, velocity, first)
+        state.previous_velocity[k] = state.velocity[k]
+
+
+@inline
+def move_pistons(pistons: Pistons | None, state: Records, move: Floats, first: int) -> float:
+    """Displace pistons by moves that no velocity knows of, and book it; the work [J]."""
+    work = 0.0
+    if pistons is None:
+        return work
+    for k in range(pistons.wall.size):
+        path = along_axis(pistons, k, move, first)
+        state.displacement[k] += path
+        state.booked_work[k] -= pistons.force[k] * path
+        work -= pistons.force[k] * path
+    return work

@@ -60,7 +60,9 @@ class Terms(NamedTuple):
     @property
     def has_pair_loads(self) -> bool:
         """Whether bodies act on each other by loads, and not by impulses alone."""
-        return self.is_coupled and (self.contact is None or self.has_springy_contact)
+        between = self.links, self.own_pairs, self.attraction
+        acts = self.has_springy_contact or any(term is not None for term in between)
+        return self.is_coupled and (self.contact is None or acts)
 
     @property
     def is_coupled(self) -> bool:
@@ -217,7 +219,7 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         without = kinds.EVENTS if terms.collides_by_events else kinds.IMPULSES
         needs["contact"] = frozenset({kinds.CONTACT if terms.has_springy_contact else without})
         if terms.contact.pistons is not None:
-            needs["walls with a piston"] = frozenset({kinds.CONTACT, kinds.PISTONS})
+            needs["walls with a piston"] = needs["contact"] | {kinds.PISTONS}
     if terms.joints is not None:
         needs |= _needs_of_joints(terms.joints)
     return needs

@@ -5,11 +5,11 @@ opposite to ω, or ends it, and at most μ_r R* times the normal impulse in size
 
     m = P(m - ω / λ),   P the projection onto the disc of radius μ_r R* r_n
 
-λ is the largest inverse inertia across the normal. About the normal the same holds with the interval
-± μ_t R* r_n and the inverse inertia there; both λ are 1 + κ times as large where the two are coupled,
-κ = |W_n1, W_n2| / √(λ λ_n), so that steps of both at once lower the energy. In sums beside contacts m
-counts by λ / W_nn, so that one of N m s is as large as one of N s with the same energy. Where no
-material resists either, nothing of this is compiled.
+λ is the largest inverse inertia across the normal. About the normal the same holds with the
+interval ± μ_t R* r_n and the inverse inertia λ_n there; where W couples the two, both λ are 1 + κ
+times as large, κ = |W_n1, W_n2| / √(λ λ_n), so that steps of both at once lower the energy. In sums
+beside contacts m counts by λ / W_nn, so that one of N m s is as large as one of N s with the same
+energy. Where no material resists either, nothing of this is compiled.
 
 Source: Ai, Chen, Rotter and Ooi, Powder Technology 206, 269 (2011), the bound.
 """

@@ -1,11 +1,11 @@
-"""Newton's method for resistance to rolling and spinning: its parts of what newton.py does for contacts.
+"""Newton's method for what resists rolling and spinning: its parts of what newton.py does.
 
 The disc is as wide as the normal impulse r_n makes it. So an angular impulse changes by
 
     dm = -c - K dω + q dr_n
 
-with q across the edge of the disc where m is on it, and 0 inside. About the normal an interval is in
-the place of the disc.
+with q across the edge of the disc where m is on it, and 0 inside. About the normal an interval is
+in the place of the disc.
 """
 
 import math

@@ -248,3 +248,13 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
     for i in range(2):
         frame[c, SCHUR + i] = max(frame[c, SCHUR + i], _LEAST_SCHUR * free)
     _put_shares(frame, c)
+
+
+@inline
+def write_through_pistons(partners: Partners, rows: ImpulseRows, count: int) -> None:
+    """Write the inverse masses of contacts with walls that slide, where there are no joints."""
+    if partners.mechanisms is None:
+        return
+    for c in range(count):
+        if partners.mechanisms.number[rows.second[c]] >= 0:
+            write_through_joints(partners, rows, c)

@@ -163,12 +163,23 @@ def place_bodies_and_walls(
         speeds = _speeds(setup, workspace.bodies, lists.max_contact_arm, lo, lo + n)
         v, w = max(v, speeds[0]), max(w, speeds[1])
         _gather_states(pairs, rows, lo, n)
-    if team.rank == 0:
-        put_poses(setup.motions, t, workspace.poses)
-        place_pistons(setup.pistons, memory.pistons, ahead, workspace.poses)
-        if pistons_have_moved(setup.pistons, memory.pistons, allowance):
-            path = np.inf
+    place_walls(contact, team, time, ahead)
+    if team.rank == 0 and pistons_have_moved(setup.pistons, memory.pistons, allowance):
+        path = np.inf
     return largest(team, path, v, w)
+
+
+@kernel
+def place_walls(
+    contact: MovingContact | None, team: Team | None, time: float, ahead: float
+) -> None:
+    """Place walls at a time [s] since the segment began."""
+    if contact is None or team is None:
+        return
+    setup, memory, poses = contact.setup, contact.memory, contact.workspace.poses
+    if team.rank == 0:
+        put_poses(setup.motions, memory.start + time, poses)
+        place_pistons(setup.pistons, memory.pistons, ahead, poses)
 
 
 @inline
@@ -313,6 +324,17 @@ def contact_loads(
         collect_loads(model, workspace, lists, rows, PAIR, STEADY, lo, n, later, span)
     if team.rank == 0:
         load_pistons(setup.pistons, memory.pistons, lists.walls, model, later)
+
+
+@kernel
+def put_loads_of_pairs(team: Team | None, pairs: PairTerms | None, own: OwnBlocks) -> None:
+    """Write forces without touching alone, once the first thread of a team has found them."""
+    if team is None or pairs is None:
+        return
+    meet(team)
+    blocks, layout, first, last = own
+    for k in range(first, last):
+        _scatter_loads(pairs, blocks[k], layout.first[k], layout.size[k])
 
 
 @inline

@@ -10,6 +10,7 @@ from particlerb.compiled.barrier import Team, meet
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.impulse_contacts import find_impulse_contacts, keep_impulses
+from particlerb.contact.piston import keep_pistons, move_pistons, push_pistons
 from particlerb.contact.records import row3
 from particlerb.forces.kernels import Acting, kick_potential, shift_time
 from particlerb.impulses.bookkeeping import book_impulses
@@ -27,7 +28,7 @@ from particlerb.impulses.records import (
     Partners,
 )
 from particlerb.impulses.rolling import write_rolling
-from particlerb.impulses.rows import approach, column3, put_column3
+from particlerb.impulses.rows import approach, column3, put_column3, write_through_pistons
 from particlerb.impulses.solver import leave_out_what_will_bounce, solve
 from particlerb.integrators.contact_stages import place_within_step
 from particlerb.integrators.external_work import book
@@ -37,7 +38,7 @@ from particlerb.integrators.impulse_booking import (
     book_kick,
     keep_momenta,
 )
-from particlerb.integrators.pair_stages import Layout, OwnBlocks
+from particlerb.integrators.pair_stages import Layout, OwnBlocks, PairTerms, shift_pair_time
 from particlerb.joints.records import Jointed
 from particlerb.joints.responses import find_responses, move_to_joints
 from particlerb.joints.rows import put_pose
@@ -71,18 +72,18 @@ _NONE: Final = 1e-9  # of momenta, beside impulses of a kick
 def place_in_the_middle(
     contact: MovingContact | None,
     team: Team | None,
+    pairs: PairTerms | None,
     acting: Acting,
-    blocks: Floats,
-    layout: Layout,
-    first: int,
-    last: int,
+    own: OwnBlocks,
     dt: float,
 ) -> None:
     """Place bodies and walls, and take loads that depend on time, in the middle of a step."""
-    for k in range(first, last):
-        for b in range(layout.size[k]):
-            shift_time(acting, blocks[k], b, 0.5 * dt)
-    place_within_step(contact, team, None, OwnBlocks(blocks, layout, first, last), 0.5 * dt)
+    for k in range(own.first, own.last):
+        for b in range(own.layout.size[k]):
+            shift_time(acting, own.blocks[k], b, 0.5 * dt)
+    if own.first == 0:
+        shift_pair_time(pairs, 0.5 * dt)
+    place_within_step(contact, team, pairs, own, 0.5 * dt)
 
 
 # Velocities
@@ -129,14 +130,18 @@ def gather_velocities(
 
 
 @inline
-def _gather_walls(contact: MovingContact, partners: Partners) -> None:
-    """The same of walls, which come behind the bodies."""
+def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None:
+    """The same of walls, which come behind the bodies, after a kick of dt [s] of pistons."""
     poses, n = contact.workspace.poses, contact.setup.max_arm.size
     for w in range(poses.size):
         for to in (partners.velocity, partners.before):
             put_column3(to, n + w, 0, row3(poses.velocity, w))
             put_column3(to, n + w, 3, row3(poses.angular_velocity, w))
         put_column3(partners.place, n + w, 0, row3(poses.position, w))
+    push_pistons(contact.setup.pistons, partners.velocity, n, dt)
+    for b in range(n, n + poses.size):
+        by = subtract(column3(partners.velocity, b, 0), column3(partners.before, b, 0))
+        partners.speeds[b, 2] = norm(by)
 
 
 @inline
@@ -172,8 +177,9 @@ def _apply_given(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
 def _let_joints_hold(
     jointed: Jointed | None, mechanisms: Mechanisms | None, impulses: Impulses, dt: float
 ) -> None:
-    """Let contacts feel what joints tie to their partners, if there is anything."""
+    """Let contacts feel what joints tie to their partners, if there is anything, and pistons."""
     if jointed is None or mechanisms is None:
+        write_through_pistons(impulses.partners, impulses.rows, impulses.filled[0])
         return
     joints, bounded = jointed.joints, impulses.rows.bounded
     find_responses(joints, jointed.work, impulses, mechanisms, bounded, joints.bounds, dt)
@@ -195,7 +201,7 @@ def bounce(
     meet(team)
     if team.rank == 0:
         extremes = contact.memory.extremes
-        _gather_walls(contact, impulses.partners)
+        _gather_walls(contact, impulses.partners, 0.5 * dt)
         find_impulse_contacts(setup, workspace, contact.lists, impulses, extremes, dt)
         _let_joints_hold(jointed, impulses.partners.mechanisms, impulses, dt)
         rows = impulses.rows
@@ -266,6 +272,8 @@ def _move_bodies(
 ) -> None:  # fmt: skip
     """Move all bodies that are to be moved, and book it."""
     partners, move = impulses.partners, impulses.partners.move
+    pistons, state = contact.setup.pistons, contact.memory.pistons
+    impulses.tally[PUSH_OUT_WORK] += move_pistons(pistons, state, move, contact.setup.max_arm.size)
     for k in range(layout.first.size):
         rows, lo = blocks[k], layout.first[k]
         for i in range(layout.size[k]):
@@ -316,6 +324,12 @@ def press(
     meet(team)
     if team.rank == 0:
         partners, bounded = impulses.partners, impulses.rows.bounded
+        pistons, state, n = (
+            contact.setup.pistons,
+            contact.memory.pistons,
+            contact.setup.max_arm.size,
+        )
+        push_pistons(pistons, partners.velocity, n, 0.5 * dt)
         moved = _size_of_kick(contact, partners)
         leave_out_what_will_bounce(impulses, bounded)
         time = contact.memory.start + contact.workspace.step_start.time[0] + 0.5 * dt
@@ -326,6 +340,7 @@ def press(
         book_bodies(contact, impulses, books, blocks, layout)
         book_among_joints(books, jointed, partners, blocks, dt)
         keep_impulses(contact.lists, impulses, dt)
+        keep_pistons(pistons, state, partners.velocity, n)
         _keep_among_joints(jointed, bounded, dt)
         moves = push_out(impulses, bounded, dt)
         _note_overlap(contact, impulses, dt)

@@ -2,9 +2,10 @@
 
 Half a drift; in the middle half a kick, impacts with restitution, half a kick, one solve for the
 impulses of all that touches or would within the step, and what overlaps is pushed apart; half a
-drift. What damps on mechanisms acts for half a step before the kicks, and for the other half after
-them. Order 1 where bodies touch, 2 elsewhere. What forces have a potential do no work that is not
-theirs: half kick, flip, half kick retraces the path of an elastic bounce.
+drift. What damps on mechanisms, and dashpots between bodies, act for half a step before the kicks,
+and for the other half after them. Order 1 where bodies touch, 2 elsewhere. What forces have a
+potential do no work that is not theirs: half kick, flip, half kick retraces the path of an elastic
+bounce.
 
 Source: Moreau, Unilateral contact and dry friction in finite freedom dynamics (1988), section 14;
 docs/impulses.md.
@@ -14,7 +15,8 @@ from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.contact.contact_model import Instant
-from particlerb.forces.kinds import IMPULSES, JOINTS, POSE, TIME, VELOCITY
+from particlerb.forces.kinds import BODIES, IMPULSES, JOINTS, PISTONS, POSE, TIME, VELOCITY
+from particlerb.integrators.contact_stages import drift_walls, place_walls
 from particlerb.integrators.impulse_stages import (
     bounce,
     gather_velocities,
@@ -23,10 +25,13 @@ from particlerb.integrators.impulse_stages import (
 )
 from particlerb.integrators.joint_stages import count_drift, count_projection, let_joints_break
 from particlerb.integrators.method import Method
+from particlerb.integrators.pair_stages import OwnBlocks
 from particlerb.integrators.stages import (
     MovingBodies,
     constrained_drift,
+    flow_dashpots,
     kick,
+    loads_of_pairs,
     project,
     set_times,
     shift_clock,
@@ -52,17 +57,22 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     jointed = moving.jointed
     _drift_alone(jointed, moving, first, last, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
+    drift_walls(contact, team, 0.5 * dt)
     count_drift(jointed, team, True)
     shift_clock(jointed, team, 0.5 * dt)
     project(moving, 0.0, 0.5 * dt)
     count_projection(jointed, team)
-    place_in_the_middle(contact, team, moving.acting, blocks, layout, first, last, dt)
+    own = OwnBlocks(blocks, layout, first, last)
+    place_in_the_middle(contact, team, moving.pairs, moving.acting, own, dt)
+    loads_of_pairs(moving, first, last)
+    flow_dashpots(moving, 0.5 * dt, False)
     kick(moving, first, last, 0.5 * dt)
     project(moving, 0.5 * dt, 0.0)
     count_projection(jointed, team)
     gather_velocities(contact, blocks, layout, first, last)
     bounce(contact, jointed, team, blocks, layout, dt)
     kick(moving, first, last, 0.5 * dt)
+    flow_dashpots(moving, 0.5 * dt, True)
     project(moving, 0.5 * dt, 0.5 * dt)
     count_projection(jointed, team)
     gather_velocities(contact, blocks, layout, first, last)
@@ -71,14 +81,16 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     count_projection(jointed, team)
     _drift_alone(jointed, moving, first, last, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
+    drift_walls(contact, team, 0.5 * dt)
     count_drift(jointed, team, False)
     let_joints_break(jointed, team, dt)
 
 
 @stages
 def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
-    """Momenta at a frame, which keep the joints."""
+    """Momenta at a frame, which keep the joints, and where walls are."""
     set_times(moving, first, last, instant.time)
+    place_walls(moving.contact, moving.team, instant.time, 0.0)
     project(moving, 0.0, 0.0)
 
 
@@ -86,7 +98,7 @@ METHOD: Final = Method(
     name="moreau",
     summary="order 1 in contacts, for law = 'impulse': midpoint step with impulses, exact cone",
     order=2,
-    accepts=frozenset({POSE, VELOCITY, TIME, IMPULSES, JOINTS}),
+    accepts=frozenset({POSE, VELOCITY, TIME, BODIES, IMPULSES, PISTONS, JOINTS}),
     cost=12.0,
     evaluations=1,
     keeps_rods=True,
@@ -95,4 +107,5 @@ METHOD: Final = Method(
     step=step,
     show=show,
     takes_impulses=True,
+    has_dashpot_flows=True,
 )

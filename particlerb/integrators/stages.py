@@ -20,6 +20,7 @@ from particlerb.integrators.contact_stages import (
     kick_walls,
     place_contacts,
     place_within_step,
+    put_loads_of_pairs,
 )
 from particlerb.integrators.joint_stages import (
     drift_clusters,
@@ -131,6 +132,14 @@ def loads(moving: MovingBodies, first: int, last: int, times: LoadTimes) -> None
     own = OwnBlocks(moving.blocks, moving.layout, first, last)
     put_pair_loads(moving.team, moving.pairs, moving.blocks, moving.layout)
     contact_loads(moving.contact, moving.team, moving.pairs, own, times)
+
+
+@stages
+def loads_of_pairs(moving: MovingBodies, first: int, last: int) -> None:
+    """Write what bodies do to each other without touching into their rows PAIR."""
+    own = OwnBlocks(moving.blocks, moving.layout, first, last)
+    put_pair_loads(moving.team, moving.pairs, moving.blocks, moving.layout)
+    put_loads_of_pairs(moving.team, moving.pairs, own)
 
 
 @stages

@@ -177,7 +177,7 @@ def find_responses(
             known[b] = number[b] >= 0
     if bounded is not None:
         _know_bounded(bounded, mechanisms)
-    for c in range(mechanisms.start.size):
+    for c in range(joints.clusters.body.size - 1):
         for k in range(mechanisms.first[c], mechanisms.first[c + 1]):
             if known[mechanisms.member[k]]:
                 _respond(joints, work, partners, mechanisms, c)
@@ -199,7 +199,7 @@ def move_to_joints(joints: Joints, work: Work, partners: Partners, mechanisms: M
     for b in range(move.shape[0]):
         for i in range(6):
             move[b, i] = 0.0
-    for c in range(mechanisms.start.size):
+    for c in range(joints.clusters.body.size - 1):
         first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
         lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
         if lo == hi or not partners.has_moved[mechanisms.member[first]]:

@@ -7,6 +7,7 @@ import numpy as np
 from particlerb.compiled.jit import flag
 from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.pair_force import max_point_speed
+from particlerb.contact.piston import piston_energies, with_pistons
 from particlerb.forces import has_potential
 from particlerb.impulses.order import room_for_newton
 from particlerb.impulses.records import (
@@ -37,9 +38,14 @@ class ImpulseMotion(ContactMotion):
         assert setup.rules is not None
         n, joints = self.group.members.size + len(setup.motions), self.group.terms.joints
         mechanisms = None if joints is None else mechanisms_of(joints, n)
+        if setup.pistons is not None:
+            mechanisms = with_pistons(mechanisms, setup.pistons, n)
         others = self.group.terms._replace(contact=None)
         keeps_kick = flag(joints is None and not has_potential(others))
         partners = room_for_partners(n, mechanisms, keeps_kick)
+        if setup.pistons is not None:
+            first = self.group.members.size
+            partners.inverse[first + setup.pistons.wall, 0] = 1.0 / setup.pistons.mass
         count = np.array([0, -1])
         nothing = np.zeros(0, dtype=np.int64)
         newton = room_for_newton(np.zeros(0, dtype=np.bool_), nothing, nothing, 0)
@@ -58,6 +64,7 @@ class ImpulseMotion(ContactMotion):
         self._place()
         bodies, arm = self.contact.workspace.bodies, self.contact.lists.max_contact_arm
         path = self.dt * max_point_speed(bodies, arm, 0, bodies.size)
+        path = max(path, self.dt * np.abs(self.contact.memory.pistons.velocity).max(initial=0.0))
         if self.contact.setup.is_skin_fixed and self.contact.setup.skin < _LEAST_REACH * path:
             raise MotionError(
                 f"at t = {self.now:.6g} s a body moves by {path:.3g} m in a step of"
@@ -82,8 +89,15 @@ class ImpulseMotion(ContactMotion):
             impulses = impulses._replace(rows=rows)
         if impulses.rules.newton:
             owner, (first, second, *_) = setup.model.spheres.body, lists.spheres
-            moves = np.append(setup.model.inv_mass > 0.0, np.zeros(len(setup.motions), np.bool_))
-            a, b = pairs_through(impulses.partners.mechanisms, owner[first], owner[second])
+            moves, n = impulses.partners.inverse[:, 0] > 0.0, setup.model.inv_mass.size
+            moves[:n] = setup.model.inv_mass > 0.0
+            one, other = owner[first], owner[second]
+            if setup.pistons is not None:
+                wall = setup.model.walls.wall[lists.walls.second]
+                slides = setup.pistons.of_wall[wall] >= 0
+                one = np.append(one, owner[lists.walls.first[slides]])
+                other = np.append(other, n + wall[slides])
+            a, b = pairs_through(impulses.partners.mechanisms, one, other)
             newton = room_for_newton(moves, a, b, impulses.rows.first.size)
             impulses = impulses._replace(newton=newton)
         self.contact = self.contact._replace(workspace=workspace._replace(impulses=impulses))
@@ -93,8 +107,10 @@ class ImpulseMotion(ContactMotion):
         return {row: self.frames.tally[row] for row in rows.tolist()}
 
     def _elastic_energies(self) -> Energies:
-        """Nothing is elastic."""
-        return Energies(np.zeros(1), np.zeros(1))
+        """Of pistons alone: nothing is elastic."""
+        contact = self.contact
+        kinetic, potential = piston_energies(contact.setup.pistons, contact.memory.pistons)
+        return Energies(np.array([potential]), np.array([kinetic]))
 
     def checkpoint(self) -> Saved:
         """What was counted as well."""

@@ -69,8 +69,11 @@ def test_a_new_segment_goes_on_with_the_forces_of_the_last_one():
 def test_bits_do_not_depend_on_threads():
     bodies = [clump("c", count=600, place={"type": "grid", "spacing": 0.6, "origin": [0, 0, 2.4],
                                            "n": [10, 10, 6]}, orientation="random")]  # fmt: skip
-    keys = {"contact": impulse(0.3, 0.5), "wall": [plane()], "gravity": DOWN, "dt": 2e-3,
-            "t_end": 0.6, "every": 0.2}  # fmt: skip
+    lid = plane((0, 0, -1), "lid", point=[0, 0, 6.5], piston={"mass": 9.0, "axis": [0, 0, 1]})
+    spring = {"type": "spring", "body": "c", "reach": 0.7, "stiffness": 50.0, "damping": 1.0,
+              "rest_length": 0.5}  # fmt: skip
+    keys = {"contact": impulse(0.3, 0.5), "wall": [plane(), lid], "gravity": DOWN, "dt": 2e-3,
+            "t_end": 0.6, "every": 0.2, "force": [spring]}  # fmt: skip
     one, two = (go(*bodies, threads=n, **keys) for n in (1, 2))
     assert_alike(one, two)
 

@@ -7,7 +7,7 @@ from particlerb.case.problems import CaseError
 
 BALL = sphere(position=[0, 0, R])
 HOOKE = {"stiffness": 1e5, "restitution": 0.5, "friction": 0.5}
-PISTON = plane(piston={"mass": 1.0, "axis": [0, 0, 1]})
+PISTON = plane(piston={"mass": 1.0, "axis": [0, 0, 1], "limits": [-1, 1]})
 SPRING = {"type": "spring", "body": "ball", "stiffness": 10.0, "at": [0, 0, 0],
           "anchor": [0, 0, 1]}  # fmt: skip
 REFUSED = [
@@ -15,7 +15,9 @@ REFUSED = [
     ({"contact": impulse(attract=True)}, "contact.attract: impulses have neither"),
     ({"contact": HOOKE | {"slop": 0.1}}, 'contact.slop: is for impulses'),
     ({"contact": HOOKE | {"solver": "newton"}}, 'contact.solver: is for impulses'),
-    ({"contact": impulse(), "wall": [PISTON]}, "wall[0].piston: impulses do not move pistons"),
+    ({"contact": impulse(), "wall": [PISTON]}, "piston.limits: impulses do not stop pistons yet"),
+    ({"contact": HOOKE | {"torsional_friction": 0.1}},
+     "contact.torsional_friction: impulses alone resist spinning"),
     ({"contact": impulse(), "method": "strang"}, "strang does not accept what acts here: contact"),
     ({"contact": HOOKE, "method": "moreau"}, "moreau is for contact by impulses"),
     ({"contact": impulse(iterations=0)}, "contact.iterations"),
