@@ -5,6 +5,8 @@
     python benchmarks/joints.py --energy     # Bricard's mechanism over a million steps
     python benchmarks/joints.py --masses     # two rods of which one is a million times as heavy
     python benchmarks/joints.py --linkages   # A02 of the IFToMM library: 40 four-bars, 20 s
+    python benchmarks/joints.py --governor   # A05 over all frames: rattle beside dop853
+    python benchmarks/joints.py --breaks     # instants at which wires snap: rattle beside dop853
     python benchmarks/joints.py --trees      # what joints give to slopes: recursion beside rows
     python benchmarks/joints.py --cost --record   # and add the figures to results/joints.csv
 
@@ -17,6 +19,7 @@ import itertools
 import statistics
 import sys
 import time
+import tomllib
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -33,6 +36,7 @@ from particlerb.stepping import adaptive
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "joints"))
 from scenes import SCENES, X, Y, Z, bar, body, case, hinge_chain, joint, reference
 
+CASES = Path(__file__).parents[1] / "cases"
 LINKS = (10, 100, 1000)
 ROUNDS = 3
 MECHANISMS = 1000
@@ -57,6 +61,8 @@ MEANS = 50  # of the energy, one after the other: a line is fitted to them
 MASSES = {"outer rod 1e6 times as heavy": 1e6, "outer rod 1e6 times as light": 1e-6}
 RATIO_STEPS = (0.002, 0.001)  # s
 LINKAGES = 40
+GOVERNOR = {"rattle": (4e-3, 2e-3), "dop853": (1e-3, 1e-6, 1e-9)}  # s, and tolerances
+SNAPS = (4e-3, 2e-3, 1e-3, 5e-4)  # s
 EVALUATIONS = 200_000
 Row = tuple[str, float]
 POINTS = [[0, 0, 0], [1, 0, 0], [1, -1, 0], [1, -1, 1], [0, -1, 1], [0, 0, 1]]
@@ -204,6 +210,58 @@ def linkages() -> list[Row]:
     ]
 
 
+def of_case(name: str, method: str, step: float, every: float) -> dict:
+    """A case by a method and its step, or its tolerance."""
+    scene = tomllib.loads((CASES / f"{name}.toml").read_text())
+    times = {"t_end": scene["run"]["t_end"], "every": every, "threads": 1}
+    return scene | {"run": times | asked(method, step), "check": {}}
+
+
+def heights(method: str, step: float) -> np.ndarray:
+    """Of the governor's slider, in each frame."""
+    with particlerb.run(of_case("governor", method, step, 0.01)) as trajectory:
+        return trajectory.position[:, trajectory.names.index("slider"), 2]
+
+
+def governor() -> list[Row]:
+    """Largest errors of the slider of A05 over all frames, beside dop853 at its finest."""
+    exact, rows = heights("dop853", GOVERNOR["dop853"][-1]), []
+    for method, steps in GOVERNOR.items():
+        for step in steps[: None if method == "rattle" else -1]:
+            error = np.abs(heights(method, step) - exact)
+            rows.append((f"A05 {method} {step:g}, largest error m", error.max()))
+            rows.append((f"A05 {method} {step:g}, error at 1 s m", error[-1]))
+    return rows
+
+
+def snap(scene: dict) -> float:
+    """When the first joint of a scene breaks [s]."""
+    with particlerb.run(scene) as trajectory:
+        at = np.array(trajectory.joint_break_time[-1])
+    return at[at > 0.0].min()
+
+
+def breaks() -> list[Row]:
+    """Errors of instants at which wires snap, beside dop853, and the order between steps."""
+    rows = []
+    bob = body("bob", 1.0, [0.1, 0.1, 0.1], [1.0, 0, 0])
+    wire = {"type": "distance", "body": "bob", "at_to": [0.0, 0, 0], "breaks_at": {"force": 15.0}}
+    swing = {"t_end": 0.8, "every": 0.8, "threads": 1}
+    scenes = {
+        "a ball that falls on a wire": lambda *how: (
+            {"run": swing | asked(*how)} | case([bob], [wire])
+        ),
+        "snapping_wire": lambda *how: of_case("snapping_wire", *how, 1.0),
+    }
+    for name, scene in scenes.items():
+        exact = snap(scene("dop853", 1e-10))
+        late = [snap(scene("rattle", dt)) - exact for dt in SNAPS]
+        rows += [(f"{name}, rattle {dt:g} s, s", x) for dt, x in zip(SNAPS, late, strict=True)]
+        slope = np.polyfit(np.log(SNAPS), np.log(np.abs(late)), 1)[0]
+        rows.append((f"{name}, rattle, fitted order", slope))
+    return rows
+
+
 def mujoco_bar(k: int, start: list, mass: float, side: float, axis: list, inner: str) -> str:
     """A bar of a chain in MuJoCo's words, with what hangs on it."""
     from_, to = np.array(start[k], float), np.array(start[k + 1], float)
@@ -300,6 +358,8 @@ MEASURED = {
     "energy": (energy,),
     "masses": (masses,),
     "linkages": (linkages,),
+    "governor": (governor,),
+    "breaks": (breaks,),
     "trees": (trees,),
 }
 

@@ -273,7 +273,11 @@ def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Fin
         if contact.get(key) is True:
             yield ("contact", key), "impulses have neither damping nor stiffness", "leave it out"
     for i, wall in tables(raw, "wall"):
-        if given(entry_at(wall, "piston", dict), "limits"):
+        piston = entry_at(wall, "piston", dict)
+        if piston and given(wall, "motion"):
+            reason = "impulses do not move a piston with a motion on top yet"
+            yield ("wall", i, "motion"), reason, 'leave it out, or take law = "hooke"'
+        if given(piston, "limits"):
             reason = "impulses do not stop pistons yet"
             yield ("wall", i, "piston", "limits"), reason, 'leave it out, or take law = "hooke"'
 

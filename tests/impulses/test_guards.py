@@ -16,6 +16,8 @@ REFUSED = [
     ({"contact": HOOKE | {"slop": 0.1}}, 'contact.slop: is for impulses'),
     ({"contact": HOOKE | {"solver": "newton"}}, 'contact.solver: is for impulses'),
     ({"contact": impulse(), "wall": [PISTON]}, "piston.limits: impulses do not stop pistons yet"),
+    ({"contact": impulse(), "wall": [PISTON | {"motion": {"velocity": [1, 0, 0]}}]},
+     "wall[0].motion: impulses do not move a piston with a motion on top yet"),
     ({"contact": HOOKE | {"torsional_friction": 0.1}},
      "contact.torsional_friction: impulses alone resist spinning"),
     ({"contact": impulse(), "method": "strang"}, "strang does not accept what acts here: contact"),
