@@ -60,10 +60,12 @@ def with_value(node: Any, path: Path, value: Any) -> Any:
     if not path:
         return value
     head, rest = path[0], path[1:]
-    if isinstance(node, (dict, Mapping)):  # dict is quick to see
-        return {**node, str(head): with_value(node.get(str(head), {}), rest, value)}
     if not isinstance(node, list):
-        raise LookupError(f"there is no {shown(head)} in {shown(node)}")
+        if not isinstance(node, (dict, Mapping)):  # dict is quick to see
+            raise LookupError(f"there is no {shown(head)} in {shown(node)}")
+        return {**node, str(head): with_value(node.get(str(head), {}), rest, value)}
     if not isinstance(head, int) or head >= len(node):
         raise LookupError(f"there is no entry {shown(head)}: there are {len(node)}, from 0")
-    return [*node[:head], with_value(node[head], rest, value), *node[head + 1 :]]
+    copied = node.copy()
+    copied[head] = with_value(node[head], rest, value)
+    return copied

@@ -74,7 +74,8 @@ class BodyNames(Sequence[str]):
         KeyError
             If there is no such body.
         """
-        return np.unique(self.find_in_order(names))
+        found = self.find_in_order(names)
+        return found if (found[1:] > found[:-1]).all() else np.unique(found)
 
     def find_in_order(self, names: str | Sequence[str]) -> _Ints:
         """Indices of the bodies as they are named: in this order, and as often; else as `find`.

@@ -135,7 +135,7 @@ def _tasks(
         size = min(most, max(fewest, len(part) // (8 * n)))
         for lo in range(0, len(part), size):
             own = part[lo : lo + size]
-            numbers, values = (tuple(getattr(v, key) for v in own) for key in ("number", "values"))
+            numbers, values = (tuple(one) for one in list(zip(*own, strict=True))[:2])
             yield Task(numbers, values, paths, source, asked.value, share)
 
 

@@ -151,12 +151,12 @@ class TableFile(Closing):
     def add(self, rows: Sequence[tuple[Variant, Row]]) -> None:
         """Add rows."""
         lines = []
-        for variant, row in rows:
-            axes = (x if isinstance(x, (str, int, float)) else repr(x) for x in variant.values)
-            first = row.number, variant.hash, row.status, row.energy_drift, row.missed
-            lines.append((*first, *axes, *row.values))
-            self.known[variant.hash] = lines[-1]
-            self._order.append(variant.hash)
+        for variant, (number, status, drift, missed, values) in rows:
+            axes = [x if isinstance(x, (float, str, int)) else repr(x) for x in variant.values]
+            lines.append((number, variant.hash, status, drift, missed, *axes, *values))
+        own = [line[1] for line in lines]
+        self.known.update(zip(own, lines, strict=True))
+        self._order += own
         if self.path is not None:
             self._append(lines)
 
