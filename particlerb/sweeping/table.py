@@ -150,7 +150,7 @@ class TableFile(Closing):
 
     def add(self, rows: Sequence[tuple[Variant, Row]]) -> None:
         """Add rows."""
-        lines = []
+        lines: list[tuple[Any, ...]] = []
         for variant, (number, status, drift, missed, values) in rows:
             axes = [x if isinstance(x, (float, str, int)) else repr(x) for x in variant.values]
             lines.append((number, variant.hash, status, drift, missed, *axes, *values))

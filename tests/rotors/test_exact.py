@@ -16,7 +16,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from particlerb.compiled.jit import config
+from particlerb.compiled.jit import config, kernel
 from particlerb.maths.quaternion import multiply, rows4, to_body, to_world
 from particlerb.rotors import exact
 from particlerb.rotors.exact import HyperbolicTurn, SteadyTurn, ThetaTurn, orientation, turns_of
@@ -367,7 +367,7 @@ def test_blocks_of_any_length_give_the_same_orientations():
         np.testing.assert_allclose(q, whole, rtol=0, atol=8 * EPS)
 
 
-@exact.kernel
+@kernel
 def block(steady, theta, hyperbolic, t, lo, hi, q):
     exact.turn_block(steady, theta, hyperbolic, t, lo, hi, rows4(q, lo, hi))
 
