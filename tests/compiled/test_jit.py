@@ -19,6 +19,7 @@ PACKAGE = Path(particlerb.__file__).parent
 SCRIPT = """
 import numpy as np
 from particlerb.compiled.jit import CACHE_FOLDER
+from particlerb.compiled.plain import all_compiled
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import room_for
 from particlerb.model.totals import totals
@@ -28,7 +29,8 @@ frames = room_for(1, 1, np.zeros((1, 4)))
 for array in frames[:4]:
     array[:] = 0.0
 frames.linear_momentum[0, 0, 0] = 2.0
-print(totals(frames, bodies, np.zeros(3)).kinetic_energy[0], CACHE_FOLDER)
+with all_compiled():
+    print(totals(frames, bodies, np.zeros(3)).kinetic_energy[0], CACHE_FOLDER)
 """
 
 

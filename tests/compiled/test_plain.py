@@ -12,7 +12,11 @@ import particlerb
 from particlerb.compiled import plain as _plain
 from particlerb.compiled.jit import config, inline, kernel, unfused_inline, unfused_kernel
 from particlerb.compiled.plain import twin
+from particlerb.geometry import sums
+from particlerb.geometry.particles import Particles
 from particlerb.maths import vec3
+from particlerb.rotors import exact
+from particlerb.rotors.rotor_class import ASYMMETRIC
 
 pytestmark = [
     pytest.mark.compiled,
@@ -93,6 +97,57 @@ def test_what_python_refuses_is_compiled_and_done_once(x, y, expected, monkeypat
     assert np.array_equal(kernel(x, y, out), expected, equal_nan=True)
     assert (out == 1.0).all()
     assert called
+
+
+def in_both(monkeypatch, module, names, work):
+    """What something gives with kernels compiled, and with Python in their places."""
+    compiled = work()
+    for name in names:
+        monkeypatch.setattr(module, name, getattr(module, name).run_in_python)
+    return compiled, work()
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-160, 1.0, 1e160, 1e300])
+@pytest.mark.parametrize("n", [1, 19, 300])
+def test_python_sums_particles_as_compiled_code_does(monkeypatch, n, size):
+    """From one particle to several groups of lanes, in units whose squares leave the range."""
+    rng = np.random.default_rng(n)
+    place, mass, radius = rng.normal(size=(n, 3)), rng.uniform(0.0, 2.0, n), rng.uniform(0, 1, n)
+    mass[1::3], place[-1] = 0.0, 1e6
+    given = Particles(size * place, mass / size, size * radius, np.array([0, n]))
+    names = ("_guess", "_sum_chunks", "join")
+    found = in_both(monkeypatch, sums, names, lambda: sums.sums_of(given))
+    assert np.isfinite(found[0].moments).all()
+    for compiled, plain in zip(*found, strict=True):
+        assert np.array_equal(compiled, plain)
+
+
+def test_python_prepares_turns_as_compiled_code_does(monkeypatch):
+    """About axes, beside them, next to the separatrix, at rest, slow and fast."""
+    spins = [
+        [3, 0, 0],
+        [0, 2, 0],
+        [0, 2, 1e-9],
+        [1e-3, 2, 1e-3],
+        [1, 1, 1],
+        [0, 0, 0],
+        [1e-9, 0, 4],
+    ]
+    L = np.array([[size * c for c in spin] for size in (1e-200, 1.0, 1e150) for spin in spins]).T
+    n = L.shape[1]
+    inertia, q = np.tile([[1.0], [2.0], [2.5]], n), np.random.default_rng(5).normal(size=(4, n))
+    q /= np.linalg.norm(q, axis=0)
+    q[:, ::2] = np.eye(4, 1)
+    names = ("moduli", "steady_table", "theta_table", "near_table", "turn_all")
+
+    def orientations():
+        turns = exact.turns_of(inertia, np.full(n, ASYMMETRIC), q, np.ascontiguousarray(L))
+        return [exact.orientation(turn, 0.7) for _, turn in turns]
+
+    found = in_both(monkeypatch, exact, names, orientations)
+    assert len(found[0]) == 3
+    for compiled, plain in zip(*found, strict=True):
+        assert np.array_equal(compiled, plain)
 
 
 def test_a_small_run_in_closed_form_compiles_nothing_and_has_the_bits_of_compiled_code(
