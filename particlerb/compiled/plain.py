@@ -6,11 +6,12 @@ been compiled in a process, or is on disk and worth its loading, runs compiled. 
 and compiled code would not, as at 1 / 0, the arrays are put back and the kernel is compiled.
 """
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import CodeType, FunctionType, ModuleType, SimpleNamespace
-from typing import Any, Final, TypeAlias, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from particlerb.compiled.function_set import FunctionSet
 from particlerb.compiled.helper import Kernel, UnfusedCompiler
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-Array: TypeAlias = np.ndarray[Any, Any]
 
 BUDGET: Final = 2.5  # [s] of a process in Python: what some kernels take to be compiled
 _LONGEST: Final = 1.0  # [s] of one call
@@ -26,6 +26,7 @@ _LOADING: Final = 0.02  # [s] that a kernel on disk takes to be loaded
 _RATE: Final = 1e-5  # [s] for a number of the arguments, before a kernel has run
 _PACKAGE: Final = __name__.partition(".")[0]
 _TWINS: Final[dict[FunctionType, FunctionType]] = {}
+_MAKING: Final = threading.RLock()
 
 
 class _Time:
@@ -61,13 +62,14 @@ def twin(function: Any) -> FunctionType:
     A module whose names mean something else in Python says so in a dict IN_PYTHON.
     """
     plain: FunctionType = function.py_func
-    if plain not in _TWINS:
-        made = _TWINS[plain] = in_python(plain)  # before what it calls, which may be itself
-        names = set(_names(plain.__code__))
-        values = made.__globals__ | made.__globals__.get("IN_PYTHON", {})
-        found = {name: _twin_of(values[name], names) for name in names & values.keys()}
-        made.__globals__.update(found)
-    return _TWINS[plain]
+    with _MAKING:
+        if plain not in _TWINS:
+            made = _TWINS[plain] = in_python(plain)  # before what it calls, which may be itself
+            names = set(_names(plain.__code__))
+            values = made.__globals__ | made.__globals__.get("IN_PYTHON", {})
+            found = {name: _twin_of(values[name], names) for name in names & values.keys()}
+            made.__globals__.update(found)
+        return _TWINS[plain]
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -95,7 +97,7 @@ def _leaves(value: Any) -> Iterator[Any]:
         yield value
 
 
-def _arrays(value: Any) -> Iterator[Array]:
+def _arrays(value: Any) -> Iterator[Any]:
     """All arrays of arguments."""
     return (one for one in _leaves(value) if isinstance(one, np.ndarray))
 
@@ -106,6 +108,7 @@ class UnfusedKernel(Kernel):
     compiler = UnfusedCompiler
     spent = 0.0  # [s] in Python so far, for
     numbers = 0  # of the arguments
+    looks_after = _LOADING  # [s] spent so, before it looks for code on disk again
 
     def _compile_for_args(self, *args: Any, **keys: Any) -> Any:
         """What is called where nothing is compiled for arguments of these types."""
@@ -122,7 +125,10 @@ class UnfusedKernel(Kernel):
         expected = rate * sum(array.size for array in _arrays(args))
         if expected > min(_Time.left, _LONGEST):
             return False
-        return self.spent + expected < _LOADING or not self.is_kept(args)
+        if self.spent + expected < self.looks_after:
+            return True
+        self.looks_after = 2.0 * (self.spent + expected)
+        return not self.is_kept(args)
 
     def is_kept(self, args: tuple[Any, ...]) -> bool:
         """Whether there is compiled code for arguments of these types on disk."""
@@ -132,18 +138,17 @@ class UnfusedKernel(Kernel):
 
     def run_in_python(self, *args: Any) -> Any:
         """Do a call in Python."""
-        before = [(array, array.copy()) for array in _arrays(args) if array.flags.writeable]
         start = time.thread_time()
+        before = [(array, array.copy()) for array in _arrays(args) if array.flags.writeable]
         try:
             with np.errstate(all="ignore"):
                 return twin(self)(*args)
         except (ArithmeticError, ValueError):
             for array, values in before:
                 array[...] = values
-            self.compile(tuple(map(cast(Any, self).typeof_pyval, args)))
-            return self(*args)
         finally:
             spent = time.thread_time() - start
             self.spent += spent
             self.numbers += sum(array.size for array in _arrays(args)) + 1
             _Time.left -= spent
+        return self.compile(tuple(map(cast(Any, self).typeof_pyval, args)))(*args)
