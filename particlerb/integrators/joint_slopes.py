@@ -28,7 +28,7 @@ from particlerb.joints.rows import (
     vector,
 )
 from particlerb.joints.solver import constrained_drift, factorise_cluster, keep_rates
-from particlerb.joints.trees import COM, GIVEN, JointTree, accelerate_tree
+from particlerb.joints.trees import JointTree, accelerate_tree
 from particlerb.maths.vec3 import Floats, Vec3, add, cross, dot, scale, subtract
 from particlerb.model.block import BOOKED
 
@@ -173,9 +173,9 @@ def _add_what_holds(
     for i in range(tree.body.size):
         if joints.inv_mass[tree.before[i]] == 0.0:
             k = tree.body[i]
-            at = subtract(vector(work.y, k, X), vector(tree.room, k, COM))
-            F = vector(tree.room, k, GIVEN)
-            about_origin = add(vector(tree.room, k, GIVEN + 3), cross(at, F))
+            at = subtract(vector(work.y, k, X), vector(tree.bodies.com, k, 0))
+            F = vector(tree.bodies.b, k, 0)
+            about_origin = add(vector(tree.bodies.b, k, 3), cross(at, F))
             _book(books, jointed, slope, w, k, 0.0, F, about_origin)
 
 

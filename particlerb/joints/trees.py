@@ -37,10 +37,30 @@ from particlerb.maths.vec3 import (
 )
 
 _ZERO: Final = (0.0, 0.0, 0.0)
-_R, _SPIN, COM, _WAY, _MORE, _A, _I, GIVEN, _ROOM = 0, 9, 12, 15, 18, 24, 30, 57, 63
-_S, _U, _D, _B, _TAKEN = 0, 3, 9, 10, 11
 _Direction: TypeAlias = tuple[bool, int, Floats]  # whether it is a shift; where it is fixed
 _Inertia: TypeAlias = tuple[Matrix, Matrix, Matrix]  # A, B, C of [[A, B], [Bᵀ, C]]: shifts, turns
+
+
+class TreeBodies(NamedTuple):
+    """What is found of bodies at an instant; the world is the last one."""
+
+    R: Floats  # (n + 1, 9)
+    spin: Floats  # (n + 1, 3) ω [rad/s]
+    com: Floats  # (n + 1, 3) [m] from the point of its joint to its centre of mass
+    path: Floats  # (n + 1, 3) [m] from the point of the body before to its own
+    rest: Floats  # (n + 1, 6) what a is more than that of the body before, at rest against it
+    a: Floats  # (n + 1, 6)
+    inertia: Floats  # (n + 1, 27) I: A, B and C
+    b: Floats  # (n + 1, 6) of what stands still f
+
+
+class FreeDirections(NamedTuple):
+    """What is found of directions that joints leave free."""
+
+    s: Floats  # (d, 3)
+    u: Floats  # (d, 6) U
+    inv_d: Floats  # (d,) 1/d
+    b: Floats  # (d,) s·b
 
 
 class JointTree(NamedTuple):
@@ -56,9 +76,8 @@ class JointTree(NamedTuple):
     is_shift: Bools  # (d,) or a turn
     of: Ints  # (d,) the body in which it is fixed, or the world,
     axis: Floats  # (d, 3) and what it is there
-    room: Floats  # (bodies + 1, 63) R, ω, from the point to com, from the point before to this one,
-    # what a is more than that of the body before, a, I, b: of what stands still f
-    taken: Floats  # (d, 11) s, U, 1/d and s·b
+    bodies: TreeBodies
+    directions: FreeDirections
 
 
 def tree_of(joints: Joints) -> JointTree | None:
@@ -104,7 +123,8 @@ def tree_of(joints: Joints) -> JointTree | None:
     return JointTree(
         np.array(body), np.array(before), np.array(arms),
         np.cumsum([0, *(len(own) for own in free)]), np.array(is_shift), np.array(of),
-        np.array(axis), np.zeros((world + 1, _ROOM)), np.zeros((len(of), _TAKEN)),
+        np.array(axis), TreeBodies(*(np.zeros((world + 1, k)) for k in (9, 3, 3, 3, 6, 6, 27, 6))),
+        FreeDirections(*(np.zeros((len(of), k)) for k in (3, 6)), *np.zeros((2, len(of)))),
     )  # fmt: skip
 
 
@@ -121,16 +141,16 @@ def _directions(rows: ConstraintRows, own: Ints, before: int, world: int) -> lis
 
 
 @inline
-def _matrix_at(room: Floats, k: int, at: int) -> Matrix:
+def _matrix_at(values: Floats, k: int, at: int) -> Matrix:
     """Matrix of body k."""
-    return vector(room, k, at), vector(room, k, at + 3), vector(room, k, at + 6)
+    return vector(values, k, at), vector(values, k, at + 3), vector(values, k, at + 6)
 
 
 @inline
-def _put_matrix(room: Floats, k: int, at: int, M: Matrix) -> None:
+def _put_matrix(values: Floats, k: int, M: Matrix) -> None:
     """Write it."""
     for i in range(3):
-        put_vector(room, k, at + 3 * i, M[i])
+        put_vector(values, k, 3 * i, M[i])
 
 
 @inline
@@ -138,58 +158,60 @@ def _place(joints: Joints, tree: JointTree, y: Floats, k: int) -> None:
     """Attitude of body k, and how it turns."""
     R, inverse = matrix(attitude(y, k)), vector(joints.inv_inertia, k, 0)
     spin = turn(R, component_product(inverse, turn_back(R, vector(y, k, L))))
-    _put_matrix(tree.room, k, _R, R)
-    put_vector(tree.room, k, _SPIN, spin)
+    _put_matrix(tree.bodies.R, k, R)
+    put_vector(tree.bodies.spin, k, 0, spin)
 
 
 @inline
 def _shift_on(joints: Joints, tree: JointTree, y: Floats, i: int, way: Vec3) -> tuple[Vec3, Vec3]:
     """Way from the point before to that of body i of the tree, and how fast this one shifts."""
-    room, k, p = tree.room, tree.body[i], tree.before[i]
-    com, of_before = vector(room, k, COM), vector(room, p, COM)
+    bodies, k, p = tree.bodies, tree.body[i], tree.before[i]
+    com, of_before = vector(bodies.com, k, 0), vector(bodies.com, p, 0)
     between = subtract(vector(y, k, X), vector(y, p, X))
     gap = subtract(subtract(between, com), subtract(way, of_before))
     for t in range(tree.free[i], tree.free[i + 1]):
         if tree.is_shift[t]:
-            s = vector(tree.taken, t, _S)
+            s = vector(tree.directions.s, t, 0)
             way = add_scaled(dot(s, gap), s, way)
     v = scale(joints.inv_mass[k], vector(y, k, P))
     v = add_scaled(-joints.inv_mass[p], vector(y, p, P), v)
-    v = subtract(v, cross(vector(room, k, _SPIN), com))
-    return way, subtract(v, cross(vector(room, p, _SPIN), subtract(way, of_before)))
+    v = subtract(v, cross(vector(bodies.spin, k, 0), com))
+    return way, subtract(v, cross(vector(bodies.spin, p, 0), subtract(way, of_before)))
 
 
 @inline
 def _set_out(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -> None:
     """What body i of the tree is by itself, and what more than the one before it accelerates."""
-    room, taken, k, p = tree.room, tree.taken, tree.body[i], tree.before[i]
-    R, first, last = _matrix_at(room, k, _R), tree.free[i], tree.free[i + 1]
-    spin, before = vector(room, k, _SPIN), vector(room, p, _SPIN)
+    bodies, directions, k, p = tree.bodies, tree.directions, tree.body[i], tree.before[i]
+    R, first, last = _matrix_at(bodies.R, k, 0), tree.free[i], tree.free[i + 1]
+    spin, before = vector(bodies.spin, k, 0), vector(bodies.spin, p, 0)
     com = scale(-1.0, turn(R, vector(tree.arm, i, 0)))
-    put_vector(room, k, COM, com)
-    way = add(vector(room, p, COM), turn(_matrix_at(room, p, _R), vector(tree.arm, i, 3)))
+    put_vector(bodies.com, k, 0, com)
+    way = add(vector(bodies.com, p, 0), turn(_matrix_at(bodies.R, p, 0), vector(tree.arm, i, 3)))
     for t in range(first, last):
-        put_vector(taken, t, _S, turn(_matrix_at(room, tree.of[t], _R), vector(tree.axis, t, 0)))
+        put_vector(
+            directions.s, t, 0, turn(_matrix_at(bodies.R, tree.of[t], 0), vector(tree.axis, t, 0))
+        )
     shifting, middle = _ZERO, before
     if first < last and tree.is_shift[first]:
         way, shifting = _shift_on(joints, tree, y, i, way)
     elif last - first == 2:
-        s = vector(taken, first, _S)
+        s = vector(directions.s, first, 0)
         middle = add_scaled(dot(s, subtract(spin, before)), s, before)
-    put_vector(room, k, _WAY, way)
-    put_vector(room, k, _MORE, cross(before, add_scaled(2.0, shifting, cross(before, way))))
-    put_vector(room, k, _MORE + 3, add(cross(before, middle), cross(middle, spin)))
+    put_vector(bodies.path, k, 0, way)
+    put_vector(bodies.rest, k, 0, cross(before, add_scaled(2.0, shifting, cross(before, way))))
+    put_vector(bodies.rest, k, 3, add(cross(before, middle), cross(middle, spin)))
     m, inverse = 1.0 / joints.inv_mass[k], vector(joints.inv_inertia, k, 0)
     J = tensor(R, (1.0 / inverse[0], 1.0 / inverse[1], 1.0 / inverse[2]))
     none = _ZERO, _ZERO, _ZERO
-    for c in range(_I, GIVEN):
-        room[k, c] = 0.0
+    for c in range(27):
+        bodies.inertia[k, c] = 0.0
     diagonal = (m, 0.0, 0.0), (0.0, m, 0.0), (0.0, 0.0, m)
-    _add_inertia(room, k, _at_point_before((diagonal, none, J), com))
+    _add_inertia(bodies.inertia, k, _at_point_before((diagonal, none, J), com))
     F = subtract(scale(m, cross(spin, cross(spin, com))), vector(load, k, 0))
     tau = subtract(cross(spin, vector(y, k, L)), vector(load, k, 3))
-    put_vector(room, k, GIVEN, F)
-    put_vector(room, k, GIVEN + 3, add(tau, cross(com, F)))
+    put_vector(bodies.b, k, 0, F)
+    put_vector(bodies.b, k, 3, add(tau, cross(com, F)))
 
 
 @inline
@@ -203,14 +225,14 @@ def _plus(M: Matrix, f: float, u: Vec3, v: Vec3) -> Matrix:
 
 
 @inline
-def _add_inertia(room: Floats, k: int, inertia: _Inertia) -> None:
+def _add_inertia(values: Floats, k: int, inertia: _Inertia) -> None:
     """Add to I of body k."""
     A, B, C = inertia
     for i in range(3):
-        at = _I + 3 * i
-        put_vector(room, k, at, add(vector(room, k, at), A[i]))
-        put_vector(room, k, at + 9, add(vector(room, k, at + 9), B[i]))
-        put_vector(room, k, at + 18, add(vector(room, k, at + 18), C[i]))
+        at = 3 * i
+        put_vector(values, k, at, add(vector(values, k, at), A[i]))
+        put_vector(values, k, at + 9, add(vector(values, k, at + 9), B[i]))
+        put_vector(values, k, at + 18, add(vector(values, k, at + 18), C[i]))
 
 
 @inline
@@ -236,54 +258,53 @@ def _at_point_before(inertia: _Inertia, r: Vec3) -> _Inertia:
 @inline
 def _eliminate(tree: JointTree, i: int, is_held: bool) -> None:
     """Take the free directions out of body i of the tree, and add it to the body before."""
-    room, taken, k, p = tree.room, tree.taken, tree.body[i], tree.before[i]
-    A, B, C = (
-        _matrix_at(room, k, _I), _matrix_at(room, k, _I + 9), _matrix_at(room, k, _I + 18),
-    )  # fmt: skip
-    linear, angular = vector(room, k, _MORE), vector(room, k, _MORE + 3)
-    F = add(vector(room, k, GIVEN), add(turn(A, linear), turn(B, angular)))
-    tau = add(vector(room, k, GIVEN + 3), add(turn_back(B, linear), turn(C, angular)))
+    bodies, directions, k, p = tree.bodies, tree.directions, tree.body[i], tree.before[i]
+    own = bodies.inertia
+    A, B, C = _matrix_at(own, k, 0), _matrix_at(own, k, 9), _matrix_at(own, k, 18)
+    linear, angular = vector(bodies.rest, k, 0), vector(bodies.rest, k, 3)
+    F = add(vector(bodies.b, k, 0), add(turn(A, linear), turn(B, angular)))
+    tau = add(vector(bodies.b, k, 3), add(turn_back(B, linear), turn(C, angular)))
     for t in range(tree.free[i], tree.free[i + 1]):
-        s = vector(taken, t, _S)
+        s = vector(directions.s, t, 0)
         if tree.is_shift[t]:
             u, v, b = turn(A, s), turn_back(B, s), dot(s, F)
             f = 1.0 / dot(s, u)
         else:
             u, v, b = turn(B, s), turn(C, s), dot(s, tau)
             f = 1.0 / dot(s, v)
-        put_vector(taken, t, _U, u)
-        put_vector(taken, t, _U + 3, v)
-        taken[t, _D], taken[t, _B] = f, b
+        put_vector(directions.u, t, 0, u)
+        put_vector(directions.u, t, 3, v)
+        directions.inv_d[t], directions.b[t] = f, b
         A, B, C = _plus(A, -f, u, u), _plus(B, -f, u, v), _plus(C, -f, v, v)
         F, tau = add_scaled(-f * b, u, F), add_scaled(-f * b, v, tau)
-    put_vector(room, k, GIVEN, F)
-    put_vector(room, k, GIVEN + 3, tau)
+    put_vector(bodies.b, k, 0, F)
+    put_vector(bodies.b, k, 3, tau)
     if is_held:
         return
-    way = vector(room, k, _WAY)
-    _add_inertia(room, p, _at_point_before((A, B, C), way))
-    put_vector(room, p, GIVEN, add(vector(room, p, GIVEN), F))
+    way = vector(bodies.path, k, 0)
+    _add_inertia(bodies.inertia, p, _at_point_before((A, B, C), way))
+    put_vector(bodies.b, p, 0, add(vector(bodies.b, p, 0), F))
     tau = add(tau, cross(way, F))
-    put_vector(room, p, GIVEN + 3, add(vector(room, p, GIVEN + 3), tau))
+    put_vector(bodies.b, p, 3, add(vector(bodies.b, p, 3), tau))
 
 
 @inline
 def _accelerate(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -> None:
     """Acceleration of body i of the tree from that of the one before; its load with its joints."""
-    room, taken, k, p = tree.room, tree.taken, tree.body[i], tree.before[i]
-    turning = vector(room, p, _A + 3)
-    a = add(vector(room, p, _A), cross(turning, vector(room, k, _WAY)))
+    bodies, directions, k, p = tree.bodies, tree.directions, tree.body[i], tree.before[i]
+    turning = vector(bodies.a, p, 3)
+    a = add(vector(bodies.a, p, 0), cross(turning, vector(bodies.path, k, 0)))
     for t in range(tree.free[i + 1] - 1, tree.free[i] - 1, -1):
-        rate = taken[t, _B] + dot(vector(taken, t, _U), a)
-        rate = -taken[t, _D] * (rate + dot(vector(taken, t, _U + 3), turning))
+        rate = directions.b[t] + dot(vector(directions.u, t, 0), a)
+        rate = -directions.inv_d[t] * (rate + dot(vector(directions.u, t, 3), turning))
         if tree.is_shift[t]:
-            a = add_scaled(rate, vector(taken, t, _S), a)
+            a = add_scaled(rate, vector(directions.s, t, 0), a)
         else:
-            turning = add_scaled(rate, vector(taken, t, _S), turning)
-    a, turning = add(a, vector(room, k, _MORE)), add(turning, vector(room, k, _MORE + 3))
-    put_vector(room, k, _A, a)
-    put_vector(room, k, _A + 3, turning)
-    R, spin, com = _matrix_at(room, k, _R), vector(room, k, _SPIN), vector(room, k, COM)
+            turning = add_scaled(rate, vector(directions.s, t, 0), turning)
+    a, turning = add(a, vector(bodies.rest, k, 0)), add(turning, vector(bodies.rest, k, 3))
+    put_vector(bodies.a, k, 0, a)
+    put_vector(bodies.a, k, 3, turning)
+    R, spin, com = _matrix_at(bodies.R, k, 0), vector(bodies.spin, k, 0), vector(bodies.com, k, 0)
     at_com = add(a, add(cross(turning, com), cross(spin, cross(spin, com))))
     put_vector(load, k, 0, scale(1.0 / joints.inv_mass[k], at_com))
     inverse = vector(joints.inv_inertia, k, 0)
