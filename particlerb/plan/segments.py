@@ -37,7 +37,8 @@ from particlerb.model.system import System
 from particlerb.model.worlds import Worlds, worlds_among
 from particlerb.plan.case_forces import Forces, acting_terms, jumps_of
 from particlerb.plan.contact_setup import ContactSetup
-from particlerb.plan.groups import GroupSetup, part_of, terms_between
+from particlerb.plan.group_terms import terms_between
+from particlerb.plan.groups import GroupSetup, part_of
 from particlerb.plan.joint_drives import drives_from
 from particlerb.plan.known_courses import Behind, Courses, Stretch, with_known_courses
 from particlerb.rotors.rotor_class import POINT

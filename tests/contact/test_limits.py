@@ -237,7 +237,7 @@ def test_what_comes_through_the_gaps_keeps_the_spheres_inside(what):
 def test_leaving_spheres_out_changes_no_bit(monkeypatch):
     with particlerb.run(block()) as t:
         without = t.position, t.orientation, t.linear_momentum
-    everyone = "particlerb.plan.groups.outer_spheres"
+    everyone = "particlerb.plan.group_terms.outer_spheres"
     monkeypatch.setattr(everyone, lambda place, radius, *_: np.ones(radius.size, dtype=np.bool_))
     with particlerb.run(block()) as t:
         whole = t.position, t.orientation, t.linear_momentum

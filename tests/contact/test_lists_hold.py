@@ -10,7 +10,7 @@ from particlerb.contact.missed_pairs import Watch
 from particlerb.contact.sphere_search import SphereSearch
 from particlerb.contact.wall_motion import PrescribedMotion, farthest_distances
 from particlerb.contact.wall_search import WallSearch
-from particlerb.plan import groups
+from particlerb.plan import group_terms
 from particlerb.simulation.whole_run import RunError
 from particlerb.stepping import sparse_contact as dilute
 from particlerb.stepping.contact_lists import ContactLists
@@ -81,7 +81,7 @@ def test_a_ball_stays_on_a_wall_that_turns(make, seen):
 
 @pytest.mark.compiled
 def test_a_skin_without_bounds_is_one_that_holds_all_pairs(make, monkeypatch, seen):
-    monkeypatch.setattr(groups, "SKIN", 1e307)
+    monkeypatch.setattr(group_terms, "SKIN", 1e307)
     with particlerb.run(ball_at_rest(make, 60_000)) as t:
         assert t.position[-1, 0] == pytest.approx([0, 0, 0.1 - 9.81e-5], abs=1e-12)
     assert 0.1 < max(skin for skin, _ in seen) < 10.0

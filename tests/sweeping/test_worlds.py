@@ -12,7 +12,7 @@ from particlerb.case.to_system import to_system
 from particlerb.contact.missed_pairs import Watch
 from particlerb.forces import attraction
 from particlerb.model.worlds import WorldsDifferError, bins_of, over_all, over_bodies, worlds_among
-from particlerb.plan import groups
+from particlerb.plan import group_terms
 from particlerb.plan.make_plan import make_plan
 from particlerb.sweeping import worker
 from particlerb.sweeping.together import may_share, rows_together
@@ -314,7 +314,7 @@ def test_a_tree_has_all_bodies_of_one_world():
 @pytest.mark.plain
 def test_what_sums_the_attraction_is_chosen_for_each_world(monkeypatch):
     """A world alone takes a tree from 8000 particles on: not by the mean of several."""
-    monkeypatch.setattr(groups, "BREAK_EVEN", 60)
+    monkeypatch.setattr(group_terms, "BREAK_EVEN", 60)
     task = batch(three(**PULL), SIZES)
     with pytest.raises(WorldsDifferError, match="a tree of all bodies"):
         rows_together(task.numbers, batch_of(task), ())

@@ -1,0 +1,236 @@
+"""What the bodies of a group do to each other: terms in rotor frames, with numbers of the group."""
+
+from typing import Final
+
+import numpy as np
+
+from particlerb.case.output import FIELDS_OF_CONTACT
+from particlerb.compiled.jit import flag
+from particlerb.contact.contact_model import ContactModel, ContactSpheres, GroupContact
+from particlerb.contact.interior_spheres import outer_spheres
+from particlerb.contact.law import TANGENTIAL_DAMPING, Law
+from particlerb.contact.prescribed_motion import prescribed_among
+from particlerb.contact.sphere_search import KEY_BITS, pair_keys
+from particlerb.contact.wall_motion import motion_records
+from particlerb.contact.wall_shapes import has_edges
+from particlerb.forces import Terms
+from particlerb.forces.attraction import Attraction
+from particlerb.forces.gravity_tree.opening_angle import safe_angle
+from particlerb.forces.gravity_tree.tree import BREAK_EVEN
+from particlerb.forces.links import WORLD, Links
+from particlerb.forces.python import lengths_of
+from particlerb.forces.user_pairs import OwnPairs, functions_of, own_pairs
+from particlerb.maths.vec3 import Bools, Ints
+from particlerb.model.bodies import Bodies
+from particlerb.model.state import rotate_back
+from particlerb.model.system import System
+from particlerb.plan.contact_rules import events_of, refuse_too_many, rules_of
+from particlerb.plan.contact_setup import ContactSetup
+from particlerb.plan.groups import GroupSetup
+from particlerb.plan.links import (
+    AnyLink,
+    Link,
+    OwnLink,
+    attracted,
+    particles_of,
+    tree_accuracy,
+)
+
+SKIN: Final = 0.6  # default skin, in units of the smallest radius
+_DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
+
+
+def terms_between(
+    system: System,
+    group: GroupSetup,
+    bodies: Bodies,
+    links: list[AnyLink],
+    touching: ContactSetup | None,
+    time: float,
+) -> Terms:
+    """What the bodies of a group do to each other while these of its links act, from a time on."""
+    terms = Terms()
+    springs = [link for link in links if isinstance(link, Link)]
+    if springs:
+        terms = terms._replace(links=_links_among(group.members, bodies, springs))
+    own = [link for link in links if isinstance(link, OwnLink)]
+    if own:
+        terms = terms._replace(own_pairs=_own_pairs_among(group.members, bodies, own))
+    if group.attracts:
+        attraction = _attraction_among(system, group.members, bodies)
+        each = (attraction.offset.size - 1) // system.n_worlds
+        angle, accuracy = _tree_of(system, int(np.diff(attraction.offset[::each]).max()))
+        terms = terms._replace(attraction=attraction, opening_angle=angle, tree_accuracy=accuracy)
+    if group.touches and touching is not None:
+        terms = terms._replace(contact=_contact_among(system, group.members, bodies, touching))
+    if group.joints is not None:
+        held = group.joints.within(group.members, bodies, terms.links, time)
+        if held is not None and terms.links is not None:
+            terms = terms._replace(links=terms.links._replace(damping=None))
+        driven = prescribed_among(group.joints.driven, group.members)
+        terms = terms._replace(joints=held, driven=None if held is None else driven)
+    return terms
+
+
+def _own_pairs_among(members: Ints, bodies: Bodies, links: list[OwnLink]) -> OwnPairs:
+    """Pairs of a group between which functions of users act, with its own numbers."""
+    place = np.argsort(members)
+    ends = (np.concatenate([link[k] for link in links]) for k in (2, 3))
+    first, second = (place[np.searchsorted(members[place], end)] for end in ends)
+    kinds = [(link.force.function, lengths_of(link.force)) for link in links]
+    known = list(dict.fromkeys(kinds))
+    rows = np.zeros((max(len(link.numbers) for link in links), first.size))
+    kind = np.repeat([known.index(own) for own in kinds], [link.first.size for link in links])
+    start = 0
+    for link in links:
+        rows[: len(link.numbers), start : start + link.first.size] = link.numbers
+        start += link.first.size
+    forces, lengths = zip(*known, strict=True)
+    return own_pairs(functions_of(forces, lengths), (first, second), kind, rows, bodies)
+
+
+def _links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
+    """Links of a group, with its own numbers and in rotor frames."""
+    place = np.full(int(members.max()) + 2, WORLD)  # the last is that of the world
+    place[members] = np.arange(members.size)
+    first = place[np.concatenate([link.first for link in links])]
+    second = place[np.concatenate([link.second for link in links])]
+    inside = second != WORLD
+    first_at = np.concatenate([link.first_at for link in links], axis=1)
+    second_at = np.concatenate([link.second_at for link in links], axis=1)
+    springs = [(link.force.stiffness, link.force.damping, link.first.size) for link in links]
+    stiffness, damping = (
+        np.concatenate([np.full(spring[2], spring[k]) for spring in springs]) for k in (0, 1)
+    )
+    frame = bodies.rotor_frame
+    return Links(
+        first,
+        second,
+        np.ascontiguousarray(rotate_back(frame[:, first], first_at)),
+        np.ascontiguousarray(np.where(inside, rotate_back(frame[:, second], second_at), second_at)),
+        stiffness,
+        np.concatenate([link.rest_length for link in links]),
+        damping if damping.any() else None,
+        bodies.inv_mass,
+        bodies.inv_inertia,
+    )
+
+
+def _attraction_among(system: System, members: Ints, bodies: Bodies) -> Attraction:
+    """Particles with mass of all that attracts in a group, in rotor frames; world after world."""
+    assert system.attraction is not None
+    order = np.argsort(system.world[members], kind="stable")
+    members, frames = members[order], bodies.rotor_frame[:, order]
+    index, owner = particles_of(system, members)
+    takes_part = np.isin(members, attracted(system))[owner] & (system.particles.mass[index] > 0.0)
+    index, owner = index[takes_part], owner[takes_part]
+    mass, position = system.particles.mass[index], system.particles.position[index].T
+    return Attraction(
+        np.ascontiguousarray(rotate_back(frames[:, owner], np.ascontiguousarray(position))),
+        mass,
+        system.attraction.G * mass,
+        np.searchsorted(owner, np.arange(members.size + 1)),
+        system.attraction.softening * system.attraction.softening,  # inf is no force, and no error
+    )
+
+
+def _contact_among(
+    system: System, members: Ints, bodies: Bodies, touching: ContactSetup
+) -> GroupContact:
+    """Spheres, law and walls of a group."""
+    index, owner = particles_of(system, members)
+    may_touch = (system.particles.radius[index] > 0.0) & (touching.material[members][owner] >= 0)
+    takes_part = may_touch & _reachable(system, members, touching)[index]
+    index, owner = index[takes_part], owner[takes_part]
+    refuse_too_many(system, index.size)
+    place = np.ascontiguousarray(system.particles.position[index].T)
+    radius = system.particles.radius[index]
+    reach = np.zeros(members.size)
+    np.maximum.at(reach, owner, np.sqrt((place * place).sum(axis=0)))
+    code, k = touching.material[members][owner], len(touching.materials)
+    rows, world = len(touching.pairs.friction), system.world[members]
+    spheres = ContactSpheres(
+        np.ascontiguousarray(rotate_back(bodies.rotor_frame[:, owner], place)),
+        radius,
+        owner,
+        code if rows == k else code + k * world[owner],
+        code,
+        np.searchsorted(owner, np.arange(members.size + 1)),
+        _apart_among(members, touching.apart),
+        world,
+    )
+    material = touching.wall_material[touching.walls.wall]
+    law, pair_of = _law_of(touching), np.arange(rows * k).reshape(rows, k)
+    smallest = float(radius.min()) if radius.size else 0.0  # joints alone are solved
+    skin = touching.record.skin or SKIN * smallest
+    model = ContactModel(
+        spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
+        prescribed_among(touching.driven, members),
+    )  # fmt: skip
+    motions = motion_records(touching.motions)
+    is_shown = any(name in FIELDS_OF_CONTACT for name in system.output.fields)
+    is_fixed, pistons = touching.record.skin is not None, touching.pistons
+    left_out, is_forced = int(may_touch.sum()) - owner.size, touching.record.allow_unstable
+    return GroupContact(
+        model, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced,
+        rules_of(touching, smallest, members.size), events_of(system, touching),
+    )  # fmt: skip
+
+
+def _apart_among(members: Ints, apart: Ints) -> Ints:
+    """Pairs of bodies that do not touch, with numbers of a group."""
+    a, b = apart >> KEY_BITS, apart & ((1 << KEY_BITS) - 1)
+    inside = np.isin(a, members) & np.isin(b, members)
+    order = np.argsort(members)
+    own = order[np.searchsorted(members[order], np.stack([a[inside], b[inside]]))]
+    return np.unique(pair_keys(*own))
+
+
+def _reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
+    """Whether something can touch each particle of the kinds of these bodies, (n_particles,).
+
+    What starts overlapping, to be pushed apart, may be anywhere: then all can be reached.
+    """
+    radius, offset = system.particles.radius, system.particles.offset
+    found = radius > 0.0
+    if touching.record.relax or not touching.body.size:
+        return found
+    comes = np.unique(system.kind[touching.body])
+    own = np.concatenate([radius[offset[kind] : offset[kind + 1]] for kind in comes])
+    smallest = 0.0 if has_edges(touching.walls) else float(own[own > 0.0].min())
+    for kind in np.unique(system.kind[members]).tolist():
+        solid = offset[kind] + np.flatnonzero(found[offset[kind] : offset[kind + 1]])
+        if solid.size > 1:
+            place = np.ascontiguousarray(system.particles.position[solid].T)
+            depth = _DEEPEST * float(radius[solid].min())
+            found[solid] = outer_spheres(place, radius[solid], smallest, depth)
+    return found
+
+
+def _law_of(touching: ContactSetup) -> Law:
+    """Law with the numbers of all pairs of materials."""
+    pairs = touching.pairs
+    is_hertz = touching.record.law == "hertz"
+    rolling = pairs.rolling_friction.ravel()
+    return Law(
+        (pairs.modulus if is_hertz else pairs.stiffness).ravel(),
+        (pairs.shear_modulus if is_hertz else pairs.tangential_stiffness).ravel(),
+        pairs.damping_ratio.ravel(),
+        np.full(rolling.size, TANGENTIAL_DAMPING),
+        pairs.friction.ravel(),
+        rolling if rolling.any() or pairs.torsional_friction.any() else None,
+        flag(is_hertz),
+        flag(touching.record.attract),
+    )
+
+
+def _tree_of(system: System, n_particles: int) -> tuple[float, float]:
+    """Opening angle and accuracy of the tree that sums the attraction: see `Terms`."""
+    asked = system.attraction
+    assert asked is not None
+    if asked.sum == "direct" or (asked.sum == "auto" and n_particles < BREAK_EVEN):
+        return 0.0, 0.0
+    if asked.opening_angle is not None:
+        return asked.opening_angle, 0.0
+    accuracy = tree_accuracy(system)
+    return safe_angle(accuracy), accuracy
