@@ -19,19 +19,19 @@ from particlerb.cli.exit_codes import DONE, Ending, ending
 
 def chart_command(options: argparse.Namespace) -> int:
     """`chart`: error against time for all methods on a case."""
-    from particlerb.studies import work_precision, work_precision_table
+    from particlerb.studies import contact_laws, work_precision, work_precision_table
     from particlerb.studies.charts.work_precision import draw_chart
 
     case = read_case(options)
-    if case.contact is not None and case.contact.law == "impulse":
-        raise Ending('contact.law: impulses have no chart: one method takes them; "hooke" has one')
+    by_impulses = case.contact is not None and case.contact.law == "impulse"
+    kind = contact_laws.LawStudy if by_impulses else None
     asked = options.methods, options.peers
     paths = _outputs(options, f"chart_{case.path.stem if case.path else 'case'}")
     with _measuring("curve") as bar:
         system = to_system(case)
         bar.total = work_precision.curve_count(system, *asked)
         how = options.error, options.budget, bar.update, options.processor_time
-        found = work_precision.chart(system, *asked, *how)
+        found = work_precision.chart(system, *asked, *how, kind=kind)
     return _show(found, work_precision_table, {"": draw_chart}, paths)
 
 

@@ -251,10 +251,12 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
 
 
 @inline
-def write_through_pistons(partners: Partners, rows: ImpulseRows, count: int) -> None:
+def write_through_pistons(
+    mechanisms: Mechanisms | None, partners: Partners, rows: ImpulseRows, count: int
+) -> None:
     """Write the inverse masses of contacts with walls that slide, where there are no joints."""
-    if partners.mechanisms is None:
+    if mechanisms is None:
         return
     for c in range(count):
-        if partners.mechanisms.number[rows.second[c]] >= 0:
+        if mechanisms.number[rows.second[c]] >= 0:
             write_through_joints(partners, rows, c)

@@ -179,7 +179,7 @@ def _let_joints_hold(
 ) -> None:
     """Let contacts feel what joints tie to their partners, if there is anything, and pistons."""
     if jointed is None or mechanisms is None:
-        write_through_pistons(impulses.partners, impulses.rows, impulses.filled[0])
+        write_through_pistons(mechanisms, impulses.partners, impulses.rows, impulses.filled[0])
         return
     joints, bounded = jointed.joints, impulses.rows.bounded
     find_responses(joints, jointed.work, impulses, mechanisms, bounded, joints.bounds, dt)

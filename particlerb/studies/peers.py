@@ -101,6 +101,8 @@ def peer_scene(system: System) -> PeerScene:
     types = import_module(f"{_adapters().__name__}.scene")
     bodies, state = system.bodies, system.state
     acting = (*ACTIONS, "drive", "during")
+    if system.contact is not None:
+        raise ValueError("other engines are given no contact")
     if system.attraction is not None or any(getattr(t, k) for t in system.joint for k in acting):
         raise ValueError(_GIVEN)
     pushes = []

@@ -4,6 +4,10 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from particlerb.integrators import JOINTED, UNJOINTED
+from particlerb.model.system import System
+
+PENALTY: Final = "strang"  # with springs, on a chart of contact by impulses
 _NICE: Final = (5.0, 2.0, 1.0)
 
 
@@ -27,6 +31,13 @@ def chosen_names(asked: Sequence[str], known: Sequence[str], what: str) -> list[
     if unknown:
         raise ValueError(f"{', '.join(unknown)}: no such {what}; there are {', '.join(known)}")
     return list(dict.fromkeys(asked or known))
+
+
+def method_names(system: System) -> tuple[str, ...]:
+    """Curves that the chart of a system may have; of contact by impulses both laws."""
+    if system.contact is not None and system.contact.law == "impulse":
+        return "moreau", PENALTY
+    return tuple(JOINTED if system.joint else UNJOINTED)
 
 
 def nice_steps(longest: float) -> Iterator[float]:

@@ -6,7 +6,7 @@ a reference: the closed form where the scene has one, else the finest run of two
 that agree, whose difference is the limit of the reference. Where bodies touch, which is chaotic, it
 is the conservation error of the energy. Large scenes are judged by a sample of bodies and timed as
 a whole. A chart point and the same case run by hand give the same error, for rkn6 in large scenes
-to rounding. What a chart says in words is in work_precision_table.py.
+to rounding.
 """
 
 import math
@@ -21,7 +21,6 @@ import numpy as np
 from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
 from particlerb.compiled.threads import THREADS
-from particlerb.integrators import JOINTED, UNJOINTED
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, as_frame, omega_world
 from particlerb.model.system import System
@@ -45,12 +44,12 @@ from particlerb.studies.peers import (
     peer_scene,
     refusal_by,
 )
-from particlerb.studies.text import chosen_names, nice_steps
+from particlerb.studies.text import chosen_names, method_names, nice_steps
 
-_REPEATS: Final = 5  # at least,
+REPEATS: Final = 5  # at least,
 _LEAST_POINTS: Final = 3  # of a curve, unless the next takes twice the time that there is
 _LONG: Final = 0.5  # s; but none of a run that takes longer, which is disturbed less
-_MOST_REPEATS: Final = 41
+_MOSTREPEATS: Final = 41
 _FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
 _LOST: Final = 1.0  # rad: an orientation that is off by more says nothing
 FIRST_TURN: Final = 20.0  # rad of the longest step that is tried: a drift in closed form bears it
@@ -121,7 +120,7 @@ class WorkPrecision(NamedTuple):
     """What the seconds are."""
 
 
-class _Reference(NamedTuple):
+class Reference(NamedTuple):
     """What errors are measured against."""
 
     frames: Frames
@@ -137,6 +136,7 @@ def chart(
     budget: float = 30.0,
     progress: Progress = lambda n: None,
     by_processor: bool = False,
+    kind: "type[Study] | None" = None,
 ) -> WorkPrecision:
     """Measure the methods, and peers, on a system.
 
@@ -155,18 +155,18 @@ def chart(
         Called with 1 after each curve; there are `curve_count` of them.
     by_processor : bool
         Whether time is that of the processor, which other work on the machine does not prolong.
+    kind : type, optional: `contact_laws.LawStudy` for contact by impulses.
 
     Raises
     ------
     CaseError
         If it cannot be run.
-    ValueError
-        If there is no such method or peer.
+    ValueError: if there is no such method or peer.
     """
-    names = chosen_names(methods, (JOINTED if system.joint else UNJOINTED), "method")
+    names = chosen_names(methods, method_names(system), "method")
     rivals = engines(peers)
     with THREADS.using(1, time.thread_time if by_processor else time.perf_counter):
-        study = Study(system, budget)
+        study = (kind or Study)(system, budget)
         points, left_out = study.points(names, rivals, budget, progress)
     source = system.source.path
     return WorkPrecision(
@@ -187,7 +187,7 @@ def chart(
 
 def curve_count(system: System, methods: Sequence[str], peers: Sequence[str]) -> int:
     """Curves that a chart will have, for a progress bar."""
-    own = len(methods or (JOINTED if system.joint else UNJOINTED))
+    own = len(methods or method_names(system))
     return own + sum(len(engine.VARIANTS) for engine in engines(peers))
 
 
@@ -203,7 +203,7 @@ class Study:
         self.rate = max(fastest_rate(self.system, g, self.t_end) for g in auto.groups)
         self.is_free = not any(has_step(s.method) for s in segments)
         self.contacts = [(s.method, c) for s in segments if (c := s.terms.contact) is not None]
-        self.by_energy = bool(self.contacts)
+        self.by_energy = any(contact.rules is None for _, contact in self.contacts)
         self.judged = part(self.system, auto, self.which)
         self.times = self.way_points()
         self.reference = self.find_reference(_REFERENCE_SHARE * budget)
@@ -255,15 +255,15 @@ class Study:
         last = errors(self.judged, self.times, a, b)[-1]
         return max(last.worst, last.position)
 
-    def find_reference(self, budget: float) -> _Reference:
+    def find_reference(self, budget: float) -> Reference:
         """Closed form, or two methods that agree."""
         if self.is_free:
             spin = np.linalg.norm(omega_world(self.system.bodies, self.system.state), axis=0).max()
             floor = _ROUNDING * max(1.0, float(spin) * self.t_end)
-            return _Reference(self.states("auto", None), "the closed form", floor)
+            return Reference(self.states("auto", None), "the closed form", floor)
         if self.by_energy:
             frames = as_frame(self.system.bodies, self.system.state)  # nothing is compared with it
-            return _Reference(frames, "the energy balance", _ROUNDING)
+            return Reference(frames, "the energy balance", _ROUNDING)
         second = "rk4" if self.refusal("rkn6") else "rkn6"
         if self.system.joint:
             second, what = "rattle8", JOINT_ORACLE
@@ -281,7 +281,7 @@ class Study:
             stays = stays + 1 if found[-1] > 0.5 * min(found[:-1]) and found[-1] < 1e-6 else 0
         # where the difference no longer falls it is noise: the larger of two neighbours counts
         floor = min(map(max, pairwise(found[1:]))) if len(found) > 3 else found[-1]
-        return _Reference(oracle, f"{what}, checked by {second} with shorter steps", floor)
+        return Reference(oracle, f"{what}, checked by {second} with shorter steps", floor)
 
     # Steps
 
@@ -342,12 +342,12 @@ class Study:
                 stays = stays + 1 if point.size > 0.7 * best else 0
                 best = min(best, point.size)
             is_done = best < 3.0 * self.reference.floor or (stays > 1 and best < 1e-3)
-            ahead = 2.2 * (1 if point.seconds > _LONG else 1 + _REPEATS) * point.seconds
+            ahead = 2.2 * (1 if point.seconds > _LONG else 1 + REPEATS) * point.seconds
             is_curve = n_points >= _LEAST_POINTS or ahead > 2.0 * budget
             if is_done or (is_curve and spent + ahead > budget):
                 return
 
-    def measured(self, method: str, step: float | None, repeats: int = _REPEATS) -> Point:
+    def measured(self, method: str, step: float | None, repeats: int = REPEATS) -> Point:
         """One point."""
         plan = self.plan(method, step)
         own = part(self.system, plan, self.which)
@@ -366,7 +366,7 @@ class Study:
         if spent < _LONG or self.which.size < self.system.n_bodies:
             whole = part(self.system, plan, np.arange(self.system.n_bodies))
             times = [seconds(whole, self.t_end) for _ in range(repeats)]
-            while repeats > 1 and sum(times) < _FILLED and len(times) < _MOST_REPEATS:
+            while repeats > 1 and sum(times) < _FILLED and len(times) < _MOSTREPEATS:
                 times.append(seconds(whole, self.t_end))
             spent = float(np.median(times))
         return made(spent, error, energy, spin, failure(error))
@@ -379,7 +379,7 @@ class Study:
         start = THREADS.own.clock()
         for step in steps:
             results = [engine.run(self.peer_scene, variant, step)]
-            while len(results) < _REPEATS and THREADS.own.clock() - start < budget:
+            while len(results) < REPEATS and THREADS.own.clock() - start < budget:
                 results.append(engine.run(self.peer_scene, variant, step))
             spent = float(np.median([one.seconds for one in results]))
             error, energy, spin = peer_errors(

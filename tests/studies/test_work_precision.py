@@ -2,6 +2,7 @@
 
 import csv
 import math
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -9,11 +10,14 @@ import pytest
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.simulation.trials import Error
+from particlerb.studies.contact_laws import LawStudy
+from particlerb.studies.peers import peer_scene
 from particlerb.studies.text import nice_steps
 from particlerb.studies.work_precision import (
     Point,
     WorkPrecision,
     chart,
+    curve_count,
     failure,
 )
 from particlerb.studies.work_precision_table import (
@@ -249,3 +253,23 @@ def test_peer_on_the_chart_has_the_errors_of_its_own_order(make):
     refused = chart(to_system(turning), ("dop853",), ("scipy",), budget=1.0)
     (reason,) = [why for name, why in refused.left_out if name == "SciPy"]
     assert reason == "other engines take gravity and constant pushes in the world frame only"
+
+
+@pytest.mark.plain
+def test_impulses_and_springs_come_to_the_same_end_on_one_chart(make):
+    """A ball that slides comes to roll."""
+    ball = make.sphere(position=[0.0, 0.0, 0.1], velocity=[1.0, 0.0, 0.0])
+    law = {"law": "impulse", "restitution": 0.0, "friction": 0.8}
+    keys = {"contact": law, "wall": [make.plane([0.0, 0.0, 1.0])], "t_end": 0.15, "every": 0.05}
+    system = to_system(load(make.case(ball, gravity={"acceleration": [0.0, 0.0, -9.81]}, **keys)))
+    study = LawStudy(system, 0.0)
+    exact, springs = study.states("moreau", 1e-3), list(islice(study.ladder("strang"), 2))
+    off = [study.difference(study.states("strang", stiffness), exact) for stiffness in springs]
+    assert study.difference(study.states("moreau", 0.01), exact) < 4e-3
+    assert off[1] < 0.3 * off[0] < 0.03
+    point = study.measured("strang", springs[0], repeats=1)
+    assert point.method == f"strang, {springs[0]:g} N/m"
+    assert point.step < 1e-3
+    assert curve_count(system, (), ()) == 2
+    with pytest.raises(ValueError, match="given no contact"):
+        peer_scene(system)
