@@ -72,7 +72,7 @@ class Run:
         self.single: tuple[Frames, Frames] | None = None  # room, and its first row, of `pose_at`
         self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.checks = StateChecks(self.moving, plan)
-        self.begin(plan, self.moving.state, {})
+        ranks.together(lambda: self.begin(plan, self.moving.state, {}))
         self.balance = EnergyBalance(self.totals_of(initial, self.initial_energies(initial)))
         self.before = np.zeros(7)  # booked before the last restart,
         self.turned_over_before: Floats | float = 0.0  # and gross work of contacts [J]

@@ -35,6 +35,7 @@ PLAIN = {
     "MPICH_INTERFACE_HOSTNAME": "localhost",
     "PYTHONPATH": str(HERE.parents[1]),
     "PARTICLERB_IS_GUARDED": "1",  # one process, with these superblocks
+    "PYTHONDONTWRITEBYTECODE": "",  # each of many processes would compile all sources
 }
 SECONDS = 300.0
 LONG = ("--set", "run.t_end=0.31", "--set", "run.every=0.02")  # 17 frames, the last between two
