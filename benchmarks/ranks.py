@@ -1,12 +1,14 @@
 """Measure what ranks cost and gain, and what a rank needs: figures of the model in docs/scale.md.
 
-    python benchmarks/ranks.py [--bodies 524288] [--rounds 3] [--folder /dev/shm] [--record]
+    python benchmarks/ranks.py [--bodies 524288] [--rounds 3] [--only free] [--folder /dev/shm]
+        [--record]
 
 Free bodies with six frames of all fields, and the same pushed with 100 steps, on no rank, on one
 and on two, in turn, by `mpiexec`; one thread each. Times are those of the processor in the run
 itself, the least of three; compilation aside, and the set-up, of which each rank does all. A rank
-that waits for others in MPI turns in a circle: that is taken off. Goals: one rank costs 3 % at
-most, two are 1.8 times as fast. `--record` adds the figures to results/ranks.csv.
+that waits for others in MPI turns in a circle: that is taken off. Times of the wall need two idle
+cores. Goals: one rank costs 3 % at most, two are 1.8 times as fast. `--record` adds the figures to
+results/ranks.csv.
 """
 
 import argparse
@@ -61,7 +63,7 @@ class Clock:
     """Processor time of this rank, without that in which it waits for others."""
 
     def __init__(self, ranks: Ranks | None) -> None:
-        self.waited, self.begun = 0.0, (0.0, 0.0)
+        self.waited, self.begun = 0.0, (0.0, 0.0, 0.0)
         if ranks is not None:
             self.ask = ranks.gathered
             ranks.gathered = self.gathered  # type: ignore[method-assign]
@@ -80,7 +82,7 @@ class Clock:
 
     def advanced(self, *arguments: Any) -> Any:
         """Take note of when the set-up is done."""
-        self.begun = self.now(), self.waited
+        self.begun = self.now(), self.waited, time.perf_counter()
         return advance(*arguments)
 
 
@@ -98,6 +100,7 @@ def measure(n: int, is_pushed: bool, path: Path, ranks: Ranks | None) -> dict[st
         simulate.run_prepared(prepared, path, True, ranks=ranks or ALONE)
         own = {"set_up": clock.begun[0] - start, "run": clock.now() - clock.begun[0]}
         own["waited"] = clock.waited - clock.begun[1]
+        own["wall"] = time.perf_counter() - clock.begun[2]
         bytes_of = {"set_up_bytes": most, "kept_bytes": kept}
         bytes_of["run_bytes"] = memory("VmHWM") - before - kept
         del prepared
@@ -137,11 +140,11 @@ def saved_bytes(folder: Path) -> int:
     return sum(values.nbytes for values in states[max(states)].values())
 
 
-def figures(n: int, rounds: int, folder: Path) -> list[tuple[str, float]]:
+def figures(n: int, rounds: int, folder: Path, names: list[str]) -> list[tuple[str, float]]:
     """All figures, medians over rounds."""
     found: list[tuple[str, float]] = []
-    for is_pushed in (False, True):
-        name = "pushed" if is_pushed else "free"
+    for name in names:
+        is_pushed = name == "pushed"
         alone, one, two = [], [], []
         for _ in range(rounds):
             for ranks, into in ((0, alone), (1, one), (2, two)):
@@ -150,11 +153,13 @@ def figures(n: int, rounds: int, folder: Path) -> list[tuple[str, float]]:
         pairs = list(zip(alone, one, two, strict=True))
         cost = statistics.median((b[0]["run"] + b[0]["waited"]) / a[0]["run"] for a, b, _ in pairs)
         gain = statistics.median(b[0]["run"] / max(own["run"] for own in c) for _, b, c in pairs)
+        walls = [b[0]["wall"] / max(own["wall"] for own in c) for _, b, c in pairs]
         outputs = n * (STEPS if is_pushed else FRAMES)
         run = statistics.median(a[0]["run"] for a in alone)
         found += [
             (f"{name}: one rank over none, %", 100.0 * (cost - 1.0)),
             (f"{name}: times as fast on two ranks as on one", gain),
+            (f"{name}: the same by the wall", statistics.median(walls)),
             (
                 f"{name}: ns a {'body and step' if is_pushed else 'body and frame'}",
                 1e9 * run / outputs,
@@ -185,6 +190,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--bodies", type=int, default=524_288)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--only", choices=("free", "pushed"))
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--worker", default="", help=argparse.SUPPRESS)
     parser.add_argument("--record", action="store_true")
@@ -195,7 +201,8 @@ def main() -> None:
         worker(args.bodies, args.worker.startswith("pushed"), path, not alone)
         return
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
-        found = figures(args.bodies, args.rounds, Path(folder))
+        names = [args.only] if args.only else ["free", "pushed"]
+        found = figures(args.bodies, args.rounds, Path(folder), names)
     for name, value in found:
         print(f"{name}: {value:.4g}")
     if args.record:

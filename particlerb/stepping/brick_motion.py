@@ -85,17 +85,13 @@ class BrickMotion(SharedContact):
         self.given: dict[int, tuple[Ints, Floats]] = {}  # by rank: slots of bodies, and room
         self.copies: dict[int, tuple[Ints, Floats]] = {}
         self.initial = initial_rows(np.vstack(shared.state))
+        com = shared.state.com
         with ending_all(ranks):
-            self._begin(shared.state.com, contact.skin)
-
-    def _begin(self, com: Floats, skin: float) -> None:
-        """Cut bricks, take the bodies in the own one, and make the first lists of these."""
-        count, number = self.ranks.count, self.ranks.number
-        self.bricks = Bricks(com[:, self.is_free][:, number::count], self.ranks)
-        own = np.flatnonzero(self._owners(np.arange(self.is_free.size), com) == number)
-        self.lay_out(own, self.initial[own], skin, None)
-        self.loop = loop_over_ranks(self.method, self.place, self.store, self.enter)
-        self.set_off(True)
+            self.bricks = Bricks(com[:, self.is_free][:, ranks.number :: ranks.count], ranks)
+            own = np.flatnonzero(self._owners(np.arange(com.shape[1]), com) == ranks.number)
+            self.lay_out(own, self.initial[own], contact.skin, None)
+            self.loop = loop_over_ranks(method, self.place, self.store, self.enter)
+            self.set_off(True)
 
     def _room_to_show(self) -> None:
         """Room for the bodies that this rank shows."""
