@@ -66,6 +66,4 @@ def with_value(node: Any, path: Path, value: Any) -> Any:
         return {**node, str(head): with_value(node.get(str(head), {}), rest, value)}
     if not isinstance(head, int) or head >= len(node):
         raise LookupError(f"there is no entry {shown(head)}: there are {len(node)}, from 0")
-    copied = node.copy()
-    copied[head] = with_value(node[head], rest, value)
-    return copied
+    return [*node[:head], with_value(node[head], rest, value), *node[head + 1 :]]

@@ -307,16 +307,15 @@ class Forms:
 
     def form(self, value: Any) -> str:
         """Form of a value among those that there are."""
-        if isinstance(value, (list, tuple, np.ndarray)):  # quick to see
-            is_list = "list" if isinstance(value, (list, tuple)) else "number"
-            found = "rows" if "rows" in self.names and is_rows(value) else is_list
-        elif isinstance(value, str):
-            found = "word"
-        elif isinstance(value, (dict, Mapping, BaseModel)):
+        if not isinstance(value, (list, tuple)) and isinstance(value, (dict, Mapping, BaseModel)):
             keys = type(value).model_fields if isinstance(value, BaseModel) else value
             found = "random" if "random" in keys and "random" in self.names else "table"
+        elif isinstance(value, str):
+            found = "word"
+        elif "rows" in self.names and is_rows(value):
+            found = "rows"
         else:
-            found = "number"
+            found = "list" if isinstance(value, (list, tuple)) else "number"
         return found if found in self.names else self.names[0]
 
 

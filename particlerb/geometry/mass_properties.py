@@ -188,9 +188,11 @@ def _principal_frames(mass: Floats, com: Floats, tensor: Floats) -> tuple[Floats
     first, last, general = unique == 0, unique == 2, rotor_class == ASYMMETRIC
 
     axes[(rotor_class == POINT) | (rotor_class == SPHERE)] = np.eye(3)
-    axes[first] = _frames_about(axes[first, :, 0])
+    if first.any():
+        axes[first] = _frames_about(axes[first, :, 0])
     axes[last] = np.roll(_frames_about(axes[last, :, 2]), -1, axis=2)
-    axes[general] = _right_handed(axes[general])
+    if general.any():
+        axes[general] = _right_handed(axes[general])
     return _equalised(moments, rotor_class, unique), axes, rotor_class
 
 

@@ -170,12 +170,11 @@ def cut_into_segments(
         method = _chosen_method(named, bodies, terms, is_closed)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))
         closed.append(is_closed)
-    each = np.array(closed)
-    if (each == each[:, :1]).all():
+    if not np.diff(closed, axis=1).any():
         n = system.n_worlds
         worlds = worlds_among(system.world[members], n) if n > 1 else None
         return [GroupPlan(members, bodies, tuple(segments), worlds)]
-    kinds, kind = np.unique(each, axis=1, return_inverse=True)
+    kinds, kind = np.unique(np.array(closed), axis=1, return_inverse=True)
     parts = [np.flatnonzero(kind == k) for k in range(kinds.shape[1])]
     return _cut_apart(system, group, parts, touching, (begin, is_first))
 

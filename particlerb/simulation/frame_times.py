@@ -80,7 +80,7 @@ def batches(system: System, done: int = 0, ranks: Ranks = ALONE) -> Iterator[Bat
         over = (done + size) % size if size >= _FEWEST_EVEN else 0
         frames = frame_times(system.run, done, min(done + size - over, stop))
         due, probes = probes[probes <= frames[-1]], probes[probes > frames[-1]]
-        times = np.union1d(frames, due)
+        times = np.union1d(frames, due) if due.size else frames
         start = time.monotonic()
         done += len(frames)
         given = np.isin(times, frames), np.isin(times, due)

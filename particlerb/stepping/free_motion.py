@@ -283,16 +283,15 @@ class FreeMotion(Motion):
         work = (tops.lever * rotate(q, _AXIS_3)).sum(axis=0)
         for which, table in prepare_tops(tops, q, state.L) if index.size else []:
             own = index[which]
-            blocks = in_blocks(which.size, len(table), [(0, table)])
-            kind: Any = {"top" if len(table) == N_THETA else "near": blocks}
-            frame = bodies.rotor_frame.copy()
-            frame[:, own] = quaternion_product(frame[:, own], axes[:, which])
-            inverse = bodies.inv_inertia.copy()
-            turned = np.stack([rotate(axes[:, which], e[:, None]) for e in np.eye(3)])
-            inverse[:, own] = (turned * turned * inverse[:, own]).sum(axis=1)
-            part = self.part(own)._replace(
-                rotor_frame=frame, inv_inertia=inverse, changes_spin=flag(True), **kind
-            )
+            kind = "top" if len(table) == N_THETA else "near"
+            turn: Any = {kind: in_blocks(which.size, len(table), [(0, table)])}
+            part = self.part(own, changes_spin=flag(True), **turn)
+            if axes[1:].any():  # other ones than those of the rotor frame
+                frame, inverse = bodies.rotor_frame.copy(), bodies.inv_inertia.copy()
+                frame[:, own] = quaternion_product(frame[:, own], axes[:, which])
+                turned = np.stack([rotate(axes[:, which], e[:, None]) for e in np.eye(3)])
+                inverse[:, own] = (turned * turned * inverse[:, own]).sum(axis=1)
+                part = part._replace(rotor_frame=frame, inv_inertia=inverse)
             worlds = part_of_worlds(self.group.worlds, own)
             before = over_bodies(work[None, which], worlds), over_bodies(state.L[:, which], worlds)
             first = np.concatenate([before[0], 0.0 * before[1], before[1]], axis=-1)

@@ -134,8 +134,7 @@ def _tasks(
     for part in ([left[0]], *alike.values()):
         size = min(most, max(fewest, len(part) // (8 * n)))
         for lo in range(0, len(part), size):
-            own = part[lo : lo + size]
-            numbers, values = (tuple(one) for one in list(zip(*own, strict=True))[:2])
+            numbers, values, *_ = zip(*part[lo : lo + size], strict=True)
             yield Task(numbers, values, paths, source, asked.value, share)
 
 

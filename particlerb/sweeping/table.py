@@ -150,13 +150,12 @@ class TableFile(Closing):
 
     def add(self, rows: Sequence[tuple[Variant, Row]]) -> None:
         """Add rows."""
-        lines: list[tuple[Any, ...]] = []
+        lines, known = list[tuple[Any, ...]](), [variant.hash for variant, _ in rows]
         for variant, (number, status, drift, missed, values) in rows:
             axes = [x if isinstance(x, (float, str, int)) else repr(x) for x in variant.values]
             lines.append((number, variant.hash, status, drift, missed, *axes, *values))
-        own = [line[1] for line in lines]
-        self.known.update(zip(own, lines, strict=True))
-        self._order += own
+        self.known.update(zip(known, lines, strict=True))
+        self._order += known
         if self.path is not None:
             self._append(lines)
 

@@ -12,6 +12,7 @@ from particlerb import CaseError, RunError, Scene, Simulation
 from particlerb.integrators import METHODS
 from particlerb.maths.quaternion import turn
 from particlerb.maths.vec3 import add_scaled, cross, dot, scale, subtract
+from particlerb.stepping import pair_forces
 from particlerb.tables import (
     AttractionTable,
     Moments,
@@ -216,6 +217,17 @@ def test_every_pair_in_reach_takes_numbers_of_both_bodies():
         assert t.ledger.potential_energy[:] == pytest.approx(u.ledger.potential_energy[:])
         assert not t.angular_momentum[:].any()
         assert "10 pairs of newton" in t.parameter("plan")
+
+
+@pytest.mark.compiled
+def test_two_threads_change_no_bit(monkeypatch):
+    """Pairs of a large scene are evaluated by a kernel of their own, not in that of the steps."""
+    made, found = scene(between(own_tie, **ENDS, k=5.0, l0=0.4), between(slip, c=0.8)), []
+    monkeypatch.setattr(pair_forces, "WORTH_THREADS", 0.0)
+    for threads in (1, 2):
+        made.run = made.run.model_copy(update={"threads": threads})
+        found.append(states(made))
+    assert np.array_equal(*found)
 
 
 @plain
