@@ -60,6 +60,14 @@ def test_a_ball_bounces_on_a_piston_in_the_balance():
     assert errors(t)[0] < 1e-12
 
 
+def test_push_out_moves_a_piston_too_and_is_counted():
+    """By masses: the ball goes 3/5 of the overlap up, the piston 2/5 down, against its load."""
+    t = go(sphere(position=[0, 0, R - 0.01]), contact=exact(overlap=0.02), gravity=DOWN,
+           wall=[piston(3.0, 70.0)], dt=5e-3, t_end=0.02, every=0.02)  # fmt: skip
+    assert t.observable("push_out_work")[-1] > 0.05
+    assert max(errors(t)) < 1e-12
+
+
 @pytest.mark.parametrize("solver", ["sweeps", "newton"])
 def test_a_lid_holds_a_ball_by_friction(solver):
     """What is pressed is held by 2 μ F = 1.05 m g or falls with 0.95; the lid is a piston."""
