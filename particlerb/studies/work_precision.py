@@ -5,8 +5,7 @@ of the motion alone, without compilation and file, on one thread; the error is t
 a reference: the closed form where the scene has one, else the finest run of two independent methods
 that agree, whose difference is the limit of the reference. Where bodies touch, which is chaotic, it
 is the conservation error of the energy. Large scenes are judged by a sample of bodies and timed as
-a whole. A chart point and the same case run by hand give the same error, for rkn6 in large scenes
-to rounding.
+a whole. A point has the error of the case run by hand, for rkn6 in large scenes to rounding.
 """
 
 import math
@@ -49,7 +48,7 @@ from particlerb.studies.text import chosen_names, method_names, nice_steps
 REPEATS: Final = 5  # at least,
 _LEAST_POINTS: Final = 3  # of a curve, unless the next takes twice the time that there is
 _LONG: Final = 0.5  # s; but none of a run that takes longer, which is disturbed less
-_MOSTREPEATS: Final = 41
+_MOST_REPEATS: Final = 41
 _FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
 _LOST: Final = 1.0  # rad: an orientation that is off by more says nothing
 FIRST_TURN: Final = 20.0  # rad of the longest step that is tried: a drift in closed form bears it
@@ -155,16 +154,17 @@ def chart(
         Called with 1 after each curve; there are `curve_count` of them.
     by_processor : bool
         Whether time is that of the processor, which other work on the machine does not prolong.
-    kind : type, optional: `contact_laws.LawStudy` for contact by impulses.
+    kind : type, optional
+        `contact_laws.LawStudy` for contact by impulses.
 
     Raises
     ------
     CaseError
         If it cannot be run.
-    ValueError: if there is no such method or peer.
+    ValueError
+        If there is no such method or peer.
     """
-    names = chosen_names(methods, method_names(system), "method")
-    rivals = engines(peers)
+    names, rivals = chosen_names(methods, method_names(system), "method"), engines(peers)
     with THREADS.using(1, time.thread_time if by_processor else time.perf_counter):
         study = (kind or Study)(system, budget)
         points, left_out = study.points(names, rivals, budget, progress)
@@ -366,7 +366,7 @@ class Study:
         if spent < _LONG or self.which.size < self.system.n_bodies:
             whole = part(self.system, plan, np.arange(self.system.n_bodies))
             times = [seconds(whole, self.t_end) for _ in range(repeats)]
-            while repeats > 1 and sum(times) < _FILLED and len(times) < _MOSTREPEATS:
+            while repeats > 1 and sum(times) < _FILLED and len(times) < _MOST_REPEATS:
                 times.append(seconds(whole, self.t_end))
             spent = float(np.median(times))
         return made(spent, error, energy, spin, failure(error))
