@@ -152,6 +152,7 @@ def test_one_material_has_the_numbers_of_contact_and_a_default_tangential_stiffn
         "damping_ratio": pytest.approx(0.07435509, rel=1e-6),
         "friction": 0.5,
         "rolling_friction": 0.0,
+        "torsional_friction": 0.0,
         "can_meet": 1.0,
     }
 
