@@ -89,7 +89,7 @@ class ContactTable(ContactNumbers):
     push_out: _Share = 0.3
     """Share of an overlap that a step takes away, impulse. [-]"""
     slop: NonNegative = 1e-4
-    """Overlap that stays, over the smallest radius, impulse. [-]"""
+    """Overlap or gap that stays, over the smallest radius, impulse. [-]"""
     contact_time: NonNegative | None = None
     """What hits again within it bounces elastically, events; default: by speed. [s]"""
     periodic: Annotated[tuple[NonNegative, ...], entries(3, "numbers")] | None = None

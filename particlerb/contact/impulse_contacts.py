@@ -101,7 +101,7 @@ def _take_in(
     count[0] = k + 1
     rows.first[k], rows.second[k], rows.entry[k] = near.first, near.second, entry
     write_frame(partners, rows, k, near.normal, near.point)
-    rows.frame[k, LEAST] = -max(gap, 0.0) / dt
+    rows.frame[k, LEAST] = -gap / dt if gap > impulses.rules.slop else 0.0
     rows.frame[k, FRICTION] = setup.model.law.friction[pair]
     rows.limits[k, GAP], rows.limits[k, SLOW] = gap, near.slow
     rows.limits[k, RADIUS] = near.radius

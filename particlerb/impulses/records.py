@@ -93,7 +93,7 @@ class ImpulseRules(NamedTuple):
     tolerance: float  # of the residual
     iterations: int  # sweeps at most
     push_out: float  # share of an overlap that is taken away in a step
-    slop: float  # [m] overlap that stays
+    slop: float  # [m] overlap or gap that stays
     allowed: float  # [m] overlap that the case allows at t = 0
     newton: bool  # whether Newton's method goes on where sweeps do not end
 

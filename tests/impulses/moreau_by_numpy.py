@@ -218,7 +218,8 @@ class Scene:
         if not active:
             return np.zeros(6 * len(self.bodies))
         J = np.vstack([t.jacobian for t in active])
-        least = np.array([-max(t.gap, 0.0) / self.dt for t in active])
+        slop = self.slop * min(b.radius for b in self.bodies)
+        least = np.array([-t.gap / self.dt if t.gap > slop else 0.0 for t in active])
         W, b = J @ inverse @ J.T, J @ self.twists()
         r = solve(W, b, least, self.friction)
         for name, count in holds(

@@ -67,6 +67,22 @@ def test_a_box_carries_ten_thousand_times_its_mass():
 
 
 @plain
+def test_a_stack_whose_corners_miss_each_other_by_less_than_the_slop_stands_still():
+    """No rigid body closes the gaps at its four corners, 1e-6 m, all at once."""
+    rng = np.random.default_rng(0)
+    boxes = [
+        clump(f"box{i}", position=[0, 0, (2 + 4 * i) * R + 4e-6 * (i + 1)],
+              orientation=[1.0, *(5e-6 * rng.normal(size=3))])
+        for i in range(5)
+    ]  # fmt: skip
+    contact = impulse(0.0, 0.5, tolerance=1e-9, overlap=1e-4 * R)
+    keys = {"wall": [plane()], "gravity": DOWN, "dt": 5e-3, "t_end": 0.25, "every": 0.05}
+    t = go(*boxes, contact=contact, **keys)
+    assert t.observable("impulse_residual").max() <= 1e-9
+    assert np.abs(t.position - t.position[0]).max() < 1e-10
+
+
+@plain
 @pytest.mark.parametrize("ratio", [1e4, 1e8, 1e12])
 @pytest.mark.parametrize("gap", [0.0, 0.2])
 def test_a_light_ball_carries_a_heavy_one_at_the_default_tolerance(ratio, gap):
