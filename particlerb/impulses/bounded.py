@@ -18,6 +18,7 @@ from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.impulses.records import (
+    B_BEST,
     B_DIRECTION,
     B_FORCE,
     B_GAP,
@@ -271,6 +272,14 @@ def give_bounded(bounded: Bounded, given: Floats) -> None:
     """Give the momenta of all of these impulses."""
     for k in range(bounded.kind.size):
         _give(bounded, given, k, bounded.values[k, B_IMPULSE])
+
+
+@inline
+def keep_best_bounded(bounded: Bounded, goes_back: bool) -> None:
+    """Keep these impulses, or go back to those that are kept."""
+    here, there = (B_BEST, B_IMPULSE) if goes_back else (B_IMPULSE, B_BEST)
+    for k in range(bounded.kind.size):
+        bounded.values[k, there] = bounded.values[k, here]
 
 
 @inline

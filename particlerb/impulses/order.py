@@ -50,5 +50,5 @@ def room_for_newton(moves: Bools, a: Ints, b: Ints, rows: int) -> Newton:
     n, reach = 6 * len(order), int(away) + 5
     return Newton(
         place, cluster, np.array([reach]), np.zeros((n, 3 * reach + 1)), np.zeros(n),
-        np.zeros((rows, 12)), np.zeros((n_clusters, 4)),
+        np.zeros((rows, 12)), np.zeros((n_clusters, 4)), np.zeros((rows, 6)),
     )  # fmt: skip

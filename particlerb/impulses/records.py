@@ -49,7 +49,8 @@ B_OLD: Final = 12  # before a sweep, or push-out so far
 B_DIRECTION: Final = 13  # of the conjugate gradients
 B_CHANGE: Final = 14  # c and
 B_SLOPE: Final = 15  # K of Newton's method; then on which side a stop is overrun, and by how much
-_N_BOUNDED: Final = 16
+B_BEST: Final = 16  # impulse of the best solution so far
+_N_BOUNDED: Final = 17
 
 # Numbers of a tally
 STEPS: Final = 0  # steps in which something was near
@@ -150,7 +151,7 @@ class Bounded(NamedTuple):
     member: Ints  # partners of its mechanism, and
     response: Floats  # (.., 6) [m/s, rad/s] what a unit impulse does to their velocities
     gradient: Floats  # (k, 12) by the velocities of both
-    values: Floats  # (k, 16)
+    values: Floats  # (k, 17)
 
 
 class Rolling(NamedTuple):
@@ -191,6 +192,7 @@ class Newton(NamedTuple):
     change: Floats  # (6 n,) [N s, N m s] what bodies get of contacts
     slopes: Floats  # (rows, 12) step of an impulse, c and the rows of K, see `newton`
     clusters: Floats  # (n_clusters, 4) |F|², |F| that was best, share of a step, state
+    best: Floats  # (rows, 6) [N s, N m s] impulses of the best solution so far
 
 
 class Impulses(NamedTuple):

@@ -255,6 +255,17 @@ def into_the_discs(rolling: Rolling | None, rows: ImpulseRows, count: int) -> No
 
 
 @inline
+def keep_best_rolling(rolling: Rolling | None, best: Floats, k: int, goes_back: bool) -> None:
+    """Keep the angular impulse of contact k behind its impulse, or go back to what is kept."""
+    if rolling is None:
+        return
+    if goes_back:
+        put_column3(rolling.impulse, k, 0, column3(best, k, 3))
+    else:
+        put_column3(best, k, 3, column3(rolling.impulse, k, 0))
+
+
+@inline
 def give_rolling(
     rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
 ) -> None:

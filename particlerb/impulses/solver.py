@@ -20,6 +20,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses.bounded import (
     begin_bounded,
     give_bounded,
+    keep_best_bounded,
     leave_out_stops,
     miss_of_bounded,
     mix_bounded,
@@ -28,7 +29,7 @@ from particlerb.impulses.bounded import (
     sweep_bounded,
 )
 from particlerb.impulses.cone import nearest_in_cone, on_disc
-from particlerb.impulses.newton import take_newton_steps
+from particlerb.impulses.newton import refresh_velocities, take_newton_steps
 from particlerb.impulses.records import (
     CONTACTS,
     COUPLING,
@@ -57,6 +58,7 @@ from particlerb.impulses.records import (
 from particlerb.impulses.rolling import (
     begin_rolling,
     give_rolling,
+    keep_best_rolling,
     miss_of_rolling,
     mix_rolling,
     size_of_rolling,
@@ -234,6 +236,22 @@ def _size(rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float) 
 
 
 @kernel
+def _keep_best(impulses: Impulses, bounded: Bounded | None, goes_back: bool) -> None:
+    """Keep all impulses, or go back to those that are kept."""
+    _, partners, rows, count, _, newton = impulses
+    for k in range(count[0]):
+        if goes_back:
+            put_column3(rows.impulse, k, 0, column3(newton.best, k, 0))
+        else:
+            put_column3(newton.best, k, 0, column3(rows.impulse, k, 0))
+        keep_best_rolling(rows.rolling, newton.best, k, goes_back)
+    if bounded is not None:
+        keep_best_bounded(bounded, goes_back)
+    if goes_back:
+        refresh_velocities(partners, rows, bounded, count[0])
+
+
+@kernel
 def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float) -> None:
     """Find all impulses, and give momenta.
 
@@ -260,10 +278,13 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
     _begin_where_it_ended(impulses, bounded)
     floor, most, is_done = _FLOOR * moved, rules.iterations, newton.change.size == 0
     found = _sweeps(impulses, bounded, most, floor, speed)
-    small = _SMALL
+    small, best = _SMALL, math.inf
     for _ in range(_ROUNDS):
         if found <= rules.tolerance or is_done:
             break
+        if found < best:
+            best = found
+            _keep_best(impulses, bounded, False)
         size = _size(rows, bounded, m, floor)
         is_done = take_newton_steps(
             impulses, bounded, _WITHIN * rules.tolerance, size, speed, small
@@ -273,6 +294,9 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
         if found > rules.tolerance and not is_done:
             most *= _MORE
             found = _sweeps(impulses, bounded, most, floor, speed)
+    if found > max(best, rules.tolerance):
+        _keep_best(impulses, bounded, True)
+        found = best
     for k in range(m):
         give(partners, rows, k, column3(rows.impulse, k, 0))
     give_rolling(rows.rolling, partners, rows, m)
