@@ -1,9 +1,9 @@
 """Kernels that Python runs itself where it has little to do: to compile them would take longer.
 
 In these kernels each operation is rounded by itself, compiled or not, so that Python gives the same
-bits, and the clock may decide: a process spends some seconds so at most, then it compiles. What has
-been compiled in a process, or is on disk and worth its loading, runs compiled. Where Python stops
-and compiled code would not, as at 1 / 0, the arrays are put back and the kernel is compiled.
+bits, and the clock may decide: a process spends less than half a second so, then it compiles. What
+has been compiled in a process, or is on disk and worth its loading, runs compiled. Where Python
+stops and compiled code would not, as at 1 / 0, the arrays are put back and the kernel is compiled.
 """
 
 import threading
@@ -20,8 +20,8 @@ from particlerb.compiled.helper import Kernel, UnfusedCompiler
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-BUDGET: Final = 2.5  # [s] of a process in Python: what some kernels take to be compiled
-_LONGEST: Final = 1.0  # [s] of one call
+BUDGET: Final = 0.4  # [s] of a process in Python: each run of a scene spends them again
+_LONGEST: Final = 0.2  # [s] of one call
 _LOADING: Final = 0.02  # [s] that a kernel on disk takes to be loaded
 _RATE: Final = 1e-5  # [s] for a number of the arguments, before a kernel has run
 _PACKAGE: Final = __name__.partition(".")[0]
