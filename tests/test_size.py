@@ -19,7 +19,7 @@ BUDGETS = {
     "closed forms under force": 1596,
     "joints": 5252,
     "contact with every method": 480,
-    "contact by impulses": 3667,
+    "contact by impulses": 3681,
     "collisions by events": 1712,
     "forces: tables, gradients, written by users": 2151,
     "scenes and simulations in Python": 610,

@@ -16,17 +16,20 @@ from particlerb.contact.records import Records, put_row3, row3, row4
 from particlerb.contact.walls import PLANE, euler_count, gap_vector, length, primitive_at
 from particlerb.impulses.records import (
     ARM,
+    B_LARGEST,
     DEEPEST,
     DEEPEST_NOW,
     FRICTION,
     GAP,
     INVERSE,
     LEAST,
+    MOTOR,
     NORMAL,
     RADIUS,
     RESTITUTION,
     SLOW,
     ZERO,
+    Bounded,
     Impulses,
     Partners,
     Rolling,
@@ -66,6 +69,21 @@ def _note_speeds(partners: Partners, a: int) -> None:
 
 
 @inline
+def _note_motors(partners: Partners, bounded: Bounded | None) -> None:
+    """Add to these what motors may change in half a step: no kick has their forces."""
+    if bounded is None:
+        return
+    speeds = partners.speeds
+    for k in range(bounded.kind.size):
+        if bounded.kind[k] == MOTOR:
+            half = 0.5 * bounded.values[k, B_LARGEST]
+            for j in range(bounded.start[k], bounded.start[k + 1]):
+                b = bounded.member[j]
+                speeds[b, 2] += half * length(column3(bounded.response, j, 0))
+                speeds[b, 3] += half * length(column3(bounded.response, j, 3))
+
+
+@inline
 def _by_turning(impulses: Impulses, a: int, arm: float) -> tuple[float, float]:
     """Speeds [m/s] of a body's points by turning, and by what half a kick gives in four."""
     speeds = impulses.partners.speeds
@@ -88,7 +106,7 @@ def _is_near(
         turning, slow = turning + turning_b, max(slow, slow_b)
     else:
         slow = max(slow, _KICKS * impulses.partners.speeds[b, 2])
-    return gap <= dt * (length(between) + turning + slow), slow
+    return gap <= impulses.rules.slop + dt * (length(between) + turning + slow), slow
 
 
 @inline
@@ -221,8 +239,10 @@ def _find_reach(setup: GroupContact, impulses: Impulses, arm: float, dt: float) 
     reach = partners.reach
     for b in range(setup.max_arm.size):
         _note_speeds(partners, b)
+    _note_motors(partners, impulses.rows.bounded)
+    for b in range(setup.max_arm.size):
         turning, slow = _by_turning(impulses, b, arm)
-        reach[b, 0] = dt * (partners.speeds[b, 0] + turning + slow)
+        reach[b, 0] = impulses.rules.slop + dt * (partners.speeds[b, 0] + turning + slow)
         farthest = max(farthest, reach[b, 0])
     return farthest
 

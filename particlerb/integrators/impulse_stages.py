@@ -40,7 +40,7 @@ from particlerb.integrators.impulse_booking import (
 )
 from particlerb.integrators.pair_stages import Layout, OwnBlocks, PairTerms, shift_pair_time
 from particlerb.joints.records import Jointed
-from particlerb.joints.responses import find_responses, move_to_joints
+from particlerb.joints.responses import find_bounded, find_responses, move_to_joints
 from particlerb.joints.rows import put_pose
 from particlerb.maths.quaternion import (
     Matrix,
@@ -174,15 +174,22 @@ def _apply_given(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
 
 
 @inline
-def _let_joints_hold(
-    jointed: Jointed | None, mechanisms: Mechanisms | None, impulses: Impulses, dt: float
-) -> None:
+def _bound_joints(jointed: Jointed | None, impulses: Impulses, dt: float) -> None:
+    """Find what acts in joints within bounds, if there are joints."""
+    partners, mechanisms = impulses.partners, impulses.partners.mechanisms
+    if jointed is not None and mechanisms is not None:
+        bounded = impulses.rows.bounded
+        find_bounded(jointed.joints, jointed.work, partners, mechanisms, bounded, dt)
+
+
+@inline
+def _let_joints_hold(jointed: Jointed | None, impulses: Impulses) -> None:
     """Let contacts feel what joints tie to their partners, if there is anything, and pistons."""
+    mechanisms = impulses.partners.mechanisms
     if jointed is None or mechanisms is None:
         write_through_pistons(mechanisms, impulses.partners, impulses.rows, impulses.filled[0])
-        return
-    joints, bounded = jointed.joints, impulses.rows.bounded
-    find_responses(joints, jointed.work, impulses, mechanisms, bounded, joints.bounds, dt)
+    else:
+        find_responses(jointed.joints, jointed.work, impulses, mechanisms)
 
 
 @kernel
@@ -202,8 +209,9 @@ def bounce(
     if team.rank == 0:
         extremes = contact.memory.extremes
         _gather_walls(contact, impulses.partners, 0.5 * dt)
+        _bound_joints(jointed, impulses, dt)
         find_impulse_contacts(setup, workspace, contact.lists, impulses, extremes, dt)
-        _let_joints_hold(jointed, impulses.partners.mechanisms, impulses, dt)
+        _let_joints_hold(jointed, impulses)
         rows = impulses.rows
         write_rolling(rows.rolling, impulses.partners, rows, impulses.filled[0])
         take_impacts(impulses, impulses.rows.bounded)

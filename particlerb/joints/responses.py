@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import kernel
 from particlerb.impulses.bounded import write_bounds, write_gradient, write_response
 from particlerb.impulses.records import (
     B_GAP,
@@ -32,7 +32,7 @@ from particlerb.impulses.rows import (
     write_through_joints,
 )
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import Bounds, Joints, Work
+from particlerb.joints.records import Joints, Work
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals, vector
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.vec3 import Ints, dot, scale
@@ -104,45 +104,52 @@ def _put_velocities(
 
 @kernel
 def _respond(
-    joints: Joints, work: Work, partners: Partners, mechanisms: Mechanisms, c: int
+    joints: Joints, work: Work, partners: Partners, mechanisms: Mechanisms, b: int
 ) -> None:
-    """Find the rows of the matrix of mechanism c that are asked for."""
+    """Find the rows of body b in the matrix of its mechanism, if joints hold it, once a step."""
+    c, known, member = mechanisms.number[b], mechanisms.is_known, mechanisms.member
+    if c < 0 or known[b]:
+        return
     first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
     lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
-    factorise_cluster(joints, work, c, 0.0, work.clock[0])
+    is_factorised = False
     for k in range(first, last):
-        if not mechanisms.is_known[mechanisms.member[k]]:
-            continue
-        for i in range(6):
-            _clear(work, first, last)
-            work.change[k, i] = 1.0
-            for r in range(lo, hi):
-                found = rate(joints, work.gradient, r, work.change, 0)
-                work.z[r] = -found if work.compliance[r] == 0.0 else 0.0
-            solve(joints.program, joints.clusters, work.factor, work.z, c)
-            inv_mass, gradient = joints.inv_mass, work.gradient
-            add_impulses(joints.rows, inv_mass, gradient, work.z, lo, hi, work.change, 0)
-            row = 6 * (k - first) + i
-            to = mechanisms.start[c] + row * 6 * (last - first)
-            _put_velocities(partners, mechanisms, work, c, to)
+        is_factorised |= known[member[k]]
+    if not is_factorised:
+        factorise_cluster(joints, work, c, 0.0, work.clock[0])
+    known[b] = True
+    for i in range(6):
+        _clear(work, first, last)
+        work.change[first + mechanisms.place[b], i] = 1.0
+        for r in range(lo, hi):
+            found = rate(joints, work.gradient, r, work.change, 0)
+            work.z[r] = -found if work.compliance[r] == 0.0 else 0.0
+        solve(joints.program, joints.clusters, work.factor, work.z, c)
+        inv_mass, gradient = joints.inv_mass, work.gradient
+        add_impulses(joints.rows, inv_mass, gradient, work.z, lo, hi, work.change, 0)
+        row = 6 * mechanisms.place[b] + i
+        to = mechanisms.start[c] + row * 6 * (last - first)
+        _put_velocities(partners, mechanisms, work, c, to)
 
 
-@inline
-def _know_bounded(bounded: Bounded, mechanisms: Mechanisms) -> None:
-    """Ask for the responses of bodies with a coordinate within bounds."""
-    for k in range(bounded.kind.size):
-        for b in (bounded.first[k], bounded.second[k]):
-            mechanisms.is_known[b] = mechanisms.number[b] >= 0
-
-
-@inline
-def _find_bounded(
-    bounded: Bounded, bounds: Bounds, joints: Joints, work: Work, partners: Partners,
-    mechanisms: Mechanisms, dt: float,
+@kernel
+def find_bounded(
+    joints: Joints, work: Work, partners: Partners, mechanisms: Mechanisms,
+    bounded: Bounded | None, dt: float,
 ) -> None:  # fmt: skip
-    """Write rows of what acts along coordinates within bounds, for a step of dt [s]."""
+    """Write rows of what acts along coordinates within bounds, for a step of dt [s].
+
+    Bodies are in `work` where they may touch, and the clock is there.
+    """
+    bounds = joints.bounds
+    for b in range(mechanisms.is_known.size):
+        mechanisms.is_known[b] = False
+    if bounded is None or bounds is None:
+        return
     for k in range(bounded.kind.size):
         r = bounds.row[k]
+        _respond(joints, work, partners, mechanisms, bounded.first[k])
+        _respond(joints, work, partners, mechanisms, bounded.second[k])
         a, b, x = joints.rows.a[r], joints.rows.b[r], coordinate(joints.rows, work.y, r)
         by_x, by_a = vector(work.gradient, r, 0), vector(work.gradient, r, 3)
         by_b = vector(work.gradient, r, 6)
@@ -161,32 +168,18 @@ def _find_bounded(
 
 @kernel
 def find_responses(
-    joints: Joints, work: Work, impulses: Impulses, mechanisms: Mechanisms,
-    bounded: Bounded | None, bounds: Bounds | None, dt: float,
+    joints: Joints, work: Work, impulses: Impulses, mechanisms: Mechanisms
 ) -> None:  # fmt: skip
     """Find what impulses on bodies that touch do to their mechanisms, and inverse masses by that.
 
-    Bodies are in `work` where they touch, and the clock is there; the step takes dt [s].
+    `find_bounded` comes before.
     """
     _, partners, rows, count, _, _ = impulses
-    known, number = mechanisms.is_known, mechanisms.number
-    for b in range(known.size):
-        known[b] = False
     for k in range(count[0]):
-        for b in (rows.first[k], rows.second[k]):
-            known[b] = number[b] >= 0
-    if bounded is not None:
-        _know_bounded(bounded, mechanisms)
-    for c in range(joints.clusters.body.size - 1):
-        for k in range(mechanisms.first[c], mechanisms.first[c + 1]):
-            if known[mechanisms.member[k]]:
-                _respond(joints, work, partners, mechanisms, c)
-                break
-    for k in range(count[0]):
-        if known[rows.first[k]] or known[rows.second[k]]:
+        _respond(joints, work, partners, mechanisms, rows.first[k])
+        _respond(joints, work, partners, mechanisms, rows.second[k])
+        if mechanisms.is_known[rows.first[k]] or mechanisms.is_known[rows.second[k]]:
             write_through_joints(partners, rows, k)
-    if bounded is not None and bounds is not None:
-        _find_bounded(bounded, bounds, joints, work, partners, mechanisms, dt)
 
 
 @kernel

@@ -135,6 +135,15 @@ def test_a_motor_presses_with_what_friction_leaves(end, x_end):
     assert errors(t)[1] < 1e-12
 
 
+def test_what_a_motor_presses_stays_where_it_is():
+    """No gap is too small: neither the cart nor the ball sets out again once both are at rest."""
+    scene = pressed(0.25, rolling_friction=0.1, torsional_friction=0.1)
+    scene["body"][1]["angular_velocity"] = [3.0, 5.0, -2.0]
+    t, x = go(scene, 0.9, 0.03)
+    assert np.ptp(x[-8:]) < 1e-12
+    assert np.ptp(t.position[-8:], axis=0).max() < 1e-12
+
+
 def test_newtons_method_solves_what_acts_within_bounds(monkeypatch):
     """After one sweep, and with no more of them."""
     monkeypatch.setattr("particlerb.impulses.solver._ROUNDS", 1)

@@ -22,7 +22,7 @@ from particlerb.impulses.records import (
 from particlerb.impulses.rows import write_frame
 from particlerb.impulses.solver import solve
 from particlerb.joints.records import HOLDS, ConstraintRows, room_for_joints
-from particlerb.joints.responses import find_responses, mechanisms_of, pairs_through
+from particlerb.joints.responses import find_bounded, find_responses, mechanisms_of, pairs_through
 from particlerb.joints.setup import NO_ACTIONS, joints_among
 
 CASES = Path(__file__).parents[2] / "cases"
@@ -215,7 +215,8 @@ def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts(
     rules = ImpulseRules(np.zeros(1), np.zeros(1), 1e-12, 1, 0.0, 0.0, 0.0, True)
     newton = room_for_newton(partners.inverse[:, 0] > 0, a[:1], b[:1], 2)
     impulses = Impulses(rules, partners, contacts, np.array([2, -1]), np.zeros(TALLY), newton)
-    find_responses(joints, work, impulses, mechanisms, None, None, 0.01)
+    find_bounded(joints, work, partners, mechanisms, None, 0.01)
+    find_responses(joints, work, impulses, mechanisms)
     g = work.gradient
     G = np.hstack([g[:, :3], g[:, 3:6], -g[:, :3], g[:, 6:9]])
     dense = np.eye(12) - G.T @ np.linalg.solve(G @ G.T, G)
