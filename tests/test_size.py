@@ -24,7 +24,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2151,
     "scenes and simulations in Python": 610,
     "sweeps": 1561,
-    "one scene over ranks": 1923,
+    "one scene over ranks": 1933,
     "reports, pictures, the page": 1170,
     "scenes for other programs": 432,
     "speed of compiling and of whole calls": 850,

@@ -9,7 +9,6 @@ from particlerb.forces.push import refuse_large
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, in_rotor_frame, omega_world, rotate, rotate_back
-from particlerb.model.worlds import Worlds, over_all, over_bodies
 
 if TYPE_CHECKING:
     from particlerb.case.forces import ImpulseTable
@@ -23,11 +22,10 @@ class Impulse(NamedTuple):
     follows: bool  # whether the direction is given in the body
 
 
-def apply_impulse(
-    impulse: Impulse, bodies: Bodies, state: State, worlds: Worlds | None = None
-) -> tuple[State, Floats]:
-    """State after the jump, and what to book: work, impulse, angular impulse about the origin.
+def apply_impulse(impulse: Impulse, bodies: Bodies, state: State) -> tuple[State, Floats]:
+    """State after the jump, and what to book of each body, (7, n).
 
+    That is work, impulse and angular impulse about the origin.
     The work is ½(v⁻ + v⁺)·J + ½(ω⁻ + ω⁺)·(r × J), exactly the change of kinetic energy.
     """
     at, J, follows = impulse
@@ -37,10 +35,9 @@ def apply_impulse(
     after = state._replace(p=state.p + J, L=state.L + turn)
     velocity = 0.5 * bodies.inv_mass * (state.p + after.p)
     omega = 0.5 * (omega_world(bodies, state) + omega_world(bodies, after))
-    work = over_all(velocity * J, worlds) + over_all(omega * turn, worlds)
+    work = (velocity * J + omega * turn).sum(axis=0)
     about_origin = turn + np.cross(state.com, J, axis=0)
-    given = over_bodies(J, worlds), over_bodies(about_origin, worlds)
-    return after, np.concatenate([work[..., None], *given], axis=-1)
+    return after, np.vstack([work, J, about_origin])
 
 
 def _impulse_of(table: "ImpulseTable", numbers: Floats, bodies: Bodies) -> Impulse:

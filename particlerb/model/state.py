@@ -67,6 +67,11 @@ def as_frame(bodies: Bodies, state: State) -> Frames:
     return frames
 
 
+def state_of(rows: Floats) -> State:
+    """A state from its rows (13, n)."""
+    return State(*np.split(np.ascontiguousarray(rows), (3, 7, 10)))
+
+
 def state_in(frames: Frames, row: int, index: Ints, bodies: Bodies) -> State:
     """State of bodies `index` of the scene, with these constants, in a row of frames."""
     x, q, p, L = (values[row, index].T for values in frames[:4])

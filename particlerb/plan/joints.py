@@ -38,7 +38,7 @@ from particlerb.joints.setup import joints_among
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, held
-from particlerb.model.state import State, lengths, rotate_back
+from particlerb.model.state import lengths, rotate_back, state_of
 from particlerb.model.system import System
 from particlerb.plan import joint_rows
 from particlerb.plan.joint_drives import DriveCourse, course_of, drives_from
@@ -329,7 +329,7 @@ def assembled(system: System) -> System:
     state = np.empty((13, n))
     state[:, joints.order] = work.y[:n].T
     _refuse_loose(system, setup, joints, work)
-    found = system._replace(state=State(*np.split(state, (3, 7, 10))), placed=system.state)
+    found = system._replace(state=state_of(state), placed=system.state)
     if moved <= _ALLOWED * float(joints.rows.size.max()):
         return found
     line = f"bodies moved by up to {moved:.3g} m at the start, until all joints fit"

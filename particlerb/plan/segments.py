@@ -75,6 +75,7 @@ class Segment(NamedTuple):
     method: str
     dt: float  # [s]; 0 where the method has no step, the first one where it is adaptive
     tolerance: float  # of one step of adaptive methods, relative
+    whole: Terms | None = None  # what acts on all bodies, where ranks share them
 
 
 class GroupPlan(NamedTuple):
@@ -88,7 +89,10 @@ class GroupPlan(NamedTuple):
 
     def group(self, segment: Segment) -> SegmentGroup:
         """What a method needs for one segment."""
-        return SegmentGroup(self.members, self.bodies, segment.terms, self.worlds, self.shared)
+        shared = self.shared
+        if shared is not None and segment.whole is not None:
+            shared = shared._replace(group=shared.group._replace(terms=segment.whole))
+        return SegmentGroup(self.members, self.bodies, segment.terms, self.worlds, shared)
 
     @property
     def stepped(self) -> list[Segment]:
@@ -336,20 +340,22 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
 
 def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
     """Some bodies of a group under new numbers."""
-    contiguous = np.ascontiguousarray
     segments = tuple(
         segment._replace(
             terms=terms_on(segment.terms, own),
-            jumps=tuple(
-                jump._replace(
-                    at=contiguous(jump.at[:, own]), impulse=contiguous(jump.impulse[:, own])
-                )
-                for jump in segment.jumps
-            ),
+            jumps=jumps_on(segment.jumps, own),
         )
         for segment in group.segments
     )
     return GroupPlan(members, taken(group.bodies, own), segments)
+
+
+def jumps_on(jumps: tuple[Impulse, ...], own: Ints) -> tuple[Impulse, ...]:
+    """Impulses on some of the bodies."""
+    one = np.ascontiguousarray
+    return tuple(
+        jump._replace(at=one(jump.at[:, own]), impulse=one(jump.impulse[:, own])) for jump in jumps
+    )
 
 
 def is_coupled(group: GroupPlan) -> bool:

@@ -18,7 +18,7 @@ from particlerb.integrators import METHODS
 from particlerb.joints.reactions import energy_of_joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import Frames, State, quaternion_product, state_in
+from particlerb.model.state import Frames, State, quaternion_product, state_in, state_of
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.model.worlds import shape_of
@@ -28,11 +28,9 @@ from particlerb.simulation.joint_values import JointReader, JointValues
 from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import Energies, Motion
 from particlerb.stepping.pair_forces import PairForces
-from particlerb.stepping.saved_arrays import Saved, under, within
+from particlerb.stepping.saved_arrays import OF_BODIES, Saved, under, within
 from particlerb.stepping.shared_contact import SharedContact
 from particlerb.user_force import place_of, told
-
-_STATE_SPLITS = (3, 7, 10)  # rows at which q, p and L begin
 
 
 class GroupRun:
@@ -62,16 +60,24 @@ class GroupRun:
         own = motion.checkpoint_of(of) if isinstance(motion, SharedContact) else motion.checkpoint()
         saved = under("motion", own)
         if self.number:
-            saved |= {"first": np.vstack(self.first), "before": self.before.copy()}
-            saved |= {"turnover": np.array(self.turnover)}
+            saved |= {"before": self.before.copy(), "turnover": np.array(self.turnover)}
+            saved |= self._first_of(of) if self.plan.shared else {"first": np.vstack(self.first)}
         return saved | {"number": np.array(self.number), "angle": np.array(self.angle)}
+
+    def _first_of(self, of: Range) -> Saved:
+        """The first state of the segment, of some bodies of the scene."""
+        assert self.plan.shared is not None
+        number = self.plan.shared.first + self.plan.members
+        own = np.vstack(self.first).T[(number >= of.first) & (number < of.stop)]
+        return under(OF_BODIES, {"first": own})
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         self.number, self.angle = int(saved["number"]), float(saved["angle"])
         if self.number:
             self.before, self.turnover = saved["before"], float(saved["turnover"])
-            self.first = State(*np.split(saved["first"], _STATE_SPLITS))
+            shared = within(OF_BODIES, saved)
+            self.first = state_of(shared["first"].T if shared else saved["first"])
             self.pairs = self.pair_forces()
             self.motion = self.set_off(self.motion)
         self.motion.restore(within("motion", saved))
@@ -143,8 +149,8 @@ class GroupRun:
     def begin(self, segment: Segment, state: State, before: Motion | None) -> Motion:
         """Apply the impulses at the start of a segment and set off, after another motion."""
         for jump in segment.jumps:
-            state, booked = apply_impulse(jump, self.plan.bodies, state, self.plan.worlds)
-            self.before = self.before + booked
+            state, booked = apply_impulse(jump, self.plan.bodies, state)
+            self.before = self.before + self.plan.group(segment).totals(booked)
         self.first = state
         return self.set_off(before)
 

@@ -8,12 +8,13 @@ import numpy as np
 from particlerb.case.run import frame_count
 from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.forces import Terms, terms_on
+from particlerb.maths.vec3 import Ints
 from particlerb.model.bodies import taken
 from particlerb.model.bricks import shares_of_bricks
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.superblocks import Range, own_parts, parts_of, range_of
 from particlerb.model.system import System
-from particlerb.plan.segments import GroupPlan, chosen, is_coupled
+from particlerb.plan.segments import GroupPlan, Segment, chosen, is_coupled, jumps_on
 from particlerb.ranks import NoRanksError, Ranks
 from particlerb.record.file_size import estimated_size
 from particlerb.simulation.whole_run import Prepared
@@ -101,14 +102,19 @@ def _part_of_touching(prepared: Prepared, group: GroupPlan, ranks: Ranks) -> Pre
     first, stop = range_of(system.n_bodies, ranks)
     own = np.flatnonzero((group.members >= first) & (group.members < stop))
     whole = group.group(group.segments[0])
-    shared = Shared(whole, taken(system.state, group.members), ranks, first)
-    bodies, (segment,) = taken(group.bodies, own), group.segments
-    terms = terms_on(segment.terms._replace(contact=None), own)
-    segments = (segment._replace(terms=terms._replace(contact=segment.terms.contact)),)
-    members = group.members[own] - first
+    shared = Shared(whole, ranks, first)
+    bodies, members = taken(group.bodies, own), group.members[own] - first
+    segments = tuple(_shown(segment, own) for segment in group.segments)
     part = group._replace(members=members, bodies=bodies, segments=segments, shared=shared)
     plan = prepared.plan._replace(groups=(part,))
     return prepared._replace(system=system.part(first, stop), plan=plan, first=first)
+
+
+def _shown(segment: Segment, own: Ints) -> Segment:
+    """A segment of bodies that a rank shows, with what acts on all."""
+    contact, jumps = segment.terms.contact, jumps_on(segment.jumps, own)
+    terms = terms_on(segment.terms._replace(contact=None), own)._replace(contact=contact)
+    return segment._replace(terms=terms, jumps=jumps, whole=segment.terms)
 
 
 def refuse_contact(prepared: Prepared, ranks: Ranks) -> None:
@@ -138,8 +144,6 @@ def _unshared(system: System, groups: tuple[GroupPlan, ...]) -> Iterator[str]:
             yield "[output] fields of contacts"
     if len(groups) > 1:
         yield "bodies that touch nothing beside those that do"
-    if any(len(group.segments) > 1 or group.segments[0].jumps for group in groups):
-        yield "forces that begin or end during the run, or impulses"
     methods = {segment.method for group in groups for segment in group.segments}
     yield from (f"the method {name}" for name in sorted(methods - {"strang"}))
 

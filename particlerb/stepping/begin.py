@@ -69,7 +69,8 @@ def _begin_touching(
     assert contact is not None
     if shared is not None:  # all are stepped
         of_ranks = BrickMotion if shared.ranks.count > 1 else SharedContact
-        return of_ranks(method, shared, group, start, dt)
+        earlier = before if isinstance(before, SharedContact) else None
+        return of_ranks(method, shared, group, state, start, dt, earlier)
     flies = group.worlds is None and can_fly(method, group.terms, group.members.size)
     motion = DiluteMotion if flies else ContactMotion
     motion = motion if group.terms.has_springy_contact else ImpulseMotion

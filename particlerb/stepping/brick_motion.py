@@ -26,10 +26,9 @@ from particlerb.integrators.pair_stages import Layout, OwnBlocks
 from particlerb.integrators.stages import MovingBodies
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import CHANGING, STRIDE, in_blocks, into_blocks
-from particlerb.model.bodies import taken
 from particlerb.model.bricks import Bricks
 from particlerb.model.load import STATE_ROWS
-from particlerb.model.state import Frames, State
+from particlerb.model.state import Frames, State, state_of
 from particlerb.model.superblocks import over_blocks, sum_by_number, summed
 from particlerb.ranks import ending_all
 from particlerb.stepping.contact_lists import Histories, WallsAhead
@@ -68,12 +67,17 @@ class BrickMotion(SharedContact):
         All bodies.
     shown : SegmentGroup
         Those that this rank shows.
+    state : State
+        Of these.
     start, dt : float [s]
+    before : SharedContact, optional
+        Of the segment before.
     """
 
     def __init__(
-        self, method: Method, shared: Shared, shown: SegmentGroup, start: float, dt: float
-    ) -> None:
+        self, method: Method, shared: Shared, shown: SegmentGroup, state: State, start: float,
+        dt: float, before: SharedContact | None = None,
+    ) -> None:  # fmt: skip
         self.know(shared, shown)
         self.method, self.start, self.dt, self.steps_done = method, start, dt, 0
         contact, ranks = self.whole.terms.contact, self.ranks
@@ -81,15 +85,18 @@ class BrickMotion(SharedContact):
         self.bound = bounding_radii(self.model.spheres, self.is_free.size)
         self.reach = float(self.bound[self.is_free].max(initial=0.0))
         self._room_to_show()
-        self.account_shown = WorkAccount(shown, taken(shared.state, self._shown_here))
+        self.account_shown = WorkAccount(shown, state)
         self.given: dict[int, tuple[Ints, Floats]] = {}  # by rank: slots of bodies, and room
         self.copies: dict[int, tuple[Ints, Floats]] = {}
-        self.initial = initial_rows(np.vstack(shared.state))
-        com = shared.state.com
         with ending_all(ranks):
+            everyone = self.everyone(state)
+            self.initial, com = initial_rows(np.vstack(everyone)), everyone.com
             self.bricks = Bricks(com[:, self.is_free][:, ranks.number :: ranks.count], ranks)
-            own = np.flatnonzero(self._owners(np.arange(com.shape[1]), com) == ranks.number)
-            self.lay_out(own, self.initial[own], contact.skin, None)
+            owner = self._owners(np.arange(com.shape[1]), com)
+            own = np.flatnonzero(owner == ranks.number)
+            kept = [] if before is None else [kept_of(each) for each in before.lists.histories]
+            histories = self._routed(kept, owner) if kept else None
+            self.lay_out(own, self.initial[own], contact.skin, histories)
             self.loop = loop_over_ranks(method, self.place, self.store, self.enter)
             self.set_off(True)
 
@@ -128,7 +135,7 @@ class BrickMotion(SharedContact):
         self.local, self.is_own = local, np.isin(local, own)
         steps = self.steps_done
         group, numbers = contact_part(self.whole, local)
-        state = State(*np.split(np.ascontiguousarray(values[:, :STATE_ROWS].T), (3, 7, 10)))
+        state = state_of(values[:, :STATE_ROWS].T)
         SteppedMotion.__init__(self, self.method, group, state, self.start, self.dt)
         self.steps_done = steps
         self.begin_contact(state, numbers, histories, None, self.is_own)
@@ -185,9 +192,9 @@ class BrickMotion(SharedContact):
         if bricks is not self.bricks:
             self.bricks = bricks
             owner = np.where(moves, bricks.owners(com), ranks.number)
-        goes = np.full(self.local.size, ranks.number)
-        goes[here] = owner
-        histories = self._handed_over(goes)
+        goes = np.full(self.is_free.size, ranks.number)
+        goes[self.local[here]] = owner
+        histories = self._routed([kept_of(each) for each in old.histories], goes)
         own = self.sent(owner, np.column_stack([self.local[here], rows[here]]))
         own = own[np.argsort(own[:, 0])]
         who = own[:, 0].astype(np.int64)
@@ -204,29 +211,6 @@ class BrickMotion(SharedContact):
         self.contact = self.contact._replace(frames=frames)
         self._place()
 
-    def _handed_over(self, goes: Ints) -> Histories:
-        """What contacts keep: those here, and those of bodies that come; `goes`: to which rank."""
-        found = []
-        for which, history in enumerate(self.lists.histories):
-            keys, values = kept_of(history)
-            ends = [np.searchsorted(self.local, of) for of in self.ends_of(which, keys)]
-            came, kept = self._sent_to_ends(keys, values, [goes[of] for of in ends], True)
-            both, first = np.unique(np.concatenate([keys, came]), return_index=True)
-            found.append((both, np.concatenate([values, kept])[first]))
-        return histories_of(found)
-
-    def _sent_to_ends(
-        self, keys: Ints, values: Floats, to: list[Ints], stays: bool
-    ) -> tuple[Ints, Floats]:
-        """Contacts that come here, each sent to the ranks of its bodies, but for the own."""
-        own = self.ranks.number if stays else -1
-        chosen = [
-            np.flatnonzero(np.any([of == k for of in to], axis=0) & (k != own))
-            for k in range(self.ranks.count)
-        ]
-        came = self.ranks.sent([keys[of] for of in chosen])
-        return np.concatenate(came), np.concatenate(self.ranks.sent([values[of] for of in chosen]))
-
     def take_up(self, rows: Floats, skin: float, both: list[tuple[Ints, Floats]]) -> Floats:
         """Take bodies where they were when lists were made, and contacts; return the poses of now.
 
@@ -238,14 +222,22 @@ class BrickMotion(SharedContact):
         owner[which] = self._owners(which, com)
         own = self.sent(owner[which], rows)
         own = own[np.argsort(own[:, 0])]
-        owner = self.ranks.added(owner)
-        came = [
-            self._sent_to_ends(keys, values, [owner[of] for of in self.ends_of(k, keys)], False)
-            for k, (keys, values) in enumerate(both)
-        ]
+        histories = self._routed(both, self.ranks.added(owner))
         who = own[:, 0].astype(np.int64)
-        self.lay_out(who, own[:, 1 : 2 + GROSS], skin, histories_of(came))
+        self.lay_out(who, own[:, 1 : 2 + GROSS], skin, histories)
         return own[:, 2 + GROSS :]
+
+    def _routed(self, both: list[tuple[Ints, Floats]], owner: Ints) -> Histories:
+        """What contacts keep that come here, each from a rank, or two, to those of its bodies."""
+        found = []
+        for which, (keys, values) in enumerate(both):
+            to = [owner[of] for of in self.ends_of(which, keys)]
+            goes = [np.any([of == k for of in to], axis=0) for k in range(self.ranks.count)]
+            came = np.concatenate(self.ranks.sent([keys[chosen] for chosen in goes]))
+            kept = np.concatenate(self.ranks.sent([values[chosen] for chosen in goes]))
+            each, first = np.unique(came, return_index=True)
+            found.append((each, kept[first]))
+        return histories_of(found)
 
     # Steps
 
@@ -328,6 +320,13 @@ class BrickMotion(SharedContact):
             elapsed = times - self.start
             sums = self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)
             return self.account_shown.of_frames(elapsed, rows, frames, sums)
+
+    def finish(self, stop: float) -> tuple[State, Floats]:
+        """State of the bodies that are shown at the end of the segment, and (7,) booked of all."""
+        with ending_all(self.ranks):
+            self.close(stop)
+            values = self.to_show(self.values(0, CHANGING).T).T
+            return self.account_shown.at_end(values, stop - self.start)
 
     def recording(self, frames: Frames) -> Recording:
         """Where frames go, with room for what is booked."""

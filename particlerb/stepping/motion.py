@@ -18,8 +18,10 @@ from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.piston import Pistons
 from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, works_of
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.block import BOOKED
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.state import Frames, State, cross_columns, quaternion_product
+from particlerb.model.load import STATE_ROWS
+from particlerb.model.state import Frames, State, cross_columns, quaternion_product, state_of
 from particlerb.model.superblocks import SUPERBLOCK, sum_by_number
 from particlerb.model.worlds import Worlds, over_all, over_bodies, part_of_worlds, shape_of
 from particlerb.ranks import ALONE, Ranks
@@ -47,12 +49,15 @@ class SegmentGroup(NamedTuple):
         first, ranks = (self.shared.first, self.shared.ranks) if self.shared else (0, ALONE)
         return sum_by_number(values, first + self.members, ranks)
 
+    def totals(self, values: Floats) -> Floats:
+        """The same of several values (k, n): (k,), or (n_worlds, k)."""
+        return np.stack([self.total(one) for one in values], axis=-1)
+
 
 class Shared(NamedTuple):
     """Bodies that touch and that ranks share."""
 
     group: SegmentGroup  # all of them, with numbers of the scene
-    state: State  # at the start
     ranks: Ranks
     first: int  # number of the first body that is shown here
 
@@ -228,6 +233,12 @@ class WorkAccount:
         given = sums.copy()
         given[..., 0] += potential
         return given
+
+    def at_end(self, values: Floats, elapsed: float) -> tuple[State, Floats]:
+        """State, and what was given until then, from rows (CHANGING, n) of blocks."""
+        state = state_of(values[:STATE_ROWS])
+        sums = self.group.totals(values[BOOKED : BOOKED + 7])
+        return state, self.of_state(elapsed, state.com, state.q, state.L, sums)
 
     def of_frames(self, elapsed: Floats, rows: Ints, frames: Frames, sums: Floats) -> Floats:
         """The same (T, ..., 7) until rows of the frames."""

@@ -16,6 +16,7 @@ from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import CHANGING, into_blocks
 from particlerb.model.load import STATE_ROWS
+from particlerb.model.state import State, state_of
 from particlerb.model.superblocks import Range, parts_of, writers
 from particlerb.ranks import Rows, ending_all
 from particlerb.stepping.contact_lists import Histories, WallsAhead
@@ -39,16 +40,22 @@ class SharedContact(ContactMotion):
         All bodies.
     shown : SegmentGroup
         Those that this rank shows.
+    state : State
+        Of these.
     start, dt : float [s]
+    before : SharedContact, optional
+        Of the segment before.
     """
 
     def __init__(
-        self, method: Method, shared: Shared, shown: SegmentGroup, start: float, dt: float
-    ) -> None:
+        self, method: Method, shared: Shared, shown: SegmentGroup, state: State, start: float,
+        dt: float, before: "SharedContact | None" = None,
+    ) -> None:  # fmt: skip
         self.know(shared, shown)
         self.local = np.arange(self.home.size)
         self.is_own = np.ones(self.home.size, dtype=np.bool_)
-        super().__init__(method, shown, shared.state, start, dt)
+        histories = None if before is None else before.lists.histories
+        super().__init__(method, shown, state, start, dt, histories=histories)
 
     def know(self, shared: Shared, shown: SegmentGroup) -> None:
         """Take note of all bodies, and of who shows, and saves, which of them."""
@@ -74,6 +81,11 @@ class SharedContact(ContactMotion):
         """Bodies of contacts of spheres, or with walls, by their keys."""
         spheres = [keys >> KEY_BITS] if which else [keys >> KEY_BITS, keys & (2**KEY_BITS - 1)]
         return [self.bodies_of(number) for number in spheres]
+
+    def everyone(self, shown: State) -> State:
+        """State of all bodies, on each rank, from those that are shown on each."""
+        rows = np.ascontiguousarray(np.vstack(shown).T)
+        return state_of(np.concatenate(self.ranks.sent([rows] * self.ranks.count)).T)
 
     # Checkpoints
 

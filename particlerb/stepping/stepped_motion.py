@@ -15,14 +15,9 @@ from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import MovingBodies, RotorClasses
 from particlerb.maths.vec3 import Bools, Floats, Ints, differences
 from particlerb.model.block import (
-    BOOKED,
     CHANGING,
-    COM,
     ROTOR,
     STRIDE,
-    L,
-    P,
-    Q,
     changing,
     in_blocks,
     into_blocks,
@@ -31,7 +26,7 @@ from particlerb.model.block import (
 )
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, room_for
-from particlerb.model.worlds import bins_of, over_bins, over_bodies
+from particlerb.model.worlds import bins_of, over_bins
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.jointed_motion import JointedMotion, jointed_in
 from particlerb.stepping.loop import (
@@ -202,13 +197,14 @@ class SteppedMotion(JointedMotion):
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
+        self.close(stop)
+        return self.account.at_end(self.values(0, CHANGING), stop - self.start)
+
+    def close(self, stop: float) -> None:
+        """Go to the end of the segment, where the last kick is closed."""
         elapsed = np.array([stop - self.start])
         none = room_for(0, 0, np.empty((0, 4)))
         self.advance(*grid_position(elapsed, self.dt, self.start), np.array([CLOSE]), none)
-        sums = over_bodies(self.values(BOOKED, 7), self.group.worlds)
-        state = State(*(self.values(*rows) for rows in ((COM, 3), (Q, 4), (P, 3), (L, 3))))
-        given = self.account.of_state(stop - self.start, state.com, state.q, state.L, sums)
-        return state, given
 
     def advance(self, steps: Ints, partial: Floats, rows: Ints, frames: Frames) -> Floats:
         """Go through stops given by their distance from the start; sums of what was booked."""
