@@ -89,8 +89,7 @@ class _RanksOfMPI(Ranks):
 
     def gathered(self, value: Result) -> list[Result]:
         """Values of all ranks, in their order."""
-        found: list[Result] = self.communicator.allgather(value)
-        return found
+        return self.communicator.allgather(value)
 
     def together(self, work: Callable[[], Result]) -> Result:
         """What a function returns on this rank; where it fails on one, it fails on all.

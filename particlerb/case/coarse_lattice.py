@@ -121,8 +121,7 @@ def _worst_shape(body: Body) -> tuple[str, AnyShape]:
 
 def _particles_of(shape: AnyShape, n: object) -> Particles:
     """Lattice of a shape, of 1 kg."""
-    made: Particles = getattr(shapes, shape.type)(**size_of(shape), mass=1.0, n=n)
-    return made
+    return getattr(shapes, shape.type)(**size_of(shape), mass=1.0, n=n)
 
 
 def _error_of(shape: AnyShape, particles: Particles) -> float:

@@ -80,8 +80,7 @@ def positions(case: Case, block: int) -> FloatArray:
     if isinstance(body.place, RandomBox):
         lower, upper = np.array(body.place.lower), np.array(body.place.upper)
         u = random_stream(case.run.seed, block, "place").random((body.count, 3))
-        points: FloatArray = (1.0 - u) * lower + u * upper
-        return points
+        return (1.0 - u) * lower + u * upper
     return np.asarray(body.position, dtype=np.float64)
 
 
@@ -93,8 +92,7 @@ def grid(place: GridPlacement, count: int) -> FloatArray:
     n = np.array(place.n or grid_size(count))
     i = np.arange(count)
     steps = np.stack((i % n[0], i // n[0] % n[1], i // (n[0] * n[1])), axis=1)
-    points: FloatArray = (steps - 0.5 * (n - 1)) * np.array(place.spacing) + np.array(place.origin)
-    return points
+    return (steps - 0.5 * (n - 1)) * np.array(place.spacing) + np.array(place.origin)
 
 
 def grid_size(count: int) -> tuple[int, int, int]:
@@ -133,8 +131,7 @@ def orientations(case: Case, block: int) -> FloatArray:
 def unit_vectors(q: FloatArray) -> FloatArray:
     """Vectors of length 1; scaled first, as squares of large or small numbers overflow."""
     q = q / np.abs(q).max(axis=-1, keepdims=True)
-    unit: FloatArray = q / np.sqrt(np.sum(q * q, axis=-1, keepdims=True))
-    return unit
+    return q / np.sqrt(np.sum(q * q, axis=-1, keepdims=True))
 
 
 def quaternion_of_euler(euler_deg: Sequence[float]) -> FloatArray:
@@ -175,5 +172,4 @@ def in_world(q: FloatArray, v: FloatArray) -> FloatArray:
     """R v = v + w t + u × t with u = (x, y, z), t = 2 u × v; q of shape (..., 4)."""
     w, u = q[..., :1], q[..., 1:]
     t = 2.0 * np.cross(u, v)
-    turned: FloatArray = v + w * t + np.cross(u, t)
-    return turned
+    return v + w * t + np.cross(u, t)

@@ -165,8 +165,7 @@ def inv_effective_mass(
     R = matrix(row4(bodies.orientation, b))
     lever = turn_back(R, cross(subtract(point, row3(bodies.position, b)), normal))
     inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
-    given: float = bodies.inv_mass[b] + dot(lever, component_product(inverse, lever))
-    return given
+    return bodies.inv_mass[b] + dot(lever, component_product(inverse, lever))
 
 
 # One contact
@@ -379,5 +378,4 @@ def _comes_near(
     v = subtract(row3(bodies.velocity, a), row3(bodies.velocity, b))
     w = bodies.angular_speed[a] + bodies.angular_speed[b]
     far = touching + 0.5 * longer * (math.sqrt(dot(v, v)) + 4.0 * w * touching)
-    near: bool = square < far * far
-    return near
+    return square < far * far

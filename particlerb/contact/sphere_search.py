@@ -215,8 +215,7 @@ def levels_of(radius: Floats) -> Ints:
     _, exponent = np.frexp(radius / largest)  # the share is in [2^(e - 1), 2^e)
     height = np.where(radius == largest, 0, exponent).astype(np.int64)
     height = np.maximum(np.where(radius == 0.0, -_MAX_LEVELS, height), -_MAX_LEVELS)
-    level: Ints = np.unique(height, return_inverse=True)[1]
-    return level
+    return np.unique(height, return_inverse=True)[1]
 
 
 @lru_cache

@@ -47,7 +47,7 @@ def gsd_hoomd() -> ModuleType:
         import gsd.hoomd
     except ImportError:
         raise ExportError("gsd files need the package gsd: pip install gsd") from None
-    return gsd.hoomd  # type: ignore[no-any-return]
+    return gsd.hoomd
 
 
 def sphere_union(centres: Floats, radii: Floats) -> dict[str, Any]:

@@ -86,7 +86,7 @@ def _box_edges(selection: Selection) -> list[float]:
     for part in selection.portions():
         reach = np.maximum(reach, np.abs(selection.values("position", part)).max(axis=(0, 1)))
     reach = np.where(reach > 0.0, reach, max(float(reach.max()), 1.0))
-    return (2.0 * _ROOM * reach).tolist()  # type: ignore[no-any-return]
+    return (2.0 * _ROOM * reach).tolist()
 
 
 def _type_name(trajectory: Trajectory, kind: int) -> str:
@@ -114,4 +114,4 @@ def ellipsoid(moments: Floats, mass: float) -> list[float]:
     """Semi-axes [m] of the solid ellipsoid with these principal moments: I1 = m (b² + c²) / 5."""
     squares = 2.5 / mass * (moments.sum() - 2.0 * moments)
     axes = np.sqrt(np.maximum(squares, 0.0))
-    return np.maximum(axes, _THINNEST * (axes.max() or 1.0)).tolist()  # type: ignore[no-any-return]
+    return np.maximum(axes, _THINNEST * (axes.max() or 1.0)).tolist()

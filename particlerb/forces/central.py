@@ -104,8 +104,7 @@ def central_work(central: Central, com: Floats, q: Floats, t: float = 0.0) -> Fl
     d = np.linalg.norm(r, axis=0)
     m = rotate_back(q, r / d)
     near = central.inertia.sum(axis=0) - 3.0 * (m * m * central.inertia).sum(axis=0)
-    work: Floats = central.mu * (central.mass / d + 0.5 * near / (d * d * d))
-    return work
+    return central.mu * (central.mass / d + 0.5 * near / (d * d * d))
 
 
 def _central_rates(central: Central, bodies: Bodies, state: State) -> Rates:

@@ -121,8 +121,7 @@ def share(links: Links, b: int, end: _End, n: Vec3) -> float:
     """1/M + (r × n)·I⁻¹(r × n) of one body [1/kg]."""
     m = turn_back(end.R, cross(end.arm, n))
     turning = dot(m, component_product(vector_of(links.inv_inertia, 0, b), m))
-    total: float = links.inv_mass[b] + turning
-    return total
+    return links.inv_mass[b] + turning
 
 
 @inline
@@ -139,8 +138,7 @@ def coefficient(damping: Floats | None, s: int) -> float:
     """Damping of link s [N s/m]."""
     if damping is None:
         return 0.0
-    value: float = damping[s]
-    return value
+    return damping[s]
 
 
 @kernel

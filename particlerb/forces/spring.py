@@ -76,8 +76,7 @@ def _spring_energy(spring: Spring, com: Floats, q: Floats) -> Floats:
     """k (l - l₀)²/2, (n,) [J]."""
     d = spring.anchor - com - rotate(q, spring.at)
     stretch = np.linalg.norm(d, axis=0) - spring.rest_length
-    energy: Floats = 0.5 * spring.stiffness * stretch * stretch
-    return energy
+    return 0.5 * spring.stiffness * stretch * stretch
 
 
 def _spring_rates(spring: Spring, bodies: Bodies, state: State) -> Rates:
@@ -114,8 +113,7 @@ def places(system: "System", bodies: Ints, at: Floats | tuple[float, float, floa
     own = np.array(at, dtype=np.float64)
     own = np.tile(own[:, None], bodies.size) if own.ndim == 1 else own
     q = body_orientation(system.state.q[:, bodies], system.bodies.rotor_frame[:, bodies])
-    place: Floats = system.state.com[:, bodies] + rotate(q, own)
-    return place
+    return system.state.com[:, bodies] + rotate(q, own)
 
 
 def _term_of(table: "SpringTable", numbers: Floats, bodies: Bodies, start: float) -> Spring:

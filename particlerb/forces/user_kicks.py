@@ -203,8 +203,7 @@ def class_of(force: UserForce, lengths_: Lengths) -> type[Written]:
         words = f"{force.name} of {place_of(force.function).rpartition(':')[0]}"
         of_energy = None if energy is None else energies
         made.term = Term(made, words, kick, _estimated_rates, energy=of_energy)
-    found: type[Written] = made
-    return found
+    return made
 
 
 # What it does in given states
@@ -250,8 +249,7 @@ def _sampled(load: Written, com: Floats, q: Floats, more: Sequence[tuple[int, Fl
 
 def energies(load: Written, com: Floats, q: Floats) -> Floats:
     """Potential energy, (n,) [J]."""
-    energy: Floats = _sampled(load, com, q, ())[0]
-    return energy
+    return _sampled(load, com, q, ())[0]
 
 
 def loads_in(load: Written, bodies: Bodies, state: State) -> Floats:

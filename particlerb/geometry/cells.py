@@ -304,5 +304,4 @@ def _least_move(second: Floats, wanted: Floats) -> Floats:
     root = (vectors * np.sqrt(values)) @ vectors.T
     inverse = (vectors / np.sqrt(values)) @ vectors.T
     squares, axes = np.linalg.eigh(root @ wanted @ root)
-    moved: Floats = inverse @ (axes * np.sqrt(squares)) @ axes.T @ inverse
-    return moved
+    return inverse @ (axes * np.sqrt(squares)) @ axes.T @ inverse

@@ -293,8 +293,7 @@ def sign(vertices: Floats, faces: Ints) -> int:
 def _tetrahedra(corner: Floats) -> Floats:
     """Signed volumes, (m,), of the tetrahedra of the origin and faces with corners (m, 3, 3)."""
     a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
-    volume: Floats = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
-    return volume
+    return np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
 
 
 def mesh_solid(mesh: TriangleMesh) -> UniformSolid:

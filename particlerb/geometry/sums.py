@@ -153,8 +153,7 @@ def _power_above(value: float) -> int:
 @inline
 def at(row: int, lane: int) -> int:
     """Index of a lane in a row: unsigned, so that Numba asks not whether it is negative."""
-    index: int = _unsigned(row * _LANES + lane)
-    return index
+    return _unsigned(row * _LANES + lane)
 
 
 @inline

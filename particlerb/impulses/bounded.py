@@ -74,16 +74,14 @@ def ends_of(values: Floats, k: int, u: float) -> tuple[float, float]:
 def inverse_of(values: Floats, k: int) -> float:
     """Sum of the inverse masses of both bodies of row k [1/kg]; 0 where it is left out."""
     weight = values[k, B_WEIGHT]
-    inverse: float = values[k, B_INVERSE] / weight if weight > 0.0 else 0.0
-    return inverse
+    return values[k, B_INVERSE] / weight if weight > 0.0 else 0.0
 
 
 @inline
 def within(values: Floats, k: int, r: float) -> float:
     """r, or the nearest impulse that row k may have."""
     largest = values[k, B_LARGEST]
-    inside: float = max(-largest, min(largest, r))
-    return inside
+    return max(-largest, min(largest, r))
 
 
 @inline

@@ -132,8 +132,7 @@ def _largest_moment(rows: Floats, b: int) -> float:
     for inverse in get3(rows, INV_INERTIA, b):
         if inverse > 0.0:
             least = min(least, inverse)
-    moment: float = 1.0 / least
-    return moment
+    return 1.0 / least
 
 
 @inline

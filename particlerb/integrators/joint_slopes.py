@@ -243,8 +243,7 @@ def _spin(jointed: Jointed, k: int) -> float:
     """Size of the angular velocity of body k [rad/s]; of what stands still 0."""
     y, inverse = jointed.work.y, jointed.joints.inv_inertia
     w = by_inverse_inertia(inverse, attitude(y, k), k, vector(y, k, L))
-    size: float = dot(w, w) ** 0.5
-    return size
+    return dot(w, w) ** 0.5
 
 
 @kernel

@@ -57,8 +57,7 @@ def _larger(a: float, b: float) -> float:
 @inline
 def _square(v: Floats) -> float:
     """|v|²."""
-    value: float = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    return value
+    return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 
 
 @unfused_kernel

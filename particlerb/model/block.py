@@ -40,15 +40,13 @@ IN_PYTHON: Final = {"unsigned": int}
 @inline
 def cell(at: int, b: int) -> int:
     """Index of body b in row `at`: unsigned, so that Numba asks not whether it is negative."""
-    index: int = unsigned(at * STRIDE + b)
-    return index
+    return unsigned(at * STRIDE + b)
 
 
 @inline
 def get(rows: Floats, at: int, b: int) -> float:
     """Number of body b in row `at`."""
-    value: float = rows[cell(at, b)]
-    return value
+    return rows[cell(at, b)]
 
 
 @inline

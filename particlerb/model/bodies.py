@@ -101,8 +101,7 @@ def quaternions(matrices: Floats) -> Floats:
     largest = np.argmax(np.diagonal(four, axis1=1, axis2=2), axis=1)
     q = four[np.arange(len(R)), largest]
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
-    result: Floats = np.where(q[:, :1] < 0, -q, q)
-    return result
+    return np.where(q[:, :1] < 0, -q, q)
 
 
 def taken(record: Record, index: Ints) -> Record:

@@ -153,8 +153,7 @@ def cross_columns(a: Floats, b: Floats) -> Floats:
 def rotate(q: Floats, v: Floats) -> Floats:
     """R v: vectors (3, n) of the rotating frame in the world frame."""
     t = 2 * cross_columns(q[1:], v)
-    result: Floats = v + q[0] * t + cross_columns(q[1:], t)
-    return result
+    return v + q[0] * t + cross_columns(q[1:], t)
 
 
 def rotate_back(q: Floats, v: Floats) -> Floats:
@@ -244,10 +243,9 @@ def omega_world(bodies: Bodies, state: State) -> Floats:
 def kinetic_energy(bodies: Bodies, state: State) -> Floats:
     """|p|²/2M + ½ Σ m_k² / I_k with m = Rᵀ L, (n,) [J]."""
     m = rotate_back(state.q, state.L)
-    energy: Floats = 0.5 * (
+    return 0.5 * (
         (state.p * state.p).sum(axis=0) * bodies.inv_mass + (m * m * bodies.inv_inertia).sum(axis=0)
     )
-    return energy
 
 
 def rotation_matrix(q: Floats) -> Floats:
@@ -258,8 +256,7 @@ def rotation_matrix(q: Floats) -> Floats:
 def inertia_in_body(bodies: Bodies, b: int) -> Floats:
     """Inertia tensor (3, 3) [kg m²] of body b about its com, in the body frame."""
     R = rotation_matrix(bodies.rotor_frame[:, b])
-    tensor: Floats = (R * bodies.inertia[:, b]) @ R.T
-    return tensor
+    return (R * bodies.inertia[:, b]) @ R.T
 
 
 def derived(

@@ -132,8 +132,7 @@ class LabelledReader(FrameReader):
             sizes = [one for one in (element.per, element.components) if one]
             about = {"units": element.units, "long_name": element.meaning}
             variables[name] = (("time", *sizes), self.series(path), about)
-        dataset: xr.Dataset = xarray.Dataset(variables, labels)
-        return dataset
+        return xarray.Dataset(variables, labels)
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row per frame and body, index (time [s], body), columns as `position_x` [SI units].

@@ -229,8 +229,7 @@ def extents(scene: System) -> Floats:
     edges = 2.0 * np.maximum.reduceat(reach, particles.offset[:-1], axis=0)
     longest = edges.max(axis=1, keepdims=True)
     longest[longest == 0.0] = longest.max() or 1.0
-    thick: Floats = np.maximum(edges, _THINNEST * longest)[scene.kind]
-    return thick
+    return np.maximum(edges, _THINNEST * longest)[scene.kind]
 
 
 def make_clock(file: h5py.File, n_frames: int) -> dict[str, h5d.DatasetID]:

@@ -114,8 +114,7 @@ class Trajectory(LabelledReader):
         one = taken(self.bodies, np.array([body]))
         frame = np.repeat(one.rotor_frame, n, axis=1)
         m = rotate_back(frame, rotate_back(q, L))
-        omega: Floats = rotate(frame, one.inv_inertia * m).T
-        return omega
+        return rotate(frame, one.inv_inertia * m).T
 
     def momentum_sizes(self) -> tuple[float, float]:
         """Scales of the drifts: Σ|p| [kg m/s], and Σ|L| + Σ|x × p| [kg m²/s], largest of all."""
@@ -142,8 +141,7 @@ class Trajectory(LabelledReader):
     @cached_property
     def kind(self) -> Ints:
         """Kind of each body, shape (N,): which set of particles it is made of."""
-        kind: Ints = self.table(f"{schema.BODIES}/kind", "i", (self.n_bodies,))
-        return kind
+        return self.table(f"{schema.BODIES}/kind", "i", (self.n_bodies,))
 
     @cached_property
     def particles(self) -> Particles:
@@ -305,8 +303,7 @@ class Trajectory(LabelledReader):
         local = self.particles.position[row]
         q = self.read("orientation", slice(k, k + 1))[0]
         x = self.read("position", slice(k, k + 1))[0]
-        positions: Floats = x[body] + rotate(q[body].T, local.T).T
-        return positions
+        return x[body] + rotate(q[body].T, local.T).T
 
     @cached_property
     def constituents(self) -> tuple[Ints, Ints]:

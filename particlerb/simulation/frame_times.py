@@ -40,8 +40,7 @@ def multiples(every: float, first: int, stop: int) -> Floats:
     above, below = decimal.numerator, decimal.denominator
     if max(above, below) > _EXACT_INTEGERS:
         return np.float64(every) * k
-    times: Floats = np.where(k * above <= _EXACT_INTEGERS, k * above / below, every * k)
-    return times
+    return np.where(k * above <= _EXACT_INTEGERS, k * above / below, every * k)
 
 
 def _whole_frames(run: RunTable) -> int:

@@ -67,8 +67,7 @@ class StateChecks:
             return rods
         state = state_in(frames, f, rods, taken(self.system.bodies, rods))
         m = rotate_back(state.q, state.L)
-        axial: Ints = rods[np.abs(m[2]) > self.rod_limit[rods] * np.linalg.norm(m, axis=0)]
-        return axial
+        return rods[np.abs(m[2]) > self.rod_limit[rods] * np.linalg.norm(m, axis=0)]
 
 
 def _advice_for_rods(runs: Sequence[GroupRun]) -> str:

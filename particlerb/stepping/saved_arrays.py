@@ -58,5 +58,4 @@ def from_arrays(like: Tuple, saved: Mapping[str, Any]) -> Tuple:
             values[name] = from_floats(saved[name], value.dtype)
         else:
             values[name] = saved.get(name)
-    filled_in: Tuple = type(fields)(**values)
-    return filled_in
+    return type(fields)(**values)

@@ -74,8 +74,7 @@ class SharedContact(ContactMotion):
 
     def bodies_of(self, spheres: Ints) -> Ints:
         """Bodies, of all, that spheres are of."""
-        body: Ints = np.searchsorted(self.model.spheres.offset, spheres, side="right") - 1
-        return body
+        return np.searchsorted(self.model.spheres.offset, spheres, side="right") - 1
 
     def ends_of(self, which: int, keys: Ints) -> list[Ints]:
         """Bodies of contacts of spheres, or with walls, by their keys."""

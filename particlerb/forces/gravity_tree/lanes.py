@@ -40,8 +40,7 @@ class Product(NamedTuple):
 @inline
 def at(row: int, lane: int) -> int:
     """Place in the buffer: unsigned, so that Numba asks not whether it is negative."""
-    index: int = _unsigned(row * LANES + lane)
-    return index
+    return _unsigned(row * LANES + lane)
 
 
 @inline
@@ -59,8 +58,7 @@ def lane_sum(rows: Floats, row: int) -> float:
         for i in range(half):
             rows[at(row, i)] += rows[at(row, i + half)]
         half //= 2
-    total: float = rows[at(row, 0)]
-    return total
+    return rows[at(row, 0)]
 
 
 def sums_of(products: Sequence[Product], kept: range) -> _Summing:
