@@ -12,7 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 24907
+LINES_OF_CODE = 24894
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
@@ -39,7 +39,7 @@ LONG_MODULES: dict[str, int] = {}
 
 LONGEST_FUNCTION = 60
 LONG_FUNCTIONS = {
-    "particlerb/forces/gravity_tree/walk.py:meet": 65,
+    "particlerb/forces/gravity_tree/walk.py:meet": 64,
 }
 """Lines at most of functions that are longer."""
 

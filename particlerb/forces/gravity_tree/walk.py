@@ -10,7 +10,7 @@ many, as in a halo, its own size would otherwise make it meet all of them one by
 from typing import Final, NamedTuple, TypeAlias
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.forces.attraction import inverse_cube
+from particlerb.forces.attraction import inverse_cube, squared
 from particlerb.forces.gravity_tree.cells import Cells, Nodes, TreePoints, load_lanes
 from particlerb.forces.gravity_tree.lanes import LANES, at, clear, lane_sum
 from particlerb.forces.gravity_tree.multipole import (
@@ -72,6 +72,13 @@ def _encounter(a: _Ball, b: _Ball, is_later: bool, square: float) -> int:
 
 
 @inline
+def _ball_of(cells: Cells, A: int) -> _Ball:
+    """Ball of a cell."""
+    ball = cells.ball
+    return ball[A, 0], ball[A, 1], ball[A, 2], ball[A, 3], ball[A, 4], ball[A, 5]
+
+
+@inline
 def _load_far(cells: Cells, X: Vec3, far: Ints, count: int, rows: Floats) -> None:
     """Put cells into lanes, seen from X; lanes without one have no mass."""
     ball, moment, _ = cells
@@ -108,6 +115,22 @@ def _meet_far_point(
     add_far_to_point(rows, scaled, eps2)
 
 
+@inline
+def _pull(near: Floats, lane: int, x: Vec3, m: float, eps2: float, is_own: bool) -> None:
+    """Add the field of a particle at x to that in a lane, and its potential's depth.
+
+    One of the same body has none.
+    """
+    X = near[at(PLACE, lane)], near[at(PLACE + 1, lane)], near[at(PLACE + 2, lane)]
+    d = subtract(x, X)
+    square = 1.0 if is_own else squared(d, eps2)
+    w = inverse_cube(0.0 if is_own else m, square)
+    near[at(FIELD, lane)] += w * d[0]
+    near[at(FIELD + 1, lane)] += w * d[1]
+    near[at(FIELD + 2, lane)] += w * d[2]
+    near[at(MASS, lane)] += w * square
+
+
 @kernel
 def _pull_by(
     place: Floats, mass: Floats, ranges: Ints, count: int, eps2: float, near: Floats
@@ -115,36 +138,19 @@ def _pull_by(
     """Add the field of ranges of particles to that of a bucket, and their potential's depth."""
     for k in range(count):
         for j in range(ranges[2 * k], ranges[2 * k + 1]):
-            x, y, z, m = place[0, j], place[1, j], place[2, j], mass[j]
+            x, m = (place[0, j], place[1, j], place[2, j]), mass[j]
             for i in range(LANES):
-                dx = x - near[at(PLACE, i)]
-                dy = y - near[at(PLACE + 1, i)]
-                dz = z - near[at(PLACE + 2, i)]
-                square = dx * dx + (dy * dy + (dz * dz + eps2))
-                w = inverse_cube(m, square)
-                near[at(FIELD, i)] += w * dx
-                near[at(FIELD + 1, i)] += w * dy
-                near[at(FIELD + 2, i)] += w * dz
-                near[at(MASS, i)] += w * square
+                _pull(near, i, x, m, eps2, False)
 
 
 @kernel
 def _pull_each_other(points: TreePoints, lo: int, hi: int, eps2: float, near: Floats) -> None:
     """Add the field of a bucket's own particles, those of the same body left out."""
     for j in range(lo, hi):
-        x, y, z, m = points.place[0, j], points.place[1, j], points.place[2, j], points.mass[j]
-        own = points.owner[j]
+        x = points.place[0, j], points.place[1, j], points.place[2, j]
+        own, m = points.owner[j], points.mass[j]
         for i in range(LANES):
-            dx = x - near[at(PLACE, i)]
-            dy = y - near[at(PLACE + 1, i)]
-            dz = z - near[at(PLACE + 2, i)]
-            is_own = near[at(OWNER, i)] == own
-            square = 1.0 if is_own else dx * dx + (dy * dy + (dz * dz + eps2))
-            w = inverse_cube(0.0 if is_own else m, square)
-            near[at(FIELD, i)] += w * dx
-            near[at(FIELD + 1, i)] += w * dy
-            near[at(FIELD + 2, i)] += w * dz
-            near[at(MASS, i)] += w * square
+            _pull(near, i, x, m, eps2, near[at(OWNER, i)] == own)
 
 
 @inline
@@ -183,11 +189,11 @@ def meet(
     """
     nodes, points, cells = tree
     second, _, first, last, _ = nodes
-    ball, place, mass = cells.ball, points.place, points.mass
+    place, mass = points.place, points.mass
     rows, scaled, near, ranges = scratch.rows, scratch.scaled, scratch.near, scratch.ranges
     meets, stack, far = scratch.meets, scratch.stack, scratch.far
-    a = (ball[A, 0], ball[A, 1], ball[A, 2], ball[A, 3], ball[A, 4], ball[A, 5])
-    X = (a[0], a[1], a[2])
+    a = _ball_of(cells, A)
+    X = a[:3]
     tail, n_far, n_near = lists[1], 0, 0
     for listed in range(lists[0], lists[1]):
         stack[2, 0], top = meets[listed], 1
@@ -197,8 +203,7 @@ def meet(
             if A == B:
                 tail = _meet_itself(nodes, points, A, tail, eps2, scratch)
                 continue
-            b = (ball[B, 0], ball[B, 1], ball[B, 2], ball[B, 3], ball[B, 4], ball[B, 5])
-            how = _encounter(a, b, A > B, square)
+            how = _encounter(a, _ball_of(cells, B), A > B, square)
             if how == _WHOLE:
                 far[n_far] = B
                 n_far += 1
@@ -234,15 +239,8 @@ def _pull_lane(
     place: Floats, mass: Floats, lo: int, hi: int, eps2: float, near: Floats, lane: int
 ) -> None:
     """Add the field of particles to that of one of a bucket."""
-    x, y, z = near[at(PLACE, lane)], near[at(PLACE + 1, lane)], near[at(PLACE + 2, lane)]
     for j in range(lo, hi):
-        dx, dy, dz = place[0, j] - x, place[1, j] - y, place[2, j] - z
-        square = dx * dx + (dy * dy + (dz * dz + eps2))
-        w = inverse_cube(mass[j], square)
-        near[at(FIELD, lane)] += w * dx
-        near[at(FIELD + 1, lane)] += w * dy
-        near[at(FIELD + 2, lane)] += w * dz
-        near[at(MASS, lane)] += w * square
+        _pull(near, lane, (place[0, j], place[1, j], place[2, j]), mass[j], eps2, False)
 
 
 @kernel
@@ -258,20 +256,19 @@ def _meet_point(
     """Let particle i, in a lane of a bucket, meet the cells in a list."""
     nodes, points, cells = tree
     second, _, first, last, _ = nodes
-    ball, place, mass = cells.ball, points.place, points.mass
+    place, mass = points.place, points.mass
     rows, scaled, near = scratch.rows, scratch.scaled, scratch.near
     meets, stack, far = scratch.meets, scratch.stack, scratch.far
     A, n_far = second.size + i, 0
-    a = (ball[A, 0], ball[A, 1], ball[A, 2], ball[A, 3], ball[A, 4], ball[A, 5])
-    X = (a[0], a[1], a[2])
+    a = _ball_of(cells, A)
+    X = a[:3]
     clear(rows, LOCAL, LOCAL + 4)
     for listed in range(lists[0], lists[1]):
         stack[2, 0], top = meets[listed], 1
         while top > 0:
             top -= 1
             B = stack[2, top]
-            b = (ball[B, 0], ball[B, 1], ball[B, 2], ball[B, 3], ball[B, 4], ball[B, 5])
-            how = _encounter(a, b, A > B, square)
+            how = _encounter(a, _ball_of(cells, B), A > B, square)
             if how == _WHOLE:
                 far[n_far] = B
                 n_far += 1
@@ -329,8 +326,7 @@ def _sum_local(
         local[k] = lane_sum(scratch.rows, LOCAL + k)
         depth += local[k] * cells.moment[A, k]
     if parent >= 0:
-        X, Y = cells.ball[A], cells.ball[parent]
-        s = subtract((X[0], X[1], X[2]), (Y[0], Y[1], Y[2]))
+        s = subtract(_ball_of(cells, A)[:3], _ball_of(cells, parent)[:3])
         add_shifted_field(s, inherited, scratch.powers, local)
     return depth
 
@@ -388,6 +384,6 @@ def walk(
             if tail > lists[1]:
                 for i in range(first[A], last[A]):
                     _meet_point(tree, scratch, i, i - first[A], (lists[1], tail), square, eps2)
-            X = (cells.ball[A, 0], cells.ball[A, 1], cells.ball[A, 2])
+            X = _ball_of(cells, A)[:3]
             depth += _store_fields(points, X, first[A], last[A], local[level + 1], scratch)
         cells.energy[A] = -0.5 * depth
