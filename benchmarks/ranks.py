@@ -14,17 +14,14 @@ results/ranks.csv.
 import argparse
 import ctypes
 import gc
-import json
-import shutil
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import h5py
+from mpi_runs import figures_of, print_figures
 from results import record
 
 from particlerb.case.to_system import to_system
@@ -116,21 +113,13 @@ def worker(n: int, is_pushed: bool, path: Path, has_ranks: bool) -> None:
     """Measure on this rank; the first one prints the figures of all."""
     ranks = ranks_of_mpi() if has_ranks else None
     THREADS.use(1)
-    own = measure(n, is_pushed, path, ranks)
-    each = type(ranks).gathered(ranks, own) if ranks is not None else [own]
-    print(json.dumps(each), flush=True)
+    print_figures(ranks, measure(n, is_pushed, path, ranks))
 
 
 def measured(n: int, is_pushed: bool, ranks: int, folder: Path) -> list[dict[str, float]]:
     """Figures of each rank of a run of its own."""
-    beside = Path(sys.executable).with_name("mpiexec")
-    mpiexec = str(beside) if beside.exists() else str(shutil.which("mpiexec"))
-    words = [mpiexec, "-n", str(ranks)] if ranks else []
-    words += [sys.executable, __file__, "--bodies", str(n), "--folder", str(folder), "--worker"]
-    words.append(("pushed" if is_pushed else "free") + ("" if ranks else " alone"))
-    done = subprocess.run(words, check=True, stdout=subprocess.PIPE, text=True)
-    found: list[dict[str, float]] = json.loads(done.stdout)
-    return found
+    kind = ("pushed" if is_pushed else "free") + ("" if ranks else " alone")
+    return figures_of(__file__, ranks, "--bodies", n, "--folder", folder, "--worker", kind)
 
 
 def saved_bytes(folder: Path) -> int:

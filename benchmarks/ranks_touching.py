@@ -13,11 +13,7 @@ cores as there are ranks, and those of the processor without what ranks wait for
 """
 
 import argparse
-import json
-import shutil
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -25,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from mpi_runs import figures_of, print_figures
 from results import record
 
 import particlerb
@@ -107,20 +104,13 @@ def worker(args: argparse.Namespace) -> None:
         wall, cpu = time.perf_counter() - watch.begun[0], time.process_time() - watch.begun[1]
         own = {"wall": wall, "cpu": cpu - watch.waited, "bytes": watch.n_bytes}
         own |= {"copies": watch.copies, "moved": watch.n_moved, **watch.calls}
-    each = type(ranks).gathered(ranks, own) if ranks is not None else [own]
-    print(json.dumps(each), flush=True)
+    print_figures(ranks, own)
 
 
 def measured(args: argparse.Namespace, ranks: int, n: int, folder: Path) -> list[dict[str, float]]:
     """Figures of each rank of a run of its own."""
-    beside = Path(sys.executable).with_name("mpiexec")
-    mpiexec = str(beside) if beside.exists() else str(shutil.which("mpiexec"))
-    words = [mpiexec, "-n", str(ranks)] if ranks else []
-    words += [sys.executable, __file__, args.what, "--ranks", str(ranks), "--bodies", str(n)]
-    words += ["--steps", str(args.steps), "--folder", str(folder), "--worker"]
-    done = subprocess.run(words, check=True, stdout=subprocess.PIPE, text=True)
-    found: list[dict[str, float]] = json.loads(done.stdout)
-    return found
+    words = args.what, "--ranks", ranks, "--bodies", n, "--steps", args.steps, "--folder", folder
+    return figures_of(__file__, ranks, *words, "--worker")
 
 
 def gas(args: argparse.Namespace, folder: Path) -> list[tuple[str, float]]:
