@@ -13,14 +13,7 @@ from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.impulses.records import ZERO, ImpulseRows, Partners, Rolling
-from particlerb.impulses.rolling import (
-    ABOUT,
-    ACROSS,
-    on_the_disc,
-    square_of,
-    step_against,
-    turning,
-)
+from particlerb.impulses.rolling import ABOUT, ACROSS, on_the_disc, square_of, step_against, turning
 from particlerb.impulses.rows import column3, in_world, put_column3
 from particlerb.maths.vec3 import Vec3, add, add_scaled, scale, subtract
 

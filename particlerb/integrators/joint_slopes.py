@@ -20,13 +20,7 @@ from particlerb.joints.block_cholesky import solve
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.drives import set_moving
 from particlerb.joints.records import HOLDS, STATE, Jointed, Joints, L, P, Q, Work, X
-from particlerb.joints.rows import (
-    add_impulses,
-    attitude,
-    by_inverse_inertia,
-    linearise,
-    vector,
-)
+from particlerb.joints.rows import add_impulses, attitude, by_inverse_inertia, linearise, vector
 from particlerb.joints.solver import constrained_drift, factorise_cluster, keep_rates
 from particlerb.joints.trees import JointTree, accelerate_tree
 from particlerb.maths.vec3 import Floats, Vec3, add, cross, dot, scale, subtract

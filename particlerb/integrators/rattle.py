@@ -10,15 +10,7 @@ Source: Andersen, J. Comput. Phys. 52, 24 (1983); Reich, SIAM J. Numer. Anal. 33
 from typing import Final
 
 from particlerb.contact.contact_model import LEAPFROG, LoadTimes
-from particlerb.forces.kinds import (
-    BODIES,
-    CONTACT,
-    JOINTS,
-    PISTONS,
-    POSE,
-    TIME,
-    VELOCITY,
-)
+from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, PISTONS, POSE, TIME, VELOCITY
 from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
 from particlerb.integrators.method import Method

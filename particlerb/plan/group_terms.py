@@ -27,14 +27,7 @@ from particlerb.model.system import System
 from particlerb.plan.contact_rules import events_of, refuse_too_many, rules_of
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.groups import GroupSetup
-from particlerb.plan.links import (
-    AnyLink,
-    Link,
-    OwnLink,
-    attracted,
-    particles_of,
-    tree_accuracy,
-)
+from particlerb.plan.links import AnyLink, Link, OwnLink, attracted, particles_of, tree_accuracy
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
 _DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet

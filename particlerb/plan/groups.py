@@ -20,11 +20,7 @@ from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.joint_ends import Ties
 from particlerb.plan.joints import JointSetup
 from particlerb.plan.known_courses import Behind
-from particlerb.plan.links import (
-    AnyLink,
-    attracted,
-    components,
-)
+from particlerb.plan.links import AnyLink, attracted, components
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
 

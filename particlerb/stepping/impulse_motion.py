@@ -10,13 +10,7 @@ from particlerb.contact.pair_force import max_point_speed
 from particlerb.contact.piston import piston_energies, with_pistons
 from particlerb.forces import has_potential
 from particlerb.impulses.order import room_for_newton
-from particlerb.impulses.records import (
-    B_FORCE,
-    TALLY,
-    Impulses,
-    room_for_partners,
-    room_for_rows,
-)
+from particlerb.impulses.records import B_FORCE, TALLY, Impulses, room_for_partners, room_for_rows
 from particlerb.joints.responses import bounded_of, mechanisms_of, pairs_through
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.contact_motion import ContactMotion

@@ -27,13 +27,7 @@ from particlerb.model.state import Frames, rotate
 from particlerb.model.system import System
 from particlerb.plan.known_courses import Behind
 from particlerb.plan.make_plan import make_plan
-from particlerb.plan.segments import (
-    Plan,
-    RegroupedError,
-    Segment,
-    has_step,
-    is_adaptive,
-)
+from particlerb.plan.segments import Plan, RegroupedError, Segment, has_step, is_adaptive
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.frame_times import multiples
 from particlerb.simulation.whole_run import Prepared, Run, RunError

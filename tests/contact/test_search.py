@@ -24,12 +24,7 @@ from particlerb.contact.neighbour_list import (
     incidence,
     order_contacts,
 )
-from particlerb.contact.sphere_search import (
-    SphereSearch,
-    levels_of,
-    modular_strides,
-    neighbours,
-)
+from particlerb.contact.sphere_search import SphereSearch, levels_of, modular_strides, neighbours
 from particlerb.plan import contact_rules
 from particlerb.simulation.whole_run import RunError
 from particlerb.stepping import contact_lists

@@ -9,14 +9,7 @@ from scipy.spatial.transform import Rotation
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.cli import main
-from particlerb.forces.links import (
-    WORLD,
-    Links,
-    damp_links,
-    link_energy,
-    link_loads,
-    link_rates,
-)
+from particlerb.forces.links import WORLD, Links, damp_links, link_energy, link_loads, link_rates
 from particlerb.model.load import FORCE, LOAD_ROWS, OUTSIDE, POWER, TORQUE
 
 N = 4

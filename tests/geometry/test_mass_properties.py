@@ -15,12 +15,7 @@ from hypothesis.extra.numpy import arrays
 
 from particlerb.geometry import shapes, sums
 from particlerb.geometry.mass_properties import mass_properties
-from particlerb.geometry.particles import (
-    concatenate,
-    one_kind,
-    transformed,
-    united,
-)
+from particlerb.geometry.particles import concatenate, one_kind, transformed, united
 from particlerb.rotors.rotor_class import ASYMMETRIC, NAMES, POINT, ROD, SPHERE, SYMMETRIC
 
 U = 2.0**-53

@@ -16,13 +16,7 @@ from particlerb.geometry import shapes
 from particlerb.geometry.analytic import ANALYTIC
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.particle_files import read_points
-from particlerb.geometry.particles import (
-    concatenate,
-    one_kind,
-    scaled_to_mass,
-    transformed,
-    united,
-)
+from particlerb.geometry.particles import concatenate, one_kind, scaled_to_mass, transformed, united
 from particlerb.rotors.rotor_class import SPHERE
 
 U = 2.0**-53

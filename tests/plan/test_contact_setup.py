@@ -13,10 +13,7 @@ from particlerb.case.reader import load, parse
 from particlerb.case.to_system import to_case, to_system
 from particlerb.contact.wall_motion import PrescribedMotion
 from particlerb.contact.walls import DISC, FACE, PLANE, RIM, SIDE
-from particlerb.plan.contact_setup import (
-    NOTHING,
-    contact_of,
-)
+from particlerb.plan.contact_setup import NOTHING, contact_of
 
 
 def contact(case):

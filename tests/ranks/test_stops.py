@@ -4,16 +4,7 @@ import random
 import signal
 
 import pytest
-from stops import (
-    LONG,
-    command,
-    frames_in,
-    needs_mpi,
-    next_words,
-    run_words,
-    stopped,
-    whole,
-)
+from stops import LONG, command, frames_in, needs_mpi, next_words, run_words, stopped, whole
 
 pytestmark = [needs_mpi, pytest.mark.plain]
 

@@ -24,16 +24,7 @@ from typing import Any
 
 import h5py
 import tomlkit
-from crashes import (
-    Disk,
-    Done,
-    Fault,
-    Session,
-    build,
-    in_child,
-    in_folder,
-    place,
-)
+from crashes import Disk, Done, Fault, Session, build, in_child, in_folder, place
 from kills import contents
 from tqdm import tqdm
 

@@ -13,13 +13,7 @@ from particlerb.simulation.trials import Error
 from particlerb.studies.contact_laws import LawStudy
 from particlerb.studies.peers import peer_scene
 from particlerb.studies.text import nice_steps
-from particlerb.studies.work_precision import (
-    Point,
-    WorkPrecision,
-    chart,
-    curve_count,
-    failure,
-)
+from particlerb.studies.work_precision import Point, WorkPrecision, chart, curve_count, failure
 from particlerb.studies.work_precision_table import (
     advice,
     cheapest,
