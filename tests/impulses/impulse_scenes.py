@@ -1,5 +1,7 @@
 """Scenes of contact by impulses, run in memory."""
 
+import math
+
 import numpy as np
 
 import particlerb
@@ -7,7 +9,15 @@ import particlerb
 G = 9.81
 R = 0.1
 DOWN = {"acceleration": [0.0, 0.0, -G]}
+STATE = ("position", "orientation", "linear_momentum", "angular_momentum")
 CORNERS = [[x, y, z] for x in (-R, R) for y in (-R, R) for z in (-R, R)]
+
+
+def tilted(angle, heading=0.0):
+    """Gravity over a slope [rad] whose way down points to a heading."""
+    across = G * math.sin(angle)
+    return {"acceleration": [across * math.cos(heading), across * math.sin(heading),
+                             -G * math.cos(angle)]}  # fmt: skip
 
 
 def sphere(name="ball", radius=R, **keys):
@@ -38,6 +48,11 @@ def exact(restitution=0.0, friction=0.5, **keys):
     return impulse(restitution, friction, tolerance=1e-13, iterations=2000) | keys
 
 
+def events(restitution=1.0, friction=0.0, **keys):
+    """[contact] by events."""
+    return {"law": "events", "restitution": restitution, "friction": friction} | keys
+
+
 def clump(name, mass=1.0, **keys):
     """Eight balls on the corners of a cube."""
     shape = {"type": "points", "mass": mass / 8.0, "radius": R, "position": CORNERS}
@@ -47,6 +62,22 @@ def clump(name, mass=1.0, **keys):
 def go(*bodies, contact, **keys):
     """Trajectory of bodies."""
     return particlerb.run(case(*bodies, contact=contact, **keys))
+
+
+def assert_alike(one, other, names=STATE):
+    """The same bits in all frames of trajectories, of a state or of what else is named."""
+    for name in names:
+        a, b = (getattr(t, name) if name in STATE else t.observable(name) for t in (one, other))
+        assert (a == b).all(), name
+
+
+def assert_goes_on_alike(scene, part, path, names=STATE):
+    """A run to `part` [s] that is resumed has the same bits as a whole one, which is returned."""
+    whole = particlerb.run(scene)
+    particlerb.run(scene | {"run": scene["run"] | {"t_end": part}}, path).close()
+    with particlerb.resume(path, t_end=scene["run"]["t_end"]) as t:
+        assert_alike(t, whole, names)
+    return whole
 
 
 def errors(t):

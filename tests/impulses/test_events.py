@@ -2,7 +2,21 @@
 
 import numpy as np
 import pytest
-from impulse_scenes import DOWN, G, R, case, clump, errors, go, impulse, plane, sphere
+from impulse_scenes import (
+    DOWN,
+    STATE,
+    G,
+    R,
+    assert_goes_on_alike,
+    case,
+    clump,
+    errors,
+    events,
+    go,
+    impulse,
+    plane,
+    sphere,
+)
 
 import particlerb
 from particlerb.case.problems import CaseError
@@ -14,11 +28,6 @@ from particlerb.simulation.run import Run, prepare
 
 BOX = {"type": "box", "name": "box", "lower": [-1, -1, -1], "upper": [1, 1, 1]}
 plain = pytest.mark.plain  # compiling takes long, and shows no more
-
-
-def events(restitution=1.0, friction=0.0, **keys):
-    """[contact] by events."""
-    return {"law": "events", "restitution": restitution, "friction": friction} | keys
 
 
 @plain
@@ -184,17 +193,12 @@ def test_without_a_contact_time_a_ball_that_comes_to_rest_ends_the_run():
 
 @plain
 def test_what_is_seen_changes_nothing_and_a_run_is_resumed_bit_for_bit(tmp_path):
-    bodies, contact = clumps(4), events(0.8, 0.3)
-    keys = {"wall": [BOX | {"lower": [-2] * 3, "upper": [2] * 3}], "gravity": DOWN}
-    often = go(*bodies, contact=contact, t_end=1.0, every=0.05, **keys)
-    whole = go(*bodies, contact=contact, t_end=1.0, every=0.5, **keys)
+    bodies, keys = clumps(4), {"contact": events(0.8, 0.3), "gravity": DOWN, "t_end": 1.0}
+    keys["wall"] = [BOX | {"lower": [-2] * 3, "upper": [2] * 3}]
+    scene = case(*bodies, every=0.25, **keys)
+    whole = assert_goes_on_alike(scene, 0.5, tmp_path / "run.h5", (*STATE, "impacts"))
+    often = go(*bodies, every=0.05, **keys)
     assert (often.position[-1] == whole.position[-1]).all()
-    half = case(*bodies, contact=contact, t_end=0.5, every=0.25, **keys)
-    particlerb.run(half, tmp_path / "run.h5").close()
-    resumed = particlerb.resume(tmp_path / "run.h5", t_end=1.0)
-    assert (resumed.position[-1] == whole.position[-1]).all()
-    assert (resumed.angular_momentum[-1] == whole.angular_momentum[-1]).all()
-    assert resumed.observable("impacts")[-1] == whole.observable("impacts")[-1]
 
 
 BALL = sphere(position=[0, 0, 0])

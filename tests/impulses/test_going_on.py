@@ -4,13 +4,22 @@ import json
 
 import numpy as np
 import pytest
-from impulse_scenes import DOWN, R, case, clump, go, impulse, plane, sphere
+from impulse_scenes import (
+    DOWN,
+    STATE,
+    R,
+    assert_alike,
+    assert_goes_on_alike,
+    case,
+    clump,
+    go,
+    impulse,
+    plane,
+    sphere,
+)
 from test_bounded import pressed
 
 import particlerb
-
-STATE = ("position", "orientation", "linear_momentum", "angular_momentum")
-
 
 plain = pytest.mark.plain
 
@@ -26,20 +35,8 @@ def heap(n=3, contact=None, **keys):
                 **({"dt": 5e-3, "t_end": 0.4, "every": 0.05} | keys))  # fmt: skip
 
 
-def assert_alike(one, other):
-    """The same bits in all that is recorded of a state."""
-    for name in STATE:
-        assert (getattr(one, name) == getattr(other, name)).all()
-
-
 def test_a_run_that_is_resumed_has_the_same_bits(tmp_path):
-    whole = particlerb.run(heap())
-    path = tmp_path / "part.h5"
-    particlerb.run(heap(t_end=0.2), path).close()
-    with particlerb.resume(path, t_end=0.4) as t:
-        assert_alike(t, whole)
-        for name in ("energy_error", "work"):
-            assert (t.observable(name) == whole.observable(name)).all()
+    assert_goes_on_alike(heap(), 0.2, tmp_path / "part.h5", (*STATE, "energy_error", "work"))
 
 
 @plain

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from impulse_scenes import DOWN, G, R, case, errors, exact, go, plane, sphere
+from impulse_scenes import DOWN, G, R, assert_goes_on_alike, case, errors, exact, go, plane, sphere
 
 import particlerb
 
@@ -85,11 +85,8 @@ def test_balls_that_attract_each_other_meet_and_stay_together():
 def test_a_run_with_links_that_is_resumed_has_the_same_bits(tmp_path):
     bodies, force = pair(0.15, 0.1, 3.0)
     keys = {"contact": exact(0.4), "wall": [plane()], "gravity": DOWN, "force": force, "dt": 5e-3}
-    whole = particlerb.run(case(*bodies, t_end=0.3, every=0.03, **keys))
-    path = tmp_path / "part.h5"
-    particlerb.run(case(*bodies, t_end=0.15, every=0.03, **keys), path).close()
-    with particlerb.resume(path, t_end=0.3) as t:
-        assert (t.position == whole.position).all()
-        assert (t.observable("energy_error") == whole.observable("energy_error")).all()
+    scene = case(*bodies, t_end=0.3, every=0.03, **keys)
+    names = "position", "energy_error"
+    whole = assert_goes_on_alike(scene, 0.15, tmp_path / "part.h5", names)
     often = particlerb.run(case(*bodies, t_end=0.3, every=2e-3, **keys))
     assert (often.position[::15] == whole.position).all()

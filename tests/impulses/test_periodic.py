@@ -2,17 +2,12 @@
 
 import numpy as np
 import pytest
-from impulse_scenes import R, case, clump, errors, go, impulse, plane, sphere
+from impulse_scenes import R, case, clump, errors, events, go, impulse, plane, sphere
 
 import particlerb
 from particlerb.case.problems import CaseError
 
 plain = pytest.mark.plain  # compiling takes long, and shows no more
-
-
-def events(restitution=1.0, friction=0.0, **keys):
-    """[contact] by events."""
-    return {"law": "events", "restitution": restitution, "friction": friction} | keys
 
 
 @plain

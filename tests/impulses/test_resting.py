@@ -4,16 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from impulse_scenes import DOWN, G, R, clump, errors, exact, go, impulse, plane, sphere
+from impulse_scenes import DOWN, G, R, clump, errors, exact, go, impulse, plane, sphere, tilted
 
 plain = pytest.mark.plain
-
-
-def tilted(angle, heading=0.0):
-    """Gravity over a slope [rad] whose way down points to a heading."""
-    across = G * math.sin(angle)
-    return {"acceleration": [across * math.cos(heading), across * math.sin(heading),
-                             -G * math.cos(angle)]}  # fmt: skip
 
 
 def test_a_ball_that_slides_comes_to_roll_with_five_sevenths_of_its_speed():
