@@ -7,6 +7,7 @@ from pydantic import AfterValidator, Field, model_validator
 from particlerb.case.contact import Prescribed
 from particlerb.case.shapes import Shape
 from particlerb.case.values import (
+    ORIGIN,
     Array3,
     Array4,
     Count,
@@ -25,7 +26,6 @@ from particlerb.case.values import (
     broken,
 )
 
-_ORIGIN = (0.0, 0.0, 0.0)
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -94,7 +94,7 @@ class ShapePart(Table):
     """Mass; this or density; 0 for spheres that only touch. [kg]"""
     density: Positive | None = None
     """Density; this or mass. [kg/m³]"""
-    position: Vector = _ORIGIN
+    position: Vector = ORIGIN
     """Of the shape's origin, in the body's axes. [m]"""
     orientation: OneOrientation = _IDENTITY
     """Shape to body axes: quaternion or { euler_deg = [..] }. [-]"""
@@ -124,14 +124,14 @@ class Body(Table):
     """Number of bodies. [-]"""
     place: _Place | None = None
     """Where many bodies are: grid or random. [-]"""
-    position: _Position = _ORIGIN
+    position: _Position = ORIGIN
     """Of the centre of mass, world frame; or a row per body. [m]"""
     orientation: _Orientation = _IDENTITY
     """Quaternion w x y z, normalised when read; { euler_deg = [..] }; "random"; or a row per body.
     [-]"""
-    velocity: Motion = _ORIGIN
+    velocity: Motion = ORIGIN
     """World frame, { body = [..] }, { random = v }; or rows. [m/s]"""
-    angular_velocity: Motion = _ORIGIN
+    angular_velocity: Motion = ORIGIN
     """World frame, { body = [..] }, { random = v }; or rows. [rad/s]"""
     material: Name | None = None
     """Name of a [[material]]; default: the only one. [-]"""

@@ -11,6 +11,8 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, Strict, model_validator
 
 from particlerb.case.values import (
+    ORIGIN,
+    Direction,
     Name,
     NonNegative,
     OneOrientation,
@@ -27,7 +29,6 @@ from particlerb.case.values import (
 _Share = Annotated[NonNegative, Field(le=1.0)]
 _Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 _End = Literal["-", "+"]
-_ORIGIN = (0.0, 0.0, 0.0)
 
 
 class Material(Table):
@@ -127,9 +128,9 @@ class Oscillation(Table):
 class Prescribed(Table):
     """Motion of a wall or a body, whatever touches it: it turns about a centre that moves."""
 
-    velocity: Vector = _ORIGIN
+    velocity: Vector = ORIGIN
     """Of the centre, world frame. [m/s]"""
-    angular_velocity: Annotated[Vector, AfterValidator(_with_a_square)] = _ORIGIN
+    angular_velocity: Annotated[Vector, AfterValidator(_with_a_square)] = ORIGIN
     """World frame. [rad/s]"""
     centre: Vector | None = None
     """Point of the axis at t = 0, world frame; default: its own. [m]"""
@@ -140,20 +141,10 @@ class Prescribed(Table):
     def shift(self) -> tuple[float, float, float]:
         """Displacement at t = 0 by the phase of the oscillation, world frame [m]."""
         if self.oscillation is None:
-            return _ORIGIN
+            return ORIGIN
         x, y, z = self.oscillation.amplitude
         phase = math.sin(self.oscillation.phase)
         return phase * x, phase * y, phase * z
-
-
-def direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Require a vector that points somewhere."""
-    if not any(value):
-        raise broken("must not be zero: it is not a direction")
-    return value
-
-
-_Direction = Annotated[Vector, AfterValidator(direction)]
 
 
 class Piston(Table):
@@ -161,7 +152,7 @@ class Piston(Table):
 
     mass: Positive
     """Mass, which is pulled by [gravity] as well. [kg]"""
-    axis: _Direction
+    axis: Direction
     """Along which it slides, world frame, of any length. [-]"""
     load: Real = 0.0
     """Constant force along the axis. [N]"""
@@ -198,9 +189,9 @@ class PlaneWall(WallTable):
     """A plane; bodies are on the side to which its normal points."""
 
     type: Literal["plane"] = Field(init=False)
-    point: Vector = _ORIGIN
+    point: Vector = ORIGIN
     """Any of its points, world frame. [m]"""
-    normal: _Direction
+    normal: Direction
     """Towards the bodies, of any length. [-]"""
 
 
@@ -234,9 +225,9 @@ class CylinderWall(WallTable):
     """A cylinder, a thin tube with ends of which some may be open."""
 
     type: Literal["cylinder"] = Field(init=False)
-    centre: Vector = _ORIGIN
+    centre: Vector = ORIGIN
     """Middle of its axis, world frame. [m]"""
-    axis: _Direction = (0.0, 0.0, 1.0)
+    axis: Direction = (0.0, 0.0, 1.0)
     """Along the axis, of any length. [-]"""
     radius: Positive
     """Inner radius. [m]"""
@@ -256,7 +247,7 @@ class MeshWall(WallTable):
     """STL file, relative to the folder of the case. [-]"""
     scale: Positive = 1.0
     """Length of the unit of the file: 0.001 for mm. [m]"""
-    position: Vector = _ORIGIN
+    position: Vector = ORIGIN
     """Of the file's origin, world frame. [m]"""
     orientation: OneOrientation = (1.0, 0.0, 0.0, 0.0)
     """File to world axes: quaternion or { euler_deg = [..] }. [-]"""

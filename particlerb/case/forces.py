@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, mod
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, bodies_named, given, out_of_place
 from particlerb.case.values import (
+    ORIGIN,
     Array3,
     ArrayPerBody,
     Forms,
@@ -33,8 +34,6 @@ from particlerb.case.values import (
 from particlerb.files import File
 from particlerb.text_tables import Columns, read_table
 from particlerb.user_force import UserForce
-
-_ORIGIN = (0.0, 0.0, 0.0)
 
 
 class ForceTable(Table):
@@ -174,7 +173,7 @@ class PushTable(LoadTable):
     """A force at a point of the body that stays on that point while the body turns."""
 
     type: Literal["push"] = Field(init=False)
-    at: Vector = _ORIGIN
+    at: Vector = ORIGIN
     """Point, body frame, from the centre of mass. [m]"""
     force: _Load
     """Force, constant or by knots. [N]"""
@@ -200,7 +199,7 @@ class ImpulseTable(ForceTable):
     """A jump of the momenta at one instant: P += J, L += r × J."""
 
     type: Literal["impulse"] = Field(init=False)
-    at: Vector = _ORIGIN
+    at: Vector = ORIGIN
     """Point, body frame, from the centre of mass. [m]"""
     impulse: Vector
     """Impulse. [N s]"""
@@ -234,13 +233,13 @@ class SpringTable(LastingForceTable):
     """A spring from a point of the body to the world or another body: F = k (l - l₀) + c dl/dt."""
 
     type: Literal["spring"] = Field(init=False)
-    at: Vector = _ORIGIN
+    at: Vector = ORIGIN
     """Point, body frame, from the centre of mass. [m]"""
     anchor: Vector | None = None
     """The other end, world frame; this, or to or reach. [m]"""
     to: Names | None = None
     """Bodies at the other end: one for each, one for all, or by reach. [-]"""
-    to_at: Vector = _ORIGIN
+    to_at: Vector = ORIGIN
     """Point of the other body, in its body frame. [m]"""
     reach: Positive | None = None
     """Ties every pair of points that are at most this far apart at t = 0. [m]"""
@@ -291,11 +290,11 @@ class UniformField(LastingForceTable):
     """Field E, world frame. [V/m; T for a magnetic dipole]"""
     charge: _NumberOrList = 0.0
     """Charge q of the body, or a list with one per particle. [C]"""
-    at: Vector = _ORIGIN
+    at: Vector = ORIGIN
     """Where a single charge sits, body frame. [m]"""
-    dipole: Vector = _ORIGIN
+    dipole: Vector = ORIGIN
     """Dipole d, body frame. [C m; A m²]"""
-    angular_velocity: Vector = _ORIGIN
+    angular_velocity: Vector = ORIGIN
     """Rate at which E turns from t = 0 on, world frame. [rad/s]"""
 
     @property
@@ -314,7 +313,7 @@ class CentralTable(LastingForceTable):
     """Attraction by a fixed centre, inverse-square, with its gravity-gradient torque."""
 
     type: Literal["central"] = Field(init=False)
-    centre: Vector = _ORIGIN
+    centre: Vector = ORIGIN
     """Where the centre is, world frame. [m]"""
     mu: Positive
     """G times the mass of the centre. [m³/s²]"""
@@ -363,8 +362,8 @@ class PythonTable(LastingForceTable):
     """Others: for each an entry per body, a number or a list. [any]"""
 
     names_bodies: ClassVar[tuple[str, ...]] = ("body", "to")
-    at: ClassVar[tuple[float, float, float]] = _ORIGIN  # where pairs are looked for
-    to_at: ClassVar[tuple[float, float, float]] = _ORIGIN
+    at: ClassVar[tuple[float, float, float]] = ORIGIN  # where pairs are looked for
+    to_at: ClassVar[tuple[float, float, float]] = ORIGIN
 
     @classmethod
     def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:

@@ -26,6 +26,7 @@ from particlerb.case.values import (
     broken,
     entries,
     first_out_of_order,
+    nonzero,
 )
 
 JointType = Literal[
@@ -60,15 +61,8 @@ class InFrame(Table):
     """Components in the body frame. [m or -]"""
 
 
-def _is_direction(value: tuple[float, ...] | InFrame) -> tuple[float, ...] | InFrame:
-    """Require a length."""
-    if not any(value.body if isinstance(value, InFrame) else value):
-        raise broken("must not be zero: a direction has a length")
-    return value
-
-
 _Point = Annotated[Vector | InFrame, Forms("list", "table")]
-_Direction = Annotated[_Point, AfterValidator(_is_direction)]
+_Direction = Annotated[_Point, nonzero("a direction")]
 
 
 def _mesh(teeth: tuple[int, int]) -> tuple[int, int]:

@@ -124,6 +124,17 @@ def distinct(of: str) -> AfterValidator:
     return AfterValidator(check)
 
 
+def nonzero(of: str, hint: str = "") -> AfterValidator:
+    """Vector or quaternion that has a length; a vector may be a table, in the frame of a body."""
+
+    def check(value: Any) -> Any:
+        if not any(getattr(value, "body", value)):
+            raise broken(f"must not be zero: it is not {of}", hint=hint)
+        return value
+
+    return AfterValidator(check)
+
+
 def one_of(*choices: str) -> PlainValidator:
     """Word out of a list that is kept as a constant rather than as a type."""
 
@@ -208,13 +219,6 @@ def first_out_of_order(times: Sequence[float]) -> int | None:
     return next((k for k, (before, after) in pairs if after - before <= _SHORTEST), None)
 
 
-def _nonzero(value: tuple[float, ...]) -> tuple[float, ...]:
-    """Quaternion that can be normalised."""
-    if not any(value):
-        raise broken("must not be zero: it is not an orientation", hint="no turn is [1, 0, 0, 0]")
-    return value
-
-
 def _nested_numbers(value: Any) -> Any:
     """A number, a list of numbers or a list of such lists; lists become tuples."""
     if isinstance(value, np.ndarray):
@@ -261,11 +265,17 @@ Names = Annotated[tuple[Name, ...], Field(min_length=1), BeforeValidator(alone, 
 
 Knots = Annotated[tuple[NonNegative, ...], AfterValidator(_ascending)]
 Vector = Annotated[tuple[Real, Real, Real], entries(3)]
+ORIGIN = (0.0, 0.0, 0.0)
+Direction = Annotated[Vector, nonzero("a direction")]
 Lengths = Annotated[tuple[Positive, Positive, Positive], entries(3)]
 Spacing = Annotated[Lengths, BeforeValidator(_repeated, Positive | Lengths)]
 Counts = Annotated[tuple[Count, Count, Count], entries(3)]
 Resolution = Annotated[Counts, BeforeValidator(_repeated, Count | Counts)]
-Quaternion = Annotated[tuple[Real, Real, Real, Real], entries(4), AfterValidator(_nonzero)]
+Quaternion = Annotated[
+    tuple[Real, Real, Real, Real],
+    entries(4),
+    nonzero("an orientation", "no turn is [1, 0, 0, 0]"),
+]
 Numbers = Annotated[
     Any,
     PlainValidator(_nested_numbers, json_schema_input_type=float | list[float] | list[list[float]]),
