@@ -47,6 +47,17 @@ class Terms(NamedTuple):
     """Whether a body moves on a line through the ends of its damped springs, (n,)."""
 
     @property
+    def known_contact(self) -> GroupContact:
+        """Contact of bodies that are known to touch."""
+        assert self.contact is not None
+        return self.contact
+
+    @property
+    def touches_by_impulses(self) -> bool:
+        """Whether contacts are solved for the impulses of whole steps."""
+        return self.contact is not None and self.contact.rules is not None
+
+    @property
     def has_springy_contact(self) -> bool:
         """Whether contacts have a stiffness: they are loads then, and impulses otherwise."""
         contact = self.contact

@@ -19,7 +19,7 @@ from particlerb.plan.contact_rules import MOST_BODIES
 from particlerb.plan.joint_words import joint_line
 from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
-from particlerb.plan.time_step import expected_overlap, touches_by_impulses
+from particlerb.plan.time_step import expected_overlap
 from particlerb.stepping.closed_forms import words_of_forms
 from particlerb.stepping.sparse_contact import can_fly
 
@@ -146,7 +146,7 @@ def _contact_line(system: System, plan: Plan) -> str:
 
 def _solved(system: System, plan: Plan, table: ContactTable) -> str:
     """How impulses are found, and what overlap is to be expected."""
-    own = [(group, segment) for group, segment in plan.segments if touches_by_impulses(segment)]
+    own = [each for each in plan.segments if each[1].terms.touches_by_impulses]
     overlap = max(expected_overlap(system, *each) for each in own)
     after = _after_sweeps(table.solver, max(group.members.size for group, _ in own))
     ends = f"residual {table.tolerance:.3g} or {table.iterations} sweeps, {after}"

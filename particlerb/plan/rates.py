@@ -95,8 +95,7 @@ def _attraction_rates(attraction: Attraction, com: Floats) -> Floats:
 
 def fastest_contact(system: System, group: GroupPlan, segment: Segment) -> float:
     """Largest rate of a contact in a segment [rad/s]."""
-    contact, state = segment.terms.contact, taken(system.state, group.members)
-    assert contact is not None
+    contact, state = segment.terms.known_contact, taken(system.state, group.members)
     fall = falling_speed(system, segment.terms)
     return float(_contact_rates(contact, group.bodies, state, fall).max())
 

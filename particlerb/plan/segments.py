@@ -245,9 +245,8 @@ def accepting(methods: Iterable[str], terms: Terms) -> list[str]:
 def accepts(method: str, terms: Terms, needs: Needs | None = None) -> bool:
     """Whether a method can integrate under these terms, with these needs, and is meant for them."""
     chosen = METHODS[method]
-    by_impulses = terms.contact is not None and terms.contact.rules is not None
     is_idle = chosen.holds_joints and terms.joints is None
-    is_idle = is_idle or (chosen.takes_impulses and not by_impulses)
+    is_idle = is_idle or (chosen.takes_impulses and not terms.touches_by_impulses)
     return not is_idle and not _refused_terms(method, terms, needs)
 
 

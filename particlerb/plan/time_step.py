@@ -47,16 +47,14 @@ def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
 def _crowded_rate(system: System, group: GroupPlan) -> float:
     """Rate of the fastest swing of bodies on all contacts with which they begin [rad/s]."""
     terms, state = group.segments[0].terms, taken(system.state, group.members)
-    assert terms.contact is not None
-    fall = falling_speed(system, terms)
-    depth = deepest_impact(terms.contact, group.bodies, state, fall)
-    return initial_contact_frequency(terms.contact, state.com, state.q, depth)
+    contact, fall = terms.known_contact, falling_speed(system, terms)
+    depth = deepest_impact(contact, group.bodies, state, fall)
+    return initial_contact_frequency(contact, state.com, state.q, depth)
 
 
 def _refuse_above(system: System, segment: Segment, rate: float, where: str) -> None:
     """Raise CaseError where the step of a segment is too long for contacts of a rate [rad/s]."""
-    assert segment.terms.contact is not None
-    reach = contact_limit(segment.method, segment.terms.contact)
+    reach = contact_limit(segment.method, segment.terms.known_contact)
     if METHODS[segment.method].stability_limit == 0.0:
         reach = LONGEST_UNSTABLE
     if not segment.dt * rate > reach:
@@ -130,15 +128,9 @@ IMPULSE_RULE: Final = f"{_OF_RADIUS} r/v, {_OF_FALL} √(r/g)"
 _OF_PATH: Final = 0.5  # of the path of a step: the mean overlap of what lands in its middle
 
 
-def touches_by_impulses(segment: Segment) -> bool:
-    """Whether contacts of a segment have no stiffness."""
-    return segment.terms.contact is not None and segment.terms.contact.rules is not None
-
-
 def _speed(system: System, group: GroupPlan, segment: Segment) -> float:
     """Speed [m/s] that points of bodies have at t = 0 and reach by falling."""
-    contact, state = segment.terms.contact, taken(system.state, group.members)
-    assert contact is not None
+    contact, state = segment.terms.known_contact, taken(system.state, group.members)
     speed = np.linalg.norm(state.p * group.bodies.inv_mass, axis=0)
     spin = np.linalg.norm(omega_world(group.bodies, state), axis=0)
     largest = contact.model.spheres.radius.max(initial=0.0)
@@ -153,10 +145,9 @@ def impulse_step(system: System, group: GroupPlan) -> float:
     """
     step = math.inf
     for segment in group.segments:
-        if not touches_by_impulses(segment):
+        if not segment.terms.touches_by_impulses:
             continue
-        assert segment.terms.contact is not None
-        radius = segment.terms.contact.model.spheres.radius.min(initial=math.inf)
+        radius = segment.terms.known_contact.model.spheres.radius.min(initial=math.inf)
         speed, g = _speed(system, group, segment), float(np.linalg.norm(system.acceleration))
         step = min(step, _OF_RADIUS * radius / speed if speed > 0.0 else math.inf)
         step = min(step, _OF_FALL * math.sqrt(radius / g) if g > 0.0 else math.inf)

@@ -189,8 +189,7 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
     touching = [group for group in prepared.plan.groups if group.touches]
     if touching:
         refuse_contact(prepared, ranks)
-        contact = touching[0].segments[0].terms.contact
-        assert contact is not None
+        contact = touching[0].segments[0].terms.known_contact
         model, n = contact.model, system.n_bodies
         is_free = model.inv_mass > 0.0
         reach = bounding_radii(model.spheres, n)

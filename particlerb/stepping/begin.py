@@ -65,8 +65,7 @@ def _begin_touching(
     before: Motion | None,
 ) -> Motion:  # fmt: skip
     """The same of bodies that touch, by a fixed step."""
-    contact, shared = group.terms.contact, group.shared
-    assert contact is not None
+    contact, shared = group.terms.known_contact, group.shared
     if shared is not None:  # all are stepped
         of_ranks = BrickMotion if shared.ranks.count > 1 else SharedContact
         earlier = before if isinstance(before, SharedContact) else None

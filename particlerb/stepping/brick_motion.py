@@ -80,8 +80,7 @@ class BrickMotion(SharedContact):
     ) -> None:  # fmt: skip
         self.know(shared, shown)
         self.method, self.start, self.dt, self.steps_done = method, start, dt, 0
-        contact, ranks = self.whole.terms.contact, self.ranks
-        assert contact is not None
+        contact, ranks = self.whole.terms.known_contact, self.ranks
         self.bound = bounding_radii(self.model.spheres, self.is_free.size)
         self.reach = float(self.bound[self.is_free].max(initial=0.0))
         self._room_to_show()

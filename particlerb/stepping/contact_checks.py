@@ -58,8 +58,7 @@ class ContactChecks:
         limit: float = STABLE,
         own: Bools | None = None,
     ) -> None:
-        contact = group.terms.contact
-        assert contact is not None
+        contact = group.terms.known_contact
         spheres, n = contact.model.spheres, group.members.size
         self.members, self.dt, self.limit = group.members, dt, limit or STABLE
         self.watch = watch or Watch()

@@ -123,8 +123,7 @@ class ContactMotion(SteppedMotion):
     ) -> None:
         """Room for the contacts of the bodies in the blocks; `own` are asked for, or all."""
         method, group, start, dt = self.method, self.group, self.start, self.dt
-        setup = group.terms.contact
-        assert setup is not None
+        setup = group.terms.known_contact
         n, n_spheres = group.members.size, setup.model.spheres.radius.size
         evaluation = _NANOSECONDS_PER_SPHERE * n_spheres
         self.step_cost = self.cost_of(n, n_spheres)

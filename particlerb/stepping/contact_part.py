@@ -15,8 +15,7 @@ def contact_part(group: SegmentGroup, which: Ints) -> tuple[SegmentGroup, Ints]:
 
     All that move as prescribed, and pairs that do not touch, are among them or none.
     """
-    contact = group.terms.contact
-    assert contact is not None
+    contact = group.terms.known_contact
     model = contact.model
     kept, body = rows_of_kinds(model.spheres.offset, which)
     spheres = model.spheres._replace(

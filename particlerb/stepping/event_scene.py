@@ -5,7 +5,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import flag
-from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.contact.walls import DISC, FACE, PLANE, SIDE, Walls
 from particlerb.events.records import (
@@ -36,22 +35,16 @@ _MOST_CELLS: Final = 8  # for each body, roughly
 _SOLID: Final = (PLANE, FACE, SIDE, DISC)  # edges, vertices and rims are of these
 
 
-def _contact_of(group: SegmentGroup) -> GroupContact:
-    """Contact of a group that has it."""
-    assert group.terms.contact is not None
-    return group.terms.contact
-
-
 def _rules_of(group: SegmentGroup) -> EventRules:
     """How a group collides by events."""
-    rules = _contact_of(group).events
+    rules = group.terms.known_contact.events
     assert rules is not None
     return rules
 
 
 def bounds_of(group: SegmentGroup) -> tuple[Floats, Floats]:
     """Of each body (n,): farthest centre of a sphere, farthest point [m]; 0: a ball."""
-    spheres, n = _contact_of(group).model.spheres, group.members.size
+    spheres, n = group.terms.known_contact.model.spheres, group.members.size
     distance = np.sqrt((spheres.arm**2).sum(axis=0))
     reach, bound = np.zeros(n), np.zeros(n)
     np.maximum.at(reach, spheres.body, distance)
@@ -84,7 +77,7 @@ def _grid(group: SegmentGroup, com: Floats) -> _Grid:
 
     Where they repeat, cells begin anew; elsewhere those beyond the last one share its lists.
     """
-    contact = _contact_of(group)
+    contact = group.terms.known_contact
     bound, box = bounds_of(group)[1], _rules_of(group).box
     points = np.concatenate([com, _points_of(contact.model.walls)], axis=1)
     low, high = points.min(axis=1), points.max(axis=1)
@@ -118,7 +111,7 @@ def order_of(group: SegmentGroup, state: State) -> tuple[Ints, int]:
 
 def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> EventScene:
     """Constants of a group, its bodies in an order."""
-    contact, rules, walls = _contact_of(group), _rules_of(group), _solid(group)
+    contact, rules, walls = group.terms.known_contact, _rules_of(group), _solid(group)
     model, spheres = contact.model, contact.model.spheres
     reach, bound = bounds_of(group)
     grid = _grid(group, state.com)
@@ -174,7 +167,7 @@ def _box(box: Floats) -> tuple[Vec3, Vec3] | None:
 
 def _solid(group: SegmentGroup) -> Walls:
     """Primitives with a surface."""
-    walls = _contact_of(group).model.walls
+    walls = group.terms.known_contact.model.walls
     solid = np.isin(walls.kind, _SOLID)
     parameter = np.ascontiguousarray(walls.parameter[solid])
     return walls._replace(kind=walls.kind[solid], parameter=parameter)

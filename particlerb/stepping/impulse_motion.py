@@ -66,8 +66,7 @@ class ImpulseMotion(ContactMotion):
                 f" hold what it may meet: leave out contact.skin, or take a shorter run.dt"
             )
         if not self.contact.setup.is_skin_fixed:
-            assert self.group.terms.contact is not None
-            self.lists.least_skin = max(self.group.terms.contact.skin, _REACH * path)
+            self.lists.least_skin = max(self.group.terms.known_contact.skin, _REACH * path)
             self.lists.skin = max(self.lists.skin, self.lists.least_skin)
         super().make_lists()
         self._make_room()

@@ -60,8 +60,7 @@ class SharedContact(ContactMotion):
     def know(self, shared: Shared, shown: SegmentGroup) -> None:
         """Take note of all bodies, and of who shows, and saves, which of them."""
         self.whole, self.ranks, self.shown = shared.group, shared.ranks, shown
-        contact = self.whole.terms.contact
-        assert contact is not None
+        contact = self.whole.terms.known_contact
         self.model = contact.model
         self.is_free = self.model.inv_mass > 0.0
         parts = parts_of(self.whole.members.size)

@@ -147,8 +147,7 @@ class DiluteMotion(Motion):
         dt: float,
         histories: Histories | None = None,
     ) -> None:
-        contact = group.terms.contact
-        assert contact is not None
+        contact = group.terms.known_contact
         self.method = method
         self.group, self.contact, self.start, self.dt = group, contact, start, dt
         self.skin = 2.0 * contact.skin
