@@ -83,7 +83,7 @@ class Selection(NamedTuple):
             return trajectory.read(name, part, bodies)
         if name == "velocity":
             momentum = trajectory.read("linear_momentum", part, bodies)
-            return momentum / trajectory.mass[self.bodies, None]
+            return momentum * trajectory.bodies.inv_mass[self.bodies, None]
         q = trajectory.read("orientation", part, bodies)
         L = trajectory.read("angular_momentum", part, bodies)
         return derived(taken(trajectory.bodies, self.bodies), q, L, L)[1]

@@ -86,8 +86,8 @@ class Trajectory(LabelledReader):
 
     @property
     def velocity(self) -> Floats:
-        """Velocities [m/s], world frame, shape (T, N, 3): P / M."""
-        return self.linear_momentum / self.mass[:, None]
+        """Velocities [m/s], world frame, shape (T, N, 3): P / M, by 1 / M as the solver."""
+        return self.linear_momentum * self.bodies.inv_mass[:, None]
 
     @property
     def angular_velocity(self) -> Floats:
