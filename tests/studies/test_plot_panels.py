@@ -120,6 +120,20 @@ def test_a_body_that_is_named_has_its_own_panels(make, monkeypatch):
     assert trajectory.names[3] == "ball[3]"
 
 
+def test_a_side_view_has_the_floor_and_the_walls(make, monkeypatch):
+    box = {"name": "box", "type": "box", "lower": [-1, -1, -1], "upper": [3, 3, 3],
+           "open": ["+z"]}  # fmt: skip
+    case = heap(make) | {"wall": [FLOOR, box]}
+    case["body"][0]["place"] |= {"n": [5, 1, 3], "origin": [0, 0, 0.5]}
+    figure, _ = drawn(case, monkeypatch)
+    floor, *faces = [line for line in figure.axes[0].lines if line.get_zorder() < 1.0]
+    left, right, below = (line.get_xydata() for line in faces)
+    assert floor.get_xy1()[1] == floor.get_xy2()[1] == 0.0
+    assert np.array_equal(left, [[-1, -1], [-1, 3]])
+    assert np.array_equal(right, [[3, -1], [3, 3]])
+    assert np.array_equal(below, [[-1, -1], [3, -1]])
+
+
 def test_energies_are_those_of_the_balance(make, monkeypatch):
     figure, trajectory = drawn(orbits(make), monkeypatch)
     lines = {line.get_label(): line.get_ydata() for line in panel(figure, "energies").lines}

@@ -1,5 +1,6 @@
 """Bodies as a picture shows them: paths, a side view, a linkage at instants, attitudes of one."""
 
+from itertools import product
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -76,6 +77,7 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     colours = 1.0 - share * (1.0 - np.array(to_rgb(COLOURS[0]))) - 0.08 * (1.0 - share)
     radii = trajectory.particles.radius[particle][order]
     draw_particles(axes, centres[order][:, shown], np.maximum(radii, 0.003 * reach), colours)
+    _draw_walls(axes, trajectory, frame, shown)
     if trajectory.n_bodies <= FEW:
         _draw_outlines(axes, trajectory, frame, (across, up))
         for path in np.moveaxis(trajectory.read("position")[: frame + 1], 1, 0):
@@ -164,6 +166,31 @@ def _draw_boxes(axes: Axes, corners: Floats, is_last: bool, height: float) -> No
         [face[:, :2] for face in faces], facecolors=tint, edgecolors=INK, linewidths=0.7,
         alpha=opacity, zorder=height,
     ))  # fmt: skip
+
+
+def _draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int]) -> None:
+    """Planes and faces of boxes that are seen edge on; what moves, only where that was recorded."""
+    middle = trajectory.read("position", slice(frame, frame + 1))[0].mean(axis=0)[shown]
+    style: dict[str, Any] = {"color": INK, "lw": 1.2, "zorder": 0.4}
+    for k, wall in enumerate(trajectory.parameter("case_resolved")["wall"]):
+        moved = np.zeros(2)
+        if wall["piston"] and "wall_position" in trajectory.other_fields:
+            moved = np.diff(trajectory.wall_position[[0, frame], k], axis=0)[0, shown]
+        elif wall["piston"] or wall["motion"]:
+            continue
+        if wall["type"] == "plane":
+            normal = np.array(wall["normal"]) / np.linalg.norm(wall["normal"])
+            n, point = normal[shown], np.array(wall["point"])[shown] + moved
+            if n @ n > 1.0 - 1e-9:
+                foot = middle + ((point - middle) @ n) * n
+                axes.axline(foot, foot + 1e-3 * np.array([-n[1], n[0]]), **style)
+        elif wall["type"] == "box":
+            ends = np.array([wall["lower"], wall["upper"]])[:, shown] + moved
+            for across, side in product((0, 1), (0, 1)):
+                if f"{'-+'[side]}{'xyz'[shown[across]]}" not in wall["open"]:
+                    line = ends.copy()
+                    line[:, across] = ends[side, across]
+                    axes.plot(*line.T, **style)
 
 
 def _draw_outlines(axes: Axes, trajectory: Trajectory, frame: int, shown: tuple[int, int]) -> None:
@@ -327,7 +354,8 @@ def draw_attitudes(axes: Axes, trajectory: Trajectory, body: int) -> None:
         axes.text(_APART * k, -0.85, f"{trajectory.time[frames[k]]:.4g} s", ha="center", color=INK)
     axes.set(xlim=(-0.7, _APART * (_ATTITUDES - 1) + 0.7), ylim=(-0.95, 0.75), aspect="equal")
     axes.set_axis_off()
-    title = f"{trajectory.names[body]}, its angular momentum upwards, its {'xyz'[spun]} axis orange"
+    name = f"box around {trajectory.names[body]}"
+    title = f"{name}; its angular momentum is upwards, its {'xyz'[spun]} axis orange"
     axes.set_title(title, fontsize=10, color=INK)
 
 
