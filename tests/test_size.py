@@ -25,7 +25,7 @@ BUDGETS = {
     "scenes and simulations in Python": 610,
     "sweeps": 1561,
     "one scene over ranks": 1933,
-    "reports, pictures, the page": 1170,
+    "reports, pictures, the page": 1196,
     "scenes for other programs": 432,
     "speed of compiling and of whole calls": 850,
     "watches": 30,
