@@ -2,21 +2,26 @@
 
     python benchmarks/estimates.py [CASE ...]
 
-Prints a row per case: seconds told and taken by the whole command, and their ratio (3 are allowed);
-bytes told and written (2). Its table is `benchmarks/results/estimates.csv`.
+Prints a row per case: seconds told and taken by the whole command on one thread, and their ratio
+(3 are allowed); its processor seconds, which other work delays less; bytes told and written (2).
+Its table is `benchmarks/results/estimates.csv`, each row with the load of the machine.
 """
 
 import csv
 import json
+import resource
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+from results import load, processor
+
 CASES = Path(__file__).parent.parent / "cases"
 TABLE = Path(__file__).parent / "results" / "estimates.csv"
-HEAD = ["case", "seconds told", "seconds taken", "ratio", "bytes told", "bytes written", "ratio"]
+HEAD = ["case", "seconds told", "taken", "ratio", "processor seconds", "ratio", "bytes told",
+        "written", "ratio", "load"]  # fmt: skip
 LONGEST = 600.0
 
 
@@ -26,23 +31,30 @@ def particlerb(*words):
     return subprocess.run(command, check=False, capture_output=True, text=True, timeout=LONGEST)
 
 
+def processor_seconds():
+    """Of all commands so far."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def row(case, folder):
     """What `check` says of a case, and what its second run takes."""
     path = folder / "run.h5"
-    words = ("run", case, "-o", path, "--overwrite", "--quiet")
+    words = ("run", case, "-o", path, "--overwrite", "--quiet", "--threads", 1)
     particlerb(*words)
     told = json.loads(particlerb("check", case, "--json").stdout)
-    start = time.perf_counter()
+    start, before = time.perf_counter(), processor_seconds()
     particlerb(*words)
-    taken = time.perf_counter() - start
-    written = path.stat().st_size
-    values = told["seconds"], taken, told["seconds"] / taken
+    taken, used = time.perf_counter() - start, processor_seconds() - before
+    written, seconds = path.stat().st_size, told["seconds"]
+    values = seconds, taken, seconds / taken, used, seconds / used
     return [
         case.stem,
         *(f"{value:.3g}" for value in values),
         told["bytes"],
         written,
         f"{told['bytes'] / written:.3g}",
+        load(),
     ]
 
 
@@ -55,11 +67,11 @@ def main():
             try:
                 rows.append(row(case, Path(folder)))
             except subprocess.TimeoutExpired:
-                rows.append([case.stem, *["-"] * 6])
+                rows.append([case.stem, *["-"] * 9])
             print(*(f"{value!s:>18}" for value in rows[-1]), flush=True)
     if not asked:
         with TABLE.open("w", newline="") as file:
-            csv.writer(file).writerows([HEAD, *rows])
+            csv.writer(file).writerows([[*HEAD, processor()], *rows])
 
 
 if __name__ == "__main__":

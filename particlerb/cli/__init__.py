@@ -15,6 +15,7 @@ import os
 import re
 import signal
 import sys
+import time
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
@@ -83,6 +84,7 @@ def main(words: Sequence[str] | None = None) -> int:
                 find_case(words[0], tuple(COMMANDS))
             words.insert(0, "run")
         options = _parsed(top, words)
+        options.started = time.perf_counter()
         _tell_progress()
         module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
         code: int = getattr(module, f"{options.command}_command")(options)

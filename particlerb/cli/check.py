@@ -2,7 +2,7 @@
 
 import argparse
 import json
-from time import process_time
+from time import perf_counter
 
 from particlerb.cli.common import amount, wall_time
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, ending, tamed
@@ -18,9 +18,9 @@ def check_command(options: argparse.Namespace) -> int:
     prepared = prepared_case(options)
     with ending(NoRanksError):
         shares = shares_of(prepared, options.ranks) if options.ranks else None
-    started = process_time()  # a warm run needs as much before its first step
+    until_now = perf_counter() - options.started  # as a warm run before its first step
     try:
-        seconds = started + estimated_seconds(prepared)
+        seconds = until_now + estimated_seconds(prepared)
     except RunError as error:
         raise Ending(f"{options.case} can be run, but fails soon: {error}", FAILED) from None
     if options.json:
