@@ -233,7 +233,7 @@ def scipy_times(
     last = part(study.system, study.plan("auto", None), study.which)
     found = dict.fromkeys(wanted, np.nan)
     with THREADS.using(1, clock):
-        for tolerance in engine.variants["DOP853"]:
+        for tolerance in engine.VARIANTS["DOP853"]:
             result = engine.run(scene, "DOP853", tolerance)
             error = peer_errors(
                 result, study.system, study.which, last, study.times, study.reference.frames

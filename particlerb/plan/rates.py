@@ -117,11 +117,12 @@ def _contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: fl
     partner = _softest_partners(contact, softness, own)
     own[model.spheres.body] = model.spheres.material
     pair = model.pair_of[own]  # of bodies that touch nothing any one: they have no partners
-    both = np.where(own[:, None] >= 0, softness[:, None] + partner, 0.0)
+    touching = own[:, None] >= 0  # and -inf is the partner where there is none
+    both = np.maximum(np.where(touching, softness[:, None] + partner, 0.0), 0.0)
     shear = np.where(law.friction > 0.0, law.tangential_stiffness, 0.0)
     if law.hertz is None:
         k = (law.stiffness + shear)[pair]
-        return np.asarray(np.sqrt(np.maximum(k * both, 0.0).max(axis=1)))
+        return np.asarray(np.sqrt((k * both).max(axis=1)))
     speed = _impact_speed(contact, bodies, state, fall)
     K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(float(model.spheres.radius.max()))
     share = 1.0 + 6.0 * (shear / np.maximum(law.stiffness, 1e-300))[pair]

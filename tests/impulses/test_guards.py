@@ -1,8 +1,11 @@
 """What contact by impulses does not do yet, and keys of the other laws, are refused in words."""
 
+from pathlib import Path
+
 import pytest
 from impulse_scenes import DOWN, R, case, go, impulse, plane, sphere
 
+import particlerb
 from particlerb.case.problems import CaseError
 
 BALL = sphere(position=[0, 0, R])
@@ -32,6 +35,13 @@ def test_what_impulses_do_not_know_is_refused(keys, words):
         go(BALL, **({"wall": [plane()], "gravity": DOWN, "dt": 1e-3} | keys))
     assert words in str(error.value)
     assert "methods that do: moreau" in str(error.value) or "strang does" not in words
+
+
+def test_an_accuracy_is_refused_whatever_the_materials():
+    """One ball alone has its material, so it has no partner of it; and impulses no stiffness."""
+    slope = Path(__file__).parents[2] / "cases" / "impulse_slope.toml"
+    with pytest.raises(CaseError, match=r"run\.accuracy: is for contacts with a stiffness"):
+        particlerb.run(slope, overrides=["run.accuracy=1e-3"])
 
 
 def test_a_step_is_chosen_by_size_and_speed_and_said_with_what_overlap_to_expect():
