@@ -5,67 +5,43 @@ q_a·q_b; its whole turns are counted at each drift, by the shorter way from one
 Nothing is counted where nobody asks for it.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Final, NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel, unfused_kernel
-from particlerb.joints.records import Coordinates
+from particlerb.joints.records import ALONG, ROTATION, TURN, Coordinates
 from particlerb.joints.rows import attitude, put_vector, vector
-from particlerb.joints.types import Ends
+from particlerb.joints.types import COORDINATES, Ends, coordinate_rows
 from particlerb.maths.quaternion import to_world
 from particlerb.maths.vec3 import Floats, Vec3, dot, subtract
 
 
-class Coordinate(NamedTuple):
-    """One coordinate: its name, its unit, and the directions that it takes."""
-
-    name: str
-    first: tuple[str, ...] = ()  # p, q of an angle in the first body; none: a displacement
-    second: tuple[str, ...] = ()  # p, q in the second; of a displacement its direction there
-
-    @property
-    def unit(self) -> str:
-        """Of an angle, or of a displacement."""
-        return "rad" if self.first else "m"
-
-
-TURN: Final = Coordinate("angle", ("e", "e"), ("e", "f"))
-SHIFT: Final = Coordinate("displacement", (), ("n",))
-COORDINATES: Final[Mapping[str, tuple[Coordinate, ...]]] = {
-    "hinge": (TURN,),
-    "universal": (
-        Coordinate("angle about axis", ("m", "l"), ("m", "m")),
-        Coordinate("angle about axis_to", ("n", "n"), ("n", "l")),
-    ),
-    "slider": (SHIFT,),
-    "cylindrical": (SHIFT, TURN),
-    "screw": (SHIFT, TURN),
-    "planar": (
-        Coordinate("first displacement", (), ("e",)),
-        Coordinate("second displacement", (), ("f",)),
-        TURN,
-    ),
-}  # l stands across n and m
+def names_of(kind: str) -> list[tuple[str, str]]:
+    """Names and units of the coordinates of joints of a type; those of balls are not counted."""
+    rows = [(name, own[0].kind) for name, own in COORDINATES.get(kind, {}).items()]
+    return [(name, "m" if of == ALONG else "rad") for name, of in rows if of != ROTATION]
 
 
 def coordinates_of(kind: str, ends: Ends) -> Coordinates:
     """Coordinates of joints of a type, joint after joint; numbers are counted from 0."""
-    parts = []
-    for own in COORDINATES.get(kind, ()):
-        if own.first:
-            vectors = [ends.first[name] for name in own.first]
-            vectors += [ends.second[name] for name in own.second]
+    parts, is_angle = [], list[bool]()
+    for name, unit in names_of(kind):
+        (row,) = coordinate_rows(kind, ends, name)
+        first, second, axis = row.first, row.second, row.axis
+        if unit == "m":
+            vectors = first, np.zeros_like(first), axis, second
+        elif row.kind[0] == TURN:
+            vectors = first, first, second, np.cross(axis, second)
         else:
-            vectors = [ends.first_at, np.zeros_like(ends.first_at)]
-            vectors += [ends.second[own.second[0]], ends.second["at"]]
+            vectors = first, np.cross(first, axis), second, second
         parts.append(np.stack(vectors, axis=1))
+        is_angle.append(unit == "rad")
     k, n = ends.a.size, len(parts)
     joint = np.repeat(np.arange(k), n)
     found = np.stack(parts, axis=1).reshape(-1, 4, 3) if parts else np.zeros((0, 4, 3))
-    is_angle = np.tile([bool(own.first) for own in COORDINATES.get(kind, ())], k).astype(np.bool_)
-    return Coordinates(np.arange(k * n), joint, ends.a[joint], ends.b[joint], is_angle, found)
+    angles = np.tile(is_angle, k).astype(np.bool_)
+    return Coordinates(np.arange(k * n), joint, ends.a[joint], ends.b[joint], angles, found)
 
 
 def united(parts: Sequence[Coordinates], n_joints: Sequence[int]) -> Coordinates:

@@ -73,7 +73,7 @@ COORDINATES: Final[Mapping[str, Mapping[str, tuple[_Constraint, ...]]]] = {
         "angle": _ANGLE,
     },
 }
-"""Free coordinates of joints, along which springs, stops, motors, dampers and drives act."""
+"""Free coordinates, along which springs, stops, motors, dampers and drives act; in their order."""
 
 
 class Ends(NamedTuple):
@@ -99,16 +99,16 @@ def rows_of(
     """
     parts = [_row_of(row, ends) for row in TYPES[kind]]
     if action != HOLDS:
-        for own in _coordinate_of(kind, ends, along):
+        for own in coordinate_rows(kind, ends, along):
             parts.append(own._replace(action=np.full(ends.a.size, action)))
     if drive != AT_REST:
-        for own in _coordinate_of(kind, ends, along):
+        for own in coordinate_rows(kind, ends, along):
             parts.append(own._replace(drive=np.full(ends.a.size, drive)))
     stacked = (np.stack(arrays, axis=1) for arrays in zip(*parts, strict=True))
     return ConstraintRows(*(array.reshape(-1, *array.shape[2:]) for array in stacked))
 
 
-def _coordinate_of(kind: str, ends: Ends, along: str | None) -> list[ConstraintRows]:
+def coordinate_rows(kind: str, ends: Ends, along: str | None) -> list[ConstraintRows]:
     """Rows along a free coordinate of each of the joints, 0 at the start."""
     rows = COORDINATES[kind][along or next(iter(COORDINATES[kind]))]
     if kind == "ball":

@@ -19,7 +19,7 @@ from particlerb.contact.prescribed_motion import (
     prescribed_pose,
 )
 from particlerb.forces.links import Links
-from particlerb.joints.coordinates import COORDINATES, united
+from particlerb.joints.coordinates import names_of, united
 from particlerb.joints.drives import set_moving
 from particlerb.joints.records import (
     AT_REST,
@@ -124,12 +124,8 @@ class JointSetup(NamedTuple):
     @property
     def coordinate_labels(self) -> list[tuple[str, str]]:
         """Name and unit of each coordinate."""
-        kinds = [COORDINATES.get(kind, ()) for kind in self.types]
-        return [
-            (f"{name}, {own.name}", own.unit)
-            for name, coordinates in zip(self.names, kinds, strict=True)
-            for own in coordinates
-        ]
+        pairs = zip(self.names, self.types, strict=True)
+        return [(f"{name}, {own}", unit) for name, kind in pairs for own, unit in names_of(kind)]
 
 
 def asked_of_joints(system: System) -> set[str]:
