@@ -14,14 +14,14 @@ impacts included, and a joint breaks at the end of the first step in which it is
 time is the middle of that step.
 """
 
-from math import inf, sqrt
+from math import inf
 from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.joints.records import HOLDS, Breaks, Joints, P, Work
 from particlerb.joints.rows import add_impulses, attitude, vector
 from particlerb.maths.quaternion import to_world
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, row3, subtract
+from particlerb.maths.vec3 import Floats, add_scaled, cross, norm, row3, subtract
 
 _SAME: Final = 1e-9  # over a step: instants as near as this are one
 
@@ -103,7 +103,7 @@ def _impulses(
         turning = add_scaled(kept[r], vector(work.gradient, r, 3), turning)
     first = start[j]
     arm = to_world(attitude(pose, joints.rows.a[first]), row3(joints.rows.first, first))
-    return _length(impulse), _length(subtract(turning, cross(arm, impulse)))
+    return norm(impulse), norm(subtract(turning, cross(arm, impulse)))
 
 
 @inline
@@ -139,12 +139,6 @@ def let_go(work: Work, broken: Floats, t: float) -> bool:
         work.broken[j] = -inf if has_broken else inf
         broken[j] = broken[j] if has_broken else inf
     return found
-
-
-@inline
-def _length(v: Vec3) -> float:
-    """|v|."""
-    return sqrt(dot(v, v))
 
 
 @inline

@@ -172,30 +172,30 @@ class Work(NamedTuple):
     y: Floats  # (n + 1, 13) states
     pose: Floats  # (n + 1, 13) where a drift begins, with the momenta that it begins with
     gradient: Floats  # (m, 15)
-    g: Floats  # (m,) residuals
-    moving: Floats  # (m,) ∂g/∂t
     motion: Floats  # (n + 1, 9) v, ω and dv/dt of bodies that move as prescribed, 0 of others
     later: Floats  # (n + 1, 7) where those are at the end of a drift
+    change: Floats  # (n + 1, 6) momenta that a kick gave; those before damping; or loads
+    inv_mass: Floats  # (n + 1,) [1/kg] with drag in it
+    inv_inertia: Floats  # (n + 1, 3) [1/(kg m²)] likewise
+    g: Floats  # (m,) residuals
+    moving: Floats  # (m,) ∂g/∂t
+    z: Floats  # (m,) right sides and solutions
+    total: Floats  # (m,) impulses of a drift
+    kept: Floats  # (m,) impulses since the middle of the last step, of these
+    carried: Floats  # (m,) impulses of a step, where contacts have no stiffness and some may break
+    last_g: Floats  # (m,) residuals of the iteration before,
+    last_gain: Floats  # (m,) and the impulses that it has added
+    before: Floats  # (m,) rates of coordinates before a kick
+    scale: Floats  # (m,) diagonal of A
+    compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
+    past: Floats  # (m, 4) of the last step, over its kick, and differences back; NaN: not known
+    factor: Floats  # (blocks, w, w) for joints of w rows at most
+    lost: Ints  # (k,) 1 + row that did not converge, and m more if its axes left their place
+    turned: Floats  # (c, 3) cosine, sine and whole turns of each angle; or displacement [m], 0, 0
     clock: Floats  # (3,) [s] since the segment began, at the start of a step; the whole step; when
     # the segment began
     broken: Floats  # (j,) [s] when each joint breaks, since t = 0; inf: it holds
     load: Floats  # (j, 2) force and torque one step ago, if some may break; -1: not known
-    kept: Floats  # (m,) impulses since the middle of the last step, of these
-    z: Floats  # (m,) right sides and solutions
-    total: Floats  # (m,) impulses of a drift
-    last_g: Floats  # (m,) residuals of the iteration before,
-    last_gain: Floats  # (m,) and the impulses that it has added
-    past: Floats  # (m, 4) of the last step, over its kick, and differences back; NaN: not known
-    before: Floats  # (m,) rates of coordinates before a kick
-    compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
-    scale: Floats  # (m,) diagonal of A
-    factor: Floats  # (blocks, w, w) for joints of w rows at most
-    lost: Ints  # (k,) 1 + row that did not converge, and m more if its axes left their place
-    turned: Floats  # (c, 3) cosine, sine and whole turns of each angle; or displacement [m], 0, 0
-    change: Floats  # (n + 1, 6) momenta that a kick gave; or those before damping
-    inv_mass: Floats  # (n + 1,) [1/kg] with drag in it
-    inv_inertia: Floats  # (n + 1, 3) [1/(kg m²)] likewise
-    carried: Floats  # (m,) impulses of a step, where contacts have no stiffness and some may break
 
 
 class Jointed(NamedTuple):
@@ -218,31 +218,23 @@ def room_for_joints(joints: Joints) -> Work:
     width = int(np.diff(joints.program.start).max())
     y = np.zeros((n, STATE))
     y[:, Q] = 1.0
-    return Work(
+    arrays = (
         y,
         np.zeros((n, STATE)),
         np.zeros((m, GRADIENT)),
-        np.zeros(m),
-        np.zeros(m),
         np.zeros((n, 9)),
         np.zeros((n, P)),
-        np.zeros(3),
-        np.full(joints.number.size, np.inf),
-        np.full((joints.number.size, 2), -1.0),
-        np.zeros(m),
-        np.zeros(m),
-        np.zeros(m),
-        np.zeros(m),
-        np.zeros(m),
-        np.full((m, 4), np.nan),
-        np.zeros(m),
-        np.where(joints.rows.action == HOLDS, 0.0, np.inf).astype(np.float64),
-        np.zeros(m),
-        np.zeros((len(joints.program.pair), width, width)),
-        np.zeros(k, dtype=np.int64),
-        np.zeros((joints.coordinates.a.size, 3)),
         np.zeros((n, 6)),
         np.zeros(n),
         np.zeros((n, 3)),
-        np.zeros(m),
+        *np.zeros((10, m)),
+        np.where(joints.rows.action == HOLDS, 0.0, np.inf).astype(np.float64),
+        np.full((m, 4), np.nan),
+        np.zeros((len(joints.program.pair), width, width)),
+        np.zeros(k, dtype=np.int64),
+        np.zeros((joints.coordinates.a.size, 3)),
+        np.zeros(3),
+        np.full(joints.number.size, np.inf),
+        np.full((joints.number.size, 2), -1.0),
     )
+    return Work._make(arrays)
