@@ -12,16 +12,15 @@ VII.2; the rows in joints/rows.py.
 
 from math import nan
 
-from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.jit import Flag, inline, kernel, unfused_kernel
 from particlerb.integrators.joint_stages import place_driven
-from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import action_force
-from particlerb.joints.block_cholesky import solve
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.drives import set_moving
+from particlerb.joints.reactions import factorise_all, find_multipliers
 from particlerb.joints.records import HOLDS, STATE, Jointed, Joints, L, P, Q, Work, X
 from particlerb.joints.rows import add_impulses, attitude, by_inverse_inertia, linearise, vector
-from particlerb.joints.solver import constrained_drift, factorise_cluster, keep_rates
+from particlerb.joints.solver import constrained_drift, keep_rates
 from particlerb.joints.trees import JointTree, accelerate_tree
 from particlerb.maths.vec3 import Floats, Vec3, add, cross, dot, scale, subtract
 from particlerb.model.block import BOOKED
@@ -97,9 +96,9 @@ def _book_row(
     _book(books, jointed, slope, w, k, power, F, tau)
 
 
-@inline
-def _act(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
-    """Add to the loads what springs, stops, motors and dampers do along their rows."""
+@unfused_kernel
+def add_actions(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
+    """Add to the loads what springs, stops, motors, dampers and drag do, and book it."""
     joints, work = jointed.joints, jointed.work
     for r in range(joints.rows.kind.size):
         if joints.rows.action[r] != HOLDS:
@@ -110,6 +109,7 @@ def _act(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
             )
             power -= force * work.moving[r]
             _book_row(books, jointed, slope, w, r, force, power)
+    _drag(jointed.damps, books, jointed, slope, w)
 
 
 @inline
@@ -130,20 +130,10 @@ def _drag(damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> 
 
 
 @inline
-def _find_multipliers(joints: Joints, work: Work) -> None:
-    """z = λ of all rows under the loads in `work.change`."""
-    start, joint = joints.program.start, joints.clusters.joint
-    for c in range(joints.clusters.body.size - 1):
-        accelerations(joints, work, start[joint[c]], start[joint[c + 1]], work.change)
-        solve(joints.program, joints.clusters, work.factor, work.z, c)
-
-
-@inline
 def _prepare(tree: JointTree | None, joints: Joints, work: Work, t: float) -> None:
     """Gradients of all rows and the factor of A; in trees gradients alone, of what acts."""
     if tree is None:
-        for c in range(joints.clusters.body.size - 1):
-            factorise_cluster(joints, work, c, 0.0, t)
+        factorise_all(joints, work, t)
         return
     for r in range(joints.rows.kind.size):
         if joints.rows.action[r] != HOLDS:
@@ -157,7 +147,7 @@ def _add_what_holds(
     """Add what keeps the joints to the loads in `work.change`, and book it."""
     joints, work = jointed.joints, jointed.work
     if tree is None:
-        _find_multipliers(joints, work)
+        find_multipliers(joints, work, work.change)
         m = joints.rows.kind.size
         for r in range(m):
             _book_row(books, jointed, slope, w, r, work.z[r], -work.z[r] * work.moving[r])
@@ -195,8 +185,7 @@ def add_reactions(
             work.change[k, i] = slope[jointed.block[k], (P + i) * w + jointed.lane[k]]
     _prepare(jointed.tree, joints, work, t)
     if joints.acts or joints.damps:
-        _act(books, jointed, slope, w)
-    _drag(jointed.damps, books, jointed, slope, w)
+        add_actions(books, jointed, slope, w)
     _add_what_holds(jointed.tree, books, jointed, slope, w)
     _give_slopes(jointed, slope, w)
 

@@ -112,25 +112,6 @@ def action_force(joints: Joints, work: Work, r: int) -> tuple[float, float]:
     return f, (actions.motor[k] - c * v) * v
 
 
-@unfused_kernel
-def add_action_loads(joints: Joints, work: Work, load: Floats) -> None:
-    """Add drag, and what springs, stops, motors and dampers do, to loads (n + 1, 6).
-
-    Gradients are those of the poses.
-    """
-    for r in range(joints.rows.kind.size):
-        if joints.rows.action[r] != HOLDS:
-            work.z[r], _ = action_force(joints, work, r)
-            add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, r, r + 1, load, 0)
-    for b in range(joints.inv_mass.size):
-        q, c = attitude(work.y, b), joints.drag[b, 1]
-        m, inverse = to_body(q, vector(work.y, b, P + 3)), row3(joints.inv_inertia, b)
-        spin = to_world(q, component_product(inverse, m))
-        for i in range(3):
-            load[b, i] -= joints.drag[b, 0] * joints.inv_mass[b] * work.y[b, P + i]
-            load[b, 3 + i] -= c * spin[i]
-
-
 # Damping
 
 

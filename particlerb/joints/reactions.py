@@ -15,21 +15,26 @@ from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import DOT, HOLDS, STATE, TURN, Joints, P, Q, Work
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.vec3 import Bools, Floats
+from particlerb.model.state import rotate, rotate_back
 from particlerb.model.worlds import Worlds
 
-_CONJUGATE: Final = np.array([1.0, -1.0, -1.0, -1.0])
 _DEPENDENT: Final = 1e-10  # singular values over the largest
 _OPEN: Final = 1e-8  # share of the largest component of a null vector that is not its rounding
 
 
 @unfused_kernel
+def factorise_all(joints: Joints, work: Work, t: float) -> None:
+    """Gradients of all rows and the factors of A in the states y at t."""
+    for c in range(joints.clusters.body.size - 1):
+        factorise_cluster(joints, work, c, 0.0, t)
+
+
+@unfused_kernel
 def find_multipliers(joints: Joints, work: Work, load: Floats) -> None:
-    """z = λ [N, or N m] of all rows in the state y under loads (n + 1, 6), force and torque."""
-    clusters, start = joints.clusters, joints.program.start
-    for c in range(clusters.body.size - 1):
-        first, last = clusters.joint[c], clusters.joint[c + 1]
-        factorise_cluster(joints, work, c, 0.0, work.clock[0])
-        accelerations(joints, work, start[first], start[last], load)
+    """z = λ [N, or N m] of all rows by these factors, under loads (n + 1, 6), force and torque."""
+    start, joint = joints.program.start, joints.clusters.joint
+    for c in range(joints.clusters.body.size - 1):
+        accelerations(joints, work, start[joint[c]], start[joint[c + 1]], load)
         solve(joints.program, joints.clusters, work.factor, work.z, c)
 
 
@@ -48,16 +53,9 @@ def weighted_gradient(joints: Joints, work: Work, c: int) -> Floats:
         q = work.y[end, 3:7]
         weighted[index, own, :3] = sign * work.gradient[lo:hi, :3]
         weighted[index, own, :3] *= np.sqrt(joints.inv_mass[end])[:, None]
-        turning = _to_body(q, work.gradient[lo:hi, at : at + 3])
-        weighted[index, own, 3:] = turning * np.sqrt(joints.inv_inertia[end])
+        turning = rotate_back(q.T, work.gradient[lo:hi, at : at + 3].T)
+        weighted[index, own, 3:] = turning.T * np.sqrt(joints.inv_inertia[end])
     return np.ascontiguousarray(weighted[:, :n].reshape(hi - lo, -1))
-
-
-def _to_body(q: Floats, v: Floats) -> Floats:
-    """Rᵀ v of rows."""
-    u = -q[:, 1:]
-    t = 2.0 * np.cross(u, v)
-    return np.asarray(v + q[:, :1] * t + np.cross(u, t))
 
 
 def dependent_rows(weighted: Floats) -> Floats:
@@ -127,8 +125,8 @@ def forces_of_joints(joints: Joints, work: Work, z: Floats) -> Floats:
         return np.zeros((0, 6))
     force = np.add.reduceat(z[:, None] * by_x, start)
     turning = np.add.reduceat(z[:, None] * by_a, start)
-    arm = _to_body(work.y[joints.rows.a[start], 3:7] * _CONJUGATE, joints.rows.first[start])
-    return np.hstack([force, turning - np.cross(arm, force)])
+    arm = rotate(work.y[joints.rows.a[start], 3:7].T, joints.rows.first[start].T)
+    return np.hstack([force, turning - np.cross(arm.T, force)])
 
 
 def energy_of_joints(

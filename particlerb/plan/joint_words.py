@@ -6,7 +6,12 @@ from typing import Final
 import numpy as np
 
 from particlerb.impulses.records import MOTOR, RUBS, STOP
-from particlerb.joints.reactions import find_multipliers, forces_of_joints, null_vectors
+from particlerb.joints.reactions import (
+    factorise_all,
+    find_multipliers,
+    forces_of_joints,
+    null_vectors,
+)
 from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, Joints, Work, room_for_joints
 from particlerb.joints.rows import linearise
 from particlerb.maths.vec3 import Floats
@@ -45,12 +50,12 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
         Of gravity and pushes.
     """
     work = work_at(joints, state)
-    load = np.zeros((joints.inv_mass.size, 6))
-    load[:-1, :3] = force.T[joints.order]
-    find_multipliers(joints, work, load)
+    work.change[:-1, :3] = force.T[joints.order]
+    factorise_all(joints, work, 0.0)
+    find_multipliers(joints, work, work.change)
     carried = np.linalg.norm(forces_of_joints(joints, work, work.z)[:, :3], axis=1)
     first = joints.program.start[:-1]
-    weight = np.linalg.norm(load[:, :3], axis=1)
+    weight = np.linalg.norm(work.change[:, :3], axis=1)
     squared = np.zeros(joints.inv_mass.size)
     is_distance = joints.rows.kind[first] == DISTANCE
     ends = (joints.rows.a, joints.rows.first), (joints.rows.b, joints.rows.second)

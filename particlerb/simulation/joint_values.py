@@ -12,13 +12,17 @@ import numpy as np
 
 from particlerb.case.problems import CaseError, nearest, problem_at
 from particlerb.integrators import METHODS
+from particlerb.integrators.joint_slopes import add_actions
 from particlerb.integrators.joint_stages import place_driven
 from particlerb.integrators.stages import gather_loads
-from particlerb.joints.actions import add_action_loads
 from particlerb.joints.coordinates import values_of
-from particlerb.joints.drives import set_moving
-from particlerb.joints.reactions import find_multipliers, forces_of_joints, make_least
-from particlerb.joints.rows import linearise, rates, residuals
+from particlerb.joints.reactions import (
+    factorise_all,
+    find_multipliers,
+    forces_of_joints,
+    make_least,
+)
+from particlerb.joints.rows import rates, residuals
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, into_blocks
 from particlerb.model.state import Frames, State, state_in
@@ -177,18 +181,16 @@ class JointReader:
         into_blocks(motion.blocks, COM, motion.spaced(np.vstack(state)))
         gather_loads(motion.moving, time - self.segment.start, loads)
         work, m = work_at(joints, state), joints.rows.kind.size
-        padded = np.zeros((joints.inv_mass.size, 6))
-        padded[:-1] = loads.T[joints.order]
+        work.change[:-1] = loads.T[joints.order]
         work.clock[0] = time - self.segment.start
         is_broken = broken <= time
         work.broken[:] = np.where(is_broken, -np.inf, np.inf)
         assert motion.jointed is not None
         jointed = motion.jointed._replace(work=work)
         place_driven(jointed.driven, jointed, work.clock[0], 0.0, 0, len(work.y))
-        set_moving(joints, work, 0, m, work.clock[0])
-        linearise(joints, work, 0, m)
-        add_action_loads(joints, work, padded)
-        find_multipliers(joints, work, padded)
+        factorise_all(joints, work, work.clock[0])
+        add_actions(None, jointed, work.change, 0)
+        find_multipliers(joints, work, work.change)
         is_open = make_least(joints, work)
         carried, is_joint = forces_of_joints(joints, work, work.z), joints.number >= 0
         if self.segment.terms.contact is not None:  # what contacts keep is not in the state
