@@ -27,7 +27,7 @@ BUDGETS = {
     "one scene over ranks": 1933,
     "reports, pictures, the page": 1196,
     "scenes for other programs": 432,
-    "speed of compiling and of whole calls": 850,
+    "speed of compiling and of whole calls": 892,
     "watches": 30,
     "beside all these": 178,
 }

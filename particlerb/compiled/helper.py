@@ -6,13 +6,15 @@ takes a quarter of the time off a first run. What it ends with is kept on disk: 
 set of forces finds there all that it shares with those before, which is half of its first run.
 Called from Python, as tests do, it is compiled as any other function. Without optimising it here as
 well a first run would be shorter by another eighth, but contact would be rounded otherwise: what is
-fused to a b + c depends on it.
+fused to a b + c depends on it. What is too long to be copied is called: its code, optimised here,
+comes in behind the optimising of its callers, which does it no good and took a third of the time.
 """
 
 import gc
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
+from itertools import islice
 from typing import Any, Final, TypeAlias, cast
 
 from llvmlite import binding
@@ -25,38 +27,90 @@ Function: TypeAlias = Callable[..., Any]
 Options: TypeAlias = Mapping[str, Any]
 Compile: TypeAlias = Callable[[Function], Function]
 Keep: TypeAlias = Callable[[Any], None] | None
+_LARGE: Final = 100  # instructions
 _ONLY_COPIED: Final = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
-class _UnfusedCode(codegen.JITCodeLibrary):
+class _Code(codegen.JITCodeLibrary):
+    """Code with that of the helpers that it calls; large ones come in as they are, optimised."""
+
+    def __init__(self, *args: Any) -> None:
+        cast(Any, super()).__init__(*args)
+        self.large: dict[str, Any] = {}  # code that is to come in by the names of its functions
+        self.entry = ""  # name of the function, if callers may call it
+
+    def finalize(self) -> None:
+        """Let nothing be added any more, and make machine code."""
+        code: Any = self
+        self.link_small()
+        code._optimize_final_module()
+        self.link_large()
+        self._final_module.verify()
+        code._finalize_final_module()
+
+    @cached_property
+    def is_large(self) -> bool:
+        """Whether its function has more instructions than callers copy."""
+        if not self.entry:
+            return False
+        blocks = self._final_module.get_function(self.entry).blocks
+        steps = (step for block in blocks for step in block.instructions)
+        return next(islice(steps, _LARGE, None), None) is not None
+
+    def link_small(self) -> None:
+        """Bring in what is optimised with this code."""
+        for library in dict.fromkeys(self._linking_libraries):
+            module = library._get_module_for_linking()
+            self.large |= getattr(library, "large", {})
+            if getattr(library, "is_large", False):
+                self.large[library.entry] = module
+            else:
+                self._final_module.link_in(module, preserve=True)
+
+    def link_large(self) -> None:
+        """Bring in what is called, and what that calls."""
+        while called := [name for name in self.large if self._lacks(name)]:
+            for name in called:
+                self._final_module.link_in(self.large.pop(name), preserve=True)
+
+    def _lacks(self, name: str) -> bool:
+        """Whether a function is called that is not here."""
+        try:
+            return bool(self._final_module.get_function(name).is_declaration)
+        except NameError:
+            return False
+
+
+class _UnfusedCode(_Code):
     """Code in which each operation is rounded by itself, as in Python, helpers included."""
 
     def _optimize_final_module(self) -> None:
         """Take back that a b + c may be rounded once, then optimise."""
         code: Any = self
+        self.link_large()
         lines = str(code._final_module).split("\n")  # of texts, which begin with @, nothing
         unfused = (one if one.startswith("@") else one.replace(" contract", "") for one in lines)
         code._final_module = binding.parse_assembly("\n".join(unfused))
         cast(Any, super())._optimize_final_module()
 
 
-class _CopiedCode(codegen.JITCodeLibrary):
-    """Code of a helper with that of the helpers that it calls, for those that link it."""
+class _CopiedCode(_Code):
+    """Code of a helper, for those that link it."""
 
     def finalize(self) -> None:
         """Let nothing be added any more; all that Numba does then but making machine code."""
         code: Any = self
-        for library in dict.fromkeys(self._linking_libraries):
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self.link_small()
         code._optimize_final_module()
         self._final_module.verify()
         code._finalize_dynamic_globals()
         self._finalized = True
 
-    def serialize_using_object_code(self) -> tuple[str, bytes]:
+    def serialize_using_object_code(self) -> tuple[str, bytes, dict[str, bytes]]:
         """What is kept on disk: there is no object."""
         code: Any = self
-        return self.name, code._get_module_for_linking().as_bitcode()
+        large = {name: module.as_bitcode() for name, module in self.large.items()}
+        return self.name, code._get_module_for_linking().as_bitcode(), large
 
 
 class _UnfusedCopiedCode(_UnfusedCode, _CopiedCode):
@@ -73,9 +127,10 @@ class KeptCode(caching.CompileResultCacheImpl):
 
     def rebuild(self, context: Any, payload: Any) -> Any:
         """The result of a compilation that was kept."""
-        (name, code), described, environment, signature, *_, environments = payload
+        (name, code, large), described, environment, signature, *_, environments = payload
         library = cast(Any, _CopiedCode)(context.codegen(), name)
         library._final_module = binding.parse_bitcode(code)
+        library.large = {key: binding.parse_bitcode(one) for key, one in large.items()}
         library._finalized = True
         return cast(Any, compiler.compile_result)(
             target_context=context,
@@ -108,14 +163,22 @@ class _UnfusedCopying(_Copying):
     code = _UnfusedCopiedCode
 
 
-class UnfusedCompiler(Compiler):
-    """The compiler for kernels in which each operation is rounded by itself."""
+class KernelCompiler(Compiler):
+    """The compiler for what has machine code."""
+
+    code: type[codegen.JITCodeLibrary] = _Code
 
     def _compile_bytecode(self) -> Any:
-        numbas, library, state = cast(Any, super()), cast(Any, _UnfusedCode), self.state
+        numbas, library, state = cast(Any, super()), cast(Any, self.code), self.state
         state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         return numbas._compile_bytecode()
+
+
+class UnfusedCompiler(KernelCompiler):
+    """The compiler for kernels in which each operation is rounded by itself."""
+
+    code = _UnfusedCode
 
 
 @contextmanager
@@ -185,6 +248,8 @@ class Helper(registry.CPUDispatcher):
         context: Any = self.targetctx
         context.insert_user_function(result.entry_point, result.fndesc, [result.library])
         self.overloads[tuple(result.signature.args)] = result
+        if not self.targetoptions.get("forceinline"):
+            result.library.entry = result.fndesc.llvm_func_name
 
 
 class Kernel(registry.CPUDispatcher):
@@ -199,7 +264,7 @@ class Kernel(registry.CPUDispatcher):
         Make a helper of the function.
     """
 
-    compiler: type[Compiler] = Compiler
+    compiler: type[Compiler] = KernelCompiler
 
     def __init__(
         self, function: Function, options: Options, copied: Callable[[Function], Function]

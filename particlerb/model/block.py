@@ -15,7 +15,6 @@ from particlerb.compiled.threads import BLOCK
 from particlerb.maths.quaternion import Quat
 from particlerb.maths.vec3 import Floats, Vec3
 from particlerb.model.bodies import Bodies
-from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import State
 
 STRIDE: Final = BLOCK + 8  # from row to row: a power of two would meet the same lines of the cache
@@ -93,7 +92,7 @@ def assign(target: Floats, source: Floats) -> None:
 @inline
 def copy_changing(source: Floats, target: Floats, n: int) -> None:
     """Copy what changes with time."""
-    for r in range(CHANGING):
+    for r in range(min(CHANGING, source.size // STRIDE)):  # LLVM would copy a constant loop out
         for b in range(n):
             put(target, r, b, get(source, r, b))
 
@@ -101,7 +100,7 @@ def copy_changing(source: Floats, target: Floats, n: int) -> None:
 @inline
 def gather_block(rows: Floats, y: Floats, lo: int, n: int) -> None:
     """States of a block whose first body is lo, into y (13, n_bodies)."""
-    for c in range(STATE_ROWS):
+    for c in range(y.shape[0]):
         out = y[c, lo : lo + n]
         for b in range(out.size):
             out[b] = get(rows, c, b)

@@ -4,14 +4,17 @@ import math
 
 import numpy as np
 import pytest
+from numba import types
 
-from particlerb.compiled.jit import compile_with, config, inline, kernel
+from particlerb.compiled.jit import compile_with, config, inline, kernel, unfused_kernel
 from particlerb.maths import vec3
 
 pytestmark = [
     pytest.mark.compiled,
     pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled in plain Python"),
 ]
+
+_ARRAY = types.Array(types.float64, 1, "C")
 
 
 @inline
@@ -42,6 +45,39 @@ def _checked(x):
 @kernel
 def _root(x):
     return _checked(x)
+
+
+@kernel
+def _product(m, out):
+    """Some hundred instructions: too long to be copied into what calls it."""
+    for i in range(6):
+        a, b, c, d, e, f = m[i], m[i + 6], m[i + 12], m[i + 18], m[i + 24], m[i + 30]
+        out[i] = a * b + c * d + e * f
+        out[i + 6] = math.sqrt(a * a + b * b + c * c) / (1.0 + d * d + e * e + f * f)
+        out[i + 12] = (a - b) * (c - d) * (e - f) + (a + b) * (c + d) * (e + f)
+
+
+@inline
+def _two_products(m, out):
+    _product(m, out)
+    _product(out, m)
+
+
+@kernel
+def _four_products(m, out):
+    _two_products(m, out)
+    _two_products(out, m)
+
+
+@unfused_kernel
+def _four_rounded(m, out):
+    _two_products(m, out)
+    _two_products(out, m)
+
+
+_FOUR = [_four_products, _four_rounded]
+if not config.DISABLE_JIT:
+    _FOUR.append(compile_with()(_four_products.py_func))
 
 
 def machine_code(function):
@@ -115,3 +151,20 @@ def test_an_error_of_a_helper_leaves_the_kernel():
         _root(-1.0)
     with pytest.raises(ValueError, match="below zero"):
         _checked(-1.0)
+
+
+@pytest.mark.parametrize("four", _FOUR)
+def test_a_large_kernel_is_optimised_once_and_called(four):
+    rng = np.random.default_rng(1)
+    found, plain = rng.normal(size=(2, 36)), rng.normal(size=(2, 36))
+    plain[:] = found
+    four.compile((_ARRAY, _ARRAY))
+    four.overloads[_ARRAY, _ARRAY].entry_point(*found)
+    for x, y in (plain, plain[::-1]):
+        _product.py_func(x, y)
+        _product.py_func(y, x)
+    np.testing.assert_allclose(found, plain, rtol=1e-12)
+    (name,) = (one.fndesc.llvm_func_name for one in _product.copied.overloads.values())
+    (code,) = (one.library for one in _two_products.overloads.values())
+    assert code._final_module.get_function(name).is_declaration
+    assert four is not _four_rounded or "vfmadd" not in "".join(four.inspect_asm().values())
