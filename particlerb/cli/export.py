@@ -61,7 +61,7 @@ def _export_scene(options: argparse.Namespace, case: Case) -> int:
     """Export all of a case: bodies where they start, joints, contact, walls and gravity."""
     from particlerb.export.lammps_scene import lammps_scene
     from particlerb.export.mjcf_scene import mjcf_scene
-    from particlerb.export.scene import left_out, step_of
+    from particlerb.export.scene import left_out, springs_of, step_of, tethers_of
     from particlerb.simulation.run import prepare
 
     source = Path(options.file)
@@ -70,16 +70,16 @@ def _export_scene(options: argparse.Namespace, case: Case) -> int:
         prepared = prepare(to_system(case))
         system, step = prepared.system, step_of(prepared)
         if options.to == "lammps":
-            texts = lammps_scene(system, step, path.stem)
+            texts, springs = lammps_scene(system, step, path.stem), tethers_of(system)
         else:
-            texts = {".xml": mjcf_scene(system, step)}
+            texts, springs = {".xml": mjcf_scene(system, step)}, springs_of(system)
         written = [path, *(path.with_suffix(suffix) for suffix in list(texts)[1:])]
         for own in written[1:]:
             to_write(own, options.overwrite, source)
         for own, text in zip(written, texts.values(), strict=True):
             own.write_text(text, encoding="utf-8")
     print(f"written: {', '.join(map(str, written))}")
-    for line in left_out(system):
+    for line in left_out(system, springs):
         print(f"left out: {line}")
     return DONE
 

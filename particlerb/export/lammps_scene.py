@@ -20,7 +20,7 @@ from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, PlaneWall
 from particlerb.contact.law import TANGENTIAL_DAMPING
 from particlerb.export import ExportError
 from particlerb.export.bodies import COMMENT, SMALLEST, carriers, numbers, six
-from particlerb.export.scene import left_out
+from particlerb.export.scene import left_out, tethers_of
 from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import body_orientation, omega_world, rotate
@@ -90,11 +90,21 @@ class _Atoms:
             for k in range(len(system.reach))
         ]
         sizes = np.array([len(own.mass) for own in per_kind])[system.kind]
-        self.body: Ints = np.repeat(np.arange(n), sizes)
-        local, self.mass, radius = (
+        body: Ints = np.repeat(np.arange(n), sizes)
+        local, mass, radius = (
             np.concatenate([per_kind[k][column] for k in system.kind.tolist()])
             for column in range(3)
         )
+        single = _are_single(system, sizes, radius[np.cumsum(sizes) - 1])
+        self.is_held: Bools = system.is_held
+        self.is_single: Bools = single & ~self.is_held
+        self.is_rigid: Bools = ~single & ~self.is_held
+        lone = np.flatnonzero(self.is_rigid & (sizes == 1))  # a rigid body is two atoms at least
+        self.body = np.append(body, lone)
+        aside = 0.1 * radius[np.isin(body, lone), None] * [1.0, 0.0, 0.0]
+        local = np.append(local, aside, axis=0)
+        self.mass: Floats = np.append(mass, system.bodies.mass[lone])
+        radius = np.append(radius, np.zeros(lone.size))
         self.place: Floats = (rotate(q[:, self.body], local.T) + system.state.com[:, self.body]).T
         extent = max(float(system.reach.max()), 1e-3)
         self.diameter: Floats = np.where(radius > 0.0, 2.0 * radius, SMALLEST * extent)
@@ -109,10 +119,6 @@ class _Atoms:
         type_of = np.where(material == NOTHING, untouched, material + 1)
         self.type: Ints = np.where(radius > 0.0, type_of[self.body], untouched)
         self.n_types = max(int(self.type.max()), self.n_materials)
-        single = _are_single(system, sizes, radius[np.cumsum(sizes) - 1])
-        self.is_held: Bools = system.is_held
-        self.is_single: Bools = single & ~self.is_held
-        self.is_rigid: Bools = ~single & ~self.is_held
 
     def data(self) -> str:
         """Data file, `atom_style sphere`, with the number of its body for each atom."""
@@ -182,7 +188,7 @@ def _input(
     excluded += ["group held held"] if atoms.is_held.any() else []
     lines = [
         f"# {system.title or stem}: {COMMENT}",
-        *(f"# left out: {line}" for line in left_out(system)),
+        *(f"# left out: {line}" for line in left_out(system, tethers_of(system))),
         *("units si", "atom_style sphere", "atom_modify map yes", "newton off", "boundary m m m"),
         f"comm_modify vel yes cutoff {numbers(reach)}",
         "fix body all property/atom mol",
@@ -193,6 +199,7 @@ def _input(
         "neigh_modify delay 0 every 1 check yes",
         *(f"neigh_modify exclude {pairs}" for pairs in excluded),
         *_walls(system, contact),
+        *_tethers(system),
         *_integration(system, atoms, stem),
         f"timestep {numbers(step)}",
         *_output(system, atoms, step, stem),
@@ -265,6 +272,17 @@ def _region(wall: AnyWall) -> str:
     across = [wall.centre[i] for i in range(3) if i != along]
     ends = wall.centre[along] + 0.5 * wall.length * np.array([-1.0, 1.0])
     return f"cylinder {'xyz'[along]} {numbers(across, wall.radius, ends)} {side} units box{opened}"
+
+
+def _tethers(system: System) -> Iterable[str]:
+    """Springs from centres to the world."""
+    for link in tethers_of(system):
+        ends = zip(link.first.tolist(), link.second_at.T, link.rest_length, strict=True)
+        for b, anchor, rest in ends:
+            name = f"spring{link.number}_{b + 1}"
+            yield f"group {name} molecule {b + 1}"
+            values = numbers(link.force.stiffness, anchor, rest)
+            yield f"fix {name} {name} spring tether {values}"
 
 
 def _integration(system: System, atoms: _Atoms, stem: str) -> Iterable[str]:

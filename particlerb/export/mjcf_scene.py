@@ -9,7 +9,7 @@ Universal, cylindrical, planar joints, screws and sliders close no loop: they co
 Contact with `hooke` is MuJoCo's reference acceleration -k r/m - c v/m, r the gap, of a body of mass
 m against what does not move, at so small an impedance that it acts as a spring; between two bodies
 it is softer, by m_eff/m. Other laws become a critically damped contact, as stiff as the step bears.
-Faces of a box are planes, which go on beyond its edges.
+A box has planes as faces, which go on beyond its edges. Springs become tendons.
 
 Source: mujoco.readthedocs.io, XML reference, and «Solver parameters» for `solref` and `solimp`.
 Joints of a body act in the order in which they stand, the last one next to the body.
@@ -26,7 +26,7 @@ import numpy as np
 from particlerb.export import ExportError
 from particlerb.export.bodies import COMMENT, numbers, six
 from particlerb.export.mjcf_walls import geoms_of
-from particlerb.export.scene import FREE_STEP, left_out
+from particlerb.export.scene import FREE_STEP, left_out, springs_of
 from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import (
@@ -131,15 +131,15 @@ class _Writer:
         self.speeds: dict[str, list[float]] = {}  # by the names of bodies
         self.coordinates: dict[tuple[str, str], str] = {}  # by those of joints, and kinds
         self.root = ET.Element("mujoco", model=system.title or "scene")
-        for line in (COMMENT, *(f"left out: {line}" for line in left_out(system))):
-            self.root.append(ET.Comment(f" {line} "))
+        missing = [f"left out: {line}" for line in left_out(system, springs_of(system))]
+        self.root.extend(ET.Comment(f" {line} ") for line in (COMMENT, *missing))
         options = {"timestep": numbers(step), "gravity": numbers(system.acceleration)}
         options |= {"integrator": "RK4" if self.contact is None else "implicitfast"}
         self.option = ET.SubElement(self.root, "option", options, cone="elliptic")
         default = ET.SubElement(self.root, "default")
         self.geoms = ET.SubElement(default, "geom", contype="0", conaffinity="0")
         self.world = ET.SubElement(self.root, "worldbody")
-        self.elements = {WORLD: self.world}
+        self.elements, self.tendons = {WORLD: self.world}, ET.Element("tendon")
         if self.contact is not None:
             self.add_contact(self.contact)
 
@@ -149,10 +149,11 @@ class _Writer:
         for b, (parent, j) in tree.items():
             self.add_body(b, parent, j)
         used = {j for _, j in tree.values()}
-        joints = enumerate(self.joints)
-        rest = [joint for j, joint in joints if j not in used or joint.type == "screw"]
+        rest = [one for j, one in enumerate(self.joints) if j not in used or one.type == "screw"]
         if rest:
             self.add_equalities(rest)
+        self.add_springs()
+        self.root.append(self.tendons)
         keys = ET.SubElement(self.root, "keyframe")
         ET.SubElement(keys, "key", name="start", qvel=numbers(self.qvel()))
         try:
@@ -289,7 +290,6 @@ class _Writer:
     def add_equalities(self, joints: Sequence[_Joint]) -> None:
         """Constraints that close loops, and distances."""
         equality = ET.SubElement(self.root, "equality")
-        tendons: ET.Element | None = None
         soft = {"solref": numbers(_STIFF * self.step, 1.0)}
         for joint in joints:
             if joint.type in _OF_COORDINATES or (joint.name, "slide") in self.coordinates:
@@ -306,8 +306,8 @@ class _Writer:
             if joint.second != WORLD:
                 ends["body2"] = self.system.names[joint.second]
             if joint.type == "distance":
-                tendons = ET.SubElement(self.root, "tendon") if tendons is None else tendons
-                self.add_distance(tendons, joint)
+                placed = (joint.first, joint.at), (joint.second, joint.at_to)
+                self.add_tendon([(b, self.bodies[b].local(x)) for b, x in placed], joint.name)
                 ET.SubElement(equality, "tendon", soft, tendon1=joint.name)
             elif joint.type == "fixed":
                 ET.SubElement(equality, "weld", soft | ends, name=joint.name)
@@ -345,14 +345,24 @@ class _Writer:
                 found[one.second if b == one.first else one.first] = name, sign
         return found
 
-    def add_distance(self, tendons: ET.Element, joint: _Joint) -> None:
-        """Add a tendon between the two points, whose length stays."""
-        spatial = ET.SubElement(tendons, "spatial", name=joint.name)
-        for b, x, end in ((joint.first, joint.at, "a"), (joint.second, joint.at_to, "b")):
-            name = f"{joint.name} {end}"
-            place = numbers(self.bodies[b].local(x))
-            ET.SubElement(self.elements[b], "site", name=name, pos=place)
-            ET.SubElement(spatial, "site", site=name)
+    def add_springs(self) -> None:
+        """Add a tendon for each spring."""
+        for link in springs_of(self.system):
+            law = {key: numbers(getattr(link.force, key)) for key in ("stiffness", "damping")}
+            for s, rest in enumerate(link.rest_length):
+                ends = [
+                    (link.first[s], link.first_at[:, s]),
+                    (link.second[s], link.second_at[:, s]),
+                ]
+                name = f"force[{link.number}] {s}"
+                self.add_tendon(ends, name, springlength=numbers(rest), **law)
+
+    def add_tendon(self, ends: Sequence[tuple[int, Floats]], name: str, **law: str) -> None:
+        """Add a tendon between points of two bodies, or of the world, in their frames."""
+        spatial = ET.SubElement(self.tendons, "spatial", law, name=name)
+        for (b, x), end in zip(ends, "ab", strict=True):
+            ET.SubElement(self.elements[b], "site", name=f"{name} {end}", pos=numbers(x))
+            ET.SubElement(spatial, "site", site=f"{name} {end}")
 
 
 def _joint_of(system: System, setup: JointSetup, j: int) -> _Joint:

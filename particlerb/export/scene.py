@@ -1,18 +1,43 @@
 """What the models of a whole scene share: what they leave out, and a step that meets the frames."""
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+
+from particlerb.case.forces import SpringTable
 from particlerb.model.system import System
+from particlerb.plan.links import Link, link_of
 from particlerb.simulation.whole_run import Prepared
 
 _ACTING: Final = ("spring", "damper", "motor", "limit", "friction", "drive", "during", "breaks_at")
 FREE_STEP: Final = 1e-3  # [s] where all moves in closed form
 
 
-def left_out(system: System) -> list[str]:
-    """What acts in a scene and is not written, in words."""
-    lines = [f"force[{k}], {force.type}" for k, force in enumerate(system.force)]
+def springs_of(system: System) -> list[Link]:
+    """Springs that act all the time, in the order of the case."""
+    forces = enumerate(system.force)
+    lasting = [(k, f) for k, f in forces if isinstance(f, SpringTable) and f.during is None]
+    return [link_of(system, k, force) for k, force in lasting]
+
+
+def tethers_of(system: System) -> list[Link]:
+    """Undamped ones from centres of bodies of one particle to the world."""
+    is_one = np.diff(system.particles.offset) == 1
+    return [
+        link
+        for link in springs_of(system)
+        if link.force.anchor and not (link.force.damping or any(link.force.at))
+        if is_one[system.kind[link.first]].all()
+    ]
+
+
+def left_out(system: System, springs: Sequence[Link] = ()) -> list[str]:
+    """What acts in a scene and is not written, in words, where these springs are."""
+    written = {link.number for link in springs}
+    forces = enumerate(system.force)
+    lines = [f"force[{k}], {force.type}" for k, force in forces if k not in written]
     if system.attraction is not None:
         lines.append("attraction")
     contact = system.contact

@@ -88,7 +88,7 @@ def links_of(system: System) -> list[AnyLink]:
                 _try_own(whole, number, own)
                 links += own
             else:
-                springs = in_worlds(whole, number, force, _link_of)
+                springs = in_worlds(whole, number, force, link_of)
                 problems += [one for link in springs for one in _misplaced_ends(whole, link)]
                 links += springs
         except CaseError as error:
@@ -98,7 +98,7 @@ def links_of(system: System) -> list[AnyLink]:
     return links
 
 
-def _link_of(system: System, number: int, force: SpringTable) -> Link:
+def link_of(system: System, number: int, force: SpringTable) -> Link:
     """Springs of one [[force]].
 
     Raises

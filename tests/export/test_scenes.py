@@ -161,6 +161,34 @@ def test_a_brick_rests_in_mujoco_at_the_height_of_its_springs():
     assert np.abs(position[0, :2]).max() < 1e-4
 
 
+ANCHOR = {"type": "spring", "body": "ball", "anchor": [0.1, 3.0, 2.0], "stiffness": 40.0,
+          "rest_length": 0.8}  # fmt: skip
+TIE = {"type": "spring", "body": "clump[0]", "to": "clump[1]", "at": [0, 0, 0.15],
+       "to_at": [0.1, 0, 0], "stiffness": 30.0, "damping": 1.0, "rest_length": 0.9}  # fmt: skip
+
+
+def test_springs_pull_in_mujoco_as_here():
+    scene = FREE | {"force": [ANCHOR, TIE], "run": FREE["run"] | {"method": "rk4"}}
+    position, _ = in_mujoco(scene)
+    here = particlerb.run(scene).position[-1]
+    assert np.abs(here - particlerb.run(FREE).position[-1]).min(axis=1).max() > 0.01
+    assert np.abs(position - here).max() < 1e-6
+
+
+def test_a_tether_pulls_in_lammps_and_a_hollow_ball_falls(lammps, tmp_path, monkeypatch):
+    matter = {"shape": {"type": "shell", "radius": 0.1}, "mass": 2.0}
+    surface = {"shape": {"type": "sphere", "radius": 0.1}, "mass": 0.0}
+    hollow = {"name": "hollow", "position": [0, 5, 1], "part": [matter, surface]}
+    scene = FREE | {"force": [ANCHOR], "body": [*FREE["body"][1:], hollow]}
+    assert "left out" not in lammps_scene(*made(scene), "scene")[".in"]
+    steps = set_up(lammps, scene, tmp_path, monkeypatch)
+    lammps.command(f"run {steps}")
+    here = particlerb.run(scene)
+    assert np.abs(atoms(lammps, "x")[:2] - here.position[-1]).max() < 1e-6
+    both = FREE | {"force": [ANCHOR, TIE]}
+    assert "# left out: force[1], spring" in lammps_scene(*made(both), "scene")[".in"]
+
+
 def test_fixed_bodies_and_boxes_stand_in_mujoco():
     position, _ = in_mujoco(HIT | {"gravity": WEIGHT, "run": {"t_end": 1.0, "every": 1.0,
                                                               "dt": 1e-3}})  # fmt: skip
