@@ -19,7 +19,7 @@ from particlerb.plan.contact_rules import MOST_BODIES
 from particlerb.plan.joint_words import joint_line
 from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
-from particlerb.plan.time_step import expected_overlap
+from particlerb.plan.time_step import cheaper_law, expected_overlap
 from particlerb.stepping.closed_forms import words_of_forms
 from particlerb.stepping.sparse_contact import can_fly
 
@@ -141,18 +141,25 @@ def _contact_line(system: System, plan: Plan) -> str:
     if contact.events is not None:
         again = f"what hits again within {contact.events.contact_time:.3g} s bounces elastically"
         return f"{what}, at the instants of impacts, one after the other; {again}"
-    return f"{what}, pairs kept within {contact.skin:.3g} m{_flying(plan)}"
+    what += f", pairs kept within {contact.skin:.3g} m{_flying(plan)}"
+    return what + _overlap_words(system, plan)
+
+
+def _overlap_words(system: System, plan: Plan) -> str:
+    """What overlap is to be expected, and what the other law would take for it."""
+    touching = [each for each in plan.segments if each[1].terms.contact is not None]
+    overlap, k = max((expected_overlap(system, *each), -k) for k, each in enumerate(touching))
+    if not 0.0 < overlap < np.inf or touching[-k][1].dt == 0.0:
+        return ""
+    words = cheaper_law(system, *touching[-k], overlap)
+    return f"; the fastest impact may overlap by about {overlap:.3g} m, {words}"
 
 
 def _solved(system: System, plan: Plan, table: ContactTable) -> str:
-    """How impulses are found, and what overlap is to be expected."""
+    """How impulses are found."""
     own = [each for each in plan.segments if each[1].terms.touches_by_impulses]
-    overlap = max(expected_overlap(system, *each) for each in own)
     after = _after_sweeps(table.solver, max(group.members.size for group, _ in own))
-    ends = f"residual {table.tolerance:.3g} or {table.iterations} sweeps, {after}"
-    if not plan.contacts[0].model.spheres.radius.size:
-        return ends
-    return f"{ends}; the fastest impact may overlap by about {overlap:.3g} m"
+    return f"residual {table.tolerance:.3g} or {table.iterations} sweeps, {after}"
 
 
 def _after_sweeps(solver: str, n: int) -> str:

@@ -147,16 +147,59 @@ def impulse_step(system: System, group: GroupPlan) -> float:
     for segment in group.segments:
         if not segment.terms.touches_by_impulses:
             continue
-        radius = segment.terms.known_contact.model.spheres.radius.min(initial=math.inf)
-        speed, g = _speed(system, group, segment), float(np.linalg.norm(system.acceleration))
-        step = min(step, _OF_RADIUS * radius / speed if speed > 0.0 else math.inf)
-        step = min(step, _OF_FALL * math.sqrt(radius / g) if g > 0.0 else math.inf)
+        step = min(step, _longest_step(system, segment, _speed(system, group, segment)))
     return step
 
 
+def _longest_step(system: System, segment: Segment, speed: float) -> float:
+    """Step [s] of impulses for bodies of a speed [m/s]."""
+    assert segment.terms.contact is not None
+    radius = float(segment.terms.contact.model.spheres.radius.min(initial=math.inf))
+    g = float(np.linalg.norm(system.acceleration))
+    step = _OF_RADIUS * radius / speed if speed > 0.0 else math.inf
+    return min(step, _OF_FALL * math.sqrt(radius / g) if g > 0.0 else math.inf)
+
+
 def expected_overlap(system: System, group: GroupPlan, segment: Segment) -> float:
-    """Overlap [m] to be expected of the fastest impact with restitution: ½ v dt."""
-    return _OF_PATH * _speed(system, group, segment) * segment.dt
+    """Overlap [m] to be expected of the fastest impact.
+
+    By impulses with restitution ½ v dt; by springs v √(m/k) of the heaviest body and the softest
+    spring, without damping, or that of `hertz`.
+    """
+    contact, speed = segment.terms.contact, _speed(system, group, segment)
+    if segment.terms.touches_by_impulses:
+        return _OF_PATH * speed * segment.dt
+    assert contact is not None
+    if contact.model.law.hertz is not None:
+        state = taken(system.state, group.members)
+        return deepest_impact(contact, group.bodies, state, falling_speed(system, segment.terms))
+    inverse = group.bodies.inv_mass
+    lightest, k = inverse[inverse > 0.0].min(initial=math.inf), contact.model.law.stiffness
+    return speed / math.sqrt(float(lightest * k[k > 0.0].min(initial=math.inf)))
+
+
+# Impulses over springs: 6.6 steps of springs for one of five sweeps (benchmarks/impulses.py)
+_IMPULSES: Final = 5.5  # steps of springs that a step of impulses costs without its sweeps,
+_SWEEP: Final = 0.2  # and for each sweep
+_ALIKE: Final = 1.5  # times the work, below which neither law is cheaper
+
+
+def cheaper_law(system: System, group: GroupPlan, segment: Segment, overlap: float) -> str:
+    """Which of both laws takes less work where this overlap [m] is to be expected, in words."""
+    assert system.contact is not None
+    speed, laws = _speed(system, group, segment), ("springs", "impulses")
+    impulse = _IMPULSES + _SWEEP * system.contact.iterations
+    if segment.terms.touches_by_impulses:
+        laws = laws[::-1]
+        ratio = segment.dt * speed * STEPS_PER_CONTACT / (math.pi * overlap * impulse)
+    else:
+        longest = _longest_step(system, segment, speed)
+        ratio = segment.dt * impulse / min(overlap / (_OF_PATH * speed), longest)
+    if max(ratio, 1.0 / ratio) < _ALIKE:
+        return "for which springs and impulses cost about the same"
+    cheap, dear = laws if ratio > 1.0 else laws[::-1]
+    times = max(ratio, 1.0 / ratio)
+    return f"for which {cheap} are cheaper: {dear} would take about {times:.1g} times the work"
 
 
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate

@@ -56,4 +56,5 @@ def test_a_step_is_chosen_by_size_and_speed_and_said_with_what_overlap_to_expect
     speed = (2 * 9.81 * 1.0) ** 0.5
     assert f"{0.1 * R / speed:.6g} s = the rule of impulses" in text
     assert f"may overlap by about {0.05 * R:.3g} m" in text
+    assert "for which springs and impulses cost about the same" in text
     assert "coupled by contact, driven by gravity, moreau" in text
