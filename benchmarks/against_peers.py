@@ -32,7 +32,9 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.plan.time_step import stepped_by
 from particlerb.simulation.accuracy import search
 from particlerb.simulation.trials import part, seconds, states_at
-from particlerb.studies.work_precision import Point, Study, WorkPrecision, chart
+from particlerb.studies.chart import chart
+from particlerb.studies.points import Point, WorkPrecision
+from particlerb.studies.work_precision import Study
 
 ENGINES = ("mujoco", "lammps", "pybullet", "scipy", "rebound")
 

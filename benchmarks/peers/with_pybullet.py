@@ -13,21 +13,27 @@ sphere that meets nothing. Its inertia in the world frame is that of the sphere 
 and follows no reset of the orientation, so the warm-up is made at rest in the starting pose.
 `changeDynamics` needs mass and moments in the same call, and damping, which is on by default, set
 to zero. `btMultiBody` clamps its speeds at 100 unless told otherwise, and `btRigidBody` its spin at
-a quarter turn a step. `multiplyTransforms` rounds to single precision. Bullet takes the quaternion
-scalar last. The package prints its build time when it is imported.
+a quarter turn a step. `multiplyTransforms` rounds to single precision. At short steps a body
+loses its bounce to what slows it before it touches, unless `contactProcessingThreshold` is 0.
+Bullet takes the quaternion scalar last. The package prints its build time when it is imported.
 """
+
+import math
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from particlerb.compiled.threads import THREADS
 
 from .scene import (
+    Course,
     Result,
     Scene,
     absent,
     equal_steps,
     needs_solid_bodies,
     result,
+    stops,
     to_rotor,
     to_world,
 )
@@ -36,6 +42,10 @@ NAME = "PyBullet"
 ADAPTIVE = False
 LADDER = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 VARIANTS = {"btMultiBody": LADDER, "btRigidBody": LADDER}
+CONTACT = {"btMultiBody": LADDER}
+OTHERWISE = "rigid, with the restitution of the case: it bounces without a time of contact"
+STORES = False  # whether the energy of contacts is in springs like ours
+SWEEPS = 50  # of its solver, its default
 
 BURST = 64  # a power of two: dividing by it is exact, so that Bullet counts its sub-steps right
 
@@ -85,6 +95,109 @@ def run(scene: Scene, variant: str, step: float) -> Result:
     x, q = np.array([x for x, _ in pose]), np.array([q for _, q in pose])[:, [3, 0, 1, 2]]
     v, w = np.array([v for v, _ in speed]), np.array([w for _, w in speed])
     return result(given, seconds, x, q, v, to_world(q, given.inertia * to_rotor(q, w)))
+
+
+def course(scene: Scene, variant: str, step: float) -> Course:
+    """Run balls, clumps and planes of the model of a scene, with contact by impulses.
+
+    Restitution and friction of a pair are products of those of its two bodies.
+    """
+    import pybullet
+
+    number, step = stops(scene, step)
+    restitution, friction = map(math.sqrt, scene.contact)
+    world = pybullet.connect(pybullet.DIRECT)
+    here = {"physicsClientId": world}
+    seconds, rows = 0.0, []
+    try:
+        pybullet.setGravity(*scene.gravity, **here)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=step,
+            numSubSteps=0,
+            numSolverIterations=SWEEPS,
+            restitutionVelocityThreshold=0.0,
+            **here,
+        )
+        root = ET.fromstring(scene.model).find("worldbody")
+        planes = [add_plane(geom, here) for geom in root.findall("geom")]
+        parts = {element.get("name"): element for element in root.findall("body")}
+        bodies = [add_touching(scene, b, parts[name], here) for b, name in enumerate(scene.names)]
+        surface = {"restitution": restitution, "lateralFriction": friction}
+        for body in (*planes, *bodies):
+            pybullet.changeDynamics(body, -1, contactProcessingThreshold=0.0, **surface, **here)
+        for _ in scene.times:
+            started = THREADS.own.clock()
+            for _ in range(number):
+                pybullet.stepSimulation(world)
+            seconds += THREADS.own.clock() - started
+            rows.append(
+                [
+                    (
+                        *pybullet.getBasePositionAndOrientation(body, **here),
+                        *pybullet.getBaseVelocity(body, **here),
+                    )
+                    for body in bodies
+                ]
+            )
+    finally:
+        pybullet.disconnect(world)
+    x, q, v, w = (np.array([[one[k] for one in row] for row in rows]) for k in range(4))
+    q = np.roll(q, 1, axis=-1)
+    L = [to_world(a, scene.inertia * to_rotor(a, spin)) for a, spin in zip(q, w, strict=True)]
+    return Course(seconds, x, q, v, np.array(L))
+
+
+def add_plane(geom: ET.Element, here: dict[str, int]) -> int:
+    """Plane of a model; Bullet's number for it."""
+    import pybullet
+
+    normal = [float(part) for part in geom.get("zaxis", "0 0 1").split()]
+    place = [float(part) for part in geom.get("pos", "0 0 0").split()]
+    shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, planeNormal=normal, **here)
+    return pybullet.createMultiBody(0.0, shape, -1, place, **here)
+
+
+def add_touching(scene: Scene, b: int, element: ET.Element, here: dict[str, int]) -> int:
+    """Body `b` of the scene with the spheres that the model gives it, on its way."""
+    import pybullet
+
+    spheres = element.findall("geom")
+    turn = (
+        np.concatenate([[1.0], np.zeros(3)]) if scene.rotor_frame is None else scene.rotor_frame[b]
+    )
+    places = np.array([[float(x) for x in one.get("pos").split()] for one in spheres])
+    local = to_rotor(np.tile(turn, (len(places), 1)), places)
+    radii = [float(one.get("size")) for one in spheres]
+    shape = pybullet.createCollisionShapeArray(
+        [pybullet.GEOM_SPHERE] * len(radii),
+        radii=radii,
+        collisionFramePositions=local.tolist(),
+        **here,
+    )
+    held = element.find("inertial") is None
+    body = pybullet.createMultiBody(
+        0.0 if held else scene.mass[b],
+        shape,
+        -1,
+        scene.position[b].tolist(),
+        np.roll(scene.orientation[b], -1).tolist(),
+        **here,
+    )
+    if held:
+        return body
+    pybullet.changeDynamics(
+        body,
+        -1,
+        mass=scene.mass[b],
+        localInertiaDiagonal=scene.inertia[b].tolist(),
+        linearDamping=0.0,
+        angularDamping=0.0,
+        maxJointVelocity=1e100,
+        **here,
+    )
+    v, w = scene.velocity[b].tolist(), scene.angular_velocity[b].tolist()
+    pybullet.resetBaseVelocity(body, v, w, **here)
+    return body
 
 
 def scaled(scene: Scene) -> Scene:

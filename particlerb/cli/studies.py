@@ -19,7 +19,7 @@ from particlerb.cli.exit_codes import DONE, Ending, ending
 
 def chart_command(options: argparse.Namespace) -> int:
     """`chart`: error against time for all methods on a case."""
-    from particlerb.studies import contact_laws, work_precision, work_precision_table
+    from particlerb.studies import chart, contact_laws, work_precision_table
     from particlerb.studies.charts.work_precision import draw_chart
 
     case = read_case(options)
@@ -29,9 +29,9 @@ def chart_command(options: argparse.Namespace) -> int:
     paths = _outputs(options, f"chart_{case.path.stem if case.path else 'case'}")
     with _measuring("curve") as bar:
         system = to_system(case)
-        bar.total = work_precision.curve_count(system, *asked)
+        bar.total = chart.curve_count(system, *asked)
         how = options.error, options.budget, bar.update, options.processor_time
-        found = work_precision.chart(system, *asked, *how, kind=kind)
+        found = chart.chart(system, *asked, *how, kind=kind)
     return _show(found, work_precision_table, {"": draw_chart}, paths)
 
 

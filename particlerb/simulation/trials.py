@@ -20,7 +20,7 @@ from particlerb.model.balance import EnergyBalance
 from particlerb.model.block import changing
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.comparison import misfits
-from particlerb.model.state import Frames, State, as_frame, room_for
+from particlerb.model.state import Frames, State, as_frame, room_for, state_in
 from particlerb.model.system import System
 from particlerb.model.totals import totals
 from particlerb.plan.rates import rates
@@ -120,6 +120,34 @@ def drifts(part: BodySubset, frames: Frames, books: _Books) -> tuple[float, floa
     balance.enter(now, books.given, books.gross)
     drift = balance.drift(bodies, part.state.com, books.until)
     return drift.energy, drift.angular_momentum
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def energies(part: BodySubset, frames: Frames, books: _Books) -> tuple[Floats, Floats]:
+    """Kinetic and potential energy of a run at its frames, (T,) [J]."""
+    bodies = counted(part.groups, part.bodies)
+    sums = totals(frames, bodies, part.gravity, *books.later).sums
+    return sums[..., 0], sums[..., 1]
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def energies_at(part: BodySubset, frames: Frames, with_contacts: bool) -> Floats:
+    """Sum of both in frames of another program, with or without that of contacts, (T,) [J]."""
+    found = np.empty(len(frames.position))
+    for row in range(found.size):
+        frame = frames.rows(slice(row, row + 1))
+        runs = [
+            GroupRun(group, state_in(frames, row, group.members, group.bodies))
+            for group in part.groups
+        ]
+        beside = initial_energies(runs, frame)
+        if not with_contacts:
+            bound = sum(run.potential(*run.pose(frame, 0)) for run in runs if run.is_bound)
+            beside = Energies(np.zeros(1) + bound, np.zeros(1))
+        bodies = counted(part.groups, part.bodies)
+        sums = totals(frame, bodies, part.gravity, *beside).sums
+        found[row] = sums[0, 0] + sums[0, 1]
+    return found
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")

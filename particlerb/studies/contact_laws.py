@@ -14,8 +14,9 @@ from particlerb.model.state import lengths
 from particlerb.model.system import System
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.segments import Plan
+from particlerb.studies.points import Point, Reference
 from particlerb.studies.text import PENALTY, nice_steps
-from particlerb.studies.work_precision import REPEATS, Point, Reference, Study
+from particlerb.studies.work_precision import REPEATS, Study
 
 _LONGEST: Final = 4.0  # times the default step: the longest that is tried
 _DEPTH: Final = 0.1  # of the smallest radius: what the softest springs give way, about
@@ -45,6 +46,10 @@ class LawStudy(Study):
         """Longest step of impulses that is worth a trial [s]."""
         segments = [s for group in self.plan("auto").groups for s in group.segments]
         return min(_LONGEST * min(s.dt for s in segments if s.dt > 0.0), 0.5 * self.t_end)
+
+    def unit(self) -> float:
+        """Unit of the steps of other engines [s]."""
+        return self.first_step()
 
     def find_reference(self, budget: float) -> Reference:
         """Impulses with ever shorter steps; their last change is the limit."""

@@ -20,10 +20,11 @@ from particlerb.case.forces import PushTable
 from particlerb.case.joints import ACTIONS
 from particlerb.case.problems import CaseError, problem_at
 from particlerb.export import ExportError
+from particlerb.export.lammps_scene import lammps_scene
 from particlerb.export.mjcf_scene import mjcf_scene
-from particlerb.export.scene import FREE_STEP
+from particlerb.export.scene import FREE_STEP, left_out, springs_of, tethers_of
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.bodies import taken
+from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import (
     Frames,
     body_orientation,
@@ -84,7 +85,17 @@ def refusal_by(engine: Engine, scene: PeerScene) -> str:
     """Why an engine cannot hold a scene; empty where it can."""
     if scene.joints is not None and not getattr(engine, "HOLDS_JOINTS", False):
         return "it is given no joints"
-    return engine.refusal(scene) or ""
+    if scene.contact is None:
+        return engine.refusal(scene) or ""
+    if not hasattr(engine, "CONTACT"):
+        return "it has no contact"
+    return str((scene.refused or {}).get(engine.NAME, ""))
+
+
+def variants_of(engine: Engine, system: System) -> dict[str, Sequence[float]]:
+    """Ladder of each variant of an engine for a system."""
+    found = engine.VARIANTS if system.contact is None else getattr(engine, "CONTACT", {"": ()})
+    return dict(found)
 
 
 _GIVEN: Final = "other engines take gravity and constant pushes in the world frame only"
@@ -99,10 +110,9 @@ def peer_scene(system: System) -> PeerScene:
         If something acts that the adapters have no word for.
     """
     types = import_module(f"{_adapters().__name__}.scene")
-    bodies, state = system.bodies, system.state
-    acting = (*ACTIONS, "drive", "during")
+    bodies, acting = system.bodies, (*ACTIONS, "drive", "during")
     if system.contact is not None:
-        raise ValueError("other engines are given no contact")
+        return _touching(system, types)
     if system.attraction is not None or any(getattr(t, k) for t in system.joint for k in acting):
         raise ValueError(_GIVEN)
     pushes = []
@@ -114,10 +124,7 @@ def peer_scene(system: System) -> PeerScene:
         for b in system.names.find(force.body).tolist():
             at = _to_rotor(bodies.rotor_frame[:, b], force.at)
             pushes.append(types.Push(b, at, np.array(force.force)))
-    velocity, omega = state.p * bodies.inv_mass, omega_world(bodies, state)
-    columns = (bodies.inertia, state.com, state.q, velocity, omega)
-    rows = (np.ascontiguousarray(column.T) for column in columns)
-    scene = types.Scene(bodies.mass, *rows, system.acceleration, tuple(pushes), system.run.t_end)
+    scene = _bodies_of(system, types)._replace(pushes=tuple(pushes))
     setup = joints_of(system)
     if setup is None:
         return scene
@@ -126,8 +133,60 @@ def peer_scene(system: System) -> PeerScene:
     model = ""
     with contextlib.suppress(ExportError):
         model = mjcf_scene(system, system.run.dt or FREE_STEP)
-    beside = {"model": model, "names": tuple(system.names), "rotor_frame": bodies.rotor_frame.T}
-    return scene._replace(joints=joints, has_loops=has_loops(system, setup), **beside)
+    return scene._replace(joints=joints, has_loops=has_loops(system, setup), model=model)
+
+
+def _bodies_of(system: System, types: ModuleType) -> PeerScene:
+    """Bodies and gravity."""
+    bodies, state = system.bodies, system.state
+    velocity, omega = state.p * bodies.inv_mass, omega_world(bodies, state)
+    columns = (bodies.inertia, state.com, state.q, velocity, omega)
+    rows = (np.ascontiguousarray(column.T) for column in columns)
+    scene = types.Scene(bodies.mass, *rows, system.acceleration, (), system.run.t_end)
+    return scene._replace(names=tuple(system.names), rotor_frame=bodies.rotor_frame.T)
+
+
+def _touching(system: System, types: ModuleType) -> PeerScene:
+    """Bodies that touch, as the exports write them; engines without a model are refused.
+
+    Raises
+    ------
+    ValueError
+        If no engine has what acts.
+    """
+    contact, scene = system.contact, _bodies_of(system, types)
+    assert contact is not None
+    if missing := left_out(system, springs_of(system)):
+        raise ValueError(f"other engines are given no {missing[0]} where bodies touch")
+    refused, tables = {}, (contact, *contact.pair)
+    try:
+        scene = scene._replace(model=mjcf_scene(system))
+    except ExportError as error:
+        refused = dict.fromkeys(("MuJoCo", "PyBullet"), str(error))
+    if contact.law != "hooke" and any(table.restitution for table in tables):
+        refused["MuJoCo"] = "it has no restitution without springs"
+    if system.force or system.joint or contact.pair:
+        refused.setdefault("PyBullet", "it is given balls, clumps and planes alone")
+    try:
+        scene = scene._replace(files=lammps_scene(system, FREE_STEP, "scene"))
+        if missing := left_out(system, tethers_of(system)):
+            refused["LAMMPS"] = f"it is given no {missing[0]}"
+    except ExportError as error:
+        refused["LAMMPS"] = str(error)
+    own = contact.restitution, contact.friction
+    return scene._replace(refused=refused, contact=own)
+
+
+def course_of(
+    engine: Engine, scene: PeerScene, variant: str, step: float, bodies: Bodies
+) -> tuple[Frames, float]:
+    """States that an engine finds at the times of a scene in which bodies touch, and its time."""
+    found = engine.course(scene, variant, step)
+    frame = bodies.rotor_frame
+    q = np.array([body_orientation(row.T, frame).T for row in found.orientation])
+    momenta = found.velocity * bodies.mass[:, None], found.angular_momentum
+    is_frame = np.ones(scene.times.size, dtype=np.bool_)
+    return Frames(found.position, q, *momenta, q[-1], is_frame), float(found.seconds)
 
 
 JOINT_ORACLE: Final = "DOP853 (SciPy) on accelerations with multipliers, tolerance 1e-13"

@@ -9,11 +9,10 @@ a whole. A point has the error of the case run by hand, for rkn6 in large scenes
 """
 
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -31,33 +30,46 @@ from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import Plan, has_step, is_adaptive
 from particlerb.plan.time_step import contact_limit
 from particlerb.simulation.frame_times import frame_times
-from particlerb.simulation.trials import Error, drifts, errors, part, sample, seconds, timed_states
+from particlerb.simulation.trials import (
+    Error,
+    drifts,
+    energies,
+    energies_at,
+    errors,
+    part,
+    sample,
+    seconds,
+    timed_states,
+)
 from particlerb.stepping.motion import MotionError
 from particlerb.studies.peers import (
     JOINT_ORACLE,
     Engine,
     PeerScene,
-    engines,
+    course_of,
     oracle_states,
     peer_errors,
     peer_scene,
     refusal_by,
+    variants_of,
 )
-from particlerb.studies.text import chosen_names, method_names, nice_steps
+from particlerb.studies.points import LOST, Point, Reference, failure
+from particlerb.studies.text import nice_steps
 
 REPEATS: Final = 5  # at least,
 _LEAST_POINTS: Final = 3  # of a curve, unless the next takes twice the time that there is
 _LONG: Final = 0.5  # s; but none of a run that takes longer, which is disturbed less
 _MOST_REPEATS: Final = 41
 _FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
-_LOST: Final = 1.0  # rad: an orientation that is off by more says nothing
 FIRST_TURN: Final = 20.0  # rad of the longest step that is tried: a drift in closed form bears it
 _FIRST_JOINTED: Final = 2.0  # rad of a link against its tension
 _FIRST_CONTACT: Final = 0.5  # of the stability limit of contacts, for the longest step
 _USUAL_ERROR: Final = 1e-6
+_USUAL_ENERGY: Final = 1e-3  # beside other engines
 _MOST_FRAMES: Final = 2000  # at which the energy of contact is looked at
 _SAMPLED: Final = 8  # packs of sixteen bodies that are judged
 _WAYPOINTS: Final = 32  # times at which the path of a body is summed up
+_COMPARED: Final = 64  # times at which the energy of contact is set beside that of other engines
 _COARSEST_TOLERANCE: Final = 1e-3
 _FINEST_TOLERANCE: Final = 1e-14
 _REFERENCE_SHARE: Final = 0.25  # of the time that may be spent
@@ -66,135 +78,10 @@ _ROUNDING: Final = float(np.finfo(np.float64).eps)
 Progress = Callable[[int], object]
 
 
-class Point(NamedTuple):
-    """One run of one method."""
-
-    method: str
-    engine: str  # a peer, or empty for our own
-    step: float  # [s], or the tolerance
-    is_tolerance: bool
-    seconds: float  # median of at least REPEATS runs
-    error: Error
-    energy: float  # relative drift
-    spin: float  # relative drift of the angular momentum
-    failure: str  # why it failed, empty where it did not
-
-    @property
-    def size(self) -> float:
-        """The larger of the errors of orientation and position."""
-        return max(self.error.worst, self.error.position)
-
-    @property
-    def label(self) -> str:
-        """Name of the curve."""
-        return f"{self.engine} {self.method}" if self.engine else self.method
-
-
-POSE: Final = "error at t_end: orientation [rad], or position, relative"
-_ENERGY: Final = "conservation error of the energy, relative"
-
-
-class WorkPrecision(NamedTuple):
-    """What accuracy costs for a case."""
-
-    title: str
-    n_bodies: int
-    n_sampled: int
-    """Bodies whose errors count."""
-    t_end: float
-    points: tuple[Point, ...]
-    reference: str
-    """What the errors are measured against."""
-    floor: float
-    """Limit of the reference: its own error [rad]."""
-    left_out: tuple[tuple[str, str], ...]
-    """Method or engine, and why."""
-    published: tuple[tuple[str, float], ...]
-    """Errors found elsewhere for this case [rad]."""
-    target: float
-    """Error for which advice is asked [rad]."""
-    measure: str = POSE
-    """What the error is."""
-    clock: str = "time"
-    """What the seconds are."""
-
-
-class Reference(NamedTuple):
-    """What errors are measured against."""
-
-    frames: Frames
-    what: str
-    floor: float
-
-
-def chart(
-    system: System,
-    methods: Sequence[str] = (),
-    peers: Sequence[str] = (),
-    target: float | None = None,
-    budget: float = 30.0,
-    progress: Progress = lambda n: None,
-    by_processor: bool = False,
-    kind: "type[Study] | None" = None,
-) -> WorkPrecision:
-    """Measure the methods, and peers, on a system.
-
-    Parameters
-    ----------
-    system : System
-        Its own method, step and accuracy do not matter.
-    methods, peers : sequence of str
-        Names; no methods: all. Peers are other engines, see `studies.peers`.
-    target : float, optional
-        Error for which the cheapest method is sought [rad]; left out: 1e-6, and where bodies touch
-        the energy_drift that the case allows, if it has one.
-    budget : float
-        Time to be spent on measuring, without compilation, about [s].
-    progress : callable
-        Called with 1 after each curve; there are `curve_count` of them.
-    by_processor : bool
-        Whether time is that of the processor, which other work on the machine does not prolong.
-    kind : type, optional
-        `contact_laws.LawStudy` for contact by impulses.
-
-    Raises
-    ------
-    CaseError
-        If it cannot be run.
-    ValueError
-        If there is no such method or peer.
-    """
-    names, rivals = chosen_names(methods, method_names(system), "method"), engines(peers)
-    with THREADS.using(1, time.thread_time if by_processor else time.perf_counter):
-        study = (kind or Study)(system, budget)
-        points, left_out = study.points(names, rivals, budget, progress)
-    source = system.source.path
-    return WorkPrecision(
-        system.title or (source.stem if source else "scene"),
-        system.n_bodies,
-        study.which.size,
-        system.run.t_end,
-        points,
-        study.reference.what,
-        study.reference.floor,
-        left_out,
-        tuple((one.name, one.error) for one in system.chart.published),
-        target or (study.by_energy and system.check.energy_drift) or _USUAL_ERROR,
-        _ENERGY if study.by_energy else POSE,
-        "time of the processor" if by_processor else "time",
-    )
-
-
-def curve_count(system: System, methods: Sequence[str], peers: Sequence[str]) -> int:
-    """Curves that a chart will have, for a progress bar."""
-    own = len(methods or method_names(system))
-    return own + sum(len(engine.VARIANTS) for engine in engines(peers))
-
-
 class Study:
     """A system with its reference, ready to be measured."""
 
-    def __init__(self, system: System, budget: float) -> None:
+    def __init__(self, system: System, budget: float, beside: bool = False) -> None:
         self.system = unmerged(assembled(remove_overlaps(system)))  # as peers have it
         self.t_end = system.run.t_end
         auto = self.plan("auto")
@@ -204,12 +91,16 @@ class Study:
         self.is_free = not any(has_step(s.method) for s in segments)
         self.contacts = [(s.method, c) for s in segments if (c := s.terms.contact) is not None]
         self.by_energy = any(contact.rules is None for _, contact in self.contacts)
+        self.is_compared = beside and self.by_energy  # with other engines, which book nothing
+        self.expected = np.zeros(0)  # energy at the times, where it is compared [J]
         self.judged = part(self.system, auto, self.which)
         self.times = self.way_points()
         self.reference = self.find_reference(_REFERENCE_SHARE * budget)
 
     def way_points(self) -> Floats:
         """Times at which runs are looked at [s]; where bodies touch, those of the case's frames."""
+        if self.is_compared:
+            return np.linspace(0.0, self.t_end, _COMPARED + 1)[1:]
         if self.by_energy and frame_count(self.system.run) - 1 <= _MOST_FRAMES:
             return frame_times(self.system.run, 1)
         n = _MOST_FRAMES if self.by_energy else _WAYPOINTS
@@ -234,7 +125,19 @@ class Study:
     @cached_property
     def peer_scene(self) -> PeerScene:
         """The scene as other engines take it; ValueError where they cannot."""
-        return peer_scene(self.system)
+        return peer_scene(self.system)._replace(times=self.times)
+
+    def usual_target(self) -> float:
+        """Error for which advice is given unasked."""
+        if self.is_compared:
+            return _USUAL_ENERGY
+        return (self.by_energy and self.system.check.energy_drift) or _USUAL_ERROR
+
+    def words_of(self, engine: Engine) -> str:
+        """In what an engine differs where bodies touch; empty where it does not, or is left out."""
+        if self.system.contact is None or self.peer_refusal(engine):
+            return ""
+        return str(getattr(engine, "OTHERWISE", ""))
 
     def peer_refusal(self, engine: Engine) -> str:
         """Why an engine cannot run the case; empty where it can."""
@@ -263,7 +166,10 @@ class Study:
             return Reference(self.states("auto", None), "the closed form", floor)
         if self.by_energy:
             frames = as_frame(self.system.bodies, self.system.state)  # nothing is compared with it
-            return Reference(frames, "the energy balance", _ROUNDING)
+            what, floor = "the energy balance", _ROUNDING
+            if self.is_compared:
+                what, floor = self.converge(budget)
+            return Reference(frames, what, floor)
         second = "rk4" if self.refusal("rkn6") else "rkn6"
         if self.system.joint:
             second, what = "rattle8", JOINT_ORACLE
@@ -282,6 +188,35 @@ class Study:
         # where the difference no longer falls it is noise: the larger of two neighbours counts
         floor = min(map(max, pairwise(found[1:]))) if len(found) > 3 else found[-1]
         return Reference(oracle, f"{what}, checked by {second} with shorter steps", floor)
+
+    def converge(self, budget: float) -> tuple[str, float]:
+        """Find the energy by ever shorter steps: what it is, and their last change."""
+        method, step, floor = self.contacts[0][0], self.first_step(), np.inf
+        self.expected, self.scale = self.energies_by(method, step)  # compile
+        start = THREADS.own.clock()
+        while THREADS.own.clock() - start < budget and not floor < 1e-12:
+            step *= 0.5
+            before = self.expected
+            self.expected, self.scale = self.energies_by(method, step)
+            floor = self.energy_error(before)
+        return f"{method} with a step of {step:.3g} s", floor
+
+    def energies_by(self, method: str, step: float) -> tuple[Floats, float]:
+        """Energy at the times of a run of ours, and its largest kinetic one [J]."""
+        own = part(self.system, self.plan(method, step), self.which)
+        kinetic, potential = energies(own, *timed_states(own, self.times))
+        return kinetic + potential, float(kinetic.max())
+
+    def failure_of(self, error: Error) -> str:
+        """Why a run with this error says nothing; empty where it does."""
+        off = error.worst
+        if self.is_compared and off > LOST:
+            return f"energy off by {off:.2g} times the largest kinetic one"
+        return failure(error)
+
+    def energy_error(self, found: Floats) -> float:
+        """Largest difference from the energy that is expected, over its scale."""
+        return float(np.abs(found - self.expected).max() / self.scale)
 
     # Steps
 
@@ -313,7 +248,7 @@ class Study:
             reason = self.peer_refusal(engine)
             contenders += [
                 (engine.NAME, reason, partial(self.peer_curve, engine, variant))
-                for variant in engine.VARIANTS
+                for variant in variants_of(engine, self.system)
             ]
         curves = sum(not reason for _, reason, _ in contenders)
         share = (1.0 - _REFERENCE_SHARE) * budget / max(curves, 1)
@@ -361,6 +296,10 @@ class Study:
         spent = THREADS.busy - before
         energy, spin = drifts(own, frames, booked)
         error = Error(energy, energy, 0.0)
+        if self.is_compared:
+            kinetic, potential = energies(own, frames, booked)
+            off = self.energy_error(kinetic + potential)
+            error = Error(off, off, 0.0)
         if not self.by_energy:
             error = errors(own, self.times, frames, self.reference.frames)[-1]
         if spent < _LONG or self.which.size < self.system.n_bodies:
@@ -369,12 +308,15 @@ class Study:
             while repeats > 1 and sum(times) < _FILLED and len(times) < _MOST_REPEATS:
                 times.append(seconds(whole, self.t_end))
             spent = float(np.median(times))
-        return made(spent, error, energy, spin, failure(error))
+        return made(spent, error, energy, spin, self.failure_of(error))
 
     def peer_curve(self, engine: Engine, variant: str, budget: float) -> Iterator[Point]:
         """Points of one variant of a peer."""
-        scale, most = (1.0, np.inf) if engine.ADAPTIVE else (self.rate, 0.5 * self.t_end)
-        steps = [min(rung / scale, most) for rung in engine.VARIANTS[variant]]
+        unit, most = (1.0, np.inf) if engine.ADAPTIVE else (self.unit(), 0.5 * self.t_end)
+        steps = [min(rung * unit, most) for rung in variants_of(engine, self.system)[variant]]
+        if self.system.contact is not None:
+            yield from self.peer_course(engine, variant, steps, budget)
+            return
         engine.run(self.peer_scene, variant, steps[0])  # load
         start = THREADS.own.clock()
         for step in steps:
@@ -390,11 +332,28 @@ class Study:
             if THREADS.own.clock() - start > budget:
                 return
 
+    def unit(self) -> float:
+        """Unit of the steps of other engines [s]."""
+        return 1.0 / self.rate if self.rate > 0.0 else self.t_end
 
-def failure(error: Error) -> str:
-    """Why a run with this error says nothing; empty where it does."""
-    if not math.isfinite(error.worst) or not math.isfinite(error.position):
-        return "NaN or infinite"
-    if error.position > _LOST:
-        return f"position off by {error.position:.2g} times the size or path of the body"
-    return f"orientation off by {error.worst:.2g} rad" if error.worst > _LOST else ""
+    def peer_course(
+        self, engine: Engine, variant: str, steps: Sequence[float], budget: float
+    ) -> Iterator[Point]:
+        """Points of one variant of a peer on bodies that touch."""
+        scene, bodies = self.peer_scene, self.system.bodies
+        short = scene._replace(times=self.times[:1], t_end=float(self.times[0]))
+        course_of(engine, short, variant, steps[0], bodies)  # load
+        start = THREADS.own.clock()
+        for step in steps:
+            ahead = THREADS.own.clock()
+            frames, spent = course_of(engine, scene, variant, step, bodies)
+            if self.is_compared:
+                off = self.energy_error(energies_at(self.judged, frames, engine.STORES))
+                error = Error(off, off, 0.0)
+            else:
+                error = errors(self.judged, self.times, frames, self.reference.frames)[-1]
+            made = partial(Point, variant, engine.NAME, step, False, spent)
+            yield made(error, np.nan, np.nan, self.failure_of(error))
+            now = THREADS.own.clock()
+            if now - start + 2.2 * (now - ahead) > budget:
+                return

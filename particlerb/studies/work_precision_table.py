@@ -1,9 +1,13 @@
 """A chart of work against precision in words: the Pareto front, the advice, the table, the rows."""
 
 from collections.abc import Iterator, Sequence
+from math import isnan
+from typing import Final
 
+from particlerb.studies.points import BESIDE, POSE, Point, WorkPrecision
 from particlerb.studies.text import count_of
-from particlerb.studies.work_precision import POSE, Point, WorkPrecision
+
+_POSES: Final = ("worst rad", "rms rad", "position", "energy")
 
 
 def frontier(points: Sequence[Point]) -> list[Point]:
@@ -66,7 +70,8 @@ def table(found: WorkPrecision) -> str:
     bodies = count_of(found.n_bodies, "body", "bodies")
     sampled = f"; errors of {found.n_sampled} sampled bodies"
     front = {id(point) for point in frontier(found.points)}
-    heads = columns(found, ("worst rad", "rms rad", "position", "energy", "|L|"))
+    first = ("error", "", "", "balance") if found.measure == BESIDE else _POSES
+    heads = columns(found, (*first, "|L|"))
     return "\n".join(
         [
             f"{found.title}: {bodies} to t = {found.t_end:.6g} s, {found.clock} on one thread",
@@ -76,6 +81,7 @@ def table(found: WorkPrecision) -> str:
             f"{'method':<28} {'dt or tol':>10} {'time':>9} {heads}",
             *(row(found, p, "*" if id(p) in front else " ") for p in found.points),
             *(f" {name}: left out, {reason}" for name, reason in found.left_out),
+            *(f" {note}" for note in found.notes),
             *(f" {name}: {error:.2e} rad, published" for name, error in found.published),
             "",
             "* on the Pareto front: no method of ours is both faster and more accurate",
@@ -87,7 +93,8 @@ def table(found: WorkPrecision) -> str:
 def row(found: WorkPrecision, p: Point, mark: str) -> str:
     """A point in a line."""
     step = f"{p.step:.3g}" if p.step else "-"
-    values = columns(found, [f"{value:.2e}" for value in (*p.error, p.energy, p.spin)])
+    numbers = (*p.error, p.energy, p.spin)
+    values = columns(found, ["-" if isnan(value) else f"{value:.2e}" for value in numbers])
     failed = f"  FAILED, {p.failure}" if p.failure else ""
     return f"{mark}{p.label:<27} {step:>10} {duration(p.seconds):>9} {values}{failed}"
 
@@ -95,6 +102,7 @@ def row(found: WorkPrecision, p: Point, mark: str) -> str:
 def columns(found: WorkPrecision, values: Sequence[str]) -> str:
     """Columns of a table: errors of orientation and position, which say nothing of contact."""
     shown = values if found.measure == POSE else values[3:]
+    shown = (values[0], *shown) if found.measure == BESIDE else shown
     return " ".join(f"{value:>9}" for value in shown)
 
 

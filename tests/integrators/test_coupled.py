@@ -17,7 +17,7 @@ from particlerb.integrators import METHODS
 from particlerb.simulation.run import prepare
 from particlerb.stepping import pair_forces
 from particlerb.stepping.pair_forces import PairForces
-from particlerb.studies.work_precision import chart
+from particlerb.studies.chart import chart
 
 T_END = 1.6
 SMOOTH_METHODS = ("strang", "rkn6")

@@ -11,8 +11,9 @@ from benchmarks.peers import ENGINES, with_textbook
 from particlerb import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.simulation.run import prepare
+from particlerb.studies.chart import chart
 from particlerb.studies.peers import engines, oracle_states, peer_scene, refusal_by
-from particlerb.studies.work_precision import Study, chart
+from particlerb.studies.work_precision import Study
 
 pytestmark = pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
 

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 from itertools import islice
 
 import numpy as np
@@ -10,10 +11,12 @@ import pytest
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.simulation.trials import Error
+from particlerb.studies.chart import chart, curve_count
 from particlerb.studies.contact_laws import LawStudy
-from particlerb.studies.peers import peer_scene
+from particlerb.studies.peers import engines, peer_scene, refusal_by
+from particlerb.studies.points import Point, WorkPrecision, failure
 from particlerb.studies.text import nice_steps
-from particlerb.studies.work_precision import Point, WorkPrecision, chart, curve_count, failure
+from particlerb.studies.work_precision import Study
 from particlerb.studies.work_precision_table import (
     advice,
     cheapest,
@@ -22,6 +25,11 @@ from particlerb.studies.work_precision_table import (
     frontier,
     table,
 )
+
+
+def engine_of(name):
+    """Module of another engine."""
+    return engines([name])[0]
 
 
 def point(seconds, worst, method="strang", engine="", step=0.1, position=0.0, failed=""):
@@ -265,5 +273,64 @@ def test_impulses_and_springs_come_to_the_same_end_on_one_chart(make):
     assert point.method == f"strang, {springs[0]:g} N/m"
     assert point.step < 1e-3
     assert curve_count(system, (), ()) == 2
-    with pytest.raises(ValueError, match="given no contact"):
-        peer_scene(system)
+    for name, variant in (("mujoco", "implicitfast"), ("pybullet", "btMultiBody")):
+        assert peer_error(study, name, variant, 1e-3) < 0.05
+    scene = peer_scene(system)
+    assert not refusal_by(engine_of("mujoco"), scene)
+    assert refusal_by(engine_of("scipy"), scene) == "it has no contact"
+    assert "LAMMPS has hooke" in refusal_by(engine_of("lammps"), scene)
+
+
+@pytest.fixture
+def bounce(make):
+    """A ball falls on a floor, bounces, and touches at no time that is looked at."""
+
+    def made(**keys):
+        law = make.hooke(1e4, keys.pop("restitution", 1.0), 0.0)
+        ball = make.sphere(position=[0.0, 0.0, 0.3], **keys.pop("ball", {}))
+        down = {"acceleration": [0.0, 0.0, -10.0]}
+        keys = {"contact": law, "gravity": down, "t_end": 0.64, "every": 0.04} | keys
+        return to_system(load(make.case(ball, wall=[make.plane()], **keys)))
+
+    return made
+
+
+def peer_error(study, name, variant, step):
+    """Error of an engine on a chart of contact."""
+    engine = engine_of(name)
+    if (why := engine.missing()) and "NUMBA" not in why:
+        pytest.skip(why)
+    steps = iter(study.peer_course(engine, variant, [step], 0.0))
+    return next(steps).error.worst
+
+
+@pytest.mark.plain
+def test_engines_on_a_chart_of_contact_lose_what_a_bounce_should_take(bounce):
+    """LAMMPS has the same spring; e = 0.5 leaves a quarter of the energy."""
+    study = Study(bounce(restitution=0.5), 0.0, True)
+    study.expected, study.scale = study.energies_by("strang", 1e-4)
+    assert study.expected[-1] - study.expected[0] < -0.7 * study.scale
+    coarse, fine = (peer_error(study, "lammps", "granular", h) for h in (1e-3, 2.5e-4))
+    assert fine < 0.25 * coarse < 0.01
+    elastic = Study(bounce(), 0.0, True)
+    assert peer_error(elastic, "mujoco", "RK4", 2e-4) < 0.03  # its spring is 1 % softer
+    assert peer_error(elastic, "pybullet", "btMultiBody", 2e-4) < 0.2  # gains at each bounce
+    softer = elastic.system._replace(
+        contact=elastic.system.contact.model_copy(update={"stiffness": 1e3})
+    )
+    elastic.__dict__["peer_scene"] = peer_scene(softer)._replace(times=elastic.times)
+    assert peer_error(elastic, "lammps", "granular", 2.5e-4) > 0.05
+
+
+def test_what_engines_are_not_given_where_bodies_touch_is_said(bounce, make):
+    push = make.push([1.0, 0, 0], body="ball")
+    study = Study(bounce(force=[push]), 0.0, True)
+    words = "other engines are given no force[0], push where bodies touch"
+    with pytest.raises(ValueError, match=re.escape(words)):
+        _ = study.peer_scene
+    spring = make.spring([0, 0, 2.0], 10.0, at=[0, 0, 0.05], body="ball")
+    study = Study(bounce(force=[spring]), 0.0, True)
+    names = ("mujoco", "lammps", "pybullet")
+    reasons = [refusal_by(engine_of(name), study.peer_scene) for name in names]
+    assert reasons == ["", "it is given no force[0], spring",
+                       "it is given balls, clumps and planes alone"]  # fmt: skip

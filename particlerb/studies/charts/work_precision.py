@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from particlerb.compiled.vector_width import processor
 from particlerb.maths.vec3 import Floats
 from particlerb.studies.charts.style import (
     INK,
@@ -19,8 +20,8 @@ from particlerb.studies.charts.style import (
     finish_panel,
     write_beside,
 )
+from particlerb.studies.points import Point, WorkPrecision
 from particlerb.studies.text import count_of
-from particlerb.studies.work_precision import Point, WorkPrecision
 from particlerb.studies.work_precision_table import advice, cheapest, frontier
 
 _PEER: Final = "#75808c"
@@ -58,9 +59,13 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     _mark_cheapest(axes, chart)
     bodies = count_of(chart.n_bodies, "body", "bodies")
     figure.suptitle(
-        f"{chart.title}   ({bodies} to t = {chart.t_end:.6g} s, one thread)",
+        f"{chart.title}   ({bodies} to t = {chart.t_end:.6g} s, one thread, {processor()})",
         color=INK, x=0.01, ha="left", fontsize=12,
     )  # fmt: skip
+    own = METHOD_COLOURS.keys()
+    absent = [f"{name}: left out, {why}" for name, why in chart.left_out if name not in own]
+    if words := "\n".join((*chart.notes, *absent)):
+        figure.supxlabel(words, fontsize=8, color=_PEER, x=0.01, ha="left")
     figure.savefig(path, dpi=130)
 
 
