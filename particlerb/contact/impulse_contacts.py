@@ -235,8 +235,7 @@ def _wall_contact(
 @inline
 def _find_reach(setup: GroupContact, impulses: Impulses, arm: float, dt: float) -> float:
     """Write how far points of bodies come in a step, at most; the farthest [m]."""
-    partners, farthest = impulses.partners, 0.0
-    reach = partners.reach
+    partners, reach, farthest = impulses.partners, impulses.partners.reach, 0.0
     for b in range(setup.max_arm.size):
         _note_speeds(partners, b)
     _note_motors(partners, impulses.rows.bounded)

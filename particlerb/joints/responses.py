@@ -142,8 +142,7 @@ def find_bounded(
     Bodies are in `work` where they may touch, and the clock is there.
     """
     bounds = joints.bounds
-    for b in range(mechanisms.is_known.size):
-        mechanisms.is_known[b] = False
+    mechanisms.is_known[:] = False
     if bounded is None or bounds is None:
         return
     for k in range(bounded.kind.size):

@@ -178,9 +178,9 @@ def expected_overlap(system: System, group: GroupPlan, segment: Segment) -> floa
     return speed / math.sqrt(float(lightest * k[k > 0.0].min(initial=math.inf)))
 
 
-# Impulses over springs: 6.6 steps of springs for one of five sweeps (benchmarks/impulses.py)
+# Impulses over springs: a step of five sweeps costs 6.6 of springs (benchmarks/impulses.py)
 _IMPULSES: Final = 5.5  # steps of springs that a step of impulses costs without its sweeps,
-_SWEEP: Final = 0.2  # and for each sweep
+_SWEEP: Final = 0.2  # and for each sweep, as of trial code
 _ALIKE: Final = 1.5  # times the work, below which neither law is cheaper
 
 
