@@ -117,8 +117,7 @@ def _contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: fl
     partner = _softest_partners(contact, softness, own)
     own[model.spheres.body] = model.spheres.material
     pair = model.pair_of[own]  # of bodies that touch nothing any one: they have no partners
-    touching = own[:, None] >= 0  # and -inf is the partner where there is none
-    both = np.maximum(np.where(touching, softness[:, None] + partner, 0.0), 0.0)
+    both = np.maximum(np.where(own[:, None] >= 0, softness[:, None] + partner, 0.0), 0.0)
     shear = np.where(law.friction > 0.0, law.tangential_stiffness, 0.0)
     if law.hertz is None:
         k = (law.stiffness + shear)[pair]

@@ -43,6 +43,7 @@ _NEAR: Final = 1.5  # ratio of costs between which nothing else is looked for
 _NOISE: Final = 1e-13  # no error below it is foretold
 ENOUGH: Final = 0.6  # of what is wanted, where errors are seen and not foretold
 _AGREED: Final = 0.1  # of the error aimed at, by which two runs may differ that both are right
+_ASTRAY: Final = 4.0  # times the difference of two runs, that from a much finer one tells noise
 _MOST_GROWTH: Final = 5  # of the setting, in powers of it
 _FURTHER: Final = 300.0  # ratio of errors beyond what was tried, where a run would be too dear
 _TINY: Final = 1e-300  # in place of errors of 0
@@ -178,8 +179,15 @@ class Ladder:
                 self.setting, self.is_verified = one.setting, True
 
     def is_lost(self) -> bool:
-        """Whether errors no longer fall: with much finer settings they are half at least."""
-        last, ratio = self.tried[-2].setting, RATIO[self.name]
+        """Whether errors no longer fall: with much finer settings they are half at least.
+
+        Or the finest run, with much the finest setting, is much farther from the one before than
+        that one from its own.
+        """
+        (*_, last, finest), ratio = [one.setting for one in self.tried], RATIO[self.name]
+        is_fine = len(self.tried) > 2 and last >= 0.99 * ratio**2 * finest
+        if is_fine and _ASTRAY * self.between(*self.tried[-3:-1]) < self.errors[-1] < _REGULAR:
+            return True
         before = [e for e, t in zip(self.errors, self.tried, strict=False) if t.setting > last]
         far = [t.setting for t in self.tried if t.setting >= 0.99 * ratio**2 * last]
         return bool(far) and before[len(far) - 1] < min(_REGULAR, 2.0 * self.errors[-1])
@@ -242,19 +250,16 @@ class Ladder:
 
     def affords(self, setting: float, best: float) -> bool:
         """Whether a run with a setting leaves the search shorter than the run with the best."""
-        more = self.cost_of(setting, self.pilot.which.size)
-        whole = self.cost_of(best, self.pilot.group.members.size)
-        return self.pilot.spent + more + SET_UP <= max(whole, LEAST)
+        spent = self.pilot.spent + SET_UP + self.cost_of(setting, self.pilot.which.size)
+        return spent <= max(self.cost_of(best, self.pilot.group.members.size), LEAST)
 
     def next_setting(self) -> float:
         """Setting to try next."""
         if not self.tried:
             return self.first_setting()
         finest, ratio = self.tried[-1].setting, RATIO[self.name]
-        if len(self.tried) == 1:
-            return finest / ratio
-        if self.setting >= finest:
-            return self.setting
+        if len(self.tried) == 1 or self.setting >= finest:
+            return finest / ratio if len(self.tried) == 1 else self.setting
         wanted = self.setting / ratio
         if not self.affords(wanted, self.setting):
             wanted = max(self.setting * ratio, finest / ratio**1.5)
@@ -266,9 +271,8 @@ class Ladder:
 
         Steps longer than from one look to the next would save nothing.
         """
-        wanted = self.pilot.wanted
         if not self.is_stepped:
-            return min(max(_FIRST_TOLERANCE * wanted, _FINEST), _COARSEST)
+            return min(max(_FIRST_TOLERANCE * self.pilot.wanted, _FINEST), _COARSEST)
         return min(self.pilot.longest(self.first_turn(0.5)), sum(self.pilot.lengths) / TIMES)
 
     def first_turn(self, share: float) -> float:

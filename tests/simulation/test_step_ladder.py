@@ -95,6 +95,15 @@ def test_errors_that_do_not_fall_below_noise_are_told():
     assert found.until == 0.0
 
 
+def test_noise_that_grows_with_the_number_of_steps_ends_the_search():
+    """As of roundings in a chaotic scene: a much finer run lies farther off than two coarser."""
+    wanders = {"sixth": lambda h: h**6 + 6e-7 / h * np.cos(51.3 * np.log(h))}
+    pilot = FakePilot(1.6e-11, wanders)
+    found = choice(pilot, "sixth")
+    assert 1e-6 < found.error < 1e-3
+    assert pilot.spent < 3e6
+
+
 @pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("bodies", [1, 32, 1000, 100_000])
 def test_the_search_takes_no_longer_than_the_run(wanted, bodies):
