@@ -321,6 +321,7 @@ def as_page() -> None:
             is_closed = row["choice"] == "closed form"
             found = "rounding" if is_closed else f"{share:.2g}"
             other = f"{row['cheapest']}, {1.0 / ratio:.2g} of the time"
+            other = other if ratio == ratio else row["cheapest"]
             if ratio > 1.5:
                 other = f"**{other}**"
             spent = row["search [ms]"]
