@@ -40,7 +40,7 @@ def rods(*joints, n=2):
         ({"type": "ball", "body": "b0", "axis": [0, 0, 1]}, "joint[0].axis", "has none"),
         ({"type": "distance", "body": "b0"}, "joint[0].at_to", "missing"),
         ({"type": "belt", "body": "b0"}, "joint[0].type", "belt"),
-        ({"type": "hinge", "body": "b0", "axis": [0, 0, 0]}, "joint[0].axis", "has a length"),
+        ({"type": "hinge", "body": "b0", "axis": [0, 0, 0]}, "joint[0].axis", "not a direction"),
         ({"type": "ball", "body": ["b0", "b1"], "to": ["b0", "b1", "b0"]}, "joint[0].to", "pairs"),
         ({"type": "ball", "body": ["b0", "b1"], "chain": True, "to": "b1"}, "joint[0].to", "chain"),
         ({"type": "distance", "body": "b0", "at": [0, 0, 0], "at_to": [0, 0, 0]}, "joint[0]",
