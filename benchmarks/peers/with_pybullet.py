@@ -185,6 +185,16 @@ def add_touching(scene: Scene, b: int, element: ET.Element, here: dict[str, int]
     )
     if held:
         return body
+    set_inertia(scene, b, body, here)
+    v, w = scene.velocity[b].tolist(), scene.angular_velocity[b].tolist()
+    pybullet.resetBaseVelocity(body, v, w, **here)
+    return body
+
+
+def set_inertia(scene: Scene, b: int, body: int, here: dict[str, int]) -> None:
+    """Give Bullet's body the mass and moments of body `b`, and nothing that damps or bounds it."""
+    import pybullet
+
     pybullet.changeDynamics(
         body,
         -1,
@@ -195,9 +205,6 @@ def add_touching(scene: Scene, b: int, element: ET.Element, here: dict[str, int]
         maxJointVelocity=1e100,
         **here,
     )
-    v, w = scene.velocity[b].tolist(), scene.angular_velocity[b].tolist()
-    pybullet.resetBaseVelocity(body, v, w, **here)
-    return body
 
 
 def scaled(scene: Scene) -> Scene:
@@ -228,16 +235,7 @@ def add_body(scene: Scene, b: int, variant: str, world: int) -> int:
         useMaximalCoordinates=maximal,
         **here,
     )
-    pybullet.changeDynamics(
-        body,
-        -1,
-        mass=scene.mass[b],
-        localInertiaDiagonal=scene.inertia[b].tolist(),
-        linearDamping=0.0,
-        angularDamping=0.0,
-        maxJointVelocity=1e100,
-        **here,
-    )
+    set_inertia(scene, b, body, here)
     if maximal:
         pybullet.setCollisionFilterGroupMask(body, -1, 0, 0, **here)
     return body
