@@ -19,7 +19,7 @@ BUDGETS = {
     "closed forms under force": 1596,
     "joints": 5201,
     "contact with every method": 480,
-    "contact by impulses": 3731,
+    "contact by impulses": 3862,
     "collisions by events": 1712,
     "forces: tables, gradients, written by users": 2151,
     "scenes and simulations in Python": 610,

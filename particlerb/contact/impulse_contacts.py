@@ -13,7 +13,16 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.contact_model import ContactList, GroupContact, NeighbourLists, Workspace
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS
 from particlerb.contact.records import Records, put_row3, row3, row4
-from particlerb.contact.walls import PLANE, euler_count, gap_vector, length, primitive_at
+from particlerb.contact.walls import (
+    NEAR,
+    PLANE,
+    Primitive,
+    euler_count,
+    gap_vector,
+    length,
+    normal_rate,
+    primitive_at,
+)
 from particlerb.impulses.records import (
     ARM,
     B_LARGEST,
@@ -35,8 +44,8 @@ from particlerb.impulses.records import (
     Rolling,
 )
 from particlerb.impulses.rolling import ABOUT, ACROSS
-from particlerb.impulses.rows import column3, in_world, put_column3, write_frame
-from particlerb.maths.quaternion import to_body, to_world
+from particlerb.impulses.rows import column3, in_world, lean, put_column3, write_frame
+from particlerb.maths.quaternion import Quat, to_body, to_world
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _ROUNDING: Final = 1e-12  # of the speeds: what approaches no faster is at rest
@@ -54,6 +63,7 @@ class _Near(NamedTuple):
     radius: float  # [m] the smaller one
     effective: float  # [m] R*
     slow: float  # [m/s]
+    changes: Vec3  # [m/s²] of the velocity in it, without forces
     normal: Vec3  # from the second to the first
     point: Vec3  # [m] in the middle of the gap
 
@@ -125,7 +135,9 @@ def _take_in(
     rows.limits[k, RADIUS] = near.radius
     rows.limits[k, RESTITUTION] = impulses.rules.restitution[pair]
     c = entry if entry >= 0 else ~entry
-    put_column3(rows.impulse, k, 0, scale(dt, row3(contacts.history.force, c)))
+    force = row3(contacts.history.force, c)
+    put_column3(rows.impulse, k, 0, scale(dt, force))
+    lean(partners, rows, k, scale(0.5 * dt, near.changes), force)
     put_column3(rows.impact, k, 0, ZERO)
     _take_in_rolling(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
     for deepest in (DEEPEST, DEEPEST_NOW):
@@ -165,6 +177,61 @@ def _forget(contacts: ContactList, c: int, rolling: Rolling | None) -> None:
 
 
 @inline
+def _turning(partners: Partners, a: int, x: Vec3) -> tuple[Vec3, Vec3, Vec3]:
+    """Velocity before the kick [m/s] of a point of partner a, its change by turning, and ω."""
+    omega = column3(partners.before, a, 3)
+    v = cross(omega, subtract(x, column3(partners.place, a, 0)))
+    return add(column3(partners.before, a, 0), v), cross(omega, v), omega
+
+
+@inline
+def _with_normal(u: Vec3, changes: Vec3, normal: Vec3, turns: Vec3) -> Vec3:
+    """Change [m/s²] of a velocity u, along the normal as that turns [1/s], and across it."""
+    return add_scaled(dot(u, turns), normal, add_scaled(-dot(u, normal), turns, changes))
+
+
+@inline
+def _change_between(
+    partners: Partners, a: int, b: int, spheres: tuple[Vec3, float, Vec3, float], normal: Vec3
+) -> Vec3:
+    """How the velocity in a contact of two spheres changes [m/s²], without forces.
+
+    Both bodies go on and turn as before the kick; `spheres` has centres and radii.
+    """
+    x, radius, y, other = spheres
+    (va, turning_a, one), (vb, turning_b, two) = _turning(partners, a, x), _turning(partners, b, y)
+    u = subtract(va, vb)
+    spin = add_scaled(radius, one, scale(other, two))
+    distance = max(dot(subtract(x, y), normal), NEAR)
+    turns = scale(1.0 / distance, add_scaled(-dot(u, normal), normal, u))
+    changes = add_scaled(-1.0, cross(spin, turns), subtract(turning_a, turning_b))
+    return _with_normal(add_scaled(-1.0, cross(spin, normal), u), changes, normal, turns)
+
+
+@inline
+def _change_on_wall(
+    partners: Partners, a: int, b: int, sphere: tuple[Vec3, float], one: Primitive, y: Vec3,
+    away: Vec3, q: Quat,
+) -> Vec3:  # fmt: skip
+    """The same of a sphere on a wall, as seen from the wall.
+
+    `y` is the centre in the frame of the wall, and `away` the normal; `q` turns both to the world.
+    """
+    x, radius = sphere
+    (va, turning_a, own), (vb, turning_b, other) = (
+        _turning(partners, a, x),
+        _turning(partners, b, x),
+    )
+    u, spin, normal = subtract(va, vb), subtract(own, other), to_world(q, away)
+    turns = to_world(q, normal_rate(one, y, away, to_body(q, u)))
+    changes = add_scaled(-2.0, cross(other, u), subtract(turning_a, turning_b))
+    # seen from the wall the spin of the body turns, which stays in space
+    changes = add_scaled(radius, cross(cross(other, spin), normal), changes)
+    changes = add_scaled(-radius, cross(spin, turns), changes)
+    return _with_normal(add_scaled(-radius, cross(spin, normal), u), changes, normal, turns)
+
+
+@inline
 def _sphere_contact(
     setup: GroupContact, workspace: Workspace, contacts: ContactList, impulses: Impulses, c: int,
     dt: float,
@@ -191,7 +258,9 @@ def _sphere_contact(
     point = add_scaled(-(xyzr[i, 3] + 0.5 * gap), normal, row3(xyzr, i))
     pair = model.pair_of[model.spheres.material[i], model.spheres.partner[j]]
     smaller, effective = min(xyzr[i, 3], xyzr[j, 3]), xyzr[i, 3] * xyzr[j, 3] / touching
-    near = _Near(a, b, pair, c, gap, smaller, effective, slow, normal, point)
+    spheres = row3(xyzr, i), xyzr[i, 3], row3(xyzr, j), xyzr[j, 3]
+    changes = _change_between(impulses.partners, a, b, spheres, normal)
+    near = _Near(a, b, pair, c, gap, smaller, effective, slow, changes, normal, point)
     _take_in(setup, impulses, contacts, near, dt)
 
 
@@ -228,7 +297,8 @@ def _wall_contact(
         _forget(contacts, c, impulses.rows.rolling)
         return
     pair = model.pair_of[model.spheres.material[i], model.wall_material[primitive]]
-    near = _Near(a, b, pair, ~c, gap, radius, radius, slow, normal, point)
+    changes = _change_on_wall(impulses.partners, a, b, (x, radius), one, y, away, q)
+    near = _Near(a, b, pair, ~c, gap, radius, radius, slow, changes, normal, point)
     _take_in(setup, impulses, contacts, near, dt)
 
 

@@ -260,6 +260,41 @@ def gap_vector(one: Primitive, x: Vec3) -> Vec3:
 
 
 @inline
+def normal_rate(one: Primitive, x: Vec3, n: Vec3, u: Vec3) -> Vec3:
+    """How the normal of a primitive turns [1/s] while a point x near it moves with u [m/s].
+
+    Parameters
+    ----------
+    one : Primitive
+        In whose frame all is.
+    x, n : tuples of 3 floats
+        Point [m], and the unit vector to it from the nearest point.
+    u : tuple of 3 floats [m/s]
+
+    Returns
+    -------
+    tuple of 3 floats [1/s]
+        ṅ = K u, with the curvatures K of the surface at the distance of x.
+    """
+    kind, a, b, _, _ = one
+    if kind in (PLANE, FACE, DISC):
+        return 0.0, 0.0, 0.0
+    across = add_scaled(-dot(u, n), n, u)
+    if kind == EDGE:
+        edge = subtract(b, a)
+        across = add_scaled(-dot(u, edge) / dot(edge, edge), edge, across)
+    elif kind != VERTEX:
+        _, rho, away = radial(a, b, x)
+        around = cross(b, away)
+        bent = scale(dot(n, away) * dot(u, around) / max(rho, NEAR), around)
+        if kind == SIDE:
+            return bent
+        across = add_scaled(-dot(u, around), around, across)
+        return add_scaled(1.0 / max(length(subtract(x, nearest(one, x))), NEAR), across, bent)
+    return scale(1.0 / max(length(subtract(x, nearest(one, x))), NEAR), across)
+
+
+@inline
 def in_frame_of(poses: Records, w: int, x: Vec3) -> Vec3:
     """Point of the world in the frame of wall w."""
     return to_body(row4(poses.orientation, w), subtract(x, row3(poses.position, w)))

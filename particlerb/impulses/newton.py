@@ -55,7 +55,7 @@ from particlerb.impulses.rolling_newton import (
     step_rolling,
 )
 from particlerb.impulses.rows import (
-    approach,
+    approach_at_end,
     change_by,
     column3,
     in_frame,
@@ -128,7 +128,7 @@ def _linearise(
     The slope of P is one along e, which is any direction within the cone and its edge where it
     slides, g across the edge and none else.
     """
-    frame, u, r = rows.frame, approach(partners, rows, k), column3(rows.impulse, k, 0)
+    frame, u, r = rows.frame, approach_at_end(partners, rows, k), column3(rows.impulse, k, 0)
     mu, share = frame[k, FRICTION], frame[k, SHARE]
     speed = math.sqrt(u[1] * u[1] + u[2] * u[2])
     n = r[0] - share * (u[0] - frame[k, LEAST] + mu * speed)

@@ -14,6 +14,7 @@ from particlerb.impulses.mechanisms import all_have_moved
 from particlerb.impulses.records import (
     GAP,
     INVERSE,
+    LEAN,
     LEAST,
     NEVER,
     NORMAL,
@@ -41,7 +42,7 @@ def _find_overlaps(impulses: Impulses, dt: float) -> bool:
     found, count[1] = False, -1
     for k in range(count[0]):
         u = approach(partners, rows, k)
-        gap = rows.limits[k, GAP] + dt * u[0]
+        gap = rows.limits[k, GAP] + dt * (u[0] + rows.limits[k, LEAN])
         if gap < -max(_TOO_DEEP * rows.limits[k, RADIUS], rules.allowed):
             count[1] = k
         parts = u[0] > rows.limits[k, SLOW] and rows.impulse[k, 0] == 0.0

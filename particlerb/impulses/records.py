@@ -30,7 +30,10 @@ GAP: Final = 0  # [m] at the middle of the step; negative: an overlap
 RESTITUTION: Final = 1
 SLOW: Final = 2  # [m/s] what approaches no faster does not bounce
 RADIUS: Final = 3  # [m] the smaller one
-_N_LIMITS: Final = 4
+LEAN: Final = (
+    4  # [m/s] by how much velocities along n, t₁, t₂ change until the end, see `rows.lean`
+)
+_N_LIMITS: Final = 7
 
 STOP, MOTOR, RUBS = 0, 1, 2  # kinds of rows of `Bounded`
 # Columns of `Bounded.values`; impulses, and so what they belong to, along the coordinate
@@ -172,7 +175,7 @@ class ImpulseRows(NamedTuple):
     second: Ints
     entry: Ints  # k of the list of spheres, ~k of the list of walls
     frame: Floats  # (.., 24)
-    limits: Floats  # (.., 4)
+    limits: Floats  # (.., 7)
     impulse: Floats  # (.., 3) [N s] along n, t₁, t₂, on the first
     impact: Floats  # (.., 3) [N s] the same of impacts
     old: Floats  # (.., 3) before a sweep, and shares of the push-out

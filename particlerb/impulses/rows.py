@@ -4,11 +4,13 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.impulses.mechanisms import count_members, member, push_mechanism
+from particlerb.impulses.mechanisms import count_members, is_held, member, push_mechanism
 from particlerb.impulses.records import (
     ARM,
     COUPLING,
+    FRICTION,
     INVERSE,
+    LEAN,
     LEAST,
     NEVER,
     NORMAL,
@@ -16,6 +18,7 @@ from particlerb.impulses.records import (
     RUBBING,
     SCHUR,
     SHARE,
+    SLOW,
     TANGENT,
     ZERO,
     ImpulseRows,
@@ -25,6 +28,7 @@ from particlerb.impulses.records import (
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _LOCKED: Final = 1e-9  # of the inverse mass without joints: below it these hold all
+_STICKS: Final = 1.0 - 1e-6  # of μ times the normal force: a contact with less friction sticks
 _LEAST_SCHUR: Final = 1e-6  # of the same: friction along what joints hold is nothing
 
 
@@ -182,6 +186,52 @@ def approach(partners: Partners, rows: ImpulseRows, c: int) -> Vec3:
     """Velocity [m/s] in contact c along n, t₁, t₂."""
     a, b = rows.first[c], rows.second[c]
     return in_frame(rows.frame, c, velocity_between(partners.velocity, rows.frame, c, a, b))
+
+
+@inline
+def approach_at_end(partners: Partners, rows: ImpulseRows, c: int) -> Vec3:
+    """The same as it will be at the end of the step, but for the normal one: see `lean`."""
+    u, limits = approach(partners, rows, c), rows.limits
+    return u[0], u[1] + limits[c, LEAN + 1], u[2] + limits[c, LEAN + 2]
+
+
+@inline
+def lean(partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Vec3) -> None:
+    """Let the solve of contact c ask for what its velocity is at the end of the step.
+
+    Until then it changes without impulses, as the normal turns and as bodies turn. So what rolls or
+    slides along what is bent leaves the middle of a step as it came there; without this, each step
+    would take from its energy what the normal has turned towards it. No more than what came is
+    given back, and across the normal only to what stuck in the step before. What joints hold moves
+    otherwise, and is left as it is.
+
+    Parameters
+    ----------
+    partners, rows, c
+        Contact, whose frame and limits are known.
+    changes : tuple of 3 floats [m/s]
+        By how much its velocity changes in half a step, world axes.
+    force : tuple of 3 floats [N]
+        Of the step before.
+    """
+    put_column3(rows.limits, c, LEAN, ZERO)
+    a, b = rows.first[c], rows.second[c]
+    if is_held(partners.mechanisms, a) or is_held(partners.mechanisms, b):
+        return
+    n, x, y = in_frame(rows.frame, c, changes)
+    came, u, v = in_frame(rows.frame, c, velocity_between(partners.before, rows.frame, c, a, b))
+    rows.limits[c, SLOW] += 4.0 * max(-n, 0.0)
+    pressed, f, g = in_frame(rows.frame, c, force)
+    is_open = rows.frame[c, LEAST] < 0.0
+    if is_open and pressed <= 0.0:
+        return
+    n = min(max(came, min(n, 0.0)), max(n, 0.0))
+    rows.frame[c, LEAST] -= n
+    rows.limits[c, LEAN] = n
+    if math.sqrt(f * f + g * g) < _STICKS * rows.frame[c, FRICTION] * pressed:
+        size, most = math.sqrt(x * x + y * y), math.sqrt(u * u + v * v)
+        share = most / size if size > most else 1.0
+        put_column3(rows.limits, c, LEAN, (n, share * x, share * y))
 
 
 @inline

@@ -36,6 +36,7 @@ from particlerb.impulses.records import (
     FRICTION,
     GAP,
     INVERSE,
+    LEAN,
     LEAST,
     NEVER,
     RESIDUAL,
@@ -64,7 +65,15 @@ from particlerb.impulses.rolling import (
     size_of_rolling,
     sweep_rolling,
 )
-from particlerb.impulses.rows import approach, change_by, column3, give, in_frame, put_column3
+from particlerb.impulses.rows import (
+    approach,
+    approach_at_end,
+    change_by,
+    column3,
+    give,
+    in_frame,
+    put_column3,
+)
 from particlerb.maths.vec3 import Vec3, dot, subtract
 
 _EVERY: Final = 5  # sweeps from residual to residual
@@ -90,6 +99,26 @@ def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None) -> N
 
 
 @kernel
+def leave_out_what_leans(impulses: Impulses) -> None:
+    """Let contacts ask for no velocity across, where one joins that bore nothing in the last step.
+
+    Several contacts of a body can stick to what `rows.lean` asks for if they did so before.
+    """
+    _, partners, rows, count, _, _ = impulses
+    joins = partners.has_moved
+    for b in range(joins.size):
+        joins[b] = False
+    for k in range(count[0]):
+        bore = rows.impulse[k, 0] != 0.0 or rows.impulse[k, 1] != 0.0 or rows.impulse[k, 2] != 0.0
+        if not bore and approach(partners, rows, k)[0] < rows.frame[k, LEAST]:
+            for b in (rows.first[k], rows.second[k]):
+                joins[b] = partners.inverse[b, 0] > 0.0
+    for k in range(count[0]):
+        if joins[rows.first[k]] or joins[rows.second[k]]:
+            rows.limits[k, LEAN + 1], rows.limits[k, LEAN + 2] = 0.0, 0.0
+
+
+@kernel
 def _begin_where_it_ended(impulses: Impulses, bounded: Bounded | None) -> None:
     """Take the impulses of the step before, in the frames of now and within the cones."""
     _, partners, rows, count, _, _ = impulses
@@ -112,7 +141,7 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
     frame, impulse = rows.frame, rows.impulse
     changed = 0.0
     for k in range(count):
-        u = approach(partners, rows, k)
+        u = approach_at_end(partners, rows, k)
         old = column3(impulse, k, 0)
         put_column3(rows.old, k, 0, old)
         n = max(old[0] - frame[k, SHARE] * (u[0] - frame[k, LEAST]), 0.0)
@@ -135,7 +164,7 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
 @inline
 def _miss(partners: Partners, rows: ImpulseRows, k: int, r: Vec3) -> Vec3:
     """By how much contact k misses the law with an impulse r [N s], and the velocities of now."""
-    frame, u = rows.frame, approach(partners, rows, k)
+    frame, u = rows.frame, approach_at_end(partners, rows, k)
     mu, share = frame[k, FRICTION], frame[k, SHARE]
     lifted = u[0] - frame[k, LEAST] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
     x, y = r[1] - share * u[1], r[2] - share * u[2]

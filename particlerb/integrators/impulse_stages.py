@@ -29,7 +29,7 @@ from particlerb.impulses.records import (
 )
 from particlerb.impulses.rolling import write_rolling
 from particlerb.impulses.rows import approach, column3, put_column3, write_through_pistons
-from particlerb.impulses.solver import leave_out_what_will_bounce, solve
+from particlerb.impulses.solver import leave_out_what_leans, leave_out_what_will_bounce, solve
 from particlerb.integrators.contact_stages import place_within_step
 from particlerb.integrators.external_work import book
 from particlerb.integrators.impulse_booking import (
@@ -340,6 +340,7 @@ def press(
         push_pistons(pistons, partners.velocity, n, 0.5 * dt)
         moved = _size_of_kick(contact, partners)
         leave_out_what_will_bounce(impulses, bounded)
+        leave_out_what_leans(impulses)
         time = contact.memory.start + contact.workspace.step_start.time[0] + 0.5 * dt
         solve(impulses, bounded, moved, time)
         book_kick(books, partners.keeps_kick, acting, partners, blocks, layout, 0.5 * dt)

@@ -3,9 +3,9 @@
 Half a drift; in the middle half a kick, impacts with restitution, half a kick, one solve for the
 impulses of all that touches or would within the step, and what overlaps is pushed apart; half a
 drift. What damps on mechanisms, and dashpots between bodies, act for half a step before the kicks,
-and for the other half after them. Order 1 where bodies touch, 2 elsewhere. What forces have a
-potential do no work that is not theirs: half kick, flip, half kick retraces the path of an elastic
-bounce.
+and for the other half after them. Order 2 where bodies roll, stick or fly, 1 where contacts begin
+and end. What forces have a potential do no work that is not theirs: half kick, flip, half kick
+retraces the path of an elastic bounce.
 
 Source: Moreau, Unilateral contact and dry friction in finite freedom dynamics (1988), section 14;
 docs/impulses.md.
@@ -96,7 +96,7 @@ def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant:
 
 METHOD: Final = Method(
     name="moreau",
-    summary="order 1 in contacts, for law = 'impulse': midpoint step with impulses, exact cone",
+    summary="order 1 where contacts begin, for law = 'impulse': midpoint step, exact cone",
     order=2,
     accepts=frozenset({POSE, VELOCITY, TIME, BODIES, IMPULSES, PISTONS, JOINTS}),
     cost=12.0,

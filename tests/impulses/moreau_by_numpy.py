@@ -75,6 +75,11 @@ class Touch:
     b: int | None
     gap: float
     jacobian: np.ndarray  # (3, 6 n): relative velocity along n, t₁, t₂ from all twists
+    key: tuple  # which ball, and which other ball or plane
+    closing: float = 0.0  # m/s², by which bodies that turn approach
+    least: float = 0.0
+    ahead: float = 0.0  # m/s, by how much its normal velocity changes until the end of the step
+    across: np.ndarray = None  # (2,) m/s that a contact that sticks adds to its velocity
 
 
 @dataclass
@@ -93,6 +98,7 @@ class Scene:
     seen: dict = field(default_factory=lambda: dict.fromkeys(("open", "stick", "slide"), 0))
     impacts: int = 0
     pushed: int = 0
+    bore: dict = field(default_factory=dict)  # impulses (3,) of the last step, by key
 
     def twists(self):
         return np.concatenate([body.twist for body in self.bodies])
@@ -123,7 +129,7 @@ class Scene:
 
     # Contacts
 
-    def _touch(self, a, b, gap, normal, point):
+    def _touch(self, a, b, gap, normal, point, key, changes):
         frame = np.linalg.svd(normal[None])[2]
         frame[0] = normal
         jacobian = np.zeros((3, 6 * len(self.bodies)))
@@ -132,27 +138,74 @@ class Scene:
                 arm = point - self.bodies[k].x
                 jacobian[:, 6 * k : 6 * k + 3] = sign * frame
                 jacobian[:, 6 * k + 3 : 6 * k + 6] = sign * np.cross(arm, frame)
-        return Touch(a, b, gap, jacobian)
+        touch = Touch(a, b, gap, jacobian, key)
+        self._lean(touch, frame, changes)
+        return touch
+
+    def _lean(self, touch, frame, changes):
+        """What the solve asks for: velocities at the end of the step; `changes` (3,) m/s²."""
+        half = 0.5 * self.dt * frame @ changes
+        came = touch.jacobian @ self.twists()
+        radius = min(b.radius for b in self.bodies)
+        is_open = touch.gap > self.slop * radius
+        touch.least = -touch.gap / self.dt if is_open else 0.0
+        touch.closing, touch.across = max(-2.0 * half[0] / self.dt, 0.0), np.zeros(2)
+        n, *t = frame @ self.bore.get(touch.key, np.zeros(3))
+        if not is_open or n > 0.0:
+            touch.ahead = np.clip(came[0], min(half[0], 0.0), max(half[0], 0.0))
+            touch.least -= touch.ahead
+            if np.hypot(*t) < (1.0 - 1e-6) * self.friction * n:
+                size, most = np.hypot(*half[1:]), np.hypot(*came[1:])
+                touch.across = half[1:] * (min(1.0, most / size) if size > 0.0 else 0.0)
+
+    def _changes(self, one, x, other, y):
+        """Rate (3,) of the velocity of two balls in contact, or one on a plane, without forces.
+
+        Its normal part is along the turning normal. By a complex step: bodies move on for i s, and
+        what is of the order of s is all that is imaginary.
+        """
+        s = 1e-30j
+        wa = one.twist[3:]
+        arm = x - one.x
+        arm = arm + s * np.cross(wa, arm)
+        xa, va = one.x + s * one.v + arm, one.v + np.cross(wa, arm)
+        if other is None:
+            n, u = y + 0j, va - one.radius * np.cross(wa, y)
+        else:
+            wb = other.twist[3:]
+            arm = y - other.x
+            arm = arm + s * np.cross(wb, arm)
+            away = xa - other.x - s * other.v - arm
+            n = away / np.sqrt(away @ away)
+            spin = one.radius * wa + other.radius * wb
+            u = va - other.v - np.cross(wb, arm) - np.cross(spin, n)
+        along = n @ u
+        across = (u - along * n).imag / s.imag
+        return across - n.real * (n.real @ across) + n.real * (along.imag / s.imag)
 
     def touches(self, reach):
         """All pairs of balls, and balls with planes, whose gap is less than a reach."""
         found = []
         for a, body in enumerate(self.bodies):
-            for x in body.centres:
-                for point, normal in self.planes:
+            for i, x in enumerate(body.centres):
+                for j, (point, normal) in enumerate(self.planes):
                     gap = (x - point) @ normal - body.radius
                     if gap < reach:
                         at = x - (body.radius + 0.5 * gap) * normal
-                        found.append(self._touch(a, None, gap, normal, at))
+                        changes = self._changes(body, x, None, normal)
+                        found.append(
+                            self._touch(a, None, gap, normal, at, (a, i, "plane", j), changes)
+                        )
         for a, b in itertools.combinations(range(len(self.bodies)), 2):
             one, two = self.bodies[a], self.bodies[b]
-            for x, y in itertools.product(one.centres, two.centres):
+            for (i, x), (j, y) in itertools.product(enumerate(one.centres), enumerate(two.centres)):
                 away = np.linalg.norm(x - y)
                 gap = away - one.radius - two.radius
                 if gap < reach:
                     normal = (x - y) / away
                     at = x - (one.radius + 0.5 * gap) * normal
-                    found.append(self._touch(a, b, gap, normal, at))
+                    changes = self._changes(one, x, two, y)
+                    found.append(self._touch(a, b, gap, normal, at, (a, i, b, j), changes))
         return found
 
     # A step
@@ -188,7 +241,11 @@ class Scene:
 
     def _will_bounce(self, touch, slow):
         u = touch.jacobian[0] @ self.twists()
-        return self.restitution > 0.0 and touch.gap > 0.0 and u < -slow
+        return self.restitution > 0.0 and touch.gap > 0.0 and u < -self._slow(touch, slow)
+
+    def _slow(self, touch, slow):
+        """What approaches no faster than forces and turns give in two steps does not bounce."""
+        return slow + 2.0 * self.dt * touch.closing
 
     def _bounce(self, touches, inverse, slow):
         """Impacts, of which no two may come at once: their order would count."""
@@ -198,7 +255,7 @@ class Scene:
             hits = [
                 k
                 for k, t in enumerate(touches)
-                if t.gap <= 0.0 and self.restitution > 0.0 and u[k][0] < -slow
+                if t.gap <= 0.0 and self.restitution > 0.0 and u[k][0] < -self._slow(t, slow)
             ]
             if not hits:
                 return given
@@ -216,17 +273,28 @@ class Scene:
 
     def _press(self, active, inverse):
         if not active:
+            self.bore = {}
             return np.zeros(6 * len(self.bodies))
+        twists, joins = self.twists(), set()
+        for t in active:
+            if t.key not in self.bore and t.jacobian[0] @ twists < t.least:
+                joins |= {t.a, t.b} - {None}
+        across = [np.zeros(2) if {t.a, t.b} & joins else t.across for t in active]
         J = np.vstack([t.jacobian for t in active])
-        slop = self.slop * min(b.radius for b in self.bodies)
-        least = np.array([-t.gap / self.dt if t.gap > slop else 0.0 for t in active])
-        W, b = J @ inverse @ J.T, J @ self.twists()
+        least = np.array([t.least for t in active])
+        ahead = np.ravel([[0.0, *lean] for lean in across])
+        W, b = J @ inverse @ J.T, J @ twists + ahead
         r = solve(W, b, least, self.friction)
         for name, count in holds(
             r, b + W @ r, least, self.friction, self.dt * np.linalg.norm(self.gravity)
         ).items():
             self.seen[name] += count
         self.push(J.T @ r)
+        self.bore = {
+            t.key: t.jacobian[:, 6 * t.a : 6 * t.a + 3].T @ r[3 * k : 3 * k + 3]
+            for k, t in enumerate(active)
+            if r[3 * k] > 1e-9 * np.abs(r).max()
+        }
         return J.T @ r
 
     def _push_out(self, active, inverse, slow):
@@ -234,8 +302,10 @@ class Scene:
         moved = set()
         for touch in active:
             u = touch.jacobian[0] @ self.twists()
-            beyond = -(touch.gap + self.dt * u) - self.slop * min(b.radius for b in self.bodies)
-            if beyond <= 0.0 or u > slow or self.push_out == 0.0:
+            beyond = -(touch.gap + self.dt * (u + touch.ahead)) - self.slop * min(
+                b.radius for b in self.bodies
+            )
+            if beyond <= 0.0 or u > self._slow(touch, slow) or self.push_out == 0.0:
                 continue
             partners = {touch.a, touch.b} - {None}
             assert not partners & moved, "overlaps that share a body: take another scene"

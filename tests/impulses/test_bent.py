@@ -1,0 +1,81 @@
+"""What rolls along bent surfaces: nothing is lost as the normal turns."""
+
+import numpy as np
+import pytest
+from impulse_scenes import DOWN, G, case, impulse
+
+import particlerb
+
+plain = pytest.mark.plain
+BALL, CUP, SPEED = 0.05, 0.25, 4.0  # m, m, m/s
+PATH = CUP - BALL
+
+
+def rolls_in_a_cup(h, e=0.0, turn=0.0):
+    """A ball that rolls round the inside of a cylinder, and down by its weight.
+
+    The cup turns about its axis with `turn` [rad/s], and the ball rolls on it.
+    """
+    spin = (turn * CUP - SPEED) / BALL
+    ball = {"name": "ball", "shape": {"type": "ball", "radius": BALL}, "mass": 1.0,
+            "position": [PATH, 0.0, 0.0], "velocity": [0.0, SPEED, 0.0],
+            "angular_velocity": [0.0, 0.0, spin]}  # fmt: skip
+    cup = {"name": "cup", "type": "cylinder", "radius": CUP, "axis": [0, 0, 1], "length": 2.0,
+           "open": ["-", "+"], "motion": {"angular_velocity": [0.0, 0.0, turn]}}  # fmt: skip
+    t = particlerb.run(
+        case(ball, contact=impulse(e, 10.0), wall=[cup], gravity=DOWN, dt=h, t_end=0.5, every=0.02)
+    )
+    # z̈ = -5/7 g - 2/7 Ω R ω_r, where the spin ω_r about the normal grows with Ω ż
+    rate = SPEED / PATH
+    z = -2.5 * G / rate**2 * (1.0 - np.cos(np.sqrt(2.0 / 7.0) * rate * t.time))
+    x = t.position[:, 0]
+    off = np.abs(
+        x - np.column_stack((PATH * np.cos(rate * t.time), PATH * np.sin(rate * t.time), z))
+    )
+    return t, off.max()
+
+
+@plain
+def test_a_ball_rolls_round_a_cup_to_second_order():
+    """It comes up again where a point would fall: ω = (2/7)^½ Ω."""
+    errors = [rolls_in_a_cup(h)[1] for h in (2e-3, 1e-3, 5e-4)]
+    slope = np.log2(errors[0] / errors[2]) / 2.0
+    assert 1.8 < slope < 3.2
+    assert errors[1] < 2e-3 * PATH
+
+
+@plain
+def test_what_rolls_round_a_cup_does_not_bounce_whatever_its_restitution():
+    """The wall turns towards the ball with Ω v, eight times the weight here."""
+    soft, hard = rolls_in_a_cup(1e-3)[0], rolls_in_a_cup(1e-3, e=0.9)[0]
+    assert np.array_equal(soft.position, hard.position)
+    assert hard.observable("impulse_overlap").max() < 1e-3 * BALL
+
+
+@plain
+def test_a_cup_that_turns_about_its_axis_is_the_same_surface():
+    """What friction asks of the ball is another thing: it rolls on a wall that moves."""
+    t, off = rolls_in_a_cup(1e-3, turn=8.0)
+    assert np.abs(np.hypot(*t.position[:, 0, :2].T) - PATH).max() < 1e-3 * BALL
+    assert off < 0.5
+
+
+@plain
+def test_a_ball_rolls_off_a_ball_where_nothing_presses_it_any_more():
+    """From rest near the top it leaves at cos θ = 10/17, with v² = 10/17 g r."""
+    radius, start, h = 0.5, 0.1, 1e-3
+    r = radius + BALL
+    where = [r * np.sin(start), 0.0, r * np.cos(start)]
+    bodies = [
+        {"name": "below", "shape": {"type": "ball", "radius": radius}, "mass": 1.0, "fixed": True},
+        {"name": "ball", "shape": {"type": "ball", "radius": BALL}, "mass": 1.0, "position": where},
+    ]
+    t = particlerb.run(
+        case(*bodies, contact=impulse(0.5, 1e4), gravity=DOWN, dt=h, t_end=1.0, every=5e-3)
+    )
+    leaves = np.arccos(10.0 / 17.0 * np.cos(start))
+    v = np.sqrt(G * r * np.cos(leaves)) * np.cos(leaves)
+    assert t.velocity[-1, 1, 0] == pytest.approx(v, rel=1e-3)
+    away = np.linalg.norm(t.position[:, 1], axis=1)
+    on = np.arccos(np.clip(t.position[:, 1, 2] / away, -1, 1)) < leaves - 0.05
+    assert np.abs(away[on] - r).max() < 2e-5
