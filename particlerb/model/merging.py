@@ -41,6 +41,19 @@ class Merging(NamedTuple):
         """Bodies that others carry."""
         return np.flatnonzero(self.host != np.arange(self.host.size))
 
+    def part(self, first: int, stop: int) -> "Merging":
+        """The same of a range of bodies, none of which others than these carry."""
+        own = np.arange(first, stop)
+        return Merging(
+            self.whole.part(first, stop),
+            taken(self.bodies, own),
+            self.host[own] - first,
+            self.turn[:, own],
+            self.shift[:, own],
+            self.is_merged[own],
+            self.is_held[own],
+        )
+
     def placed(self, bodies: Ints, at: Floats) -> Floats:
         """Points (3, k) [m] of bodies, from their centres of mass, of their hosts; body frames."""
         return self.turned(bodies, at) + self.shift[:, bodies]

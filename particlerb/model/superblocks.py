@@ -30,6 +30,11 @@ def superblocks(n: int) -> Iterator[Range]:
         yield Range(first, min(first + SUPERBLOCK, n))
 
 
+def superblock_of(first: int, last: int) -> int:
+    """Superblock in which both of these bodies lie; -1: they lie in two."""
+    return first // SUPERBLOCK if first // SUPERBLOCK == last // SUPERBLOCK else -1
+
+
 def parts_of(n: int) -> list[Range]:
     """Ranges of n bodies that are files of their own: whole superblocks, as many in each."""
     each = SUPERBLOCK * -(-n // (SUPERBLOCK * _MOST_PARTS))

@@ -83,6 +83,8 @@ class System(NamedTuple):
     """Bodies that move as one; None: each moves by itself."""
     n_worlds: int = 1
     """Scenes that share the arrays, one after the other; the records are those of the first."""
+    whole: System | None = None
+    """The system of which this is a part; None: it is whole."""
     others: Mapping[int, tuple[AnyForce, ...]] = MappingProxyType({})
     """Forces that differ from world to world: the record of each, by the number of the first."""
     contacts: tuple[ContactTable, ...] = ()
@@ -113,7 +115,9 @@ class System(NamedTuple):
     def part(self, first: int, stop: int) -> Self:
         """Bodies of a range, with all records."""
         names = BodyNames(self.names.records, range(first, stop))
-        return self._with_bodies(np.arange(first, stop), names)
+        found = self._with_bodies(np.arange(first, stop), names)
+        merging = None if self.merging is None else self.merging.part(first, stop)
+        return found._replace(merging=merging, whole=self)
 
     def _with_bodies(self, own: Ints, names: BodyNames) -> Self:
         """Some bodies, under these names."""

@@ -14,6 +14,7 @@ import numpy as np
 from particlerb.forces.links import WORLD
 from particlerb.forces.registry import force_of
 from particlerb.maths.vec3 import Bools, Ints
+from particlerb.model.superblocks import superblock_of
 from particlerb.model.system import System
 from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce
 from particlerb.plan.contact_setup import ContactSetup
@@ -117,15 +118,20 @@ def clusters(
     apart: Ints,
     joints: Ties | None = None,
 ) -> list[Ints]:
-    """Bodies of each group of clusters that are copies of each other; asymmetric ones first."""
+    """Bodies of each group of clusters that are copies of each other; asymmetric ones first.
+
+    Those that lie in different superblocks are in different groups: ranks may share them.
+    """
     if not bound.size:
         return []
     order = bound[np.argsort(label[bound], kind="stable")]
     starts = np.flatnonzero(np.diff(label[order], prepend=-1))
-    signs: dict[int, list[object]] = {
-        int(label[part[0]]): [(int(apart[part[0]]), *system.kind[part % system.in_each].tolist())]
-        for part in np.split(order, starts[1:])
-    }
+    signs: dict[int, list[object]] = {}
+    for part in np.split(order, starts[1:]):
+        first, last = int(part[0]), int(part[-1])
+        block = superblock_of(first, last) if system.n_worlds == 1 else 0
+        like = int(apart[first]), block, *system.kind[part % system.in_each].tolist()
+        signs[int(label[first])] = [like]
     for link in links:
         labels, count = np.unique(label[link.first], return_counts=True)
         for one, springs in zip(labels.tolist(), count.tolist(), strict=True):

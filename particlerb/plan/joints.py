@@ -135,7 +135,7 @@ def asked_of_joints(system: System) -> set[str]:
 
 
 def joints_of(system: System) -> JointSetup | None:
-    """All joints of a system; None where there are none.
+    """All joints of a system, or of that of which it is a part; None where there are none.
 
     Raises
     ------
@@ -145,6 +145,7 @@ def joints_of(system: System) -> JointSetup | None:
     """
     if not system.joint:
         return None
+    system = system.whole or system
     merging = system.merging
     system = system if merging is None else merging.whole
     system = system._replace(state=system.placed or system.state)

@@ -60,6 +60,9 @@ def merged(system: System) -> System:
     """
     if system.merging is not None or not any(map(merges, system.joint)):
         return system
+    if system.whole is not None:
+        own = system.names.part
+        return merged(system.whole).part(own.start, own.stop)
     host, is_merged, is_held = _parts_of(system)
     if not is_merged.any():
         return system

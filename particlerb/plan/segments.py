@@ -32,7 +32,7 @@ from particlerb.joints.setup import with_drag
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.bodies import Bodies, held, taken
 from particlerb.model.state import State
-from particlerb.model.superblocks import superblocks
+from particlerb.model.superblocks import Range, superblock_of, superblocks
 from particlerb.model.system import System
 from particlerb.model.worlds import Worlds, worlds_among
 from particlerb.plan.case_forces import Forces, acting_terms, jumps_of
@@ -337,6 +337,19 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
             raise CaseError([problem_at(system, "run.method", reason, f"methods that do: {able}")])
 
 
+def inside(groups: Sequence[GroupPlan], of: Range, begin: int = 0) -> list[GroupPlan]:
+    """What there is of groups in a range of bodies, which are numbered from another one on."""
+    found = []
+    for group in groups:
+        own = np.flatnonzero((group.members >= of.first) & (group.members < of.stop))
+        members = group.members[own] - begin
+        if own.size == group.members.size:
+            found.append(group._replace(members=members))
+        elif own.size:
+            found.append(chosen(group, own, members))
+    return found
+
+
 def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
     """Some bodies of a group under new numbers."""
     segments = tuple(
@@ -363,15 +376,17 @@ def is_coupled(group: GroupPlan) -> bool:
     return tied or group.touches
 
 
+def is_one(group: GroupPlan) -> bool:
+    """Whether a group is not to be cut into superblocks: its bodies act on others elsewhere."""
+    if group.touches or group.worlds is not None:
+        return True
+    ends = int(group.members.min()), int(group.members.max())
+    return is_coupled(group) and superblock_of(*ends) < 0
+
+
 def in_superblocks(groups: Sequence[GroupPlan], n_bodies: int) -> list[list[GroupPlan]]:
-    """Groups of each superblock by themselves; as they are where bodies act on each other."""
+    """Groups of each superblock by themselves; as they are where one cannot be cut."""
     ranges = list(superblocks(n_bodies))
-    if len(ranges) == 1 or any(group.worlds or is_coupled(group) for group in groups):
+    if len(ranges) == 1 or any(map(is_one, groups)):
         return [list(groups)]
-    found = []
-    for first, stop in ranges:
-        inside = [(group.members >= first) & (group.members < stop) for group in groups]
-        own = [np.flatnonzero(which) for which in inside]
-        cut = zip(groups, own, strict=True)
-        found.append([chosen(g, which, g.members[which]) for g, which in cut if which.size])
-    return found
+    return [inside(groups, of) for of in ranges]

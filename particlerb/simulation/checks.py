@@ -65,6 +65,8 @@ def results(system: System, outcome: Outcome, ranks: Ranks = ALONE) -> list[Resu
                 for b in system.names.find(check.body)
             ]
             values.append(own)
+        elif ranks.number:  # the first has what there is once
+            values.append([])
         elif check.joint is None:
             number = impulse_quantity(check, probes[time].tally)
             values.append([_number_result(check, time, number)])

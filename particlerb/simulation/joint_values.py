@@ -6,7 +6,7 @@ records it and `joint_loads` find it by the same code.
 
 import math
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,12 +26,14 @@ from particlerb.joints.rows import rates, residuals
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, into_blocks
 from particlerb.model.state import Frames, State, state_in
+from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.plan.joint_words import work_at
 from particlerb.plan.joints import JointSetup, asked_of_joints, joints_of
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.merging import unmerged
-from particlerb.plan.segments import GroupPlan, Segment
+from particlerb.plan.segments import GroupPlan, Segment, inside
+from particlerb.ranks import Ranks
 from particlerb.stepping.stepped_motion import SteppedMotion
 
 
@@ -79,6 +81,22 @@ def refuse_checks(system: System) -> None:
         raise CaseError(problems)
 
 
+def of_all_ranks(values: JointValues, setup: JointSetup, ranks: Ranks) -> JointValues:
+    """Values of the joints of all ranks, each of which moves some of them.
+
+    What each differs by from those of joints that do not act is added, as integers of 64 bits.
+    """
+    if ranks.count == 1:
+        return values
+    idle = room_for_values(setup, len(values.joint_misfit))
+
+    def added(own: Any, none: Any) -> Any:
+        start = none.view(np.int64)
+        return (ranks.added(own.view(np.int64) - start) + start).view(own.dtype)
+
+    return JointValues._make(map(added, values, idle))
+
+
 def labels_of(system: System) -> dict[str, list[tuple[str, str]]]:
     """Names and units of joints and coordinates, where they are to be recorded."""
     setup = joints_of(system) if asked_of_joints(system) else None
@@ -119,8 +137,9 @@ class LoadReader:
     """
 
     def __init__(self, system: System) -> None:
-        self.system = unmerged(system)
-        self.plan = make_plan(self.system.with_run(method="auto", accuracy=None))
+        first = system.names.part.start
+        plan = make_plan(unmerged(system.whole or system).with_run(method="auto", accuracy=None))
+        self.groups = inside(plan.groups, Range(first, first + system.n_bodies), first)
         self.readers: dict[tuple[int, int], JointReader] = {}
 
     def read(self, times: Floats, frames: Frames, values: JointValues) -> None:
@@ -132,7 +151,7 @@ class LoadReader:
         """Write one row."""
         broken = np.append(values.joint_break_time[k], 0.0)
         broken = np.where(broken > 0.0, broken, np.inf)
-        for g, group in enumerate(self.plan.groups):
+        for g, group in enumerate(self.groups):
             s = next(s for s, own in enumerate(group.segments) if own.start <= time < own.stop)
             if group.segments[s].terms.joints is None:
                 continue

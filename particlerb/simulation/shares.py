@@ -1,5 +1,6 @@
 """The share of one rank in a scene: its bodies, and the groups that move them."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
@@ -12,9 +13,11 @@ from particlerb.maths.vec3 import Ints
 from particlerb.model.bodies import taken
 from particlerb.model.bricks import shares_of_bricks
 from particlerb.model.load import STATE_ROWS
-from particlerb.model.superblocks import Range, own_parts, parts_of, range_of
+from particlerb.model.superblocks import Range, own_parts, parts_of, range_of, superblocks
 from particlerb.model.system import System
-from particlerb.plan.segments import GroupPlan, Segment, chosen, is_coupled, jumps_on
+from particlerb.plan.joint_ends import Ties, joint_name, pairs_of
+from particlerb.plan.links import AnyLink, components, links_of
+from particlerb.plan.segments import GroupPlan, Segment, inside, jumps_on
 from particlerb.ranks import NoRanksError, Ranks
 from particlerb.record.file_size import estimated_size
 from particlerb.simulation.whole_run import Prepared
@@ -34,15 +37,39 @@ _COUPLING: Final = {
 
 
 def refuse_coupled(prepared: Prepared) -> None:
-    """Raise NoRanksError where bodies act on each other: they cannot be shared among ranks."""
-    system, groups = prepared.system, prepared.plan.groups
-    coupled: list[Terms] = [s.terms for g in groups if is_coupled(g) for s in g.segments]
-    if names := _coupling(system, coupled):
-        raise NoRanksError(
-            f"--mpi shares bodies that do not act on each other: this case has {', '.join(names)};"
-            " free bodies, those that forces of the world push, and those that touch with springs"
-            " may run so, others without --mpi"
-        )
+    """Raise NoRanksError where bodies act on each other that ranks would not move together.
+
+    Those that joints or springs tie together are to lie in one superblock. What ties the first that
+    do not is named.
+    """
+    system, plan = prepared.system, prepared.plan
+    if any(segment.terms.attraction is not None for _, segment in plan.segments):
+        raise NoRanksError("--mpi does not share attraction: run the case without it")
+    each = [(np.array(k), *pairs_of(system, table)) for k, table in enumerate(system.joint)]
+    ties: list[AnyLink | Ties] = [*itertools.starmap(Ties, each), *links_of(system)]
+    label = components(system.n_bodies, ties, np.zeros(0, dtype=np.int64))
+    block = next(superblocks(system.n_bodies)).stop
+    torn = label[np.arange(label.size) // block != label // block]
+    if torn.size:
+        raise NoRanksError(_told_of(system, ties, np.flatnonzero(label == torn.min()), block))
+
+
+def _told_of(system: System, ties: Sequence[AnyLink | Ties], members: Ints, block: int) -> str:
+    """What is wrong with bodies that are tied together and lie in several superblocks."""
+    first, last = int(members[0]), int(members[-1])
+    tie = next(tie for tie in ties if np.isin(tie.first, members).any())
+    if isinstance(tie, Ties):
+        k, number = int(np.argmax(np.isin(tie.first, members))), int(tie.record)
+        own = joint_name(system, system.joint[number], tie.first, tie.second, k)
+        name = f"joint[{number}] ({own})"
+    else:
+        name = f"force[{tie.number}]"
+    return (
+        "--mpi lets one rank move all bodies that joints or springs tie together:"
+        f" {name} and others tie {members.size}, from {system.names[first]}, body {first} of the"
+        f" scene, to {system.names[last]}, body {last}, which are not among the same {block}: list"
+        " the bodies of a mechanism next to each other in the case, or run it without --mpi"
+    )
 
 
 def _coupling(system: System, all_terms: Sequence[Terms]) -> list[str]:
@@ -86,13 +113,8 @@ def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
         refuse_contact(prepared, ranks)
         return _part_of_touching(prepared, touching[0], ranks)
     refuse_coupled(prepared)
-    first, stop = share_of(prepared.system.n_bodies, ranks)
-    groups = []
-    for group in prepared.plan.groups:
-        own = np.flatnonzero((group.members >= first) & (group.members < stop))
-        if own.size:
-            groups.append(chosen(group, own, group.members[own] - first))
-    plan = prepared.plan._replace(groups=tuple(groups))
+    first, stop = of = share_of(prepared.system.n_bodies, ranks)
+    plan = prepared.plan._replace(groups=tuple(inside(prepared.plan.groups, of, first)))
     return prepared._replace(system=prepared.system.part(first, stop), plan=plan, first=first)
 
 

@@ -31,6 +31,7 @@ from particlerb.simulation.impulse_values import impulse_fields
 from particlerb.simulation.joint_values import (
     JointValues,
     LoadReader,
+    of_all_ranks,
     recorded_values,
     room_for_values,
 )
@@ -246,6 +247,8 @@ class Run:
             frames = self.moving.merging.shown(frames)
         if self.loads is not None and self.joints is not None:
             self.loads.read(times[:sound], frames, self.joints)
+        if self.setup is not None and self.joints is not None:
+            self.joints = of_all_ranks(self.joints, self.setup, self.ranks)
         return frames, entries, error
 
     def record(

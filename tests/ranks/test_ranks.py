@@ -10,7 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from stops import HERE, PLAIN, command, digests, line, needs_mpi, run_words
+from stops import HERE, PLAIN, command, digests, line, needs_mpi, run_words, whole
 
 import particlerb
 from particlerb.cli import main
@@ -68,6 +68,48 @@ def test_any_number_of_ranks_writes_what_one_process_writes(tmp_path, two):
         assert done.returncode == 0, done.stderr
         assert digests(path) == expected, ranks
         assert done.stdout.replace(path.name, "alone.h5") == alone.stdout, ranks
+
+
+@needs_mpi
+@pytest.mark.slow
+def test_mechanisms_have_the_same_bits_on_any_number_of_ranks(tmp_path):
+    """Also where others go on: what joints carry, their coordinates, breaks, merged bodies."""
+    scene = HERE / "mechanisms.toml"
+    done = command(scene, "-o", tmp_path / "0.h5", "--threads", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    expected = digests(tmp_path / "0.h5")
+    told = json.loads(done.stdout)
+    assert len(told["checks"]) == 3
+    for ranks, others in ((1, 4), (2, 3)):
+        path = tmp_path / f"{ranks}.h5"
+        end = "--set", "run.t_end=0.12", "--threads", "1", "-q"
+        assert command(scene, "-o", path, *end, ranks=ranks).returncode == 0
+        done = command("resume", path, "--t-end", "0.16", "--json", ranks=others)
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["checks"] == told["checks"]
+        assert digests(path) == expected, ranks
+    assert whole(path) == whole(tmp_path / "1.h5")
+    with particlerb.open(path) as trajectory:
+        names = [name.decode() for name in trajectory.file["joints/names"][:]]
+        assert (trajectory.joint_break_time[-1] > 0.0).sum() == 1
+        for name in ("pin[0]", "axle[2]", "weld[0]", "hub"):
+            assert np.abs(trajectory.joint_force[-1, names.index(name)]).max() > 0.1, name
+
+
+@pytest.mark.plain
+def test_a_mechanism_over_two_superblocks_is_refused_by_name(monkeypatch, capsys):
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    words = ["check", str(HERE / "mechanisms.toml"), "--ranks", "3"]
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["ranks"]
+    assert found["ranks_at_most"] == 4
+    for change, name in (
+        ("force.0.to=dust[0]", "force[0] and others tie 2, from dust[0], body 5 of the scene, to"),
+        ("joint.5.to=link[0]", "joint[0] (pin[0]) and others tie 4, from link[0], body 0 of the"),
+        ("joint.2.to=['cross[1]','door[1]']", "joint[2] (weld[0]) and others tie 5, from cross[0]"),
+    ):
+        assert main([*words, "--set", change]) == 2
+        assert name in capsys.readouterr().err
 
 
 @needs_mpi
