@@ -39,7 +39,9 @@ def check_command(options: argparse.Namespace) -> int:
 def _words(n_ranks: int, shares: Shares) -> str:
     """Shares in words."""
     sends = "they send nothing while bodies move"
-    if shares.sensible_ranks is not None:
+    if shares.bytes_of_step and not shares.copies_of_rank:
+        sends = f"they share a sum, and receive {amount(shares.bytes_of_step)} for each"
+    elif shares.sensible_ranks is not None:
         sends = (
             f"a rank has copies of {shares.copies_of_rank} bodies of others or less, at the start,"
             f" and receives {amount(shares.bytes_of_step)} a step;"

@@ -133,8 +133,8 @@ def _conclude(
     prepared: Prepared, outcome: Outcome, path: Path, options: argparse.Namespace, ranks: Ranks
 ) -> int:
     """Print what came out; the exit code."""
-    system = prepared.system if ranks is ALONE else part_of(prepared, ranks).system
-    checks = results(system, outcome, ranks)
+    part = prepared if ranks is ALONE else part_of(prepared, ranks)
+    checks = results(part.system, outcome, ALONE if part.is_copied else ranks)
     if options.json:
         print(json.dumps(summary(path, outcome, checks)))
     else:

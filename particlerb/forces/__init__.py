@@ -23,6 +23,7 @@ from particlerb.joints.records import Joints
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.load import OTHER
+from particlerb.ranks import ALONE, Ranks
 
 LINE: Final = 3  # a fixed line in the world, in `Terms.axis`
 
@@ -45,6 +46,8 @@ class Terms(NamedTuple):
     or LINE of spheres and rods; -1: not known. Shape (n,); None: of none."""
     is_straight: Bools | None = None
     """Whether a body moves on a line through the ends of its damped springs, (n,)."""
+    ranks: Ranks = ALONE
+    """That share the sum over pairs that attract each other; each of them moves all bodies."""
 
     @property
     def known_contact(self) -> GroupContact:

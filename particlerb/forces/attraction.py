@@ -15,6 +15,7 @@ the softened potential: Plummer, Monthly Notices of the RAS 71, 460 (1911).
 import math
 import struct
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import Any, Final, NamedTuple, cast
 
@@ -38,7 +39,9 @@ from particlerb.maths.vec3 import (
     subtract,
 )
 from particlerb.model.block import LINE, aligned_zeros
+from particlerb.model.superblocks import Range
 from particlerb.model.worlds import Worlds
+from particlerb.ranks import ALONE, Ranks, ending_all
 
 TILE: Final = 256  # targets at a time: their places and fields stay in the first level of cache
 _PAIRS: Final = 64  # take as long as a step of a body, the unit of work in `threads`
@@ -295,18 +298,35 @@ def attraction_loads(attraction: Attraction, work: Fields, y: Floats, load: Floa
     _collect(attraction, work, load, 0, n_bodies)
 
 
-def spread_loads(attraction: Attraction, work: Fields, y: Floats, load: Floats) -> None:
-    """Add the loads on all bodies at y, tiles spread over the threads; same bits."""
+def spread_loads(
+    attraction: Attraction, work: Fields, y: Floats, load: Floats, ranks: Ranks = ALONE
+) -> None:
+    """Add the loads on all bodies at y, tiles spread over ranks and threads; same bits."""
     n_bodies = attraction.offset.size - 1
-    THREADS.alone(place_points, attraction, work, y, 0, n_bodies)
-    _spread_tiles(lambda first, last: attract(attraction, work, first, last), work)
-    THREADS.alone(add_attraction, attraction, work, load, 0, n_bodies)
+    with ending_all(ranks):
+        THREADS.alone(place_points, attraction, work, y, 0, n_bodies)
+        first, stop = _spread_tiles(partial(attract, attraction, work), work, ranks)
+        _share(work.field, int(work.tile[first, 0]), int(work.tile[stop - 1, 1]), ranks)
+        THREADS.alone(add_attraction, attraction, work, load, 0, n_bodies)
 
 
-def _spread_tiles(part: Callable[[int, int], object], work: Fields) -> None:
-    """Call part(first, last) for ranges of tiles that cover all particles."""
-    first, last, begin, end = work.tile.T
-    THREADS.share(part, len(work.tile), int((last - first) @ (end - begin)) // _PAIRS)
+def _spread_tiles(part: Callable[[int, int], object], work: Fields, ranks: Ranks) -> Range:
+    """Call part(first, last) for ranges of tiles that cover those of this rank; which these are."""
+    n = len(work.tile)
+    own = Range(n * ranks.number // ranks.count, n * (ranks.number + 1) // ranks.count)
+    first, last, begin, end = work.tile[slice(*own)].T
+    n_pairs = int((last - first) @ (end - begin))
+    shifted = (lambda lo, hi: part(own.first + lo, own.first + hi)) if own.first else part
+    THREADS.share(shifted, own.stop - own.first, n_pairs // _PAIRS)
+    return own
+
+
+def _share(values: Floats, first: int, stop: int, ranks: Ranks) -> None:
+    """Fill in the columns of other ranks, where this one has found those of a range."""
+    if ranks.count > 1:
+        own = np.ascontiguousarray(values[..., first:stop].T)
+        found = np.concatenate(ranks.sent([own] * ranks.count))
+        values[..., : len(found)] = found.T
 
 
 # Energy
@@ -349,17 +369,22 @@ def attraction_potential(
 
 
 def potential_energy(
-    attraction: Attraction, work: Fields, y: Floats, worlds: Worlds | None = None
-) -> Floats | float:
-    """U of all pairs of different bodies [J] at y, (13, n_bodies); tiles spread over threads.
+    attraction: Attraction, work: Fields, y: Floats, worlds: Worlds | None = None,
+    ranks: Ranks = ALONE,
+) -> Floats | float:  # fmt: skip
+    """U of all pairs of different bodies [J] at y, (13, n_bodies); tiles spread as for loads.
 
     In each world, (n_worlds,), if there are several.
     """
-    THREADS.alone(place_points, attraction, work, y, 0, attraction.offset.size - 1)
     sums = np.zeros(len(work.tile))
-    _spread_tiles(
-        lambda first, last: attraction_potential(attraction, work, first, last, sums), work
-    )
+    with ending_all(ranks):
+        THREADS.alone(place_points, attraction, work, y, 0, attraction.offset.size - 1)
+
+        def part(first: int, last: int) -> None:
+            attraction_potential(attraction, work, first, last, sums)
+
+        own = _spread_tiles(part, work, ranks)
+        _share(sums, own.first, own.stop, ranks)
     if worlds is None:
         return math.fsum(sums)
     return np.array([math.fsum(own) for own in np.split(sums, work.first_tile[1:])])

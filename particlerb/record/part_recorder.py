@@ -34,7 +34,7 @@ class PartRecorder:
     Parameters
     ----------
     system : System
-        The bodies of this rank.
+        The bodies of this rank, those of its parts among them.
     ranks : Ranks
         All that write.
     parts : Parts
@@ -44,7 +44,7 @@ class PartRecorder:
     def __init__(self, system: System, ranks: Ranks, parts: Parts) -> None:
         self.system, self.ranks, self.parts = system, ranks, parts
         self.numbers = own_parts(len(parts.ranges), ranks)
-        self.first = parts.ranges[self.numbers[0]].first if self.numbers else 0
+        self.first = system.names.part.start
         self.own: list[tuple[Range, Recorder]] = []
         self.master: Recorder | None = None
         self.last_commit = self.last_checkpoint = time.monotonic()

@@ -36,7 +36,7 @@ from particlerb.simulation.accuracy import prepare_again
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.outcome import Outcome, Progress, joined, of_no_body
 from particlerb.simulation.run import advance, identity
-from particlerb.simulation.shares import part_of
+from particlerb.simulation.shares import attraction_of, part_of
 from particlerb.simulation.whole_run import SHARED, Prepared
 
 _UNVERIFIED = (
@@ -145,7 +145,9 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
 
 def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
     """From the last state that all parts have; a kill may have left some of them ahead of it."""
-    numbers = own_parts(len(parts.ranges), ranks)
+    every = range(len(parts.ranges))
+    is_copied = attraction_of(pending.prepared.plan) is not None
+    numbers = every if is_copied else own_parts(len(every), ranks)
     looked_at = numbers or range(1)
     own = ranks.together(lambda: [_states_of(pending.path, parts.names[k]) for k in looked_at])
     each = [

@@ -154,7 +154,7 @@ def advance(
             raise RunError(str(problem)) from None
         raise
     recorder.finish()
-    of = run.counted, run.moving.state.com, prepared.system.run.t_end, ranks
+    of = run.counted, run.moving.state.com, prepared.system.run.t_end, run.adding
     return Outcome(
         run.balance.drift(*of, float(np.linalg.norm(run.gravity))),
         tuple(run.probes),

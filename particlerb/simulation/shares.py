@@ -9,6 +9,7 @@ import numpy as np
 from particlerb.case.run import frame_count
 from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.forces import Terms, terms_on
+from particlerb.forces.attraction import TILE
 from particlerb.maths.vec3 import Ints
 from particlerb.model.bodies import taken
 from particlerb.model.bricks import shares_of_bricks
@@ -17,7 +18,7 @@ from particlerb.model.superblocks import Range, own_parts, parts_of, range_of, s
 from particlerb.model.system import System
 from particlerb.plan.joint_ends import Ties, joint_name, pairs_of
 from particlerb.plan.links import AnyLink, components, links_of
-from particlerb.plan.segments import GroupPlan, Segment, inside, jumps_on
+from particlerb.plan.segments import GroupPlan, Plan, Segment, inside, jumps_on
 from particlerb.ranks import NoRanksError, Ranks
 from particlerb.record.file_size import estimated_size
 from particlerb.simulation.whole_run import Prepared
@@ -28,6 +29,7 @@ BYTES_MOVED: Final = 2050  # beside these for each body that a rank moves, likew
 BYTES_SAVED: Final = 200  # of a checkpoint for each body, likewise
 BYTES_TOUCHING: Final = 2500  # for each sphere of a clump of four that touches, of a small gas
 SENSIBLE_BODIES: Final = 2000  # that touch, of a rank at least: see docs/scale.md
+MOST_ATTRACTED: Final = 1_000_000  # particles: 1e12 pairs are some minutes of one core
 _COUPLING: Final = {
     "links": "springs between bodies",
     "own_pairs": "forces between bodies",
@@ -42,9 +44,7 @@ def refuse_coupled(prepared: Prepared) -> None:
     Those that joints or springs tie together are to lie in one superblock. What ties the first that
     do not is named.
     """
-    system, plan = prepared.system, prepared.plan
-    if any(segment.terms.attraction is not None for _, segment in plan.segments):
-        raise NoRanksError("--mpi does not share attraction: run the case without it")
+    system = prepared.system
     each = [(np.array(k), *pairs_of(system, table)) for k, table in enumerate(system.joint)]
     ties: list[AnyLink | Ties] = [*itertools.starmap(Ties, each), *links_of(system)]
     label = components(system.n_bodies, ties, np.zeros(0, dtype=np.int64))
@@ -82,6 +82,48 @@ def _coupling(system: System, all_terms: Sequence[Terms]) -> list[str]:
     return names + ["joints"] * bool(system.joint and "joints" not in names)
 
 
+def attraction_of(plan: Plan) -> Terms | None:
+    """Terms of the bodies that attract each other; None where none do."""
+    every = (segment.terms for _, segment in plan.segments)
+    return next((terms for terms in every if terms.attraction is not None), None)
+
+
+def refuse_attraction(plan: Plan, ranks: Ranks) -> int:
+    """Most ranks that may share a sum over attracting particles; NoRanksError where they cannot."""
+    terms = attraction_of(plan)
+    assert terms is not None
+    assert terms.attraction is not None
+    n = terms.attraction.mass.size
+    most = -(-n // TILE)
+    if terms.opening_angle:
+        raise NoRanksError(
+            "--mpi shares the direct sum of the attraction, and this case takes a tree: give"
+            ' attraction.sum = "direct", or run it without --mpi'
+        )
+    if n > MOST_ATTRACTED:
+        raise NoRanksError(
+            f"--mpi shares the attraction of {MOST_ATTRACTED} particles at most, and this case has"
+            f" {n}: each of the ranks moves all bodies; run it without --mpi, with a tree"
+        )
+    if ranks.count > most:
+        raise NoRanksError(
+            f"{ranks.count} ranks are too many for the attraction of {n} particles: a rank sums"
+            f" over the pairs of {TILE} or more, so {most} may share it"
+        )
+    return most
+
+
+def _with_attraction_shared(prepared: Prepared, ranks: Ranks) -> Prepared:
+    """All bodies, on each rank; only the sum over their pairs is shared."""
+    groups = [
+        group._replace(
+            segments=tuple(s._replace(terms=s.terms._replace(ranks=ranks)) for s in group.segments)
+        )
+        for group in prepared.plan.groups
+    ]
+    return prepared._replace(plan=prepared.plan._replace(groups=tuple(groups)), is_copied=True)
+
+
 def share_of(n_bodies: int, ranks: Ranks) -> Range:
     """Bodies of a rank.
 
@@ -112,6 +154,9 @@ def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
     if touching:
         refuse_contact(prepared, ranks)
         return _part_of_touching(prepared, touching[0], ranks)
+    if attraction_of(prepared.plan) is not None:
+        refuse_attraction(prepared.plan, ranks)
+        return _with_attraction_shared(prepared, ranks)
     refuse_coupled(prepared)
     first, stop = of = share_of(prepared.system.n_bodies, ranks)
     plan = prepared.plan._replace(groups=tuple(inside(prepared.plan.groups, of, first)))
@@ -222,6 +267,14 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
             int(is_free.sum()), len(ranges), in_part, of_part, bodies, set_up,
             int(BYTES_TOUCHING * n_spheres), copies, 8 * STATE_ROWS * copies,
             max(1, int(is_free.sum()) // SENSIBLE_BODIES),
+        )  # fmt: skip
+    terms = attraction_of(prepared.plan)
+    if terms is not None and terms.attraction is not None:
+        most, swapped = refuse_attraction(prepared.plan, ranks), 24 * terms.attraction.mass.size
+        run_bytes = BYTES_MOVED * system.n_bodies
+        return Shares(
+            most, len(ranges), in_part, of_part, system.n_bodies, set_up, run_bytes, 0, swapped,
+            most,
         )  # fmt: skip
     refuse_coupled(prepared)
     share_of(system.n_bodies, ranks)

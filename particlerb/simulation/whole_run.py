@@ -57,6 +57,7 @@ class Prepared(NamedTuple):
     text: str  # the plan in words
     parameters: Mapping[str, str] = MappingProxyType({})  # more for /parameters of the file
     first: int = 0  # number of its first body in the scene, where it is a part of one
+    is_copied: bool = False  # whether each of several ranks moves all bodies
 
 
 class Run:
@@ -66,6 +67,7 @@ class Run:
         self.system, plan, self.ranks = prepared.system, prepared.plan, ranks
         self.number_of_first = prepared.first
         self.is_shared = any(group.shared for group in plan.groups)  # a motion is that of all ranks
+        self.adding = ALONE if prepared.is_copied else ranks  # that have bodies of their own
         self.moving = merged(self.system)  # with bodies that move as one
         self.gravity = self.system.acceleration
         initial = as_frame(self.moving.bodies, self.moving.state)
@@ -108,11 +110,11 @@ class Run:
 
     def over_ranks(self, own: Sequence[Floats]) -> Floats:
         """Sum over superblocks of all ranks of what their motions return."""
-        return summed(own, ALONE if self.is_shared else self.ranks)
+        return summed(own, ALONE if self.is_shared else self.adding)
 
     def totals_of(self, frames: Frames, beside: Energies, known: _Sums = ()) -> Totals:
         """Totals of frames, with the energies beside the bodies' own."""
-        n_worlds, ranks = self.system.n_worlds, self.ranks
+        n_worlds, ranks = self.system.n_worlds, self.adding
         return totals(frames, self.counted, self.gravity, *beside, n_worlds, ranks, known)
 
     def finish(self, time: float) -> State:
@@ -248,7 +250,7 @@ class Run:
         if self.loads is not None and self.joints is not None:
             self.loads.read(times[:sound], frames, self.joints)
         if self.setup is not None and self.joints is not None:
-            self.joints = of_all_ranks(self.joints, self.setup, self.ranks)
+            self.joints = of_all_ranks(self.joints, self.setup, self.adding)
         return frames, entries, error
 
     def record(

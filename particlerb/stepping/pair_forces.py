@@ -62,7 +62,7 @@ class PairForces:
         self, terms: Terms, n: int, with_dashpots: bool, start: float = 0.0,
         worlds: Worlds | None = None,
     ) -> None:  # fmt: skip
-        attraction, self.worlds = terms.attraction, worlds
+        attraction, self.worlds, self.ranks = terms.attraction, worlds, terms.ranks
         self.cost = cost_of(terms)
         self.tree = None
         if attraction is not None and terms.opening_angle > 0.0:
@@ -82,8 +82,9 @@ class PairForces:
 
     @property
     def is_large(self) -> bool:
-        """Whether it is to be evaluated from Python, over threads; a tree always is."""
-        return self.tree is not None or (THREADS.count > 1 and self.cost > WORTH_THREADS)
+        """Whether it is to be evaluated from Python, over threads; a tree, and on ranks, always."""
+        is_outside = self.tree is not None or self.ranks.count > 1
+        return is_outside or (THREADS.count > 1 and self.cost > WORTH_THREADS)
 
     def evaluate(self) -> None:
         """Loads in the state y, over all threads."""
@@ -94,7 +95,7 @@ class PairForces:
         if self.tree is not None:
             self.tree.loads(y, load)
         if attraction is not None and work is not None:
-            spread_loads(attraction, work, y, load)
+            spread_loads(attraction, work, y, load, self.ranks)
 
     def potential_energy(self, com: Floats, q: Floats) -> Floats | float:
         """Of the bodies with each other, and of links to the world [J]; in each world."""
@@ -107,7 +108,7 @@ class PairForces:
         y = np.zeros((STATE_ROWS, com.shape[1]))
         y[:3], y[3:7] = com, q
         if self.pairs.attraction is not None and self.pairs.work is not None:
-            where = self.pairs.attraction, self.pairs.work, y, self.worlds
+            where = self.pairs.attraction, self.pairs.work, y, self.worlds, self.ranks
             energy = energy + potential_energy(*where)
         if self.tree is not None:
             energy += self.tree.potential_energy(y)

@@ -1,15 +1,19 @@
 """The commands, with superblocks of one block of 256 bodies: small scenes have several.
 
+Particles that attract each other come in tiles of 8.
+
 OFTEN=1: a commit with a checkpoint behind every frame. LIMITED=N: on rank 1 no file may grow above
 N bytes, which is there as if the disk were full. MARK=...: for who looks for these processes.
 """
 
 import os
 
+from particlerb.forces import attraction
 from particlerb.model import superblocks
 from particlerb.ranks import Ranks
 
 superblocks.SUPERBLOCK = 256
+attraction.TILE = 8
 
 
 def commit_often() -> None:
