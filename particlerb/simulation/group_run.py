@@ -65,19 +65,21 @@ class GroupRun:
         return saved | {"number": np.array(self.number), "angle": np.array(self.angle)}
 
     def _first_of(self, of: Range) -> Saved:
-        """The first state of the segment, of some bodies of the scene."""
-        assert self.plan.shared is not None
-        number = self.plan.shared.first + self.plan.members
-        own = np.vstack(self.first).T[(number >= of.first) & (number < of.stop)]
-        return under(OF_BODIES, {"first": own})
+        """The first state of the segment, of some bodies of the scene, and who these are."""
+        shared, members = self.plan.shared, self.plan.members
+        assert shared is not None
+        rows = np.column_stack([shared.places(members), np.vstack(self.first).T])
+        number = shared.first + members
+        return under(OF_BODIES, {"first": rows[(number >= of.first) & (number < of.stop)]})
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         self.number, self.angle = int(saved["number"]), float(saved["angle"])
         if self.number:
             self.before, self.turnover = saved["before"], float(saved["turnover"])
-            shared = within(OF_BODIES, saved)
-            self.first = state_of(shared["first"].T if shared else saved["first"])
+            rows = within(OF_BODIES, saved).get("first")
+            whole = saved["first"] if rows is None else rows[np.argsort(rows[:, 0]), 1:].T
+            self.first = state_of(whole)
             self.pairs = self.pair_forces()
             self.motion = self.set_off(self.motion)
         self.motion.restore(within("motion", saved))

@@ -61,6 +61,11 @@ class Shared(NamedTuple):
     ranks: Ranks
     first: int  # number of the first body that is shown here
 
+    def places(self, members: Ints) -> Ints:
+        """Where among all bodies some are that are shown here."""
+        order = np.argsort(self.group.members)
+        return order[np.searchsorted(self.group.members, self.first + members, sorter=order)]
+
 
 class Energies(NamedTuple):
     """Energies beside those of the bodies themselves; (T, n_worlds) for scenes in a batch."""

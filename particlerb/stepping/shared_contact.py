@@ -65,6 +65,7 @@ class SharedContact(ContactMotion):
         self.is_free = self.model.inv_mass > 0.0
         parts = parts_of(self.whole.members.size)
         writer = writers(len(parts), self.ranks.count)
+        self.places = shared.places(shown.members)
         self.home = writer[self.whole.members // parts[0].stop]
 
     def sent(self, to: Ints, rows: Rows) -> Rows:
@@ -82,8 +83,9 @@ class SharedContact(ContactMotion):
 
     def everyone(self, shown: State) -> State:
         """State of all bodies, on each rank, from those that are shown on each."""
-        rows = np.ascontiguousarray(np.vstack(shown).T)
-        return state_of(np.concatenate(self.ranks.sent([rows] * self.ranks.count)).T)
+        rows = np.column_stack([self.places, np.vstack(shown).T])
+        rows = np.concatenate(self.ranks.sent([rows] * self.ranks.count))
+        return state_of(rows[np.argsort(rows[:, 0]), 1:].T)
 
     # Checkpoints
 
