@@ -145,9 +145,10 @@ class SharedContact(ContactMotion):
     def _go_on(self, saved: Saved) -> None:
         """Make the lists of then, and let bodies and contacts be as they are now."""
         own = within(OF_BODIES, saved)
-        rows, skin = own["rows"].copy(), float(saved["skin"])
+        saved_rows = own["rows"][np.argsort(own["rows"][:, 0])]
+        rows, skin = saved_rows.copy(), float(saved["skin"])
         pose, listed = slice(1, 1 + _POSE), slice(1 + _LISTED, None)
-        rows[:, pose], rows[:, listed] = own["rows"][:, listed], own["rows"][:, pose]
+        rows[:, pose], rows[:, listed] = saved_rows[:, listed], saved_rows[:, pose]
         both = [(own[f"keys.{which}"], own[f"values.{which}"]) for which in (0, 1)]
         self.steps_done = self.grid_step = int(saved["list_step"])
         now = self.take_up(rows, skin, both)

@@ -137,6 +137,19 @@ def test_check_says_who_may_share_an_attraction(monkeypatch, capsys):
 
 
 @needs_mpi
+@pytest.mark.compiled
+def test_compiled_kernels_give_the_same_bits_on_three_ranks(monkeypatch, tmp_path):
+    """Of free bodies alone: the other runs of ranks are plain Python."""
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    paths = tmp_path / "0.h5", tmp_path / "3.h5"
+    alone, shared = (run_words(path, "-q", scene="free.toml") for path in paths)
+    assert main([*map(str, alone)]) == 0
+    done = command(*shared, ranks=3, NUMBA_DISABLE_JIT="0")
+    assert done.returncode == 0, done.stderr
+    assert digests(paths[1]) == digests(paths[0])
+
+
+@needs_mpi
 @pytest.mark.slow
 def test_a_master_opens_as_one_and_is_whole(two):
     assert sorted(p.name for p in (two.parent / "run.parts").iterdir()) == [
