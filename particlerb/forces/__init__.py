@@ -73,10 +73,9 @@ class Terms(NamedTuple):
 
     @property
     def has_pair_loads(self) -> bool:
-        """Whether bodies act on each other by loads, and not by impulses alone."""
+        """Whether bodies act on each other by loads: impulses and joints are none."""
         between = self.links, self.own_pairs, self.attraction
-        acts = self.has_springy_contact or any(term is not None for term in between)
-        return self.is_coupled and (self.contact is None or acts)
+        return self.has_springy_contact or any(term is not None for term in between)
 
     @property
     def is_coupled(self) -> bool:

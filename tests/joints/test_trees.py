@@ -73,6 +73,7 @@ def test_trees_accelerate_as_by_multipliers(name, monkeypatch):
     motion = motion_at(TREES[name], 0.2, monkeypatch)
     found = []
     assert motion.jointed.tree is not None
+    assert motion.equations.acting.pair is None  # no loads are gathered where there are none
     for tree in (motion.jointed.tree, None):
         slope = np.zeros_like(motion.vectors.y)
         at = motion.vectors.width, 0.2, motion.vectors.y, slope
