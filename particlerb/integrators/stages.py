@@ -92,6 +92,13 @@ def caller_of_stages(function: Function) -> Function:
     return compiled
 
 
+def inlined_caller(function: Function) -> Function:
+    """The same as a helper: a call hands some hundred arrays over, in half a microsecond."""
+    inlined = inline(function)
+    _LISTS[id(inlined)] = function
+    return inlined
+
+
 def over_threads(function: Function, **names: Any) -> Function:
     """A function made of stages, as Python that spreads each of them over threads.
 

@@ -71,6 +71,8 @@ class JointTree(NamedTuple):
 
     body: Ints  # (n,)
     before: Ints  # (n,) bodies, or the world
+    mass: Floats  # (n,) [kg]
+    moments: Floats  # (n, 3) [kg m²] rotor frame
     arm: Floats  # (n, 6) [m] point of the joint in the body, and in the one before
     free: Ints  # (n + 1,) where its free directions are in the next ones
     is_shift: Bools  # (d,) or a turn
@@ -121,7 +123,8 @@ def tree_of(joints: Joints) -> JointTree | None:
     flat = [*(one for own in free for one in own), (False, world, np.zeros(3))]
     is_shift, of, axis = zip(*flat, strict=True)
     return JointTree(
-        np.array(body), np.array(before), np.array(arms),
+        np.array(body), np.array(before), 1.0 / joints.inv_mass[[*body]],
+        1.0 / joints.inv_inertia[[*body]], np.array(arms),
         np.cumsum([0, *(len(own) for own in free)]), np.array(is_shift), np.array(of),
         np.array(axis), TreeBodies(*(np.zeros((world + 1, k)) for k in (9, 3, 3, 3, 6, 6, 27, 6))),
         FreeDirections(*(np.zeros((len(of), k)) for k in (3, 6)), *np.zeros((2, len(of)))),
@@ -147,10 +150,10 @@ def _matrix_at(values: Floats, k: int, at: int) -> Matrix:
 
 
 @inline
-def _put_matrix(values: Floats, k: int, M: Matrix) -> None:
+def _put_matrix(values: Floats, k: int, at: int, M: Matrix) -> None:
     """Write it."""
     for i in range(3):
-        put_vector(values, k, 3 * i, M[i])
+        put_vector(values, k, at + 3 * i, M[i])
 
 
 @inline
@@ -158,7 +161,7 @@ def _place(joints: Joints, tree: JointTree, y: Floats, k: int) -> None:
     """Attitude of body k, and how it turns."""
     R, inverse = matrix(attitude(y, k)), vector(joints.inv_inertia, k, 0)
     spin = turn(R, component_product(inverse, turn_back(R, vector(y, k, L))))
-    _put_matrix(tree.bodies.R, k, R)
+    _put_matrix(tree.bodies.R, k, 0, R)
     put_vector(tree.bodies.spin, k, 0, spin)
 
 
@@ -201,13 +204,8 @@ def _set_out(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -
     put_vector(bodies.path, k, 0, way)
     put_vector(bodies.rest, k, 0, cross(before, add_scaled(2.0, shifting, cross(before, way))))
     put_vector(bodies.rest, k, 3, add(cross(before, middle), cross(middle, spin)))
-    m, inverse = 1.0 / joints.inv_mass[k], vector(joints.inv_inertia, k, 0)
-    J = tensor(R, (1.0 / inverse[0], 1.0 / inverse[1], 1.0 / inverse[2]))
-    none = _ZERO, _ZERO, _ZERO
-    for c in range(27):
-        bodies.inertia[k, c] = 0.0
-    diagonal = (m, 0.0, 0.0), (0.0, m, 0.0), (0.0, 0.0, m)
-    _add_inertia(bodies.inertia, k, _at_point_before((diagonal, none, J), com))
+    m = tree.mass[i]
+    _put_inertia(bodies.inertia, k, _at_joint(m, tensor(R, vector(tree.moments, i, 0)), com))
     F = subtract(scale(m, cross(spin, cross(spin, com))), vector(load, k, 0))
     tau = subtract(cross(spin, vector(y, k, L)), vector(load, k, 3))
     put_vector(bodies.b, k, 0, F)
@@ -222,6 +220,27 @@ def _plus(M: Matrix, f: float, u: Vec3, v: Vec3) -> Matrix:
         add_scaled(f * u[1], v, M[1]),
         add_scaled(f * u[2], v, M[2]),
     )
+
+
+@inline
+def _at_joint(m: float, J: Matrix, r: Vec3) -> _Inertia:
+    """I of a body by itself at a point from which r leads to its centre of mass."""
+    x, y, z = r
+    mx, my, mz = scale(m, r)
+    C = (
+        (J[0][0] + (y * my + z * mz), J[0][1] - x * my, J[0][2] - x * mz),
+        (J[1][0] - x * my, J[1][1] + (x * mx + z * mz), J[1][2] - y * mz),
+        (J[2][0] - x * mz, J[2][1] - y * mz, J[2][2] + (x * mx + y * my)),
+    )
+    A = (m, 0.0, 0.0), (0.0, m, 0.0), (0.0, 0.0, m)
+    return A, ((0.0, mz, -my), (-mz, 0.0, mx), (my, -mx, 0.0)), C
+
+
+@inline
+def _put_inertia(values: Floats, k: int, inertia: _Inertia) -> None:
+    """Write I of body k."""
+    for part in range(3):
+        _put_matrix(values, k, 9 * part, inertia[part])
 
 
 @inline
@@ -289,7 +308,7 @@ def _eliminate(tree: JointTree, i: int, is_held: bool) -> None:
 
 
 @inline
-def _accelerate(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -> None:
+def _accelerate(tree: JointTree, y: Floats, load: Floats, i: int) -> None:
     """Acceleration of body i of the tree from that of the one before; its load with its joints."""
     bodies, directions, k, p = tree.bodies, tree.directions, tree.body[i], tree.before[i]
     turning = vector(bodies.a, p, 3)
@@ -306,10 +325,8 @@ def _accelerate(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int
     put_vector(bodies.a, k, 3, turning)
     R, spin, com = _matrix_at(bodies.R, k, 0), vector(bodies.spin, k, 0), vector(bodies.com, k, 0)
     at_com = add(a, add(cross(turning, com), cross(spin, cross(spin, com))))
-    put_vector(load, k, 0, scale(1.0 / joints.inv_mass[k], at_com))
-    inverse = vector(joints.inv_inertia, k, 0)
-    local = turn_back(R, turning)
-    local = local[0] / inverse[0], local[1] / inverse[1], local[2] / inverse[2]
+    put_vector(load, k, 0, scale(tree.mass[i], at_com))
+    local = component_product(vector(tree.moments, i, 0), turn_back(R, turning))
     put_vector(load, k, 3, add(turn(R, local), cross(spin, vector(y, k, L))))
 
 
@@ -324,4 +341,4 @@ def accelerate_tree(joints: Joints, tree: JointTree, y: Floats, load: Floats) ->
     for i in range(n - 1, -1, -1):
         _eliminate(tree, i, joints.inv_mass[tree.before[i]] == 0.0)
     for i in range(n):
-        _accelerate(joints, tree, y, load, i)
+        _accelerate(tree, y, load, i)

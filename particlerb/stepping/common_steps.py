@@ -32,7 +32,7 @@ from particlerb.integrators.joint_slopes import (
     store_coordinates,
 )
 from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter_loads
-from particlerb.integrators.stages import caller_of_stages
+from particlerb.integrators.stages import caller_of_stages, inlined_caller
 from particlerb.joints.breaking import break_by_multipliers, let_go, may_break
 from particlerb.joints.records import Breaks, Jointed
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
@@ -150,7 +150,7 @@ def _put_loads(
     scatter_loads(load, blocks, layout)
 
 
-@caller_of_stages
+@inlined_caller
 def _take_slopes(bodies: CommonSteps, t: float, y: Floats, slope: Floats) -> None:
     """Slopes of all bodies in the states y at a time [s] since the segment began."""
     layout, w = bodies.layout, bodies.vectors.width
@@ -160,7 +160,7 @@ def _take_slopes(bodies: CommonSteps, t: float, y: Floats, slope: Floats) -> Non
     add_reactions(books, bodies.jointed, y, slope.reshape(y.shape), w, t)
 
 
-@kernel
+@inline
 def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
     """State where the slope of a stage is taken."""
     assign(new, y)
