@@ -17,7 +17,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from particlerb.case.forces import PushTable
-from particlerb.case.joints import ACTIONS
+from particlerb.case.joints import ACTIONS, ROLLING
 from particlerb.case.problems import CaseError, problem_at
 from particlerb.export import ExportError
 from particlerb.export.lammps_scene import lammps_scene
@@ -99,6 +99,7 @@ def variants_of(engine: Engine, system: System) -> dict[str, Sequence[float]]:
 
 
 _GIVEN: Final = "other engines take gravity and constant pushes in the world frame only"
+_NONE: Final = "other engines, and what charts are measured against, have no {}"
 
 
 def peer_scene(system: System) -> PeerScene:
@@ -110,11 +111,15 @@ def peer_scene(system: System) -> PeerScene:
         If something acts that the adapters have no word for.
     """
     types = import_module(f"{_adapters().__name__}.scene")
-    bodies, acting = system.bodies, (*ACTIONS, "drive", "during")
+    bodies, acting = system.bodies, (*ACTIONS, "drive", "during", "breaks_at")
     if system.contact is not None:
         return _touching(system, types)
     if system.attraction is not None or any(getattr(t, k) for t in system.joint for k in acting):
         raise ValueError(_GIVEN)
+    if any(table.type in ROLLING for table in system.joint):
+        raise ValueError(_NONE.format("gears, racks or screws"))
+    if any(body.fixed or body.motion is not None for body in system.body):
+        raise ValueError(_NONE.format("bodies that are fixed or have a motion"))
     pushes = []
     for force in system.force:
         if not isinstance(force, PushTable) or force.frame != "world":
