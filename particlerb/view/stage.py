@@ -46,7 +46,7 @@ class JointLines:
         types = np.array(setup.types)
         at, at_to, axis, axis_to = np.moveaxis(setup.places, 1, 0)
         with_axis, is_rod = ~np.isin(types, WITHOUT_AXIS), types == "distance"
-        is_cross = types == "universal"
+        is_cross = np.isin(types, ("universal", "rack"))
         half = 0.5 * _LENGTH * size
         parts = [self._around(first, at, axis * half, with_axis)]
         parts.append(self._around(second, at_to, axis_to * half, is_cross))

@@ -43,6 +43,15 @@ def test_lines_are_where_the_joints_are_while_they_move():
     assert len(start) == 1 + 3 + 3 + 3 + 1
 
 
+def test_a_pinion_shows_its_axis_and_the_line_of_its_rack():
+    rack = {"type": "rack", "body": "upper", "at_to": [0.4, -0.5, 0.0], "axis": [0.0, 0.0, 1.0],
+            "axis_to": [1.0, 0.0, 0.0]}  # fmt: skip
+    x, q = np.array([[0.4, 0, 0], [1.2, 0, 0]]), np.array([[1.0, 0, 0, 0]] * 2)
+    lines = JointLines(to_system({**HANGING, "joint": [rack]}), 2.0).at(x, q)
+    assert lines[0] == pytest.approx(np.array([[0.4, 0, -0.18], [0.4, 0, 0.18]]), abs=1e-12)
+    assert lines[1] == pytest.approx(np.array([[0.22, -0.5, 0], [0.58, -0.5, 0]]), abs=1e-12)
+
+
 @pytest.mark.slow
 def test_a_link_is_pushed_by_a_click_and_the_session_is_that_of_its_case(serve, tmp_path):
     from particlerb.view.live import Live
