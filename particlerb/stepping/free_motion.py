@@ -168,8 +168,8 @@ def _fly_blocks(
     Of as many frames as `sums` (T, bins, 10) has, the bodies are summed; without bins each block is
     one.
     """
-    g, room = (part.gravity[0], part.gravity[1], part.gravity[2]), np.empty((N_TOTALS, BLOCK))
-    out, own = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, BLOCK))
+    g, room = (part.gravity[0], part.gravity[1], part.gravity[2]), np.empty((N_TOTALS, STRIDE))
+    out, own = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, STRIDE))
     local, place = out.reshape((BOOKED + 1, STRIDE)), np.empty(BLOCK, np.int64)
     for k in range(first, last):
         lo = k * BLOCK
@@ -196,7 +196,7 @@ def _fly_blocks(
 @unfused_kernel
 def _end_blocks(part: _Part, t: float, end: State, given: Given | None) -> None:
     """State of the bodies of a part at one time; L only where it changes."""
-    out, own = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, BLOCK))
+    out, own = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, STRIDE))
     local = out.reshape((BOOKED + 1, STRIDE))
     for k in range(-(-part.which.size // BLOCK)):
         lo = k * BLOCK
