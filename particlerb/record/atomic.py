@@ -103,6 +103,12 @@ class AtomicFile:
     def readinto(self, target: Any) -> int:
         """Fill a buffer from the place on, behind the end with zeros."""
         view = memoryview(target).cast("B")
+        number, offset = divmod(self.place, PAGE)
+        page = self.changed.get(number) or self.new.get(number)
+        if page is not None and offset + len(view) <= PAGE:  # of metadata just made most are so
+            view[:] = page[offset : offset + len(view)]
+            self.place += len(view)
+            return len(view)
         found = [
             (self.changed.get(number) or self.new.get(number), offset, start, stop)
             for number, offset, start, stop in pieces(self.place, len(view))
