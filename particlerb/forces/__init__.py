@@ -267,10 +267,23 @@ def words_of(terms: Terms) -> list[str]:
     return gravity + list(dict.fromkeys(term_of(load).words for load in terms.loads))
 
 
-def works_of(terms: Terms, com: Floats, q: Floats, t: float) -> list[Floats]:
-    """Work of each potential, (n,) [J], at t [s] since the segment began; up to a constant."""
-    of = [(term_of(load).work, load) for load in terms.loads]
-    return [work(load, com, q, t) for work, load in of if work is not None]
+def works_of(terms: Terms, com: Floats, q: Floats, t: Floats) -> list[Floats]:
+    """Work of each potential, (T, n) [J], up to a constant, in states one after the other.
+
+    Parameters
+    ----------
+    com, q : ndarray, shape (3, T n) [m], (4, T n)
+        Of n bodies.
+    t : ndarray, shape (T,) [s]
+        Since the segment began.
+    """
+    n, of = com.shape[1] // t.size, [(term_of(load).work, load) for load in terms.loads]
+    which, each = np.tile(np.arange(n), t.size), np.repeat(t, n)
+    return [
+        work(taken(load, which), com, q, each).reshape(t.size, n)
+        for work, load in of
+        if work is not None
+    ]
 
 
 def energies_of(load: Any, com: Floats, q: Floats) -> Floats | None:

@@ -98,7 +98,7 @@ KICK: Final = Kick(
 _FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
 
 
-def central_work(central: Central, com: Floats, q: Floats, t: float = 0.0) -> Floats:
+def central_work(central: Central, com: Floats, q: Floats, *_: object) -> Floats:
     """-U, (n,) [J]: what the field has done, up to a constant."""
     r = com - central.centre
     d = np.linalg.norm(r, axis=0)

@@ -83,8 +83,8 @@ KICK: Final = Kick(
 )  # fmt: skip
 
 
-def _field_work(field: RotatingField, com: Floats, q: Floats, t: float) -> Floats:
-    """-U, (n,) [J], at t [s]."""
+def _field_work(field: RotatingField, com: Floats, q: Floats, t: Floats) -> Floats:
+    """-U, (n,) [J], at times t (n,) [s]."""
     angle = field.rate * t
     E = field.along + np.cos(angle) * field.across + np.sin(angle) * field.ahead
     return np.asarray(((field.charge * com + rotate(q, field.moment)) * E).sum(axis=0))

@@ -105,8 +105,8 @@ class Term(NamedTuple):
     words: str  # in the plan
     kick: Kick
     rates: Callable[[Any, Bodies, State], Rates]
-    work: Callable[[Any, Floats, Floats, float], Floats] | None = None
-    """(parameters, com, q, t): -V, (n,) [J], of a potential whose work is booked."""
+    work: Callable[[Any, Floats, Floats, Floats], Floats] | None = None
+    """(parameters, com, q, t): -V, (n,) [J], of a potential whose work is booked, at times (n,)."""
     energy: Callable[[Any, Floats, Floats], Floats] | None = None
     """(parameters, com, q): V, (n,) [J], of one that counts as potential energy."""
     split: Callable[[Any], list[tuple[Kick, Floats]]] | None = None

@@ -122,7 +122,7 @@ def lever_work(lever: Floats, q: Floats) -> Floats:
     return np.asarray(trace)
 
 
-def _push_work(push: Push, com: Floats, q: Floats, t: float) -> Floats:
+def _push_work(push: Push, com: Floats, q: Floats, t: Floats) -> Floats:
     """F·x + tr(R T), (n,) [J]: what the forces have done, up to a constant."""
     return np.asarray(lever_work(push.lever, q) + (push.force * com).sum(axis=0))
 

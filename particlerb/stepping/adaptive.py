@@ -157,7 +157,8 @@ class AdaptiveMotion(JointedMotion):
         self.advance(np.empty(0), np.empty(0, dtype=np.int64), elapsed, none)
         state = state_of(self.blocks, n)
         sums = out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1)
-        return state, self.account.of_state(elapsed, state.com, state.q, state.L, sums)
+        own = np.array([elapsed]), state.com, state.q, state.L, sums[None]
+        return state, self.account.of_states(*own)[0]
 
     def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
         """Through all times; sums of what was booked, for each row of the frames."""

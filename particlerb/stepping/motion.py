@@ -8,7 +8,7 @@ the last two with gravity's. The error of integration is the total less the init
 
 from collections.abc import Iterable, Mapping
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from particlerb.model.worlds import Worlds, over_all, over_bodies, part_of_world
 from particlerb.ranks import ALONE, Ranks
 from particlerb.stepping.saved_arrays import Saved, under, within
 
+_AT_ONCE: Final = 4096  # bodies in states whose work is found at once: so far NumPy gains by it
+
 
 class MotionError(Exception):
     """A motion that cannot go on: why."""
@@ -41,17 +43,24 @@ class SegmentGroup(NamedTuple):
     worlds: Worlds | None = None  # scenes that share the group, if they are several
     shared: "Shared | None" = None  # where ranks share bodies that touch: these are shown here
 
+    @property
+    def is_summed_by_number(self) -> bool:
+        """Whether sums over the bodies follow their numbers, over all ranks that share them."""
+        is_large = self.terms.contact is not None and self.members.size > SUPERBLOCK
+        return self.worlds is None and bool(is_large or self.shared)
+
     def total(self, values: Floats) -> Floats | float:
         """Sum of values of bodies (n,), of each world; over those of all ranks that share them."""
-        is_large = self.terms.contact is not None and self.members.size > SUPERBLOCK
-        if self.worlds is not None or not (is_large or self.shared):
+        if not self.is_summed_by_number:
             return over_bodies(values, self.worlds)
         first, ranks = (self.shared.first, self.shared.ranks) if self.shared else (0, ALONE)
         return sum_by_number(values, first + self.members, ranks)
 
     def totals(self, values: Floats) -> Floats:
         """The same of several values (k, n): (k,), or (n_worlds, k)."""
-        return np.stack([self.total(one) for one in values], axis=-1)
+        if self.is_summed_by_number:
+            return np.stack([self.total(one) for one in values], axis=-1)
+        return over_bodies(values, self.worlds)
 
 
 class Shared(NamedTuple):
@@ -213,27 +222,31 @@ class WorkAccount:
         return constant_force(self.group, self.first)
 
     @cached_property
-    def work_before(self) -> Floats | float:
+    def work_before(self) -> Floats:
         """Work of potentials at the start, up to a constant [J]."""
-        first = self.first
-        works = works_of(self.group.terms, first.com, first.q, 0.0)
-        return sum((self.group.total(one) for one in works), 0.0)
+        return self.work(self.first.com, self.first.q, np.zeros(1))
 
-    def of_state(self, elapsed: float, com: Floats, q: Floats, L: Floats, sums: Floats) -> Floats:
-        """Work, impulse and angular impulse (7,) until a state; `sums` were booked by kernels.
+    def work(self, com: Floats, q: Floats, elapsed: Floats) -> Floats:
+        """Work of potentials, (T, ...) [J], up to a constant, in states one after the other."""
+        given = np.zeros((elapsed.size, *shape_of(self.group.worlds)))
+        for one in works_of(self.group.terms, com, q, elapsed):
+            given += np.moveaxis(self.group.totals(one), -1, 0)
+        return given
 
-        (n_worlds, 7) where there are several worlds.
+    def of_states(self, elapsed: Floats, com: Floats, q: Floats, L: Floats, sums: Floats) -> Floats:
+        """Work, impulse and angular impulse (T, ..., 7) until states, one after the other.
+
+        `sums`, of that shape, were booked by kernels; ... is the number of worlds, if several.
         """
-        worlds = self.group.worlds
         if not self.is_kept:
-            return np.zeros((*shape_of(worlds), 7))
-        works = works_of(self.group.terms, com, q, elapsed)
-        potential = sum((self.group.total(one) for one in works), 0.0) - self.work_before
+            return np.zeros_like(sums)
+        potential = self.work(com, q, elapsed) - self.work_before
         if self.books is None:
-            given: Floats = self.constant.booked(np.array([elapsed]))[0]
+            given = self.constant.booked(elapsed)
             given[..., 0] = potential
             if not self.group.terms.is_coupled:
-                given[..., 4:] += over_bodies(L - self.first.L, worlds)
+                turned = L.reshape(3, elapsed.size, -1) - self.first.L[:, None]
+                given[..., 4:] += np.moveaxis(over_bodies(turned, self.group.worlds), -1, 0)
             return given
         given = sums.copy()
         given[..., 0] += potential
@@ -241,21 +254,26 @@ class WorkAccount:
 
     def at_end(self, values: Floats, elapsed: float) -> tuple[State, Floats]:
         """State, and what was given until then, from rows (CHANGING, n) of blocks."""
-        state = state_of(values[:STATE_ROWS])
-        sums = self.group.totals(values[BOOKED : BOOKED + 7])
-        return state, self.of_state(elapsed, state.com, state.q, state.L, sums)
+        state, sums = state_of(values[:STATE_ROWS]), self.group.totals(values[BOOKED : BOOKED + 7])
+        given = self.of_states(np.array([elapsed]), state.com, state.q, state.L, sums[None])
+        return state, given[0]
 
     def of_frames(self, elapsed: Floats, rows: Ints, frames: Frames, sums: Floats) -> Floats:
-        """The same (T, ..., 7) until rows of the frames."""
-        given = np.zeros((elapsed.size, *shape_of(self.group.worlds), 7))
+        """The same until rows of the frames, of few bodies in many of them at once."""
         if not self.is_kept:
-            return given
+            return np.zeros((rows.size, *sums.shape[1:]))
         own, frame = self.group.members, self.group.bodies.rotor_frame
-        for k, row in enumerate(rows):
-            q = quaternion_product(np.ascontiguousarray(frames.orientation[row, own].T), frame)
-            com, L = frames.position[row, own].T, frames.angular_momentum[row, own].T
-            given[k] = self.of_state(float(elapsed[k]), com, q, L, sums[row])
-        return given
+        size = max(1, _AT_ONCE // own.size)
+        given = [np.zeros((0, *sums.shape[1:]))]
+        for k in range(0, rows.size, size):
+            which = rows[k : k + size]
+            x, q, _, L = (
+                np.moveaxis(field[which[:, None], own], -1, 0).reshape(field.shape[-1], -1)
+                for field in frames[:4]
+            )
+            q = quaternion_product(q, np.tile(frame, which.size))
+            given.append(self.of_states(elapsed[k : k + size], x, q, L, sums[which]))
+        return np.concatenate(given)
 
 
 def sum_of(booked: Iterable[Floats]) -> Floats:

@@ -229,6 +229,26 @@ def totals_at_start(run):
 
 
 @pytest.mark.plain
+def test_frames_are_booked_alike_at_once_and_one_by_one(make):
+    """In all bits, by kernels and by potentials: how many are asked for at once changes nothing."""
+    velocity = [[0.1 * k, 0.2, -0.3] for k in range(20)]
+    bodies = make.body(**(START | {"position": velocity, "velocity": velocity}), count=20)
+    force = [
+        make.push(FORCE, AT),
+        make.field([1.0, 2.0, 0.5], 0.3, (0.1, 0.0, 0.2), angular_velocity=[0.0, 0.0, 3.0]),
+        make.central(2.0, [9.0, 9.0, 9.0]),
+    ]
+    case = make.case(bodies, force=force, method="strang", dt=0.05)
+    times, is_frame = np.linspace(0.0, 0.5, 6), np.ones(6, dtype=bool)
+    _, together, _ = Run(prepare(to_system(case))).frames_at(times, is_frame)
+    run = Run(prepare(to_system(case)))
+    alone = [run.frames_at(times[k : k + 1], is_frame[:1])[1] for k in range(6)]
+    for name, values in together._asdict().items():
+        assert np.array_equal(values, np.concatenate([getattr(one, name) for one in alone])), name
+    assert np.ptp(together.energy) > 1.0  # something was done
+
+
+@pytest.mark.plain
 def test_booked_work_that_is_no_number_is_found(make, monkeypatch):
     """Though energies and momenta are numbers; frames before are kept."""
     work = [[0.0] * 7, [np.nan] + [0.0] * 6]
