@@ -277,13 +277,16 @@ def works_of(terms: Terms, com: Floats, q: Floats, t: Floats) -> list[Floats]:
     t : ndarray, shape (T,) [s]
         Since the segment began.
     """
-    n, of = com.shape[1] // t.size, [(term_of(load).work, load) for load in terms.loads]
-    which, each = np.tile(np.arange(n), t.size), np.repeat(t, n)
-    return [
-        work(taken(load, which), com, q, each).reshape(t.size, n)
-        for work, load in of
-        if work is not None
-    ]
+    of = [(term_of(load).work, load) for load in _in_states(terms.loads, com, t.size)]
+    each = np.repeat(t, com.shape[1] // t.size)
+    works = [work(load, com, q, each) for work, load in of if work is not None]
+    return [work.reshape(t.size, -1) for work in works]
+
+
+def _in_states(loads: tuple[Any, ...], com: Floats, n_states: int) -> list[Any]:
+    """Loads on the bodies of several states, one after the other."""
+    which = np.tile(np.arange(com.shape[1] // n_states), n_states)
+    return [taken(load, which) for load in loads]
 
 
 def energies_of(load: Any, com: Floats, q: Floats) -> Floats | None:
@@ -297,7 +300,10 @@ def has_energy(terms: Terms) -> bool:
     return any(term_of(load).energy is not None for load in terms.loads)
 
 
-def energies_of_loads(terms: Terms, com: Floats, q: Floats) -> list[Floats]:
-    """Potential energy of loads that have one, (n,) [J]: springs that are not among links."""
-    energies = [energies_of(load, com, q) for load in terms.loads]
-    return [one for one in energies if one is not None]
+def energies_of_loads(terms: Terms, com: Floats, q: Floats, n_states: int) -> list[Floats]:
+    """Potential energy of loads that have one, (T, n) [J]: springs that are not among links.
+
+    In states one after the other, as `works_of`.
+    """
+    energies = [energies_of(load, com, q) for load in _in_states(terms.loads, com, n_states)]
+    return [one.reshape(n_states, -1) for one in energies if one is not None]

@@ -18,7 +18,7 @@ from particlerb.integrators import METHODS
 from particlerb.joints.reactions import energy_of_joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import Frames, State, quaternion_product, state_in, state_of
+from particlerb.model.state import Frames, State, quaternion_product, state_in, state_of, states_in
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.model.worlds import shape_of
@@ -26,7 +26,7 @@ from particlerb.plan.joints import joints_of
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.simulation.joint_values import JointReader, JointValues
 from particlerb.stepping.begin import begin
-from particlerb.stepping.motion import Energies, Motion
+from particlerb.stepping.motion import Energies, Motion, few_at_once
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import OF_BODIES, Saved, under, within
 from particlerb.stepping.shared_contact import SharedContact
@@ -131,12 +131,16 @@ class GroupRun:
         """Whether the bodies have a potential energy beside that of uniform gravity."""
         return self.pairs is not None or has_energy(self.segment.terms)
 
-    def potential(self, com: Floats, q: Floats) -> Floats | float:
+    def potential(self, com: Floats, q: Floats) -> Floats:
         """Potential energy of all springs, and of the bodies with each other [J].
 
         Where an error of the tree was asked for, this looks at what it is.
         """
-        energy: Floats | float = np.zeros(shape_of(self.plan.worlds))
+        return self.between_bodies(com, q) + self.of_loads(com, q, 1)[0]
+
+    def between_bodies(self, com: Floats, q: Floats) -> Floats:
+        """What of it bodies have with each other, and by joints."""
+        energy = np.zeros(shape_of(self.plan.worlds))
         if self.pairs is not None:
             energy = energy + self.pairs.potential_energy(com, q)
         if self.tree is not None:
@@ -144,9 +148,27 @@ class GroupRun:
         joints = self.segment.terms.joints
         if joints is not None:
             energy = energy + energy_of_joints(joints, com, q, self.plan.worlds)
-        group = self.plan.group(self.segment)
-        of_loads = energies_of_loads(self.segment.terms, com, q)
-        return energy + sum((group.total(one) for one in of_loads), 0.0)
+        return energy
+
+    def of_loads(self, com: Floats, q: Floats, n_states: int) -> Floats:
+        """What of it loads have, (T, ...), in states one after the other."""
+        group, energy = (
+            self.plan.group(self.segment),
+            np.zeros((n_states, *shape_of(self.plan.worlds))),
+        )
+        for one in energies_of_loads(self.segment.terms, com, q, n_states):
+            energy += np.moveaxis(group.totals(one), -1, 0)
+        return energy
+
+    def potentials(self, frames: Frames, rows: Ints) -> Floats:
+        """Potential energies in rows of the frames, (T, ...) [J]."""
+        found = np.zeros((rows.size, *shape_of(self.plan.worlds)))
+        if self.pairs is not None or self.segment.terms.joints is not None:
+            found += [self.between_bodies(*self.pose(frames, row)) for row in rows.tolist()]
+        for few in few_at_once(rows.size, self.plan.members.size):
+            com, q, _, _ = states_in(frames, rows[few], self.plan.members, self.plan.bodies)
+            found[few] += self.of_loads(com, q, rows[few].size)
+        return found
 
     def begin(self, segment: Segment, state: State, before: Motion | None) -> Motion:
         """Apply the impulses at the start of a segment and set off, after another motion."""
@@ -216,9 +238,7 @@ class GroupRun:
                 booked[own] = self.before + self.motion.record(times[own], rows, frames)
                 self.motion.sums = None
                 if self.is_bound:
-                    potential[own] = [
-                        self.potential(*self.pose(frames, row)) for row in rows.tolist()
-                    ]
+                    potential[own] = self.potentials(frames, rows)
                 if self.segment.terms.contact is not None:
                     contacts = self.motion.contact_energies(rows)
                     potential[own] += contacts.potential

@@ -6,7 +6,7 @@ numbers, the work [J], the impulse [N s] and the angular impulse about the world
 the last two with gravity's. The error of integration is the total less the initial less these.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from typing import Final, NamedTuple, Protocol
 
@@ -21,7 +21,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import BOOKED
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.load import STATE_ROWS
-from particlerb.model.state import Frames, State, cross_columns, quaternion_product, state_of
+from particlerb.model.state import Frames, State, cross_columns, state_of, states_in
 from particlerb.model.superblocks import SUPERBLOCK, sum_by_number
 from particlerb.model.worlds import Worlds, over_all, over_bodies, part_of_worlds, shape_of
 from particlerb.ranks import ALONE, Ranks
@@ -262,18 +262,17 @@ class WorkAccount:
         """The same until rows of the frames, of few bodies in many of them at once."""
         if not self.is_kept:
             return np.zeros((rows.size, *sums.shape[1:]))
-        own, frame = self.group.members, self.group.bodies.rotor_frame
-        size = max(1, _AT_ONCE // own.size)
-        given = [np.zeros((0, *sums.shape[1:]))]
-        for k in range(0, rows.size, size):
-            which = rows[k : k + size]
-            x, q, _, L = (
-                np.moveaxis(field[which[:, None], own], -1, 0).reshape(field.shape[-1], -1)
-                for field in frames[:4]
-            )
-            q = quaternion_product(q, np.tile(frame, which.size))
-            given.append(self.of_states(elapsed[k : k + size], x, q, L, sums[which]))
+        own, bodies, given = self.group.members, self.group.bodies, [sums[:0]]
+        for few in few_at_once(rows.size, own.size):
+            x, q, _, L = states_in(frames, rows[few], own, bodies)
+            given.append(self.of_states(elapsed[few], x, q, L, sums[rows[few]]))
         return np.concatenate(given)
+
+
+def few_at_once(n_states: int, n_bodies: int) -> Iterator[slice]:
+    """Ranges of states of so many bodies that are looked at together."""
+    size = max(1, _AT_ONCE // n_bodies)
+    return (slice(k, k + size) for k in range(0, n_states, size))
 
 
 def sum_of(booked: Iterable[Floats]) -> Floats:

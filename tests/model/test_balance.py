@@ -237,6 +237,7 @@ def test_frames_are_booked_alike_at_once_and_one_by_one(make):
         make.push(FORCE, AT),
         make.field([1.0, 2.0, 0.5], 0.3, (0.1, 0.0, 0.2), angular_velocity=[0.0, 0.0, 3.0]),
         make.central(2.0, [9.0, 9.0, 9.0]),
+        make.spring([1.0, 1.0, 1.0], 3.0, 0.2),
     ]
     case = make.case(bodies, force=force, method="strang", dt=0.05)
     times, is_frame = np.linspace(0.0, 0.5, 6), np.ones(6, dtype=bool)
