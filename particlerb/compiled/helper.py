@@ -120,11 +120,6 @@ class _UnfusedCopiedCode(_UnfusedCode, _CopiedCode):
 class KeptCode(caching.CompileResultCacheImpl):
     """How a helper is kept on disk, and made again from there: by its optimised code."""
 
-    @property
-    def filename_base(self) -> str:
-        """Name of its files: the same function may be kept as a kernel too."""
-        return f"{super().filename_base}.copied"
-
     def rebuild(self, context: Any, payload: Any) -> Any:
         """The result of a compilation that was kept."""
         (name, code, large), described, environment, signature, *_, environments = payload
@@ -219,6 +214,7 @@ class Helper(registry.CPUDispatcher):
         is_fused: bool = True,
     ) -> None:
         stops_early = _Copying if is_fused else _UnfusedCopying
+        self.kept_as = ".copied" if is_fused else ".copied.unfused"
         super().__init__(function, {}, {**options, **_ONLY_COPIED}, stops_early)
         self.compiled, self.keep = compiled, keep
 
@@ -265,6 +261,7 @@ class Kernel(registry.CPUDispatcher):
     """
 
     compiler: type[Compiler] = KernelCompiler
+    kept_as = ""
 
     def __init__(
         self, function: Function, options: Options, copied: Callable[[Function], Function]

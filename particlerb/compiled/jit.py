@@ -181,14 +181,18 @@ class _CheckedFiles(caching.IndexDataCacheFile):
 
 
 class _KernelCache(caching.FunctionCache):
-    """Numba's cache of a kernel, that never ends a run."""
+    """Numba's cache of a kernel, that never ends a run.
 
-    def __init__(self, function: Callable[..., Any], is_copied: bool) -> None:
-        if is_copied:
+    A function may be kept in several ways, as a kernel and as a helper: each has a name there.
+    """
+
+    def __init__(self, dispatcher: Any) -> None:
+        if isinstance(dispatcher, Helper):
             self._impl_class = KeptCode
-        super().__init__(function)
+        super().__init__(dispatcher.py_func)
+        name = self._impl.filename_base + getattr(dispatcher, "kept_as", ".alone")
         stamp = self._impl.locator.get_source_stamp()
-        self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
+        self._cache_file = _CheckedFiles(self._cache_path, name, stamp)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Compiled code of a signature; None where there is none that can be used."""
@@ -224,7 +228,7 @@ def keep(dispatcher: Any) -> None:
     before = config.CACHE_DIR
     config.CACHE_DIR = CACHE_FOLDER  # read while a cache is made, and for our code only
     try:
-        cache = _KernelCache(dispatcher.py_func, isinstance(dispatcher, Helper))
+        cache = _KernelCache(dispatcher)
     except (OSError, RuntimeError):  # RuntimeError: there is no place for it
         warn_once(CACHE_FOLDER)
         return

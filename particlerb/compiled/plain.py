@@ -106,6 +106,7 @@ class UnfusedKernel(Kernel):
     """A kernel in which each operation is rounded by itself."""
 
     compiler = UnfusedCompiler
+    kept_as = ".unfused"
     spent = 0.0  # [s] in Python so far, for
     numbers = 0  # of the arguments
     looks_after = _LOADING  # [s] spent so, before it looks for code on disk again

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from numba import types
+from numba.core.caching import NullCache
 
 from particlerb.compiled.jit import compile_with, config, inline, kernel, unfused_kernel
 from particlerb.maths import vec3
@@ -80,6 +81,16 @@ if not config.DISABLE_JIT:
     _FOUR.append(compile_with()(_four_products.py_func))
 
 
+def from_no_disk(*kernels):
+    """Have kernels compiled, even where the tests before left them on disk."""
+    for one in kernels:
+        one._cache = NullCache()
+
+
+if not config.DISABLE_JIT:
+    from_no_disk(_sum, _root, _product, *_FOUR)
+
+
 def machine_code(function):
     """Names of the functions that LLVM has made code of, for the signatures of a helper."""
     found = []
@@ -131,6 +142,7 @@ def test_a_kernel_that_kernels_call_has_no_entry_of_its_own():
     def twice(x):
         return 2.0 * _root(x)
 
+    from_no_disk(twice)
     assert twice(4.0) == 4.0
     assert _root.copied.overloads
     assert machine_code(_root.copied) == []
@@ -168,3 +180,19 @@ def test_a_large_kernel_is_optimised_once_and_called(four):
     (code,) = (one.library for one in _two_products.overloads.values())
     assert code._final_module.get_function(name).is_declaration
     assert four is not _four_rounded or "vfmadd" not in "".join(four.inspect_asm().values())
+
+
+def test_a_kernel_and_an_unfused_one_of_one_function_are_kept_apart():
+    """With x = 1 + 2^-27 the difference is 2^-54, which is lost where x² is rounded by itself."""
+
+    def difference(x, square):
+        return x * x - square
+
+    x, square, numbers = 1.0 + 2.0**-27, 1.0 + 2.0**-26, (types.float64, types.float64)
+    found = {kernel: set(), unfused_kernel: set()}
+    for made in (kernel, unfused_kernel, unfused_kernel, kernel):  # the last from disk
+        one = made(difference)
+        one.compile(numbers)
+        found[made].add(one.overloads[numbers].entry_point(x, square))
+    assert found[unfused_kernel] == {difference(x, square)} == {0.0}
+    assert len(found[kernel]) == 1
