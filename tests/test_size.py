@@ -27,7 +27,7 @@ BUDGETS = {
     "one scene over ranks": 2076,
     "reports, pictures, the page": 1352,
     "scenes for other programs": 480,
-    "speed of compiling and of whole calls": 932,
+    "speed of compiling and of whole calls": 1034,
     "watches": 30,
     "beside all these": 178,
 }

@@ -21,6 +21,7 @@ from llvmlite import binding
 from numba import types
 from numba.core import caching, codegen, compiler, registry
 
+from particlerb.compiled.calls import insert_function
 from particlerb.compiled.lowering import Compiler
 
 Function: TypeAlias = Callable[..., Any]
@@ -33,6 +34,8 @@ _ONLY_COPIED: Final = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_w
 
 class _Code(codegen.JITCodeLibrary):
     """Code with that of the helpers that it calls; large ones come in as they are, optimised."""
+
+    takes_all_as_it_is = True
 
     def __init__(self, *args: Any) -> None:
         cast(Any, super()).__init__(*args)
@@ -170,6 +173,18 @@ class KernelCompiler(Compiler):
         return numbas._compile_bytecode()
 
 
+class _AloneCode(_Code):
+    """Code of a function that any other may call."""
+
+    takes_all_as_it_is = False
+
+
+class AloneCompiler(KernelCompiler):
+    """The compiler for functions that Numba keeps as its own."""
+
+    code = _AloneCode
+
+
 class UnfusedCompiler(KernelCompiler):
     """The compiler for kernels in which each operation is rounded by itself."""
 
@@ -242,7 +257,7 @@ class Helper(registry.CPUDispatcher):
         """Let callers find the code of a signature, by an object in place of its address."""
         result = result._replace(entry_point=object())
         context: Any = self.targetctx
-        context.insert_user_function(result.entry_point, result.fndesc, [result.library])
+        insert_function(context, result.entry_point, result.fndesc, result.library)
         self.overloads[tuple(result.signature.args)] = result
         if not self.targetoptions.get("forceinline"):
             result.library.entry = result.fndesc.llvm_func_name

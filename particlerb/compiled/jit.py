@@ -32,7 +32,7 @@ import numba
 from numba.core import caching
 from numba.core.event import install_timer
 
-from particlerb.compiled.helper import Helper, KeptCode, Kernel, KernelCompiler
+from particlerb.compiled.helper import AloneCompiler, Helper, KeptCode, Kernel
 from particlerb.compiled.plain import UnfusedKernel
 
 config: Any = numba.config
@@ -246,7 +246,7 @@ def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Fu
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        dispatcher = numba.njit(pipeline_class=KernelCompiler, **_FLAGS, **options)(function)
+        dispatcher = numba.njit(pipeline_class=AloneCompiler, **_FLAGS, **options)(function)
         if cache:
             keep(dispatcher)
         return cast(Function, dispatcher)

@@ -12,11 +12,15 @@ is made once; the signature of an operator for some types is looked for once, wh
 dozen templates each time; and functions are not checked again behind each pass.
 """
 
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from numba import types
 from numba.core import (
+    analysis,
     compiler,
     compiler_machinery,
     errors,
@@ -26,6 +30,7 @@ from numba.core import (
     typed_passes,
 )
 
+from particlerb.compiled.calls import as_they_are
 from particlerb.compiled.vector_width import is_wide
 
 
@@ -72,11 +77,81 @@ class _Lower(lowering.Lower):
             self.context.enable_nrt = False
             vars(self.context).pop("nrt", None)  # that of the context that this one is a copy of
 
+    def setup_function(self, fndesc: Any) -> None:
+        """Declare the function."""
+        with self._own_calls():
+            super().setup_function(fndesc)
+
+    def extract_function_arguments(self) -> Any:
+        """Arguments of the function."""
+        with self._own_calls():
+            return super().extract_function_arguments()
+
+    def create_cpython_wrapper(self, release_gil: bool = False) -> None:
+        """Write the entry for Python."""
+        with self._own_calls():
+            super().create_cpython_wrapper(release_gil)
+
+    def create_cfunc_wrapper(self) -> None:
+        """Write the entry for C."""
+        with self._own_calls():
+            super().create_cfunc_wrapper()
+
+    def _lower_call_RecursiveCall(self, *call: Any) -> Any:  # noqa: N802
+        with self._own_calls():
+            return cast(Any, super())._lower_call_RecursiveCall(*call)
+
+    @contextmanager
+    def _own_calls(self) -> Iterator[None]:
+        """Call the function itself as it is to be called."""
+        before = self.context
+        if getattr(self.library, "takes_all_as_it_is", False):
+            self.context = as_they_are(before)
+        try:
+            yield
+        finally:
+            self.context = before
+
     def pre_lower(self) -> None:
         """Set the width of vectors: llvmlite's own `add` knows attributes without a value only."""
         super().pre_lower()
+        numbas: Any = self
+        numbas._singly_assigned_vars |= self._values()
         if is_wide():
             set.add(self.function.attributes, '"prefer-vector-width"="512"')
+
+    def _values(self) -> set[str]:
+        """Variables that are assigned once, before all that uses them: values, with no place."""
+        blocks: Any = dict(self.blocks)
+        uses = analysis.compute_use_defs(blocks).usemap
+        before = analysis.compute_cfg_from_blocks(blocks).dominators()
+        assigned: dict[str, list[int]] = defaultdict(list)
+        for at, block in blocks.items():
+            for step in block.find_insts(ir.Assign):
+                assigned[step.target.name].append(at)
+        once = {name: at[0] for name, at in assigned.items() if len(at) == 1}
+        for at, names in uses.items():
+            for name in names & once.keys():
+                if once[name] >= at or once[name] not in before[at]:
+                    del once[name]
+        return {name for name in once if not self._owns(name)}
+
+    def _owns(self, name: str) -> bool:
+        """Whether Numba counts a variable among the owners of something."""
+        return self.context.enable_nrt and self._is_counted(self.typeof(name))
+
+    def storevar(self, value: Any, name: str, argidx: int | None = None) -> None:
+        """Give a variable a value; what it was before is of no interest where it owned nothing."""
+        numbas, known = cast(Any, super()), cast(Any, self)
+        if name in known._singly_assigned_vars or self._owns(name):
+            numbas.storevar(value, name, argidx)
+        else:
+            self.builder.store(value, known.getvar(name))
+
+    def delvar(self, name: str) -> None:
+        """End a variable, of which nothing is to be done if it owned nothing."""
+        if self._owns(name):
+            cast(Any, super()).delvar(name)
 
     def _can_own(self) -> bool:
         """Whether an array may be returned or made, or kept in what is no tuple."""
