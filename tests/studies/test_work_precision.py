@@ -334,3 +334,40 @@ def test_what_engines_are_not_given_where_bodies_touch_is_said(bounce, make):
     reasons = [refusal_by(engine_of(name), study.peer_scene) for name in names]
     assert reasons == ["", "it is given no force[0], spring",
                        "it is given balls, clumps and planes alone"]  # fmt: skip
+
+
+@pytest.mark.plain
+def test_names_of_curves_stand_on_no_line_and_on_no_other_text(monkeypatch, tmp_path):
+    """Curves as dense as those of a cradle with three engines, in the picture as it is drawn."""
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
+
+    from particlerb.studies.charts.work_precision import draw_chart
+
+    curves = {
+        ("", "strang"): ((0.027, 0.0245), (0.05, 8.8e-4), (0.096, 1.4e-4)),
+        ("", "semi_implicit_euler"): ((0.025, 0.13), (0.048, 1.9e-3), (0.09, 2.8e-3)),
+        ("", "rk4"): ((0.07, 0.052), (0.127, 5.9e-3), (0.23, 1.7e-4)),
+        ("LAMMPS", "granular"): ((0.0135, 0.027), (0.033, 6.3e-3), (0.059, 2e-3), (0.11, 1e-4)),
+        ("MuJoCo", "implicitfast"): ((0.24, 4.1e-3), (0.5, 1.3e-4)),
+        ("MuJoCo", "RK4"): ((0.28, 4.1e-3), (0.68, 1.4e-3)),
+        ("PyBullet", "btMultiBody"): ((0.33, 2.2e-3),),
+    }
+    points = [
+        point(seconds, error, method, engine)
+        for (engine, method), own in curves.items()
+        for seconds, error in own
+    ]
+    found = made(*points, target=1e-3)._replace(floor=9e-4)
+    shown = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: shown.append(figure))
+    draw_chart(found, tmp_path / "chart.png")
+    (figure,) = shown
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    lines = [line.get_path().transformed(line.get_transform()) for line in axes.lines[:-1]]
+    texts = {text.get_text(): Text.get_window_extent(text) for text in axes.texts}
+    for name in (f"{engine} {method}".strip() for engine, method in curves):
+        box = texts.pop(name).padded(-1.5)
+        assert not any(path.intersects_bbox(box, filled=False) for path in lines), name
+        assert not any(box.overlaps(other) for other in texts.values()), name

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,9 +16,9 @@ from particlerb.maths.vec3 import Floats
 from particlerb.studies.charts.style import (
     INK,
     METHOD_COLOURS,
-    CurveEnd,
     finish_panel,
     write_beside,
+    write_inside,
 )
 from particlerb.studies.points import Point, WorkPrecision
 from particlerb.studies.text import count_of
@@ -29,6 +29,26 @@ _PEER_MARKS: Final = "s^vPX<>p"  # one for each engine
 _LOST: Final = 2.0 * math.pi  # rad: where runs that failed are put
 _HALO: Final = [withStroke(linewidth=2.5, foreground="white")]
 _LETTER, _LINE = 0.0098, 0.034  # width of a letter and height of a label, as shares of a panel
+_BESIDE = 0.013  # share of the width between a point and a name
+_MARK = 0.006  # share of the width that a mark takes on either side
+_SHIFTS: Final = 0.25 * _LINE * np.arange(-16, 17)  # of a name against its point
+
+
+class _Curve(NamedTuple):
+    """What did not fail of a curve, (n, 2) of time and error, with its name and colour."""
+
+    points: Floats
+    name: str
+    colour: str
+
+
+class _Place(NamedTuple):
+    """Where a name may stand, in shares of the panel."""
+
+    point: tuple[float, float]
+    left: float
+    right: float
+    level: float
 
 
 def draw_chart(chart: WorkPrecision, path: Path) -> None:
@@ -37,24 +57,23 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     axes = figure.add_subplot()
     curves = [list(own) for _, own in groupby(chart.points, lambda p: p.label)]
     engines = list(dict.fromkeys(p.engine for p in chart.points if p.engine))
-    ends = []
+    drawn = []
     for points in curves:
         mark = _PEER_MARKS[engines.index(points[0].engine)] if points[0].engine else "o"
-        if end := _draw_curve(axes, points, chart.floor, mark):
-            ends.append(end)
+        if curve := _draw_curve(axes, points, chart.floor, mark):
+            drawn.append(curve)
     front = frontier(chart.points)
     axes.plot(
         [p.seconds for p in front], [height(p, chart.floor) for p in front],
         color="#ffd54f", lw=7, alpha=0.55, zorder=1, solid_capstyle="round",
     )  # fmt: skip
     finish_panel(
-        axes, xscale="log", yscale="log", **limits(chart, ends),
+        axes, xscale="log", yscale="log", **limits(chart, drawn),
         xlabel=f"{chart.clock} in kernels for the whole run [s]   (faster to the left)",
         ylabel=f"largest {chart.measure}   (better below)",
     )  # fmt: skip
     axes.set_title(advice(chart), fontsize=11, loc="left", color=INK, fontweight="bold")
-    _label_curves(axes, ends)
-    _mark_levels(axes, chart)
+    _label_curves(axes, drawn, _mark_levels(axes, chart))
     _mark_failures(axes, chart.points)
     _mark_cheapest(axes, chart)
     bodies = count_of(chart.n_bodies, "body", "bodies")
@@ -74,7 +93,7 @@ def height(point: Point, floor: float) -> float:
     return max(point.size, 0.5 * floor)
 
 
-def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> CurveEnd | None:
+def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> _Curve | None:
     """Draw one curve, crosses for failed points; None where all failed."""
     first = points[0]
     colour = _PEER if first.engine else METHOD_COLOURS.get(first.method, INK)
@@ -88,44 +107,78 @@ def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> Cur
         return None
     x, y = zip(*good, strict=True)
     axes.plot(x, y, style, marker=marker, ms=size, lw=width, color=colour)
-    return x[-1], y[-1], first.label, colour
+    return _Curve(np.array(good), first.label, colour)
 
 
-def limits(chart: WorkPrecision, ends: Sequence[CurveEnd]) -> dict[str, Any]:
+def limits(chart: WorkPrecision, curves: Sequence[_Curve]) -> dict[str, Any]:
     """Limits of the axes: all points, the limit of the reference, and names at the right."""
     times = [p.seconds for p in chart.points] or [1e-3, 1.0]
     heights = [height(p, chart.floor) for p in chart.points if not p.failure] or [1e-3]
-    low = min(*heights, chart.target) / 10.0
+    low, high = min(*heights, chart.target) / 10.0, 10.0 * max(*heights, chart.target)
+    is_failed = any(p.failure for p in chart.points)
     left = math.log10(min(times) / 2.0)
-    wide = [(math.log10(x) - left) / (0.97 - _LETTER * len(name)) for x, _, name, _ in ends]
+    wide = [
+        (math.log10(own.points[-1, 0]) - left) / (0.97 - _LETTER * len(own.name)) for own in curves
+    ]
     published = max((len(names) for names, _ in together(chart.published)), default=0)
     wide.append((math.log10(max(times)) - left) / (0.98 - _LETTER * published))
-    return {"ylim": (max(low, 1e-18), 20.0), "xlim": (10.0**left, 10.0 ** (left + max(wide)))}
+    top = 20.0 if is_failed or not curves else min(high, 20.0)
+    return {"ylim": (max(low, 1e-18), top), "xlim": (10.0**left, 10.0 ** (left + max(wide)))}
 
 
-def _label_curves(axes: Axes, ends: list[CurveEnd]) -> None:
-    """Write the name of each curve at its end, where it covers the fewest curves and no name."""
+def _label_curves(axes: Axes, curves: Sequence[_Curve], taken: list[_Place]) -> None:
+    """Write the name of each curve at one of its points, on no line and no other text if it can.
+
+    The end is preferred to other points, and the height of the point to others.
+    """
     to_share = axes.transScale + axes.transLimits
-    drawn = np.concatenate([_along(to_share.transform(line.get_xydata())) for line in axes.lines])
-    boxes: list[tuple[float, float, float]] = []  # left, right and height of each label
-    for x, y, text, colour in sorted(ends, key=lambda end: end[1]):
-        at, level = to_share.transform((x, y))
-        left, right = at + 0.013, at + 0.018 + _LETTER * len(text)
+    shares = [to_share.transform(own.points) for own in curves]
+    levels = [np.array([[0.0, own.point[1]], [1.0, own.point[1]]]) for own in taken]
+    sides = np.array([[-_MARK, 0.0], [_MARK, 0.0]])
+    marks = [points + side for points in shares for side in sides]
+    drawn = np.concatenate([*map(_along, (*shares, *levels)), *marks])
 
-        def cost(shift: float, left: float = left, right: float = right, y: float = level) -> float:
-            named = sum(abs(y + shift - b) < _LINE and a < right and left < c for a, c, b in boxes)
-            is_under = (drawn[:, 0] > left) & (drawn[:, 0] < right)
-            is_under &= abs(drawn[:, 1] - y - shift) < 0.5 * _LINE
-            is_out = not 0.01 < y + shift < 0.95
-            return float(1e3 * (named + is_out) + 0.1 * is_under.sum() + 30.0 * abs(shift))
+    def cost(place: _Place, is_end: bool) -> float:
+        above = place.level + 0.5 * _LINE > drawn[:, 1]
+        is_under = above & (drawn[:, 1] > place.level - 0.5 * _LINE)
+        is_under &= (drawn[:, 0] > place.left) & (drawn[:, 0] < place.right)
+        is_out = not 0.01 < place.level < 0.97 or place.left < 0.005 or place.right > 0.995
+        overlaps = sum(_overlap(place, other) for other in taken)
+        crossed = 3.0 * bool(is_under.any()) + 0.1 * float(is_under.sum())
+        moved = 30.0 * abs(place.level - place.point[1])
+        return 1e3 * (overlaps + is_out) + crossed + moved + 1.5 * (not is_end)
 
-        shift = min(0.25 * _LINE * np.arange(-16, 17), key=cost)
-        boxes.append((left, right, level + shift))
-        line = {"arrowstyle": "-", "color": colour, "lw": 0.6} if abs(shift) > 0.5 * _LINE else None
+    for own, points in sorted(
+        zip(curves, shares, strict=True), key=lambda one: float(one[0].points[-1, 1])
+    ):
+        tried = [
+            (place, k == len(points) - 1)
+            for k, point in enumerate(points)
+            for place in _places(point, own.name)
+        ]
+        best = min(tried, key=lambda one: cost(*one))[0]
+        taken.append(best)
+        is_far = abs(best.level - best.point[1]) > 0.5 * _LINE
+        line = {"arrowstyle": "-", "color": own.colour, "lw": 0.6} if is_far else None
+        is_left = best.right < best.point[0]
+        at = (best.right if is_left else best.left, best.level)
         axes.annotate(
-            text, (at, level), (left, level + shift), "axes fraction", color=colour, fontsize=9,
-            va="center", zorder=5, arrowprops=line, path_effects=_HALO,
+            own.name, best.point, at, "axes fraction", color=own.colour, fontsize=9, va="center",
+            ha="right" if is_left else "left", zorder=5, arrowprops=line, path_effects=_HALO,
         )  # fmt: skip
+
+
+def _places(point: Floats, name: str) -> list[_Place]:
+    """Where a name may stand beside a point: right or left of it, at many heights."""
+    (x, y), width = point.tolist(), 0.005 + _LETTER * len(name)
+    sides = (x + _BESIDE, x - _BESIDE - width)
+    return [_Place((x, y), left, left + width, y + d) for left in sides for d in _SHIFTS.tolist()]
+
+
+def _overlap(one: _Place, other: _Place) -> bool:
+    """Whether two texts cover each other."""
+    is_level = abs(one.level - other.level) < _LINE
+    return is_level and one.left < other.right and other.left < one.right
 
 
 def _along(points: Floats) -> Floats:
@@ -146,20 +199,34 @@ def together(published: tuple[tuple[str, float], ...]) -> list[tuple[str, float]
     return lines
 
 
-def _mark_levels(axes: Axes, chart: WorkPrecision) -> None:
-    """Mark the target error, the limit of the reference, and published errors."""
-    low = axes.get_ylim()[0]
+def _mark_levels(axes: Axes, chart: WorkPrecision) -> list[_Place]:
+    """Mark the target error, the limit of the reference, and published errors; where words stand.
+
+    No name of a curve stands on their lines either.
+    """
+    low, taken = axes.get_ylim()[0], []
+    height_of = (axes.transScale + axes.transLimits).transform
+
+    def took(level: float, text: str, is_right: bool, above: float) -> None:
+        width, y = 0.9 * _LETTER * len(text), float(height_of((1.0, level))[1])
+        left = 0.995 - width if is_right else 0.005
+        taken.append(_Place((left, y), left, left + width, y + above * _LINE))
+
     if chart.floor > low:
         axes.axhspan(low, chart.floor, color="#eeeeee", zorder=0)
-        write_beside(axes, 0.995, chart.floor, "limit of the reference", fontsize=8,
-                     color="#777777", ha="right", va="top")  # fmt: skip
+        words = "below the limit of the reference"
+        write_inside(axes, 0.995, 0.008, words, fontsize=8, color="#777777", ha="right")
+        took(low, words, True, 0.5)
     axes.axhline(chart.target, color=INK, lw=0.9, ls=":")
-    write_beside(axes, 0.005, chart.target, f"target: {chart.target:.3g}", fontsize=8, color=INK,
-                 va="bottom")  # fmt: skip
+    words = f"target: {chart.target:.3g}"
+    write_beside(axes, 0.005, chart.target, words, fontsize=8, color=INK, va="bottom")
+    took(chart.target, words, False, 0.5)
     for names, error in together(chart.published):
         axes.axhline(error, color="#b05020", lw=0.8, ls=(0, (6, 3)), zorder=0)
         write_beside(axes, 0.995, error, names, fontsize=7.5, color="#b05020", ha="right",
                      va="bottom")  # fmt: skip
+        took(error, names, True, 0.5)
+    return taken
 
 
 def _mark_failures(axes: Axes, points: Sequence[Point]) -> None:
