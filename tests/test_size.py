@@ -29,7 +29,7 @@ BUDGETS = {
     "scenes for other programs": 480,
     "speed of compiling and of whole calls": 1034,
     "watches": 30,
-    "beside all these": 178,
+    "beside all these": 236,
 }
 """Lines of code that an ability took: see «Where things go» in docs/architecture.md."""
 

@@ -23,6 +23,7 @@ _KINDS = {
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",
 }
+_GUESS = r'did you mean "(.*?)"|\S+ is a key of (\w+)$'
 _EMPTY = ("string_too_short", "too_short")
 _BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"),
           "less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}  # fmt: skip
@@ -49,12 +50,18 @@ def messages_of(
 
 
 def without_typos(found: Sequence[Message]) -> list[Message]:
-    """Messages without missing keys that are there with a typing mistake."""
+    """Messages without missing keys that are there with a typing mistake, or in another form."""
     meant = {
-        (*one.path[:-1], guess[1])
+        (*one.path[:-1], guess[1] or guess[2])
         for one in found
-        if one.reason == "unknown key" and (guess := re.match(r'did you mean "(.*?)"', one.hint))
+        if one.reason == "unknown key" and (guess := re.match(_GUESS, one.hint))
     }
+    meant |= {
+        (*one.path[:-1], guess[2], one.path[-1])
+        for one in found
+        if (guess := re.match(_GUESS, one.hint)) and guess[2]
+    }
+    meant |= {(*one.path[:-1], "euler_deg") for one in found if one.at_key and forms(one.path[:-1])}
     return [one for one in found if one.reason != "missing" or one.path not in meant]
 
 
@@ -75,10 +82,14 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
     if kind == "extra_forbidden":
         keys = _table_keys(raw, path[:-1], root)
-        return Message(path, "unknown key", nearest(str(path[-1]), keys, "keys here"), True)
+        near = nearest(str(path[-1]), keys, "keys here")
+        form = "" if near.startswith("did you mean") else forms(path[:-1])
+        return Message(path, "unknown key", _home_of(raw, path, root) or form or near, True)
     if kind == "missing":
+        is_header = len(path) == 1 and root is Case
         keys = _table_keys(raw, path[:-1], root)
-        return Message(path, "missing", f"keys here: {', '.join(keys)}" if keys else "")
+        listed = f"keys here: {', '.join(keys)}" if keys else ""
+        return Message(path, "missing", _header_of(raw, path, root) if is_header else listed)
     if kind == "rule":
         path = (*path, context["key"]) if context["key"] else path
         return Message(path, error["msg"], context["hint"] or forms(path))
@@ -96,8 +107,31 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
         hint = "numbers stand without quotes and without a unit, in SI units"
     if kind in {"model_type", "model_attributes_type"}:
         are = "keys" if kind == "model_type" else "{ type = .. } with one of the types"
-        hint = f"{are}: {', '.join(_table_keys(raw, path, root))}"
+        is_header = len(path) == 1 and root is Case
+        kinds = f"{are}: {', '.join(_table_keys(raw, path, root))}"
+        hint = _header_of(raw, path, root) if is_header else kinds
     return Message(path, reason, hint)
+
+
+def _header_of(raw: Any, path: Path, root: type[Table]) -> str:
+    """How a table of a case begins, and its keys."""
+    is_list = get_origin(root.model_fields[str(path[0])].annotation) is tuple
+    header = f"[[{path[0]}]]" if is_list else f"[{path[0]}]"
+    return f"write {header} with its keys: {', '.join(_table_keys(raw, path, root))}"
+
+
+def _home_of(raw: Any, path: Path, root: type[Table]) -> str:
+    """The table, within the one that has an unknown key, that takes it; empty where none does."""
+    types = _types_at(raw, path[:-1], root)
+    homes = [
+        name
+        for table in _tables(types, reduce(child, path[:-1], raw))
+        for name, field in table.model_fields.items()
+        for inner in _tables(_alternatives(field.annotation), None)
+        if path[-1] in inner.model_fields
+    ]
+    names = list(dict.fromkeys(homes))
+    return f"{path[-1]} is a key of {' or '.join(names)}" if 0 < len(names) < 3 else ""
 
 
 def forms(path: Path) -> str:
@@ -105,7 +139,7 @@ def forms(path: Path) -> str:
     if path[-1:] == ("orientation",):
         random = "" if path[0] == "wall" or "part" in path else ', or "random"'
         return f"[w, x, y, z], {{ euler_deg = [roll, pitch, yaw] }}{random}"
-    if path[0] == "body" and path[-1] in {"velocity", "angular_velocity"}:
+    if path[:1] == ("body",) and path[-1] in {"velocity", "angular_velocity"}:
         return "[x, y, z], { body = [x, y, z] }, or { random = v }"
     return ""
 

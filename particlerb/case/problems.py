@@ -23,6 +23,19 @@ _LONGEST_LINE = 96
 _LONGEST_MESSAGE = 1000
 _MOST_LISTED = 20  # names in a hint
 _MOST_COMPARED = 1000
+_MEANT = {
+    "box": ("cube", "cuboid", "brick", "block", "plate"),
+    "drag": ("wind", "friction", "damping"),
+    "hinge": ("pin", "revolute"),
+    "slider": ("prismatic", "piston"),
+    "fixed": ("weld", "glue"),
+    "spring": ("damper", "dashpot"),
+    "strang": ("verlet", "leapfrog", "velocity_verlet"),
+    "semi_implicit_euler": ("euler", "symplectic_euler"),
+    "hooke": ("linear", "penalty", "spring"),
+    "mesh": ("stl", "obj"),
+}
+"""Names of cases, and what other programs and books call the same."""
 LONGEST_SCANNED = 8 * 2**20  # characters; messages of longer files have no lines
 
 
@@ -112,7 +125,8 @@ def nearest(word: str, known: Sequence[str], label: str = "known") -> str:
     """Hint with the known word that is meant, in double quotes, and all that are known."""
     if not known:
         return ""
-    close = difflib.get_close_matches(word[:100], known[:_MOST_COMPARED], n=1, cutoff=0.5)
+    meant = [name for name, others in _MEANT.items() if word.lower() in others and name in known]
+    close = meant or difflib.get_close_matches(word[:100], known[:_MOST_COMPARED], 1, 0.5)
     guess = f'did you mean "{close[0]}"? ' if close else ""
     rest = f", ... ({len(known)} in all)" if len(known) > _MOST_LISTED else ""
     return f"{guess}{label}: {', '.join(known[:_MOST_LISTED])}{rest}"

@@ -166,6 +166,8 @@ def _missing_file(path: FilePath) -> Problem:
         return file_problem(path, "is not a regular file")
     if not path.parent.is_dir():
         return file_problem(path, "there is no such folder")
+    if path.parent == FilePath() and case_path(path.stem) is not None:
+        return file_problem(path, "there is no such file", f"the example is called {path.stem}")
     known = sorted(entry.name for entry in path.parent.glob("*.toml"))
     return file_problem(path, "there is no such file", nearest(path.name, known))
 

@@ -5,6 +5,7 @@ the right kind: that is reported by the schema. So one reading finds all mistake
 """
 
 from collections.abc import Iterator
+from difflib import get_close_matches
 from typing import Any
 
 from particlerb.case import output
@@ -101,8 +102,9 @@ def _time_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     if every is not None and every > 0 and t_end > every * _MOST_FRAMES:
         yield ("run", "every"), f"makes more than {_MOST_FRAMES:.0e} frames", "take a longer time"
     for i, force in tables(raw, "force"):
-        for start in entry_at(force, "during", list)[:1]:
-            if (finite(start) or 0.0) >= t_end:
+        during = [finite(time) or 0.0 for time in entry_at(force, "during", list)]
+        for start in during[:1]:
+            if start >= t_end and during[-1] > start:
                 yield ("force", i, "during"), f"must start before run.t_end = {t_end!r}", ""
         yield from _within(("force", i, "time"), number(force, "time"), t_end)
     for i, check in tables(raw.get("check"), "value"):
@@ -128,6 +130,8 @@ def _name_rules(raw: dict[str, Any]) -> Iterator[Finding]:
 
 def _reference_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """Forces and checks name bodies that are there."""
+    if "body" not in raw:
+        return
     counts: dict[str, Any] = {}
     for _, body in tables(raw, "body"):
         if isinstance(body.get("name"), str):
@@ -193,10 +197,12 @@ def _attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:
 def _contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """Walls and numbers of contact have a use, and materials that are named are there."""
     contact = raw.get("contact")
-    if contact is None:
+    is_missing = contact is None and not get_close_matches("contact", raw, 1)
+    if is_missing:
         for i, _ in tables(raw, "wall")[:1]:
             yield ("wall", i), "nothing touches a wall without [contact]", "add [contact]"
-    yield from _output_rules(raw)
+    if contact is not None or (is_missing and not tables(raw, "wall")):
+        yield from _output_rules(raw)
     known = [one["name"] for _, one in tables(raw, "material") if isinstance(one.get("name"), str)]
     for kind in ("body", "wall"):
         for i, table in tables(raw, kind):

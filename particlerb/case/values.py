@@ -29,6 +29,8 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from particlerb.case.problems import shown
+
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 LARGEST_COUNT = 2**31 - 1
@@ -107,7 +109,8 @@ def entries(length: int, of: str = "numbers", hint: str = "") -> BeforeValidator
         if isinstance(value, (list, tuple)) and len(value) != length:
             raise broken(f"must have {length} entries, has {len(value)}", hint=hint)
         if not isinstance(value, (list, tuple)):
-            raise broken(f"must be a list of {length} {of}", hint=hint)
+            got = "" if isinstance(value, Mapping) else f", got {shown(value)}"
+            raise broken(f"must be a list of {length} {of}{got}", hint=hint)
         return value
 
     return BeforeValidator(check)

@@ -78,6 +78,8 @@ def main(words: Sequence[str] | None = None) -> int:
     top = parser()
     try:
         if words[0] not in (*COMMANDS, "-h", "--help", "--version"):
+            if near := difflib.get_close_matches(words[0], ("--help", "--version"), 1, 0.7):
+                raise Ending(f"there is no {words[0]}; did you mean {near[0]}?")
             if not words[0].startswith("-"):
                 from particlerb.cli.common import find_case
 

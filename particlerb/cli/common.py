@@ -29,6 +29,8 @@ def find_case(name: str, commands: tuple[str, ...] = ()) -> Path:
     """
     path = case_path(name)
     if path is None:
+        if name == "-":
+            raise Ending("a case is read from a file, not from standard input: give its path")
         what = "command, file or case" if commands else "file or case"
         raise Ending(f"{name}: no such {what}; {nearest_names(name, commands)}")
     return path
@@ -72,6 +74,8 @@ def output_of(options: argparse.Namespace, default: Path, source: Path | None = 
 
 def opened(path: str) -> Trajectory:
     """Trajectory in a file; wrong usage where it is none."""
+    if Path(path).suffix == ".toml":
+        raise Ending(f"{path} is a case, not a trajectory: run it, and give the .h5 file it makes")
     with ending(TrajectoryError, FileNotFoundError, IsADirectoryError):
         return open_trajectory(path)
 

@@ -29,6 +29,7 @@ from particlerb.sweeping.together import may_share
 from particlerb.sweeping.variants import Variant, built, label, variants
 from particlerb.sweeping.worker import Task, work
 
+_HOW: Final = "give it a table [sweep], or --axis 'run.t_end=[1, 2]', in Python axes"
 _ATTEMPTS: Final = 3  # of a task whose worker dies
 _STARTS: Final = 20  # of workers that die before they do anything
 _DIED: Final = "the worker died"
@@ -107,7 +108,7 @@ def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
     """The table [sweep], with other axes in place of what it says if they are given."""
     if axes is None:
         if base.sweep is None:
-            wrong = file_problem(base.path, "has no table [sweep]", "give it, or axes")
+            wrong = file_problem(base.path, "says not what to vary", _HOW)
             raise CaseError([wrong])
         return base.sweep
     kept = base.sweep or SweepTable(axes=plain(axes))

@@ -55,8 +55,45 @@ def test_the_case_that_the_tests_break_is_good():
     assert parse(GOOD).n_bodies == 5
 
 
+_FLOOR = '[[wall]]\nname = "floor"\ntype = "plane"\npoint = [0, 0, -1]\nnormal = [0, 0, 1]'
+
 MISTAKES = [
     # old text, new text, line, key, reason, part of the hint
+    ('"box"', '"cube"', 7, "body[0].shape.type", "unknown type 'cube'", 'did you mean "box"?'),
+    (
+        "mass = 2.0",
+        "mass = 2.0\nsize = 2",
+        9,
+        "body[0].size",
+        "unknown key",
+        "is a key of shape",
+    ),
+    ("[run]\nt_end = 5.0", "t_end = 5.0\n[run]", 2, "t_end", "unknown key", "is a key of run"),
+    ("[[force]]", f"{_FLOOR}\n[contacts]\n[[force]]", 20, "contacts", "unknown key", '"contact"?'),
+    (
+        "[[force]]",
+        f'{_FLOOR}\n[output]\nfields = ["contact_number", "contacts"]\n[[force]]',
+        15,
+        "wall[0]",
+        "nothing touches a wall without [contact]",
+        "add [contact]",
+    ),
+    (
+        "during = [0.0, 0.02]",
+        "during = [9.0, 8.0]",
+        19,
+        "force[0].during",
+        "must start before it ends, got [9.0, 8.0]",
+        "",
+    ),
+    (
+        "mass = 2.0",
+        "mass = 2.0\norientation = { axis = [0, 0, 1] }",
+        9,
+        "body[0].orientation.axis",
+        "unknown key",
+        "euler_deg = [roll, pitch, yaw]",
+    ),
     (
         "[run]",
         '[output]\ndurable = "no"\n[run]',
@@ -157,7 +194,7 @@ MISTAKES = [
         "size = 1.0",
         7,
         "body[0].shape.size",
-        "must be a list of 3 numbers",
+        "must be a list of 3 numbers, got 1.0",
         "",
     ),
     (
@@ -223,7 +260,7 @@ MISTAKES = [
         'mass = 2.0\nvelocity = "random"',
         9,
         "body[0].velocity",
-        "must be a list of 3 numbers",
+        "must be a list of 3 numbers, got 'random'",
         "[x, y, z], { body = [x, y, z] }, or { random = v }",
     ),
     (
@@ -509,7 +546,7 @@ BETWEEN = [
     ("field", "", "field", "missing", "keys here: type, body, during, field, charge, at, dipole"),
     ("field", "fild = [0, 0, 1]", "fild", "unknown key", 'did you mean "field"?'),
     ("field", "field = [0, 1]", "field", "must have 3 entries, has 2", ""),
-    ("field", "field = [0, 0, 1]\ndipole = 2", "dipole", "must be a list of 3 numbers", ""),
+    ("field", "field = [0, 0, 1]\ndipole = 2", "dipole", "must be a list of 3 numbers, got 2", ""),
     (
         "field",
         'field = [0, 0, 1]\ncharge = "much"',

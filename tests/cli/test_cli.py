@@ -454,7 +454,11 @@ def test_help_needs_no_heavy_library():
         (["run", "cube.toml", "--sett", "x"], "run does not take --sett; did you mean --set?"),
         (["run", "cube.toml", "more.toml"], "run does not take more.toml"),
         (["chart", "tumbling_brik"], "no such file or case; did you mean tumbling_brick?"),
-        (["info", "cube.toml"], "cube.toml is not a readable HDF5 file: it is of another kind"),
+        (["info", "cube.toml"], "cube.toml is a case, not a trajectory: run it, and give the .h5"),
+        (["--hlep"], "there is no --hlep; did you mean --help?"),
+        (["-"], "a case is read from a file, not from standard input: give its path"),
+        (["sweep", "cube.toml"], "hint: give it a table [sweep], or --axis 'run.t_end=[1, 2]'"),
+        (["run", "pyramid.toml"], "hint: the example is called pyramid"),
         (["cube.toml", "--set", 'run.t_end="1 ms"'], "hint: numbers stand without quotes"),
     ],
 )
