@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 import viser
 
+from particlerb.export.surfaces import meet
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import rotate
 from particlerb.model.system import System
@@ -31,7 +32,6 @@ from particlerb.view.session import (
     UserPush,
     decimals,
 )
-from particlerb.view.surfaces import meet
 
 _CHARTS: Final = 0.25  # [s] between two charts
 _BUSY: Final = 0.05  # [s] that one update may compute

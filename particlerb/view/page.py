@@ -14,12 +14,12 @@ from typing import Any, Final
 import numpy as np
 import viser
 
+from particlerb.export.surfaces import Hit
 from particlerb.model.system import System
 from particlerb.view.number_tables import MOST_DIGITS, NumberGroup, table
 from particlerb.view.server import finite
 from particlerb.view.session import SessionError
 from particlerb.view.stage import Stage
-from particlerb.view.surfaces import Hit
 
 UPDATES: Final = 60.0  # per second
 NUMBERS_EVERY: Final = 0.1  # [s] between two tables of numbers

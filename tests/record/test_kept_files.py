@@ -128,8 +128,8 @@ def test_the_run_goes_on_and_repeats(moved):
 
 
 def test_it_is_shown_and_exported(moved):
+    from particlerb.export.surfaces import surface_of, walls_of
     from particlerb.view.replay import system_of
-    from particlerb.view.surfaces import surface_of, walls_of
 
     path, last = moved
     with particlerb.open(path) as t:

@@ -233,3 +233,63 @@ def test_the_axis_of_a_flip_turns_over(make, monkeypatch):
     angle = line.get_ydata()
     assert angle[0] == pytest.approx(math.degrees(math.atan(math.hypot(0.5e-3, 1.5e-3))), rel=1e-6)
     assert angle.max() > 179.0
+
+
+def test_what_slides_is_seen_beside_its_way(make, monkeypatch):
+    """Two balls a metre apart along y that slide along x on a floor, though they stay level."""
+    ball = {"shape": BALL, "mass": 1.0, "velocity": [10.0, 0, 0]}
+    two = [ball | {"name": f"at {y}", "position": [0, y, 0.1]} for y in (0.0, 1.0)]
+    case = make.case(*two, gravity=GRAVITY, t_end=0.03, every=0.01, dt=1e-3)
+    case |= {"contact": heap(make)["contact"], "wall": [FLOOR]}
+    figure, _ = drawn(case, monkeypatch)
+    assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("x [m]", "z [m]")
+    assert panel(figure, "speeds").lines
+
+
+def test_a_wall_that_moves_is_drawn_where_it_is(make, monkeypatch):
+    """A floor that rises at 0.5 m/s, after 0.02 s; a drum about y by its outline, seen along y."""
+    drum = {"name": "drum", "type": "cylinder", "centre": [0.6, 0.3, 0.5], "axis": [0, 1, 0],
+            "radius": 2.0, "length": 3.0}  # fmt: skip
+    case = heap(make) | {"wall": [FLOOR | {"motion": {"velocity": [0, 0, 0.5]}}, drum]}
+    case["body"][0]["place"] |= {"n": [5, 1, 3], "origin": [0, 0, 0.5]}
+    figure, _ = drawn(case, monkeypatch)
+    (floor,) = [line for line in figure.axes[0].lines if line.get_zorder() < 1.0]
+    assert floor.get_xy1()[1] == pytest.approx(0.01, rel=1e-12)
+    pytest.importorskip("trimesh")
+    (outline,) = [c for c in figure.axes[0].collections if c.get_zorder() < 0.5]
+    ends = np.concatenate(outline.get_segments()) - [0.6, 0.5]
+    assert np.allclose(np.linalg.norm(ends, axis=1), 2.0, rtol=1e-12)
+
+
+def test_a_body_at_rest_is_drawn_as_its_solid(make, monkeypatch):
+    """Of a box of 3, 2, 1 m seen at angles a about the vertical and b from above, three faces."""
+    figure, _ = drawn(make.case({"name": "box", "mass": 1.0, "shape": {
+        "type": "box", "size": [3.0, 2.0, 1.0], "arrangement": "exact"}}), monkeypatch)  # fmt: skip
+    (solid,) = figure.axes[0].collections
+    corners = [path.vertices for path in solid.get_paths() if len(path.vertices) == 4]
+    area = sum(
+        0.5 * abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+        for a, b, c, _ in corners
+    )
+    a, b = np.radians([35.0, 22.0])
+    sides = 2.0 * 1.0 * math.sin(a) + 3.0 * 1.0 * math.cos(a)
+    assert area == pytest.approx(3.0 * 2.0 * math.sin(b) + sides * math.cos(b), rel=1e-12)
+
+
+def test_a_gimbal_is_drawn_as_the_ring_through_its_bearings(make, monkeypatch):
+    """The outer ring has bearings on z and x, so it lies in that plane; the inner is a wheel."""
+    outer = {"name": "outer", "mass": 1.0, "shape": {"type": "moments", "inertia": [0.6, 1, 0.6]}}
+    inner = {"name": "inner", "mass": 1.0, "shape": {"type": "moments", "inertia": [0.4, 0.3, 0.3]}}
+    hinge = {"type": "hinge", "at": [0, 0, 0]}
+    joint = [hinge | {"body": "outer", "axis": [0, 0, 1]},
+             hinge | {"body": "inner", "to": "outer", "axis": [1, 0, 0]}]  # fmt: skip
+    figure, trajectory = drawn(make.case(outer, inner, joint=joint, dt=0.05), monkeypatch)
+    rings = [line.get_xydata() for line in figure.axes[0].lines if len(line.get_xdata()) == 49]
+    assert len(rings) == 2 * 4
+    from particlerb.studies.charts.solids import view_at_angle
+
+    view = view_at_angle(2)[:2]
+    for ring, plane, radius in ((rings[0], [0, 2], 1.0), (rings[1], [1, 2], math.sqrt(0.4))):
+        size = radius * np.linalg.norm(view[:, plane], axis=1)
+        assert np.allclose(np.ptp(ring, axis=0) / 2.0, size, rtol=3e-3)
+    assert trajectory.n_bodies == 2

@@ -23,19 +23,23 @@ from particlerb.studies.charts.bodies import (
     FEW,
     KEYED,
     direction,
+    draw_at_rest,
     draw_attitudes,
-    draw_linkage,
     draw_paths,
     draw_side,
     draw_trace,
+    motion_of_bodies,
     spun_axis,
     upright,
 )
+from particlerb.studies.charts.linkage import draw_linkage
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style, write_beside
 from particlerb.studies.text import count_of
 
 _UNTURNED: Final = 1e-6  # rad in the whole time that are no turn
+_LEVEL: Final = 0.01  # change of height beside that of place which is none
 _LOWEST: Final = 1e-17  # error that is drawn
+_STYLES, _LETTERS = 9, 40  # lines and letters of their names at most that one row of names has
 _SAMPLED: Final = 1000  # bodies whose heights are looked at
 
 
@@ -176,6 +180,9 @@ def _draw_bodies(
     if is_scene and not (is_few and case["contact"] is None):
         draw_side(figure.add_subplot(place), trajectory, trajectory.n_frames - 1)
         return
+    if is_scene and not motion_of_bodies(trajectory).any() and not _is_top(trajectory, body):
+        draw_at_rest(figure.add_subplot(place), trajectory, shown)
+        return
     axes = figure.add_subplot(place, projection="3d")
     if _is_top(trajectory, body):
         draw_trace(axes, trajectory, body, _symmetry_axis(trajectory, body))
@@ -213,7 +220,8 @@ def _centre(trajectory: Trajectory, case: dict[str, Any]) -> Floats | None:
 
 def _draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -> None:
     """A line for each of a few, else the median and the range that holds 80 % of them."""
-    if values.shape[1] <= KEYED:
+    n = values.shape[1]
+    if n <= KEYED or (n <= _STYLES and sum(map(len, names)) <= _LETTERS):
         for k, name in enumerate(names):
             axes.plot(time, values[:, k], lw=1.3, label=name, **line_style(k))
         return
@@ -245,7 +253,7 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
     if "contact_number" in trajectory.other_fields:
         _draw_lines(axes, time, trajectory.contact_number.astype(float), trajectory.names)
         finish(axes, "contacts of a body", "number")
-    elif case["gravity"]:
+    elif case["gravity"] and _rises(trajectory):
         up, some = upright(trajectory), _shown(trajectory.n_bodies, _SAMPLED, 0)
         heights = trajectory.read("position", bodies=some)[:, :, up]
         _draw_lines(axes, time, heights, trajectory.names)
@@ -258,6 +266,12 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
         centre = np.average(x, axis=1, weights=trajectory.mass)[:, None]
         _draw_lines(axes, time, np.linalg.norm(x - centre, axis=2), trajectory.names)
         finish(axes, "distance from the common centre of mass", "r [m]")
+
+
+def _rises(trajectory: Trajectory) -> bool:
+    """Whether heights of bodies change, beside how far they move at all."""
+    moved = motion_of_bodies(trajectory)
+    return bool(moved[upright(trajectory)] >= _LEVEL * moved.max())
 
 
 def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
@@ -371,7 +385,7 @@ def finish(axes: Axes, title: str, label: str) -> None:
     finish_panel(axes, xlabel="t [s]", ylabel=label)
     axes.set_title(title, fontsize=10, loc="left", color=INK, pad=18)
     axes.legend(
-        fontsize=7.5, ncols=KEYED, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False,
+        fontsize=7.5, ncols=_STYLES, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False,
         handlelength=1.4, columnspacing=1.0, borderaxespad=0.2, borderpad=0.0,
     )  # fmt: skip
     axes.yaxis.set_offset_position("right")  # a common power of ten: the legend is at the left

@@ -6,9 +6,9 @@ import pytest
 pytest.importorskip("trimesh")
 
 from particlerb.case.to_system import to_system
+from particlerb.export.surfaces import Surfaces, equal_ellipsoid, walls_of
 from particlerb.model.state import as_frame
 from particlerb.view.number_tables import NumberGroup, NumberRow, euler_deg, shown, table
-from particlerb.view.surfaces import Surfaces, equal_ellipsoid, walls_of
 
 BOX = {"name": "box", "shape": {"type": "box", "size": [1.0, 2.0, 3.0]}, "mass": 1.0}
 HALF = np.sqrt(0.5)

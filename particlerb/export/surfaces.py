@@ -230,7 +230,7 @@ def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _S
     if kind == "points" and own.radius is not None and all(own.radius):
         return _balls_of(np.array(own.position) @ R.T + shift, np.array(own.radius), copies)
     if kind == "box":
-        return triangles(_box(np.array(own.size)).moved(R, shift))
+        return triangles(box(np.array(own.size)).moved(R, shift))
     made: dict[str, Callable[[], Any]] = {
         "cylinder": lambda: _hollow(own.radius, own.inner_radius, own.height),
         "cone": lambda: _trimesh().creation.cone(own.radius, own.height, sections=_ROUND),
@@ -250,7 +250,7 @@ def _trimesh() -> Any:
     return import_module("trimesh")
 
 
-def _box(size: Floats) -> SurfaceMesh:
+def box(size: Floats) -> SurfaceMesh:
     """Box about the origin."""
     return SurfaceMesh((np.array([*np.ndindex(2, 2, 2)]) - 0.5) * size, np.array(_BOX))
 
@@ -341,31 +341,29 @@ def together(surfaces: Sequence[_Surface]) -> _Surface:
 
 def walls_of(system: System, size: float) -> list[SurfaceMesh]:
     """Surfaces of the walls, planes cut to a size [m]; world frame."""
-    found: list[SurfaceMesh] = []
-    for wall in system.wall:
-        if wall.type == "plane":
-            z = np.array(wall.normal) / np.linalg.norm(wall.normal)
-            x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
-            x = x / np.linalg.norm(x)
-            y, half = np.cross(z, x), 0.5 * _PLANE * size
-            corners = [a * half * x + b * half * y for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-            mesh = SurfaceMesh(np.array(corners) + wall.point, np.array([[0, 1, 2], [0, 2, 3]]))
-        elif wall.type == "box":
-            lower, upper = np.array(wall.lower), np.array(wall.upper)
-            mesh = _box(upper - lower).moved(np.eye(3), 0.5 * (lower + upper))
-        elif wall.type == "cylinder":
-            axis = np.array(wall.axis) / np.linalg.norm(wall.axis)
-            R = _trimesh().geometry.align_vectors([0.0, 0.0, 1.0], axis)[:3, :3]
-            made = _trimesh().creation.cylinder(wall.radius, wall.length, sections=_ROUND)
-            mesh = _as_mesh(made).moved(R, np.array(wall.centre))
-        else:
-            vertices, faces = triangles_of(system.files.read(wall.file))
-            mesh = SurfaceMesh(wall.scale * vertices, faces)
-            mesh = mesh.moved(
-                rotation_matrix(quaternion_of(wall.orientation)), np.array(wall.position)
-            )
-        found.append(mesh)
-    return found
+    return [surface_of_wall(system.files, wall, size) for wall in system.wall]
+
+
+def surface_of_wall(files: Files, wall: Any, size: float) -> SurfaceMesh:
+    """Surface of one wall, a plane cut to a size [m]; world frame, at t = 0."""
+    if wall.type == "plane":
+        z = np.array(wall.normal) / np.linalg.norm(wall.normal)
+        x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+        x = x / np.linalg.norm(x)
+        y, half = np.cross(z, x), 0.5 * _PLANE * size
+        corners = [a * half * x + b * half * y for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        return SurfaceMesh(np.array(corners) + wall.point, np.array([[0, 1, 2], [0, 2, 3]]))
+    if wall.type == "box":
+        lower, upper = np.array(wall.lower), np.array(wall.upper)
+        return box(upper - lower).moved(np.eye(3), 0.5 * (lower + upper))
+    if wall.type == "cylinder":
+        axis = np.array(wall.axis) / np.linalg.norm(wall.axis)
+        R = _trimesh().geometry.align_vectors([0.0, 0.0, 1.0], axis)[:3, :3]
+        made = _trimesh().creation.cylinder(wall.radius, wall.length, sections=_ROUND)
+        return _as_mesh(made).moved(R, np.array(wall.centre))
+    vertices, faces = triangles_of(files.read(wall.file))
+    turn = rotation_matrix(quaternion_of(wall.orientation))
+    return SurfaceMesh(wall.scale * vertices, faces).moved(turn, np.array(wall.position))
 
 
 def extent_of(position: Floats, reach: Floats) -> float:
