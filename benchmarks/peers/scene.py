@@ -9,7 +9,7 @@ G = Σ p fᵀ of the points p in the rotor frame, whatever their number; with th
 the torque about the centre of mass is then τ_a = ε_abc (R G)_bc. Every adapter starts from these.
 """
 
-import importlib.util
+import importlib
 import math
 import os
 from typing import NamedTuple
@@ -46,6 +46,8 @@ class Scene(NamedTuple):
     files: dict[str, str] | None = None  # the same for LAMMPS, by suffix
     refused: dict[str, str] | None = None  # why such a model is not there, by engine
     contact: tuple[float, float] | None = None  # restitution and friction; None: nothing touches
+    springs: tuple[np.ndarray, ...] | None = None  # ends, places, numbers, see springs.py
+    attraction: tuple[float, float] | None = None  # of points: G, and softening [m]
     times: np.ndarray | None = None  # (T,) instants at equal distances, the last one t_end [s]
 
 
@@ -79,8 +81,12 @@ def stops(scene: Scene, step: float) -> tuple[int, float]:
 def absent(*packages: str) -> str | None:
     """Say which package is not there, or that Numba is switched off where it is asked for."""
     for name in packages:
-        if importlib.util.find_spec(name) is None:
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError:
             return f"{name} is not installed: pip install particlerb[peers]"
+        except ImportError as error:
+            return f"{name} cannot be imported: {error}"
     if "numba" in packages and os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return "NUMBA_DISABLE_JIT is set, and compiled functions are needed"
     return None

@@ -40,7 +40,7 @@ from .scene import (
 
 NAME = "MuJoCo"
 ADAPTIVE = False
-HOLDS_JOINTS = True
+HOLDS = ("joints",)
 VARIANTS = {
     "Euler": (0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001),
     "implicitfast": (0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001),

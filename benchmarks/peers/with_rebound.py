@@ -1,4 +1,4 @@
-"""REBOUND's Bulirsch-Stoer integrator on a user-defined equation, without any N-body particles.
+"""REBOUND's Bulirsch-Stoer integrator on a user-defined equation; points that attract each other.
 
 The equations and the variant `world` are those of `with_scipy`, all bodies in one state vector and
 the centres of mass on their parabolas. REBOUND takes the right-hand side as a C function, so a
@@ -16,13 +16,15 @@ import numpy as np
 
 from particlerb.compiled.threads import THREADS
 
-from .scene import Result, Scene, absent
+from .scene import Result, Scene, absent, result
 from .with_scipy import gathered, momenta_can_turn, rotation_problem
 
 NAME = "REBOUND"
 ADAPTIVE = True
 TOLERANCES = tuple(10.0**-k for k in range(2, 14))
 VARIANTS = {"BS": TOLERANCES, "BS world": TOLERANCES}
+ATTRACTION = {"IAS15": TOLERANCES, "BS": TOLERANCES}
+HOLDS = ("attraction",)
 
 table = np.zeros(6, np.uintp)  # length of the state, bodies, bodies with G, and three addresses
 
@@ -74,6 +76,8 @@ def run(scene: Scene, variant: str, step: float) -> Result:
     import rebound
     from rebound.ode import ODEDER
 
+    if scene.attraction is not None:
+        return run_attraction(scene, variant, step)
     world = variant == "BS world"
     state, constants, unit = rotation_problem(scene, world)
     bodies, loaded = constants[0].shape[1], constants[2].shape[1]
@@ -99,3 +103,29 @@ def run(scene: Scene, variant: str, step: float) -> Result:
     seconds = THREADS.own.clock() - started
     state = np.ctypeslib.as_array(ode.y, state.shape).copy()
     return gathered(scene, seconds, state, constants, unit, world)
+
+
+def run_attraction(scene: Scene, variant: str, step: float) -> Result:
+    """Integrate points that attract each other, by IAS15 or Bulirsch-Stoer.
+
+    For IAS15 the tolerance is its epsilon, the share of the last term in the acceleration.
+    """
+    import rebound
+
+    sim = rebound.Simulation()
+    sim.G, sim.softening = scene.attraction
+    for m, x, v in zip(scene.mass, scene.position, scene.velocity, strict=True):
+        sim.add(m=m, x=x[0], y=x[1], z=x[2], vx=v[0], vy=v[1], vz=v[2])
+    sim.integrator = variant.lower()
+    if variant == "IAS15":
+        sim.integrator.epsilon = step
+    else:
+        sim.integrator.eps_rel = sim.integrator.eps_abs = step
+    sim.dt = 1e-3 * scene.t_end
+    started = THREADS.own.clock()
+    sim.integrate(scene.t_end)
+    seconds = THREADS.own.clock() - started
+    position = np.array([p.xyz for p in sim.particles])
+    velocity = np.array([p.vxyz for p in sim.particles])
+    still = np.zeros_like(position)
+    return result(scene, seconds, position, scene.orientation, velocity, still)

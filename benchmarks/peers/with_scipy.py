@@ -27,6 +27,8 @@ NAME = "SciPy"
 ADAPTIVE = True
 TOLERANCES = tuple(10.0**-k for k in range(2, 14))
 VARIANTS = {"DOP853": TOLERANCES, "DOP853 world": TOLERANCES, "LSODA": TOLERANCES[1:-1]}
+SPRINGS = {"DOP853": TOLERANCES}
+HOLDS = ("springs",)
 
 
 def missing() -> str | None:
@@ -127,6 +129,8 @@ def run(scene: Scene, variant: str, step: float) -> Result:
 
     from .rotation import rotor_rates, world_rates
 
+    if scene.springs is not None:
+        return run_springs(scene, step)
     method, _, world = variant.partition(" ")
     rates = world_rates if world else rotor_rates
     state, constants, unit = rotation_problem(scene, bool(world))
@@ -142,6 +146,30 @@ def run(scene: Scene, variant: str, step: float) -> Result:
         state = SOLVERS[method](integrate, slope, state, scene.t_end, step)
         seconds = THREADS.own.clock() - started
     return gathered(scene, seconds, state, constants, unit, bool(world))
+
+
+def run_springs(scene: Scene, step: float) -> Result:
+    """Integrate all of the motion by DOP853: springs couple places and orientations."""
+    from scipy import integrate
+
+    from .springs import spring_problem, spring_rates
+
+    state, constants, size = spring_problem(scene)
+
+    def slope(t, y):
+        rate = np.empty_like(state)
+        spring_rates(size * y.reshape(state.shape), *constants, rate)
+        return (rate / size).ravel()
+
+    start = (state / size).ravel()
+    slope(0.0, start)
+    with one_thread():
+        started = THREADS.own.clock()
+        end = dop853(integrate, slope, start, scene.t_end, step)
+        seconds = THREADS.own.clock() - started
+    end = size * end.reshape(state.shape)
+    q = end[6:10].T / np.linalg.norm(end[6:10].T, axis=1, keepdims=True)
+    return result(scene, seconds, end[:3].T, q, end[3:6].T, to_world(q, end[10:].T))
 
 
 def one_thread() -> AbstractContextManager:

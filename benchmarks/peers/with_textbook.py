@@ -20,7 +20,7 @@ from .scene import Result, Scene, absent, equal_steps, loads, result
 
 NAME = "textbook"
 ADAPTIVE = False
-HOLDS_JOINTS = True
+HOLDS = ("joints",)
 LADDER = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 VARIANTS = {"multipliers": LADDER, "Baumgarte": LADDER, "stiff springs": LADDER}
 BAUMGARTE = 5.0  # [1/s]

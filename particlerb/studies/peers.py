@@ -16,7 +16,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from particlerb.case.forces import PushTable
+from particlerb.case.forces import PushTable, SpringTable
 from particlerb.case.joints import ACTIONS, ROLLING
 from particlerb.case.problems import CaseError, problem_at
 from particlerb.export import ExportError
@@ -34,6 +34,7 @@ from particlerb.model.state import (
 )
 from particlerb.model.system import System
 from particlerb.plan.joints import has_loops, joints_of
+from particlerb.plan.links import Link
 from particlerb.simulation.trials import BodySubset, Error, errors
 from particlerb.studies.text import chosen_names
 
@@ -83,8 +84,9 @@ def engines(names: Sequence[str]) -> list[Engine]:
 
 def refusal_by(engine: Engine, scene: PeerScene) -> str:
     """Why an engine cannot hold a scene; empty where it can."""
-    if scene.joints is not None and not getattr(engine, "HOLDS_JOINTS", False):
-        return "it is given no joints"
+    for what in ("joints", "springs", "attraction"):
+        if getattr(scene, what) is not None and what not in getattr(engine, "HOLDS", ()):
+            return f"it is given no {what}"
     if scene.contact is None:
         return engine.refusal(scene) or ""
     if not hasattr(engine, "CONTACT"):
@@ -94,12 +96,17 @@ def refusal_by(engine: Engine, scene: PeerScene) -> str:
 
 def variants_of(engine: Engine, system: System) -> dict[str, Sequence[float]]:
     """Ladder of each variant of an engine for a system."""
-    found = engine.VARIANTS if system.contact is None else getattr(engine, "CONTACT", {"": ()})
-    return dict(found)
+    if system.contact is not None:
+        return dict(getattr(engine, "CONTACT", {"": ()}))
+    if system.attraction is not None:
+        return dict(getattr(engine, "ATTRACTION", engine.VARIANTS))
+    has_springs = any(isinstance(force, SpringTable) for force in system.force)
+    return dict(getattr(engine, "SPRINGS", engine.VARIANTS) if has_springs else engine.VARIANTS)
 
 
-_GIVEN: Final = "other engines take gravity and constant pushes in the world frame only"
+_GIVEN: Final = "other engines take gravity, springs and constant pushes in the world frame only"
 _NONE: Final = "other engines, and what charts are measured against, have no {}"
+_ALONE: Final = "other engines are given attraction of points alone, of one particle each"
 
 
 def peer_scene(system: System) -> PeerScene:
@@ -114,14 +121,20 @@ def peer_scene(system: System) -> PeerScene:
     bodies, acting = system.bodies, (*ACTIONS, "drive", "during", "breaks_at")
     if system.contact is not None:
         return _touching(system, types)
-    if system.attraction is not None or any(getattr(t, k) for t in system.joint for k in acting):
+    if system.attraction is not None:
+        return _attracting(system, types)
+    if any(getattr(t, k) for t in system.joint for k in acting):
         raise ValueError(_GIVEN)
     if any(table.type in ROLLING for table in system.joint):
         raise ValueError(_NONE.format("gears, racks or screws"))
     if any(body.fixed or body.motion is not None for body in system.body):
         raise ValueError(_NONE.format("bodies that are fixed or have a motion"))
-    pushes = []
-    for force in system.force:
+    pushes, links = [], springs_of(system)
+    if links and system.joint:
+        raise ValueError("other engines are given no springs beside joints")
+    for number, force in enumerate(system.force):
+        if number in {link.number for link in links}:
+            continue
         if not isinstance(force, PushTable) or force.frame != "world":
             raise ValueError(_GIVEN)
         if force.timed is not None or force.during is not None:
@@ -130,6 +143,8 @@ def peer_scene(system: System) -> PeerScene:
             at = _to_rotor(bodies.rotor_frame[:, b], force.at)
             pushes.append(types.Push(b, at, np.array(force.force)))
     scene = _bodies_of(system, types)._replace(pushes=tuple(pushes))
+    if links:
+        return scene._replace(springs=_springs(bodies, links))
     setup = joints_of(system)
     if setup is None:
         return scene
@@ -149,6 +164,43 @@ def _bodies_of(system: System, types: ModuleType) -> PeerScene:
     rows = (np.ascontiguousarray(column.T) for column in columns)
     scene = types.Scene(bodies.mass, *rows, system.acceleration, (), system.run.t_end)
     return scene._replace(names=tuple(system.names), rotor_frame=bodies.rotor_frame.T)
+
+
+def _attracting(system: System, types: ModuleType) -> PeerScene:
+    """Points that attract each other.
+
+    Raises
+    ------
+    ValueError
+        If they are no points, or anything else acts.
+    """
+    table = system.attraction
+    assert table is not None
+    acts = system.force or system.joint or system.acceleration.any() or table.body is not None
+    if acts or (np.diff(system.particles.offset)[system.kind] > 1).any():
+        raise ValueError(_ALONE)
+    return _bodies_of(system, types)._replace(attraction=(table.G, table.softening))
+
+
+def _springs(bodies: Bodies, links: Sequence[Link]) -> tuple[Any, ...]:
+    """Ends (2, s), their places (2, s, 3) in rotor frames, and three numbers (3, s) of springs."""
+    first, second = (
+        np.concatenate([getattr(link, name) for link in links]) for name in ("first", "second")
+    )
+    first_at, second_at = (
+        np.concatenate([getattr(link, name) for link in links], axis=1)
+        for name in ("first_at", "second_at")
+    )
+    frames = bodies.rotor_frame
+    own = rotate_back(frames[:, first], first_at)
+    other = np.where(second < 0, second_at, rotate_back(frames[:, second], second_at))
+    numbers = [
+        np.concatenate([np.full(link.first.size, link.force.stiffness) for link in links]),
+        np.concatenate([np.full(link.first.size, link.force.damping) for link in links]),
+        np.concatenate([link.rest_length for link in links]),
+    ]
+    at = np.ascontiguousarray(np.stack([own.T, other.T]))
+    return np.stack([first, np.where(second < 0, -1, second)]), at, np.array(numbers)
 
 
 def _touching(system: System, types: ModuleType) -> PeerScene:
@@ -239,7 +291,8 @@ def peer_errors(
     )
     found = reference._replace(position=position, orientation=turned)
     error = errors(part, times, found, reference)[-1]
-    if any(s.terms != type(s.terms)() for g in part.groups for s in g.segments):
+    is_free = scene.attraction is None and not scene.force
+    if not is_free or any(s.terms != type(s.terms)() for g in part.groups for s in g.segments):
         return error, np.nan, np.nan
     kinetic = kinetic_energy(bodies, part.state)
     energy = np.abs(result.kinetic_energy[which] - kinetic).sum() / kinetic.sum()

@@ -9,8 +9,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+import particlerb
 from benchmarks.peers import ENGINES
 from benchmarks.peers.scene import Push, Result, Scene
+from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
+from particlerb.studies.peers import peer_scene
 
 ORDER = {
     ("mujoco", "Euler"): 1,
@@ -259,3 +263,56 @@ def test_a_rod_turns_about_its_momentum_or_is_refused_in_a_sentence(name):
 )
 def test_what_an_engine_cannot_hold_is_said_in_a_sentence(name, case, words):
     assert words in ENGINES[name]().refusal(case)
+
+
+def test_points_come_back_after_a_period_of_their_orbit():
+    """Two points of masses 3 and 1, a = 1, e = 0.3 and G = 1: they start at the pericentre."""
+    pytest.importorskip("rebound")
+    rebound = ENGINES["rebound"]()
+    speed, part = np.sqrt(4.0 * 1.3 / 0.7), np.array([-0.25, 0.75])
+    bodies = [
+        {
+            "inertia": (0, 0, 0),
+            "mass": m,
+            "position": (0.7 * s, 0, 0),
+            "velocity": (0, speed * s, 0),
+        }
+        for m, s in zip((3.0, 1.0), part, strict=True)
+    ]
+    orbit = scene(*bodies, t_end=2.0 * np.pi / np.sqrt(4.0))._replace(attraction=(1.0, 0.0))
+    for variant, bound in (("IAS15", 1e-12), ("BS", 1e-8)):
+        found = rebound.run(orbit, variant, 1e-9)
+        assert np.abs(found.position - orbit.position).max() < bound, variant
+    softened = rebound.run(orbit._replace(attraction=(1.0, 0.1)), "IAS15", 1e-9)
+    assert np.abs(softened.position - orbit.position).max() > 0.01
+
+
+@pytest.mark.plain
+def test_springs_pull_as_ours_do(make):
+    """Between tilted boxes and the world, beside the centres, damped, in gravity, with a push."""
+    box = {"type": "box", "size": [0.4, 0.3, 0.2], "arrangement": "exact"}
+    turn = {"euler_deg": [20, -40, 60]}
+    bodies = [
+        {"name": "a", "shape": box, "mass": 2.0, "orientation": turn, "velocity": [0.1, 0.2, 0]},
+        {
+            "name": "b",
+            "shape": box,
+            "mass": 1.0,
+            "position": [0.8, 0.1, 0],
+            "angular_velocity": [1, 2, 3],
+        },
+    ]
+    spring = {"type": "spring", "body": "a", "stiffness": 40.0, "damping": 0.7}
+    force = [
+        spring | {"at": [0.1, 0.05, 0.1], "to": "b", "to_at": [-0.2, 0, 0.1], "rest_length": 0.5},
+        spring | {"at": [-0.2, 0.1, 0], "anchor": [-0.5, 0, 0.4], "rest_length": "initial"},
+        make.push([0.1, 0, 0.1], [0.5, 1.0, 0], body="b"),
+    ]
+    case = make.case(*bodies, force=force, t_end=0.3, every=0.3, method="rk4", dt=2e-3,
+                     gravity={"acceleration": [0, 1.0, -9.81]})  # fmt: skip
+    ours = particlerb.run(case)
+    given = peer_scene(to_system(load(case)))
+    found = ENGINES["scipy"]().run(given, "DOP853", 1e-10)
+    assert np.abs(found.position - ours.position[-1]).max() < 1e-8
+    L = np.abs(found.angular_momentum - ours.angular_momentum[-1]).max()
+    assert L < 1e-8
