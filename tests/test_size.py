@@ -22,7 +22,7 @@ BUDGETS = {
     "contact by impulses": 3862,
     "collisions by events": 1712,
     "forces: tables, gradients, written by users": 2151,
-    "scenes and simulations in Python": 610,
+    "scenes and simulations in Python": 615,
     "sweeps": 1561,
     "one scene over ranks": 2076,
     "reports, pictures, the page": 1655,

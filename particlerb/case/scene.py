@@ -45,6 +45,22 @@ def _adds(
     return add
 
 
+_T = TypeVar("_T")
+
+
+def _table(kind: str, given: _T, example: str) -> _T:
+    """A record, or a mapping with its keys, as it is.
+
+    Raises
+    ------
+    TypeError
+        If it is anything else.
+    """
+    if not isinstance(given, (Table, Mapping)):
+        raise TypeError(f"a {kind} is a table, such as {example}(..), got {given!r:.60}")
+    return given
+
+
 class Scene(Mapping[str, Any]):
     """Bodies and all that acts on them; `particlerb.run(scene)` runs it.
 
@@ -118,12 +134,12 @@ class Scene(Mapping[str, Any]):
 
     def add_force(self, force: AnyForce) -> AnyForce:
         """Add a force, such as `PushTable(body="cube", force=(0, 0, 50))`; return it."""
-        self.force.append(force)
+        self.force.append(_table("force", force, "PushTable"))
         return force
 
     def add_wall(self, wall: AnyWall) -> AnyWall:
         """Add a wall, such as `PlaneWall(name="floor", normal=(0, 0, 1))`; return it."""
-        self.wall.append(wall)
+        self.wall.append(_table("wall", wall, "PlaneWall"))
         return wall
 
     @classmethod

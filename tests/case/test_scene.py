@@ -126,6 +126,13 @@ def test_a_wrong_key_is_refused_with_the_words_of_a_case(make, words):
         assert word in str(found.value)
 
 
+def test_a_name_is_no_force_and_no_wall():
+    with pytest.raises(TypeError, match=r"a force is a table, such as PushTable\(..\), got 'push'"):
+        pushed_cubes().add_force("push")
+    with pytest.raises(TypeError, match="a wall is a table"):
+        pushed_cubes().add_wall("plane")
+
+
 def test_what_involves_several_tables_shows_when_the_scene_is_read():
     scene = pushed_cubes()
     scene.add_force(PushTable(body="cub", force=(0, 0, 1)))

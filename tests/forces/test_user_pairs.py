@@ -15,6 +15,8 @@ from particlerb.maths.vec3 import add_scaled, cross, dot, scale, subtract
 from particlerb.stepping import pair_forces
 from particlerb.tables import (
     AttractionTable,
+    Ball,
+    ContactTable,
     Moments,
     PushTable,
     PythonTable,
@@ -377,3 +379,35 @@ def test_numbers_of_bodies_come_in_the_order_in_which_they_are_named():
     made.add_force(PythonTable(function=own_push, **asked))
     with particlerb.run(made) as t:
         assert t.velocity[-1, :, 0] == pytest.approx([0.0, -1.0, 1.0, 0.0], abs=1e-14)
+
+
+def stretch_energy(x1, x2, k):
+    """½ k r²."""
+    d = subtract(x2, x1)
+    return 0.5 * k * dot(d, d)
+
+
+@particlerb.force(potential=stretch_energy)
+def stretch(x1, x2, k):
+    """Towards the other, as far as it is away."""
+    return scale(k, subtract(x2, x1)), NO_TORQUE
+
+
+@plain
+def test_a_pair_that_attracts_bounces_by_impulses():
+    """r = 0.6 cos ωt until it is 0.2, and then back; an impact within a step errs by some h."""
+    omega, errors, energies = np.sqrt(20.0 * 1.5), [], []
+    turn_back = 2.0 * np.arccos(0.2 / 0.6) / omega
+    for dt in (5e-3, 2.5e-3):
+        scene = Scene(RunTable(t_end=0.4, every=0.4, dt=dt))
+        for name, mass, x in (("a", 1.0, -0.3), ("b", 2.0, 0.3)):
+            scene.add_body(name=name, shape=Ball(radius=0.1), mass=mass, position=(x, 0, 0))
+        scene.contact = ContactTable(law="impulse", restitution=1.0, friction=0.0)
+        scene.add_force(PythonTable(body="a", to="b", function=stretch, parameters={"k": 20.0}))
+        with particlerb.run(scene) as found:
+            r = found.position[-1, 1, 0] - found.position[-1, 0, 0]
+            assert not found.ledger.linear_momentum_error.any()
+            energies.append(abs(found.ledger.energy_error[-1]))
+        errors.append(abs(r - 0.6 * np.cos(omega * (0.4 - turn_back))))
+    assert errors[1] < 0.6 * errors[0] < 0.004
+    assert energies[1] < 0.3 * energies[0] < 3e-5
