@@ -37,6 +37,7 @@ from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_sty
 from particlerb.studies.text import count_of
 
 _UNTURNED: Final = 1e-6  # rad in the whole time that are no turn
+_STILL: Final = 1e-6  # motion beside the size of a scene which is none
 _LEVEL: Final = 0.01  # change of height beside that of place which is none
 _LOWEST: Final = 1e-17  # error that is drawn
 _STYLES, _LETTERS = 9, 40  # lines and letters of their names at most that one row of names has
@@ -269,9 +270,11 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
 
 
 def _rises(trajectory: Trajectory) -> bool:
-    """Whether heights of bodies change, beside how far they move at all."""
+    """Whether heights of bodies change, beside how far they move at all, or all are at rest."""
     moved = motion_of_bodies(trajectory)
-    return bool(moved[upright(trajectory)] >= _LEVEL * moved.max())
+    size = np.ptp(trajectory.read("position", slice(0, 1))[0], axis=0).max()
+    is_still = moved.max() <= _STILL * size
+    return bool(is_still or moved[upright(trajectory)] >= _LEVEL * moved.max())
 
 
 def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
