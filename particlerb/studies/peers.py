@@ -109,6 +109,17 @@ _NONE: Final = "other engines, and what charts are measured against, have no {}"
 _ALONE: Final = "other engines are given attraction of points alone, of one particle each"
 
 
+def _refuse_what_they_lack(system: System) -> None:
+    """Raise a ValueError where joints or bodies are or do what the adapters have no word for."""
+    acting = *ACTIONS, "drive", "during", "breaks_at"
+    if any(getattr(t, k) for t in system.joint for k in acting):
+        raise ValueError(_GIVEN)
+    if any(table.type in ROLLING for table in system.joint):
+        raise ValueError(_NONE.format("gears, racks or screws"))
+    if any(body.fixed or body.motion is not None for body in system.body):
+        raise ValueError(_NONE.format("bodies that are fixed or have a motion"))
+
+
 def peer_scene(system: System) -> PeerScene:
     """The scene in plain arrays.
 
@@ -118,17 +129,12 @@ def peer_scene(system: System) -> PeerScene:
         If something acts that the adapters have no word for.
     """
     types = import_module(f"{_adapters().__name__}.scene")
-    bodies, acting = system.bodies, (*ACTIONS, "drive", "during", "breaks_at")
+    bodies = system.bodies
     if system.contact is not None:
         return _touching(system, types)
     if system.attraction is not None:
         return _attracting(system, types)
-    if any(getattr(t, k) for t in system.joint for k in acting):
-        raise ValueError(_GIVEN)
-    if any(table.type in ROLLING for table in system.joint):
-        raise ValueError(_NONE.format("gears, racks or screws"))
-    if any(body.fixed or body.motion is not None for body in system.body):
-        raise ValueError(_NONE.format("bodies that are fixed or have a motion"))
+    _refuse_what_they_lack(system)
     pushes, links = [], springs_of(system)
     if links and system.joint:
         raise ValueError("other engines are given no springs beside joints")
