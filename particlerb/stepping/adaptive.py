@@ -15,6 +15,7 @@ from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import acting_of, row_count, rows_of_terms
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.dop853 import PACK
+from particlerb.integrators.dop853_stages import CommonSteps, room_for_vectors
 from particlerb.integrators.dop853_step import ALONE, Equations
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout
@@ -34,14 +35,14 @@ from particlerb.model.block import (
     state_rows,
 )
 from particlerb.model.state import Frames, State, room_for
-from particlerb.stepping.common_steps import CommonSteps, Leg, advance_steps, room_for_vectors
+from particlerb.stepping.adaptive_loop import Leg, advance_steps
 from particlerb.stepping.jointed_motion import JointedMotion, jointed_in
 from particlerb.stepping.loop import Recording
 from particlerb.stepping.motion import SegmentGroup, WorkAccount
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
+from particlerb.stepping.stepped_motion import NANOSECONDS_PER_CALL
 
-NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
 _ROWS: Final = STAGE + 2 * CHANGING  # of blocks in which slopes are taken
 
 

@@ -5,8 +5,9 @@ import pytest
 from scenes import SCENES, X, Y, Z, bar, body, case, joint
 
 import particlerb
+from particlerb.integrators import dop853_stages
 from particlerb.integrators.joint_slopes import add_reactions
-from particlerb.stepping import adaptive, common_steps
+from particlerb.stepping import adaptive
 
 pytestmark = pytest.mark.plain
 
@@ -77,7 +78,7 @@ def test_trees_accelerate_as_by_multipliers(name, monkeypatch):
     for tree in (motion.jointed.tree, None):
         slope = np.zeros_like(motion.vectors.y)
         at = motion.vectors.width, 0.2, motion.vectors.y, slope
-        common_steps.slopes_of_blocks(motion.equations, motion.blocks, motion.layout, *at)
+        dop853_stages.slopes_of_blocks(motion.equations, motion.blocks, motion.layout, *at)
         own = motion.jointed._replace(tree=tree)
         books = motion.equations.books
         add_reactions(books, own, motion.vectors.y, slope, motion.vectors.width, 0.2)

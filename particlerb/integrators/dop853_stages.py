@@ -1,8 +1,7 @@
-"""The steps of DOP853 for bodies that take the same ones, and the loop over such steps.
+"""The stages of a step of DOP853 for bodies that take the same ones; the loop calls them.
 
-A step is as long as the error estimate of the worst body allows, so the grid of `loop` is not
-theirs. Frames come from the dense output of order 7, so they change nothing in the motion. The
-vectors of block k are one row of arrays (blocks, size * w), in the order of `dop853_step`.
+A step is as long as the error estimate of the worst body allows. The vectors of block k are one row
+of arrays (blocks, size * w), in the order of `dop853_step`.
 """
 
 from typing import Final, NamedTuple
@@ -10,7 +9,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.compiled.threads import BLOCK
 from particlerb.integrators.dop853_step import (
     ALONE,
     LEAST_STEP,
@@ -25,33 +23,17 @@ from particlerb.integrators.dop853_step import (
     take_slopes,
 )
 from particlerb.integrators.dop853_table import END, NODES, STAGES, A
-from particlerb.integrators.joint_slopes import (
-    add_reactions,
-    bring_back,
-    count_on,
-    store_coordinates,
-)
+from particlerb.integrators.joint_slopes import add_reactions, bring_back, count_on
 from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter_loads
 from particlerb.integrators.stages import caller_of_stages, inlined_caller
 from particlerb.joints.breaking import break_by_multipliers, let_go, may_break
 from particlerb.joints.records import Breaks, Jointed
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
-from particlerb.maths.vec3 import Floats, Ints, rows3
-from particlerb.model.block import BOOKED, COM, L, P, Q, assign, get, put
-from particlerb.model.state import store_frame
-from particlerb.stepping.loop import Recording
+from particlerb.maths.vec3 import Floats
+from particlerb.model.block import Q, assign, get, put
 
 _LOOKS: Final = 8  # in a step, for loads under which joints break,
 _HALVINGS: Final = 50  # and between two of them, for the instant
-
-
-class Leg(NamedTuple):
-    """Frames to write, and how far to go after them; times are since the segment began."""
-
-    times: Floats  # (T,) [s] of the frames
-    rows: Ints  # (T,) of the frames
-    until: float  # [s] on to the step around it
-    stop: float  # [s] or exactly to here, if that is finite
 
 
 class CommonVectors(NamedTuple):
@@ -178,14 +160,14 @@ def _let_go(breaks: Breaks | None, bodies: CommonSteps, t: float) -> bool:
 
 
 @caller_of_stages
-def _begin(bodies: CommonSteps, t: float) -> None:
+def begin(bodies: CommonSteps, t: float) -> None:
     """Slopes at the start of a step."""
     _let_go(bodies.breaks, bodies, t)
     _take_slopes(bodies, t, bodies.vectors.y, bodies.vectors.K[0])
 
 
 @caller_of_stages
-def _go_on(bodies: CommonSteps, t: float) -> None:
+def go_on(bodies: CommonSteps, t: float) -> None:
     """The end of a step, with its slopes, is the start of the next one, from t on."""
     assign(bodies.vectors.y, bodies.vectors.new)
     assign(bodies.vectors.K[0], bodies.vectors.K[END])
@@ -251,7 +233,7 @@ def _breaks_at(breaks: Breaks, bodies: CommonSteps, t: float, h: float, share: f
     """Whether joints carry too much at a share of a step; until it is forgotten, they break."""
     common, jointed = bodies.vectors, bodies.jointed
     assert jointed is not None
-    _show(bodies, t, h, share)
+    show(bodies, t, h, share)
     _take_slopes(bodies, t + share * h, common.out, common.five.reshape(common.five.size))
     at = jointed.start + (t + share * h)
     let_go(jointed.work, common.broken, jointed.start + t)
@@ -267,7 +249,7 @@ def _up_to_a_break(breaks: Breaks | None, bodies: CommonSteps, t: float, h: floa
     common.tried[0] = h
     if not may_break(breaks, common.broken):
         return h
-    _take_last_stages(bodies, t, h)
+    take_last_stages(bodies, t, h)
     for k in range(1, _LOOKS + 1):
         if _breaks_at(breaks, bodies, t, h, after):
             break
@@ -289,7 +271,7 @@ def _up_to_a_break(breaks: Breaks | None, bodies: CommonSteps, t: float, h: floa
 
 
 @caller_of_stages
-def _find_step(bodies: CommonSteps, t: float, h: float) -> tuple[float, float]:
+def find_step(bodies: CommonSteps, t: float, h: float) -> tuple[float, float]:
     """Longest step up to h that is accurate, and the one to try after it; K[0] is known."""
     layout, common = bodies.layout, bodies.vectors
     h = count_on(bodies.jointed, common.y, common.width, h)
@@ -309,13 +291,13 @@ def _find_step(bodies: CommonSteps, t: float, h: float) -> tuple[float, float]:
 
 
 @caller_of_stages
-def _take_last_stages(bodies: CommonSteps, t: float, h: float) -> None:
+def take_last_stages(bodies: CommonSteps, t: float, h: float) -> None:
     """Slopes that dense output needs beside those of the step."""
     _take_stages(bodies, bodies.vectors.out, t, h, END + 1, STAGES)
 
 
 @caller_of_stages
-def _show(bodies: CommonSteps, t: float, h: float, share: float) -> None:
+def show(bodies: CommonSteps, t: float, h: float, share: float) -> None:
     """State at a share of the step from t, for a frame."""
     common = bodies.vectors
     size = common.y.size
@@ -323,78 +305,3 @@ def _show(bodies: CommonSteps, t: float, h: float, share: float) -> None:
     interpolate(common.K, y, new, h, share, out)
     _normalise_blocks(common.out, bodies.layout, common.width)
     bring_back(bodies.jointed, common.out, common.width, t + share * h)
-
-
-@inline
-def _store_vectors(recording: Recording, f: int, lo: int, n: int, out: Floats, w: int) -> None:
-    """Write bodies from vectors as `dop853_step` has them into frame f, and what they book."""
-    shown = out.reshape(out.size // w, w)
-    com, q = rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n)
-    p, spin = rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n)
-    members, turn = recording.members[lo : lo + n], rows4(recording.rotor_frame, lo, lo + n)
-    store_frame(recording.frames, f, members, turn, com, q, p, spin)
-    for c in range(shown.shape[0] - ALONE):
-        for b in range(n):
-            recording.sums[f, lo // BLOCK, c] += shown[BOOKED + c, b]
-
-
-@kernel
-def _store_blocks(layout: Layout, common: CommonVectors, recording: Recording, frame: int) -> None:
-    """Write `out` into a frame."""
-    for k in range(layout.first.size):
-        lo, n = layout.first[k], layout.size[k]
-        _store_vectors(recording, frame, lo, n, common.out[k], common.width)
-
-
-@caller_of_stages
-def _write(bodies: CommonSteps, recording: Recording, frame: int) -> None:
-    """Write what is shown into a frame."""
-    common = bodies.vectors
-    _store_blocks(bodies.layout, common, recording, frame)
-    store_coordinates(bodies.jointed, common.out, common.width, recording.turned, frame)
-
-
-@caller_of_stages
-def advance_steps(bodies: CommonSteps, clock: Floats, leg: Leg, recording: Recording) -> None:
-    """All frames, then on to the step around `until`, or to `stop` if it is finite.
-
-    Parameters
-    ----------
-    bodies : CommonSteps
-    clock : ndarray, (3,)
-        Time from which the next step starts, step to try [s], and steps taken.
-    leg, recording : Leg, Recording
-    """
-    times, rows, until, stop = leg
-    t, h, taken = clock[0], clock[1], clock[2]
-    take_blocks(bodies.blocks, bodies.layout, bodies.vectors)
-    _begin(bodies, t)
-    h, h_next = _find_step(bodies, t, h)
-    is_dense = False
-    for f in range(times.size):
-        while times[f] > t + h:
-            t, taken = t + h, taken + 1.0
-            _go_on(bodies, t)
-            h, h_next = _find_step(bodies, t, h_next)
-            is_dense = False
-        assign(bodies.vectors.out, bodies.vectors.y)
-        if times[f] > t or not h > 0.0:
-            if not is_dense:
-                _take_last_stages(bodies, t, h)
-                is_dense = True
-            _show(bodies, t, h, (times[f] - t) / h)
-        _write(bodies, recording, rows[f])
-    while t + h < until:
-        t, taken = t + h, taken + 1.0
-        _go_on(bodies, t)
-        h, h_next = _find_step(bodies, t, h_next)
-    h_next = h
-    while t < stop < np.inf:  # the last step may have to be cut again
-        h, h_next = _find_step(bodies, t, min(stop - t, h_next))
-        ahead = stop if h >= stop - t else t + h
-        _go_on(bodies, ahead)
-        if not h > 0.0:
-            break
-        t, taken = ahead, taken + 1.0
-    give_blocks(bodies.blocks, bodies.layout, bodies.vectors)
-    clock[0], clock[1], clock[2] = t, h, taken

@@ -1,0 +1,110 @@
+"""The loop over steps that a method chooses: frames lie within steps, and change nothing in them.
+
+It stands before a step that it has found already, so that a frame can be shown in it by dense
+output. The loop over a grid of steps, in `loop`, stands behind one: see decision 27.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from particlerb.compiled.jit import kernel
+from particlerb.compiled.threads import BLOCK
+from particlerb.integrators.dop853_stages import (
+    CommonSteps,
+    CommonVectors,
+    begin,
+    find_step,
+    give_blocks,
+    go_on,
+    show,
+    take_blocks,
+    take_last_stages,
+)
+from particlerb.integrators.dop853_step import ALONE
+from particlerb.integrators.joint_slopes import store_coordinates
+from particlerb.integrators.pair_stages import Layout
+from particlerb.integrators.stages import caller_of_stages
+from particlerb.maths.quaternion import rows4
+from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.model.block import BOOKED, COM, L, P, Q, assign
+from particlerb.model.state import store_frame
+from particlerb.stepping.loop import Recording
+
+
+class Leg(NamedTuple):
+    """Frames to write, and how far to go after them; times are since the segment began."""
+
+    times: Floats  # (T,) [s] of the frames
+    rows: Ints  # (T,) of the frames
+    until: float  # [s] on to the step around it
+    stop: float  # [s] or exactly to here, if that is finite
+
+
+@kernel
+def _store_blocks(layout: Layout, common: CommonVectors, recording: Recording, frame: int) -> None:
+    """Write `out` into a frame, and what the bodies book."""
+    for k in range(layout.first.size):
+        lo, n = layout.first[k], layout.size[k]
+        shown = common.out[k].reshape(common.out.shape[1] // common.width, common.width)
+        com, q = rows3(shown[COM : COM + 3], 0, n), rows4(shown[Q : Q + 4], 0, n)
+        p, spin = rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n)
+        members, turn = recording.members[lo : lo + n], rows4(recording.rotor_frame, lo, lo + n)
+        store_frame(recording.frames, frame, members, turn, com, q, p, spin)
+        for c in range(shown.shape[0] - ALONE):
+            for b in range(n):
+                recording.sums[frame, lo // BLOCK, c] += shown[BOOKED + c, b]
+
+
+@caller_of_stages
+def _write(bodies: CommonSteps, recording: Recording, frame: int) -> None:
+    """Write what is shown into a frame."""
+    common = bodies.vectors
+    _store_blocks(bodies.layout, common, recording, frame)
+    store_coordinates(bodies.jointed, common.out, common.width, recording.turned, frame)
+
+
+@caller_of_stages
+def advance_steps(bodies: CommonSteps, clock: Floats, leg: Leg, recording: Recording) -> None:
+    """All frames, then on to the step around `until`, or to `stop` if it is finite.
+
+    Parameters
+    ----------
+    bodies : CommonSteps
+    clock : ndarray, (3,)
+        Time from which the next step starts, step to try [s], and steps taken.
+    leg, recording : Leg, Recording
+    """
+    times, rows, until, stop = leg
+    t, h, taken = clock[0], clock[1], clock[2]
+    take_blocks(bodies.blocks, bodies.layout, bodies.vectors)
+    begin(bodies, t)
+    h, h_next = find_step(bodies, t, h)
+    is_dense = False
+    for f in range(times.size):
+        while times[f] > t + h:
+            t, taken = t + h, taken + 1.0
+            go_on(bodies, t)
+            h, h_next = find_step(bodies, t, h_next)
+            is_dense = False
+        assign(bodies.vectors.out, bodies.vectors.y)
+        if times[f] > t or not h > 0.0:
+            if not is_dense:
+                take_last_stages(bodies, t, h)
+                is_dense = True
+            show(bodies, t, h, (times[f] - t) / h)
+        _write(bodies, recording, rows[f])
+    while t + h < until:
+        t, taken = t + h, taken + 1.0
+        go_on(bodies, t)
+        h, h_next = find_step(bodies, t, h_next)
+    h_next = h
+    while t < stop < np.inf:  # the last step may have to be cut again
+        h, h_next = find_step(bodies, t, min(stop - t, h_next))
+        ahead = stop if h >= stop - t else t + h
+        go_on(bodies, ahead)
+        if not h > 0.0:
+            break
+        t, taken = ahead, taken + 1.0
+    give_blocks(bodies.blocks, bodies.layout, bodies.vectors)
+    clock[0], clock[1], clock[2] = t, h, taken
