@@ -29,7 +29,7 @@ from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import Energies, Motion, few_at_once
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import OF_BODIES, Saved, under, within
-from particlerb.stepping.shared_contact import SharedContact
+from particlerb.stepping.shared_motion import SharedMotion
 from particlerb.user_force import place_of, told
 
 
@@ -57,7 +57,7 @@ class GroupRun:
     def checkpoint(self, of: Range) -> Saved:
         """The segment, how it began, and its motion; of some bodies where ranks share it."""
         motion = self.motion
-        own = motion.checkpoint_of(of) if isinstance(motion, SharedContact) else motion.checkpoint()
+        own = motion.checkpoint_of(of) if isinstance(motion, SharedMotion) else motion.checkpoint()
         saved = under("motion", own)
         if self.number:
             saved |= {"before": self.before.copy(), "turnover": np.array(self.turnover)}

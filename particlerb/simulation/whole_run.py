@@ -39,7 +39,7 @@ from particlerb.simulation.outcome import Probe, TreeError, restored_probes, sav
 from particlerb.simulation.state_checks import StateChecks
 from particlerb.stepping.motion import Energies, Motion, MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
-from particlerb.stepping.shared_contact import SharedContact
+from particlerb.stepping.shared_motion import SharedMotion
 
 _Sums: TypeAlias = Sequence[Floats | None]
 SHARED: Final = "shared"  # name in checkpoints of a group that ranks share
@@ -161,7 +161,7 @@ class Run:
     def checkpoints(self) -> Callable[[Range], Saved]:
         """What `checkpoint_of` returns; ranks that share a motion send what others save."""
         for run in self.group_runs:
-            if isinstance(run.motion, SharedContact):
+            if isinstance(run.motion, SharedMotion):
                 run.motion.collect()
         return self.checkpoint_of
 

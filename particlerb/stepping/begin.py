@@ -14,7 +14,7 @@ from particlerb.stepping.event_motion import EventMotion
 from particlerb.stepping.free_motion import FreeMotion
 from particlerb.stepping.impulse_motion import ImpulseMotion
 from particlerb.stepping.motion import CompositeMotion, Motion, SegmentGroup, part_of
-from particlerb.stepping.shared_contact import SharedContact
+from particlerb.stepping.shared_motion import SharedMotion
 from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -67,8 +67,8 @@ def _begin_touching(
     """The same of bodies that touch, by a fixed step."""
     contact, shared = group.terms.known_contact, group.shared
     if shared is not None:  # all are stepped
-        of_ranks = BrickMotion if shared.ranks.count > 1 else SharedContact
-        earlier = before if isinstance(before, SharedContact) else None
+        of_ranks = BrickMotion if shared.ranks.count > 1 else SharedMotion
+        earlier = before if isinstance(before, SharedMotion) else None
         return of_ranks(method, shared, group, state, start, dt, earlier)
     flies = group.worlds is None and can_fly(method, group.terms, group.members.size)
     motion = DiluteMotion if flies else ContactMotion

@@ -10,7 +10,7 @@ writes a fixed range of bodies.
 """
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -18,21 +18,20 @@ from particlerb.compiled.barrier import ALONE, Team, together
 from particlerb.compiled.threads import BLOCK
 from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
 from particlerb.contact.contact_model import ContactFrames, Instant, NeighbourLists
-from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.contact.records import PISTON, zero_records
 from particlerb.integrators.contact_stages import begin_step, keep_extremes, place_bodies_and_walls
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, OwnBlocks
 from particlerb.integrators.stages import MovingBodies
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import CHANGING, STRIDE, in_blocks, into_blocks
-from particlerb.model.bricks import Bricks
+from particlerb.model.block import CHANGING, in_blocks, into_blocks
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, state_of
 from particlerb.model.superblocks import over_blocks, sum_by_number, summed
 from particlerb.ranks import ending_all
 from particlerb.stepping.contact_lists import Histories, WallsAhead
 from particlerb.stepping.contact_part import contact_part
+from particlerb.stepping.exchange import Territory, kept_of
 from particlerb.stepping.loop import (
     Copies,
     Position,
@@ -42,60 +41,37 @@ from particlerb.stepping.loop import (
     loop_over_ranks,
     store_blocks,
 )
-from particlerb.stepping.motion import MotionError, SegmentGroup, Shared, WorkAccount
-from particlerb.stepping.shared_contact import (
-    GROSS,
-    SharedContact,
-    histories_of,
-    initial_rows,
-    kept_of,
-)
+from particlerb.stepping.motion import MotionError, WorkAccount
+from particlerb.stepping.shared_motion import GROSS, SharedMotion, initial_rows
 from particlerb.stepping.stepped_motion import SteppedMotion
 
-_MARGIN: Final = 1.0 + 1e-6  # of a distance that decides who is a copy: it rounds
 
-
-class BrickMotion(SharedContact):
+class BrickMotion(SharedMotion):
     """The share of a rank in a group of bodies that touch; see `motion.Motion`.
 
     All that is returned is of all bodies; frames are of those that this rank shows.
-
-    Parameters
-    ----------
-    method : Method
-    shared : Shared
-        All bodies.
-    shown : SegmentGroup
-        Those that this rank shows.
-    state : State
-        Of these.
-    start, dt : float [s]
-    before : SharedContact, optional
-        Of the segment before.
     """
 
-    def __init__(
-        self, method: Method, shared: Shared, shown: SegmentGroup, state: State, start: float,
-        dt: float, before: SharedContact | None = None,
-    ) -> None:  # fmt: skip
-        self.know(shared, shown)
+    def begin_shared(
+        self, method: Method, state: State, start: float, dt: float, before: SharedMotion | None
+    ) -> None:
+        """Set off with the bodies in the brick of this rank."""
         self.method, self.start, self.dt, self.steps_done = method, start, dt, 0
-        contact, ranks = self.whole.terms.known_contact, self.ranks
-        self.bound = bounding_radii(self.model.spheres, self.is_free.size)
-        self.reach = float(self.bound[self.is_free].max(initial=0.0))
+        exchange, number = self.exchange, self.ranks.number
+        self.model, self.is_free = exchange.model, exchange.is_free
         self._room_to_show()
-        self.account_shown = WorkAccount(shown, state)
-        self.given: dict[int, tuple[Ints, Floats]] = {}  # by rank: slots of bodies, and room
-        self.copies: dict[int, tuple[Ints, Floats]] = {}
-        with ending_all(ranks):
-            everyone = self.everyone(state)
+        self.account_shown = WorkAccount(self.shown, state)
+        with ending_all(self.ranks):
+            everyone = exchange.everyone(state)
             self.initial, com = initial_rows(np.vstack(everyone)), everyone.com
-            self.bricks = Bricks(com[:, self.is_free][:, ranks.number :: ranks.count], ranks)
-            owner = self._owners(np.arange(com.shape[1]), com)
-            own = np.flatnonzero(owner == ranks.number)
+            turns = slice(number, None, self.ranks.count)
+            self.territory = Territory(exchange, com[:, self.is_free][:, turns])
+            owner = self.territory.owners(np.arange(com.shape[1]), com)
+            own = np.flatnonzero(owner == number)
             kept = [] if before is None else [kept_of(each) for each in before.lists.histories]
-            histories = self._routed(kept, owner) if kept else None
-            self.lay_out(own, self.initial[own], contact.skin, histories)
+            histories = exchange.routed(kept, owner) if kept else None
+            skin = exchange.whole.terms.known_contact.skin
+            self.lay_out(own, self.initial[own], skin, histories)
             self.loop = loop_over_ranks(method, self.place, self.store, self.enter)
             self.set_off(True)
 
@@ -107,25 +83,14 @@ class BrickMotion(SharedContact):
         self.shown_bins = self.shown.members // BLOCK
         self.shown_blocks = in_blocks(max(m, 1), CHANGING, [])
 
-    @property
-    def _shown_here(self) -> Ints:
-        """Which of all bodies are shown here."""
-        return np.flatnonzero(self.home == self.ranks.number)
-
     # Who is where
-
-    def _owners(self, which: Ints, com: Floats) -> Ints:
-        """Ranks that have bodies with centres of mass (3, n); of held ones they take turns."""
-        among_held = np.searchsorted(np.flatnonzero(~self.is_free), which)
-        owner = self.bricks.owners(np.ascontiguousarray(com))
-        return np.where(self.is_free[which], owner, among_held % self.ranks.count)
 
     def lay_out(self, own: Ints, rows: Floats, skin: float, histories: Histories | None) -> None:
         """Room for the bodies of this rank, ascending, which have these rows, and for copies.
 
         Lists with this skin [m] are to be made of them.
         """
-        came, ghosts = self._copies_of(own, rows, skin)
+        came, ghosts = self.territory.copies_of(own, rows, skin)
         held = np.flatnonzero(~self.is_free)
         local = np.unique(np.concatenate([own, ghosts, held]))
         values = self.initial[local]
@@ -133,45 +98,18 @@ class BrickMotion(SharedContact):
             values[np.searchsorted(local, which)] = of
         self.local, self.is_own = local, np.isin(local, own)
         steps = self.steps_done
-        group, numbers = contact_part(self.whole, local)
+        group, numbers = contact_part(self.exchange.whole, local)
         state = state_of(values[:, :STATE_ROWS].T)
         SteppedMotion.__init__(self, self.method, group, state, self.start, self.dt)
         self.steps_done = steps
         self.begin_contact(state, numbers, histories, None, self.is_own)
         self.put(values)
         self._count_costs()
-        for swapped in (self.given, self.copies):
-            for k, (which, _) in swapped.items():
-                slots = self.slots[np.searchsorted(local, which)]
-                swapped[k] = slots, np.empty((which.size, STATE_ROWS))
-
-    def _copies_of(self, own: Ints, rows: Floats, skin: float) -> tuple[Floats, Ints]:
-        """Bodies of other ranks that may touch those of this one: rows, and who they are.
-
-        A rank without bodies gets a copy of one, so that it has something to go through.
-        """
-        ranks, free = self.ranks, self.is_free[own]
-        counts = ranks.gathered(int(free.sum()))
-        com = np.ascontiguousarray(rows[:, :3].T)
-        far = _MARGIN * (self.bound[own] + self.reach + skin)
-        leaders = [k for k, count in enumerate(counts) if count]
-        out, self.given = [], {}
-        for k, count in enumerate(counts):
-            near = free & (self.bricks.distances(com, k) < far)
-            if count == 0 and leaders and leaders[0] == ranks.number:
-                near[np.flatnonzero(free)[0]] = True
-            which = np.flatnonzero(near) if k != ranks.number else np.zeros(0, dtype=np.int64)
-            out.append(np.column_stack([own[which], rows[which]]))
-            if which.size:
-                self.given[k] = own[which], rows[:0]
-        came = ranks.sent(out)
-        who = [of[:, 0].astype(np.int64) for of in came]
-        self.copies = {k: (of, rows[:0]) for k, of in enumerate(who) if of.size}
-        return np.concatenate(came)[:, 1:], np.concatenate(who)
+        self.territory.find_slots(lambda which: self.slots[np.searchsorted(local, which)])
 
     def _count_costs(self) -> None:
         """Costs of all bodies: who decides by them decides the same on all ranks."""
-        n, n_spheres = self.whole.members.size, self.model.spheres.radius.size
+        n, n_spheres = self.is_free.size, self.model.spheres.radius.size
         self.share = self.local.size / n
         self.step_cost = self.cost_of(n, n_spheres)
         self.cost = self.step_cost / self.ranks.count
@@ -185,16 +123,11 @@ class BrickMotion(SharedContact):
         rows, here = self.travelling(), np.flatnonzero(self.is_own)
         moves = self.is_free[self.local[here]]
         com = np.ascontiguousarray(rows[here, :3].T)
-        owner = np.where(moves, self.bricks.owners(com), ranks.number)
-        counts = ranks.added(np.bincount(owner[moves], minlength=ranks.count))
-        bricks = self.bricks.fitted(com[:, moves], counts, ranks)
-        if bricks is not self.bricks:
-            self.bricks = bricks
-            owner = np.where(moves, bricks.owners(com), ranks.number)
+        owner = self.territory.next_owners(com, moves)
         goes = np.full(self.is_free.size, ranks.number)
         goes[self.local[here]] = owner
-        histories = self._routed([kept_of(each) for each in old.histories], goes)
-        own = self.sent(owner, np.column_stack([self.local[here], rows[here]]))
+        histories = self.exchange.routed([kept_of(each) for each in old.histories], goes)
+        own = self.exchange.sent(owner, np.column_stack([self.local[here], rows[here]]))
         own = own[np.argsort(own[:, 0])]
         who = own[:, 0].astype(np.int64)
         found = int(ranks.added(np.array([who.size]))[0])
@@ -216,41 +149,17 @@ class BrickMotion(SharedContact):
         Rows begin with the numbers of bodies, and end with these poses; each rank has some of all.
         """
         which, com = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1:4].T)
-        self.bricks = Bricks(com[:, self.is_free[which]], self.ranks)
+        self.territory.fit(com[:, self.is_free[which]])
         owner = np.zeros(self.is_free.size, dtype=np.int64)
-        owner[which] = self._owners(which, com)
-        own = self.sent(owner[which], rows)
+        owner[which] = self.territory.owners(which, com)
+        own = self.exchange.sent(owner[which], rows)
         own = own[np.argsort(own[:, 0])]
-        histories = self._routed(both, self.ranks.added(owner))
+        histories = self.exchange.routed(both, self.ranks.added(owner))
         who = own[:, 0].astype(np.int64)
         self.lay_out(who, own[:, 1 : 2 + GROSS], skin, histories)
         return own[:, 2 + GROSS :]
 
-    def _routed(self, both: list[tuple[Ints, Floats]], owner: Ints) -> Histories:
-        """What contacts keep that come here, each from a rank, or two, to those of its bodies."""
-        found = []
-        for which, (keys, values) in enumerate(both):
-            to = [owner[of] for of in self.ends_of(which, keys)]
-            goes = [np.any([of == k for of in to], axis=0) for k in range(self.ranks.count)]
-            came = np.concatenate(self.ranks.sent([keys[chosen] for chosen in goes]))
-            kept = np.concatenate(self.ranks.sent([values[chosen] for chosen in goes]))
-            each, first = np.unique(came, return_index=True)
-            found.append((each, kept[first]))
-        return histories_of(found)
-
     # Steps
-
-    def swap(self) -> None:
-        """Send states to ranks that have copies, and get those of the copies here."""
-        rows = self.blocks.reshape(len(self.blocks), -1, STRIDE)
-        for slots, out in self.given.values():
-            out[:] = rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK]
-        self.ranks.swapped(
-            {k: out for k, (_, out) in self.given.items()},
-            {k: room for k, (_, room) in self.copies.items()},
-        )
-        for slots, came in self.copies.values():
-            rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK] = came
 
     def enter(
         self, kernel: Callable[..., Any], moving: MovingBodies, first: int, last: int, *others: Any
@@ -266,7 +175,7 @@ class BrickMotion(SharedContact):
 
     def place(self, moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
         """Bring bodies and copies to where contacts are evaluated; whether the lists hold."""
-        self.swap()
+        self.territory.swap(self.blocks)
         contact = moving.contact
         assert contact is not None
         begin_step(contact, instant)
@@ -347,7 +256,9 @@ class BrickMotion(SharedContact):
     def to_show(self, values: Floats) -> Floats:
         """Rows of the bodies that are shown here, where each rank has (n, ..) of its own."""
         who = self.local[self.is_own]
-        rows = self.sent(self.home[who], np.column_stack([who, values[self.is_own]]))
+        rows = self.exchange.sent(
+            self.exchange.home[who], np.column_stack([who, values[self.is_own]])
+        )
         if len(rows) != self.shown.members.size:
             raise MotionError(f"{len(rows)} bodies of {self.shown.members.size} were sent")
         return np.ascontiguousarray(rows[np.argsort(rows[:, 0]), 1:])

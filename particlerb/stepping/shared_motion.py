@@ -1,4 +1,4 @@
-"""Bodies that touch and that ranks share: their checkpoints, in which one rank is like another.
+"""Bodies that touch and whose file has parts: their checkpoints, the same for any number of ranks.
 
 Each part of the file has its bodies, and the contacts whose first sphere is one of theirs: the same
 arrays for any number of ranks. Who goes on from them makes the lists of pairs anew, of bodies where
@@ -9,18 +9,17 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.records import from_floats, to_floats
-from particlerb.contact.sphere_search import KEY_BITS
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import CHANGING, into_blocks
 from particlerb.model.load import STATE_ROWS
-from particlerb.model.state import State, state_of
-from particlerb.model.superblocks import Range, parts_of, writers
-from particlerb.ranks import Rows, ending_all
-from particlerb.stepping.contact_lists import Histories, WallsAhead
+from particlerb.model.state import State
+from particlerb.model.superblocks import Range
+from particlerb.ranks import ending_all
+from particlerb.stepping.contact_lists import WallsAhead
 from particlerb.stepping.contact_motion import ContactMotion
+from particlerb.stepping.exchange import Exchange, histories_of, kept_of
 from particlerb.stepping.motion import SegmentGroup, Shared
 from particlerb.stepping.saved_arrays import OF_BODIES, Saved, under, within
 
@@ -30,8 +29,10 @@ _LISTED: Final = GROSS + 1  # and its pose when lists were made
 _POSE: Final = 7  # columns
 
 
-class SharedContact(ContactMotion):
-    """A group of bodies that touch, of which one rank has all; see `motion.Motion`.
+class SharedMotion(ContactMotion):
+    """A group of bodies that touch and whose file has parts; see `motion.Motion`.
+
+    One process moves all of them here; in `BrickMotion` ranks share them.
 
     Parameters
     ----------
@@ -43,49 +44,25 @@ class SharedContact(ContactMotion):
     state : State
         Of these.
     start, dt : float [s]
-    before : SharedContact, optional
+    before : SharedMotion, optional
         Of the segment before.
     """
 
     def __init__(
         self, method: Method, shared: Shared, shown: SegmentGroup, state: State, start: float,
-        dt: float, before: "SharedContact | None" = None,
+        dt: float, before: "SharedMotion | None" = None,
     ) -> None:  # fmt: skip
-        self.know(shared, shown)
-        self.local = np.arange(self.home.size)
-        self.is_own = np.ones(self.home.size, dtype=np.bool_)
+        self.exchange, self.shown, self.ranks = Exchange(shared, shown), shown, shared.ranks
+        self.begin_shared(method, state, start, dt, before)
+
+    def begin_shared(
+        self, method: Method, state: State, start: float, dt: float, before: "SharedMotion | None"
+    ) -> None:
+        """Set off with all bodies."""
+        n = self.exchange.home.size
+        self.local, self.is_own = np.arange(n), np.ones(n, dtype=np.bool_)
         histories = None if before is None else before.lists.histories
-        super().__init__(method, shown, state, start, dt, histories=histories)
-
-    def know(self, shared: Shared, shown: SegmentGroup) -> None:
-        """Take note of all bodies, and of who shows, and saves, which of them."""
-        self.whole, self.ranks, self.shown = shared.group, shared.ranks, shown
-        contact = self.whole.terms.known_contact
-        self.model = contact.model
-        self.is_free = self.model.inv_mass > 0.0
-        parts = parts_of(self.whole.members.size)
-        writer = writers(len(parts), self.ranks.count)
-        self.places = shared.places(shown.members)
-        self.home = writer[self.whole.members // parts[0].stop]
-
-    def sent(self, to: Ints, rows: Rows) -> Rows:
-        """Rows that come here, where each is sent to a rank."""
-        return np.concatenate(self.ranks.sent([rows[to == k] for k in range(self.ranks.count)]))
-
-    def bodies_of(self, spheres: Ints) -> Ints:
-        """Bodies, of all, that spheres are of."""
-        return np.searchsorted(self.model.spheres.offset, spheres, side="right") - 1
-
-    def ends_of(self, which: int, keys: Ints) -> list[Ints]:
-        """Bodies of contacts of spheres, or with walls, by their keys."""
-        spheres = [keys >> KEY_BITS] if which else [keys >> KEY_BITS, keys & (2**KEY_BITS - 1)]
-        return [self.bodies_of(number) for number in spheres]
-
-    def everyone(self, shown: State) -> State:
-        """State of all bodies, on each rank, from those that are shown on each."""
-        rows = np.column_stack([self.places, np.vstack(shown).T])
-        rows = np.concatenate(self.ranks.sent([rows] * self.ranks.count))
-        return state_of(rows[np.argsort(rows[:, 0]), 1:].T)
+        super().__init__(method, self.shown, state, start, dt, histories=histories)
 
     # Checkpoints
 
@@ -96,11 +73,11 @@ class SharedContact(ContactMotion):
 
     def collect(self) -> None:
         """Send bodies, and what contacts keep, to the ranks that save them."""
-        who, here = self.local[self.is_own], self.is_own
+        who, here, exchange = self.local[self.is_own], self.is_own, self.exchange
         listed = self.contact.memory.listed_pose.T[here]
         with ending_all(self.ranks):
             rows = np.column_stack([who, self.travelling()[here], listed])
-            rows = self.sent(self.home[who], rows)
+            rows = exchange.sent(exchange.home[who], rows)
             self.bodies_to_save = rows[np.argsort(rows[:, 0])]
             self.contacts_to_save = [
                 self._collected(which, *kept_of(history))
@@ -109,21 +86,22 @@ class SharedContact(ContactMotion):
 
     def _collected(self, which: int, keys: Ints, values: Floats) -> tuple[Ints, Floats]:
         """Contacts to save here; each is sent by the rank of one of its bodies that move."""
-        ends = self.ends_of(which, keys)
-        first, of = ends[0], np.where(self.is_free[ends[0]], ends[0], ends[-1])
+        exchange = self.exchange
+        ends = exchange.ends_of(which, keys)
+        first, of = ends[0], np.where(exchange.is_free[ends[0]], ends[0], ends[-1])
         sends = np.flatnonzero(self.is_own[np.searchsorted(self.local, of)])
-        to = self.home[first[sends]]
-        keys, values = self.sent(to, keys[sends]), self.sent(to, values[sends])
+        to = exchange.home[first[sends]]
+        keys, values = exchange.sent(to, keys[sends]), exchange.sent(to, values[sends])
         order = np.argsort(keys)
         return keys[order], values[order]
 
     def checkpoint_of(self, of: Range) -> Saved:
         """What was collected of some bodies of the scene, and what concerns all of them."""
-        memory, members = self.contact.memory, self.whole.members
+        memory, members = self.contact.memory, self.exchange.whole.members
         who = members[self.bodies_to_save[:, 0].astype(np.int64)]
         own: Saved = {"rows": self.bodies_to_save[(who >= of.first) & (who < of.stop)]}
         for which, (keys, values) in enumerate(self.contacts_to_save):
-            who = members[self.ends_of(which, keys)[0]]
+            who = members[self.exchange.ends_of(which, keys)[0]]
             chosen = (who >= of.first) & (who < of.stop)
             own |= {f"keys.{which}": keys[chosen], f"values.{which}": values[chosen]}
         return under(OF_BODIES, own) | {
@@ -189,19 +167,3 @@ def initial_rows(state: Floats) -> Floats:
     rows[:, :STATE_ROWS] = state.T
     rows[:, MOMENTA:GROSS] = state[_POSE:].T
     return rows
-
-
-def kept_of(history: ContactHistory) -> tuple[Ints, Floats]:
-    """Keys and values of contacts that keep anything."""
-    kept = np.flatnonzero(history.values[history.rows].any(axis=1))
-    return history.keys[kept], history.values[history.rows[kept]]
-
-
-def histories_of(both: list[tuple[Ints, Floats]]) -> Histories:
-    """Histories of contacts of spheres, and with walls, by their keys in any order."""
-    spheres, walls = (
-        ContactHistory(keys[order], np.arange(keys.size), values[order])
-        for keys, values in both
-        for order in (np.argsort(keys),)
-    )
-    return spheres, walls

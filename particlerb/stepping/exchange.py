@@ -1,0 +1,173 @@
+"""What ranks send each other of bodies that touch: who moves, shows and saves which of them.
+
+`Exchange` knows the scene, and which rank shows and saves each body, which never changes.
+`Territory` knows which rank moves each body, by bricks of space, and who has copies of it.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from particlerb.compiled.threads import BLOCK
+from particlerb.contact.missed_pairs import bounding_radii
+from particlerb.contact.neighbour_list import ContactHistory
+from particlerb.contact.sphere_search import KEY_BITS
+from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.model.block import STRIDE
+from particlerb.model.bricks import Bricks
+from particlerb.model.load import STATE_ROWS
+from particlerb.model.state import State, state_of
+from particlerb.model.superblocks import parts_of, writers
+from particlerb.ranks import Rows
+from particlerb.stepping.contact_lists import Histories
+from particlerb.stepping.motion import SegmentGroup, Shared
+
+_MARGIN: Final = 1.0 + 1e-6  # of a distance that decides who is a copy: it rounds
+
+
+class Exchange:
+    """The scene, the ranks, and which of them shows and saves which body: its home.
+
+    Parameters
+    ----------
+    shared : Shared
+        All bodies.
+    shown : SegmentGroup
+        Those that this rank shows.
+    """
+
+    def __init__(self, shared: Shared, shown: SegmentGroup) -> None:
+        self.whole, self.ranks = shared.group, shared.ranks
+        self.model = self.whole.terms.known_contact.model
+        self.is_free = self.model.inv_mass > 0.0
+        parts = parts_of(self.whole.members.size)
+        writer = writers(len(parts), self.ranks.count)
+        self.home = writer[self.whole.members // parts[0].stop]
+        self.places = shared.places(shown.members)
+
+    def sent(self, to: Ints, rows: Rows) -> Rows:
+        """Rows that come here, where each is sent to a rank."""
+        return np.concatenate(self.ranks.sent([rows[to == k] for k in range(self.ranks.count)]))
+
+    def everyone(self, shown: State) -> State:
+        """State of all bodies, on each rank, from those that are shown on each."""
+        rows = np.column_stack([self.places, np.vstack(shown).T])
+        rows = np.concatenate(self.ranks.sent([rows] * self.ranks.count))
+        return state_of(rows[np.argsort(rows[:, 0]), 1:].T)
+
+    def ends_of(self, which: int, keys: Ints) -> list[Ints]:
+        """Bodies of contacts of spheres, or with walls, by their keys."""
+        spheres = [keys >> KEY_BITS] if which else [keys >> KEY_BITS, keys & (2**KEY_BITS - 1)]
+        offset = self.model.spheres.offset
+        return [np.searchsorted(offset, number, side="right") - 1 for number in spheres]
+
+    def routed(self, both: list[tuple[Ints, Floats]], owner: Ints) -> Histories:
+        """What contacts keep that come here, each from a rank, or two, to those of its bodies."""
+        found = []
+        for which, (keys, values) in enumerate(both):
+            to = [owner[of] for of in self.ends_of(which, keys)]
+            goes = [np.any([of == k for of in to], axis=0) for k in range(self.ranks.count)]
+            came = np.concatenate(self.ranks.sent([keys[chosen] for chosen in goes]))
+            kept = np.concatenate(self.ranks.sent([values[chosen] for chosen in goes]))
+            each, first = np.unique(came, return_index=True)
+            found.append((each, kept[first]))
+        return histories_of(found)
+
+
+class Territory:
+    """Which rank moves which body, and what it is sent of those near its border.
+
+    Parameters
+    ----------
+    exchange : Exchange
+    com : ndarray, shape (3, n) [m]
+        Centres of mass of bodies that move, some of all on each rank, to fit the first bricks to.
+    """
+
+    def __init__(self, exchange: Exchange, com: Floats) -> None:
+        self.exchange, self.ranks = exchange, exchange.ranks
+        self.bound = bounding_radii(exchange.model.spheres, exchange.is_free.size)
+        self.reach = float(self.bound[exchange.is_free].max(initial=0.0))
+        self.given: dict[int, tuple[Ints, Floats]] = {}  # by rank: slots of bodies, and room
+        self.copies: dict[int, tuple[Ints, Floats]] = {}
+        self.fit(com)
+
+    def fit(self, com: Floats) -> None:
+        """Cut space by the centres of mass of bodies that move."""
+        self.bricks = Bricks(com, self.ranks)
+
+    def owners(self, which: Ints, com: Floats) -> Ints:
+        """Ranks that have bodies with centres of mass (3, n); of held ones they take turns."""
+        is_free = self.exchange.is_free
+        among_held = np.searchsorted(np.flatnonzero(~is_free), which)
+        owner = self.bricks.owners(np.ascontiguousarray(com))
+        return np.where(is_free[which], owner, among_held % self.ranks.count)
+
+    def next_owners(self, com: Floats, moves: Bools) -> Ints:
+        """Ranks that have the bodies of this one from now on; bricks follow where they must."""
+        owner = np.where(moves, self.bricks.owners(com), self.ranks.number)
+        counts = self.ranks.added(np.bincount(owner[moves], minlength=self.ranks.count))
+        bricks = self.bricks.fitted(com[:, moves], counts, self.ranks)
+        if bricks is self.bricks:
+            return owner
+        self.bricks = bricks
+        return np.where(moves, bricks.owners(com), self.ranks.number)
+
+    def copies_of(self, own: Ints, rows: Floats, skin: float) -> tuple[Floats, Ints]:
+        """Bodies of other ranks that may touch those of this one: rows, and who they are.
+
+        A rank without bodies gets a copy of one, so that it has something to go through.
+        """
+        ranks, free = self.ranks, self.exchange.is_free[own]
+        counts = ranks.gathered(int(free.sum()))
+        com = np.ascontiguousarray(rows[:, :3].T)
+        far = _MARGIN * (self.bound[own] + self.reach + skin)
+        leaders = [k for k, count in enumerate(counts) if count]
+        out, self.given = [], {}
+        for k, count in enumerate(counts):
+            near = free & (self.bricks.distances(com, k) < far)
+            if count == 0 and leaders and leaders[0] == ranks.number:
+                near[np.flatnonzero(free)[0]] = True
+            which = np.flatnonzero(near) if k != ranks.number else np.zeros(0, dtype=np.int64)
+            out.append(np.column_stack([own[which], rows[which]]))
+            if which.size:
+                self.given[k] = own[which], rows[:0]
+        came = ranks.sent(out)
+        who = [of[:, 0].astype(np.int64) for of in came]
+        self.copies = {k: (of, rows[:0]) for k, of in enumerate(who) if of.size}
+        return np.concatenate(came)[:, 1:], np.concatenate(who)
+
+    def find_slots(self, slots_of: Callable[[Ints], Ints]) -> None:
+        """Note in which slots of the blocks those are that are swapped, and make room for them."""
+        for swapped in (self.given, self.copies):
+            for k, (which, _) in swapped.items():
+                swapped[k] = slots_of(which), np.empty((which.size, STATE_ROWS))
+
+    def swap(self, blocks: Floats) -> None:
+        """Send states to ranks that have copies, and get those of the copies here."""
+        rows = blocks.reshape(len(blocks), -1, STRIDE)
+        for slots, out in self.given.values():
+            out[:] = rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK]
+        self.ranks.swapped(
+            {k: out for k, (_, out) in self.given.items()},
+            {k: room for k, (_, room) in self.copies.items()},
+        )
+        for slots, came in self.copies.values():
+            rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK] = came
+
+
+def kept_of(history: ContactHistory) -> tuple[Ints, Floats]:
+    """Keys and values of contacts that keep anything."""
+    kept = np.flatnonzero(history.values[history.rows].any(axis=1))
+    return history.keys[kept], history.values[history.rows[kept]]
+
+
+def histories_of(both: list[tuple[Ints, Floats]]) -> Histories:
+    """Histories of contacts of spheres, and with walls, by their keys in any order."""
+    spheres, walls = (
+        ContactHistory(keys[order], np.arange(keys.size), values[order])
+        for keys, values in both
+        for order in (np.argsort(keys),)
+    )
+    return spheres, walls
