@@ -70,7 +70,7 @@ class ForceTable(Table):
 
     @classmethod
     def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
-        """Rules that involve more than one key of the table, or other tables; see case/rules.py."""
+        """Rules that involve more than one key of the table, or other tables; see case/rules/."""
         yield from ()
 
 

@@ -1,15 +1,12 @@
 """The table of [[joint]]: which bodies it ties, where, and about which axes."""
 
 import math
-from collections.abc import Iterator
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Field, Strict, model_validator
 
 from particlerb.case.forces import During
-from particlerb.case.problems import Path, nearest
-from particlerb.case.raw import Finding, bodies_named, entry_at, given
 from particlerb.case.values import (
     LARGEST_COUNT,
     Array2,
@@ -46,7 +43,6 @@ ALONG = {
 """Names of coordinates along which something may act."""
 ACTIONS = ("spring", "damper", "limit", "motor", "friction")
 """What acts along a coordinate."""
-_LARGEST_BOUNCE = 2.6  # rad: a step of a fast body may pass what is nearer to half a turn
 ROLLING = ("screw", "rack", "gear")
 WITHOUT_AXIS = ("ball", "fixed", "distance")
 
@@ -241,120 +237,3 @@ class JointTable(Table):
 
 
 JOINT_TYPES: tuple[str, ...] = get_args(JointType)
-
-
-def joint_rules(
-    path: Path, raw: dict[str, Any], known: dict[str, range], law: str
-) -> Iterator[Finding]:
-    """A joint has the axes that it needs, and two ends; `law` is that of [contact], if any."""
-    kind = raw.get("type")
-    if kind in JOINT_TYPES:
-        needed = {"axis": kind not in WITHOUT_AXIS, "axis_to": kind in ("universal", "rack")}
-        needed |= {"teeth": kind == "gear", "lead": kind == "screw"}
-        for key, is_needed in needed.items():
-            if is_needed and not given(raw, key):
-                yield (*path, key), "missing", f"a {kind} joint needs one"
-            elif given(raw, key) and not is_needed:
-                yield (*path, key), f"a {kind} joint has none", "leave it out"
-    yield from _action_rules(path, raw)
-    yield from _bound_rules(path, raw, law)
-    if entry_at(raw, "during", list)[:1] not in ([], [0.0]):
-        hint = "a body cannot be caught by a joint: give [0, time of release]"
-        yield (*path, "during"), "a joint acts from the start on", hint
-    yield from _other_end_rules(path, raw)
-    first = bodies_named(raw.get("body"), known)
-    if raw.get("chain") is True:
-        yield from _chain_rules(path, raw, first)
-    elif given(raw, "to"):
-        second = bodies_named(raw["to"], known)
-        if first and second:
-            n, m = sum(map(len, first)), sum(map(len, second))
-            if m not in {n, 1}:
-                hint = "name equal numbers, or one for all"
-                yield (*path, "to"), f"names {m} bodies, `body` {n}: they make no pairs", hint
-
-
-def _other_end_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
-    """The other end is somewhere, and in a frame that there is."""
-    kind = raw.get("type")
-    if kind in ("distance", "gear") and not any(given(raw, x) for x in ("to", "at_to", "chain")):
-        yield (*path, "at_to"), "missing", "give the other end, of a body with `to`"
-    if kind == "rack" and not given(raw, "at_to"):
-        yield (*path, "at_to"), "missing", "give a point of the pitch line of the rack"
-    if isinstance(raw.get("at_to"), dict) and not given(raw, "to") and not raw.get("chain"):
-        yield (*path, "at_to"), "the world has no body frame", "give three numbers"
-
-
-def _chain_rules(path: Path, raw: dict[str, Any], bodies: list[range] | None) -> Iterator[Finding]:
-    """A chain has links, and says where each is tied in its own frame."""
-    if given(raw, "to"):
-        yield (*path, "to"), "given beside chain", "a second [[joint]] ties an end of the chain"
-    if bodies and sum(map(len, bodies)) < 2:
-        yield (*path, "body"), "a chain needs two bodies at least", "give a `count`, or a list"
-    for key in ("at", "at_to"):
-        if isinstance(raw.get(key), list):
-            hint = f"give {key} = {{ body = [..] }}"
-            yield (*path, key), "each link of a chain is tied in its own frame", hint
-
-
-def within_bounds(raw: dict[str, Any]) -> dict[str, str]:
-    """Keys of a joint that are impulses within bounds, and what to take in their place."""
-    limit = raw.get("limit")
-    is_hard = isinstance(limit, dict) and not given(limit, "stiffness")
-    found = {"limit": "give a stiffness"} if is_hard else {}
-    found |= {"motor": "give a number"} if isinstance(raw.get("motor"), dict) else {}
-    return found | ({"friction": "take a damper"} if raw.get("friction") else {})
-
-
-def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]:
-    """Hard stops, friction, and motors with a largest torque are impulses within bounds."""
-    limit, kind = raw.get("limit"), raw.get("type")
-    if isinstance(limit, dict) and not given(limit, "stiffness"):
-        ends = entry_at(limit, "range", list)
-        known = len(ends) == 2 and all(isinstance(x, int | float) for x in ends)
-        if known and ends[0] < ends[1] and not ends[0] <= 0.0 <= ends[1]:
-            reason = "the bodies stand at 0 at the start, beyond a hard stop"
-            yield (*path, "limit", "range"), reason, "let the range hold 0"
-        is_angle = kind in ("hinge", "universal") or raw.get("along") == "angle"
-        bounces = known and is_angle and bool(limit.get("restitution"))
-        if bounces and max(map(abs, ends)) > _LARGEST_BOUNCE:
-            reason = "a stop this near to half a turn may be passed before the bounce is seen"
-            hint = f"keep it within {_LARGEST_BOUNCE} rad, or leave `restitution` out"
-            yield (*path, "limit", "range"), reason, hint
-        if limit.get("damping"):
-            yield (*path, "limit", "damping"), "hard stops have none", "give `restitution`"
-    elif isinstance(limit, dict) and limit.get("restitution"):
-        yield (*path, "limit", "restitution"), "springs have none", "give `damping`"
-    for key, other in within_bounds(raw).items():
-        if law in ("", "hooke", "hertz"):
-            reason = "is solved by impulses alone"
-            yield (*path, key), reason, f'take contact.law = "impulse", or {other}'
-        elif given(raw, "drive"):
-            yield (*path, key), "given beside drive, which leaves nothing free", "leave one out"
-
-
-def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
-    """What acts along a coordinate needs one, and stops a range."""
-    kind = entry_at(raw, "type", str)
-    for key in (*ACTIONS, "drive"):
-        if raw.get(key) and kind in JOINT_TYPES and kind not in ALONG:
-            reason = f"nothing acts along a {kind} joint yet"
-            yield (*path, key), reason, f"take one of {', '.join(ALONG)}"
-        elif raw.get(key) and kind == "ball" and key not in ("spring", "damper"):
-            yield (*path, key), "along a ball joint act springs and dampers alone", "leave it out"
-        elif raw.get(key) and len(ALONG.get(kind, "")) > 1 and not given(raw, "along"):
-            yield (*path, "along"), f"missing: a {kind} joint has several coordinates", ""
-        if raw.get(key) and given(raw, "breaks_at"):
-            yield (*path, "breaks_at"), f"given beside {key}", "let a second joint have one of them"
-    if kind == "ball" and entry_at(raw, "spring", dict).get("rest"):
-        hint = "place the bodies where the spring does nothing"
-        yield (*path, "spring", "rest"), "the spring of a ball joint rests at the start", hint
-    names, along = ALONG.get(kind, ()), entry_at(raw, "along", str)
-    if along and along not in names:
-        yield (*path, "along"), f"a {kind} joint has no {along}", nearest(along, list(names))
-    ends = entry_at(raw.get("limit"), "range", list)
-    if len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
-        if not ends[0] < ends[1]:
-            yield (*path, "limit", "range"), "must ascend", "give the least coordinate first"
-        elif "angle" in str(along or names[:1]) and max(map(abs, ends)) >= math.pi:
-            yield (*path, "limit", "range"), "beyond half a turn", "give angles between -π and π"

@@ -1,0 +1,176 @@
+"""Rules that involve more than one key: each yields (path, reason, hint) where it is broken.
+
+They read the plain data of the file, before or beside the types, and pass over whatever is not of
+the right kind: that is reported by the schema. So one reading finds all mistakes. Here are times,
+names and what is named, files and attraction; beside are bodies, joints, and contact with what its
+laws do not know. The few rules of forces stand with their tables.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+from particlerb.case.forces import FORCES, ForceTable
+from particlerb.case.problems import Path, nearest
+from particlerb.case.raw import (
+    Finding,
+    bodies_named,
+    entry_at,
+    finite,
+    given,
+    members,
+    number,
+    tables,
+)
+from particlerb.case.rules.bodies import (
+    body_rules,
+    count_rules,
+    file_rules,
+    held_rules,
+    shape_file_rules,
+)
+from particlerb.case.rules.contact import contact_rules
+from particlerb.case.rules.joints import driven_rules, joint_rules
+from particlerb.files import Files
+from particlerb.model.names import REFERENCE
+from particlerb.user_force import UserForce
+
+_MOST_FRAMES = 10**9
+
+
+def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
+    """All broken rules of a case."""
+    yield from _time_rules(raw)
+    yield from _name_rules(raw)
+    yield from _reference_rules(raw)
+    for i, force in tables(raw, "force"):
+        table = _table_of(force)
+        if table is not None:
+            yield from table.rules(("force", i), force, members(raw))
+            path = ("force", i, table.load_key, "table")
+            yield from file_rules(path, entry_at(force, table.load_key, dict).get("table"), files)
+    yield from _code_rules(raw, files)
+    law = entry_at(raw.get("contact"), "law", str)
+    for i, joint in tables(raw, "joint"):
+        yield from joint_rules(("joint", i), joint, members(raw), law)
+    yield from driven_rules([joint for _, joint in tables(raw, "joint")])
+    yield from _attraction_rules(raw.get("attraction"), members(raw))
+    yield from contact_rules(raw)
+    for i, body in tables(raw, "body"):
+        yield from body_rules(("body", i), body)
+        yield from held_rules(("body", i), body, raw)
+        yield from count_rules(("body", i), body)
+        yield from shape_file_rules(("body", i), body, files)
+    for i, wall in tables(raw, "wall"):
+        yield from file_rules(("wall", i, "file"), wall.get("file"), files)
+
+
+def _code_rules(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
+    """Files with code are there; of functions the texts go along with the case. Nothing is run."""
+    texts: dict[str, bytes] = {}
+    for i, force in tables(raw, "force"):
+        function = force.get("function")
+        if isinstance(function, UserForce):
+            text = function.text() or f"# {function.name} has no source that could be kept\n"
+            if texts.setdefault(function.file, text.encode()) != text.encode():
+                reason = f"two forces are called {function.name}: rename one of them"
+                yield ("force", i, "function"), reason, ""
+        elif isinstance(function, str) and force.get("type") == "python":
+            file = force.get("file") or f"{function}.py"
+            yield from file_rules(("force", i, "file"), file, files)
+    files.contents.update(texts)
+
+
+def _table_of(force: dict[str, Any]) -> type[ForceTable] | None:
+    """Table of a [[force]] by its type; None where there is none of that name."""
+    return FORCES.get(entry_at(force, "type", str))
+
+
+def _time_rules(raw: dict[str, Any]) -> Iterator[Finding]:
+    """Everything happens within the run."""
+    run = raw.get("run")
+    t_end, every = number(run, "t_end"), number(run, "every")
+    if t_end is None or t_end <= 0:
+        return
+    if every is not None and every > t_end:
+        yield ("run", "every"), f"must be <= run.t_end = {t_end!r}, got {every!r}", ""
+    if every is not None and every > 0 and t_end > every * _MOST_FRAMES:
+        yield ("run", "every"), f"makes more than {_MOST_FRAMES:.0e} frames", "take a longer time"
+    for i, force in tables(raw, "force"):
+        during = [finite(time) or 0.0 for time in entry_at(force, "during", list)]
+        for start in during[:1]:
+            if start >= t_end and during[-1] > start:
+                yield ("force", i, "during"), f"must start before run.t_end = {t_end!r}", ""
+        yield from _within(("force", i, "time"), number(force, "time"), t_end)
+    for i, check in tables(raw.get("check"), "value"):
+        yield from _within(("check", "value", i, "time"), number(check, "time"), t_end)
+
+
+def _within(path: Path, time: float | None, t_end: float) -> Iterator[Finding]:
+    """A time is not after the end."""
+    if time is not None and time > t_end:
+        yield path, f"must be <= run.t_end = {t_end!r}, got {time!r}", ""
+
+
+def _name_rules(raw: dict[str, Any]) -> Iterator[Finding]:
+    """Bodies and walls have different names, and so have materials."""
+    for family in (("body", "wall"), ("material",), ("joint",)):
+        first: dict[str, str] = {}
+        for kind in family:
+            for i, table in tables(raw, kind):
+                name, own = table.get("name"), f"{kind}[{i}]"
+                if isinstance(name, str) and first.setdefault(name, own) != own:
+                    yield (kind, i, "name"), f'"{name}" is the name of {first[name]} already', ""
+
+
+def _reference_rules(raw: dict[str, Any]) -> Iterator[Finding]:
+    """Forces and checks name bodies that are there."""
+    if "body" not in raw:
+        return
+    counts: dict[str, Any] = {}
+    for _, body in tables(raw, "body"):
+        if isinstance(body.get("name"), str):
+            counts.setdefault(body["name"], body.get("count", 1))
+    for i, force in tables(raw, "force"):
+        for key in (_table_of(force) or ForceTable).names_bodies:
+            yield from _named_body(("force", i, key), force.get(key), counts)
+    for i, joint in tables(raw, "joint"):
+        for key in ("body", "to"):
+            yield from _named_body(("joint", i, key), joint.get(key), counts)
+    named = entry_at(raw, "attraction", dict).get("body")
+    yield from _named_body(("attraction", "body"), named, counts)
+    for i, check in tables(raw.get("check"), "value"):
+        path: Path = ("check", "value", i)
+        yield from _named_body((*path, "body"), entry_at(check, "body", str), counts)
+        if given(check, "joint") and not tables(raw, "joint"):
+            yield (*path, "joint"), "there is no [[joint]]", "leave it out"
+
+
+def _named_body(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Finding]:
+    """One name, or a list of names."""
+    if isinstance(value, list):
+        for i, entry in enumerate(value):
+            if isinstance(entry, str):
+                yield from _named_body((*path, i), entry, counts)
+    if not isinstance(value, str) or not value:
+        return
+    match = REFERENCE.fullmatch(value)
+    if match is None or match["name"] not in counts:
+        yield path, f'there is no body "{value}"', nearest(value, list(counts))
+        return
+    count = counts[match["name"]]
+    is_count = isinstance(count, int) and count > 0
+    if match["index"] and is_count and int(match["index"]) >= count:
+        yield path, f'there is no body "{value}"', f"{match['name']}[0] to [{count - 1}] exist"
+
+
+def _attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:
+    """Two bodies at least attract each other, and what a tree sums as one is said once."""
+    if not isinstance(table, dict):
+        return
+    if given(table, "opening_angle") and given(table, "accuracy"):
+        yield ("attraction", "accuracy"), "given beside opening_angle", "give one of them"
+    every = list(known.values())
+    blocks = bodies_named(table["body"], known) if given(table, "body") else every
+    if blocks and all(len(b) == 1 and b == blocks[0] for b in blocks):
+        key = ("attraction", "body") if given(table, "body") else ("attraction",)
+        yield key, "needs two bodies at least, has one", "name more of them, or leave this out"
