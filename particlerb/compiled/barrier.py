@@ -134,7 +134,7 @@ def share_of(team: Team, first: int, end: int) -> tuple[int, int]:
 # Who runs
 
 
-ALONE: Final = Team(1, 0, np.zeros(2 * _LINE, dtype=np.int64), np.zeros((1, _LINE)))
+ONE_THREAD: Final = Team(1, 0, np.zeros(2 * _LINE, dtype=np.int64), np.zeros((1, _LINE)))
 TOGETHER: Final = threading.Lock()
 
 
@@ -153,7 +153,7 @@ def together(kernel: Callable[[Team], Result], most: int) -> Result:
     has_lock = size > 1 and TOGETHER.acquire(blocking=False)
     start = THREADS.own.clock()
     try:
-        return _enter_all(kernel, size) if has_lock else kernel(ALONE)
+        return _enter_all(kernel, size) if has_lock else kernel(ONE_THREAD)
     finally:
         THREADS.own.busy += THREADS.own.clock() - start
         if has_lock:

@@ -37,7 +37,6 @@ from particlerb.impulses.records import (
     RADIUS,
     RESTITUTION,
     SLOW,
-    ZERO,
     Bounded,
     Impulses,
     Partners,
@@ -46,7 +45,7 @@ from particlerb.impulses.records import (
 from particlerb.impulses.rolling import ABOUT, ACROSS
 from particlerb.impulses.rows import column3, in_world, lean, put_column3, write_frame
 from particlerb.maths.quaternion import Quat, to_body, to_world
-from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _ROUNDING: Final = 1e-12  # of the speeds: what approaches no faster is at rest
 _KICKS: Final = 4.0  # half kicks: what approaches no faster than two whole ones does not bounce

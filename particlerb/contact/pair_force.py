@@ -39,6 +39,7 @@ from particlerb.contact.spring_growth import (
 )
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import (
+    ZERO,
     Floats,
     Vec3,
     add_scaled,
@@ -52,7 +53,6 @@ from particlerb.model.block import COM, L, P, Q, get3, get4
 
 _NOWHERE: Final = 1e100  # [m] where contacts act that have ended
 _MAX_SPHERE_OVERLAP: Final = 1.0  # of two spheres, in the smaller radius: more is an error
-ZERO: Final = (0.0, 0.0, 0.0)
 
 
 class Collision(NamedTuple):

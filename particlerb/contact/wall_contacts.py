@@ -38,7 +38,6 @@ from particlerb.contact.contact_model import (
     Workspace,
 )
 from particlerb.contact.pair_force import (
-    ZERO,
     Collision,
     begin_contact,
     contact_force,
@@ -73,7 +72,7 @@ from particlerb.contact.walls import (
     wall_velocity,
 )
 from particlerb.maths.quaternion import to_body, to_world
-from particlerb.maths.vec3 import Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, cross, dot, scale, subtract
 
 
 @inline

@@ -13,6 +13,7 @@ from particlerb.events.records import (
     CELL,
     DONE,
     ENDLESS,
+    EPOCH,
     EXIT,
     FAR,
     HIT,
@@ -30,7 +31,6 @@ from particlerb.events.records import (
     TURNED,
     UNFOUND,
     WALL,
-    ZERO,
     EventScene,
     EventState,
     EventWork,
@@ -68,7 +68,7 @@ def _count_anew(scene: EventScene, state: EventState) -> None:
     for k in range(state.heap.size):
         state.heap_time[k] -= scene.period
     state.sums[INSTANT] -= scene.period
-    state.sums[ZERO] += scene.period
+    state.sums[EPOCH] += scene.period
 
 
 @kernel
@@ -77,7 +77,7 @@ def advance(
 ) -> tuple[int, int]:
     """Take all events until a time [s], but no more than so many; how that ends, and whose."""
     for _ in range(most):
-        if state.heap.size == 0 or state.heap_time[0] + state.sums[ZERO] > until:
+        if state.heap.size == 0 or state.heap_time[0] + state.sums[EPOCH] > until:
             return DONE, -1
         if state.heap_time[0] > 2.0 * scene.period:
             _count_anew(scene, state)

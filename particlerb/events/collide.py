@@ -13,21 +13,21 @@ from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.walls import primitive_at
 from particlerb.events.flight import bring, flight_at, in_box, orientation_at, posed, set_spin
 from particlerb.events.records import (
-    BOOKED,
+    BODY_INV_INERTIA,
+    BODY_INV_MASS,
+    BODY_REACH,
     BOUND,
     FASTEST,
+    FLIGHT_V,
     HITS,
-    INV_INERTIA,
-    INVERSE,
     MATERIAL,
-    RADIUS,
-    REACH,
     REMEMBERED,
+    SPHERE_RADIUS,
+    SUM_BOOKED,
     WALL,
     EventScene,
     EventState,
     EventWork,
-    V,
 )
 from particlerb.events.search import normal_to
 from particlerb.impulses.impacts import impact
@@ -57,6 +57,7 @@ from particlerb.impulses.rows import (
 )
 from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import (
+    ZERO,
     Vec3,
     add,
     add_scaled,
@@ -72,7 +73,6 @@ from particlerb.maths.vec3 import (
 _GRAZES: Final = 1e-7  # of the speed: an approach as slow as this is ill-conditioned
 _MOST_OVERLAP: Final = 1e-14  # of the largest length that enters a gap
 _MOST_LATE: Final = 1e-15  # of the time
-_NOTHING: Final = (0.0, 0.0, 0.0)
 
 
 @inline
@@ -101,11 +101,11 @@ def _partner(
     """Write a body, or its image that is shifted, as partner `at` of an impact."""
     x, _ = flight_at(scene, state, b, t)
     R, omega = posed(scene, state, b, t)
-    moments = column3(scene.body, b, INV_INERTIA)
+    moments = column3(scene.body, b, BODY_INV_INERTIA)
     put_column3(work.place, at, 0, add(x, shift))
-    put_column3(work.velocity, at, 0, column3(state.flight, b, V))
+    put_column3(work.velocity, at, 0, column3(state.flight, b, FLIGHT_V))
     put_column3(work.velocity, at, 3, omega)
-    work.inverse[at, 0], column = scene.body[b, INVERSE], 1
+    work.inverse[at, 0], column = scene.body[b, BODY_INV_MASS], 1
     for i in range(3):
         for j in range(i, 3):
             work.inverse[at, column] = dot(component_product(moments, _row(R, i)), _row(R, j))
@@ -135,7 +135,7 @@ def _given(scene: EventScene, state: EventState, work: EventWork, b: int, at: in
     """Let a body go on with what an impact has given it."""
     if b >= scene.n_moving:
         return
-    put_column3(state.flight, b, V, column3(work.velocity, at, 0))
+    put_column3(state.flight, b, FLIGHT_V, column3(work.velocity, at, 0))
     torque = cross(column3(work.frame, 0, ARM + 3 * at), p)
     spin = add(row3(state.spin, b), torque)
     set_spin(scene, state, b, t, orientation_at(scene, state, b, t), spin)
@@ -146,7 +146,7 @@ def _sphere(
     around: Flag, scene: EventScene, state: EventState, b: int, i: int, x: Vec3, t: float
 ) -> Vec3:
     """Centre of sphere i of body b, whose centre of mass is at x."""
-    if around is None or scene.body[b, REACH] == 0.0:
+    if around is None or scene.body[b, BODY_REACH] == 0.0:
         return x
     R, _ = posed(scene, state, b, t)
     return add(x, turn(R, row3(scene.sphere, i)))
@@ -161,17 +161,17 @@ def _geometry(
     By the shift [m] the image of b is away that hits a.
     """
     x, _ = flight_at(scene, state, a, t)
-    c, r = _sphere(scene.around, scene, state, a, i, x, t), scene.sphere[i, RADIUS]
+    c, r = _sphere(scene.around, scene, state, a, i, x, t), scene.sphere[i, SPHERE_RADIUS]
     size = abs(c[0]) + abs(c[1]) + abs(c[2]) + r
     if b == WALL:
         one = primitive_at(scene.wall_kind, scene.wall_parameter, j)
         distance, n, _ = normal_to(one, c)
-        return n, add_scaled(-distance, n, c), distance - r, size, _NOTHING
+        return n, add_scaled(-distance, n, c), distance - r, size, ZERO
     y, _ = flight_at(scene, state, b, t)
     apart = subtract(c, _sphere(scene.around, scene, state, b, j, y, t))
     d = in_box(scene.box, apart)
     distance = norm(d)
-    n, radius = (d[0] / distance, d[1] / distance, d[2] / distance), scene.sphere[j, RADIUS]
+    n, radius = (d[0] / distance, d[1] / distance, d[2] / distance), scene.sphere[j, SPHERE_RADIUS]
     gap = distance - r - radius
     return n, add_scaled(-r - 0.5 * gap, n, c), gap, size + radius, subtract(apart, d)
 
@@ -179,7 +179,7 @@ def _geometry(
 @inline
 def _fastest(state: EventState, b: int) -> float:
     """Speed of any point of a body [m/s], at most."""
-    return norm(column3(state.flight, b, V)) + float(
+    return norm(column3(state.flight, b, FLIGHT_V)) + float(
         state.spin[b, FASTEST] * state.flight[b, BOUND]
     )
 
@@ -187,9 +187,9 @@ def _fastest(state: EventState, b: int) -> float:
 @inline
 def _watch(scene: EventScene, state: EventState, i: int, b: int, j: int, gap: float) -> None:
     """Keep what gaps were at impacts."""
-    radius = scene.sphere[i, RADIUS]
+    radius = scene.sphere[i, SPHERE_RADIUS]
     if b != WALL:
-        radius = min(radius, scene.sphere[j, RADIUS])
+        radius = min(radius, scene.sphere[j, SPHERE_RADIUS])
     tally = state.tally
     tally[SMALLEST_GAP] = min(tally[SMALLEST_GAP], gap / radius)
     tally[LARGEST_GAP] = max(tally[LARGEST_GAP], gap / radius)
@@ -206,14 +206,14 @@ def _count(state: EventState, is_wall: bool, normal: float, rubbed: float, graze
     state.tally[IMPACT_WORK] += normal
     state.tally[FRICTION_WORK] += rubbed
     state.tally[GROSS_WORK] += abs(normal) + abs(rubbed)
-    state.sums[BOOKED] += normal + rubbed
+    state.sums[SUM_BOOKED] += normal + rubbed
 
 
 @inline
 def _give_outside(state: EventState, point: Vec3, p: Vec3) -> None:
     """Sum the impulse [N s] that a wall or a held body has given, at a point."""
     for k in range(3):
-        state.sums[BOOKED + 1 + k] += p[k]
+        state.sums[SUM_BOOKED + 1 + k] += p[k]
     _give_spin(state, point, p)
 
 
@@ -222,23 +222,23 @@ def _give_spin(state: EventState, arm: Vec3, p: Vec3) -> None:
     """Sum the angular impulse [N m s] from outside, or between a body and an image of another."""
     spin = cross(arm, p)
     for k in range(3):
-        state.sums[BOOKED + 4 + k] += spin[k]
+        state.sums[SUM_BOOKED + 4 + k] += spin[k]
 
 
 @inline
 def _hit_of_balls(scene: EventScene, state: EventState, a: int, b: int, n: Vec3, e: float) -> Vec3:
     """Frictionless impact along a normal through both centres of mass; the impulse on a."""
-    u = column3(state.flight, a, V)
-    w = scene.body[a, INVERSE]
+    u = column3(state.flight, a, FLIGHT_V)
+    w = scene.body[a, BODY_INV_MASS]
     if b != WALL:
-        u, w = subtract(u, column3(state.flight, b, V)), w + scene.body[b, INVERSE]
+        u, w = subtract(u, column3(state.flight, b, FLIGHT_V)), w + scene.body[b, BODY_INV_MASS]
     before = dot(u, n)
     p = -(1.0 + e) * before / w
-    after = add_scaled(p * scene.body[a, INVERSE], n, column3(state.flight, a, V))
-    put_column3(state.flight, a, V, after)
+    after = add_scaled(p * scene.body[a, BODY_INV_MASS], n, column3(state.flight, a, FLIGHT_V))
+    put_column3(state.flight, a, FLIGHT_V, after)
     if b != WALL:
-        other = add_scaled(-p * scene.body[b, INVERSE], n, column3(state.flight, b, V))
-        put_column3(state.flight, b, V, other)
+        other = add_scaled(-p * scene.body[b, BODY_INV_MASS], n, column3(state.flight, b, FLIGHT_V))
+        put_column3(state.flight, b, FLIGHT_V, other)
         after = subtract(after, other)
     work = 0.5 * p * (before + dot(after, n))
     _count(state, b == WALL, work, 0.0, abs(before) < _GRAZES * norm(u))
@@ -262,7 +262,7 @@ class Impact(NamedTuple):
 def _hit(scene: EventScene, state: EventState, work: EventWork, of: Impact) -> Vec3:
     """Impact of any two; the impulse on a."""
     a, b, t, frame = of.a, of.b, of.t, work.frame
-    _partner(scene, state, work, a, 0, _NOTHING, t)
+    _partner(scene, state, work, a, 0, ZERO, t)
     if b == WALL:
         _wall_partner(work)
     else:
@@ -290,7 +290,9 @@ def _hit_of_any(
     """Impact of any two, where some may change how a body turns, or none; the impulse on a."""
     if rubs is None:
         return _hit_of_balls(scene, state, of.a, of.b, of.normal, of.restitution)
-    is_round = scene.body[of.a, REACH] == 0.0 and (of.b == WALL or scene.body[of.b, REACH] == 0.0)
+    is_round = scene.body[of.a, BODY_REACH] == 0.0 and (
+        of.b == WALL or scene.body[of.b, BODY_REACH] == 0.0
+    )
     if of.friction == 0.0 and is_round:
         return _hit_of_balls(scene, state, of.a, of.b, of.normal, of.restitution)
     return _hit(scene, state, work, of)

@@ -1,32 +1,32 @@
 """Bodies between collisions: where they are, how fast, and how they turn, in closed form."""
 
 import math
-from typing import Final
 
 import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.events.records import (
-    ASYMMETRIC,
     BEND,
-    CURVED,
+    BODY_CURVED,
+    BODY_INERTIA,
+    BODY_INV_INERTIA,
+    BODY_INV_MASS,
+    BODY_MASS,
     FASTEST,
-    INERTIA,
-    INV_INERTIA,
-    INVERSE,
-    MASS,
+    FLIGHT_V,
+    FLIGHT_X,
+    IS_ASYMMETRIC,
     MOMENT,
     SINCE,
+    SPIN_L,
     TURNED,
     EventScene,
     EventState,
-    L,
-    V,
-    X,
 )
 from particlerb.impulses.rows import column3, put_column3
 from particlerb.maths.quaternion import Matrix, Quat, matrix, normalised, to_body, turn, turn_back
 from particlerb.maths.vec3 import (
+    ZERO,
     Floats,
     Ints,
     Vec3,
@@ -40,21 +40,19 @@ from particlerb.maths.vec3 import (
 from particlerb.model.state import State
 from particlerb.rotors.single_turn import set_steady_turn, set_turn, steadily_turned, turned
 
-_NOTHING: Final = (0.0, 0.0, 0.0)
-
 
 @inline
 def pull(scene: EventScene, b: int) -> Vec3:
     """Acceleration of a body [m/s²]."""
     if b >= scene.n_moving:
-        return _NOTHING
+        return ZERO
     return scene.gravity
 
 
 @inline
 def flight_at(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Vec3, Vec3]:
     """Centre of mass [m] and velocity [m/s] of a body at a time."""
-    x, v, g = row3(state.flight, b), column3(state.flight, b, V), pull(scene, b)
+    x, v, g = row3(state.flight, b), column3(state.flight, b, FLIGHT_V), pull(scene, b)
     h = t - state.flight[b, SINCE]
     mean = add_scaled(0.5 * h, g, v)
     return add_scaled(h, mean, x), add_scaled(h, g, v)
@@ -92,11 +90,14 @@ def _set_turn(
     turns: Flag, scene: EventScene, state: EventState, b: int, q: Quat, spin: Vec3
 ) -> None:
     """Write the turn of a body, where some is asymmetric or none."""
-    inertia, inverse = column3(scene.body, b, INERTIA), column3(scene.body, b, INV_INERTIA)
+    inertia, inverse = (
+        column3(scene.body, b, BODY_INERTIA),
+        column3(scene.body, b, BODY_INV_INERTIA),
+    )
     if turns is None:
         set_steady_turn(state.turn, b, inverse, q, spin)
     else:
-        is_asymmetric = scene.kind[b, ASYMMETRIC] == 1
+        is_asymmetric = scene.kind[b, IS_ASYMMETRIC] == 1
         set_turn(state.turn, b, inertia, inverse, is_asymmetric, q, spin)
 
 
@@ -104,7 +105,7 @@ def _set_turn(
 def angular_velocity(scene: EventScene, state: EventState, b: int, R: Matrix) -> Vec3:
     """Angular velocity [rad/s] of a body that is turned by R, world axes."""
     m = turn_back(R, row3(state.spin, b))
-    return turn(R, component_product(column3(scene.body, b, INV_INERTIA), m))
+    return turn(R, component_product(column3(scene.body, b, BODY_INV_INERTIA), m))
 
 
 @inline
@@ -115,8 +116,8 @@ def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, sp
     ω̇_i = (I_j - I_k) ω_j ω_k / I_i, so that |ω̇| <= max |I_j - I_k|/I_i |ω|²/√3; points at r
     are accelerated by (|ω̇| + |ω|²) r at most.
     """
-    q, inverse = normalised(q), column3(scene.body, b, INV_INERTIA)
-    put_column3(state.spin, b, L, spin)
+    q, inverse = normalised(q), column3(scene.body, b, BODY_INV_INERTIA)
+    put_column3(state.spin, b, SPIN_L, spin)
     state.spin[b, TURNED] = t
     _set_turn(scene.turns, scene, state, b, q, spin)
     m = to_body(q, spin)
@@ -124,7 +125,7 @@ def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, sp
     fastest = math.sqrt(largest * dot(m, component_product(inverse, m)))
     fastest = min(fastest, largest * norm(spin))
     state.spin[b, FASTEST] = fastest
-    state.spin[b, BEND] = scene.body[b, CURVED] * fastest * fastest
+    state.spin[b, BEND] = scene.body[b, BODY_CURVED] * fastest * fastest
 
 
 @inline
@@ -134,8 +135,8 @@ def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
         return
     x, v = flight_at(scene, state, b, t)
     add_moment(scene, state, b, t, state.sums, MOMENT)
-    put_column3(state.flight, b, X, x)
-    put_column3(state.flight, b, V, v)
+    put_column3(state.flight, b, FLIGHT_X, x)
+    put_column3(state.flight, b, FLIGHT_V, v)
     state.flight[b, SINCE] = t
 
 
@@ -143,8 +144,8 @@ def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
 def add_moment(scene: EventScene, state: EventState, b: int, t: float, to: Floats, at: int) -> None:
     """Add m ∫ x dt of a flight until a time [kg m s] to three numbers from `at` on."""
     h = t - state.flight[b, SINCE]
-    x, v, g = row3(state.flight, b), column3(state.flight, b, V), pull(scene, b)
-    mass = scene.body[b, MASS]
+    x, v, g = row3(state.flight, b), column3(state.flight, b, FLIGHT_V), pull(scene, b)
+    mass = scene.body[b, BODY_MASS]
     path = scale(mass * h, x)
     path = add_scaled(0.5 * mass * h * h, v, path)
     path = add_scaled(mass * h * h * h / 6.0, g, path)
@@ -172,7 +173,7 @@ def states_at(
         if b < scene.n_moving:
             add_moment(scene, state, b, t, moment, 0)
         for k in range(3):
-            out.com[k, i], out.p[k, i], out.L[k, i] = x[k], scene.body[b, MASS] * v[k], spin[k]
+            out.com[k, i], out.p[k, i], out.L[k, i] = x[k], scene.body[b, BODY_MASS] * v[k], spin[k]
         for k in range(4):
             out.q[k, i] = q[k]
 
@@ -183,8 +184,8 @@ def set_off(scene: EventScene, state: EventState, b: int, given: State, i: int) 
     x = (given.com[0, i], given.com[1, i], given.com[2, i])
     p = (given.p[0, i], given.p[1, i], given.p[2, i])
     spin = (given.L[0, i], given.L[1, i], given.L[2, i])
-    put_column3(state.flight, b, X, x)
-    put_column3(state.flight, b, V, scale(scene.body[b, INVERSE], p))
+    put_column3(state.flight, b, FLIGHT_X, x)
+    put_column3(state.flight, b, FLIGHT_V, scale(scene.body[b, BODY_INV_MASS], p))
     q = (given.q[0, i], given.q[1, i], given.q[2, i], given.q[3, i])
     set_spin(scene, state, b, 0.0, q, spin)
 

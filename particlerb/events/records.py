@@ -1,7 +1,7 @@
 """What collisions by events are made of: constants, bodies on their flights, cells, the queue.
 
 Bodies have numbers of their own here: those that move first, sorted by cell so that neighbours are
-near each other in memory, then those that are held. Times count from `sums[ZERO]` after
+near each other in memory, then those that are held. Times count from `sums[EPOCH]` after
 the start of the segment, which moves along: late times would have fewer digits.
 """
 
@@ -14,31 +14,31 @@ from particlerb.impulses.records import N_COLUMNS, TALLY
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3
 
 # Columns of `EventScene.body`
-MASS: Final = 0  # [kg]
-INVERSE: Final = 1  # [1/kg] 0 where held
-INERTIA: Final = 2  # three [kg m²], rotor frame
-INV_INERTIA: Final = 5  # three
-CURVED: Final = 8  # `spin[BEND]` over the square of `spin[FASTEST]`
-REACH: Final = 9  # [m] to the farthest centre of a sphere; 0: one ball about its centre
+BODY_MASS: Final = 0  # [kg]
+BODY_INV_MASS: Final = 1  # [1/kg] 0 where held
+BODY_INERTIA: Final = 2  # three [kg m²], rotor frame
+BODY_INV_INERTIA: Final = 5  # three
+BODY_CURVED: Final = 8  # `spin[BEND]` over the square of `spin[FASTEST]`
+BODY_REACH: Final = 9  # [m] to the farthest centre of a sphere; 0: one ball about its centre
 N_BODY: Final = 10
 
 # Columns of `EventScene.kind`
-FIRST: Final = 0  # spheres of body b are from kind[b, FIRST] to kind[b + 1, FIRST]
+FIRST_SPHERE: Final = 0  # of body b; its last one is before that of body b + 1
 MATERIAL: Final = 1
-ASYMMETRIC: Final = 2  # 1: its principal moments differ
+IS_ASYMMETRIC: Final = 2  # 1: its principal moments differ
 N_KIND: Final = 3
 
-RADIUS: Final = 3  # column of `EventScene.sphere`, behind the arm
+SPHERE_RADIUS: Final = 3  # column of `EventScene.sphere`, behind the arm
 
 # Columns of `EventState.flight`
-X: Final = 0  # [m] centre of mass when the flight began,
-V: Final = 3  # [m/s]
+FLIGHT_X: Final = 0  # [m] centre of mass when the flight began,
+FLIGHT_V: Final = 3  # [m/s]
 SINCE: Final = 6  # [s]
 BOUND: Final = 7  # [m] from the centre of mass to the farthest point that may touch
 N_FLIGHT: Final = 8
 
 # Columns of `EventState.spin`
-L: Final = 0  # [kg m²/s] world axes
+SPIN_L: Final = 0  # [kg m²/s] world axes
 TURNED: Final = 3  # [s] when the turn was set
 FASTEST: Final = 4  # [rad/s] that it can turn
 BEND: Final = 5  # [1/s²] largest acceleration of a point by turning, over its distance
@@ -62,8 +62,8 @@ LEAVE: Final = 1  # [s] end of the stay in its cell
 # Numbers of `EventState.sums`
 INSTANT: Final = 0  # [s] start of an instant,
 AT_ONCE: Final = 1  # impacts since then
-ZERO: Final = 2  # [s] from which times count
-BOOKED: Final = 3  # seven: work, impulse, angular impulse
+EPOCH: Final = 2  # [s] from which times count
+SUM_BOOKED: Final = 3  # seven: work, impulse, angular impulse
 MOMENT: Final = 10  # three [kg m s] of all mass on the flights that have ended
 N_SUMS: Final = 13
 

@@ -29,11 +29,11 @@ from particlerb.contact.walls import (
 from particlerb.events.flight import flight_at, in_box, posed, pull
 from particlerb.events.records import (
     BEND,
+    BODY_REACH,
     BOUND,
     FASTEST,
-    FIRST,
-    RADIUS,
-    REACH,
+    FIRST_SPHERE,
+    SPHERE_RADIUS,
     EventScene,
     EventState,
 )
@@ -117,8 +117,8 @@ def _ready(
     x, v = flight_at(scene, state, b, t)
     x = add(x, shift)
     R, omega = posed(scene, state, b, t)
-    lo = scene.kind[b, FIRST]
-    for k in range(lo, scene.kind[b + 1, FIRST]):
+    lo = scene.kind[b, FIRST_SPHERE]
+    for k in range(lo, scene.kind[b + 1, FIRST_SPHERE]):
         arm = row3(scene.sphere, k)
         r = turn(R, arm)
         u = cross(omega, r)
@@ -156,25 +156,25 @@ def _nearest_spheres(
     bend, size = state.spin[a, BEND], min(state.flight[a, BOUND], state.flight[b, BOUND])
     touch = rounding(xa, size)
     fastest = norm(subtract(va, vb)) + 1e-300
-    fastest += state.spin[a, FASTEST] * scene.body[a, REACH]
-    fastest += state.spin[b, FASTEST] * scene.body[b, REACH]
-    least, first, second, lo = math.inf, -1, -1, scene.kind[b, FIRST]
-    for i in range(scene.kind[a, FIRST], scene.kind[a + 1, FIRST]):
-        arm, radius = row3(scene.sphere, i), scene.sphere[i, RADIUS]
+    fastest += state.spin[a, FASTEST] * scene.body[a, BODY_REACH]
+    fastest += state.spin[b, FASTEST] * scene.body[b, BODY_REACH]
+    least, first, second, lo = math.inf, -1, -1, scene.kind[b, FIRST_SPHERE]
+    for i in range(scene.kind[a, FIRST_SPHERE], scene.kind[a + 1, FIRST_SPHERE]):
+        arm, radius = row3(scene.sphere, i), scene.sphere[i, SPHERE_RADIUS]
         r = turn(R, arm)
         c, v = add(xa, r), add(va, cross(omega, r))
         d = subtract(c, xb)
         if fall == 0.0 and norm(d) - radius - state.flight[b, BOUND] > least * fastest:
             continue
         curved = bend * norm(arm) + fall
-        for j in range(lo, scene.kind[b + 1, FIRST]):
+        for j in range(lo, scene.kind[b + 1, FIRST_SPHERE]):
             k = j - lo
             centre, velocity = row3(work, k), (
                 work[k, 3], work[k, 4], work[k, 5]
             )  # fmt: skip
             d = subtract(c, centre)
             distance = norm(d)
-            gap = distance - radius - scene.sphere[j, RADIUS]
+            gap = distance - radius - scene.sphere[j, SPHERE_RADIUS]
             if fall == 0.0 and gap > least * fastest:
                 continue
             rate = dot(d, subtract(v, velocity)) / distance
@@ -243,9 +243,13 @@ def bodies_meet(
     """
     b, t = one.body, one.t
     fall = norm(pull(scene, b)) if c >= scene.n_moving else 0.0
-    if fall == 0.0 and scene.body[b, REACH] == 0.0 and scene.body[c, REACH] == 0.0:
+    if fall == 0.0 and scene.body[b, BODY_REACH] == 0.0 and scene.body[c, BODY_REACH] == 0.0:
         s, i, j = balls_meet(scene, state, one, c), min(b, c), max(b, c)
-        return (s if s < until else math.inf), scene.kind[i, FIRST], scene.kind[j, FIRST]
+        return (
+            (s if s < until else math.inf),
+            scene.kind[i, FIRST_SPHERE],
+            scene.kind[j, FIRST_SPHERE],
+        )
     xc, vc = flight_at(scene, state, c, t)
     apart, u = subtract(xc, one.x), subtract(vc, one.v)
     x = in_box(scene.box, apart)
@@ -338,7 +342,7 @@ def _ready_for_wall(
     around: Flag, scene: EventScene, state: EventState, work: Floats, b: int, t: float
 ) -> None:
     """`_ready`, of balls without how they turn."""
-    if around is not None and scene.body[b, REACH] != 0.0:
+    if around is not None and scene.body[b, BODY_REACH] != 0.0:
         _ready(scene, state, work, b, _NOWHERE, t)
         return
     x, v = flight_at(scene, state, b, t)
@@ -355,17 +359,21 @@ def _wall_meets(
     """`wall_meets` where the two come near each other."""
     one, g = primitive_at(scene.wall_kind, scene.wall_parameter, p), pull(scene, a)
     _, v = flight_at(scene, state, a, t)
-    fastest = norm(v) + norm(g) * until + state.spin[a, FASTEST] * scene.body[a, REACH] + 1e-300
-    s, lo = 0.0, scene.kind[a, FIRST]
+    fastest = (
+        norm(v) + norm(g) * until + state.spin[a, FASTEST] * scene.body[a, BODY_REACH] + 1e-300
+    )
+    s, lo = 0.0, scene.kind[a, FIRST_SPHERE]
     for _ in range(_MOST):
         if s >= until:
             return math.inf, -1
         _ready_for_wall(scene.around, scene, state, work, a, t + s)
         step, best = math.inf, -1
-        for k in range(lo, scene.kind[a + 1, FIRST]):
+        for k in range(lo, scene.kind[a + 1, FIRST_SPHERE]):
             c = row3(work, k - lo)
             u = work[k - lo, 3], work[k - lo, 4], work[k - lo, 5]
-            wait = _until_wall(one, c, u, g, scene.sphere[k, RADIUS], work[k - lo, 6], fastest)
+            wait = _until_wall(
+                one, c, u, g, scene.sphere[k, SPHERE_RADIUS], work[k - lo, 6], fastest
+            )
             if wait < step:
                 step, best = wait, k
         if step == 0.0 or (step < until and (t + s) + step == t + s):

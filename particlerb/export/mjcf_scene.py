@@ -27,6 +27,7 @@ from particlerb.export import ExportError
 from particlerb.export.bodies import COMMENT, numbers, six
 from particlerb.export.mjcf_walls import geoms_of
 from particlerb.export.scene import FREE_STEP, left_out, springs_of
+from particlerb.forces.links import WORLD
 from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import (
@@ -40,7 +41,6 @@ from particlerb.model.state import (
 )
 from particlerb.model.system import System
 from particlerb.plan.contact_setup import NOTHING, ContactSetup, contact_of
-from particlerb.plan.joint_ends import WORLD
 from particlerb.plan.joints import JointSetup, joints_of
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 

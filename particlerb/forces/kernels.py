@@ -16,12 +16,11 @@ from particlerb.compiled.jit import inline, inline_from
 from particlerb.forces.kinds import Kick, Momenta
 from particlerb.forces.registry import CHANGE, CLOCK, FIRST, KICKS, MANY, MANY_KICKS, PAIR
 from particlerb.maths.quaternion import Matrix
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, subtract
+from particlerb.maths.vec3 import ZERO, Floats, Vec3, add_scaled, cross, subtract
 from particlerb.model.block import get, get3, put
 from particlerb.model.load import OTHER, OUTSIDE, POWER
 from particlerb.model.load import TORQUE as PAIR_TORQUE
 
-_ZERO: Final = (0.0, 0.0, 0.0)
 _POSE: Final = "b, x, R, dt, p, L"  # arguments of a kick
 Entry: TypeAlias = tuple[
     float, Vec3, Vec3
@@ -257,7 +256,7 @@ def load_at(
     acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, p: Vec3, L: Vec3
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """Force and torque of all terms, and the part of both that has a potential."""
-    own_force, own_torque = kick_potential(acting, rows, b, x, R, 1.0, _ZERO, _ZERO)
+    own_force, own_torque = kick_potential(acting, rows, b, x, R, 1.0, ZERO, ZERO)
     F, tau = kick_others(acting, rows, b, x, R, 1.0, own_force, own_torque)
     F, tau = load_of_velocity(acting, rows, b, x, R, p, L, F, tau)
     return F, tau, own_force, own_torque

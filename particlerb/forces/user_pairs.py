@@ -17,6 +17,7 @@ from particlerb.forces.links import add_vector, rotation_of, vector_of
 from particlerb.forces.user_kicks import Lengths, body_axes, chosen, compiled, rotor_axes, sign_of
 from particlerb.maths.quaternion import turn, turn_back
 from particlerb.maths.vec3 import (
+    ZERO,
     Bools,
     Floats,
     Ints,
@@ -37,7 +38,6 @@ _MOST: Final = 200  # iterations of a flow,
 _ROUNDING: Final = 4e-16  # until another one would change momenta by such a share
 _LARGEST_LEFT: Final = 1e-12  # such a share that is left: it does not converge
 _TINY: Final = 1e-300
-_ZERO: Final = (0.0, 0.0, 0.0)
 _P, _L = 7, 10  # rows of a state
 
 
@@ -236,7 +236,7 @@ def _flow_pair(own: OwnPairs, t: float, y: Floats, s: int, dt: float) -> float:
     a, b = own.first[s], own.second[s]
     p, spin = (vector_of(y, _P, a), vector_of(y, _P, b)), (vector_of(y, _L, a), vector_of(y, _L, b))
     sizes = _sum3(p[0]) + _sum3(p[1]), _sum3(spin[0]) + _sum3(spin[1])
-    load, change = (_ZERO, _ZERO, _ZERO), 1.0
+    load, change = (ZERO, ZERO, ZERO), 1.0
     for _ in range(_MOST):
         _add_load(own, s, y, _P, 0.5 * dt, load)
         new = _load(own, t, y, s)

@@ -9,8 +9,8 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.impulses.records import COUPLING, FRICTION, INVERSE, SCHUR, ZERO
-from particlerb.maths.vec3 import Floats, Vec3
+from particlerb.impulses.records import COUPLING, FRICTION, INVERSE, SCHUR
+from particlerb.maths.vec3 import ZERO, Floats, Vec3
 
 _MOST: Final = 40  # steps of Newton and of halving
 _EXACT: Final = 1e-14  # relative change of s at which the equation is solved

@@ -39,7 +39,6 @@ from particlerb.impulses.records import (
     LEAST,
     NEWTON_STEPS,
     SHARE,
-    ZERO,
     Bounded,
     ImpulseRows,
     Impulses,
@@ -65,7 +64,7 @@ from particlerb.impulses.rows import (
     put_column3,
     velocity_between,
 )
-from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _MOST: Final = 40  # evaluations of F
 _ROUNDING: Final = 1e-13  # of all impulses: where |F| may stop to fall

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import Flag
-from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3
+from particlerb.maths.vec3 import Bools, Floats, Ints
 
 # Columns of `Rows.frame`
 NORMAL: Final = 0
@@ -240,6 +240,3 @@ def room_for_bounded(kind: Ints, first: Ints, second: Ints, members: list[Ints])
     response, k = np.zeros((start[-1], 6)), kind.size
     gradient, values = np.zeros((k, 12)), np.zeros((k, _N_BOUNDED))
     return Bounded(kind, first, second, start, np.concatenate(members), response, gradient, values)
-
-
-ZERO: Final[Vec3] = (0.0, 0.0, 0.0)

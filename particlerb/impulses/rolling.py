@@ -19,9 +19,9 @@ from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.impulses.cone import on_disc
-from particlerb.impulses.records import INVERSE, ZERO, ImpulseRows, Partners, Rolling
+from particlerb.impulses.records import INVERSE, ImpulseRows, Partners, Rolling
 from particlerb.impulses.rows import clear_moves, column3, in_frame, in_world, push, put_column3
-from particlerb.maths.vec3 import Floats, Vec3, add, dot, scale, subtract
+from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, dot, scale, subtract
 
 ACROSS: Final = 0  # columns of `Rolling.limit`: μ_r R* and λ across the normal
 ABOUT: Final = 2  # the same about it

@@ -12,10 +12,10 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.impulses.records import ZERO, ImpulseRows, Partners, Rolling
+from particlerb.impulses.records import ImpulseRows, Partners, Rolling
 from particlerb.impulses.rolling import ABOUT, ACROSS, on_the_disc, square_of, step_against, turning
 from particlerb.impulses.rows import column3, in_world, put_column3
-from particlerb.maths.vec3 import Vec3, add, add_scaled, scale, subtract
+from particlerb.maths.vec3 import ZERO, Vec3, add, add_scaled, scale, subtract
 
 _C, _K, _Q, _KN = 0, 3, 6, 9  # columns of `Rolling.slopes`: c; K_11, K_12, K_22; q; K_nn
 _TINY: Final = 1e-300

@@ -20,12 +20,11 @@ from particlerb.impulses.records import (
     SHARE,
     SLOW,
     TANGENT,
-    ZERO,
     ImpulseRows,
     Mechanisms,
     Partners,
 )
-from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _LOCKED: Final = 1e-9  # of the inverse mass without joints: below it these hold all
 _STICKS: Final = 1.0 - 1e-6  # of μ times the normal force: a contact with less friction sticks

@@ -50,7 +50,6 @@ from particlerb.impulses.records import (
     WORST,
     WORST_EVER,
     WORST_TIME,
-    ZERO,
     Bounded,
     ImpulseRows,
     Impulses,
@@ -74,7 +73,7 @@ from particlerb.impulses.rows import (
     in_frame,
     put_column3,
 )
-from particlerb.maths.vec3 import Vec3, dot, subtract
+from particlerb.maths.vec3 import ZERO, Vec3, dot, subtract
 
 _EVERY: Final = 5  # sweeps from residual to residual
 _ROUNDS: Final = 4  # of Newton's method

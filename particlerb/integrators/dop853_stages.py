@@ -10,7 +10,6 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.integrators.dop853_step import (
-    ALONE,
     LEAST_STEP,
     Equations,
     Pack,
@@ -31,6 +30,7 @@ from particlerb.joints.records import Breaks, Jointed
 from particlerb.maths.quaternion import load4, normalised, rows4, store4
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import Q, assign, get, put
+from particlerb.model.load import STATE_ROWS
 
 _LOOKS: Final = 8  # in a step, for loads under which joints break,
 _HALVINGS: Final = 50  # and between two of them, for the instant
@@ -79,7 +79,7 @@ def spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
     """Vectors into states (13, n), with |q| = 1."""
     for k in range(layout.first.size):
         lo = layout.first[k]
-        for c in range(ALONE):
+        for c in range(STATE_ROWS):
             for b in range(layout.size[k]):
                 states[c, lo + b] = y[k, c * w + b]
         own = rows4(states[Q : Q + 4], lo, lo + layout.size[k])

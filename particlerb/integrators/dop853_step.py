@@ -31,13 +31,13 @@ from particlerb.model.block import (
     put3,
     put4,
 )
+from particlerb.model.load import STATE_ROWS
 
 _SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
 _GROW: Final = 5.0
 _SAFETY: Final = 0.9
 _ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
 LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any more
-ALONE: Final = 13  # numbers of a body: x, q, p, L; what it books follows where it books
 
 
 class Equations(NamedTuple):
@@ -65,7 +65,7 @@ def take_slopes(
     """Slopes of a pack in the states y at a time [s] since the segment began."""
     acting = equations.acting
     set_time(acting, rows, n, t)
-    for c in range(ALONE):
+    for c in range(STATE_ROWS):
         for b in range(n):
             put(rows, STAGE + c, b, y[c * w + b])
     for b in range(n):

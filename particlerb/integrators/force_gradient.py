@@ -25,7 +25,7 @@ from particlerb.integrators.pair_stages import Layout, PairTerms, clear, gather_
 from particlerb.integrators.rotor_drift import KickAndDrift, kick_and_rotor_drift
 from particlerb.integrators.stages import MovingBodies, loads, stages
 from particlerb.maths.quaternion import matrix
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import ZERO, Floats
 from particlerb.model.block import COM, Q, get3, get4
 from particlerb.rotors.moser_veselov import LONGEST_PIECE, modified_inertia
 
@@ -42,7 +42,6 @@ _SPREAD: Final = sum(
     for other, s in zip(_ALL, _TIMES, strict=True)
 )
 GRADIENT: Final = 0.25 * (1.0 / 3.0 - _SPREAD)  # 2κ of the second and the third kick
-_ZERO: Final = (0.0, 0.0, 0.0)
 _NO_SHARE: Final = 0.0  # no drift is cut for its share of the step: maps of order 8 are good enough
 
 
@@ -66,7 +65,7 @@ def _change_pairs(acting: Acting, pairs: PairTerms | None, blocks: Floats, layou
         rows, lo = blocks[k], layout.first[k]
         for b in range(layout.size[k]):
             x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
-            F, tau = kick_potential(acting, rows, b, x, R, 1.0, _ZERO, _ZERO)
+            F, tau = kick_potential(acting, rows, b, x, R, 1.0, ZERO, ZERO)
             for i in range(3):
                 y[7 + i, lo + b] = F[i]
                 y[10 + i, lo + b] = tau[i]

@@ -10,7 +10,7 @@ from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.records import row3
 from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
-from particlerb.impulses.records import ZERO, Impulses, Partners
+from particlerb.impulses.records import Impulses, Partners
 from particlerb.impulses.rows import column3
 from particlerb.integrators.external_work import book
 from particlerb.integrators.joint_stages import book_work
@@ -18,7 +18,7 @@ from particlerb.integrators.pair_stages import Layout
 from particlerb.joints.records import HOLDS, Jointed
 from particlerb.joints.rows import vector
 from particlerb.maths.quaternion import matrix
-from particlerb.maths.vec3 import Floats, Vec3, dot, subtract
+from particlerb.maths.vec3 import ZERO, Floats, Vec3, dot, subtract
 from particlerb.model.block import COM, L, P, Q, get3, get4, put3
 
 

@@ -21,7 +21,6 @@ from particlerb.impulses.records import (
     GAP,
     PUSH_OUT_WORK,
     RADIUS,
-    ZERO,
     Bounded,
     Impulses,
     Mechanisms,
@@ -52,6 +51,7 @@ from particlerb.maths.quaternion import (
     turn_back,
 )
 from particlerb.maths.vec3 import (
+    ZERO,
     Floats,
     Vec3,
     add,

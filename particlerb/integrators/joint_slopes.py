@@ -22,10 +22,9 @@ from particlerb.joints.records import HOLDS, STATE, Jointed, Joints, L, P, Q, Wo
 from particlerb.joints.rows import add_impulses, attitude, by_inverse_inertia, linearise, vector
 from particlerb.joints.solver import constrained_drift, keep_rates
 from particlerb.joints.trees import JointTree, accelerate_tree
-from particlerb.maths.vec3 import Floats, Vec3, add, cross, dot, scale, subtract
+from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, cross, dot, scale, subtract
 from particlerb.model.block import BOOKED
 
-_NOTHING = (0.0, 0.0, 0.0)
 _COUNTED = 2.0  # rad of two bodies against each other in a step, by their rates at its start
 _WORK, _IMPULSE, _ANGULAR = BOOKED, BOOKED + 1, BOOKED + 4
 
@@ -88,7 +87,7 @@ def _book_row(
     joints, work = jointed.joints, jointed.work
     a, b = joints.rows.a[r], joints.rows.b[r]
     k = a if joints.inv_mass[a] > 0.0 else b
-    F, tau = _NOTHING, _NOTHING
+    F, tau = ZERO, ZERO
     if joints.inv_mass[a] == 0.0 or joints.inv_mass[b] == 0.0:
         F = scale(z if k == a else -z, vector(work.gradient, r, 0))
         turning = scale(z, vector(work.gradient, r, 3 if k == a else 6))

@@ -4,7 +4,6 @@ Where a group has no joints, the compiler leaves all of it out.
 """
 
 from math import nan
-from typing import Final
 
 from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import Flag, inline, kernel
@@ -31,11 +30,9 @@ from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
 from particlerb.joints.rows import by_inverse_inertia, put_pose, put_vector, vector
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.maths.quaternion import Matrix
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import ZERO, Floats, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import COM, get, get3, get4, put, put3
 from particlerb.model.load import STATE_ROWS
-
-_NOTHING: Final = (0.0, 0.0, 0.0)
 
 
 @inline
@@ -160,7 +157,7 @@ def book_work(books: Flag, jointed: Jointed, blocks: Floats, r: int, work: float
     """Book work of what acts along row r, on the first of its bodies that is in a block."""
     n = jointed.block.size
     k = jointed.joints.rows.a[r] if jointed.joints.rows.a[r] < n else jointed.joints.rows.b[r]
-    book(books, blocks[jointed.block[k]], jointed.lane[k], 1.0, (work, _NOTHING, _NOTHING))
+    book(books, blocks[jointed.block[k]], jointed.lane[k], 1.0, (work, ZERO, ZERO))
 
 
 @inline

@@ -28,6 +28,7 @@ from particlerb.forces.registry import CHANGE, PAIR
 from particlerb.integrators.external_work import book, entry_of_kick
 from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
 from particlerb.maths.vec3 import (
+    ZERO,
     Floats,
     Vec3,
     add_scaled,
@@ -53,7 +54,6 @@ from particlerb.model.block import (
 )
 from particlerb.model.load import OUTSIDE, TORQUE
 
-_ZERO: Final = (0.0, 0.0, 0.0)
 _TOGETHER: Final = 64  # bodies that iterate together,
 _MOST: Final = 100  # two times at most, beside the first four,
 _ROUNDING: Final = 4e-16  # until another one would change momenta by such a share
@@ -155,7 +155,7 @@ def _iterated(
     (p0, L0), (p, spin) = kick.first, estimate
     v = scale(0.5 * get(rows, INV_MASS, b), add_scaled(1.0, p0, p))
     omega = turn(kick.inverse, scale(0.5, add_scaled(1.0, L0, spin)))
-    F, tau = load_of_users(acting, rows, b, kick.x, kick.R, v, omega, _ZERO, _ZERO)
+    F, tau = load_of_users(acting, rows, b, kick.x, kick.R, v, omega, ZERO, ZERO)
     p, spin = add_scaled(dt, F, kick.last[0]), add_scaled(dt, tau, kick.last[1])
     return damp(acting, rows, b, kick.R, p0, L0, p, spin)
 
@@ -288,10 +288,10 @@ def kick_with_gradient(
         return spin, R
     x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
     old = get3(rows, P, b), get3(rows, L, b)
-    F, tau = kick_potential(acting, rows, b, x, R, 1.0, _ZERO, _ZERO)
+    F, tau = kick_potential(acting, rows, b, x, R, 1.0, ZERO, ZERO)
     v = scale(get(rows, INV_MASS, b), F)
     w = turn(R, component_product(get3(rows, INV_INERTIA, b), turn_back(R, tau)))
-    dF, dtau = change_of(acting, rows, b, x, R, (v, w), _ZERO, _ZERO)
+    dF, dtau = change_of(acting, rows, b, x, R, (v, w), ZERO, ZERO)
     p = add_scaled(weight, dF, add_scaled(dt, F, old[0]))
     spin = add_scaled(weight, dtau, add_scaled(dt, tau, old[1]))
     put3(rows, P, b, p)

@@ -13,7 +13,7 @@ k = ω_a × (ω_a × r_a) - ω_b × (ω_b × r_b), u̇ = ω × u, ü = ω × u̇
 themselves change by J⁻¹ (τ - ω × L), positions by F/M.
 """
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.drives import course
@@ -22,6 +22,7 @@ from particlerb.joints.rows import arms_at, attitudes, is_of_other_bodies, rate,
 from particlerb.joints.wheels import tangent
 from particlerb.maths.quaternion import Matrix, turn, turn_back
 from particlerb.maths.vec3 import (
+    ZERO,
     Floats,
     Vec3,
     add,
@@ -31,8 +32,6 @@ from particlerb.maths.vec3 import (
     dot,
     subtract,
 )
-
-_NOTHING: Final = (0.0, 0.0, 0.0)
 
 
 class _Spin(NamedTuple):
@@ -106,7 +105,7 @@ def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) ->
     """z = -g̈ of rows lo to hi under loads (n + 1, 6), force and torque, without reactions."""
     if lo == hi:
         return
-    rows, gradient, k = joints.rows, work.gradient, _NOTHING
+    rows, gradient, k = joints.rows, work.gradient, ZERO
     R = attitudes(rows, work.y, lo)
     one = _spin_of(joints, work, rows.a[lo], R[0])
     other = _spin_of(joints, work, rows.b[lo], R[1])

@@ -18,7 +18,6 @@ from particlerb.impulses.bounded import write_bounds, write_gradient, write_resp
 from particlerb.impulses.records import (
     B_GAP,
     B_RESTITUTION,
-    ZERO,
     Bounded,
     Impulses,
     Mechanisms,
@@ -35,7 +34,7 @@ from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import Joints, Work
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals, vector
 from particlerb.joints.solver import factorise_cluster
-from particlerb.maths.vec3 import Ints, dot, scale
+from particlerb.maths.vec3 import ZERO, Ints, dot, scale
 
 _ROUNDING: Final = 1e-14  # residuals, over their size, that are as good as none
 

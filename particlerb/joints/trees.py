@@ -14,7 +14,7 @@ directions is as many joints, with bodies without mass between them.
 """
 
 from collections import defaultdict
-from typing import Final, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from particlerb.joints.records import DISTANCE, DOT, HOLDS, ConstraintRows, Join
 from particlerb.joints.rows import attitude, put_vector, tensor, vector
 from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
 from particlerb.maths.vec3 import (
+    ZERO,
     Bools,
     Floats,
     Ints,
@@ -36,7 +37,6 @@ from particlerb.maths.vec3 import (
     subtract,
 )
 
-_ZERO: Final = (0.0, 0.0, 0.0)
 _Direction: TypeAlias = tuple[bool, int, Floats]  # whether it is a shift; where it is fixed
 _Inertia: TypeAlias = tuple[Matrix, Matrix, Matrix]  # A, B, C of [[A, B], [Bᵀ, C]]: shifts, turns
 
@@ -195,7 +195,7 @@ def _set_out(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -
         put_vector(
             directions.s, t, 0, turn(_matrix_at(bodies.R, tree.of[t], 0), vector(tree.axis, t, 0))
         )
-    shifting, middle = _ZERO, before
+    shifting, middle = ZERO, before
     if first < last and tree.is_shift[first]:
         way, shifting = _shift_on(joints, tree, y, i, way)
     elif last - first == 2:

@@ -6,7 +6,7 @@ neighbouring bodies in the lanes of a SIMD register, with two-dimensional slices
 """
 
 import math
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ Bools: TypeAlias = NDArray[np.bool_]
 Vec3: TypeAlias = tuple[float, float, float]
 Rows3: TypeAlias = tuple[Floats, Floats, Floats]
 Array = TypeVar("Array", Floats, Ints)
+
+ZERO: Final = (0.0, 0.0, 0.0)
 
 
 def differences(values: Array, before: Any) -> Array:

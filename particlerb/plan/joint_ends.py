@@ -7,13 +7,13 @@ import numpy as np
 from particlerb.case.joints import InFrame, JointTable
 from particlerb.case.problems import Problem, problem_at
 from particlerb.contact.sphere_search import pair_keys
+from particlerb.forces.links import WORLD
 from particlerb.joints.types import Ends
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.merging import Merging
 from particlerb.model.state import body_orientation, lengths, rotate, rotate_back
 from particlerb.model.system import System
 
-WORLD: Final = -1
 _FARTHEST: Final = 1e100  # [m] of its bodies that a joint may be: squares of it are numbers
 _LEAST_RADIUS: Final = 1e-9  # of what rolls, over the size of its joint
 _ACROSS: Final = 1e-6  # cosine between the axis of a pinion and its rack, at most

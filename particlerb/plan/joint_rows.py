@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.joints import JointLoad, JointMotor, JointTable
-from particlerb.forces.links import Links
+from particlerb.forces.links import WORLD, Links
 from particlerb.impulses.records import MOTOR, RUBS, STOP
 from particlerb.joints.coordinates import coordinates_of
 from particlerb.joints.records import (
@@ -34,7 +34,7 @@ from particlerb.joints.types import Ends, rows_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.merging import Merging
 from particlerb.model.system import System
-from particlerb.plan.joint_ends import WORLD, in_hosts, joint_name
+from particlerb.plan.joint_ends import in_hosts, joint_name
 from particlerb.plan.merging import merges
 
 _LOOSE: Final = 1e-6  # of a rate: what holds leaves less

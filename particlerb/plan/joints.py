@@ -18,7 +18,7 @@ from particlerb.contact.prescribed_motion import (
     prescribed_momenta,
     prescribed_pose,
 )
-from particlerb.forces.links import Links
+from particlerb.forces.links import WORLD, Links
 from particlerb.joints.coordinates import names_of, united
 from particlerb.joints.drives import set_moving
 from particlerb.joints.records import (
@@ -42,7 +42,7 @@ from particlerb.model.state import lengths, rotate_back, state_of
 from particlerb.model.system import System
 from particlerb.plan import joint_rows
 from particlerb.plan.joint_drives import DriveCourse, course_of, drives_from
-from particlerb.plan.joint_ends import WORLD, Ties, ends_of, pairs_of, unique, wrong_place
+from particlerb.plan.joint_ends import Ties, ends_of, pairs_of, unique, wrong_place
 from particlerb.plan.obstacles import driven_bodies
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 

@@ -13,6 +13,7 @@ import numpy as np
 from particlerb.case.joints import JointTable
 from particlerb.case.problems import CaseError, problem_at
 from particlerb.case.to_system import centred_at_com, farthest
+from particlerb.forces.links import WORLD
 from particlerb.geometry.mass_properties import MassProperties, mass_properties
 from particlerb.geometry.particles import Particles, concatenate, kind_of, transformed, united
 from particlerb.maths.vec3 import Bools, Floats, Ints
@@ -27,7 +28,7 @@ from particlerb.model.state import (
     rotation_matrix,
 )
 from particlerb.model.system import System
-from particlerb.plan.joint_ends import WORLD, pairs_of
+from particlerb.plan.joint_ends import pairs_of
 from particlerb.plan.links import Link, attracted, components
 
 _KNOWN: Final = ("push", "torque", "spring")  # forces that act on merged bodies

@@ -16,7 +16,7 @@ from particlerb.forces import acting_of, row_count, rows_of_terms
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.dop853 import PACK
 from particlerb.integrators.dop853_stages import CommonSteps, room_for_vectors
-from particlerb.integrators.dop853_step import ALONE, Equations
+from particlerb.integrators.dop853_step import Equations
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import over_threads
@@ -34,6 +34,7 @@ from particlerb.model.block import (
     state_of,
     state_rows,
 )
+from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, room_for
 from particlerb.stepping.adaptive_loop import Leg, advance_steps
 from particlerb.stepping.jointed_motion import JointedMotion, jointed_in
@@ -52,7 +53,7 @@ def _advance_packs(
     last: int,
 ) -> None:  # fmt: skip
     """Advance the packs of some blocks; the clock is (packs, 3)."""
-    size, n = ALONE if equations.books is None else CHANGING, recording.members.size
+    size, n = STATE_ROWS if equations.books is None else CHANGING, recording.members.size
     rows = np.zeros((1, _ROWS * STRIDE))
     layout = Layout(np.zeros(1, np.int64), np.zeros(1, np.int64), 0)
     width = min(n, PACK)  # a body that is alone pays for itself only
@@ -95,7 +96,7 @@ class AdaptiveMotion(JointedMotion):
         self.jointed = jointed_in(group, state, np.arange(n), start, 0.0)
         if self.jointed is not None:
             self.jointed = self.jointed._replace(tree=tree_of(self.jointed.joints))
-        size = ALONE if self.account.books is None else CHANGING
+        size = STATE_ROWS if self.account.books is None else CHANGING
         n_common, hold = len(first) if terms.is_coupled else 0, np.full_like(super().broken, np.inf)
         self.vectors = room_for_vectors(n_common, size, int(self.layout.size[0]), hold)
         self.clock = np.zeros((1 if terms.is_coupled else -(-n // PACK), 3))

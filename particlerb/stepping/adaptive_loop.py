@@ -21,13 +21,13 @@ from particlerb.integrators.dop853_stages import (
     take_blocks,
     take_last_stages,
 )
-from particlerb.integrators.dop853_step import ALONE
 from particlerb.integrators.joint_slopes import store_coordinates
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import caller_of_stages
 from particlerb.maths.quaternion import rows4
 from particlerb.maths.vec3 import Floats, Ints, rows3
 from particlerb.model.block import BOOKED, COM, L, P, Q, assign
+from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import store_frame
 from particlerb.stepping.loop import Recording
 
@@ -51,7 +51,7 @@ def _store_blocks(layout: Layout, common: CommonVectors, recording: Recording, f
         p, spin = rows3(shown[P : P + 3], 0, n), rows3(shown[L : L + 3], 0, n)
         members, turn = recording.members[lo : lo + n], rows4(recording.rotor_frame, lo, lo + n)
         store_frame(recording.frames, frame, members, turn, com, q, p, spin)
-        for c in range(shown.shape[0] - ALONE):
+        for c in range(shown.shape[0] - STATE_ROWS):
             for b in range(n):
                 recording.sums[frame, lo // BLOCK, c] += shown[BOOKED + c, b]
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from particlerb.compiled.barrier import ALONE, Team, together
+from particlerb.compiled.barrier import ONE_THREAD, Team, together
 from particlerb.compiled.threads import BLOCK
 from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
 from particlerb.contact.contact_model import ContactFrames, Instant, NeighbourLists
@@ -192,7 +192,7 @@ class BrickMotion(SharedMotion):
         self, schedule: Schedule, recording: Recording, saved: Copies, position: Position
     ) -> Position:
         """Go on from a position, to the end or to where new lists have to be made."""
-        moving, n = self.moving._replace(contact=self.contact, team=ALONE), len(self.blocks)
+        moving, n = self.moving._replace(contact=self.contact, team=ONE_THREAD), len(self.blocks)
         return self.loop(moving, schedule, recording, saved, position, n, 0, n)
 
     # New lists and checks, on all ranks together

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from particlerb.compiled.barrier import ALONE, Team, together
+from particlerb.compiled.barrier import ONE_THREAD, Team, together
 from particlerb.compiled.threads import BLOCK
 from particlerb.contact.contact_model import (
     ContactChanges,
@@ -230,7 +230,7 @@ class ContactMotion(SteppedMotion):
         """Place bodies and walls at the time of now, with the momenta of now."""
         own = OwnBlocks(self.blocks, self.layout, 0, len(self.blocks))
         instant = Instant(0.0, 0.0, self.grid_step * self.dt, 0.0)
-        place_contacts(self.contact, ALONE, None, own, instant)
+        place_contacts(self.contact, ONE_THREAD, None, own, instant)
 
     def look(self) -> float:
         """Frequency of the bodies on all their contacts [rad/s]."""
@@ -279,7 +279,7 @@ class ContactMotion(SteppedMotion):
             first, last = n * team.rank // team.size, n * (team.rank + 1) // team.size
             return loop(moving, schedule, recording, saved, position, n, first, last)
 
-        return through(ALONE) if is_spread else together(through, self.threads)
+        return through(ONE_THREAD) if is_spread else together(through, self.threads)
 
     def check_steps(self) -> None:
         """Raise MotionError where the last steps were wrong."""
@@ -306,7 +306,7 @@ class ContactMotion(SteppedMotion):
         memory.extremes.displacement[:] = np.inf
         slope = Slope(0.0, 0.0, 0.0, True) if self.method.takes_slopes else None
         growth = Growth(0.0, 0.0, 0.0, slope)
-        find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, growth, ALONE)
+        find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, growth, ONE_THREAD)
         memory.extremes.displacement[:] = 0.0
         lists.spheres.history[:], lists.walls.history[:] = histories
         frame = self.room_for_frames(1, memory.pistons.size)
@@ -315,7 +315,7 @@ class ContactMotion(SteppedMotion):
 
     def show(self, frames: ContactFrames, frame: int) -> None:
         """Write what contacts have now into a frame."""
-        store_contacts(self.contact._replace(frames=frames), ALONE, frame)
+        store_contacts(self.contact._replace(frames=frames), ONE_THREAD, frame)
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""

@@ -9,17 +9,17 @@ from particlerb.events.advance import advance
 from particlerb.events.flight import states_at
 from particlerb.events.predict import set_all
 from particlerb.events.records import (
-    BOOKED,
+    BODY_MASS,
     BOUND,
     DONE,
     ENDLESS,
+    EPOCH,
     FAR,
-    FIRST,
-    MASS,
+    FIRST_SPHERE,
     MOMENT,
     MORE,
     OVERLAP,
-    ZERO,
+    SUM_BOOKED,
     empty_state,
     empty_workspace,
 )
@@ -52,7 +52,7 @@ class EventMotion(Motion):
         n, n_cells = self.order.size, int(np.prod(self.scene.cells))
         columns = STEADY_COLUMNS if self.scene.turns is None else COLUMNS
         self.state = empty_state(n, n_moving, n_cells, columns)
-        self.work = empty_workspace(int(np.diff(self.scene.kind[:, FIRST]).max()))
+        self.work = empty_workspace(int(np.diff(self.scene.kind[:, FIRST_SPHERE]).max()))
         if before is not None:
             self.state.tally[:] = before.impulse_tally()
         self.state.tally[RENEWED] -= n_moving  # as each looks for its first event
@@ -72,7 +72,7 @@ class EventMotion(Motion):
         while ends == MORE:
             ends, b = THREADS.timed(advance, self.scene, self.state, self.work, until, _PER_CALL)
         if ends != DONE:
-            now = self.start + float(self.state.sums[ZERO] + self.state.heap_time[0])
+            now = self.start + float(self.state.sums[EPOCH] + self.state.heap_time[0])
             what = f"at t = {now:.9g} s body {self.group.members[self.order[b]]} cannot continue"
             raise MotionError(f"{what}: {_WHY.get(ends, _SEARCH)}")
 
@@ -81,10 +81,10 @@ class EventMotion(Motion):
         self.run_to(time)
         n, elapsed, moment = self.order.size, time - self.start, np.zeros(3)
         state = State(*(np.zeros((rows, n)) for rows in (3, 4, 3, 3)))
-        local = elapsed - float(self.state.sums[ZERO])
+        local = elapsed - float(self.state.sums[EPOCH])
         THREADS.alone(states_at, self.scene, self.state, local, self.order, state, moment)
-        booked, g = self.state.sums[BOOKED:MOMENT].copy(), np.array(self.scene.gravity)
-        booked[1:4] += self.scene.body[:, MASS].sum() * g * elapsed
+        booked, g = self.state.sums[SUM_BOOKED:MOMENT].copy(), np.array(self.scene.gravity)
+        booked[1:4] += self.scene.body[:, BODY_MASS].sum() * g * elapsed
         booked[4:7] += np.cross(moment, g)
         return state, booked
 

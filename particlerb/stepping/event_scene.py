@@ -8,23 +8,23 @@ from particlerb.compiled.jit import flag
 from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.contact.walls import DISC, FACE, PLANE, SIDE, Walls
 from particlerb.events.records import (
-    ASYMMETRIC,
-    CURVED,
-    FIRST,
-    INERTIA,
-    INV_INERTIA,
-    INVERSE,
-    MASS,
+    BODY_CURVED,
+    BODY_INERTIA,
+    BODY_INV_INERTIA,
+    BODY_INV_MASS,
+    BODY_MASS,
+    BODY_REACH,
+    FIRST_SPHERE,
+    IS_ASYMMETRIC,
     MATERIAL,
     N_BODY,
     N_KIND,
-    REACH,
     EventScene,
 )
 from particlerb.impulses.records import LEAST_CELLS, EventRules
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3
 from particlerb.model.state import State
-from particlerb.rotors.rotor_class import ASYMMETRIC as ASYMMETRIC_CLASS
+from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.motion import MotionError, SegmentGroup
 
 _ROUNDING: Final = 1e-15  # of a radius: a centre nearer to the centre of mass is there
@@ -123,9 +123,9 @@ def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> E
         gravity = group.terms.gravity.acceleration.copy()
     body = _constants(group, reach)[order]
     kind = np.zeros((order.size + 1, N_KIND), dtype=np.int64)
-    kind[:, FIRST], kind[:-1, MATERIAL] = first, spheres.material[spheres.offset[order]]
-    kind[:-1, ASYMMETRIC] = group.bodies.rotor_class[order] == ASYMMETRIC_CLASS
-    kind[:-1, ASYMMETRIC] *= body[:, INVERSE] > 0.0
+    kind[:, FIRST_SPHERE], kind[:-1, MATERIAL] = first, spheres.material[spheres.offset[order]]
+    kind[:-1, IS_ASYMMETRIC] = group.bodies.rotor_class[order] == ASYMMETRIC
+    kind[:-1, IS_ASYMMETRIC] *= body[:, BODY_INV_MASS] > 0.0
     near_first, near = _walls_near(walls, grid, float(bound.max()))
     friction = model.law.friction
     return EventScene(
@@ -144,7 +144,7 @@ def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> E
         contact_time=rules.contact_time,
         period=_period(state.p * group.bodies.inv_mass, gravity, float(grid.width.max())),
         around=flag(bool(reach.any() or (gravity.any() and n_moving < order.size))),
-        turns=flag(bool(kind[:, ASYMMETRIC].any())),
+        turns=flag(bool(kind[:, IS_ASYMMETRIC].any())),
         rubs=flag(bool(reach.any() or friction.any())),
         box=_box(rules.box),
         cell_width=three(grid.width),
@@ -177,10 +177,14 @@ def _constants(group: SegmentGroup, reach: Floats) -> Floats:
     """`EventScene.body` in the order of the group."""
     bodies = group.bodies
     body = np.zeros((reach.size, N_BODY))
-    body[:, MASS], body[:, INVERSE], body[:, REACH] = bodies.mass, bodies.inv_mass, reach
-    body[:, INERTIA : INERTIA + 3] = bodies.inertia.T
-    body[:, INV_INERTIA : INV_INERTIA + 3] = bodies.inv_inertia.T
-    body[:, CURVED] = _bends(bodies.inertia.T, bodies.inv_inertia.T)
+    body[:, BODY_MASS], body[:, BODY_INV_MASS], body[:, BODY_REACH] = (
+        bodies.mass,
+        bodies.inv_mass,
+        reach,
+    )
+    body[:, BODY_INERTIA : BODY_INERTIA + 3] = bodies.inertia.T
+    body[:, BODY_INV_INERTIA : BODY_INV_INERTIA + 3] = bodies.inv_inertia.T
+    body[:, BODY_CURVED] = _bends(bodies.inertia.T, bodies.inv_inertia.T)
     return body
 
 

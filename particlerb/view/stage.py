@@ -13,10 +13,10 @@ import viser
 
 from particlerb.case.joints import WITHOUT_AXIS
 from particlerb.export.surfaces import Surfaces, extent_of, walls_of
+from particlerb.forces.links import WORLD
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import quaternion_product, rotate
 from particlerb.model.system import System
-from particlerb.plan.joint_ends import WORLD
 from particlerb.plan.joints import joints_of
 
 _LENGTH: Final = 0.18  # of an axis, of the size of the scene

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from particlerb.compiled import barrier as module
-from particlerb.compiled.barrier import ALONE, Team, largest, meet, share_of, together
+from particlerb.compiled.barrier import ONE_THREAD, Team, largest, meet, share_of, together
 from particlerb.compiled.jit import kernel
 from particlerb.compiled.threads import THREADS
 
@@ -129,7 +129,7 @@ def test_a_team_within_a_team_runs_on_one_thread(threads):
 @pytest.mark.parametrize("size", [1, 2, 3, 7])
 @pytest.mark.parametrize("n", [0, 1, 5, 100])
 def test_shares_cover_all_once(size, n):
-    arrivals, wishes = ALONE.arrivals, ALONE.wishes
+    arrivals, wishes = ONE_THREAD.arrivals, ONE_THREAD.wishes
     shares = [share_of(Team(size, rank, arrivals, wishes), 3, 3 + n) for rank in range(size)]
     found = [k for first, end in shares for k in range(first, end)]
     assert found == list(range(3, 3 + n))
