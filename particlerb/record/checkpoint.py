@@ -25,6 +25,7 @@ from particlerb.record.checked_reading import (
     integer_attribute,
     object_at,
     open_file,
+    require_self_contained,
     trajectory_errors,
 )
 from particlerb.record.hdf5 import change, group, growing, note, opened
@@ -120,8 +121,15 @@ def slots_in(file: h5py.File) -> dict[int, dict[str, Any]]:
 
 
 def states_of(path: Path) -> dict[int, dict[str, Any]]:
-    """Both states in the file of a part."""
+    """Both states in the file of a part.
+
+    Raises
+    ------
+    TrajectoryError
+        If it is none, or takes data from other files.
+    """
     with open_file(path) as file:
+        require_self_contained(file)
         return slots_in(file)
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from particlerb.compiled.jit import compile_with, inline, unfused_kernel
+from particlerb.compiled.jit import inline, splice, unfused_kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, load4, multiply, rows4, store4
 from particlerb.maths.trig import cos_sin_half_turns
@@ -40,7 +40,6 @@ from particlerb.rotors.theta import (
 
 _BLOCK = 256
 CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
-_spliced = compile_with(inline="always")  # used once: not compiled apart from its caller
 
 
 class SteadyTurn(NamedTuple):
@@ -87,7 +86,7 @@ class HyperbolicTurn(NamedTuple):
 Turn: TypeAlias = SteadyTurn | ThetaTurn | HyperbolicTurn
 
 
-@_spliced
+@splice
 def _steady_rows(turn: SteadyTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
     """q(t) of steadily turning bodies."""
     axis, start = rows3(turn.axis, lo, hi), rows4(turn.start, lo, hi)
@@ -112,7 +111,7 @@ def _load_frame(rows: tuple[Bytes, Bytes, Bytes, Bytes], b: int) -> Quat:
     return float(rows[0][b]), float(rows[1][b]), float(rows[2][b]), float(rows[3][b])
 
 
-@_spliced
+@splice
 def _theta_rows(turn: ThetaTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
     """q(t) = Q_L g(t) P of asymmetric bodies, (11)."""
     start, rate, nu = rows3(turn.clock, lo, hi)
@@ -124,7 +123,7 @@ def _theta_rows(turn: ThetaTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
         store4(q, b, oriented(load4(left, b), nu[b] * t, local, _load_frame(right, b)))
 
 
-@_spliced
+@splice
 def _hyperbolic_rows(turn: HyperbolicTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
     """q(t) = Q_L g(t) P of bodies near the separatrix."""
     start, rate, nu = rows3(turn.clock, lo, hi)

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from particlerb.compiled.jit import compile_with, config, inline, unfused_kernel
+from particlerb.compiled.jit import config, inline, splice, unfused_kernel
 from particlerb.maths import double_double as dd
 from particlerb.maths.quaternion import Quat, Rows4, conjugate, load4, multiply, store4
 from particlerb.maths.trig import scale_of
@@ -40,7 +40,6 @@ MOMENTUM_ROWS = 6  # L in the rotor frame in 32 digits: high and low of each com
 STEADY_ROWS, THETA_ROWS, NEAR_ROWS = 9, 10, 24
 Pair: TypeAlias = tuple[float, float]
 Bytes: TypeAlias = NDArray[np.int8]
-_spliced = compile_with(inline="always")  # copied into the caller before it is compiled
 
 
 class Tumblers(NamedTuple):
@@ -158,22 +157,28 @@ def world_factor(q: Quat, local: Quat, frame: Quat) -> Quat:
     return left[0] * inv, left[1] * inv, left[2] * inv, left[3] * inv
 
 
-@_spliced
+@splice
 def _rows_3(s: Floats, i: int) -> Rows3:
     """Three rows of a scratch block."""
     return s[i], s[i + 1], s[i + 2]
 
 
-@_spliced
+@splice
 def _rows_4(s: Floats, i: int) -> Rows4:
     """Four rows of a scratch block."""
     return s[i], s[i + 1], s[i + 2], s[i + 3]
 
 
-@_spliced
+@splice
 def _inputs(s: Floats) -> tuple[Rows3, Rows4, Floats, Rows3, Rows3]:
     """Moments, q, unit of I over that of L, and L in its high and its low digits."""
     return _rows_3(s, 0), _rows_4(s, 3), s[13], _rows_3(s, 7), _rows_3(s, 10)
+
+
+@splice
+def _results(s: Floats) -> tuple[Rows3, Rows4, Rows4]:
+    """Clock, left and right of a turn; its coefficients are behind."""
+    return _rows_3(s, 18), _rows_4(s, 21), _rows_4(s, 14)
 
 
 @inline
@@ -213,13 +218,13 @@ def theta_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> N
         hi = min(lo + _BLOCK, which.size)
         _fill(bodies, which, lo, hi, s)
         moment, turn, rate, high, low = _inputs(s)
-        frame, clock, left, series = _rows_4(s, 14), _rows_3(s, 18), _rows_4(s, 21), _rows_3(s, 25)
+        (clock, left, right_of), series = _results(s), _rows_3(s, 25)
         for b in range(_BLOCK):
             m = _pairs(load3(high, b), load3(low, b))
             own = theta_turn(load3(moment, b), m, load4(turn, b), rate[b])
             store3(clock, b, own[0])
             store4(left, b, own[1])
-            store4(frame, b, own[2])
+            store4(right_of, b, own[2])
             store3(series, b, own[3])
         _drain(s, lo, hi, table, right)
 
@@ -232,7 +237,7 @@ def near_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> No
         hi = min(lo + _BLOCK, which.size)
         _fill(bodies, which, lo, hi, s)
         moment, turn, rate, high, low = _inputs(s)
-        frame, clock, left = _rows_4(s, 14), _rows_3(s, 18), _rows_4(s, 21)
+        clock, left, right_of = _results(s)
         scale, phase = _rows_4(s, 25), s[29]
         cosines, sines = (_rows_3(s, 30), _rows_3(s, 33)), (_rows_3(s, 36), _rows_3(s, 39))
         for b in range(_BLOCK):
@@ -241,7 +246,7 @@ def near_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> No
             of = own[3]
             store3(clock, b, own[0])
             store4(left, b, own[1])
-            store4(frame, b, own[2])
+            store4(right_of, b, own[2])
             store4(scale, b, (of.fall, of.r, of.s, of.kappa))
             phase[b] = of.turn
             store3(cosines[0], b, of.cosines[:3])

@@ -21,8 +21,8 @@ from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.superblocks import own_parts
 from particlerb.ranks import ALONE, Ranks
-from particlerb.record.checked_reading import open_file, require_self_contained
-from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint, slots_in
+from particlerb.record.checked_reading import require_self_contained
+from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint, states_of
 from particlerb.record.output_file import DamagedError
 from particlerb.record.part_recorder import PartRecorder
 from particlerb.record.parts import Parts, folder_beside, parts_in
@@ -149,7 +149,8 @@ def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
     is_copied = attraction_of(pending.prepared.plan) is not None
     numbers = every if is_copied else own_parts(len(every), ranks)
     looked_at = numbers or range(1)
-    own = ranks.together(lambda: [_states_of(pending.path, parts.names[k]) for k in looked_at])
+    folder = folder_beside(pending.path)
+    own = ranks.together(lambda: [states_of(folder / parts.names[k]) for k in looked_at])
     each = [
         set(states) for of_rank in ranks.gathered([list(one) for one in own]) for states in of_rank
     ]
@@ -163,13 +164,6 @@ def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
     state = joined([states[start] for states in own])
     checkpoint = Checkpoint(start, state if numbers else of_no_body(state), "")
     return pending._replace(checkpoint=checkpoint, start=start)
-
-
-def _states_of(path: Path, name: str) -> dict[int, dict[str, Any]]:
-    """States in the checkpoints of a part."""
-    with open_file(folder_beside(path) / name) as file:
-        require_self_contained(file)
-        return slots_in(file)
 
 
 def resume_pending(

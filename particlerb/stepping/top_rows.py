@@ -6,7 +6,7 @@ in the rows of a block. All numbers are in two flat buffers, or LLVM would not v
 
 import math
 
-from particlerb.compiled.jit import compile_with, inline
+from particlerb.compiled.jit import inline, splice
 from particlerb.maths.quaternion import Quat, multiply, to_world
 from particlerb.maths.trig import cos_sin_half_turns, half_turns
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
@@ -14,8 +14,6 @@ from particlerb.model.block import BOOKED, L, Q, get, get3, get4, put, put3, put
 from particlerb.rotors.lagrange import Pair
 from particlerb.rotors.lagrange_forms import Five, Local, NearTop, ThetaTop, near_local, theta_local
 from particlerb.rotors.tops import AXIAL, DELTA, LEFT, OWN
-
-_spliced = compile_with(inline="always")  # used once: not compiled apart from its caller
 
 
 @inline
@@ -87,7 +85,7 @@ def _put_turned(
     put(out, BOOKED, b, work)
 
 
-@_spliced
+@splice
 def _theta_rows(rows: Floats, t: float, n: int, out: Floats) -> None:
     """q(t), L(t) and -c u(t) of tops."""
     for b in range(n):
@@ -98,7 +96,7 @@ def _theta_rows(rows: Floats, t: float, n: int, out: Floats) -> None:
         _put_turned(rows, b, t, local, slopes, sign, (0.0, 0.0), out)
 
 
-@_spliced
+@splice
 def _near_rows(rows: Floats, t: float, n: int, out: Floats) -> None:
     """q(t), L(t) and -c u(t) of tops next to the separatrix."""
     for b in range(n):
