@@ -29,6 +29,7 @@ from types import FunctionType
 from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core import caching
 from numba.core.event import install_timer
 
@@ -272,6 +273,9 @@ def _helper(is_fused: bool = True, **options: Any) -> Callable[[Function], Funct
 inline = _helper(forceinline=True)
 unfused_inline = _helper(is_fused=False, forceinline=True)
 splice = compile_with(inline="always")
+
+unsigned: Any = int if config.DISABLE_JIT else np.uint64
+"""An index that is not negative, so that Numba asks not whether it is; int where Python runs."""
 
 
 def _kernel(made: type[Kernel], function: Function) -> Function:

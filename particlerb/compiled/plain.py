@@ -85,6 +85,8 @@ def _twin_of(value: Any, names: set[str]) -> Any:
     if isinstance(value, ModuleType) and value.__name__.partition(".")[0] == _PACKAGE:
         used = {name: getattr(value, name) for name in names if hasattr(value, name)}
         return SimpleNamespace(**{name: _twin_of(one, names) for name, one in used.items()})
+    if value is np.uint64:  # `jit.unsigned`
+        return int
     return twin(value) if hasattr(value, "py_func") else value
 
 

@@ -16,10 +16,9 @@ import math
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.jit import inline, kernel, unsigned
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, load3, rows3, subtract
-from particlerb.model.block import unsigned
 
 UNIT: Final = 1024  # spheres a kernel takes at a time
 _WRITE_AHEAD: Final = 8  # candidates written at a time, more than most runs have

@@ -9,11 +9,11 @@ is one reading for almost all sets and the accuracy that of two.
 """
 
 import math
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb.compiled.jit import config, inline, unfused_kernel
+from particlerb.compiled.jit import inline, unfused_kernel, unsigned
 from particlerb.compiled.threads import THREADS
 from particlerb.geometry.particles import Particles, check, refuse
 from particlerb.maths.vec3 import Bools, Floats, Ints, add_scaled, dot
@@ -36,9 +36,6 @@ _BAD: Final = _EXTENT + 3  # 0, or NaN where a number is not finite
 _ROWS: Final = _EXTENT + 4
 X: Final = _ROWS  # rows of the group at hand: r, mass, radius
 _BUFFER: Final = (_ROWS + 5) * _LANES
-
-_unsigned: Any = int if config.DISABLE_JIT else np.uint64
-IN_PYTHON: Final = {"_unsigned": int}
 
 
 class _Sums(NamedTuple):
@@ -153,7 +150,7 @@ def _power_above(value: float) -> int:
 @inline
 def at(row: int, lane: int) -> int:
     """Index of a lane in a row: unsigned, so that Numba asks not whether it is negative."""
-    return _unsigned(row * _LANES + lane)
+    return unsigned(row * _LANES + lane)
 
 
 @inline
@@ -237,9 +234,9 @@ def _sum_chunks(
             x = place[3 * start : 3 * (start + _LANES)]
             m, r = mass[start : start + _LANES], radius[start : start + _LANES]
             for lane in range(_LANES):
-                i = _unsigned(3 * lane)
-                j = _unsigned(lane)
-                load(lanes, lane, x[i], x[i + _unsigned(1)], x[i + _unsigned(2)], m[j], r[j], units)
+                i = unsigned(3 * lane)
+                j = unsigned(lane)
+                load(lanes, lane, x[i], x[i + unsigned(1)], x[i + unsigned(2)], m[j], r[j], units)
             _add_group(lanes)
         if whole < hi:
             lanes[X * _LANES :] = 0.0

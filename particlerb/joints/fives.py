@@ -6,10 +6,9 @@ read numbers again after each that is written.
 
 from typing import TypeAlias
 
-from particlerb.compiled.jit import inline
+from particlerb.compiled.jit import inline, unsigned
 from particlerb.joints.records import Program
 from particlerb.maths.vec3 import Floats
-from particlerb.model.block import unsigned
 
 Five: TypeAlias = tuple[float, float, float, float, float]
 

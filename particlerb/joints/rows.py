@@ -21,7 +21,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, kernel, unfused_kernel
+from particlerb.compiled.jit import inline, kernel, unfused_kernel, unsigned
 from particlerb.joints.drives import course
 from particlerb.joints.records import (
     ALONG,
@@ -66,7 +66,6 @@ from particlerb.maths.vec3 import (
     scale,
     subtract,
 )
-from particlerb.model.block import unsigned
 
 _WHOLE_TURN: Final = 2.0 * pi
 Three: TypeAlias = tuple[Vec3, Vec3, Vec3]

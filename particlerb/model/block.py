@@ -6,11 +6,11 @@ long its body is; with separate arrays it gives up silently beyond some sixteen 
 """
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import config, inline
+from particlerb.compiled.jit import inline, unsigned
 from particlerb.compiled.threads import BLOCK
 from particlerb.maths.quaternion import Quat
 from particlerb.maths.vec3 import Floats, Vec3
@@ -30,10 +30,6 @@ INV_INERTIA: Final = 21
 ROTOR: Final = 24  # constants of asymmetric bodies that a method asks for
 SCRATCH: Final = 46
 LOADS: Final = 56  # from here on the parameters of the terms
-
-
-unsigned: Any = int if config.DISABLE_JIT else np.uint64
-IN_PYTHON: Final = {"unsigned": int}
 
 
 @inline

@@ -9,13 +9,12 @@ sums in registers. Where the compiler is switched off the same list is gone thro
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias, cast
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from particlerb.compiled.jit import config, inline
+from particlerb.compiled.jit import config, inline, unsigned
 from particlerb.maths.vec3 import Floats
 
 LANES: Final = 16  # particles of a bucket, and cells that are summed over at a time
@@ -23,7 +22,6 @@ _REGISTER: Final = 8  # numbers of a SIMD register; LLVM takes several where the
 _FMA: Final = ("contract",)  # a b + c in one rounding
 
 _Summing: TypeAlias = Callable[[Floats, Floats], None]
-_unsigned: Any = int if config.DISABLE_JIT else np.uint64
 
 
 class Product(NamedTuple):
@@ -40,14 +38,14 @@ class Product(NamedTuple):
 @inline
 def at(row: int, lane: int) -> int:
     """Place in the buffer: unsigned, so that Numba asks not whether it is negative."""
-    return _unsigned(row * LANES + lane)
+    return unsigned(row * LANES + lane)
 
 
 @inline
 def clear(rows: Floats, first: int, last: int) -> None:
     """Write zeros into rows."""
     for i in range(first * LANES, last * LANES):
-        rows[_unsigned(i)] = 0.0
+        rows[unsigned(i)] = 0.0
 
 
 @inline
