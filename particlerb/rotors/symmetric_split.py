@@ -18,12 +18,18 @@ _QUARTER_TURN_SQUARED = 2.4674011002723395  # (π/2)²
 
 
 @inline
-def _turn_about_1(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
-    """Turn a body about its axis 1: new body components of a world vector m, new orientation."""
+def _half_and_whole(half_angle: float) -> Quat:
+    """Cosine and sine of half an angle up to a common sign, and of the whole one."""
     x, _ = reduce_modulo_pi(half_angle)
     c, s = cos_sinc(x * x)
     s = x * s
-    sin, cos = 2 * s * c, 1 - 2 * s * s
+    return c, s, 1 - 2 * s * s, 2 * s * c
+
+
+@inline
+def _turn_about_1(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
+    """Turn a body about its axis 1: new body components of a world vector m, new orientation."""
+    c, s, cos, sin = _half_and_whole(half_angle)
     m = (m[0], cos * m[1] + sin * m[2], cos * m[2] - sin * m[1])
     q = (c * q[0] - s * q[1], c * q[1] + s * q[0], c * q[2] + s * q[3], c * q[3] - s * q[2])
     return m, q
@@ -32,10 +38,7 @@ def _turn_about_1(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
 @inline
 def _turn_about_3(half_angle: float, m: Vec3, q: Quat) -> tuple[Vec3, Quat]:
     """Turn a body about its axis 3: new body components of a world vector m, new orientation."""
-    x, _ = reduce_modulo_pi(half_angle)
-    c, s = cos_sinc(x * x)
-    s = x * s
-    sin, cos = 2 * s * c, 1 - 2 * s * s
+    c, s, cos, sin = _half_and_whole(half_angle)
     m = (cos * m[0] + sin * m[1], cos * m[1] - sin * m[0], m[2])
     q = (c * q[0] - s * q[3], c * q[1] + s * q[2], c * q[2] - s * q[1], c * q[3] + s * q[0])
     return m, q

@@ -113,17 +113,13 @@ class AdaptiveMotion(JointedMotion):
         """States at the start of each step, when that is, and how long the step is."""
         changing = out_of_blocks(self.blocks, 0, CHANGING, self.group.members.size)
         saved = {"changing": changing, "clock": self.clock[:, :2].T.copy()}
-        saved |= {"broken": self.broken.copy()} if self.breaks else {}
-        return saved | ({"turned": self.turned.copy()} if self.turned.size else {})
+        return saved | self.kept_of_joints()
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         into_blocks(self.blocks, 0, saved["changing"])
         self.clock[:, :2] = saved["clock"].T
-        if self.breaks:
-            self.broken[:] = saved["broken"]
-        if self.turned.size:
-            self.turned[:] = saved["turned"]
+        self.restore_joints(saved)
 
     def advance_some(self, leg: Leg, recording: Recording) -> None:
         """Advance all bodies: together, or packs of them over threads."""

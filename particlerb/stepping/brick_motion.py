@@ -127,9 +127,7 @@ class BrickMotion(SharedMotion):
         goes = np.full(self.is_free.size, ranks.number)
         goes[self.local[here]] = owner
         histories = self.exchange.routed([kept_of(each) for each in old.histories], goes)
-        own = self.exchange.sent(owner, np.column_stack([self.local[here], rows[here]]))
-        own = own[np.argsort(own[:, 0])]
-        who = own[:, 0].astype(np.int64)
+        who, own = self.exchange.bodies_sent(owner, self.local[here], rows[here])
         found = int(ranks.added(np.array([who.size]))[0])
         if found != self.is_free.size or np.unique(who).size != who.size:
             raise MotionError(
@@ -137,7 +135,7 @@ class BrickMotion(SharedMotion):
                 " is a fault of this program, please report it with the case"
             )
         watch, frames = self.checks.watch, self.frames
-        self.lay_out(who, own[:, 1:], old.skin, histories)
+        self.lay_out(who, own, old.skin, histories)
         self.lists.go_on(old)
         self.checks.watch, self.frames = watch, frames
         self.contact = self.contact._replace(frames=frames)
@@ -152,12 +150,10 @@ class BrickMotion(SharedMotion):
         self.territory.fit(com[:, self.is_free[which]])
         owner = np.zeros(self.is_free.size, dtype=np.int64)
         owner[which] = self.territory.owners(which, com)
-        own = self.exchange.sent(owner[which], rows)
-        own = own[np.argsort(own[:, 0])]
+        who, own = self.exchange.bodies_sent(owner[which], which, rows[:, 1:])
         histories = self.exchange.routed(both, self.ranks.added(owner))
-        who = own[:, 0].astype(np.int64)
-        self.lay_out(who, own[:, 1 : 2 + GROSS], skin, histories)
-        return own[:, 2 + GROSS :]
+        self.lay_out(who, own[:, : 1 + GROSS], skin, histories)
+        return own[:, 1 + GROSS :]
 
     # Steps
 
@@ -255,13 +251,11 @@ class BrickMotion(SharedMotion):
 
     def to_show(self, values: Floats) -> Floats:
         """Rows of the bodies that are shown here, where each rank has (n, ..) of its own."""
-        who = self.local[self.is_own]
-        rows = self.exchange.sent(
-            self.exchange.home[who], np.column_stack([who, values[self.is_own]])
-        )
+        who, exchange = self.local[self.is_own], self.exchange
+        _, rows = exchange.bodies_sent(exchange.home[who], who, values[self.is_own])
         if len(rows) != self.shown.members.size:
             raise MotionError(f"{len(rows)} bodies of {self.shown.members.size} were sent")
-        return np.ascontiguousarray(rows[np.argsort(rows[:, 0]), 1:])
+        return np.ascontiguousarray(rows)
 
     def show(self, frames: ContactFrames, frame: int) -> None:
         """Write what contacts have now into a frame."""

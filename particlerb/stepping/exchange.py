@@ -50,6 +50,12 @@ class Exchange:
         """Rows that come here, where each is sent to a rank."""
         return np.concatenate(self.ranks.sent([rows[to == k] for k in range(self.ranks.count)]))
 
+    def bodies_sent(self, to: Ints, who: Ints, rows: Floats) -> tuple[Ints, Floats]:
+        """Bodies that come here, ascending, and their rows, where each is sent to a rank."""
+        came = self.sent(to, np.column_stack([who, rows]))
+        came = came[np.argsort(came[:, 0])]
+        return came[:, 0].astype(np.int64), came[:, 1:]
+
     def everyone(self, shown: State) -> State:
         """State of all bodies, on each rank, from those that are shown on each."""
         rows = np.column_stack([self.places, np.vstack(shown).T])

@@ -10,6 +10,7 @@ from particlerb.joints.records import Jointed, room_for_joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import State
 from particlerb.stepping.motion import Motion, SegmentGroup
+from particlerb.stepping.saved_arrays import Saved
 
 
 def jointed_in(
@@ -72,6 +73,21 @@ class JointedMotion(Motion):
     def turned(self) -> Floats:
         """Coordinates of joints as they are tracked, (c, 3): see joints/coordinates.py."""
         return np.zeros((0, 3)) if self.jointed is None else self.jointed.work.turned
+
+    def kept_of_joints(self) -> Saved:
+        """Copies of what changes with the steps, for a checkpoint."""
+        saved = {"turned": self.turned.copy()} if self.turned.size else {}
+        if self.breaks:
+            saved |= {"broken": self.broken.copy(), "load": self.load.copy()}
+        if not np.isnan(self.past).all():
+            saved["past"] = self.past.copy()
+        return saved
+
+    def restore_joints(self, saved: Saved) -> None:
+        """Go on from what was kept."""
+        for name in ("turned", "broken", "load", "past"):
+            if name in saved:
+                getattr(self, name)[:] = saved[name]
 
     def turn_on(self, before: Motion) -> None:
         """Count the turns of joints on from where the segment before has left them."""

@@ -76,9 +76,9 @@ class SharedMotion(ContactMotion):
         who, here, exchange = self.local[self.is_own], self.is_own, self.exchange
         listed = self.contact.memory.listed_pose.T[here]
         with ending_all(self.ranks):
-            rows = np.column_stack([who, self.travelling()[here], listed])
-            rows = exchange.sent(exchange.home[who], rows)
-            self.bodies_to_save = rows[np.argsort(rows[:, 0])]
+            rows = np.column_stack([self.travelling()[here], listed])
+            who, rows = exchange.bodies_sent(exchange.home[who], who, rows)
+            self.bodies_to_save = np.column_stack([who, rows])
             self.contacts_to_save = [
                 self._collected(which, *kept_of(history))
                 for which, history in enumerate(self.lists.histories)

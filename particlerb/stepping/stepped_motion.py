@@ -151,23 +151,13 @@ class SteppedMotion(JointedMotion):
     def checkpoint(self) -> Saved:
         """States on the grid with what was booked, and the steps until there."""
         saved = {"changing": self.values(0, CHANGING), "done": np.array(self.steps_done)}
-        saved |= {"turned": self.turned.copy()} if self.turned.size else {}
-        if self.breaks:
-            saved |= {"broken": self.broken.copy(), "load": self.load.copy()}
-        if not np.isnan(self.past).all():
-            saved["past"] = self.past.copy()
-        return saved
+        return saved | self.kept_of_joints()
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         into_blocks(self.blocks, 0, self.spaced(saved["changing"]))
         self.steps_done = int(saved["done"])
-        if self.turned.size:
-            self.turned[:] = saved["turned"]
-        if self.breaks:
-            self.broken[:], self.load[:] = saved["broken"], saved["load"]
-        if "past" in saved:
-            self.past[:] = saved["past"]
+        self.restore_joints(saved)
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
