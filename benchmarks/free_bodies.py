@@ -33,7 +33,7 @@ from particlerb.case.to_system import to_system
 from particlerb.compiled.jit import compile_with, kernel
 from particlerb.compiled.plain import all_compiled
 from particlerb.compiled.threads import THREADS
-from particlerb.maths.quaternion import rows4
+from particlerb.maths.rows import rows4
 from particlerb.rotors.exact import (
     SteadyTurn,
     Turn,

@@ -6,8 +6,9 @@ from typing import NamedTuple
 from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.contact_model import ContactList, ContactModel, NeighbourLists, Workspace
 from particlerb.contact.piston import Pistons
-from particlerb.contact.records import Records, row3, row4
+from particlerb.contact.records import Records
 from particlerb.maths.quaternion import matrix, turn, turn_back
+from particlerb.maths.rows import row3, row4
 from particlerb.maths.vec3 import (
     Floats,
     Ints,

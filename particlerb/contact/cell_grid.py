@@ -18,7 +18,8 @@ from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import inline, kernel, unsigned
 from particlerb.compiled.threads import THREADS
-from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, load3, rows3, subtract
+from particlerb.maths.rows import load3, rows3
+from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, subtract
 
 UNIT: Final = 1024  # spheres a kernel takes at a time
 _WRITE_AHEAD: Final = 8  # candidates written at a time, more than most runs have

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.contact_model import ContactList, GroupContact, NeighbourLists, Workspace
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS
-from particlerb.contact.records import Records, put_row3, row3, row4
+from particlerb.contact.records import Records
 from particlerb.contact.walls import (
     NEAR,
     PLANE,
@@ -43,8 +43,9 @@ from particlerb.impulses.records import (
     Rolling,
 )
 from particlerb.impulses.rolling import ABOUT, ACROSS
-from particlerb.impulses.rows import column3, in_world, lean, put_column3, write_frame
+from particlerb.impulses.rows import in_world, lean, write_frame
 from particlerb.maths.quaternion import Quat, to_body, to_world
+from particlerb.maths.rows import put_row3, put_row3_at, row3, row3_at, row4
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _ROUNDING: Final = 1e-12  # of the speeds: what approaches no faster is at rest
@@ -71,10 +72,10 @@ class _Near(NamedTuple):
 def _note_speeds(partners: Partners, a: int) -> None:
     """Write speeds of a body, and by how much the half kick has changed its velocities."""
     velocity, before, speeds = partners.velocity, partners.before, partners.speeds
-    v, w = column3(velocity, a, 0), column3(velocity, a, 3)
+    v, w = row3_at(velocity, a, 0), row3_at(velocity, a, 3)
     speeds[a, 0], speeds[a, 1] = length(v), length(w)
-    speeds[a, 2] = length(subtract(v, column3(before, a, 0)))
-    speeds[a, 3] = length(subtract(w, column3(before, a, 3)))
+    speeds[a, 2] = length(subtract(v, row3_at(before, a, 0)))
+    speeds[a, 3] = length(subtract(w, row3_at(before, a, 3)))
 
 
 @inline
@@ -88,8 +89,8 @@ def _note_motors(partners: Partners, bounded: Bounded | None) -> None:
             half = 0.5 * bounded.values[k, B_LARGEST]
             for j in range(bounded.start[k], bounded.start[k + 1]):
                 b = bounded.member[j]
-                speeds[b, 2] += half * length(column3(bounded.response, j, 0))
-                speeds[b, 3] += half * length(column3(bounded.response, j, 3))
+                speeds[b, 2] += half * length(row3_at(bounded.response, j, 0))
+                speeds[b, 3] += half * length(row3_at(bounded.response, j, 3))
 
 
 @inline
@@ -135,9 +136,9 @@ def _take_in(
     rows.limits[k, RESTITUTION] = impulses.rules.restitution[pair]
     c = entry if entry >= 0 else ~entry
     force = row3(contacts.history.force, c)
-    put_column3(rows.impulse, k, 0, scale(dt, force))
+    put_row3_at(rows.impulse, k, 0, scale(dt, force))
     lean(partners, rows, k, scale(0.5 * dt, near.changes), force)
-    put_column3(rows.impact, k, 0, ZERO)
+    put_row3_at(rows.impact, k, 0, ZERO)
     _take_in_rolling(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
     for deepest in (DEEPEST, DEEPEST_NOW):
         tally[deepest] = max(tally[deepest], -gap)
@@ -154,8 +155,8 @@ def _take_in_rolling(
         return
     rolling.limit[k, ACROSS] = coefficient[near.pair] * near.effective
     rolling.limit[k, ABOUT] = impulses.rules.torsion[near.pair] * near.effective
-    put_column3(rolling.impulse, k, 0, scale(dt, row3(contacts.history.torque, c)))
-    put_column3(rolling.impact, k, 0, ZERO)
+    put_row3_at(rolling.impulse, k, 0, scale(dt, row3(contacts.history.torque, c)))
+    put_row3_at(rolling.impact, k, 0, ZERO)
 
 
 @inline
@@ -178,9 +179,9 @@ def _forget(contacts: ContactList, c: int, rolling: Rolling | None) -> None:
 @inline
 def _turning(partners: Partners, a: int, x: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """Velocity before the kick [m/s] of a point of partner a, its change by turning, and ω."""
-    omega = column3(partners.before, a, 3)
-    v = cross(omega, subtract(x, column3(partners.place, a, 0)))
-    return add(column3(partners.before, a, 0), v), cross(omega, v), omega
+    omega = row3_at(partners.before, a, 3)
+    v = cross(omega, subtract(x, row3_at(partners.place, a, 0)))
+    return add(row3_at(partners.before, a, 0), v), cross(omega, v), omega
 
 
 @inline
@@ -248,7 +249,7 @@ def _sphere_contact(
         _forget(contacts, c, impulses.rows.rolling)
         return
     distance = length(d)
-    gap, between = distance - touching, subtract(column3(place, a, 0), column3(place, b, 0))
+    gap, between = distance - touching, subtract(row3_at(place, a, 0), row3_at(place, b, 0))
     is_near, slow = _is_near(setup, impulses, a, b, touching, gap, between, dt)
     if not is_near:
         _forget(contacts, c, impulses.rows.rolling)
@@ -289,8 +290,8 @@ def _wall_contact(
     normal = to_world(q, away)
     point, b = add_scaled(-(radius + 0.5 * gap), normal, x), model.inv_mass.size + w
     velocity, arm = impulses.partners.velocity, subtract(point, row3(poses.position, w))
-    moving = add_scaled(1.0, cross(column3(velocity, b, 3), arm), column3(velocity, b, 0))
-    between = subtract(column3(velocity, a, 0), moving)
+    moving = add_scaled(1.0, cross(row3_at(velocity, b, 3), arm), row3_at(velocity, b, 0))
+    between = subtract(row3_at(velocity, a, 0), moving)
     is_near, slow = _is_near(setup, impulses, a, b, radius, gap, between, dt)
     if not is_near:
         _forget(contacts, c, impulses.rows.rolling)
@@ -353,14 +354,14 @@ def find_impulse_contacts(
 def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) -> None:
     """Keep the impulses of row k in contact c of its list."""
     history, forces, rows = contacts.history, contacts.forces, impulses.rows
-    pressed, impact = column3(rows.impulse, k, 0), column3(rows.impact, k, 0)
+    pressed, impact = row3_at(rows.impulse, k, 0), row3_at(rows.impact, k, 0)
     put_row3(history.force, c, scale(1.0 / dt, in_world(rows.frame, k, pressed)))
     history.inv_effective_mass[c] = rows.frame[k, INVERSE]
     total = scale(1.0 / dt, add(pressed, impact))
-    put_row3(forces.elastic, c, scale(total[0], column3(rows.frame, k, NORMAL)))
+    put_row3(forces.elastic, c, scale(total[0], row3_at(rows.frame, k, NORMAL)))
     put_row3(forces.other, c, in_world(rows.frame, k, (0.0, total[1], total[2])))
-    arm, place = column3(rows.frame, k, ARM), impulses.partners.place
-    put_row3(forces.point, c, add(arm, column3(place, rows.first[k], 0)))
+    arm, place = row3_at(rows.frame, k, ARM), impulses.partners.place
+    put_row3(forces.point, c, add(arm, row3_at(place, rows.first[k], 0)))
     _keep_rolling(rows.rolling, contacts, c, impulses, k, dt)
     contacts.active[c] = True
 
@@ -373,8 +374,8 @@ def _keep_rolling(
     if rolling is None:
         return
     pressed, impact, frame = (
-        column3(rolling.impulse, k, 0),
-        column3(rolling.impact, k, 0),
+        row3_at(rolling.impulse, k, 0),
+        row3_at(rolling.impact, k, 0),
         impulses.rows.frame,
     )
     _put_torque(rolling, contacts, c, scale(1.0 / dt, in_world(frame, k, pressed)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.contact_model import ContactModel, ContactSpheres, NeighbourLists
-from particlerb.contact.records import Records, row3
+from particlerb.contact.records import Records
 from particlerb.contact.sphere_search import KEY_BITS
 from particlerb.contact.wall_motion import PrescribedMotion, wall_displacement
 from particlerb.contact.walls import (
@@ -22,7 +22,8 @@ from particlerb.contact.walls import (
     primitive_at,
     squared_distance,
 )
-from particlerb.maths.vec3 import Bools, Floats, Ints, dot, load3, rows3, subtract
+from particlerb.maths.rows import load3, row3, rows3
+from particlerb.maths.vec3 import Bools, Floats, Ints, dot, subtract
 
 _BODIES_PER_LOOK: Final = 256
 MAX_SHARE: Final = 0.01  # of the time, that looking may take

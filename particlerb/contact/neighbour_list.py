@@ -9,8 +9,9 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.contact.cell_grid import pair_key
 from particlerb.contact.records import columns_of
-from particlerb.maths.quaternion import Quat, conjugate, load4, multiply, rows4
-from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3, load3, rows3, subtract
+from particlerb.maths.quaternion import Quat, conjugate, multiply
+from particlerb.maths.rows import load3, load4, rows3, rows4
+from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3, subtract
 
 SHELL_GAPS: Final = (0.0, 0.1, 0.3, 0.5, 0.7)  # share of the skin where shells of a list begin
 N_SHELLS: Final = len(SHELL_GAPS)

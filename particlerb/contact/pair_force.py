@@ -29,7 +29,7 @@ from particlerb.contact.law import (
     with_motion,
 )
 from particlerb.contact.prescribed_motion import PrescribedBodies
-from particlerb.contact.records import Records, put_row3, put_row4, row3, row4
+from particlerb.contact.records import Records
 from particlerb.contact.spring_growth import (
     Sliding,
     begin_stages,
@@ -38,6 +38,7 @@ from particlerb.contact.spring_growth import (
     spring_at,
 )
 from particlerb.maths.quaternion import matrix, turn, turn_back
+from particlerb.maths.rows import put_row3, put_row4, row3, row4
 from particlerb.maths.vec3 import (
     ZERO,
     Floats,

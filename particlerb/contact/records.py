@@ -8,9 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from particlerb.compiled.jit import inline
-from particlerb.maths.quaternion import Quat
-from particlerb.maths.vec3 import Floats, Vec3
+from particlerb.maths.vec3 import Floats
 
 _FLOAT: Final = np.float64
 
@@ -157,27 +155,3 @@ def to_floats(records: Records) -> Floats:
 def from_floats(rows: Floats, dtype: np.dtype[Any]) -> Records:
     """Rows of numbers (n, ..) as records (n,), in the same memory."""
     return rows.view(dtype)[:, 0].view(Records)
-
-
-@inline
-def row3(array: Floats, i: int) -> Vec3:
-    """Vector in row i of an (n, 3) array."""
-    return array[i, 0], array[i, 1], array[i, 2]
-
-
-@inline
-def put_row3(array: Floats, i: int, v: Vec3) -> None:
-    """Write the vector in row i of an (n, 3) array."""
-    array[i, 0], array[i, 1], array[i, 2] = v
-
-
-@inline
-def row4(array: Floats, i: int) -> Quat:
-    """Quaternion in row i of an (n, 4) array."""
-    return array[i, 0], array[i, 1], array[i, 2], array[i, 3]
-
-
-@inline
-def put_row4(array: Floats, i: int, q: Quat) -> None:
-    """Write the quaternion in row i of an (n, 4) array."""
-    array[i, 0], array[i, 1], array[i, 2], array[i, 3] = q

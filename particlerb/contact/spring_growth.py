@@ -15,7 +15,8 @@ from particlerb.compiled.jit import Flag, inline
 from particlerb.contact.contact_model import Evaluation, Slope
 from particlerb.contact.friction import rotated_spring
 from particlerb.contact.law import ContactState
-from particlerb.contact.records import Records, put_row3, row3
+from particlerb.contact.records import Records
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale, subtract
 
 

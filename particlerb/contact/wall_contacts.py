@@ -46,7 +46,7 @@ from particlerb.contact.pair_force import (
     note_overlap,
     velocity_at,
 )
-from particlerb.contact.records import Records, put_row3, row3, row4
+from particlerb.contact.records import Records
 from particlerb.contact.wall_pieces import (
     SphereAtWall,
     WallPiece,
@@ -72,6 +72,7 @@ from particlerb.contact.walls import (
     wall_velocity,
 )
 from particlerb.maths.quaternion import to_body, to_world
+from particlerb.maths.rows import put_row3, row3, row4
 from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, cross, dot, scale, subtract
 
 

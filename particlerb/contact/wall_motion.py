@@ -10,17 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.contact.records import (
-    MOTION,
-    POSE,
-    Records,
-    put_row3,
-    put_row4,
-    row3,
-    to_floats,
-    zero_records,
-)
+from particlerb.contact.records import MOTION, POSE, Records, to_floats, zero_records
 from particlerb.maths.quaternion import Quat, to_world
+from particlerb.maths.rows import put_row3, put_row4, row3
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
 
 

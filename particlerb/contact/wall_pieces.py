@@ -17,7 +17,6 @@ from particlerb.contact.law import (
     overlap_of,
 )
 from particlerb.contact.pair_force import end_contact, velocity_at
-from particlerb.contact.records import put_row3, row3
 from particlerb.contact.spring_growth import hand_over_stages
 from particlerb.contact.walls import (
     NEAR,
@@ -29,6 +28,7 @@ from particlerb.contact.walls import (
     wall_velocity,
 )
 from particlerb.maths.quaternion import Quat, to_world
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, dot, scale, subtract
 
 _HANDLED: Final = -1.0  # piece of points that have been dealt with

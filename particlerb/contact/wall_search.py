@@ -8,7 +8,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.cell_grid import UNIT, PairList, sort_by_second, spread
 from particlerb.contact.neighbour_list import shell_of
-from particlerb.contact.records import Records, row3
+from particlerb.contact.records import Records
 from particlerb.contact.walls import (
     DISC,
     EDGE,
@@ -21,7 +21,8 @@ from particlerb.contact.walls import (
     primitive_at,
     squared_distance,
 )
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, load3, rows3, subtract
+from particlerb.maths.rows import load3, row3, rows3
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, subtract
 
 COST: Final = 4  # body-steps that finding what is near a sphere takes
 _MAX_SHARE: Final = 64  # largest number of cells of a flat or thin wall, over that of a compact one

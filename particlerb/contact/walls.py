@@ -22,9 +22,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.records import Records, row3, row4
+from particlerb.contact.records import Records
 from particlerb.maths.quaternion import to_body, to_world
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, load3, scale, subtract
+from particlerb.maths.rows import load3, row3, row4
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale, subtract
 
 PLANE: Final = 0  # point, normal
 FACE: Final = 1  # three vertices in the order of their numbers, normal from where that is left

@@ -47,15 +47,14 @@ from particlerb.impulses.records import (
     WALL_IMPACTS,
 )
 from particlerb.impulses.rows import (
-    column3,
     in_frame,
     in_world,
     push_apart,
-    put_column3,
     velocity_between,
     write_frame_of,
 )
 from particlerb.maths.quaternion import Matrix, turn
+from particlerb.maths.rows import put_row3_at, row3, row3_at
 from particlerb.maths.vec3 import (
     ZERO,
     Vec3,
@@ -65,7 +64,6 @@ from particlerb.maths.vec3 import (
     cross,
     dot,
     norm,
-    row3,
     scale,
     subtract,
 )
@@ -101,10 +99,10 @@ def _partner(
     """Write a body, or its image that is shifted, as partner `at` of an impact."""
     x, _ = flight_at(scene, state, b, t)
     R, omega = posed(scene, state, b, t)
-    moments = column3(scene.body, b, BODY_INV_INERTIA)
-    put_column3(work.place, at, 0, add(x, shift))
-    put_column3(work.velocity, at, 0, column3(state.flight, b, FLIGHT_V))
-    put_column3(work.velocity, at, 3, omega)
+    moments = row3_at(scene.body, b, BODY_INV_INERTIA)
+    put_row3_at(work.place, at, 0, add(x, shift))
+    put_row3_at(work.velocity, at, 0, row3_at(state.flight, b, FLIGHT_V))
+    put_row3_at(work.velocity, at, 3, omega)
     work.inverse[at, 0], column = scene.body[b, BODY_INV_MASS], 1
     for i in range(3):
         for j in range(i, 3):
@@ -135,8 +133,8 @@ def _given(scene: EventScene, state: EventState, work: EventWork, b: int, at: in
     """Let a body go on with what an impact has given it."""
     if b >= scene.n_moving:
         return
-    put_column3(state.flight, b, FLIGHT_V, column3(work.velocity, at, 0))
-    torque = cross(column3(work.frame, 0, ARM + 3 * at), p)
+    put_row3_at(state.flight, b, FLIGHT_V, row3_at(work.velocity, at, 0))
+    torque = cross(row3_at(work.frame, 0, ARM + 3 * at), p)
     spin = add(row3(state.spin, b), torque)
     set_spin(scene, state, b, t, orientation_at(scene, state, b, t), spin)
 
@@ -179,7 +177,7 @@ def _geometry(
 @inline
 def _fastest(state: EventState, b: int) -> float:
     """Speed of any point of a body [m/s], at most."""
-    return norm(column3(state.flight, b, FLIGHT_V)) + float(
+    return norm(row3_at(state.flight, b, FLIGHT_V)) + float(
         state.spin[b, FASTEST] * state.flight[b, BOUND]
     )
 
@@ -228,17 +226,17 @@ def _give_spin(state: EventState, arm: Vec3, p: Vec3) -> None:
 @inline
 def _hit_of_balls(scene: EventScene, state: EventState, a: int, b: int, n: Vec3, e: float) -> Vec3:
     """Frictionless impact along a normal through both centres of mass; the impulse on a."""
-    u = column3(state.flight, a, FLIGHT_V)
+    u = row3_at(state.flight, a, FLIGHT_V)
     w = scene.body[a, BODY_INV_MASS]
     if b != WALL:
-        u, w = subtract(u, column3(state.flight, b, FLIGHT_V)), w + scene.body[b, BODY_INV_MASS]
+        u, w = subtract(u, row3_at(state.flight, b, FLIGHT_V)), w + scene.body[b, BODY_INV_MASS]
     before = dot(u, n)
     p = -(1.0 + e) * before / w
-    after = add_scaled(p * scene.body[a, BODY_INV_MASS], n, column3(state.flight, a, FLIGHT_V))
-    put_column3(state.flight, a, FLIGHT_V, after)
+    after = add_scaled(p * scene.body[a, BODY_INV_MASS], n, row3_at(state.flight, a, FLIGHT_V))
+    put_row3_at(state.flight, a, FLIGHT_V, after)
     if b != WALL:
-        other = add_scaled(-p * scene.body[b, BODY_INV_MASS], n, column3(state.flight, b, FLIGHT_V))
-        put_column3(state.flight, b, FLIGHT_V, other)
+        other = add_scaled(-p * scene.body[b, BODY_INV_MASS], n, row3_at(state.flight, b, FLIGHT_V))
+        put_row3_at(state.flight, b, FLIGHT_V, other)
         after = subtract(after, other)
     work = 0.5 * p * (before + dot(after, n))
     _count(state, b == WALL, work, 0.0, abs(before) < _GRAZES * norm(u))

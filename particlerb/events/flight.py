@@ -23,8 +23,8 @@ from particlerb.events.records import (
     EventScene,
     EventState,
 )
-from particlerb.impulses.rows import column3, put_column3
 from particlerb.maths.quaternion import Matrix, Quat, matrix, normalised, to_body, turn, turn_back
+from particlerb.maths.rows import put_row3_at, row3, row3_at
 from particlerb.maths.vec3 import (
     ZERO,
     Floats,
@@ -34,7 +34,6 @@ from particlerb.maths.vec3 import (
     component_product,
     dot,
     norm,
-    row3,
     scale,
 )
 from particlerb.model.state import State
@@ -52,7 +51,7 @@ def pull(scene: EventScene, b: int) -> Vec3:
 @inline
 def flight_at(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Vec3, Vec3]:
     """Centre of mass [m] and velocity [m/s] of a body at a time."""
-    x, v, g = row3(state.flight, b), column3(state.flight, b, FLIGHT_V), pull(scene, b)
+    x, v, g = row3(state.flight, b), row3_at(state.flight, b, FLIGHT_V), pull(scene, b)
     h = t - state.flight[b, SINCE]
     mean = add_scaled(0.5 * h, g, v)
     return add_scaled(h, mean, x), add_scaled(h, g, v)
@@ -91,8 +90,8 @@ def _set_turn(
 ) -> None:
     """Write the turn of a body, where some is asymmetric or none."""
     inertia, inverse = (
-        column3(scene.body, b, BODY_INERTIA),
-        column3(scene.body, b, BODY_INV_INERTIA),
+        row3_at(scene.body, b, BODY_INERTIA),
+        row3_at(scene.body, b, BODY_INV_INERTIA),
     )
     if turns is None:
         set_steady_turn(state.turn, b, inverse, q, spin)
@@ -105,7 +104,7 @@ def _set_turn(
 def angular_velocity(scene: EventScene, state: EventState, b: int, R: Matrix) -> Vec3:
     """Angular velocity [rad/s] of a body that is turned by R, world axes."""
     m = turn_back(R, row3(state.spin, b))
-    return turn(R, component_product(column3(scene.body, b, BODY_INV_INERTIA), m))
+    return turn(R, component_product(row3_at(scene.body, b, BODY_INV_INERTIA), m))
 
 
 @inline
@@ -116,8 +115,8 @@ def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, sp
     ω̇_i = (I_j - I_k) ω_j ω_k / I_i, so that |ω̇| <= max |I_j - I_k|/I_i |ω|²/√3; points at r
     are accelerated by (|ω̇| + |ω|²) r at most.
     """
-    q, inverse = normalised(q), column3(scene.body, b, BODY_INV_INERTIA)
-    put_column3(state.spin, b, SPIN_L, spin)
+    q, inverse = normalised(q), row3_at(scene.body, b, BODY_INV_INERTIA)
+    put_row3_at(state.spin, b, SPIN_L, spin)
     state.spin[b, TURNED] = t
     _set_turn(scene.turns, scene, state, b, q, spin)
     m = to_body(q, spin)
@@ -135,8 +134,8 @@ def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
         return
     x, v = flight_at(scene, state, b, t)
     add_moment(scene, state, b, t, state.sums, MOMENT)
-    put_column3(state.flight, b, FLIGHT_X, x)
-    put_column3(state.flight, b, FLIGHT_V, v)
+    put_row3_at(state.flight, b, FLIGHT_X, x)
+    put_row3_at(state.flight, b, FLIGHT_V, v)
     state.flight[b, SINCE] = t
 
 
@@ -144,7 +143,7 @@ def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
 def add_moment(scene: EventScene, state: EventState, b: int, t: float, to: Floats, at: int) -> None:
     """Add m ∫ x dt of a flight until a time [kg m s] to three numbers from `at` on."""
     h = t - state.flight[b, SINCE]
-    x, v, g = row3(state.flight, b), column3(state.flight, b, FLIGHT_V), pull(scene, b)
+    x, v, g = row3(state.flight, b), row3_at(state.flight, b, FLIGHT_V), pull(scene, b)
     mass = scene.body[b, BODY_MASS]
     path = scale(mass * h, x)
     path = add_scaled(0.5 * mass * h * h, v, path)
@@ -184,8 +183,8 @@ def set_off(scene: EventScene, state: EventState, b: int, given: State, i: int) 
     x = (given.com[0, i], given.com[1, i], given.com[2, i])
     p = (given.p[0, i], given.p[1, i], given.p[2, i])
     spin = (given.L[0, i], given.L[1, i], given.L[2, i])
-    put_column3(state.flight, b, FLIGHT_X, x)
-    put_column3(state.flight, b, FLIGHT_V, scale(scene.body[b, BODY_INV_MASS], p))
+    put_row3_at(state.flight, b, FLIGHT_X, x)
+    put_row3_at(state.flight, b, FLIGHT_V, scale(scene.body[b, BODY_INV_MASS], p))
     q = (given.q[0, i], given.q[1, i], given.q[2, i], given.q[3, i])
     set_spin(scene, state, b, 0.0, q, spin)
 

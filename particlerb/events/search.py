@@ -38,18 +38,8 @@ from particlerb.events.records import (
     EventState,
 )
 from particlerb.maths.quaternion import turn
-from particlerb.maths.vec3 import (
-    Floats,
-    Vec3,
-    add,
-    add_scaled,
-    cross,
-    dot,
-    norm,
-    row3,
-    scale,
-    subtract,
-)
+from particlerb.maths.rows import row3
+from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, norm, scale, subtract
 
 _MOST: Final = 100_000  # steps of a search
 _EPS: Final = 5e-16

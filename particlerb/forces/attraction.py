@@ -24,20 +24,9 @@ import numpy as np
 from particlerb.compiled.instructions import BITS, instruction
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
-from particlerb.maths.quaternion import load4, matrix, rows4, turn
-from particlerb.maths.vec3 import (
-    Floats,
-    Ints,
-    Rows3,
-    Vec3,
-    add_scaled,
-    cross,
-    load3,
-    rows3,
-    scale,
-    store3,
-    subtract,
-)
+from particlerb.maths.quaternion import matrix, turn
+from particlerb.maths.rows import load3, load4, rows3, rows4, store3
+from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, add_scaled, cross, scale, subtract
 from particlerb.model.block import LINE, aligned_zeros
 from particlerb.model.superblocks import Range
 from particlerb.model.worlds import Worlds

@@ -5,7 +5,8 @@ import numpy as np
 from particlerb.compiled.jit import kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.attraction import TILE, inverse_cube, squared
-from particlerb.maths.vec3 import Floats, Ints, load3, rows3, subtract
+from particlerb.maths.rows import load3, rows3
+from particlerb.maths.vec3 import Floats, Ints, subtract
 
 
 @kernel

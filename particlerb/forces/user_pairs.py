@@ -13,7 +13,7 @@ import numpy as np
 
 from particlerb.compiled.function_set import FunctionSet
 from particlerb.compiled.jit import inline, inline_from, kernel
-from particlerb.forces.links import add_vector, rotation_of, vector_of
+from particlerb.forces.links import add_to_column3, column3, rotation_of
 from particlerb.forces.user_kicks import Lengths, body_axes, chosen, compiled, rotor_axes, sign_of
 from particlerb.maths.quaternion import turn, turn_back
 from particlerb.maths.vec3 import (
@@ -77,7 +77,7 @@ class OwnPairs(NamedTuple):
 @inline
 def _axes_of(own: OwnPairs, y: Floats, b: int) -> Any:
     """Rotation matrix of the body frame of b."""
-    lines = vector_of(own.axes, 0, b), vector_of(own.axes, 3, b), vector_of(own.axes, 6, b)
+    lines = column3(own.axes, 0, b), column3(own.axes, 3, b), column3(own.axes, 6, b)
     return body_axes(rotation_of(y, b), *lines)
 
 
@@ -86,17 +86,17 @@ def _spin(own: OwnPairs, y: Floats, b: int) -> Vec3:
     """Angular velocity of body b [rad/s], world axes."""
     R = rotation_of(y, b)
     return turn(
-        R, component_product(vector_of(own.inv_inertia, 0, b), turn_back(R, vector_of(y, _L, b)))
+        R, component_product(column3(own.inv_inertia, 0, b), turn_back(R, column3(y, _L, b)))
     )
 
 
 @inline
 def _speed(own: OwnPairs, y: Floats, b: int) -> Vec3:
     """Velocity of the centre of mass of body b [m/s]."""
-    return scale(own.inv_mass[b], vector_of(y, _P, b))
+    return scale(own.inv_mass[b], column3(y, _P, b))
 
 
-_GIVEN: Final = {"x": "vector_of(y, 0, {})", "R": "axes_of(own, y, {})", "v": "speed(own, y, {})",
+_GIVEN: Final = {"x": "column3(y, 0, {})", "R": "axes_of(own, y, {})", "v": "speed(own, y, {})",
                  "omega": "spin(own, y, {})"}  # fmt: skip
 
 
@@ -123,7 +123,7 @@ def _chain(which: str, functions: list[Any], arguments: list[str], key: str) -> 
     """A function that calls those of force k, made of the functions of users."""
     given, result = _SOURCES[which]
     names: dict[str, Any] = {
-        "vector_of": vector_of, "axes_of": _axes_of, "speed": _speed, "spin": _spin,
+        "column3": column3, "axes_of": _axes_of, "speed": _speed, "spin": _spin,
         "chosen": chosen,
     }  # fmt: skip
     calls = []
@@ -190,7 +190,7 @@ def _load(own: OwnPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Vec3]
     """Force on the first body of pair s, and the torques on both."""
     a, b = own.first[s], own.second[s]
     F, tau = own.functions.load(own, y, t, s, own.kind[s])
-    other = subtract(cross(subtract(vector_of(y, 0, b), vector_of(y, 0, a)), F), tau)
+    other = subtract(cross(subtract(column3(y, 0, b), column3(y, 0, a)), F), tau)
     return F, scale(own.turns[a], tau), scale(own.turns[b], other)
 
 
@@ -198,10 +198,10 @@ def _load(own: OwnPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Vec3]
 def _add_load(own: OwnPairs, s: int, rows: Floats, at: int, h: float, load: Any) -> None:
     """Add h times a load of pair s to the rows of both bodies, from `at` on."""
     a, b, (F, tau, other) = own.first[s], own.second[s], load
-    add_vector(rows, at, a, h, F)
-    add_vector(rows, at + TORQUE, a, h, tau)
-    add_vector(rows, at, b, -h, F)
-    add_vector(rows, at + TORQUE, b, h, other)
+    add_to_column3(rows, at, a, h, F)
+    add_to_column3(rows, at + TORQUE, a, h, tau)
+    add_to_column3(rows, at, b, -h, F)
+    add_to_column3(rows, at + TORQUE, b, h, other)
 
 
 @kernel
@@ -234,7 +234,7 @@ def _flow_pair(own: OwnPairs, t: float, y: Floats, s: int, dt: float) -> float:
     Where it does not converge it is NaN, and so are the momenta.
     """
     a, b = own.first[s], own.second[s]
-    p, spin = (vector_of(y, _P, a), vector_of(y, _P, b)), (vector_of(y, _L, a), vector_of(y, _L, b))
+    p, spin = (column3(y, _P, a), column3(y, _P, b)), (column3(y, _L, a), column3(y, _L, b))
     sizes = _sum3(p[0]) + _sum3(p[1]), _sum3(spin[0]) + _sum3(spin[1])
     load, change = (ZERO, ZERO, ZERO), 1.0
     for _ in range(_MOST):

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import (
     Floats,
     Ints,
@@ -22,7 +23,6 @@ from particlerb.maths.vec3 import (
     divide,
     dot,
     norm,
-    row3,
     scale,
     subtract,
 )

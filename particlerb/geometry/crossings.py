@@ -14,18 +14,8 @@ import math
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.maths.vec3 import (
-    Floats,
-    Ints,
-    Vec3,
-    add_scaled,
-    cross,
-    divide,
-    dot,
-    norm,
-    row3,
-    subtract,
-)
+from particlerb.maths.rows import row3
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, divide, dot, norm, subtract
 
 _MOST = 1000  # pairs that are told
 

@@ -19,7 +19,8 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.geometry.cells import cut_mesh, grid_over, pieces
 from particlerb.geometry.mesh import TriangleMesh, mesh_solid
 from particlerb.geometry.winding import solid_angle
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, corner3, dot, row3, subtract
+from particlerb.maths.rows import row3
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, corner3, dot, subtract
 
 _HOLDING: Final = 40_000  # cells that hold matter, about: how finely centres are tried
 _CELLS: Final = 4_000_000  # of the whole grid at most: a thin body that lies askew has many empty

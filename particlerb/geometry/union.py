@@ -19,7 +19,8 @@ import numpy as np
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.geometry.caps import SAME, Caps, caps_of, circle, exposed_arcs, open_by, point
-from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, cross, dot, norm, row3, subtract
+from particlerb.maths.rows import row3
+from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, cross, dot, norm, subtract
 
 _PIECE: Final = 0.5 * math.pi  # [rad] an arc is integrated in pieces of at most this
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)  # of cubic trigonometric terms: 3e-17

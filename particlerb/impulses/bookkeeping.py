@@ -18,7 +18,8 @@ from particlerb.impulses.records import (
     Partners,
 )
 from particlerb.impulses.rolling import rolled
-from particlerb.impulses.rows import column3, in_frame, in_world, put_column3, velocity_between
+from particlerb.impulses.rows import in_frame, in_world, velocity_between
+from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale
 
 
@@ -31,12 +32,12 @@ def _book_outside(
 
     `at` is the column of the arm of `other`; p [N s] and m [N m s] act on `mine`.
     """
-    arm, booked = column3(frame, k, at), partners.booked
-    omega = column3(partners.velocity, other, 3)
-    moving = add_scaled(1.0, cross(omega, arm), column3(partners.velocity, other, 0))
-    point = add(arm, column3(partners.place, other, 0))
-    put_column3(booked, mine, 1, add(p, column3(booked, mine, 1)))
-    put_column3(booked, mine, 4, add(add(cross(point, p), m), column3(booked, mine, 4)))
+    arm, booked = row3_at(frame, k, at), partners.booked
+    omega = row3_at(partners.velocity, other, 3)
+    moving = add_scaled(1.0, cross(omega, arm), row3_at(partners.velocity, other, 0))
+    point = add(arm, row3_at(partners.place, other, 0))
+    put_row3_at(booked, mine, 1, add(p, row3_at(booked, mine, 1)))
+    put_row3_at(booked, mine, 4, add(add(cross(point, p), m), row3_at(booked, mine, 4)))
     return dot(p, moving) + dot(m, omega)
 
 
@@ -50,7 +51,7 @@ def book_impulses(impulses: Impulses, bounded: Bounded | None) -> None:
             booked[b, i] = 0.0
     for k in range(count[0]):
         a, b = rows.first[k], rows.second[k]
-        impact, pressed = column3(rows.impact, k, 0), column3(rows.impulse, k, 0)
+        impact, pressed = row3_at(rows.impact, k, 0), row3_at(rows.impulse, k, 0)
         r = add(impact, pressed)
         if dot(r, r) == 0.0:
             continue

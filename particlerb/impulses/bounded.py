@@ -37,7 +37,7 @@ from particlerb.impulses.records import (
     Mechanisms,
     Partners,
 )
-from particlerb.impulses.rows import column3
+from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Floats, Vec3, dot
 
 _LOCKED: Final = 1e-9  # of the inverse mass without joints: below it these hold the coordinate
@@ -50,8 +50,8 @@ def rate_along(bounded: Bounded, velocity: Floats, k: int) -> float:
     """Rate of the coordinate of row k with these velocities."""
     found = 0.0
     for end, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
-        found += dot(column3(bounded.gradient, k, at), column3(velocity, end, 0))
-        found += dot(column3(bounded.gradient, k, at + 3), column3(velocity, end, 3))
+        found += dot(row3_at(bounded.gradient, k, at), row3_at(velocity, end, 0))
+        found += dot(row3_at(bounded.gradient, k, at + 3), row3_at(velocity, end, 3))
     return found
 
 

@@ -25,7 +25,7 @@ from particlerb.impulses.records import (
     Bounded,
     Partners,
 )
-from particlerb.impulses.rows import column3
+from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Bools, Floats, add_scaled, cross, dot, scale
 
 _FITS: Final = 1e-12  # [rad or m] what a stop may be overrun by
@@ -98,12 +98,12 @@ def _book_outside(bounded: Bounded, partners: Partners, k: int, r: float) -> flo
         is_outside = a == b or partners.inverse[other, 0] == 0.0
         if not is_outside or partners.inverse[mine, 0] == 0.0:
             continue
-        p, m = scale(r, column3(gradient, k, at)), scale(r, column3(gradient, k, at + 3))
-        m = add_scaled(1.0, m, cross(column3(partners.place, mine, 0), p))
+        p, m = scale(r, row3_at(gradient, k, at)), scale(r, row3_at(gradient, k, at + 3))
+        m = add_scaled(1.0, m, cross(row3_at(partners.place, mine, 0), p))
         for i in range(3):
             partners.booked[mine, 1 + i] += p[i]
             partners.booked[mine, 4 + i] += m[i]
-        moved -= r * dot(column3(gradient, k, of), column3(partners.velocity, other, 0))
-        moved -= r * dot(column3(gradient, k, of + 3), column3(partners.velocity, other, 3))
+        moved -= r * dot(row3_at(gradient, k, of), row3_at(partners.velocity, other, 0))
+        moved -= r * dot(row3_at(gradient, k, of + 3), row3_at(partners.velocity, other, 3))
         break
     return moved

@@ -56,14 +56,13 @@ from particlerb.impulses.rolling_newton import (
 from particlerb.impulses.rows import (
     approach_at_end,
     change_by,
-    column3,
     in_frame,
     in_world,
     inverse_inertia_times,
     push,
-    put_column3,
     velocity_between,
 )
+from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _MOST: Final = 40  # evaluations of F
@@ -86,7 +85,7 @@ def refresh_velocities(
         for i in range(6):
             partners.velocity[b, i] = partners.free[b, i]
     for k in range(count):
-        r = column3(rows.impulse, k, 0)
+        r = row3_at(rows.impulse, k, 0)
         if dot(r, r) > 0.0:
             change_by(partners, rows, k, r)
     push_by_rolling(rows.rolling, partners, rows, count)
@@ -112,10 +111,10 @@ def _cluster_of(newton: Newton, rows: ImpulseRows, k: int) -> int:
 @inline
 def _put_slopes(slopes: Floats, k: int, c: Vec3, kn: Vec3, k1: Vec3, k2: Vec3) -> None:
     """Write c and the rows of K of contact k."""
-    put_column3(slopes, k, 0, c)
-    put_column3(slopes, k, 3, kn)
-    put_column3(slopes, k, 6, k1)
-    put_column3(slopes, k, 9, k2)
+    put_row3_at(slopes, k, 0, c)
+    put_row3_at(slopes, k, 3, kn)
+    put_row3_at(slopes, k, 6, k1)
+    put_row3_at(slopes, k, 9, k2)
 
 
 @kernel
@@ -127,7 +126,7 @@ def _linearise(
     The slope of P is one along e, which is any direction within the cone and its edge where it
     slides, g across the edge and none else.
     """
-    frame, u, r = rows.frame, approach_at_end(partners, rows, k), column3(rows.impulse, k, 0)
+    frame, u, r = rows.frame, approach_at_end(partners, rows, k), row3_at(rows.impulse, k, 0)
     mu, share = frame[k, FRICTION], frame[k, SHARE]
     speed = math.sqrt(u[1] * u[1] + u[2] * u[2])
     n = r[0] - share * (u[0] - frame[k, LEAST] + mu * speed)
@@ -157,9 +156,9 @@ def _linearise(
 def _k_times(slopes: Floats, k: int, du: Vec3) -> Vec3:
     """K du of contact k."""
     return (
-        dot(column3(slopes, k, 3), du),
-        dot(column3(slopes, k, 6), du),
-        dot(column3(slopes, k, 9), du),
+        dot(row3_at(slopes, k, 3), du),
+        dot(row3_at(slopes, k, 6), du),
+        dot(row3_at(slopes, k, 9), du),
     )
 
 
@@ -196,7 +195,7 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
         body, arm = (a, ARM) if other == 0 else (b, ARM + 3)
         if newton.place[body] < 0:
             continue
-        sign, arms = 1.0 - 2.0 * other, column3(frame, k, arm)
+        sign, arms = 1.0 - 2.0 * other, row3_at(frame, k, arm)
         for j in range(count_members(mechanisms, body)):
             source = member(mechanisms, body, j)
             column = newton.place[source]
@@ -206,10 +205,10 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
                 p, omega = in_world(frame, k, r), in_frame(frame, k, scale(sign, omega))
                 m = rolling_by(rows.rolling, rows, k, omega, -r[0])
                 if one >= 0:
-                    turn = add(cross(column3(frame, k, ARM), p), m)
+                    turn = add(cross(row3_at(frame, k, ARM), p), m)
                     _add_column(newton, one, column + i, p, turn)
                 if two >= 0:
-                    turn = add(cross(column3(frame, k, ARM + 3), p), m)
+                    turn = add(cross(row3_at(frame, k, ARM + 3), p), m)
                     _add_column(newton, two, column + i, scale(-1.0, p), scale(-1.0, turn))
 
 
@@ -265,12 +264,12 @@ def _solve_for_bodies(
         if newton.clusters[_cluster_of(newton, rows, k), _STATE] != _TO_SOLVE:
             continue
         _add_contact(partners, rows, newton, k)
-        c = column3(newton.slopes, k, 0)
+        c = row3_at(newton.slopes, k, 0)
         p, turn = scale(-1.0, in_world(rows.frame, k, c)), rolling_c(rows.rolling, rows, k, -c[0])
         for body, arm, sign in ((rows.first[k], ARM, 1.0), (rows.second[k], ARM + 3, -1.0)):
             at = newton.place[body]
             if at >= 0:
-                m = add(cross(column3(rows.frame, k, arm), p), turn)
+                m = add(cross(row3_at(rows.frame, k, arm), p), turn)
                 for i in range(3):
                     change[at + i] += sign * p[i]
                     change[at + 3 + i] += sign * m[i]
@@ -279,8 +278,8 @@ def _solve_for_bodies(
     solve_band(matrix, change, reach)
     move = partners.move
     for b in range(move.shape[0]):
-        put_column3(move, b, 0, ZERO)
-        put_column3(move, b, 3, ZERO)
+        put_row3_at(move, b, 0, ZERO)
+        put_row3_at(move, b, 3, ZERO)
     for b in range(move.shape[0]):
         at = newton.place[b]
         if at >= 0 and has_response(partners.mechanisms, b):
@@ -301,13 +300,13 @@ def _step(
         if state == _TO_SOLVE:
             a, b = rows.first[k], rows.second[k]
             du = in_frame(rows.frame, k, velocity_between(partners.move, rows.frame, k, a, b))
-            step = add(column3(newton.slopes, k, 0), _k_times(newton.slopes, k, du))
-            put_column3(direction, k, 0, scale(-1.0, step))
-            put_column3(old, k, 0, column3(impulse, k, 0))
+            step = add(row3_at(newton.slopes, k, 0), _k_times(newton.slopes, k, du))
+            put_row3_at(direction, k, 0, scale(-1.0, step))
+            put_row3_at(old, k, 0, row3_at(impulse, k, 0))
             solve_rolling(rows.rolling, partners, rows, k)
         if state != _DONE:
-            r = add_scaled(share, column3(direction, k, 0), column3(old, k, 0))
-            put_column3(impulse, k, 0, r)
+            r = add_scaled(share, row3_at(direction, k, 0), row3_at(old, k, 0))
+            put_row3_at(impulse, k, 0, r)
             step_rolling(rows.rolling, k, share)
     if bounded is not None:
         step_bounded(bounded, newton, partners.move, (_SHARE, _STATE), (_TO_SOLVE, _DONE))
@@ -317,10 +316,10 @@ def _step(
 def _into_the_cones(rows: ImpulseRows, count: int) -> None:
     """Take away by what impulses leave their cones: no more than F."""
     for k in range(count):
-        n, x, y = column3(rows.impulse, k, 0)
+        n, x, y = row3_at(rows.impulse, k, 0)
         n = max(n, 0.0)
         x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
-        put_column3(rows.impulse, k, 0, (n, x, y))
+        put_row3_at(rows.impulse, k, 0, (n, x, y))
     into_the_discs(rows.rolling, rows, count)
 
 
@@ -364,7 +363,7 @@ def take_newton_steps(
         refresh_velocities(partners, rows, bounded, count)
     for k in range(count):
         if clusters[_cluster_of(newton, rows, k), _STATE] != _DONE:
-            put_column3(rows.impulse, k, 0, column3(rows.old, k, 0))
+            put_row3_at(rows.impulse, k, 0, row3_at(rows.old, k, 0))
             step_rolling(rows.rolling, k, 0.0)
     if bounded is not None:
         end_bounded(bounded, newton, _STATE, _DONE)

@@ -24,7 +24,8 @@ from particlerb.impulses.records import (
     Bounded,
     Impulses,
 )
-from particlerb.impulses.rows import approach, column3, in_frame, push_apart, velocity_between
+from particlerb.impulses.rows import approach, in_frame, push_apart, velocity_between
+from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import scale
 
 _SWEEPS: Final = 5  # at most
@@ -82,7 +83,7 @@ def push_out(impulses: Impulses, bounded: Bounded | None, dt: float) -> bool:
                 for moved in (a, b):
                     has_moved[moved] |= partners.inverse[moved, 0] > 0.0
                     all_have_moved(partners.mechanisms, has_moved, moved)
-                p = scale(more, column3(frame, k, NORMAL))
+                p = scale(more, row3_at(frame, k, NORMAL))
                 push_apart(move, partners.inverse, partners.mechanisms, frame, k, a, b, p)
                 largest = max(largest, abs(more) * frame[k, INVERSE])
         if bounded is not None:

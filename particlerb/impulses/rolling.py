@@ -20,7 +20,8 @@ from typing import Final
 from particlerb.compiled.jit import inline
 from particlerb.impulses.cone import on_disc
 from particlerb.impulses.records import INVERSE, ImpulseRows, Partners, Rolling
-from particlerb.impulses.rows import clear_moves, column3, in_frame, in_world, push, put_column3
+from particlerb.impulses.rows import clear_moves, in_frame, in_world, push
+from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, dot, scale, subtract
 
 ACROSS: Final = 0  # columns of `Rolling.limit`: μ_r R* and λ across the normal
@@ -35,7 +36,7 @@ _EXACT: Final = 1e-14  # relative change at which there is one no more
 def turning(velocity: Floats, rows: ImpulseRows, k: int) -> Vec3:
     """Relative angular velocity [rad/s] of contact k along n, t₁, t₂."""
     a, b = rows.first[k], rows.second[k]
-    return in_frame(rows.frame, k, subtract(column3(velocity, a, 3), column3(velocity, b, 3)))
+    return in_frame(rows.frame, k, subtract(row3_at(velocity, a, 3), row3_at(velocity, b, 3)))
 
 
 @inline
@@ -50,8 +51,8 @@ def _turn(partners: Partners, velocity: Floats, rows: ImpulseRows, k: int, m: Ve
 def _give(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> None:
     """Give angular momenta."""
     along, given, a, b = in_world(rows.frame, k, m), partners.given, rows.first[k], rows.second[k]
-    put_column3(given, a, 3, add(column3(given, a, 3), along))
-    put_column3(given, b, 3, subtract(column3(given, b, 3), along))
+    put_row3_at(given, a, 3, add(row3_at(given, a, 3), along))
+    put_row3_at(given, b, 3, subtract(row3_at(given, b, 3), along))
 
 
 @inline
@@ -73,7 +74,7 @@ def step_against(rolling: Rolling, k: int, omega: Vec3) -> Vec3:
 def _nearest(rolling: Rolling, partners: Partners, rows: ImpulseRows, k: int) -> Vec3:
     """P of contact k with the velocities of now."""
     step = step_against(rolling, k, turning(partners.velocity, rows, k))
-    return on_the_disc(rolling, k, add(column3(rolling.impulse, k, 0), step), rows.impulse[k, 0])
+    return on_the_disc(rolling, k, add(row3_at(rolling.impulse, k, 0), step), rows.impulse[k, 0])
 
 
 @inline
@@ -140,7 +141,7 @@ def bounce_rolling(
         m = nearer
         _turn(partners, partners.velocity, rows, k, change)
     _give(partners, rows, k, m)
-    put_column3(rolling.impact, k, 0, add(column3(rolling.impact, k, 0), m))
+    put_row3_at(rolling.impact, k, 0, add(row3_at(rolling.impact, k, 0), m))
 
 
 # What the solver does with them
@@ -154,9 +155,9 @@ def begin_rolling(
     if rolling is None:
         return
     for k in range(count):
-        m = in_frame(rows.frame, k, column3(rolling.impulse, k, 0))
+        m = in_frame(rows.frame, k, row3_at(rolling.impulse, k, 0))
         m = on_the_disc(rolling, k, m, rows.impulse[k, 0])
-        put_column3(rolling.impulse, k, 0, m)
+        put_row3_at(rolling.impulse, k, 0, m)
         _turn(partners, partners.velocity, rows, k, m)
 
 
@@ -169,13 +170,13 @@ def sweep_rolling(
     if rolling is None:
         return changed
     for k in range(count):
-        old = column3(rolling.impulse, k, 0)
-        put_column3(rolling.old, k, 0, old)
+        old = row3_at(rolling.impulse, k, 0)
+        put_row3_at(rolling.old, k, 0, old)
         m = _nearest(rolling, partners, rows, k)
         change = subtract(m, old)
         square = square_of(rolling, rows, k, change)
         if square > 0.0:
-            put_column3(rolling.impulse, k, 0, m)
+            put_row3_at(rolling.impulse, k, 0, m)
             _turn(partners, partners.velocity, rows, k, change)
         changed += square
     return changed
@@ -191,12 +192,12 @@ def mix_rolling(
         return
     impulse, direction = rolling.impulse, rolling.direction
     for k in range(count):
-        change = subtract(column3(impulse, k, 0), column3(rolling.old, k, 0))
-        on = scale(beta, column3(direction, k, 0))
+        change = subtract(row3_at(impulse, k, 0), row3_at(rolling.old, k, 0))
+        on = scale(beta, row3_at(direction, k, 0))
         if not is_last and dot(on, on) > 0.0:
-            put_column3(impulse, k, 0, add(column3(impulse, k, 0), on))
+            put_row3_at(impulse, k, 0, add(row3_at(impulse, k, 0), on))
             _turn(partners, partners.velocity, rows, k, on)
-        put_column3(direction, k, 0, add(on, change))
+        put_row3_at(direction, k, 0, add(on, change))
 
 
 @inline
@@ -208,7 +209,7 @@ def miss_of_rolling(
     if rolling is None:
         return off, left
     for k in range(count):
-        miss = subtract(column3(rolling.impulse, k, 0), _nearest(rolling, partners, rows, k))
+        miss = subtract(row3_at(rolling.impulse, k, 0), _nearest(rolling, partners, rows, k))
         square = square_of(rolling, rows, k, miss)
         off += square
         left += rows.frame[k, INVERSE] ** 2 * square
@@ -222,7 +223,7 @@ def size_of_rolling(rolling: Rolling | None, rows: ImpulseRows, count: int) -> f
     if rolling is None:
         return size
     for k in range(count):
-        size += square_of(rolling, rows, k, column3(rolling.impulse, k, 0))
+        size += square_of(rolling, rows, k, row3_at(rolling.impulse, k, 0))
     return size
 
 
@@ -234,7 +235,7 @@ def push_by_rolling(
     if rolling is None:
         return
     for k in range(count):
-        _turn(partners, partners.velocity, rows, k, column3(rolling.impulse, k, 0))
+        _turn(partners, partners.velocity, rows, k, row3_at(rolling.impulse, k, 0))
 
 
 @inline
@@ -243,8 +244,8 @@ def into_the_discs(rolling: Rolling | None, rows: ImpulseRows, count: int) -> No
     if rolling is None:
         return
     for k in range(count):
-        m = on_the_disc(rolling, k, column3(rolling.impulse, k, 0), rows.impulse[k, 0])
-        put_column3(rolling.impulse, k, 0, m)
+        m = on_the_disc(rolling, k, row3_at(rolling.impulse, k, 0), rows.impulse[k, 0])
+        put_row3_at(rolling.impulse, k, 0, m)
 
 
 @inline
@@ -253,9 +254,9 @@ def keep_best_rolling(rolling: Rolling | None, best: Floats, k: int, goes_back: 
     if rolling is None:
         return
     if goes_back:
-        put_column3(rolling.impulse, k, 0, column3(best, k, 3))
+        put_row3_at(rolling.impulse, k, 0, row3_at(best, k, 3))
     else:
-        put_column3(best, k, 3, column3(rolling.impulse, k, 0))
+        put_row3_at(best, k, 3, row3_at(rolling.impulse, k, 0))
 
 
 @inline
@@ -266,7 +267,7 @@ def give_rolling(
     if rolling is None:
         return
     for k in range(count):
-        _give(partners, rows, k, column3(rolling.impulse, k, 0))
+        _give(partners, rows, k, row3_at(rolling.impulse, k, 0))
 
 
 @inline
@@ -276,6 +277,6 @@ def rolled(
     """Angular impulse of a step on the first of contact k, world axes, and its work [J]."""
     if rolling is None:
         return ZERO, 0.0
-    m = add(column3(rolling.impulse, k, 0), column3(rolling.impact, k, 0))
+    m = add(row3_at(rolling.impulse, k, 0), row3_at(rolling.impact, k, 0))
     turned = add(turning(partners.before, rows, k), turning(partners.velocity, rows, k))
     return in_world(rows.frame, k, m), 0.5 * dot(m, turned)

@@ -14,7 +14,8 @@ from typing import Final
 from particlerb.compiled.jit import inline
 from particlerb.impulses.records import ImpulseRows, Partners, Rolling
 from particlerb.impulses.rolling import ABOUT, ACROSS, on_the_disc, square_of, step_against, turning
-from particlerb.impulses.rows import column3, in_world, put_column3
+from particlerb.impulses.rows import in_world
+from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Vec3, add, add_scaled, scale, subtract
 
 _C, _K, _Q, _KN = 0, 3, 6, 9  # columns of `Rolling.slopes`: c; K_11, K_12, K_22; q; K_nn
@@ -31,7 +32,7 @@ def linearise_rolling(
     """
     if rolling is None:
         return 0.0
-    slopes, m = rolling.slopes, column3(rolling.impulse, k, 0)
+    slopes, m = rolling.slopes, row3_at(rolling.impulse, k, 0)
     n, limit, one = max(rows.impulse[k, 0], 0.0), rolling.limit, 1.0 + small
     z = add(m, step_against(rolling, k, turning(partners.velocity, rows, k)))
     f = subtract(m, on_the_disc(rolling, k, z, n))
@@ -42,26 +43,26 @@ def linearise_rolling(
     else:
         c, slopes[k, _KN], q = f[0] / one, 0.0, math.copysign(limit[k, ABOUT] / one, z[0])
     if size <= radius:
-        put_column3(slopes, k, _C, (c, f[1] / small, f[2] / small))
-        put_column3(slopes, k, _K, (share / small, 0.0, share / small))
-        put_column3(slopes, k, _Q, (q, 0.0, 0.0))
+        put_row3_at(slopes, k, _C, (c, f[1] / small, f[2] / small))
+        put_row3_at(slopes, k, _K, (share / small, 0.0, share / small))
+        put_row3_at(slopes, k, _Q, (q, 0.0, 0.0))
     else:
         x, y, g = z[1] / size, z[2] / size, radius / size
         along = (f[2] * x - f[1] * y) / (one - g)
         out, stiff = (f[1] * x + f[2] * y) / one, share * g / (one - g)
-        put_column3(slopes, k, _C, (c, out * x - along * y, out * y + along * x))
-        put_column3(slopes, k, _K, (stiff * y * y, -stiff * x * y, stiff * x * x))
+        put_row3_at(slopes, k, _C, (c, out * x - along * y, out * y + along * x))
+        put_row3_at(slopes, k, _K, (stiff * y * y, -stiff * x * y, stiff * x * x))
         wider = limit[k, ACROSS] / one
-        put_column3(slopes, k, _Q, (q, wider * x, wider * y))
+        put_row3_at(slopes, k, _Q, (q, wider * x, wider * y))
     return square_of(rolling, rows, k, f)
 
 
 @inline
 def _change(rolling: Rolling, k: int, omega: Vec3, dn: float) -> Vec3:
     """K dω - q dr_n of contact k, with dω along n, t₁, t₂."""
-    (k11, k12, k22), kn = column3(rolling.slopes, k, _K), rolling.slopes[k, _KN]
+    (k11, k12, k22), kn = row3_at(rolling.slopes, k, _K), rolling.slopes[k, _KN]
     by = (kn * omega[0], k11 * omega[1] + k12 * omega[2], k12 * omega[1] + k22 * omega[2])
-    return add_scaled(-dn, column3(rolling.slopes, k, _Q), by)
+    return add_scaled(-dn, row3_at(rolling.slopes, k, _Q), by)
 
 
 @inline
@@ -77,7 +78,7 @@ def rolling_c(rolling: Rolling | None, rows: ImpulseRows, k: int, dn: float) -> 
     """-c + q dr_n of contact k in world axes."""
     if rolling is None:
         return ZERO
-    c, q = column3(rolling.slopes, k, _C), column3(rolling.slopes, k, _Q)
+    c, q = row3_at(rolling.slopes, k, _C), row3_at(rolling.slopes, k, _Q)
     return in_world(rows.frame, k, subtract(scale(dn, q), c))
 
 
@@ -87,13 +88,13 @@ def solve_rolling(rolling: Rolling | None, partners: Partners, rows: ImpulseRows
     if rolling is None:
         return
     by = _change(rolling, k, turning(partners.move, rows, k), rows.direction[k, 0])
-    put_column3(rolling.direction, k, 0, scale(-1.0, add(column3(rolling.slopes, k, _C), by)))
-    put_column3(rolling.old, k, 0, column3(rolling.impulse, k, 0))
+    put_row3_at(rolling.direction, k, 0, scale(-1.0, add(row3_at(rolling.slopes, k, _C), by)))
+    put_row3_at(rolling.old, k, 0, row3_at(rolling.impulse, k, 0))
 
 
 @inline
 def step_rolling(rolling: Rolling | None, k: int, share: float) -> None:
     """Take a share of that step; with 0, go back to where it began."""
     if rolling is not None:
-        m = add_scaled(share, column3(rolling.direction, k, 0), column3(rolling.old, k, 0))
-        put_column3(rolling.impulse, k, 0, m)
+        m = add_scaled(share, row3_at(rolling.direction, k, 0), row3_at(rolling.old, k, 0))
+        put_row3_at(rolling.impulse, k, 0, m)

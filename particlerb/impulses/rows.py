@@ -24,23 +24,12 @@ from particlerb.impulses.records import (
     Mechanisms,
     Partners,
 )
+from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _LOCKED: Final = 1e-9  # of the inverse mass without joints: below it these hold all
 _STICKS: Final = 1.0 - 1e-6  # of μ times the normal force: a contact with less friction sticks
 _LEAST_SCHUR: Final = 1e-6  # of the same: friction along what joints hold is nothing
-
-
-@inline
-def column3(array: Floats, i: int, at: int) -> Vec3:
-    """Vector in row i from a column on."""
-    return array[i, at], array[i, at + 1], array[i, at + 2]
-
-
-@inline
-def put_column3(array: Floats, i: int, at: int, v: Vec3) -> None:
-    """Write the vector in row i from a column on."""
-    array[i, at], array[i, at + 1], array[i, at + 2] = v
 
 
 @inline
@@ -55,9 +44,9 @@ def inverse_inertia_times(inverse: Floats, b: int, m: Vec3) -> Vec3:
 @inline
 def velocity_between(velocity: Floats, frame: Floats, c: int, a: int, b: int) -> Vec3:
     """Velocity [m/s] of the first partner of contact c relative to the second, at the point."""
-    one = cross(column3(velocity, a, 3), column3(frame, c, ARM))
-    two = cross(column3(velocity, b, 3), column3(frame, c, ARM + 3))
-    one, two = add(one, column3(velocity, a, 0)), add(two, column3(velocity, b, 0))
+    one = cross(row3_at(velocity, a, 3), row3_at(frame, c, ARM))
+    two = cross(row3_at(velocity, b, 3), row3_at(frame, c, ARM + 3))
+    one, two = add(one, row3_at(velocity, a, 0)), add(two, row3_at(velocity, b, 0))
     return subtract(one, two)
 
 
@@ -65,18 +54,18 @@ def velocity_between(velocity: Floats, frame: Floats, c: int, a: int, b: int) ->
 def in_frame(frame: Floats, c: int, v: Vec3) -> Vec3:
     """Components of a vector along n, t₁, t₂ of contact c."""
     return (
-        dot(column3(frame, c, NORMAL), v),
-        dot(column3(frame, c, TANGENT), v),
-        dot(column3(frame, c, TANGENT + 3), v),
+        dot(row3_at(frame, c, NORMAL), v),
+        dot(row3_at(frame, c, TANGENT), v),
+        dot(row3_at(frame, c, TANGENT + 3), v),
     )
 
 
 @inline
 def in_world(frame: Floats, c: int, r: Vec3) -> Vec3:
     """A vector of components along n, t₁, t₂ of contact c."""
-    along = scale(r[0], column3(frame, c, NORMAL))
-    along = add_scaled(r[1], column3(frame, c, TANGENT), along)
-    return add_scaled(r[2], column3(frame, c, TANGENT + 3), along)
+    along = scale(r[0], row3_at(frame, c, NORMAL))
+    along = add_scaled(r[1], row3_at(frame, c, TANGENT), along)
+    return add_scaled(r[2], row3_at(frame, c, TANGENT + 3), along)
 
 
 @inline
@@ -86,9 +75,9 @@ def push(
     """Change velocities by an impulse p [N s] and an angular impulse m [N m s] on partner b."""
     if push_mechanism(mechanisms, velocity, b, p, m):
         return
-    put_column3(velocity, b, 0, add_scaled(inverse[b, 0], p, column3(velocity, b, 0)))
+    put_row3_at(velocity, b, 0, add_scaled(inverse[b, 0], p, row3_at(velocity, b, 0)))
     turn = inverse_inertia_times(inverse, b, m)
-    put_column3(velocity, b, 3, add_scaled(1.0, turn, column3(velocity, b, 3)))
+    put_row3_at(velocity, b, 3, add_scaled(1.0, turn, row3_at(velocity, b, 3)))
 
 
 @inline
@@ -98,8 +87,8 @@ def push_apart(
 ) -> None:  # fmt: skip
     """Change velocities by the impulse p [N s] on the first partner, and -p on the second."""
     other = scale(-1.0, p)
-    push(velocity, inverse, mechanisms, a, p, cross(column3(frame, c, ARM), p))
-    push(velocity, inverse, mechanisms, b, other, cross(column3(frame, c, ARM + 3), other))
+    push(velocity, inverse, mechanisms, a, p, cross(row3_at(frame, c, ARM), p))
+    push(velocity, inverse, mechanisms, b, other, cross(row3_at(frame, c, ARM + 3), other))
 
 
 @inline
@@ -135,10 +124,10 @@ def write_frame_of(
 ) -> None:  # fmt: skip
     """Write frame and inverse mass of contact c between two partners at a point [m]."""
     a, b = between
-    arm_a, arm_b = subtract(point, column3(place, a, 0)), subtract(point, column3(place, b, 0))
-    put_column3(frame, c, NORMAL, normal)
-    put_column3(frame, c, ARM, arm_a)
-    put_column3(frame, c, ARM + 3, arm_b)
+    arm_a, arm_b = subtract(point, row3_at(place, a, 0)), subtract(point, row3_at(place, b, 0))
+    put_row3_at(frame, c, NORMAL, normal)
+    put_row3_at(frame, c, ARM, arm_a)
+    put_row3_at(frame, c, ARM + 3, arm_b)
     t1, t2 = _across(normal)
     na, nb = cross(arm_a, normal), cross(arm_b, normal)
     xa, xb, ya, yb = cross(arm_a, t1), cross(arm_b, t1), cross(arm_a, t2), cross(arm_b, t2)
@@ -162,8 +151,8 @@ def put_matrix(
     (t1, t2), (w, w1, w2), (w11, w12, w22) = across, by_normal, by_tangents
     s11, s22, s12 = w11 - w1 * w1 / w, w22 - w2 * w2 / w, w12 - w1 * w2 / w
     c_, s_ = _diagonal_turn(s11, s22, s12)
-    put_column3(frame, c, TANGENT, add_scaled(c_, t1, scale(s_, t2)))
-    put_column3(frame, c, TANGENT + 3, add_scaled(-s_, t1, scale(c_, t2)))
+    put_row3_at(frame, c, TANGENT, add_scaled(c_, t1, scale(s_, t2)))
+    put_row3_at(frame, c, TANGENT + 3, add_scaled(-s_, t1, scale(c_, t2)))
     frame[c, INVERSE] = w
     frame[c, COUPLING], frame[c, COUPLING + 1] = c_ * w1 + s_ * w2, c_ * w2 - s_ * w1
     frame[c, SCHUR] = c_ * c_ * s11 + 2.0 * c_ * s_ * s12 + s_ * s_ * s22
@@ -213,7 +202,7 @@ def lean(partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Ve
     force : tuple of 3 floats [N]
         Of the step before.
     """
-    put_column3(rows.limits, c, LEAN, ZERO)
+    put_row3_at(rows.limits, c, LEAN, ZERO)
     a, b = rows.first[c], rows.second[c]
     if is_held(partners.mechanisms, a) or is_held(partners.mechanisms, b):
         return
@@ -230,7 +219,7 @@ def lean(partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Ve
     if math.sqrt(f * f + g * g) < _STICKS * rows.frame[c, FRICTION] * pressed:
         size, most = math.sqrt(x * x + y * y), math.sqrt(u * u + v * v)
         share = most / size if size > most else 1.0
-        put_column3(rows.limits, c, LEAN, (n, share * x, share * y))
+        put_row3_at(rows.limits, c, LEAN, (n, share * x, share * y))
 
 
 @inline
@@ -239,13 +228,13 @@ def give(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     a, b, given = rows.first[c], rows.second[c], partners.given
     p = in_world(rows.frame, c, r)
     turn_a, turn_b = (
-        cross(column3(rows.frame, c, ARM), p),
-        cross(column3(rows.frame, c, ARM + 3), p),
+        cross(row3_at(rows.frame, c, ARM), p),
+        cross(row3_at(rows.frame, c, ARM + 3), p),
     )
-    put_column3(given, a, 0, add_scaled(1.0, p, column3(given, a, 0)))
-    put_column3(given, b, 0, add_scaled(-1.0, p, column3(given, b, 0)))
-    put_column3(given, a, 3, add_scaled(1.0, turn_a, column3(given, a, 3)))
-    put_column3(given, b, 3, add_scaled(-1.0, turn_b, column3(given, b, 3)))
+    put_row3_at(given, a, 0, add_scaled(1.0, p, row3_at(given, a, 0)))
+    put_row3_at(given, b, 0, add_scaled(-1.0, p, row3_at(given, b, 0)))
+    put_row3_at(given, a, 3, add_scaled(1.0, turn_a, row3_at(given, a, 3)))
+    put_row3_at(given, b, 3, add_scaled(-1.0, turn_b, row3_at(given, b, 3)))
 
 
 @inline
@@ -262,8 +251,8 @@ def clear_moves(partners: Partners, a: int, b: int) -> None:
     move, mechanisms = partners.move, partners.mechanisms
     for body in (a, b):
         for j in range(count_members(mechanisms, body)):
-            put_column3(move, member(mechanisms, body, j), 0, ZERO)
-            put_column3(move, member(mechanisms, body, j), 3, ZERO)
+            put_row3_at(move, member(mechanisms, body, j), 0, ZERO)
+            put_row3_at(move, member(mechanisms, body, j), 3, ZERO)
 
 
 @inline
@@ -283,7 +272,7 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
     """
     a, b, frame = rows.first[c], rows.second[c], rows.frame
     n, t1, t2 = (
-        column3(frame, c, NORMAL), column3(frame, c, TANGENT), column3(frame, c, TANGENT + 3),
+        row3_at(frame, c, NORMAL), row3_at(frame, c, TANGENT), row3_at(frame, c, TANGENT + 3),
     )  # fmt: skip
     by_n, by_1 = (
         _moved_along(partners, frame, c, a, b, n),

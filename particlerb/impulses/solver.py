@@ -64,15 +64,8 @@ from particlerb.impulses.rolling import (
     size_of_rolling,
     sweep_rolling,
 )
-from particlerb.impulses.rows import (
-    approach,
-    approach_at_end,
-    change_by,
-    column3,
-    give,
-    in_frame,
-    put_column3,
-)
+from particlerb.impulses.rows import approach, approach_at_end, change_by, give, in_frame
+from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Vec3, dot, subtract
 
 _EVERY: Final = 5  # sweeps from residual to residual
@@ -122,12 +115,12 @@ def _begin_where_it_ended(impulses: Impulses, bounded: Bounded | None) -> None:
     """Take the impulses of the step before, in the frames of now and within the cones."""
     _, partners, rows, count, _, _ = impulses
     for k in range(count[0]):
-        n, x, y = in_frame(rows.frame, k, column3(rows.impulse, k, 0))
+        n, x, y = in_frame(rows.frame, k, row3_at(rows.impulse, k, 0))
         if n <= 0.0 or rows.frame[k, LEAST] == NEVER:
-            put_column3(rows.impulse, k, 0, (0.0, 0.0, 0.0))
+            put_row3_at(rows.impulse, k, 0, (0.0, 0.0, 0.0))
             continue
         x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
-        put_column3(rows.impulse, k, 0, (n, x, y))
+        put_row3_at(rows.impulse, k, 0, (n, x, y))
         change_by(partners, rows, k, (n, x, y))
     begin_rolling(rows.rolling, partners, rows, count[0])
     if bounded is not None:
@@ -141,8 +134,8 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
     changed = 0.0
     for k in range(count):
         u = approach_at_end(partners, rows, k)
-        old = column3(impulse, k, 0)
-        put_column3(rows.old, k, 0, old)
+        old = row3_at(impulse, k, 0)
+        put_row3_at(rows.old, k, 0, old)
         n = max(old[0] - frame[k, SHARE] * (u[0] - frame[k, LEAST]), 0.0)
         dn, rubbing = n - old[0], frame[k, RUBBING]
         x = old[1] - rubbing * (u[1] + frame[k, COUPLING] * dn)
@@ -151,7 +144,7 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
         change = (dn, x - old[1], y - old[2])
         square = dot(change, change)
         if square > 0.0:
-            put_column3(impulse, k, 0, (n, x, y))
+            put_row3_at(impulse, k, 0, (n, x, y))
             change_by(partners, rows, k, change)
         changed += square
     changed += sweep_rolling(rows.rolling, partners, rows, count)
@@ -194,7 +187,7 @@ def residual(
     """
     off, size, left = 0.0, 0.0, 0.0
     for k in range(count):
-        r = column3(rows.impulse, k, 0)
+        r = row3_at(rows.impulse, k, 0)
         miss = _miss(partners, rows, k, r)
         square = dot(miss, miss)
         off += square
@@ -216,7 +209,7 @@ def _mix(
     """Go on along the direction of before, by its share of the last change."""
     impulse, old, direction = rows.impulse, rows.old, rows.direction
     for k in range(count):
-        change = subtract(column3(impulse, k, 0), column3(old, k, 0))
+        change = subtract(row3_at(impulse, k, 0), row3_at(old, k, 0))
         on = (beta * direction[k, 0], beta * direction[k, 1], beta * direction[k, 2])
         if not is_last and dot(on, on) > 0.0:
             for i in range(3):
@@ -255,7 +248,7 @@ def _size(rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float) 
     """Size of all impulses [N s], or a floor."""
     size = 0.0
     for k in range(count):
-        r = column3(rows.impulse, k, 0)
+        r = row3_at(rows.impulse, k, 0)
         size += dot(r, r)
     size += size_of_rolling(rows.rolling, rows, count)
     if bounded is not None:
@@ -269,9 +262,9 @@ def _keep_best(impulses: Impulses, bounded: Bounded | None, goes_back: bool) -> 
     _, partners, rows, count, _, newton = impulses
     for k in range(count[0]):
         if goes_back:
-            put_column3(rows.impulse, k, 0, column3(newton.best, k, 0))
+            put_row3_at(rows.impulse, k, 0, row3_at(newton.best, k, 0))
         else:
-            put_column3(newton.best, k, 0, column3(rows.impulse, k, 0))
+            put_row3_at(newton.best, k, 0, row3_at(rows.impulse, k, 0))
         keep_best_rolling(rows.rolling, newton.best, k, goes_back)
     if bounded is not None:
         keep_best_bounded(bounded, goes_back)
@@ -326,7 +319,7 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
         _keep_best(impulses, bounded, True)
         found = best
     for k in range(m):
-        give(partners, rows, k, column3(rows.impulse, k, 0))
+        give(partners, rows, k, row3_at(rows.impulse, k, 0))
     give_rolling(rows.rolling, partners, rows, m)
     if bounded is not None:
         give_bounded(bounded, partners.given)

@@ -27,7 +27,8 @@ from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, sc
 from particlerb.integrators.stages import caller_of_stages, inlined_caller
 from particlerb.joints.breaking import break_by_multipliers, let_go, may_break
 from particlerb.joints.records import Breaks, Jointed
-from particlerb.maths.quaternion import load4, normalised, rows4, store4
+from particlerb.maths.quaternion import normalised
+from particlerb.maths.rows import load4, rows4, store4
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import Q, assign, get, put
 from particlerb.model.load import STATE_ROWS

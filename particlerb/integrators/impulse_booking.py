@@ -7,17 +7,15 @@ kick, works along that too: Δp·(v after the solve - v before it).
 
 from particlerb.compiled.jit import Flag, inline
 from particlerb.contact.contact_model import MovingContact
-from particlerb.contact.records import row3
 from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.impulses.records import Impulses, Partners
-from particlerb.impulses.rows import column3
 from particlerb.integrators.external_work import book
 from particlerb.integrators.joint_stages import book_work
 from particlerb.integrators.pair_stages import Layout
 from particlerb.joints.records import HOLDS, Jointed
-from particlerb.joints.rows import vector
 from particlerb.maths.quaternion import matrix
+from particlerb.maths.rows import row3, row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, dot, subtract
 from particlerb.model.block import COM, L, P, Q, get3, get4, put3
 
@@ -32,7 +30,7 @@ def book_bodies(
         lo = layout.first[k]
         for i in range(layout.size[k]):
             b = lo + i
-            entry = booked[b, 0], column3(booked, b, 1), column3(booked, b, 4)
+            entry = booked[b, 0], row3_at(booked, b, 1), row3_at(booked, b, 4)
             book(books, blocks[k], i, 1.0, entry)
             gross[b] += booked[b, 7]
 
@@ -40,7 +38,7 @@ def book_bodies(
 @inline
 def _changed(partners: Partners, b: int, at: int) -> Vec3:
     """Change of the velocity, or of the angular velocity from 3 on, of body b by the solve."""
-    return subtract(column3(partners.velocity, b, at), column3(partners.free, b, at))
+    return subtract(row3_at(partners.velocity, b, at), row3_at(partners.free, b, at))
 
 
 @inline
@@ -107,8 +105,8 @@ def _book_given(
             a, b = joints.rows.a[r], joints.rows.b[r]
             by_x = _changed_of(jointed, partners, a, 0), _changed_of(jointed, partners, b, 0)
             gained = dot(row3(gradient, r), subtract(by_x[0], by_x[1]))
-            gained += dot(vector(gradient, r, 3), _changed_of(jointed, partners, a, 3))
-            gained += dot(vector(gradient, r, 6), _changed_of(jointed, partners, b, 3))
+            gained += dot(row3_at(gradient, r, 3), _changed_of(jointed, partners, a, 3))
+            gained += dot(row3_at(gradient, r, 6), _changed_of(jointed, partners, b, 3))
             motor = joints.actions.motor[joints.rows.action[r]]
             book_work(books, jointed, blocks, r, 0.5 * dt * motor * gained)
     for k in range(joints.order.size):

@@ -11,7 +11,6 @@ from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.impulse_contacts import find_impulse_contacts, keep_impulses
 from particlerb.contact.piston import keep_pistons, move_pistons, push_pistons
-from particlerb.contact.records import row3
 from particlerb.forces.kernels import Acting, kick_potential, shift_time
 from particlerb.impulses.bookkeeping import book_impulses
 from particlerb.impulses.bounded import keep_bounded
@@ -27,7 +26,7 @@ from particlerb.impulses.records import (
     Partners,
 )
 from particlerb.impulses.rolling import write_rolling
-from particlerb.impulses.rows import approach, column3, put_column3, write_through_pistons
+from particlerb.impulses.rows import approach, write_through_pistons
 from particlerb.impulses.solver import leave_out_what_leans, leave_out_what_will_bounce, solve
 from particlerb.integrators.contact_stages import place_within_step
 from particlerb.integrators.external_work import book
@@ -50,6 +49,7 @@ from particlerb.maths.quaternion import (
     normalised,
     turn_back,
 )
+from particlerb.maths.rows import put_row3_at, row3, row3_at
 from particlerb.maths.vec3 import (
     ZERO,
     Floats,
@@ -116,17 +116,17 @@ def gather_velocities(
                 row3(bodies.velocity, lo + i),
                 row3(bodies.angular_velocity, lo + i),
             )
-            put_column3(partners.before, b, 0, v)
-            put_column3(partners.before, b, 3, omega)
+            put_row3_at(partners.before, b, 0, v)
+            put_row3_at(partners.before, b, 3, omega)
             R, moments = matrix(get4(rows, Q, i)), get3(rows, INV_INERTIA, i)
             _put_inverse(partners.inverse, b, get(rows, INV_MASS, i), moments, R)
             if inv_mass[b] > 0.0:
                 v = scale(inv_mass[b], get3(rows, P, i))
                 m = component_product(moments, turn_back(R, get3(rows, L, i)))
                 omega = (dot(R[0], m), dot(R[1], m), dot(R[2], m))
-            put_column3(partners.velocity, b, 0, v)
-            put_column3(partners.velocity, b, 3, omega)
-            put_column3(partners.place, b, 0, get3(rows, COM, i))
+            put_row3_at(partners.velocity, b, 0, v)
+            put_row3_at(partners.velocity, b, 3, omega)
+            put_row3_at(partners.place, b, 0, get3(rows, COM, i))
 
 
 @inline
@@ -135,12 +135,12 @@ def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None
     poses, n = contact.workspace.poses, contact.setup.max_arm.size
     for w in range(poses.size):
         for to in (partners.velocity, partners.before):
-            put_column3(to, n + w, 0, row3(poses.velocity, w))
-            put_column3(to, n + w, 3, row3(poses.angular_velocity, w))
-        put_column3(partners.place, n + w, 0, row3(poses.position, w))
+            put_row3_at(to, n + w, 0, row3(poses.velocity, w))
+            put_row3_at(to, n + w, 3, row3(poses.angular_velocity, w))
+        put_row3_at(partners.place, n + w, 0, row3(poses.position, w))
     push_pistons(contact.setup.pistons, partners.velocity, n, dt)
     for b in range(n, n + poses.size):
-        by = subtract(column3(partners.velocity, b, 0), column3(partners.before, b, 0))
+        by = subtract(row3_at(partners.velocity, b, 0), row3_at(partners.before, b, 0))
         partners.speeds[b, 2] = norm(by)
 
 
@@ -149,9 +149,9 @@ def _size_of_kick(contact: MovingContact, partners: Partners) -> float:
     """All impulses of a kick, and of momenta what is as good as none [N s]."""
     moved = 0.0
     for b in range(contact.setup.max_arm.size):
-        by = subtract(column3(partners.velocity, b, 0), column3(partners.before, b, 0))
+        by = subtract(row3_at(partners.velocity, b, 0), row3_at(partners.before, b, 0))
         mass = partners.inverse[b, 0]
-        size = 2.0 * norm(by) + _NONE * norm(column3(partners.velocity, b, 0))
+        size = 2.0 * norm(by) + _NONE * norm(row3_at(partners.velocity, b, 0))
         moved += size / mass if mass > 0.0 else 0.0
     return moved
 
@@ -167,10 +167,10 @@ def _apply_given(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
         rows, lo = blocks[k], layout.first[k]
         for i in range(layout.size[k]):
             if get(rows, INV_MASS, i) > 0.0:
-                put3(rows, P, i, add(get3(rows, P, i), column3(given, lo + i, 0)))
-                put3(rows, L, i, add(get3(rows, L, i), column3(given, lo + i, 3)))
-            put_column3(given, lo + i, 0, ZERO)
-            put_column3(given, lo + i, 3, ZERO)
+                put3(rows, P, i, add(get3(rows, P, i), row3_at(given, lo + i, 0)))
+                put3(rows, L, i, add(get3(rows, L, i), row3_at(given, lo + i, 3)))
+            put_row3_at(given, lo + i, 0, ZERO)
+            put_row3_at(given, lo + i, 3, ZERO)
 
 
 @inline
@@ -285,7 +285,7 @@ def _move_bodies(
     for k in range(layout.first.size):
         rows, lo = blocks[k], layout.first[k]
         for i in range(layout.size[k]):
-            b, dx, turn = lo + i, column3(move, lo + i, 0), column3(move, lo + i, 3)
+            b, dx, turn = lo + i, row3_at(move, lo + i, 0), row3_at(move, lo + i, 3)
             if dot(dx, dx) + dot(turn, turn) > 0.0:
                 work = _move(acting, books, rows, i, dx, turn)
                 impulses.tally[PUSH_OUT_WORK] += work

@@ -19,9 +19,10 @@ from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.drives import set_moving
 from particlerb.joints.reactions import factorise_all, find_multipliers
 from particlerb.joints.records import HOLDS, STATE, Jointed, Joints, L, P, Q, Work, X
-from particlerb.joints.rows import add_impulses, attitude, by_inverse_inertia, linearise, vector
+from particlerb.joints.rows import add_impulses, attitude, by_inverse_inertia, linearise
 from particlerb.joints.solver import constrained_drift, keep_rates
 from particlerb.joints.trees import JointTree, accelerate_tree
+from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, cross, dot, scale, subtract
 from particlerb.model.block import BOOKED
 
@@ -89,9 +90,9 @@ def _book_row(
     k = a if joints.inv_mass[a] > 0.0 else b
     F, tau = ZERO, ZERO
     if joints.inv_mass[a] == 0.0 or joints.inv_mass[b] == 0.0:
-        F = scale(z if k == a else -z, vector(work.gradient, r, 0))
-        turning = scale(z, vector(work.gradient, r, 3 if k == a else 6))
-        tau = add(turning, cross(vector(work.y, k, X), F))
+        F = scale(z if k == a else -z, row3_at(work.gradient, r, 0))
+        turning = scale(z, row3_at(work.gradient, r, 3 if k == a else 6))
+        tau = add(turning, cross(row3_at(work.y, k, X), F))
     _book(books, jointed, slope, w, k, power, F, tau)
 
 
@@ -118,13 +119,13 @@ def _drag(damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> 
         return
     joints, y, load = jointed.joints, jointed.work.y, jointed.work.change
     for k in range(jointed.block.size):
-        v = scale(joints.inv_mass[k], vector(y, k, P))
-        spin = by_inverse_inertia(joints.inv_inertia, attitude(y, k), k, vector(y, k, L))
+        v = scale(joints.inv_mass[k], row3_at(y, k, P))
+        spin = by_inverse_inertia(joints.inv_inertia, attitude(y, k), k, row3_at(y, k, L))
         F, tau = scale(-joints.drag[k, 0], v), scale(-joints.drag[k, 1], spin)
         for i in range(3):
             load[k, i] += F[i]
             load[k, 3 + i] += tau[i]
-        about_origin = add(tau, cross(vector(y, k, X), F))
+        about_origin = add(tau, cross(row3_at(y, k, X), F))
         _book(books, jointed, slope, w, k, dot(F, v) + dot(tau, spin), F, about_origin)
 
 
@@ -156,9 +157,9 @@ def _add_what_holds(
     for i in range(tree.body.size):
         if joints.inv_mass[tree.before[i]] == 0.0:
             k = tree.body[i]
-            at = subtract(vector(work.y, k, X), vector(tree.bodies.com, k, 0))
-            F = vector(tree.bodies.b, k, 0)
-            about_origin = add(vector(tree.bodies.b, k, 3), cross(at, F))
+            at = subtract(row3_at(work.y, k, X), row3_at(tree.bodies.com, k, 0))
+            F = row3_at(tree.bodies.b, k, 0)
+            about_origin = add(row3_at(tree.bodies.b, k, 3), cross(at, F))
             _book(books, jointed, slope, w, k, 0.0, F, about_origin)
 
 
@@ -224,7 +225,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
 def _spin(jointed: Jointed, k: int) -> float:
     """Size of the angular velocity of body k [rad/s]; of what stands still 0."""
     y, inverse = jointed.work.y, jointed.joints.inv_inertia
-    w = by_inverse_inertia(inverse, attitude(y, k), k, vector(y, k, L))
+    w = by_inverse_inertia(inverse, attitude(y, k), k, row3_at(y, k, L))
     return dot(w, w) ** 0.5
 
 

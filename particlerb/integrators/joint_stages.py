@@ -27,9 +27,10 @@ from particlerb.joints.breaking import (
 )
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
-from particlerb.joints.rows import by_inverse_inertia, put_pose, put_vector, vector
+from particlerb.joints.rows import by_inverse_inertia, put_pose
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.maths.quaternion import Matrix
+from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import COM, get, get3, get4, put, put3
 from particlerb.model.load import STATE_ROWS
@@ -85,13 +86,13 @@ def place_driven(
         if first <= b < last:
             x, q, v, w = prescribed_pose(driven, k, time)
             put_pose(y, b, x, q)
-            put_vector(motion, b, 0, v)
-            put_vector(motion, b, 3, w)
-            put_vector(motion, b, 6, prescribed_acceleration(driven, k, time))
+            put_row3_at(motion, b, 0, v)
+            put_row3_at(motion, b, 3, w)
+            put_row3_at(motion, b, 6, prescribed_acceleration(driven, k, time))
             if dt == 0.0:
                 p, spin = prescribed_momenta(driven, k, q, v, w)
-                put_vector(y, b, P, p)
-                put_vector(y, b, L, spin)
+                put_row3_at(y, b, P, p)
+                put_row3_at(y, b, L, spin)
             x, q, v, w = prescribed_pose(driven, k, time + dt)
             put_pose(jointed.work.later, b, x, q)
 
@@ -114,14 +115,14 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
     start = joints.program.start
     for r in range(start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]):
         a, b, z = joints.rows.a[r], joints.rows.b[r], work.total[r]
-        by_x = vector(work.gradient, r, 0)
+        by_x = row3_at(work.gradient, r, 0)
         if joints.inv_mass[b] == 0.0 and joints.inv_mass[a] > 0.0:
             impulse = scale(z, by_x)
-            turning = add_scaled(z, vector(work.gradient, r, 3), cross(vector(at, a, X), impulse))
+            turning = add_scaled(z, row3_at(work.gradient, r, 3), cross(row3_at(at, a, X), impulse))
             book(books, blocks[block[a]], lane[a], 1.0, (0.0, impulse, turning))
         elif joints.inv_mass[a] == 0.0 and joints.inv_mass[b] > 0.0:
             impulse = scale(-z, by_x)
-            turning = add_scaled(z, vector(work.gradient, r, 6), cross(vector(at, b, X), impulse))
+            turning = add_scaled(z, row3_at(work.gradient, r, 6), cross(row3_at(at, b, X), impulse))
             book(books, blocks[block[b]], lane[b], 1.0, (0.0, impulse, turning))
 
 
@@ -143,8 +144,8 @@ def _book_given(
             book_work(books, jointed, blocks, r, work_of_motor(joints, work, r, kick_dt))
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         rows, b = blocks[block[k]], lane[k]
-        by_joints = subtract(vector(work.y, k, P), get3(rows, COM + P, b))
-        turning = subtract(vector(work.y, k, L), get3(rows, COM + L, b))
+        by_joints = subtract(row3_at(work.y, k, P), get3(rows, COM + P, b))
+        turning = subtract(row3_at(work.y, k, L), get3(rows, COM + L, b))
         q = get4(rows, COM + Q, b)
         spin = by_inverse_inertia(joints.inv_inertia, q, k, turning)
         found = joints.inv_mass[k] * dot(get3(rows, STAGE, b), by_joints)

@@ -18,9 +18,10 @@ from typing import NamedTuple
 from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.drives import course
 from particlerb.joints.records import ALONG, DOT, GEAR, RACK, TURN, WORLD_ALONG, Joints, L, P, Work
-from particlerb.joints.rows import arms_at, attitudes, is_of_other_bodies, rate, vector
+from particlerb.joints.rows import arms_at, attitudes, is_of_other_bodies, rate
 from particlerb.joints.wheels import tangent
 from particlerb.maths.quaternion import Matrix, turn, turn_back
+from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import (
     ZERO,
     Floats,
@@ -44,16 +45,16 @@ class _Spin(NamedTuple):
 @inline
 def _spin_of(joints: Joints, work: Work, k: int, R: Matrix) -> _Spin:
     """How body k turns in an orientation."""
-    inverse, m = vector(joints.inv_inertia, k, 0), turn_back(R, vector(work.y, k, L))
+    inverse, m = row3_at(joints.inv_inertia, k, 0), turn_back(R, row3_at(work.y, k, L))
     w = component_product(inverse, m)
     lost = turn(R, component_product(inverse, cross(w, m)))
-    return _Spin(add(turn(R, w), vector(work.motion, k, 3)), lost)
+    return _Spin(add(turn(R, w), row3_at(work.motion, k, 3)), lost)
 
 
 @inline
 def _velocity(joints: Joints, work: Work, k: int) -> Vec3:
     """Velocity of body k [m/s]."""
-    return add_scaled(joints.inv_mass[k], vector(work.y, k, P), vector(work.motion, k, 0))
+    return add_scaled(joints.inv_mass[k], row3_at(work.y, k, P), row3_at(work.motion, k, 0))
 
 
 @inline
@@ -84,7 +85,7 @@ def _convective(
 @inline
 def _by_given(work: Work, a: int, b: int) -> Vec3:
     """How the accelerations of bodies that move as prescribed differ."""
-    return subtract(vector(work.motion, a, 6), vector(work.motion, b, 6))
+    return subtract(row3_at(work.motion, a, 6), row3_at(work.motion, b, 6))
 
 
 @inline
@@ -93,8 +94,8 @@ def _centripetal(
 ) -> Vec3:
     """k of row r."""
     ra, rb = (
-        turn(R[0], vector(joints.rows.first, r, 0)),
-        turn(R[1], vector(joints.rows.second, r, 0)),
+        turn(R[0], row3_at(joints.rows.first, r, 0)),
+        turn(R[1], row3_at(joints.rows.second, r, 0)),
     )
     k = subtract(cross(wa, cross(wa, ra)), cross(wb, cross(wb, rb)))
     return add(k, _by_given(work, joints.rows.a[r], joints.rows.b[r]))
@@ -117,10 +118,10 @@ def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) ->
         if rows.kind[r] == WORLD_ALONG:
             if r == lo or not joints.beside[r]:
                 k = _centripetal(joints, work, r, R, one.w, other.w)
-            found = dot(vector(rows.axis, r, 0), k)
+            found = dot(row3_at(rows.axis, r, 0), k)
         else:
             found = _convective(joints, work, r, R, one.w, other.w)
         found += rate(joints, gradient, r, load, 0)
         found -= course(joints.drives, rows.drive[r], work.clock[0])[2]
-        found -= dot(vector(gradient, r, 3), one.lost)
-        work.z[r] = dot(vector(gradient, r, 6), other.lost) - found
+        found -= dot(row3_at(gradient, r, 3), one.lost)
+        work.z[r] = dot(row3_at(gradient, r, 6), other.lost) - found

@@ -17,7 +17,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.fives import down_fives, up_fives, update_fives
 from particlerb.joints.records import Clusters, ConstraintRows, Program, Work
-from particlerb.joints.rows import vector
+from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Bools, Floats, Ints, dot
 
 
@@ -135,12 +135,12 @@ def _on_diagonal(work: Work, k: int, at: int, n: int, m: float) -> None:
     """Lower half of the diagonal block k of n rows from `at` on, and its diagonal."""
     gradient, factor = work.gradient, work.factor
     for r in range(n):
-        by_x, by_a = vector(gradient, at + r, 0), vector(gradient, at + r, 3)
-        by_b = vector(gradient, at + r, 6)
+        by_x, by_a = row3_at(gradient, at + r, 0), row3_at(gradient, at + r, 3)
+        by_b = row3_at(gradient, at + r, 6)
         for s in range(r + 1):
-            v = m * dot(by_x, vector(gradient, at + s, 0))
-            v += dot(by_a, vector(gradient, at + s, 9))
-            factor[k, r, s] = v + dot(by_b, vector(gradient, at + s, 12))
+            v = m * dot(by_x, row3_at(gradient, at + s, 0))
+            v += dot(by_a, row3_at(gradient, at + s, 9))
+            factor[k, r, s] = v + dot(by_b, row3_at(gradient, at + s, 12))
         work.scale[at + r] = factor[k, r, r]
         factor[k, r, r] += work.compliance[at + r]
 
@@ -155,10 +155,10 @@ def _add_shared(
     """
     gradient, factor, (m, by_i, by_j) = work.gradient, work.factor, of
     for r in range(rows):
-        by_x, turning = vector(gradient, i + r, 0), vector(gradient, i + r, by_i)
+        by_x, turning = row3_at(gradient, i + r, 0), row3_at(gradient, i + r, by_i)
         for s in range(columns):
-            v = m * dot(by_x, vector(gradient, j + s, 0))
-            factor[k, r, s] += v + dot(turning, vector(gradient, j + s, by_j))
+            v = m * dot(by_x, row3_at(gradient, j + s, 0))
+            factor[k, r, s] += v + dot(turning, row3_at(gradient, j + s, by_j))
 
 
 @inline

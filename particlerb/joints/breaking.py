@@ -19,9 +19,10 @@ from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.joints.records import HOLDS, Breaks, Joints, P, Work
-from particlerb.joints.rows import add_impulses, attitude, vector
+from particlerb.joints.rows import add_impulses, attitude
 from particlerb.maths.quaternion import to_world
-from particlerb.maths.vec3 import Floats, add_scaled, cross, norm, row3, subtract
+from particlerb.maths.rows import row3, row3_at
+from particlerb.maths.vec3 import Floats, add_scaled, cross, norm, subtract
 
 _SAME: Final = 1e-9  # over a step: instants as near as this are one
 
@@ -99,8 +100,8 @@ def _impulses(
     """Sizes of the impulse of joint j, kept by rows, and of its moment about its point."""
     start, impulse, turning = joints.program.start, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for r in range(start[j], start[j + 1]):
-        impulse = add_scaled(kept[r], vector(work.gradient, r, 0), impulse)
-        turning = add_scaled(kept[r], vector(work.gradient, r, 3), turning)
+        impulse = add_scaled(kept[r], row3_at(work.gradient, r, 0), impulse)
+        turning = add_scaled(kept[r], row3_at(work.gradient, r, 3), turning)
     first = start[j]
     arm = to_world(attitude(pose, joints.rows.a[first]), row3(joints.rows.first, first))
     return norm(impulse), norm(subtract(turning, cross(arm, impulse)))

@@ -11,9 +11,10 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel, unfused_kernel
 from particlerb.joints.records import ALONG, ROTATION, TURN, Coordinates
-from particlerb.joints.rows import attitude, put_vector, vector
+from particlerb.joints.rows import attitude
 from particlerb.joints.types import COORDINATES, Ends, coordinate_rows
 from particlerb.maths.quaternion import to_world
+from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import Floats, Vec3, dot, subtract
 
 
@@ -56,7 +57,7 @@ def united(parts: Sequence[Coordinates], n_joints: Sequence[int]) -> Coordinates
 def _placed(y: Floats, k: int, v: Vec3) -> Vec3:
     """Where a point v of body k is."""
     r = to_world(attitude(y, k), v)
-    x = vector(y, k, 0)
+    x = row3_at(y, k, 0)
     return x[0] + r[0], x[1] + r[1], x[2] + r[2]
 
 
@@ -66,8 +67,8 @@ def count_turns(coordinates: Coordinates, y: Floats, turned: Floats) -> None:
     _, _, a, b, is_angle, vectors = coordinates
     for k in range(a.size):
         v = vectors[k]
-        first, other = vector(v, 0, 0), vector(v, 1, 0)
-        p, q = vector(v, 2, 0), vector(v, 3, 0)
+        first, other = row3_at(v, 0, 0), row3_at(v, 1, 0)
+        p, q = row3_at(v, 2, 0), row3_at(v, 3, 0)
         of_b = attitude(y, b[k])
         if not is_angle[k]:
             d = subtract(_placed(y, a[k], first), _placed(y, b[k], q))
@@ -88,7 +89,7 @@ def count_turns(coordinates: Coordinates, y: Floats, turned: Floats) -> None:
 def store_turns(turned: Floats, stored: Floats, frame: int) -> None:
     """Keep them for a frame."""
     for k in range(len(turned)):
-        put_vector(stored[frame], k, 0, vector(turned, k, 0))
+        put_row3_at(stored[frame], k, 0, row3_at(turned, k, 0))
 
 
 def values_of(coordinates: Coordinates, turned: Floats) -> Floats:

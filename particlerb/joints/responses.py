@@ -24,16 +24,12 @@ from particlerb.impulses.records import (
     Partners,
     room_for_bounded,
 )
-from particlerb.impulses.rows import (
-    column3,
-    inverse_inertia_times,
-    put_column3,
-    write_through_joints,
-)
+from particlerb.impulses.rows import inverse_inertia_times, write_through_joints
 from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import Joints, Work
-from particlerb.joints.rows import add_impulses, coordinate, rate, residuals, vector
+from particlerb.joints.rows import add_impulses, coordinate, rate, residuals
 from particlerb.joints.solver import factorise_cluster
+from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Ints, dot, scale
 
 _ROUNDING: Final = 1e-14  # residuals, over their size, that are as good as none
@@ -94,8 +90,8 @@ def _put_velocities(
     response = mechanisms.response
     for k in range(mechanisms.first[c], mechanisms.first[c + 1]):
         b = mechanisms.member[k]
-        v = scale(partners.inverse[b, 0], column3(work.change, k, 0))
-        omega = inverse_inertia_times(partners.inverse, b, column3(work.change, k, 3))
+        v = scale(partners.inverse[b, 0], row3_at(work.change, k, 0))
+        omega = inverse_inertia_times(partners.inverse, b, row3_at(work.change, k, 3))
         for i in range(3):
             response[to + i], response[to + 3 + i] = v[i], omega[i]
         to += 6
@@ -149,15 +145,17 @@ def find_bounded(
         _respond(joints, work, partners, mechanisms, bounded.first[k])
         _respond(joints, work, partners, mechanisms, bounded.second[k])
         a, b, x = joints.rows.a[r], joints.rows.b[r], coordinate(joints.rows, work.y, r)
-        by_x, by_a = vector(work.gradient, r, 0), vector(work.gradient, r, 3)
-        by_b = vector(work.gradient, r, 6)
+        by_x, by_a = row3_at(work.gradient, r, 0), row3_at(work.gradient, r, 3)
+        by_b = row3_at(work.gradient, r, 6)
         if b == joints.order.size:
             write_gradient(bounded, k, by_x, by_a, ZERO, ZERO)
         else:
             write_gradient(bounded, k, by_x, by_a, scale(-1.0, by_x), by_b)
         mass = joints.inv_mass[a] + joints.inv_mass[b]
-        free = mass * dot(by_x, by_x) + dot(by_a, vector(work.gradient, r, 9))
-        write_response(bounded, mechanisms, k, mass, free + dot(by_b, vector(work.gradient, r, 12)))
+        free = mass * dot(by_x, by_x) + dot(by_a, row3_at(work.gradient, r, 9))
+        write_response(
+            bounded, mechanisms, k, mass, free + dot(by_b, row3_at(work.gradient, r, 12))
+        )
         values = bounded.values
         values[k, B_GAP], values[k, B_GAP + 1] = x - bounds.lower[k], bounds.upper[k] - x
         values[k, B_RESTITUTION], most = bounds.restitution[k], dt * bounds.largest[k]
@@ -208,8 +206,8 @@ def move_to_joints(joints: Joints, work: Work, partners: Partners, mechanisms: M
         add_impulses(joints.rows, inv_mass, gradient, work.z, lo, hi, work.change, 0)
         for k in range(first, last):
             b = mechanisms.member[k]
-            dx = scale(partners.inverse[b, 0], column3(work.change, k, 0))
-            put_column3(move, b, 0, dx)
-            turn = inverse_inertia_times(partners.inverse, b, column3(work.change, k, 3))
-            put_column3(move, b, 3, turn)
+            dx = scale(partners.inverse[b, 0], row3_at(work.change, k, 0))
+            put_row3_at(move, b, 0, dx)
+            turn = inverse_inertia_times(partners.inverse, b, row3_at(work.change, k, 3))
+            put_row3_at(move, b, 3, turn)
     return found

@@ -53,6 +53,7 @@ from particlerb.maths.quaternion import (
     to_world,
     turn,
 )
+from particlerb.maths.rows import put_row3_at, row3, row3_at
 from particlerb.maths.vec3 import (
     Floats,
     Vec3,
@@ -62,28 +63,12 @@ from particlerb.maths.vec3 import (
     cross,
     dot,
     norm,
-    row3,
     scale,
     subtract,
 )
 
 _WHOLE_TURN: Final = 2.0 * pi
 Three: TypeAlias = tuple[Vec3, Vec3, Vec3]
-
-
-@inline
-def vector(values: Floats, k: int, at: int) -> Vec3:
-    """Three numbers of row k from `at` on; with unsigned indices Numba asks not about signs."""
-    row = unsigned(k)
-    return values[row, unsigned(at)], values[row, unsigned(at + 1)], values[row, unsigned(at + 2)]
-
-
-@inline
-def put_vector(values: Floats, k: int, at: int, v: Vec3) -> None:
-    """Write three numbers of row k from `at` on."""
-    row = unsigned(k)
-    values[row, unsigned(at)], values[row, unsigned(at + 1)] = v[0], v[1]
-    values[row, unsigned(at + 2)] = v[2]
 
 
 @inline
@@ -96,7 +81,7 @@ def attitude(y: Floats, k: int) -> Quat:
 @inline
 def put_pose(y: Floats, k: int, x: Vec3, q: Quat) -> None:
     """Write where body k is."""
-    put_vector(y, k, X, x)
+    put_row3_at(y, k, X, x)
     y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
 
 
@@ -123,11 +108,11 @@ def arms_at(
     rows: ConstraintRows, y: Floats, r: int, R: tuple[Matrix, Matrix]
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """Do the work of `arms`, with the rotation matrices of both bodies."""
-    ra, rb = turn(R[0], vector(rows.first, r, 0)), turn(R[1], vector(rows.second, r, 0))
-    u, kind = vector(rows.axis, r, 0), rows.kind[r]
+    ra, rb = turn(R[0], row3_at(rows.first, r, 0)), turn(R[1], row3_at(rows.second, r, 0))
+    u, kind = row3_at(rows.axis, r, 0), rows.kind[r]
     if kind not in (WORLD_ALONG, ROTATION):
         u = turn(R[0] if kind == OWN_TURN else R[1], u)
-    between = subtract(vector(y, rows.a[r], X), vector(y, rows.b[r], X))
+    between = subtract(row3_at(y, rows.a[r], X), row3_at(y, rows.b[r], X))
     return ra, rb, u, subtract(between, subtract(rb, ra))
 
 
@@ -203,16 +188,16 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[f
     for r in range(lo, hi):
         kind = rows.kind[r]
         if is_of_other_bodies(rows, lo, r):
-            x, R = vector(y, rows.a[r], X), attitudes(rows, y, r)
+            x, R = row3_at(y, rows.a[r], X), attitudes(rows, y, r)
             far = abs(x[0]) + abs(x[1]) + abs(x[2])
         if work.compliance[r] != 0.0:
             g[r] = 0.0
         elif kind == WORLD_ALONG:
             if r == lo or not joints.beside[r] or work.compliance[r - 1] != 0.0:
                 d = arms_at(rows, y, r, R)[3]
-            g[r] = dot(vector(rows.axis, r, 0), d) - course(joints.drives, rows.drive[r], t)[0]
+            g[r] = dot(row3_at(rows.axis, r, 0), d) - course(joints.drives, rows.drive[r], t)[0]
         elif kind == DOT:
-            g[r] = dot(turn(R[0], vector(rows.first, r, 0)), turn(R[1], vector(rows.axis, r, 0)))
+            g[r] = dot(turn(R[0], row3_at(rows.first, r, 0)), turn(R[1], row3_at(rows.axis, r, 0)))
         elif kind in (RACK, GEAR):
             _, _, u, d = arms_at(rows, y, r, R)
             g[r] = rolled(joints.rolls, rows, r, R, u, d)
@@ -236,8 +221,8 @@ def tensor(R: Matrix, a: Vec3) -> Matrix:
 def _inverse_inertias(joints: Joints, r: int, R: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]:
     """The same of both bodies of row r."""
     a, b = joints.rows.a[r], joints.rows.b[r]
-    one = tensor(R[0], vector(joints.inv_inertia, a, 0))
-    return one, tensor(R[1], vector(joints.inv_inertia, b, 0))
+    one = tensor(R[0], row3_at(joints.inv_inertia, a, 0))
+    return one, tensor(R[1], row3_at(joints.inv_inertia, b, 0))
 
 
 @inline
@@ -272,16 +257,16 @@ def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
             R = attitudes(rows, y, r)
             inverse = _inverse_inertias(joints, r, R)
         if joints.beside[r]:
-            u = vector(rows.axis, r, 0)
+            u = row3_at(rows.axis, r, 0)
         else:
             ra, rb, u, d = arms_at(rows, y, r, R)
         by_x, by_a, by_b = _by_turning(rows, r, ra, rb, u, d)
         by_a, by_b = with_turns(joints.rolls, rows, r, R, by_a, by_b)
-        put_vector(gradient, r, 0, by_x)
-        put_vector(gradient, r, 3, by_a)
-        put_vector(gradient, r, 6, by_b)
-        put_vector(gradient, r, 9, turn(inverse[0], by_a))
-        put_vector(gradient, r, 12, turn(inverse[1], by_b))
+        put_row3_at(gradient, r, 0, by_x)
+        put_row3_at(gradient, r, 3, by_a)
+        put_row3_at(gradient, r, 6, by_b)
+        put_row3_at(gradient, r, 9, turn(inverse[0], by_a))
+        put_row3_at(gradient, r, 12, turn(inverse[1], by_b))
 
 
 @inline
@@ -289,11 +274,11 @@ def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
     """Row r of G M⁻¹ times momenta, or loads, that stand in y from `at` on."""
     a, b = joints.rows.a[r], joints.rows.b[r]
     v = subtract(
-        scale(joints.inv_mass[a], vector(y, a, at)), scale(joints.inv_mass[b], vector(y, b, at))
+        scale(joints.inv_mass[a], row3_at(y, a, at)), scale(joints.inv_mass[b], row3_at(y, b, at))
     )
-    found = dot(vector(gradient, r, 0), v)
-    found += dot(vector(gradient, r, 9), vector(y, a, at + 3))
-    return found + dot(vector(gradient, r, 12), vector(y, b, at + 3))
+    found = dot(row3_at(gradient, r, 0), v)
+    found += dot(row3_at(gradient, r, 9), row3_at(y, a, at + 3))
+    return found + dot(row3_at(gradient, r, 12), row3_at(y, b, at + 3))
 
 
 @unfused_kernel
@@ -320,10 +305,14 @@ def add_impulses(
     """(P, L) += Gᵀ z of rows lo to hi, on momenta or loads that stand in y from `at` on."""
     for r in range(lo, hi):
         a, b = rows.a[r], rows.b[r]
-        by_x = vector(gradient, r, 0)
+        by_x = row3_at(gradient, r, 0)
         if inv_mass[a] > 0.0:
-            put_vector(y, a, at, add_scaled(z[r], by_x, vector(y, a, at)))
-            put_vector(y, a, at + 3, add_scaled(z[r], vector(gradient, r, 3), vector(y, a, at + 3)))
+            put_row3_at(y, a, at, add_scaled(z[r], by_x, row3_at(y, a, at)))
+            put_row3_at(
+                y, a, at + 3, add_scaled(z[r], row3_at(gradient, r, 3), row3_at(y, a, at + 3))
+            )
         if inv_mass[b] > 0.0:
-            put_vector(y, b, at, add_scaled(-z[r], by_x, vector(y, b, at)))
-            put_vector(y, b, at + 3, add_scaled(z[r], vector(gradient, r, 6), vector(y, b, at + 3)))
+            put_row3_at(y, b, at, add_scaled(-z[r], by_x, row3_at(y, b, at)))
+            put_row3_at(
+                y, b, at + 3, add_scaled(z[r], row3_at(gradient, r, 6), row3_at(y, b, at + 3))
+            )

@@ -34,10 +34,10 @@ from particlerb.joints.rows import (
     rate,
     rates,
     residuals,
-    vector,
 )
 from particlerb.joints.wheels import nearest, out_of_mesh
 from particlerb.maths.quaternion import to_body
+from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Vec3, add, dot, scale
 from particlerb.rotors.symmetric_split import symmetric_split, symmetric_top
 
@@ -60,8 +60,8 @@ def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
         for i in range(3):
             y[k, X + i] = pose[k, X + i] + path * y[k, P + i]
         q = attitude(pose, k)
-        m = to_body(q, vector(y, k, L))
-        a = vector(joints.inv_inertia, k, 0)
+        m = to_body(q, row3_at(y, k, L))
+        a = row3_at(joints.inv_inertia, k, 0)
         q = symmetric_top(q, m, a, dt) if a[0] == a[1] else symmetric_split(q, m, a, dt)
         y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
     carry(joints, work, joints.clusters.body[c], joints.clusters.body[c + 1])
@@ -168,8 +168,8 @@ def constrained_drift(
 @inline
 def _turn(joints: Joints, work: Work, k: int, dt: float) -> Vec3:
     """How far body k turns in a drift, if it went on as it begins."""
-    own = by_inverse_inertia(joints.inv_inertia, attitude(work.pose, k), k, vector(work.y, k, L))
-    return scale(dt, add(own, vector(work.motion, k, 3)))
+    own = by_inverse_inertia(joints.inv_inertia, attitude(work.pose, k), k, row3_at(work.y, k, L))
+    return scale(dt, add(own, row3_at(work.motion, k, 3)))
 
 
 @inline
@@ -232,7 +232,7 @@ def _is_weak(joints: Joints, work: Work, c: int, lo: int, hi: int) -> bool:
     """Whether no impulse of rows lo to hi is above √(2 M T), where the drift begins."""
     T, M, largest = 0.0, 0.0, 0.0
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
-        p, spin, inverse = vector(work.pose, k, P), vector(work.pose, k, L), joints.inv_mass[k]
+        p, spin, inverse = row3_at(work.pose, k, P), row3_at(work.pose, k, L), joints.inv_mass[k]
         turning = by_inverse_inertia(joints.inv_inertia, attitude(work.pose, k), k, spin)
         T += 0.5 * (inverse * dot(p, p) + dot(spin, turning))
         M += 1.0 / inverse if inverse > 0.0 else 0.0

@@ -121,21 +121,3 @@ def turn_back(R: Matrix, v: Vec3) -> Vec3:
         x[1] * v[0] + y[1] * v[1] + z[1] * v[2],
         x[2] * v[0] + y[2] * v[1] + z[2] * v[2],
     )
-
-
-@inline
-def rows4(array: Floats, lo: int, hi: int) -> Rows4:
-    """Rows of a (4, n) array between two bodies, as one-dimensional views."""
-    return array[0, lo:hi], array[1, lo:hi], array[2, lo:hi], array[3, lo:hi]
-
-
-@inline
-def load4(rows: Rows4, b: int) -> Quat:
-    """Quaternion of body b."""
-    return rows[0][b], rows[1][b], rows[2][b], rows[3][b]
-
-
-@inline
-def store4(rows: Rows4, b: int, q: Quat) -> None:
-    """Write the quaternion of body b."""
-    rows[0][b], rows[1][b], rows[2][b], rows[3][b] = q

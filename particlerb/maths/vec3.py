@@ -1,8 +1,6 @@
-"""Vectors as tuples of three scalars, and rows of component-first arrays.
+"""Vectors as tuples of three scalars: values in, values out.
 
-Values in, values out: nothing here writes into an argument except `store3`.
-A block of bodies is reached through one-dimensional row views (`rows3`): with these LLVM keeps
-neighbouring bodies in the lanes of a SIMD register, with two-dimensional slices it does not.
+Nothing here writes into an argument; maths/rows.py brings vectors out of arrays, and back.
 """
 
 import math
@@ -87,30 +85,6 @@ def cross(x: Vec3, y: Vec3) -> Vec3:
 
 
 @inline
-def row3(rows: Floats, k: int) -> Vec3:
-    """Row k of an (n, 3) array."""
-    return rows[k, 0], rows[k, 1], rows[k, 2]
-
-
-@inline
 def corner3(corner: Floats, f: int, k: int) -> Vec3:
     """Corner k of face f, of an (n, 3, 3) array."""
     return corner[f, k, 0], corner[f, k, 1], corner[f, k, 2]
-
-
-@inline
-def rows3(array: Floats, lo: int, hi: int) -> Rows3:
-    """Rows of a (3, n) array between two bodies, as one-dimensional views."""
-    return array[0, lo:hi], array[1, lo:hi], array[2, lo:hi]
-
-
-@inline
-def load3(rows: Rows3, b: int) -> Vec3:
-    """Vector of body b."""
-    return rows[0][b], rows[1][b], rows[2][b]
-
-
-@inline
-def store3(rows: Rows3, b: int, vector: Vec3) -> None:
-    """Write the vector of body b."""
-    rows[0][b], rows[1][b], rows[2][b] = vector

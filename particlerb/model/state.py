@@ -11,8 +11,9 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, unfused_inline, unfused_kernel
 from particlerb.maths.double_double import exact_difference
-from particlerb.maths.quaternion import Rows4, conjugate, load4, multiply, rows4, store4
-from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3, load3, rows3
+from particlerb.maths.quaternion import Rows4, conjugate, multiply
+from particlerb.maths.rows import load3, load4, rows3, rows4, store4
+from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3
 from particlerb.model.bodies import Bodies
 
 

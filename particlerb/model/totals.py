@@ -13,20 +13,9 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.maths.quaternion import Rows4, load4, rows4, to_body
-from particlerb.maths.vec3 import (
-    Floats,
-    Ints,
-    Rows3,
-    Vec3,
-    add_scaled,
-    cross,
-    dot,
-    load3,
-    rows3,
-    scale,
-    store3,
-)
+from particlerb.maths.quaternion import Rows4, to_body
+from particlerb.maths.rows import load3, load4, rows3, rows4, store3
+from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, add_scaled, cross, dot, scale
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames
 from particlerb.model.superblocks import Range, summed, superblocks

@@ -27,10 +27,11 @@ from particlerb.joints.records import (
     P,
     Work,
 )
-from particlerb.joints.rows import arms_at, attitude, attitudes, by_inverse_inertia, vector
+from particlerb.joints.rows import arms_at, attitude, attitudes, by_inverse_inertia
 from particlerb.joints.setup import NO_ACTIONS, action, both_actions
 from particlerb.joints.solver import factorise_cluster, keep_rates
 from particlerb.joints.types import Ends, rows_of
+from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.merging import Merging
 from particlerb.model.system import System
@@ -163,7 +164,7 @@ def _along(joints: Joints, y: Floats, r: int, way: Floats) -> float:
     """Rate of what has a gradient, by the momenta of the bodies of row r."""
     found = 0.0
     for k, own in ((joints.rows.a[r], way[:6]), (joints.rows.b[r], way[6:])):
-        spin = by_inverse_inertia(joints.inv_inertia, attitude(y, k), k, vector(y, k, L))
+        spin = by_inverse_inertia(joints.inv_inertia, attitude(y, k), k, row3_at(y, k, L))
         found += joints.inv_mass[k] * float(own[:3] @ y[k, P:L]) + float(own[3:] @ spin)
     return found
 

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from particlerb.compiled.jit import inline, splice, unfused_kernel
 from particlerb.compiled.threads import THREADS
-from particlerb.maths.quaternion import Quat, Rows4, load4, multiply, rows4, store4
+from particlerb.maths.quaternion import Quat, Rows4, multiply
+from particlerb.maths.rows import load3, load4, rows3, rows4, store4
 from particlerb.maths.trig import cos_sin_half_turns
-from particlerb.maths.vec3 import Bools, Floats, Ints, load3, rows3
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.rotors.exact_setup import (
     MOMENTUM_ROWS,
     NEAR_ROWS,

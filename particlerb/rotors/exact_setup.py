@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from particlerb.compiled.jit import config, inline, splice, unfused_kernel
 from particlerb.maths import double_double as dd
-from particlerb.maths.quaternion import Quat, Rows4, conjugate, load4, multiply, store4
+from particlerb.maths.quaternion import Quat, Rows4, conjugate, multiply
+from particlerb.maths.rows import load3, load4, store3, store4
 from particlerb.maths.trig import scale_of
-from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, load3, store3
+from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3
 from particlerb.rotors.theta import (
     TINY,
     NearCoefficients,

@@ -10,8 +10,9 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.compiled.threads import THREADS
-from particlerb.maths.quaternion import Quat, Rows4, conjugate, load4, multiply, rows4, to_body
-from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, load3, rows3
+from particlerb.maths.quaternion import Quat, Rows4, conjugate, multiply, to_body
+from particlerb.maths.rows import load3, load4, rows3, rows4
+from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3
 from particlerb.rotors.exact import CROSSOVER
 from particlerb.rotors.lagrange import Pair, Reduced, reduced
 from particlerb.rotors.lagrange_forms import Clock, near_constants, theta_constants

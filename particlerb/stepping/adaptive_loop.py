@@ -24,8 +24,8 @@ from particlerb.integrators.dop853_stages import (
 from particlerb.integrators.joint_slopes import store_coordinates
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import caller_of_stages
-from particlerb.maths.quaternion import rows4
-from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.maths.rows import rows3, rows4
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import BOOKED, COM, L, P, Q, assign
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import store_frame

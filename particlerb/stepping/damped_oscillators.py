@@ -10,19 +10,9 @@ import math
 from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import inline
+from particlerb.maths.rows import load3, rows3, store3
 from particlerb.maths.trig import cos_sin_half_turns
-from particlerb.maths.vec3 import (
-    Floats,
-    add,
-    add_scaled,
-    cross,
-    dot,
-    load3,
-    rows3,
-    scale,
-    store3,
-    subtract,
-)
+from particlerb.maths.vec3 import Floats, add, add_scaled, cross, dot, scale, subtract
 from particlerb.stepping.translations import Centres, Given, add_given, decays
 
 _TINY: Final = 1e-150  # in place of ω² - γ² = 0

@@ -17,8 +17,9 @@ from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import LINE
 from particlerb.forces.drag import Drag
 from particlerb.forces.torque import Torque
-from particlerb.maths.quaternion import Rows4, load4, rows4, store4
-from particlerb.maths.vec3 import Floats, Ints, load3, rows3, store3
+from particlerb.maths.quaternion import Rows4
+from particlerb.maths.rows import load3, load4, rows3, rows4, store3, store4
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, get, get3, in_blocks
 from particlerb.model.bodies import Record, taken
 from particlerb.model.state import CONJUGATE, Frames, State, quaternion_product, rotate, store_frame

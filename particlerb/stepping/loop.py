@@ -35,8 +35,8 @@ from particlerb.integrators.stages import (
     stages,
     store_coordinates,
 )
-from particlerb.maths.quaternion import rows4
-from particlerb.maths.vec3 import Floats, Ints, rows3
+from particlerb.maths.rows import rows3, rows4
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, STRIDE, L, P, Q, copy_changing
 from particlerb.model.state import Frames, store_frame
 from particlerb.stepping.pair_forces import PairForces

@@ -19,7 +19,8 @@ import numpy as np
 from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.forces.central import Central
 from particlerb.maths.quaternion import Quat
-from particlerb.maths.vec3 import Floats, add_scaled, cross, load3, rows3, scale, store3
+from particlerb.maths.rows import load3, rows3, store3
+from particlerb.maths.vec3 import Floats, add_scaled, cross, scale
 from particlerb.model.state import State, cross_columns
 from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.translations import Centres, add_given

@@ -9,7 +9,8 @@ import math
 from typing import Any, Final, NamedTuple
 
 from particlerb.compiled.jit import inline
-from particlerb.maths.quaternion import Quat, load4, multiply, rows4
+from particlerb.maths.quaternion import Quat, multiply
+from particlerb.maths.rows import load3, load4, rows3, rows4, store3
 from particlerb.maths.trig import cos_sin_half_turns, decay
 from particlerb.maths.vec3 import (
     Floats,
@@ -20,10 +21,7 @@ from particlerb.maths.vec3 import (
     add_scaled,
     cross,
     dot,
-    load3,
-    rows3,
     scale,
-    store3,
     subtract,
 )
 from particlerb.model.block import L, Q, put3, put4

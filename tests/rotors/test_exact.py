@@ -17,7 +17,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from particlerb.compiled.jit import config
-from particlerb.maths.quaternion import multiply, rows4, to_body, to_world
+from particlerb.maths.quaternion import multiply, to_body, to_world
+from particlerb.maths.rows import rows4
 from particlerb.rotors import exact
 from particlerb.rotors.exact import HyperbolicTurn, SteadyTurn, ThetaTurn, orientation, turns_of
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC

@@ -18,8 +18,9 @@ from particlerb.forces.gravity_tree.multipole import (
     add_particle_moments,
     add_shifted_moments,
 )
-from particlerb.maths.quaternion import load4, matrix, rows4, turn
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, load3, rows3, store3
+from particlerb.maths.quaternion import matrix, turn
+from particlerb.maths.rows import load3, load4, rows3, rows4, store3
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross
 
 DEEPEST: Final = 128  # levels: two trees of halves
 BALL: Final = 7  # columns of `ball`

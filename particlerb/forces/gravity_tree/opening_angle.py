@@ -13,7 +13,8 @@ from particlerb.compiled.threads import THREADS
 from particlerb.forces.attraction import Attraction, add_near_source
 from particlerb.forces.gravity_tree.multipole import ORDER
 from particlerb.forces.gravity_tree.tree import Tree
-from particlerb.maths.vec3 import Floats, Ints, load3, rows3
+from particlerb.maths.rows import load3, rows3
+from particlerb.maths.vec3 import Floats, Ints
 
 SAMPLE: Final = 512  # particles: some 5 % of the time of an evaluation, whatever their number
 WIDEST: Final = 1.0

@@ -1,0 +1,86 @@
+"""Vectors and quaternions in arrays: how compiled helpers read and write them.
+
+In (n, 3) arrays a vector is a row, in wider ones a part of a row. Of component-first arrays a block
+of bodies is reached through one-dimensional row views (`rows3`): with these LLVM keeps neighbouring
+bodies in the lanes of a SIMD register, with two-dimensional slices it does not. Rows of the blocks
+of a motion have accessors of their own, in model/block.py.
+"""
+
+from particlerb.compiled.jit import inline, unsigned
+from particlerb.maths.quaternion import Quat, Rows4
+from particlerb.maths.vec3 import Floats, Rows3, Vec3
+
+
+@inline
+def row3(rows: Floats, k: int) -> Vec3:
+    """Row k of an (n, 3) array."""
+    return rows[k, 0], rows[k, 1], rows[k, 2]
+
+
+@inline
+def put_row3(rows: Floats, k: int, v: Vec3) -> None:
+    """Write row k of an (n, 3) array."""
+    rows[k, 0], rows[k, 1], rows[k, 2] = v
+
+
+@inline
+def row3_at(rows: Floats, k: int, at: int) -> Vec3:
+    """Three numbers of row k from `at` on; with unsigned indices Numba asks not about signs."""
+    row = unsigned(k)
+    return rows[row, unsigned(at)], rows[row, unsigned(at + 1)], rows[row, unsigned(at + 2)]
+
+
+@inline
+def put_row3_at(rows: Floats, k: int, at: int, v: Vec3) -> None:
+    """Write three numbers of row k from `at` on."""
+    row = unsigned(k)
+    rows[row, unsigned(at)], rows[row, unsigned(at + 1)] = v[0], v[1]
+    rows[row, unsigned(at + 2)] = v[2]
+
+
+@inline
+def row4(rows: Floats, k: int) -> Quat:
+    """Row k of an (n, 4) array."""
+    return rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3]
+
+
+@inline
+def put_row4(rows: Floats, k: int, q: Quat) -> None:
+    """Write row k of an (n, 4) array."""
+    rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3] = q
+
+
+@inline
+def rows3(array: Floats, lo: int, hi: int) -> Rows3:
+    """Rows of a (3, n) array between two bodies, as one-dimensional views."""
+    return array[0, lo:hi], array[1, lo:hi], array[2, lo:hi]
+
+
+@inline
+def load3(rows: Rows3, b: int) -> Vec3:
+    """Vector of body b."""
+    return rows[0][b], rows[1][b], rows[2][b]
+
+
+@inline
+def store3(rows: Rows3, b: int, vector: Vec3) -> None:
+    """Write the vector of body b."""
+    rows[0][b], rows[1][b], rows[2][b] = vector
+
+
+@inline
+def rows4(array: Floats, lo: int, hi: int) -> Rows4:
+    """Rows of a (4, n) array between two bodies, as one-dimensional views."""
+    return array[0, lo:hi], array[1, lo:hi], array[2, lo:hi], array[3, lo:hi]
+
+
+@inline
+def load4(rows: Rows4, b: int) -> Quat:
+    """Quaternion of body b."""
+    return rows[0][b], rows[1][b], rows[2][b], rows[3][b]
+
+
+@inline
+def store4(rows: Rows4, b: int, q: Quat) -> None:
+    """Write the quaternion of body b."""
+    rows[0][b], rows[1][b], rows[2][b], rows[3][b] = q
