@@ -303,7 +303,7 @@ def _integration(system: System, atoms: _Atoms, stem: str) -> Iterable[str]:
 
 
 def _output(system: System, atoms: _Atoms, step: float, stem: str) -> Sequence[str]:
-    """Frames as text dumps: atoms, and centres and attitudes of rigid bodies."""
+    """Frames as text dumps: atoms, and centres and orientations of rigid bodies."""
     every: Any = max(1, round(system.run.every / step))
     lines = [
         f"dump atoms all custom {every} {stem}.lammpstrj id mol type radius x y z vx vy vz",

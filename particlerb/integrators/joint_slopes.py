@@ -19,7 +19,7 @@ from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.drives import set_moving
 from particlerb.joints.reactions import factorise_all, find_multipliers
 from particlerb.joints.records import HOLDS, STATE, Jointed, Joints, L, P, Q, Work, X
-from particlerb.joints.rows import add_impulses, attitude, by_inverse_inertia, linearise
+from particlerb.joints.rows import add_impulses, by_inverse_inertia, linearise, orientation
 from particlerb.joints.solver import constrained_drift, keep_rates
 from particlerb.joints.trees import JointTree, accelerate_tree
 from particlerb.maths.rows import row3_at
@@ -120,7 +120,7 @@ def _drag(damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> 
     joints, y, load = jointed.joints, jointed.work.y, jointed.work.change
     for k in range(jointed.block.size):
         v = scale(joints.inv_mass[k], row3_at(y, k, P))
-        spin = by_inverse_inertia(joints.inv_inertia, attitude(y, k), k, row3_at(y, k, L))
+        spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3_at(y, k, L))
         F, tau = scale(-joints.drag[k, 0], v), scale(-joints.drag[k, 1], spin)
         for i in range(3):
             load[k, i] += F[i]
@@ -225,7 +225,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
 def _spin(jointed: Jointed, k: int) -> float:
     """Size of the angular velocity of body k [rad/s]; of what stands still 0."""
     y, inverse = jointed.work.y, jointed.joints.inv_inertia
-    w = by_inverse_inertia(inverse, attitude(y, k), k, row3_at(y, k, L))
+    w = by_inverse_inertia(inverse, orientation(y, k), k, row3_at(y, k, L))
     return dot(w, w) ** 0.5
 
 

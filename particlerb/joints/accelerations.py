@@ -18,7 +18,7 @@ from typing import NamedTuple
 from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.drives import course
 from particlerb.joints.records import ALONG, DOT, GEAR, RACK, TURN, WORLD_ALONG, Joints, L, P, Work
-from particlerb.joints.rows import arms_at, attitudes, is_of_other_bodies, rate
+from particlerb.joints.rows import arms_at, is_of_other_bodies, rate, rotations
 from particlerb.joints.wheels import tangent
 from particlerb.maths.quaternion import Matrix, turn, turn_back
 from particlerb.maths.rows import row3_at
@@ -107,12 +107,12 @@ def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) ->
     if lo == hi:
         return
     rows, gradient, k = joints.rows, work.gradient, ZERO
-    R = attitudes(rows, work.y, lo)
+    R = rotations(rows, work.y, lo)
     one = _spin_of(joints, work, rows.a[lo], R[0])
     other = _spin_of(joints, work, rows.b[lo], R[1])
     for r in range(lo, hi):
         if r > lo and is_of_other_bodies(rows, lo, r):
-            R = attitudes(rows, work.y, r)
+            R = rotations(rows, work.y, r)
             one = _spin_of(joints, work, rows.a[r], R[0])
             other = _spin_of(joints, work, rows.b[r], R[1])
         if rows.kind[r] == WORLD_ALONG:

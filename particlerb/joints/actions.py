@@ -13,7 +13,7 @@ from math import inf
 
 from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.joints.records import HOLDS, Actions, Joints, P, Work
-from particlerb.joints.rows import add_impulses, attitude, coordinate, rate, shorter
+from particlerb.joints.rows import add_impulses, coordinate, orientation, rate, shorter
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.rows import row3, row3_at
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add, component_product, cross, dot, scale
@@ -128,7 +128,7 @@ def softened(joints: Joints, work: Work) -> Joints:
 @inline
 def finish_damping(joints: Joints, work: Work, b: int, span: float) -> tuple[float, Vec3, Vec3]:
     """Momenta of body b after the span, from those of the middle; work, impulse, torque of drag."""
-    q, at = attitude(work.y, b), row3_at(work.y, b, 0)
+    q, at = orientation(work.y, b), row3_at(work.y, b, 0)
     m = to_body(q, row3_at(work.y, b, P + 3))
     v = scale(work.inv_mass[b], row3_at(work.y, b, P))
     w = to_world(q, component_product(row3(work.inv_inertia, b), m))

@@ -19,7 +19,7 @@ from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.joints.records import HOLDS, Breaks, Joints, P, Work
-from particlerb.joints.rows import add_impulses, attitude
+from particlerb.joints.rows import add_impulses, orientation
 from particlerb.maths.quaternion import to_world
 from particlerb.maths.rows import row3, row3_at
 from particlerb.maths.vec3 import Floats, add_scaled, cross, norm, subtract
@@ -103,7 +103,7 @@ def _impulses(
         impulse = add_scaled(kept[r], row3_at(work.gradient, r, 0), impulse)
         turning = add_scaled(kept[r], row3_at(work.gradient, r, 3), turning)
     first = start[j]
-    arm = to_world(attitude(pose, joints.rows.a[first]), row3(joints.rows.first, first))
+    arm = to_world(orientation(pose, joints.rows.a[first]), row3(joints.rows.first, first))
     return norm(impulse), norm(subtract(turning, cross(arm, impulse)))
 
 

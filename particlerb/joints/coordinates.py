@@ -11,7 +11,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel, unfused_kernel
 from particlerb.joints.records import ALONG, ROTATION, TURN, Coordinates
-from particlerb.joints.rows import attitude
+from particlerb.joints.rows import orientation
 from particlerb.joints.types import COORDINATES, Ends, coordinate_rows
 from particlerb.maths.quaternion import to_world
 from particlerb.maths.rows import put_row3_at, row3_at
@@ -56,7 +56,7 @@ def united(parts: Sequence[Coordinates], n_joints: Sequence[int]) -> Coordinates
 @inline
 def _placed(y: Floats, k: int, v: Vec3) -> Vec3:
     """Where a point v of body k is."""
-    r = to_world(attitude(y, k), v)
+    r = to_world(orientation(y, k), v)
     x = row3_at(y, k, 0)
     return x[0] + r[0], x[1] + r[1], x[2] + r[2]
 
@@ -69,12 +69,12 @@ def count_turns(coordinates: Coordinates, y: Floats, turned: Floats) -> None:
         v = vectors[k]
         first, other = row3_at(v, 0, 0), row3_at(v, 1, 0)
         p, q = row3_at(v, 2, 0), row3_at(v, 3, 0)
-        of_b = attitude(y, b[k])
+        of_b = orientation(y, b[k])
         if not is_angle[k]:
             d = subtract(_placed(y, a[k], first), _placed(y, b[k], q))
             turned[k, 0] = dot(to_world(of_b, p), d)
             continue
-        of_a = attitude(y, a[k])
+        of_a = orientation(y, a[k])
         c = dot(to_world(of_a, first), to_world(of_b, p))
         s = dot(to_world(of_a, other), to_world(of_b, q))
         ahead = turned[k, 0] * s - turned[k, 1] * c

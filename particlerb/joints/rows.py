@@ -72,7 +72,7 @@ Three: TypeAlias = tuple[Vec3, Vec3, Vec3]
 
 
 @inline
-def attitude(y: Floats, k: int) -> Quat:
+def orientation(y: Floats, k: int) -> Quat:
     """Orientation of body k."""
     row = unsigned(k)
     return y[row, Q], y[row, Q + 1], y[row, Q + 2], y[row, Q + 3]
@@ -94,13 +94,13 @@ def by_inverse_inertia(inv_inertia: Floats, q: Quat, k: int, v: Vec3) -> Vec3:
 @inline
 def arms(rows: ConstraintRows, y: Floats, r: int) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """r_a (or n), r_b, u and d of row r, in world axes."""
-    return arms_at(rows, y, r, attitudes(rows, y, r))
+    return arms_at(rows, y, r, rotations(rows, y, r))
 
 
 @inline
-def attitudes(rows: ConstraintRows, y: Floats, r: int) -> tuple[Matrix, Matrix]:
+def rotations(rows: ConstraintRows, y: Floats, r: int) -> tuple[Matrix, Matrix]:
     """Rotation matrices of the bodies of row r."""
-    return matrix(attitude(y, rows.a[r])), matrix(attitude(y, rows.b[r]))
+    return matrix(orientation(y, rows.a[r])), matrix(orientation(y, rows.b[r]))
 
 
 @inline
@@ -126,8 +126,8 @@ def is_of_directions(kind: int) -> bool:
 def _rotation(rows: ConstraintRows, y: Floats, r: int) -> Vec3:
     """Rotation vector of the bodies of row r against each other, world axes, at most π long."""
     x, z = row3(rows.first, r), row3(rows.second, r)
-    own = multiply(attitude(y, rows.a[r]), (z[0], x[0], x[1], x[2]))
-    q = multiply(own, conjugate(attitude(y, rows.b[r])))
+    own = multiply(orientation(y, rows.a[r]), (z[0], x[0], x[1], x[2]))
+    q = multiply(own, conjugate(orientation(y, rows.b[r])))
     v = q[1], q[2], q[3]
     s = norm(v)
     f = 2.0 * atan2(s, abs(q[0])) / s if s > 0.0 else 2.0
@@ -184,11 +184,11 @@ def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[f
     worst, where, d = 0.0, lo, (0.0, 0.0, 0.0)
     if lo == hi:
         return worst, where
-    R, far = attitudes(rows, y, lo), 0.0
+    R, far = rotations(rows, y, lo), 0.0
     for r in range(lo, hi):
         kind = rows.kind[r]
         if is_of_other_bodies(rows, lo, r):
-            x, R = row3_at(y, rows.a[r], X), attitudes(rows, y, r)
+            x, R = row3_at(y, rows.a[r], X), rotations(rows, y, r)
             far = abs(x[0]) + abs(x[1]) + abs(x[2])
         if work.compliance[r] != 0.0:
             g[r] = 0.0
@@ -249,12 +249,12 @@ def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
     rows, y, gradient = joints.rows, work.y, work.gradient
     if lo == hi:
         return
-    R = attitudes(rows, y, lo)
+    R = rotations(rows, y, lo)
     inverse = _inverse_inertias(joints, lo, R)
     ra, rb, u, d = arms_at(rows, y, lo, R)
     for r in range(lo, hi):
         if is_of_other_bodies(rows, lo, r):
-            R = attitudes(rows, y, r)
+            R = rotations(rows, y, r)
             inverse = _inverse_inertias(joints, r, R)
         if joints.beside[r]:
             u = row3_at(rows.axis, r, 0)

@@ -26,14 +26,14 @@ from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, Joints, L, P, Q,
 from particlerb.joints.rows import (
     add_impulses,
     arms_at,
-    attitude,
-    attitudes,
     by_inverse_inertia,
     is_of_directions,
     linearise,
+    orientation,
     rate,
     rates,
     residuals,
+    rotations,
 )
 from particlerb.joints.wheels import nearest, out_of_mesh
 from particlerb.maths.quaternion import to_body
@@ -59,7 +59,7 @@ def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
         path = dt * joints.inv_mass[k]
         for i in range(3):
             y[k, X + i] = pose[k, X + i] + path * y[k, P + i]
-        q = attitude(pose, k)
+        q = orientation(pose, k)
         m = to_body(q, row3_at(y, k, L))
         a = row3_at(joints.inv_inertia, k, 0)
         q = symmetric_top(q, m, a, dt) if a[0] == a[1] else symmetric_split(q, m, a, dt)
@@ -168,7 +168,9 @@ def constrained_drift(
 @inline
 def _turn(joints: Joints, work: Work, k: int, dt: float) -> Vec3:
     """How far body k turns in a drift, if it went on as it begins."""
-    own = by_inverse_inertia(joints.inv_inertia, attitude(work.pose, k), k, row3_at(work.y, k, L))
+    own = by_inverse_inertia(
+        joints.inv_inertia, orientation(work.pose, k), k, row3_at(work.y, k, L)
+    )
     return scale(dt, add(own, row3_at(work.motion, k, 3)))
 
 
@@ -181,7 +183,7 @@ def _see_teeth(rolls: Flag, joints: Joints, work: Work, c: int, dt: float) -> No
     lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
     for r in range(lo, hi):
         if rows.kind[r] in (RACK, GEAR) and work.compliance[r] == 0.0:
-            R, before = attitudes(rows, work.y, r), attitudes(rows, pose, r)
+            R, before = rotations(rows, work.y, r), rotations(rows, pose, r)
             _, _, u, d = arms_at(rows, work.y, r, R)
             _, _, u0, d0 = arms_at(rows, pose, r, before)
             turned = _turn(joints, work, rows.a[r], dt), _turn(joints, work, rows.b[r], dt)
@@ -233,7 +235,7 @@ def _is_weak(joints: Joints, work: Work, c: int, lo: int, hi: int) -> bool:
     T, M, largest = 0.0, 0.0, 0.0
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         p, spin, inverse = row3_at(work.pose, k, P), row3_at(work.pose, k, L), joints.inv_mass[k]
-        turning = by_inverse_inertia(joints.inv_inertia, attitude(work.pose, k), k, spin)
+        turning = by_inverse_inertia(joints.inv_inertia, orientation(work.pose, k), k, spin)
         T += 0.5 * (inverse * dot(p, p) + dot(spin, turning))
         M += 1.0 / inverse if inverse > 0.0 else 0.0
     for r in range(lo, hi):

@@ -20,7 +20,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.joints.records import DISTANCE, DOT, HOLDS, ConstraintRows, Joints, L, P, X
-from particlerb.joints.rows import attitude, tensor
+from particlerb.joints.rows import orientation, tensor
 from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
 from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import (
@@ -160,7 +160,7 @@ def _put_matrix(values: Floats, k: int, at: int, M: Matrix) -> None:
 @inline
 def _place(joints: Joints, tree: JointTree, y: Floats, k: int) -> None:
     """Attitude of body k, and how it turns."""
-    R, inverse = matrix(attitude(y, k)), row3_at(joints.inv_inertia, k, 0)
+    R, inverse = matrix(orientation(y, k)), row3_at(joints.inv_inertia, k, 0)
     spin = turn(R, component_product(inverse, turn_back(R, row3_at(y, k, L))))
     _put_matrix(tree.bodies.R, k, 0, R)
     put_row3_at(tree.bodies.spin, k, 0, spin)

@@ -27,7 +27,7 @@ from particlerb.joints.records import (
     P,
     Work,
 )
-from particlerb.joints.rows import arms_at, attitude, attitudes, by_inverse_inertia
+from particlerb.joints.rows import arms_at, by_inverse_inertia, orientation, rotations
 from particlerb.joints.setup import NO_ACTIONS, action, both_actions
 from particlerb.joints.solver import factorise_cluster, keep_rates
 from particlerb.joints.types import Ends, rows_of
@@ -146,7 +146,7 @@ def loose_wheels(joints: Joints, work: Work) -> dict[int, str]:
 
 def _ways_of(joints: Joints, work: Work, r: int) -> list[tuple[str, Floats]]:
     """How the axes of row r must not move: gradients by x and θ of a, and of b, (12,)."""
-    rows, R = joints.rows, attitudes(joints.rows, work.y, r)
+    rows, R = joints.rows, rotations(joints.rows, work.y, r)
     ra, rb, u, d = map(np.array, arms_at(rows, work.y, r, R))
     n, none = np.array(R[1]) @ rows.wheel[r, :3], np.zeros(3)
     across, arm = np.cross(n, u), rb + d
@@ -164,7 +164,7 @@ def _along(joints: Joints, y: Floats, r: int, way: Floats) -> float:
     """Rate of what has a gradient, by the momenta of the bodies of row r."""
     found = 0.0
     for k, own in ((joints.rows.a[r], way[:6]), (joints.rows.b[r], way[6:])):
-        spin = by_inverse_inertia(joints.inv_inertia, attitude(y, k), k, row3_at(y, k, L))
+        spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3_at(y, k, L))
         found += joints.inv_mass[k] * float(own[:3] @ y[k, P:L]) + float(own[3:] @ spin)
     return found
 

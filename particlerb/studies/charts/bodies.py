@@ -1,4 +1,4 @@
-"""Bodies as a picture shows them: paths, a side view, a linkage at instants, attitudes of one."""
+"""Bodies as a picture shows them: paths, a side view, a linkage at instants, one as it turns."""
 
 from typing import Final
 
@@ -25,7 +25,7 @@ from particlerb.studies.charts.solids import (
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style
 
 _ATTITUDES: Final = 7
-_APART: Final = 1.25  # of attitudes, in diagonals of the body
+_APART: Final = 1.25  # of orientations, in diagonals of the body
 _FLAT: Final = 0.05  # height over width of what is seen from above
 _ALONG: Final = 3.0  # motion along an axis over that along the other
 _LOOKED_AT: Final = 16  # frames
@@ -202,7 +202,7 @@ def spun_axis(trajectory: Trajectory, body: int) -> int:
     return int(np.argmax(rates[0] if rates[0].any() else rates.mean(axis=0)))
 
 
-def draw_attitudes(axes: Axes, trajectory: Trajectory, body: int) -> None:
+def draw_orientations(axes: Axes, trajectory: Trajectory, body: int) -> None:
     """A body at some instants, seen with its angular momentum upwards.
 
     Where it turns over, the instants lie around that, else within its first turn.
@@ -224,8 +224,8 @@ def draw_attitudes(axes: Axes, trajectory: Trajectory, body: int) -> None:
     mesh = box(edges) if solid is None else solid
     mesh = mesh._replace(vertices=mesh.vertices / np.linalg.norm(edges))
     arrow = np.outer([0.0, 0.5 * edges[spun] / np.linalg.norm(edges) + 0.2], np.eye(3)[spun])
-    attitudes = trajectory.read("orientation", bodies=body)[frames]
-    for k, q in enumerate(attitudes):
+    orientations = trajectory.read("orientation", bodies=body)[frames]
+    for k, q in enumerate(orientations):
         to_picture = view @ rotation_matrix(q)
         tip = arrow @ to_picture.T
         shift = np.array([_APART * k, 0.0, 0.0])

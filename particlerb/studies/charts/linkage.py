@@ -33,13 +33,13 @@ def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
     frames = np.unique(np.linspace(0, trajectory.n_frames - 1, 4).astype(int)).tolist()
     points, distances, hinged = _joint_points(trajectory)
     rings, shapes = _drawn_as(trajectory, points, hinged)
-    attitudes = [
+    orientations = [
         [rotation_matrix(q) for q in row] for row in trajectory.read("orientation")[frames]
     ]
 
     def placed(local: Floats | list[Floats], k: int) -> list[Floats]:
         """Points of each body at an instant, world frame."""
-        turns = zip(local, attitudes[k], x[frames[k]], strict=True)
+        turns = zip(local, orientations[k], x[frames[k]], strict=True)
         return [own @ R.T + com for own, R, com in turns]
 
     corners = [
@@ -57,7 +57,7 @@ def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
         is_last = k == len(frames) - 1
         moved = [
             mesh.moved(view @ R, view @ com)
-            for mesh, R, com in zip(shapes, attitudes[k], x[frames[k]], strict=True)
+            for mesh, R, com in zip(shapes, orientations[k], x[frames[k]], strict=True)
         ]
         fill, edge = ("#a9cce3", INK) if is_last else (None, "#b8c0c8")
         draw_solids(axes, moved, fill, 2.0 + 0.1 * k, edge)

@@ -24,7 +24,7 @@ from particlerb.studies.charts.bodies import (
     KEYED,
     direction,
     draw_at_rest,
-    draw_attitudes,
+    draw_orientations,
     draw_paths,
     draw_side,
     draw_trace,
@@ -94,7 +94,7 @@ def _draw_panels(
     is_tumbling = is_still and not _is_top(trajectory, one) and trajectory.n_frames > 1
     if is_tumbling and trajectory.omega_body(one)[0].any():
         grid = figure.add_gridspec(2, 3, height_ratios=(0.6, 1.0), width_ratios=(1.0, 1.0, 1.3))
-        draw_attitudes(figure.add_subplot(grid[0, :]), trajectory, one)
+        draw_orientations(figure.add_subplot(grid[0, :]), trajectory, one)
         places = [grid[1, 0], grid[1, 1], grid[1, 2]]
     else:
         grid = figure.add_gridspec(2, 2)
