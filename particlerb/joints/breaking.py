@@ -181,8 +181,8 @@ def carry_in_drift(breaks: Breaks | None, work: Work, is_first: bool) -> None:
     """Count the impulses of a drift among those of a step, of which it is the first or not."""
     if breaks is None:
         return
-    for r in range(work.carried.size):
-        work.carried[r] = work.total[r] + (0.0 if is_first else work.carried[r])
+    for r in range(work.of_step.size):
+        work.of_step[r] = work.total[r] + (0.0 if is_first else work.of_step[r])
 
 
 @inline
@@ -190,8 +190,8 @@ def carry_in_projection(breaks: Breaks | None, work: Work) -> None:
     """Count the impulses of a projection, damping included."""
     if breaks is None:
         return
-    for r in range(work.carried.size):
-        work.carried[r] += work.kept[r]
+    for r in range(work.of_step.size):
+        work.of_step[r] += work.kept[r]
 
 
 @inline
@@ -200,7 +200,7 @@ def break_overloaded(breaks: Breaks | None, joints: Joints, work: Work, dt: floa
     if breaks is None:
         return
     for j in range(work.broken.size):
-        force, torque = _impulses(joints, work, j, work.carried, work.pose)
+        force, torque = _impulses(joints, work, j, work.of_step, work.pose)
         is_too_much = force > dt * breaks.force[j] or torque > dt * breaks.torque[j]
         if is_too_much and work.broken[j] == inf:
             work.broken[j] = work.clock[2] + work.clock[0]

@@ -49,6 +49,6 @@ def _by_carried(joints: Joints, work: Work, r: int) -> float:
 def carry(joints: Joints, work: Work, first: int, last: int) -> None:
     """Put bodies first to last that move as prescribed where they are at the end of a drift."""
     for b in range(first, last):
-        if joints.carried[b]:
+        if joints.prescribed[b]:
             for i in range(P):
                 work.y[b, i] = work.later[b, i]

@@ -148,7 +148,7 @@ class Joints(NamedTuple):
     damps: bool  # or dampers, dashpots or drag
     coordinates: Coordinates  # that somebody asks for
     drives: Drives
-    carried: Bools  # (n + 1,) bodies that move as prescribed
+    prescribed: Bools  # (n + 1,) bodies that move as prescribed
     moves: bool  # whether constraints move by themselves
     breaks: Breaks | None = None  # None: no joint does
     bounds: Bounds | None = None  # None: nothing acts within bounds
@@ -182,7 +182,7 @@ class Work(NamedTuple):
     z: Floats  # (m,) right sides and solutions
     total: Floats  # (m,) impulses of a drift
     kept: Floats  # (m,) impulses since the middle of the last step, of these
-    carried: Floats  # (m,) impulses of a step, where contacts have no stiffness and some may break
+    of_step: Floats  # (m,) impulses of a step, where contacts have no stiffness and some may break
     last_g: Floats  # (m,) residuals of the iteration before,
     last_gain: Floats  # (m,) and the impulses that it has added
     before: Floats  # (m,) rates of coordinates before a kick

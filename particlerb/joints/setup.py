@@ -37,7 +37,7 @@ _NO_DRIVES: Final = Drives(np.zeros((0, 4)), np.zeros((0, 3)))
 def joints_among(
     number: Ints, start: Ints, rows: ConstraintRows, bodies: Bodies, actions: Actions,
     coordinates: Coordinates = _NO_COORDINATES, drives: Drives = _NO_DRIVES,
-    carried: Bools | None = None,
+    prescribed: Bools | None = None,
 ) -> Joints:  # fmt: skip
     """Joints of a group.
 
@@ -57,7 +57,7 @@ def joints_among(
         To be kept track of, with bodies likewise.
     drives : Drives, optional
         What is prescribed.
-    carried : ndarray, shape (n,), optional
+    prescribed : ndarray, shape (n,), optional
         Which members move as prescribed.
     """
     n = bodies.mass.size
@@ -75,7 +75,9 @@ def joints_among(
     inv_inertia = np.vstack([bodies.inv_inertia.T[order], np.zeros(3)])
     ends = np.flatnonzero(np.diff(label[order], append=-1)) + 1
     coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
-    carried = np.append(np.zeros(n, dtype=np.bool_) if carried is None else carried[order], False)
+    prescribed = np.append(
+        np.zeros(n, dtype=np.bool_) if prescribed is None else prescribed[order], False
+    )
     first, rank = np.r_[0, ends], np.r_[0, np.cumsum(count)]
     holds = np.logical_or.reduceat(rows.action == HOLDS, rank[:-1])
     clusters, program = _programs(first, label[a[own]], label[order], rows, rank, inv_mass, holds)
@@ -83,8 +85,8 @@ def joints_among(
     damps = actions.damping.any() or actions.stop_damping.any()
     return Joints(
         order, inv_mass, inv_inertia, rows, clusters, program, number[own], actions,
-        np.zeros((n + 1, 2)), _beside(rows), acts, bool(damps), coordinates, drives, carried,
-        bool((rows.drive != AT_REST).any() or carried.any()),
+        np.zeros((n + 1, 2)), _beside(rows), acts, bool(damps), coordinates, drives, prescribed,
+        bool((rows.drive != AT_REST).any() or prescribed.any()),
         rolls=flag(bool(np.isin(rows.kind, (RACK, GEAR)).any())),
     )  # fmt: skip
 

@@ -37,7 +37,7 @@ class Merging(NamedTuple):
     is_held: Bools  # (n,) whether its host is held by the world
 
     @property
-    def carried(self) -> Ints:
+    def guests(self) -> Ints:
         """Bodies that others carry."""
         return np.flatnonzero(self.host != np.arange(self.host.size))
 
@@ -105,7 +105,7 @@ class Merging(NamedTuple):
     def clear(self, frames: Frames) -> None:
         """Let frames have nothing of bodies that others carry."""
         for values in frames[:4]:
-            values[:, self.carried] = 0.0
+            values[:, self.guests] = 0.0
 
     def apart(self, state: State) -> State:
         """State of all bodies, from one of what moves."""

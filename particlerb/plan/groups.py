@@ -52,7 +52,7 @@ def groups_of(
     ties: list[AnyLink | Ties] = [*links, *([] if held is None else [held])]
     ends = [end[end != WORLD] for tie in ties for end in (tie.first, tie.second)]
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
-    absent = bound if system.merging is None else np.union1d(bound, system.merging.carried)
+    absent = bound if system.merging is None else np.union1d(bound, system.merging.guests)
     groups = [
         GroupSetup(members, forces, [], False, False)
         for members, forces in _groups_alone(system, loads, absent, apart)

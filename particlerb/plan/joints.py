@@ -96,8 +96,8 @@ class JointSetup(NamedTuple):
             start = np.r_[start, start[-1] + 1 + np.arange(links.first.size)]
             which = np.r_[which, np.full(links.first.size, -1)]
         drives = drives_from(self.courses, time)
-        carried = np.isin(members, [] if self.driven is None else self.driven.which)
-        joints = joints_among(which, start, rows, bodies, actions, coordinates, drives, carried)
+        prescribed = np.isin(members, [] if self.driven is None else self.driven.which)
+        joints = joints_among(which, start, rows, bodies, actions, coordinates, drives, prescribed)
         limits = Breaks(*(np.append(limit, np.inf)[joints.number] for limit in self.breaks))
         breaks = limits if np.isfinite(limits).any() else None
         return joints._replace(

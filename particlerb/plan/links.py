@@ -295,7 +295,7 @@ def attracted(system: System) -> Ints:
         return np.zeros(0, dtype=np.int64)
     if system.attraction.body is None:
         found = np.arange(len(system.kind))
-        return found if system.merging is None else np.setdiff1d(found, system.merging.carried)
+        return found if system.merging is None else np.setdiff1d(found, system.merging.guests)
     return system.names.find(system.attraction.body)
 
 

@@ -10,7 +10,7 @@ from particlerb.stepping.translations import (
     Centres,
     Damping,
     Oscillator,
-    carried,
+    add_drift,
     damped,
     parabola,
     sprung,
@@ -30,7 +30,7 @@ def translate(
     if brake is not None:
         braked(of, brake, lo, t, given)
     if drift is not None:
-        carried(of, drift, lo, t)
+        add_drift(of, drift, lo, t)
     if orbit is not None:
         orbited(of, orbit, lo, t, given)
     if drag is None and spring is None and brake is None and orbit is None:

@@ -177,7 +177,7 @@ def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Any) -> No
 
 
 @inline
-def carried(of: Centres, drift: Floats, lo: int, t: float) -> None:
+def add_drift(of: Centres, drift: Floats, lo: int, t: float) -> None:
     """Add a parabola, common to bodies that move relative to it: x += V t + g t²/2."""
     n = of.inv_mass.size
     V = rows3(drift, lo, lo + n)
