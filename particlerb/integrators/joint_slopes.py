@@ -18,7 +18,7 @@ from particlerb.joints.actions import action_force
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.drives import set_moving
 from particlerb.joints.reactions import factorise_all, find_multipliers
-from particlerb.joints.records import HOLDS, STATE, Jointed, Joints, L, P, Q, Work, X
+from particlerb.joints.records import HOLDS, STATE, Jointed, Joints, JointWork, L, P, Q, X
 from particlerb.joints.rows import add_impulses, by_inverse_inertia, linearise, orientation
 from particlerb.joints.solver import constrained_drift, keep_rates
 from particlerb.joints.trees import JointTree, accelerate_tree
@@ -130,7 +130,7 @@ def _drag(damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> 
 
 
 @inline
-def _prepare(tree: JointTree | None, joints: Joints, work: Work, t: float) -> None:
+def _prepare(tree: JointTree | None, joints: Joints, work: JointWork, t: float) -> None:
     """Gradients of all rows and the factor of A; in trees gradients alone, of what acts."""
     if tree is None:
         factorise_all(joints, work, t)

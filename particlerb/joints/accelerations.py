@@ -17,7 +17,18 @@ from typing import NamedTuple
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.drives import course
-from particlerb.joints.records import ALONG, DOT, GEAR, RACK, TURN, WORLD_ALONG, Joints, L, P, Work
+from particlerb.joints.records import (
+    ALONG,
+    DOT,
+    GEAR,
+    RACK,
+    TURN,
+    WORLD_ALONG,
+    Joints,
+    JointWork,
+    L,
+    P,
+)
 from particlerb.joints.rows import arms_at, is_of_other_bodies, rate, rotations
 from particlerb.joints.wheels import tangent
 from particlerb.maths.quaternion import Matrix, turn, turn_back
@@ -43,7 +54,7 @@ class _Spin(NamedTuple):
 
 
 @inline
-def _spin_of(joints: Joints, work: Work, k: int, R: Matrix) -> _Spin:
+def _spin_of(joints: Joints, work: JointWork, k: int, R: Matrix) -> _Spin:
     """How body k turns in an orientation."""
     inverse, m = row3_at(joints.inv_inertia, k, 0), turn_back(R, row3_at(work.y, k, L))
     w = component_product(inverse, m)
@@ -52,14 +63,14 @@ def _spin_of(joints: Joints, work: Work, k: int, R: Matrix) -> _Spin:
 
 
 @inline
-def _velocity(joints: Joints, work: Work, k: int) -> Vec3:
+def _velocity(joints: Joints, work: JointWork, k: int) -> Vec3:
     """Velocity of body k [m/s]."""
     return add_scaled(joints.inv_mass[k], row3_at(work.y, k, P), row3_at(work.motion, k, 0))
 
 
 @inline
 def _convective(
-    joints: Joints, work: Work, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
+    joints: Joints, work: JointWork, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
 ) -> float:
     """Convective part of row r, along no fixed direction of the world."""
     rows, kind = joints.rows, joints.rows.kind[r]
@@ -83,14 +94,14 @@ def _convective(
 
 
 @inline
-def _by_given(work: Work, a: int, b: int) -> Vec3:
+def _by_given(work: JointWork, a: int, b: int) -> Vec3:
     """How the accelerations of bodies that move as prescribed differ."""
     return subtract(row3_at(work.motion, a, 6), row3_at(work.motion, b, 6))
 
 
 @inline
 def _centripetal(
-    joints: Joints, work: Work, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
+    joints: Joints, work: JointWork, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
 ) -> Vec3:
     """k of row r."""
     ra, rb = (
@@ -102,7 +113,7 @@ def _centripetal(
 
 
 @kernel
-def accelerations(joints: Joints, work: Work, lo: int, hi: int, load: Floats) -> None:
+def accelerations(joints: Joints, work: JointWork, lo: int, hi: int, load: Floats) -> None:
     """z = -g̈ of rows lo to hi under loads (n + 1, 6), force and torque, without reactions."""
     if lo == hi:
         return

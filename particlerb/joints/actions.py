@@ -12,7 +12,7 @@ in the factor with 2/(s c) on its diagonal, drag in the masses: M + s D/2 in pla
 from math import inf
 
 from particlerb.compiled.jit import inline, unfused_kernel
-from particlerb.joints.records import HOLDS, Actions, Joints, P, Work
+from particlerb.joints.records import HOLDS, Actions, Joints, JointWork, P
 from particlerb.joints.rows import add_impulses, coordinate, orientation, rate, shorter
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.rows import row3, row3_at
@@ -33,7 +33,7 @@ def _beyond(actions: Actions, k: int, x: float) -> float:
 
 
 @inline
-def set_compliance(joints: Joints, work: Work, r: int, span: float) -> None:
+def set_compliance(joints: Joints, work: JointWork, r: int, span: float) -> None:
     """What row r has on its diagonal over a span; inf where nothing damps."""
     k = joints.rows.action[r]
     if k == HOLDS:
@@ -47,7 +47,7 @@ def set_compliance(joints: Joints, work: Work, r: int, span: float) -> None:
 
 
 @inline
-def kick_actions(joints: Joints, work: Work, lo: int, hi: int, dt: float) -> None:
+def kick_actions(joints: Joints, work: JointWork, lo: int, hi: int, dt: float) -> None:
     """Let springs, stops and motors of rows lo to hi act over dt; `total` has the impulses."""
     if not joints.acts:
         return
@@ -67,7 +67,7 @@ def kick_actions(joints: Joints, work: Work, lo: int, hi: int, dt: float) -> Non
 
 
 @inline
-def work_of_motor(joints: Joints, work: Work, r: int, dt: float) -> float:
+def work_of_motor(joints: Joints, work: JointWork, r: int, dt: float) -> float:
     """Work of a motor in a kick: with its rates before, and after the impulses of the joints."""
     after = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
     found: float = 0.5 * dt * joints.actions.motor[joints.rows.action[r]] * (work.before[r] + after)
@@ -91,7 +91,7 @@ def add_stored_energy(joints: Joints, y: Floats, world: Ints, sums: Floats) -> N
 
 
 @inline
-def action_force(joints: Joints, work: Work, r: int) -> tuple[float, float]:
+def action_force(joints: Joints, work: JointWork, r: int) -> tuple[float, float]:
     """What acts along row r [N or N m], and the power of that which has no potential [W]."""
     actions, k = joints.actions, joints.rows.action[r]
     x = coordinate(joints.rows, work.y, r)
@@ -107,7 +107,7 @@ def action_force(joints: Joints, work: Work, r: int) -> tuple[float, float]:
 
 
 @inline
-def soften(joints: Joints, work: Work, c: int, span: float) -> None:
+def soften(joints: Joints, work: JointWork, c: int, span: float) -> None:
     """Inverse masses of cluster c with half of its drag over a span; keep its momenta."""
     for b in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         half = 0.5 * span * joints.inv_mass[b] * joints.drag[b, 0]
@@ -120,13 +120,15 @@ def soften(joints: Joints, work: Work, c: int, span: float) -> None:
 
 
 @inline
-def softened(joints: Joints, work: Work) -> Joints:
+def softened(joints: Joints, work: JointWork) -> Joints:
     """The joints of bodies with these masses; of the same type, or all is compiled twice."""
     return Joints(joints.order, work.inv_mass, work.inv_inertia, *joints[3:])
 
 
 @inline
-def finish_damping(joints: Joints, work: Work, b: int, span: float) -> tuple[float, Vec3, Vec3]:
+def finish_damping(
+    joints: Joints, work: JointWork, b: int, span: float
+) -> tuple[float, Vec3, Vec3]:
     """Momenta of body b after the span, from those of the middle; work, impulse, torque of drag."""
     q, at = orientation(work.y, b), row3_at(work.y, b, 0)
     m = to_body(q, row3_at(work.y, b, P + 3))

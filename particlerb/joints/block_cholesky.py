@@ -16,7 +16,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.fives import down_fives, up_fives, update_fives
-from particlerb.joints.records import Clusters, ConstraintRows, Program, Work
+from particlerb.joints.records import Clusters, ConstraintRows, JointWork, Program
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Bools, Floats, Ints, dot
 
@@ -131,7 +131,7 @@ def _shared(a: Ints, b: Ints, pair: Ints, inv_mass: Floats) -> Bools:
 
 
 @inline
-def _on_diagonal(work: Work, k: int, at: int, n: int, m: float) -> None:
+def _on_diagonal(work: JointWork, k: int, at: int, n: int, m: float) -> None:
     """Lower half of the diagonal block k of n rows from `at` on, and its diagonal."""
     gradient, factor = work.gradient, work.factor
     for r in range(n):
@@ -147,7 +147,7 @@ def _on_diagonal(work: Work, k: int, at: int, n: int, m: float) -> None:
 
 @inline
 def _add_shared(
-    work: Work, k: int, i: int, j: int, rows: int, columns: int, of: tuple[float, int, int]
+    work: JointWork, k: int, i: int, j: int, rows: int, columns: int, of: tuple[float, int, int]
 ) -> None:
     """Add to block k, of rows from i on with those from j on, what a body that both share gives.
 
@@ -163,7 +163,7 @@ def _add_shared(
 
 @inline
 def _off_diagonal(
-    work: Work, shares: Bools, k: int, i: int, j: int, rows: int, columns: int,
+    work: JointWork, shares: Bools, k: int, i: int, j: int, rows: int, columns: int,
     inv_mass: tuple[float, float],
 ) -> None:  # fmt: skip
     """Block k, of rows from i on with those from j on; 1/M are those of the bodies of the rows."""
@@ -183,7 +183,7 @@ def _off_diagonal(
 
 @kernel
 def assemble(
-    program: Program, ends: ConstraintRows, inv_mass: Floats, work: Work, lo: int, hi: int
+    program: Program, ends: ConstraintRows, inv_mass: Floats, work: JointWork, lo: int, hi: int
 ) -> None:
     """A = G M⁻¹ Gᵀ in blocks lo to hi, and its diagonal."""
     start, pair, shares = program.start, program.pair, program.shares

@@ -18,7 +18,7 @@ from math import inf
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.joints.records import HOLDS, Breaks, Joints, P, Work
+from particlerb.joints.records import HOLDS, Breaks, Joints, JointWork, P
 from particlerb.joints.rows import add_impulses, orientation
 from particlerb.maths.quaternion import to_world
 from particlerb.maths.rows import row3, row3_at
@@ -28,7 +28,7 @@ _SAME: Final = 1e-9  # over a step: instants as near as this are one
 
 
 @inline
-def leave_out(breaks: Breaks | None, joints: Joints, work: Work, c: int, t: float) -> None:
+def leave_out(breaks: Breaks | None, joints: Joints, work: JointWork, c: int, t: float) -> None:
     """Leave out the rows of joints of cluster c that have broken before t, and no others."""
     if breaks is None:
         return
@@ -38,7 +38,7 @@ def leave_out(breaks: Breaks | None, joints: Joints, work: Work, c: int, t: floa
 
 
 @inline
-def _set_held(joints: Joints, work: Work, j: int, is_held: bool) -> None:
+def _set_held(joints: Joints, work: JointWork, j: int, is_held: bool) -> None:
     """Say whether the rows of joint j hold, or are left out."""
     start = joints.program.start
     for r in range(start[j], start[j + 1]):
@@ -48,7 +48,13 @@ def _set_held(joints: Joints, work: Work, j: int, is_held: bool) -> None:
 
 @inline
 def let_break(
-    breaks: Breaks | None, joints: Joints, work: Work, c: int, kick_dt: float, t: float, dt: float
+    breaks: Breaks | None,
+    joints: Joints,
+    work: JointWork,
+    c: int,
+    kick_dt: float,
+    t: float,
+    dt: float,
 ) -> bool:
     """Whether joints of cluster c break within a drift from t on, whose impulses are known.
 
@@ -83,7 +89,7 @@ def let_break(
 
 @inline
 def keep_impulses(
-    breaks: Breaks | None, joints: Joints, work: Work, c: int, is_first: bool
+    breaks: Breaks | None, joints: Joints, work: JointWork, c: int, is_first: bool
 ) -> None:
     """Keep the impulses of the rows of cluster c, or add them to those that are kept."""
     if breaks is None:
@@ -95,7 +101,7 @@ def keep_impulses(
 
 @inline
 def _impulses(
-    joints: Joints, work: Work, j: int, kept: Floats, pose: Floats
+    joints: Joints, work: JointWork, j: int, kept: Floats, pose: Floats
 ) -> tuple[float, float]:
     """Sizes of the impulse of joint j, kept by rows, and of its moment about its point."""
     start, impulse, turning = joints.program.start, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -109,7 +115,7 @@ def _impulses(
 
 @inline
 def break_by_multipliers(
-    breaks: Breaks, joints: Joints, work: Work, broken: Floats, t: float
+    breaks: Breaks, joints: Joints, work: JointWork, broken: Floats, t: float
 ) -> bool:
     """Whether joints that hold carry more than they can, by z in the states y; they break at t."""
     found = False
@@ -131,7 +137,7 @@ def may_break(breaks: Breaks, broken: Floats) -> bool:
 
 
 @inline
-def let_go(work: Work, broken: Floats, t: float) -> bool:
+def let_go(work: JointWork, broken: Floats, t: float) -> bool:
     """Leave out what has broken by t, and forget what broke later; whether any held until now."""
     found = False
     for j in range(broken.size):
@@ -152,7 +158,7 @@ def _ahead(load: float, before: float, limit: float) -> float:
 
 @inline
 def foresee_breaks(
-    breaks: Breaks | None, joints: Joints, work: Work, c: int, kick_dt: float, t: float
+    breaks: Breaks | None, joints: Joints, work: JointWork, c: int, kick_dt: float, t: float
 ) -> None:
     """Find which joints of cluster c break until the end of the next step.
 
@@ -177,7 +183,7 @@ def foresee_breaks(
 
 
 @inline
-def carry_in_drift(breaks: Breaks | None, work: Work, is_first: bool) -> None:
+def carry_in_drift(breaks: Breaks | None, work: JointWork, is_first: bool) -> None:
     """Count the impulses of a drift among those of a step, of which it is the first or not."""
     if breaks is None:
         return
@@ -186,7 +192,7 @@ def carry_in_drift(breaks: Breaks | None, work: Work, is_first: bool) -> None:
 
 
 @inline
-def carry_in_projection(breaks: Breaks | None, work: Work) -> None:
+def carry_in_projection(breaks: Breaks | None, work: JointWork) -> None:
     """Count the impulses of a projection, damping included."""
     if breaks is None:
         return
@@ -195,7 +201,7 @@ def carry_in_projection(breaks: Breaks | None, work: Work) -> None:
 
 
 @inline
-def break_overloaded(breaks: Breaks | None, joints: Joints, work: Work, dt: float) -> None:
+def break_overloaded(breaks: Breaks | None, joints: Joints, work: JointWork, dt: float) -> None:
     """Break joints that have carried too much in a step of dt [s], of which it is the middle."""
     if breaks is None:
         return

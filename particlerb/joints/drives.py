@@ -8,7 +8,7 @@ the extended phase space, in which the method is symplectic.
 from math import cos, sin
 
 from particlerb.compiled.jit import inline
-from particlerb.joints.records import AT_REST, Drives, Joints, P, Work
+from particlerb.joints.records import AT_REST, Drives, Joints, JointWork, P
 from particlerb.maths.vec3 import Vec3
 
 
@@ -25,7 +25,7 @@ def course(drives: Drives, k: int, t: float) -> Vec3:
 
 
 @inline
-def set_moving(joints: Joints, work: Work, lo: int, hi: int, t: float) -> None:
+def set_moving(joints: Joints, work: JointWork, lo: int, hi: int, t: float) -> None:
     """∂g/∂t of rows lo to hi at a time, if any moves by itself."""
     if not joints.moves:
         return
@@ -35,7 +35,7 @@ def set_moving(joints: Joints, work: Work, lo: int, hi: int, t: float) -> None:
 
 
 @inline
-def _by_carried(joints: Joints, work: Work, r: int) -> float:
+def _by_carried(joints: Joints, work: JointWork, r: int) -> float:
     """What bodies that move as prescribed do to g of row r, per second."""
     gradient, motion, a, b = work.gradient, work.motion, joints.rows.a[r], joints.rows.b[r]
     found = 0.0
@@ -46,7 +46,7 @@ def _by_carried(joints: Joints, work: Work, r: int) -> float:
 
 
 @inline
-def carry(joints: Joints, work: Work, first: int, last: int) -> None:
+def carry(joints: Joints, work: JointWork, first: int, last: int) -> None:
     """Put bodies first to last that move as prescribed where they are at the end of a drift."""
     for b in range(first, last):
         if joints.prescribed[b]:

@@ -12,7 +12,7 @@ from particlerb.compiled.jit import unfused_kernel
 from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import add_stored_energy
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import DOT, HOLDS, STATE, TURN, Joints, P, Q, Work
+from particlerb.joints.records import DOT, HOLDS, STATE, TURN, Joints, JointWork, P, Q
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.state import rotate, rotate_back
@@ -23,14 +23,14 @@ _OPEN: Final = 1e-8  # share of the largest component of a null vector that is n
 
 
 @unfused_kernel
-def factorise_all(joints: Joints, work: Work, t: float) -> None:
+def factorise_all(joints: Joints, work: JointWork, t: float) -> None:
     """Gradients of all rows and the factors of A in the states y at t."""
     for c in range(joints.clusters.body.size - 1):
         factorise_cluster(joints, work, c, 0.0, t)
 
 
 @unfused_kernel
-def find_multipliers(joints: Joints, work: Work, load: Floats) -> None:
+def find_multipliers(joints: Joints, work: JointWork, load: Floats) -> None:
     """z = λ [N, or N m] of all rows by these factors, under loads (n + 1, 6), force and torque."""
     start, joint = joints.program.start, joints.clusters.joint
     for c in range(joints.clusters.body.size - 1):
@@ -38,7 +38,7 @@ def find_multipliers(joints: Joints, work: Work, load: Floats) -> None:
         solve(joints.program, joints.clusters, work.factor, work.z, c)
 
 
-def weighted_gradient(joints: Joints, work: Work, c: int) -> Floats:
+def weighted_gradient(joints: Joints, work: JointWork, c: int) -> Floats:
     """G M⁻¹ᐟ² of cluster c in the pose of its gradients, (rows, 6 bodies).
 
     Torque rows are divided by the size of their joint.
@@ -69,7 +69,7 @@ def dependent_rows(weighted: Floats) -> Floats:
     return null
 
 
-def null_vectors(joints: Joints, work: Work, c: int) -> Floats:
+def null_vectors(joints: Joints, work: JointWork, c: int) -> Floats:
     """Null vectors of Gᵀ of cluster c, (redundant, rows), 0 in rows that hold nothing."""
     lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
     holds = joints.rows.action[lo:hi] == HOLDS
@@ -79,7 +79,7 @@ def null_vectors(joints: Joints, work: Work, c: int) -> Floats:
     return null
 
 
-def make_least(joints: Joints, work: Work) -> Bools:
+def make_least(joints: Joints, work: JointWork) -> Bools:
     """Make λ in z the one of least norm, of clusters with closed loops.
 
     Returns
@@ -114,7 +114,7 @@ def _joint_sizes(joints: Joints) -> Floats:
     return np.repeat(np.maximum.reduceat(joints.rows.size, start[:-1]), np.diff(start))
 
 
-def forces_of_joints(joints: Joints, work: Work, z: Floats) -> Floats:
+def forces_of_joints(joints: Joints, work: JointWork, z: Floats) -> Floats:
     """Force and torque on the first body of each joint from λ = z, at its point, (j, 6) [N, N m].
 
     World axes. The point is where `at` is on the first body.

@@ -166,7 +166,7 @@ class Joints(NamedTuple):
         return self.moves or bool((self.inv_mass[ends] == 0.0).any())
 
 
-class Work(NamedTuple):
+class JointWork(NamedTuple):
     """What kernels write."""
 
     y: Floats  # (n + 1, 13) states
@@ -202,7 +202,7 @@ class Jointed(NamedTuple):
     """Joints with room to work in, and where their bodies are in blocks."""
 
     joints: Joints
-    work: Work
+    work: JointWork
     block: Ints  # (n,)
     lane: Ints  # (n,)
     given: Flag  # whether forces without potential act: what they gave is kept
@@ -212,7 +212,7 @@ class Jointed(NamedTuple):
     tree: "JointTree | None" = None  # the joints as trees, for accelerations; None: by multipliers
 
 
-def room_for_joints(joints: Joints) -> Work:
+def room_for_joints(joints: Joints) -> JointWork:
     """Room to work in; the world stands still at the origin."""
     n, m, k = joints.inv_mass.size, joints.rows.kind.size, joints.clusters.body.size - 1
     width = int(np.diff(joints.program.start).max())
@@ -237,4 +237,4 @@ def room_for_joints(joints: Joints) -> Work:
         np.full(joints.number.size, np.inf),
         np.full((joints.number.size, 2), -1.0),
     )
-    return Work._make(arrays)
+    return JointWork._make(arrays)

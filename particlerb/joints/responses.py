@@ -26,7 +26,7 @@ from particlerb.impulses.records import (
 )
 from particlerb.impulses.rows import inverse_inertia_times, write_through_joints
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import Joints, Work
+from particlerb.joints.records import Joints, JointWork
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.rows import put_row3_at, row3_at
@@ -75,7 +75,7 @@ def pairs_through(mechanisms: Mechanisms | None, a: Ints, b: Ints) -> tuple[Ints
 
 
 @kernel
-def _clear(work: Work, first: int, last: int) -> None:
+def _clear(work: JointWork, first: int, last: int) -> None:
     """No impulse on bodies first to last."""
     for k in range(first, last):
         for i in range(6):
@@ -84,7 +84,7 @@ def _clear(work: Work, first: int, last: int) -> None:
 
 @kernel
 def _put_velocities(
-    partners: Partners, mechanisms: Mechanisms, work: Work, c: int, to: int
+    partners: Partners, mechanisms: Mechanisms, work: JointWork, c: int, to: int
 ) -> None:
     """Write velocities of mechanism c from the impulses on it: a row of its matrix."""
     response = mechanisms.response
@@ -99,7 +99,7 @@ def _put_velocities(
 
 @kernel
 def _respond(
-    joints: Joints, work: Work, partners: Partners, mechanisms: Mechanisms, b: int
+    joints: Joints, work: JointWork, partners: Partners, mechanisms: Mechanisms, b: int
 ) -> None:
     """Find the rows of body b in the matrix of its mechanism, if joints hold it, once a step."""
     c, known, member = mechanisms.number[b], mechanisms.is_known, mechanisms.member
@@ -129,7 +129,7 @@ def _respond(
 
 @kernel
 def find_bounded(
-    joints: Joints, work: Work, partners: Partners, mechanisms: Mechanisms,
+    joints: Joints, work: JointWork, partners: Partners, mechanisms: Mechanisms,
     bounded: Bounded | None, dt: float,
 ) -> None:  # fmt: skip
     """Write rows of what acts along coordinates within bounds, for a step of dt [s].
@@ -164,7 +164,7 @@ def find_bounded(
 
 @kernel
 def find_responses(
-    joints: Joints, work: Work, impulses: Impulses, mechanisms: Mechanisms
+    joints: Joints, work: JointWork, impulses: Impulses, mechanisms: Mechanisms
 ) -> None:  # fmt: skip
     """Find what impulses on bodies that touch do to their mechanisms, and inverse masses by that.
 
@@ -179,7 +179,9 @@ def find_responses(
 
 
 @kernel
-def move_to_joints(joints: Joints, work: Work, partners: Partners, mechanisms: Mechanisms) -> bool:
+def move_to_joints(
+    joints: Joints, work: JointWork, partners: Partners, mechanisms: Mechanisms
+) -> bool:
     """Find moves of bodies that have been pushed out, to where joints hold; whether there are any.
 
     One step of Newton's method with the poses in `work`, weighed by the masses.

@@ -37,9 +37,9 @@ from particlerb.joints.records import (
     ConstraintRows,
     Drives,
     Joints,
+    JointWork,
     P,
     Q,
-    Work,
     X,
 )
 from particlerb.joints.wheels import rolled, tangent, with_turns
@@ -178,7 +178,7 @@ def is_of_other_bodies(rows: ConstraintRows, lo: int, r: int) -> bool:
 
 
 @unfused_kernel
-def residuals(joints: Joints, work: Work, lo: int, hi: int, t: float) -> tuple[float, int]:
+def residuals(joints: Joints, work: JointWork, lo: int, hi: int, t: float) -> tuple[float, int]:
     """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row."""
     rows, y, g = joints.rows, work.y, work.g
     worst, where, d = 0.0, lo, (0.0, 0.0, 0.0)
@@ -244,7 +244,7 @@ def _by_turning(rows: ConstraintRows, r: int, ra: Vec3, rb: Vec3, u: Vec3, d: Ve
 
 
 @unfused_kernel
-def linearise(joints: Joints, work: Work, lo: int, hi: int) -> None:
+def linearise(joints: Joints, work: JointWork, lo: int, hi: int) -> None:
     """Gradients of rows lo to hi, and J⁻¹ times them."""
     rows, y, gradient = joints.rows, work.y, work.gradient
     if lo == hi:
@@ -282,7 +282,7 @@ def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
 
 
 @unfused_kernel
-def rates(joints: Joints, work: Work, lo: int, hi: int) -> float:
+def rates(joints: Joints, work: JointWork, lo: int, hi: int) -> float:
     """z = -ġ of rows lo to hi; the largest over its size [1/s]."""
     worst = 0.0
     for r in range(lo, hi):

@@ -22,7 +22,7 @@ from particlerb.joints.actions import kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.breaking import leave_out, let_break
 from particlerb.joints.drives import carry, set_moving
-from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, Joints, L, P, Q, Work, X
+from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, Joints, JointWork, L, P, Q, X
 from particlerb.joints.rows import (
     add_impulses,
     arms_at,
@@ -52,7 +52,7 @@ _MOST_OPEN: Final = 1e-4  # and what the residual of a row that rests may be, ov
 
 
 @inline
-def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
+def fly(joints: Joints, work: JointWork, c: int, dt: float) -> None:
     """Drift of cluster c from where it began, with the momenta of now."""
     y, pose = work.y, work.pose
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
@@ -68,7 +68,7 @@ def fly(joints: Joints, work: Work, c: int, dt: float) -> None:
 
 
 @inline
-def factorise_cluster(joints: Joints, work: Work, c: int, span: float, t: float) -> None:
+def factorise_cluster(joints: Joints, work: JointWork, c: int, span: float, t: float) -> None:
     """G and the factor of A of cluster c at its pose and at t; rows that damp do so over a span."""
     clusters, start = joints.clusters, joints.program.start
     lo, hi = clusters.joint[c], clusters.joint[c + 1]
@@ -82,7 +82,7 @@ def factorise_cluster(joints: Joints, work: Work, c: int, span: float, t: float)
 
 
 @inline
-def _factor(joints: Joints, work: Work, c: int) -> None:
+def _factor(joints: Joints, work: JointWork, c: int) -> None:
     """Factor of A of cluster c from its gradients."""
     block = joints.clusters.block
     assemble(joints.program, joints.rows, joints.inv_mass, work, block[c], block[c + 1])
@@ -90,14 +90,14 @@ def _factor(joints: Joints, work: Work, c: int) -> None:
 
 
 @inline
-def _solve_and_add(joints: Joints, work: Work, c: int, lo: int, hi: int) -> None:
+def _solve_and_add(joints: Joints, work: JointWork, c: int, lo: int, hi: int) -> None:
     """Impulses that take away the right sides z of rows lo to hi, those of cluster c."""
     solve(joints.program, joints.clusters, work.factor, work.z, c)
     _add(joints, work, lo, hi)
 
 
 @inline
-def _add(joints: Joints, work: Work, lo: int, hi: int) -> None:
+def _add(joints: Joints, work: JointWork, lo: int, hi: int) -> None:
     """Add impulses z of rows lo to hi to the momenta, and to `total`."""
     for r in range(lo, hi):
         work.total[r] += work.z[r]
@@ -105,7 +105,7 @@ def _add(joints: Joints, work: Work, lo: int, hi: int) -> None:
 
 
 @inline
-def begin_with_guess(joints: Joints, work: Work, c: int, kick_dt: float) -> None:
+def begin_with_guess(joints: Joints, work: JointWork, c: int, kick_dt: float) -> None:
     """Begin with the impulses that a cubic through those of the last four steps foresees.
 
     Rows that the factor leaves out have none.
@@ -124,7 +124,7 @@ def begin_with_guess(joints: Joints, work: Work, c: int, kick_dt: float) -> None
 
 
 @inline
-def remember(work: Work, lo: int, hi: int, kick_dt: float) -> None:
+def remember(work: JointWork, lo: int, hi: int, kick_dt: float) -> None:
     """Keep the impulses of rows lo to hi for the guess of the next step."""
     for r in range(lo, hi):
         found = work.total[r] / kick_dt
@@ -135,7 +135,7 @@ def remember(work: Work, lo: int, hi: int, kick_dt: float) -> None:
 
 @unfused_kernel
 def constrained_drift(
-    joints: Joints, work: Work, c: int, kick_dt: float, t: float, dt: float
+    joints: Joints, work: JointWork, c: int, kick_dt: float, t: float, dt: float
 ) -> None:
     """Kick of springs at t, and drift of cluster c over dt with impulses so that g = 0 at its end.
 
@@ -166,7 +166,7 @@ def constrained_drift(
 
 
 @inline
-def _turn(joints: Joints, work: Work, k: int, dt: float) -> Vec3:
+def _turn(joints: Joints, work: JointWork, k: int, dt: float) -> Vec3:
     """How far body k turns in a drift, if it went on as it begins."""
     own = by_inverse_inertia(
         joints.inv_inertia, orientation(work.pose, k), k, row3_at(work.y, k, L)
@@ -175,7 +175,7 @@ def _turn(joints: Joints, work: Work, k: int, dt: float) -> Vec3:
 
 
 @inline
-def _see_teeth(rolls: Flag, joints: Joints, work: Work, c: int, dt: float) -> None:
+def _see_teeth(rolls: Flag, joints: Joints, work: JointWork, c: int, dt: float) -> None:
     """Give cluster c up where teeth were passed in a drift, or axes have left their place."""
     if rolls is None:
         return
@@ -193,7 +193,7 @@ def _see_teeth(rolls: Flag, joints: Joints, work: Work, c: int, dt: float) -> No
 
 
 @kernel
-def _pass_singular_pose(joints: Joints, work: Work, c: int, t: float, dt: float) -> None:
+def _pass_singular_pose(joints: Joints, work: JointWork, c: int, t: float, dt: float) -> None:
     """Drift anew without the rows that all but depend on others: for this step they rest.
 
     They are as few as let the others converge by impulses that bodies as slow as these can give
@@ -230,7 +230,7 @@ def _pass_singular_pose(joints: Joints, work: Work, c: int, t: float, dt: float)
 
 
 @inline
-def _is_weak(joints: Joints, work: Work, c: int, lo: int, hi: int) -> bool:
+def _is_weak(joints: Joints, work: JointWork, c: int, lo: int, hi: int) -> bool:
     """Whether no impulse of rows lo to hi is above √(2 M T), where the drift begins."""
     T, M, largest = 0.0, 0.0, 0.0
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
@@ -245,7 +245,7 @@ def _is_weak(joints: Joints, work: Work, c: int, lo: int, hi: int) -> bool:
 
 
 @inline
-def _share_of_last(joints: Joints, work: Work, lo: int, hi: int) -> float:
+def _share_of_last(joints: Joints, work: JointWork, lo: int, hi: int) -> float:
     """How much of the last gain to take back, so that the residual over the sizes is least."""
     along, square = 0.0, 0.0
     for r in range(lo, hi):
@@ -257,7 +257,7 @@ def _share_of_last(joints: Joints, work: Work, lo: int, hi: int) -> float:
 
 @inline
 def _count_teeth(
-    rolls: Flag, joints: Joints, work: Work, lo: int, hi: int, dt: float, worst: float
+    rolls: Flag, joints: Joints, work: JointWork, lo: int, hi: int, dt: float, worst: float
 ) -> float:
     """Residuals of what rolls, with the teeth that it passes by its rates as no impulses hold it.
 
@@ -275,7 +275,7 @@ def _count_teeth(
 
 
 @kernel
-def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> None:
+def _fly_to_joints(joints: Joints, work: JointWork, c: int, t: float, dt: float) -> None:
     """Drift with impulses along the gradients so that g = 0 at its end: see above."""
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
@@ -303,7 +303,7 @@ def _fly_to_joints(joints: Joints, work: Work, c: int, t: float, dt: float) -> N
 
 @unfused_kernel
 def project_momenta(
-    joints: Joints, work: Work, c: int, kick_dt: float, t: float, span: float
+    joints: Joints, work: JointWork, c: int, kick_dt: float, t: float, span: float
 ) -> None:
     """Kick of springs; take from the momenta of cluster c what would break its joints at t.
 
@@ -319,7 +319,7 @@ def project_momenta(
 
 
 @inline
-def keep_rates(joints: Joints, work: Work, c: int, lo: int, hi: int) -> None:
+def keep_rates(joints: Joints, work: JointWork, c: int, lo: int, hi: int) -> None:
     """Take from the momenta what breaks rows lo to hi, those of cluster c, by the factor of A."""
     before = 1e300
     for _ in range(_MOST_PASSES):

@@ -23,9 +23,9 @@ from particlerb.joints.records import (
     ConstraintRows,
     Coordinates,
     Joints,
+    JointWork,
     L,
     P,
-    Work,
 )
 from particlerb.joints.rows import arms_at, by_inverse_inertia, orientation, rotations
 from particlerb.joints.setup import NO_ACTIONS, action, both_actions
@@ -121,7 +121,7 @@ def bounds_among(bounds: Bounds, rows: ConstraintRows) -> Bounds | None:
     return Bounds._make([row, *(values[which] for values in bounds[1:])]) if row.size else None
 
 
-def loose_wheels(joints: Joints, work: Work) -> dict[int, str]:
+def loose_wheels(joints: Joints, work: JointWork) -> dict[int, str]:
     """Rows that roll and whose axes the joints do not hold, to first order: how they may move.
 
     Of momenta along each such way, what the joints leave is to be nothing.
@@ -144,7 +144,7 @@ def loose_wheels(joints: Joints, work: Work) -> dict[int, str]:
     return found
 
 
-def _ways_of(joints: Joints, work: Work, r: int) -> list[tuple[str, Floats]]:
+def _ways_of(joints: Joints, work: JointWork, r: int) -> list[tuple[str, Floats]]:
     """How the axes of row r must not move: gradients by x and θ of a, and of b, (12,)."""
     rows, R = joints.rows, rotations(joints.rows, work.y, r)
     ra, rb, u, d = map(np.array, arms_at(rows, work.y, r, R))

@@ -12,7 +12,7 @@ from particlerb.joints.reactions import (
     forces_of_joints,
     null_vectors,
 )
-from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, Joints, Work, room_for_joints
+from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, Joints, JointWork, room_for_joints
 from particlerb.joints.rows import linearise
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
@@ -28,7 +28,7 @@ _IN_SET: Final = 1e-6  # share of a null vector of Gᵀ from which on a row is i
 _MOST_NAMED: Final = 8
 
 
-def work_at(joints: Joints, state: State) -> Work:
+def work_at(joints: Joints, state: State) -> JointWork:
     """Room to work in, with bodies of a group in a state."""
     work = room_for_joints(joints)
     work.y[:-1] = np.vstack(state).T[joints.order]

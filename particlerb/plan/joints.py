@@ -30,7 +30,7 @@ from particlerb.joints.records import (
     ConstraintRows,
     Coordinates,
     Joints,
-    Work,
+    JointWork,
     room_for_joints,
 )
 from particlerb.joints.rows import linearise, rates, residuals
@@ -233,7 +233,7 @@ class _AtStart(NamedTuple):
     """All joints of a system, with the bodies where they are at the start."""
 
     joints: Joints
-    work: Work
+    work: JointWork
     rows: list[slice]  # of each cluster
 
 
@@ -352,7 +352,7 @@ def _refuse_misfits(
         raise CaseError(problems.values())
 
 
-def _refuse_loose(system: System, setup: JointSetup, joints: Joints, work: Work) -> None:
+def _refuse_loose(system: System, setup: JointSetup, joints: Joints, work: JointWork) -> None:
     """Raise CaseError where the axes of what rolls are not held."""
     hint = "hold both bodies by hinges, parallel and at their distance"
     for row, words in joint_rows.loose_wheels(joints, work).items():
@@ -362,7 +362,7 @@ def _refuse_loose(system: System, setup: JointSetup, joints: Joints, work: Work)
 
 
 def _refuse_apart(
-    system: System, setup: JointSetup, joints: Joints, work: Work, own: slice
+    system: System, setup: JointSetup, joints: Joints, work: JointWork, own: slice
 ) -> None:
     """Raise CaseError where the joints of a cluster have not come together."""
     residuals(joints, work, own.start, own.stop, 0.0)
@@ -375,7 +375,7 @@ def _refuse_apart(
     raise CaseError([problem_at(system, f"joint[{int(setup.record[joint])}]", reason, hint)])
 
 
-def _refuse_fast(system: System, setup: JointSetup, joints: Joints, work: Work) -> None:
+def _refuse_fast(system: System, setup: JointSetup, joints: Joints, work: JointWork) -> None:
     """Raise CaseError where velocities at the start break a joint that may not be assembled."""
     m = joints.rows.kind.size
     linearise(joints, work, 0, m)

@@ -39,7 +39,7 @@ from particlerb.model.state import Frames, State, room_for
 from particlerb.stepping.adaptive_loop import Leg, advance_steps
 from particlerb.stepping.jointed_motion import JointedMotion, jointed_in
 from particlerb.stepping.loop import Recording
-from particlerb.stepping.motion import SegmentGroup, WorkAccount
+from particlerb.stepping.motion import ForceAccount, SegmentGroup
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 from particlerb.stepping.stepped_motion import NANOSECONDS_PER_CALL
@@ -85,7 +85,7 @@ class AdaptiveMotion(JointedMotion):
     ) -> None:
         self.group, self.start = group, start
         n, terms = group.members.size, group.terms
-        self.account = WorkAccount(group, state)
+        self.account = ForceAccount(group, state)
         self.equations = Equations(acting_of(terms), self.account.books, tolerance)
         self.forces = PairForces(terms, n, True, start) if terms.is_coupled else None
         assert row_count(terms) <= STAGE

@@ -41,7 +41,7 @@ from particlerb.stepping.loop import (
     loop_over_ranks,
     store_blocks,
 )
-from particlerb.stepping.motion import MotionError, WorkAccount
+from particlerb.stepping.motion import ForceAccount, MotionError
 from particlerb.stepping.shared_motion import GROSS, SharedMotion, initial_rows
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -60,7 +60,7 @@ class BrickMotion(SharedMotion):
         exchange, number = self.exchange, self.ranks.number
         self.model, self.is_free = exchange.model, exchange.is_free
         self._room_to_show()
-        self.account_shown = WorkAccount(self.shown, state)
+        self.account_shown = ForceAccount(self.shown, state)
         with ending_all(self.ranks):
             everyone = exchange.everyone(state)
             self.initial, com = initial_rows(np.vstack(everyone)), everyone.com

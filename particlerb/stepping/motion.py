@@ -199,7 +199,7 @@ def constant_force(group: SegmentGroup, state: State) -> _ConstantForce:
     return _ConstantForce(work[..., None], over_bodies(force, worlds), np.stack(angular))
 
 
-class WorkAccount:
+class ForceAccount:
     """What the forces have given a group since its segment began.
 
     The work of a potential is its loss. Where every force is constant in the world, the centre of

@@ -41,7 +41,7 @@ from particlerb.stepping.loop import (
     grid_stop,
     loop_over_threads,
 )
-from particlerb.stepping.motion import SegmentGroup, WorkAccount
+from particlerb.stepping.motion import ForceAccount, SegmentGroup
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 
@@ -100,7 +100,7 @@ class SteppedMotion(JointedMotion):
         self.steps_done = 0
         self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`,
         self.pose_loop: Callable[..., Position] | None = None  # and for it
-        self.account = WorkAccount(group, state, method.keeps_angular_momentum)
+        self.account = ForceAccount(group, state, method.keeps_angular_momentum)
         self.jointed = jointed_in(group, state, self.slots, start, dt)
         links, own = terms.links, terms.own_pairs
         has_dashpots = links is not None and links.damping is not None
