@@ -1,7 +1,7 @@
 """The loop over steps that a method chooses: frames lie within steps, and change nothing in them.
 
 It stands before a step that it has found already, so that a frame can be shown in it by dense
-output. The loop over a grid of steps, in `loop`, stands behind one: see decision 27.
+output. The loop over a grid of steps, in `loop`, stands behind one: see decision 28.
 """
 
 from typing import NamedTuple
