@@ -39,6 +39,8 @@ _JOINTED: Final = {  # down to these,
     1e-4: ("rattle", "rattle4"), 1e-7: ("rattle4", "rattle6", "dop853"),
 }  # fmt: skip
 _FINE: Final = ("rattle6", "rattle8", "dop853")  # and below
+_A_LITTLE: Final = 1.4  # times as dear as the cheapest a method may be that is tried
+_HOPELESS: Final = 3.0  # times as dear as the finest run of a method that was lost in noise
 _SHARE: Final = 0.3  # of the wanted error of the energy that a step is chosen for
 
 
@@ -176,11 +178,16 @@ def candidates(pilot: Pilot, able: list[str]) -> list[str]:
 def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:
     """Setting of the method that meets the accuracy at the least cost, or that comes closest.
 
-    The first to be tried is what is the cheapest in most scenes.
+    The first to be tried is what is the cheapest in most scenes. What is tried is left for another
+    method only where that promises to be cheaper by more than a little. Where one method is lost in
+    noise, so are others that would be far dearer.
     """
-    min(ladders, key=Ladder.usual_cost).climb()
+    best = min(ladders, key=Ladder.usual_cost)
+    best.climb()
     while True:
-        best = min(ladders, key=lambda ladder: ladder.cost)
+        least = min(ladders, key=lambda ladder: ladder.cost)
+        if not best.cost <= _A_LITTLE * least.cost:
+            best = least
         if best.is_verified:
             return best.found(best.setting, best.error)
         if best.cost == math.inf:
@@ -189,7 +196,10 @@ def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:
             if met:
                 return min(met, key=lambda found: found.cost)
             return min(known, key=lambda found: found.error)
-        best.climb()
+        if best.cost > _HOPELESS * min(ladder.lost_at for ladder in ladders):
+            best.cost = math.inf
+        else:
+            best.climb()
 
 
 def by_energy(pilot: Pilot, method: str) -> ChosenStep:

@@ -13,6 +13,7 @@ import numpy as np
 
 from particlerb.case.problems import CaseError, problem_at
 from particlerb.forces import Terms
+from particlerb.forces.registry import term_of
 from particlerb.integrators import METHODS
 from particlerb.integrators.dop853 import PACK
 from particlerb.joints.trees import tree_of
@@ -36,11 +37,14 @@ _LOG: Final = logging.getLogger(__name__)
 _PILOT: Final = 32  # bodies that are looked at, at most,
 _ONE_OF: Final = 16  # so many, in lines:
 _FASTEST: Final = 4  # one of so many by its rate at t = 0, the others by their errors at
-_COARSE: Final = 1.0, 2.0  # rad of a step of strang; the second is for many,
-_FINER: Final = 0.7  # and of the step that it is compared with, of the first
-SET_UP: Final = 1.5e5  # ns of a trial beside its steps, roughly,
-_BEGIN: Final = 4e5  # and of a search beside its trials
+_COARSE: Final = 1.0, 3.0  # rad of a step of strang; the second is for many,
+_COMPARED: Final = 0.7  # and of the step that it is compared with, of the first
+_FINER: Final = 0.125  # of these steps, where the errors are not regular
+REGULAR: Final = 0.1  # errors below it follow the order of a method
+SET_UP: Final = 1e5  # ns of a trial beside its steps, roughly,
+_BEGIN: Final = 3e5  # and of a search beside its trials
 _ALONE: Final = 6  # bodies in the lanes of a register that one without a full register costs
+_A_LOAD: Final = 1.2  # ns of a body for each evaluation of a force that changes
 _IN_TREES: Final = 8000.0  # ns of a step of an adaptive method for a body that joints hold,
 _BY_ROWS: Final = 16000.0  # and where these are no trees
 _SAY_SO: Final = 2.0  # s after which a search says what it does
@@ -60,6 +64,7 @@ class Pilot:
             reason = "no step can be chosen: a torque over a moment of inertia overflows"
             raise CaseError([problem_at(system, "run.accuracy", reason, "give run.dt")])
         self.lengths = [min(s.stop, t_end) - s.start for s in group.stepped if s.start < t_end]
+        self.cost_of_loads = _A_LOAD * max(_changing_loads(s.terms) for s in group.segments)
         self.cost_between = max(cost_of(segment.terms) for segment in group.segments)
         self.is_coupled = any(segment.terms.is_coupled for segment in group.segments)
         self.sets_off_again = not any(_remembers(segment.terms) for segment in group.segments)
@@ -68,6 +73,7 @@ class Pilot:
         self.held = (_BY_ROWS if has_rows else _IN_TREES) if joints else 0.0
         self.asymmetric = float(np.mean(group.bodies.rotor_class == ASYMMETRIC))
         self.gone: tuple[Frames | None, Floats] = (None, np.empty(0))  # ways of the last reference
+        self.stands_for = 1.0  # bodies, of which each is one, where the worst cannot be told
         self.rehearsal: Rehearsal | None = None
         self.take(np.arange(group.members.size))
         if can_rehearse(group, t_end):
@@ -85,7 +91,7 @@ class Pilot:
         self.bodies = taken(self.group.bodies, which)
         vars(self).pop("own", None)
         if self.rehearsal is not None:
-            self.rehearsal.take(which, self.bodies)
+            self.rehearsal = self.rehearsal.of(which, self.bodies)
         self.begun: dict[str, Any] = {}  # motions of these bodies, by their methods
         self.size = self.system.reach[self.system.kind[own]]
 
@@ -102,19 +108,35 @@ class Pilot:
         return min([turn / self.rate if self.rate > 0.0 else math.inf, *self.lengths])
 
     def worst(self, count: int) -> Ints:
-        """Bodies that are fastest, and those that err most with coarse steps."""
-        times = np.array([self.system.run.t_end])
-        longer, n = Stepping("strang", self.longest(_COARSE[0]), 0.0, ""), self.which.size
-        is_short = self.cost(longer, 3.0 * times[0] / longer.dt, n) < SET_UP
-        turn = _COARSE[0 if is_short else 1]
-        coarse, fine = (
-            self.poses(longer._replace(dt=self.longest(share * turn)), times)[0]
-            for share in (1.0, _FINER)
-        )
-        error = self.errors(times, coarse, fine)[0]
+        """Bodies that are fastest, and those that err most with coarse steps.
+
+        Where not even so few err regularly, more are taken, and by finer steps if that is cheap.
+        """
+        turn = _COARSE[0 if self.is_short(_COARSE[0]) else 1]
+        error = self.coarse_errors(turn)
+        if np.partition(error, -count)[-count] > REGULAR:
+            count = min(_PILOT, error.size)
+            self.stands_for = error.size / count
+            if self.is_short(_FINER * turn, 10.0):
+                error = self.coarse_errors(_FINER * turn)
         fastest = np.argsort(-self.rates, kind="stable")[: count // _FASTEST]
         error[fastest] = np.inf
         return np.sort(np.argsort(-error, kind="stable")[:count])
+
+    def is_short(self, turn: float, times: float = 1.0) -> bool:
+        """Whether two runs of all bodies with such steps [rad] take no longer than some set-ups."""
+        longer = Stepping("strang", self.longest(turn), 0.0, "")
+        steps = 3.0 * self.system.run.t_end / longer.dt
+        return self.cost(longer, steps, self.which.size) < times * SET_UP
+
+    def coarse_errors(self, turn: float) -> Floats:
+        """Errors at t_end of all bodies, (n,), with steps of such a turn [rad]."""
+        times = np.array([self.system.run.t_end])
+        coarse, fine = (
+            self.poses(Stepping("strang", self.longest(share * turn), 0.0, ""), times)[0]
+            for share in (1.0, _COMPARED)
+        )
+        return np.asarray(self.errors(times, coarse, fine)[0])
 
     def poses(self, stepping: Stepping, times: Floats) -> tuple[Frames, float]:
         """States at some times, and the steps of the whole run that were taken until the last."""
@@ -140,7 +162,10 @@ class Pilot:
     def errors(
         self, times: Floats, found: Frames, expected: Frames, rows: slice = slice(None)
     ) -> Floats:
-        """Errors of the bodies in rows, (T, n): the larger of orientation and position."""
+        """Errors of the bodies in rows, (T, n): the larger of orientation and position.
+
+        Where they stand for others that may err more, they are as many times larger.
+        """
         poses = *expected[:2], *found[:2]
         error, off = misfits(self.bodies, *(values[rows] for values in poses))
         if not (off <= error * self.size).all():  # else turns are the larger errors
@@ -149,14 +174,14 @@ class Pilot:
             scale = np.maximum(self.size, self.gone[1][rows])
             error = np.maximum(error, np.divide(off, scale, out=off, where=scale > 0.0))
         error[np.isnan(error)] = np.inf
-        return error
+        return error if self.stands_for == 1.0 else error * self.stands_for
 
     def cost(self, stepping: Stepping, steps: float, n: int) -> float:
         """Time that n bodies of the group take for so many steps, by the table [ns]."""
         method = METHODS[stepping.method]
         lanes, rest = n + (_ALONE - 1) * (n % LINE), n % PACK
         if method.is_adaptive:
-            full = n - rest + (rest > 0) * LINE + (rest > LINE) * LINE
+            full = n - rest + (rest > 0) * max(rest, _ALONE)
             lanes = 2 * lanes if self.is_coupled else full
         each = method.cost
         if self.held:
@@ -164,7 +189,14 @@ class Pilot:
         if method.asymmetric_cost is not None:
             turns = stepping.dt * self.rate
             each *= 1.0 + self.asymmetric * (method.asymmetric_cost(turns) - 1.0)
+        if not method.is_adaptive:
+            each += method.evaluations * self.cost_of_loads
         return float(steps * (lanes * each + method.evaluations * self.cost_between))
+
+
+def _changing_loads(terms: Terms) -> int:
+    """Forces that are not constant in the world, as they act on a body by itself."""
+    return sum(not term_of(load).kick.is_steady for load in terms.loads)
 
 
 def _remembers(terms: Terms) -> bool:

@@ -5,7 +5,8 @@ rows, of which some bodies are some columns. Nothing is booked, and no body acts
 """
 
 from collections.abc import Sequence
-from functools import partial
+from copy import copy
+from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
@@ -16,7 +17,7 @@ from particlerb.forces import acting_of, is_constant, row_count, rows_of_terms
 from particlerb.integrators import METHODS
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import MovingBodies, RotorClasses
-from particlerb.maths.vec3 import Floats, Ints, differences
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import (
     CHANGING,
     ROTOR,
@@ -26,7 +27,7 @@ from particlerb.model.block import (
     into_blocks,
     state_rows,
 )
-from particlerb.model.bodies import Bodies
+from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import Frames, State, room_for
 from particlerb.plan.segments import GroupPlan
 from particlerb.plan.time_step import Stepping
@@ -37,7 +38,7 @@ from particlerb.stepping.loop import (
     Recording,
     Schedule,
     compiled_loop,
-    grid_position,
+    grid_stop,
 )
 from particlerb.stepping.stepped_motion import NANOSECONDS_PER_CALL
 
@@ -61,18 +62,20 @@ class Rehearsal:
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
         self.place(group.bodies, parts, row_count(terms))
 
-    def take(self, which: Ints, bodies: Bodies) -> None:
-        """Have some of the bodies alone."""
+    def of(self, which: Ints, bodies: Bodies) -> "Rehearsal":
+        """Some of the bodies alone."""
         changing(self.blocks)[:] = self.first
         rows = self.blocks.reshape(len(self.blocks), -1, STRIDE)[which // BLOCK, :, which % BLOCK]
-        self.place(bodies, [(0, rows.T)], self.n_rows)
+        some = copy(self)
+        some.place(bodies, [(0, rows.T)], self.n_rows)
+        return some
 
     def place(self, bodies: Bodies, parts: Sequence[tuple[int, Floats]], n_rows: int) -> None:
         """Put bodies with these rows into blocks."""
+        vars(self).pop("kinds", None)
         self.bodies, self.n_rows, n = bodies, n_rows, bodies.mass.size
-        is_asymmetric = bodies.rotor_class == ASYMMETRIC
-        self.is_asymmetric = bool(is_asymmetric.all())
-        self.is_mixed = self.is_asymmetric != bool(is_asymmetric.any())
+        self.is_asymmetric = bodies.rotor_class == ASYMMETRIC
+        self.is_mixed = bool(self.is_asymmetric.any() and not self.is_asymmetric.all())
         self.blocks = in_blocks(n, n_rows, parts)
         self.first, self.block = changing(self.blocks).copy(), np.arange(n) // BLOCK
         self.saved = np.empty((len(self.blocks), CHANGING * STRIDE))
@@ -81,9 +84,13 @@ class Rehearsal:
     def serves(self, stepping: Stepping, steps: float) -> bool:
         """Whether one call of a kernel, shorter than a second, moves all bodies."""
         method, all_steps = METHODS[stepping.method], steps * self.block.size
-        is_parted = method.rotor_constants is not None and self.is_mixed
-        is_long = all_steps * method.cost > NANOSECONDS_PER_CALL
-        return not (method.is_adaptive or is_parted or is_long)
+        return not (method.is_adaptive or all_steps * method.cost > NANOSECONDS_PER_CALL)
+
+    @cached_property
+    def kinds(self) -> list[tuple[Ints, "Rehearsal"]]:
+        """Asymmetric bodies and the others, each alone."""
+        found = (np.flatnonzero(self.is_asymmetric == one) for one in (True, False))
+        return [(which, self.of(which, taken(self.bodies, which))) for which in found]
 
     def loop(self, name: str) -> Any:
         """Compiled loop of a method, with the bodies as it takes them."""
@@ -91,10 +98,14 @@ class Rehearsal:
             method, n, together = METHODS[name], self.block.size, len(self.blocks)
             rotors, asymmetric = RotorClasses(), 0
             if method.rotor_constants is not None:
-                rotors = RotorClasses(flag(self.is_asymmetric), flag(not self.is_asymmetric))
-            if method.rotor_constants is not None and self.is_asymmetric:
-                constants, asymmetric = method.rotor_constants(self.bodies.inv_inertia), together
-                into_blocks(self.blocks, ROTOR, constants)
+                is_asymmetric = bool(self.is_asymmetric.all())
+                rotors = RotorClasses(flag(is_asymmetric), flag(not is_asymmetric))
+                if is_asymmetric:
+                    constants, asymmetric = (
+                        method.rotor_constants(self.bodies.inv_inertia),
+                        together,
+                    )
+                    into_blocks(self.blocks, ROTOR, constants)
             first = np.arange(0, n, BLOCK)
             layout = Layout(first, np.minimum(n - first, BLOCK), asymmetric)
             books = flag(not (self.is_constant and method.keeps_angular_momentum))
@@ -104,14 +115,26 @@ class Rehearsal:
 
     def poses(self, stepping: Stepping, times: Floats) -> Frames:
         """States at ascending times [s]."""
-        n, rows = self.block.size, np.arange(times.size)
-        steps, partial_steps = grid_position(times, stepping.dt)
+        n = self.block.size
         frames = room_for(times.size, n, np.eye(1, 4).repeat(n, axis=0))
+        if self.is_mixed and METHODS[stepping.method].rotor_constants is not None:
+            for which, some in self.kinds:
+                some.record(stepping, times, which, frames)
+        else:
+            self.record(stepping, times, np.arange(n), frames)
+        return frames
+
+    def record(self, stepping: Stepping, times: Floats, which: Ints, frames: Frames) -> None:
+        """Write the states at ascending times into these columns of frames."""
+        stops = [grid_stop(time, stepping.dt) for time in times.tolist()]
+        steps = np.array([0, *(whole for whole, _ in stops)])
+        partial_steps = np.array([rest for _, rest in stops])
+        schedule = Schedule(
+            stepping.dt, steps[1:] - steps[:-1], partial_steps, np.arange(times.size)
+        )
         changing(self.blocks)[:] = self.first
-        schedule = Schedule(stepping.dt, differences(steps, 0), partial_steps, rows)
         sums = np.zeros((times.size, len(self.blocks), 7))
-        where = self.bodies.rotor_frame, np.arange(n), frames, sums, self.block, _JOINTS
+        where = self.bodies.rotor_frame, which, frames, sums, self.block, _JOINTS
         arguments = schedule, Recording(*where), Copies(self.saved), Position(0, 0, 0)
         through = partial(self.loop(stepping.method), *arguments, 1)
-        THREADS.share(through, len(self.blocks), n * int(steps[-1] + times.size))
-        return frames
+        THREADS.share(through, len(self.blocks), which.size * int(steps[-1] + times.size))

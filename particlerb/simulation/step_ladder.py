@@ -15,10 +15,10 @@ from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import Frames
 from particlerb.plan.time_step import Stepping
-from particlerb.simulation.pilot import SET_UP, Pilot
+from particlerb.simulation.pilot import REGULAR, SET_UP, Pilot
 
-FIRST_TURN: Final = {"strang": 0.25, "force_gradient": 3.0, "rkn6": 4.0}  # rad; of others:
-_FIRST_TURN: Final = 0.5
+FIRST_TURN: Final = {"strang": 0.25, "force_gradient": 3.0, "rkn6": 4.0, "rk4": 0.75}
+_FIRST_TURN: Final = 0.5  # rad; of others
 _FIRST_WANTED: Final = 1e-3  # in the first step for this accuracy, by half of the order for others
 _HOPED: Final = 0.75  # of the order, in the step with which a method may be the cheapest
 _FIRST_TOLERANCE: Final = 0.01  # that is tried, in units of the accuracy,
@@ -36,13 +36,13 @@ MORE_TIMES: Final = 32  # that are looked at where an accuracy is not met
 LEAST: Final = 1e6  # ns that may be spent on a search, whatever the run takes
 DEAREST: Final = 5e9  # ns that a trial may take
 _MOST_TRIALS: Final = 24  # of a method
-_REGULAR: Final = 0.1  # errors below it follow the order of a method,
 _PRUDENT: Final = 2  # order by which the finest of two runs is better, at most
-_ORDERLY: Final = (0.75, 1.75)  # within these shares of it
+_ORDERLY: Final = (0.75, 1.75)  # shares of the order of a method that errors may follow
 _NEAR: Final = 1.5  # ratio of costs between which nothing else is looked for
 _NOISE: Final = 1e-13  # no error below it is foretold
 ENOUGH: Final = 0.6  # of what is wanted, where errors are seen and not foretold
 _AGREED: Final = 0.1  # of the error aimed at, by which two runs may differ that both are right
+_CLOSE: Final = 0.02  # of the difference of two runs that a third may lie from one of them
 _ASTRAY: Final = 4.0  # times the difference of two runs, that from a much finer one tells noise
 _MOST_GROWTH: Final = 5  # of the setting, in powers of it
 _FURTHER: Final = 300.0  # ratio of errors beyond what was tried, where a run would be too dear
@@ -79,6 +79,7 @@ class Ladder:
         self.errors: list[float] = []  # of all but the finest, which stands for the truth
         self.apart: dict[tuple[float, float], float] = {}  # largest error between two settings
         self.setting, self.is_verified = 0.0, False
+        self.lost_at = math.inf  # cost of the finest run, where errors no longer fall [ns]
         self.cost = self.hoped_cost() if self.is_stepped else self.least_cost()
 
     @cached_property
@@ -153,9 +154,11 @@ class Ladder:
         self.setting, self.is_verified = self.promising()
         self.content()
         self.cost = self.cost_of(self.setting, self.pilot.group.members.size)
-        following = self.next_setting()
+        following, is_lost = self.next_setting(), not self.is_verified and self.is_lost()
+        if is_lost:
+            self.lost_at = self.cost_of(self.tried[-1].setting, self.pilot.group.members.size)
         if not self.is_verified and (
-            self.is_lost()
+            is_lost
             or following in [one.setting for one in self.tried]
             or self.cost_of(following, self.pilot.which.size) > DEAREST
             or len(self.tried) == _MOST_TRIALS
@@ -165,10 +168,20 @@ class Ladder:
     def between(self, one: _Tried, other: _Tried) -> float:
         """Largest error of a run beside another, at the last times."""
         key, last = (one.setting, other.setting), slice(TIMES - _LAST, TIMES)
+        if key not in self.apart and self.hardly_moved(one, other):
+            return self.apart[one.setting, self.tried[-2].setting]
         if key not in self.apart:
             errors = self.pilot.errors(self.times, one.frames, other.frames, last)
             self.apart[key] = float(errors.max())
         return self.apart[key]
+
+    def hardly_moved(self, one: _Tried, finest: _Tried) -> bool:
+        """Whether the finest run lies close to the one before, as seen from a run far off."""
+        before = self.tried[-2]
+        if finest is not self.tried[-1] or one is before:
+            return False
+        far = self.apart.get((one.setting, before.setting), 0.0)
+        return self.between(before, finest) < _CLOSE * far
 
     def content(self) -> None:
         """Take what is seen to meet the accuracy, where nothing longer is promised."""
@@ -186,11 +199,11 @@ class Ladder:
         """
         (*_, last, finest), ratio = [one.setting for one in self.tried], RATIO[self.name]
         is_fine = len(self.tried) > 2 and last >= 0.99 * ratio**2 * finest
-        if is_fine and _ASTRAY * self.between(*self.tried[-3:-1]) < self.errors[-1] < _REGULAR:
+        if is_fine and _ASTRAY * self.between(*self.tried[-3:-1]) < self.errors[-1] < REGULAR:
             return True
         before = [e for e, t in zip(self.errors, self.tried, strict=False) if t.setting > last]
         far = [t.setting for t in self.tried if t.setting >= 0.99 * ratio**2 * last]
-        return bool(far) and before[len(far) - 1] < min(_REGULAR, 2.0 * self.errors[-1])
+        return bool(far) and before[len(far) - 1] < min(REGULAR, 2.0 * self.errors[-1])
 
     def promising(self) -> tuple[float, bool]:
         """Setting for the wanted error by what was tried, and whether that is sure."""
@@ -199,7 +212,7 @@ class Ladder:
         met = next((k for k in range(len(errors)) if max(errors[k:]) <= self.goal), None)
         if met is None:
             setting, error = settings[-2], errors[-1]
-            if error > _REGULAR:
+            if error > REGULAR:
                 return settings[-1] / ratio, False
             best = setting * (self.goal / error) ** (1.0 / self.order)
             is_near = best > setting / self.near and best >= settings[-1]
@@ -242,7 +255,7 @@ class Ladder:
 
     def is_orderly(self, k: int) -> bool:
         """Whether the error falls from run k to the next as the order of the method says."""
-        if not self.errors[k] < _REGULAR:
+        if not self.errors[k] < REGULAR:
             return False
         fallen = math.log(max(self.errors[k], _TINY) / max(self.errors[k + 1], _TINY))
         order = fallen / math.log(self.tried[k].setting / self.tried[k + 1].setting)

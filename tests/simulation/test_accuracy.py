@@ -326,16 +326,42 @@ def test_bodies_rehearse_as_they_move(make, moments):
 
 
 @pytest.mark.plain
-def test_bodies_of_two_kinds_of_rotors_do_not_rehearse_by_a_method_that_parts_them(make):
+def test_bodies_of_two_kinds_of_rotors_rehearse_as_they_move(make):
+    """Methods that part them move each kind alone, and the frames hold both, in their order."""
     bodies = [
-        make.body(name, moments, position=[x, 0.0, 0.0], angular_velocity=[1.0, 0.5, 2.0])
-        for name, moments, x in (("a", (1.0, 1.3, 0.6), 0.0), ("b", (1.0, 1.0, 0.6), 3.0))
+        make.body(f"{k}", moments, position=[3.0 * k, 0.0, 0.0], angular_velocity=[1.0, 0.5, 2.0])
+        for k, moments in enumerate([(1.0, 1.3, 0.6), (1.0, 1.0, 0.6), (1.0, 1.2, 0.6)])
     ]
-    scene = make.case(*bodies, force=[make.push([0, 0.5, 0], [0.3, 0, 0.1], ["a", "b"])])
+    scene = make.case(*bodies, force=[make.push([0, 0.5, 0], [0.3, 0, 0.1], ["0", "1", "2"])])
     system = to_system(scene | {"run": scene["run"] | {"accuracy": 1e-6}})
     pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
-    served = [pilot.rehearsal.serves(Stepping(m, 0.1, 0.0, ""), 10) for m in ("strang", "rkn6")]
-    assert served == [True, False]
+    times = np.array([0.25, 1.0])
+    for which in (np.arange(3), np.array([0, 1])):
+        pilot.take(which)
+        for method, dt in {"strang": 0.1, "rkn6": 0.3, "force_gradient": 0.2}.items():
+            stepping = Stepping(method, dt, 0.0, "")
+            found, _ = pilot.poses(stepping, times)
+            expected, _ = poses(stepped_by(pilot.own, stepping), pilot.state, times)
+            for one, other in zip(found[:4], expected[:4], strict=True):
+                assert one.tobytes() == other.tobytes()
+
+
+@pytest.mark.plain
+def test_where_the_worst_cannot_be_told_more_are_looked_at_and_stand_for_all(make, monkeypatch):
+    """As of chaotic bodies: errors of coarse steps that are as large as can be tell no order."""
+    for largest, count, times in ((0.05, 8, 1.0), (1.0, 32, 50 / 32)):
+        error = np.linspace(0.5, 1.0, 50) * largest
+        with monkeypatch.context() as patch:
+            patch.setattr(Pilot, "coarse_errors", lambda pilot, turn, e=error: e.copy())
+            system = to_system(tops(make, 50, accuracy=1e-6))
+            pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
+        assert pilot.which.size == count
+        assert pilot.stands_for == times
+        frames = pilot.poses(Stepping("strang", 1.0, 0.0, ""), np.array([1.0]))[0]
+        turned = frames._replace(orientation=np.roll(frames.orientation, 1, axis=1))
+        seen = pilot.errors(np.array([1.0]), turned, frames)
+        pilot.stands_for = 1.0
+        assert np.array_equal(seen, times * pilot.errors(np.array([1.0]), turned, frames))
 
 
 @pytest.mark.plain

@@ -104,6 +104,25 @@ def test_noise_that_grows_with_the_number_of_steps_ends_the_search():
     assert pilot.spent < 3e6
 
 
+def test_where_one_method_is_lost_in_noise_no_far_dearer_one_is_tried():
+    """`second` would need 1e6 steps for what rounding keeps `sixth` from."""
+    laws = {"second": law(1e-3, 2), "sixth": lambda h: h**6 + 6e-7 * np.cos(51.3 * np.log(h))}
+    pilot = FakePilot(1e-13, laws)
+    found = choice(pilot)
+    assert found.error > 1e-9
+    assert min(one.dt for one in pilot.steps if one.method == "second") > 1e-4
+
+
+def test_a_method_is_not_left_for_one_that_is_hardly_cheaper(monkeypatch):
+    """Each costs trials: of two that cost about the same the first one is tried to the end."""
+    monkeypatch.setattr(Ladder, "usual_cost", lambda ladder: float(ladder.name != "sixth"))
+    pilot = FakePilot(1e-4, {"second": law(1e-3, 2), "sixth": law(1e-3, 6)})
+    ladders = [Ladder(pilot, name) for name in ORDERS]
+    for ladder_of in ladders:
+        ladder_of.cost = 1.6e5
+    assert cheapest(pilot, ladders).stepping.method == "sixth"
+
+
 @pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("bodies", [1, 32, 1000, 100_000])
 def test_the_search_takes_no_longer_than_the_run(wanted, bodies):
