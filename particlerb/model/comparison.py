@@ -37,11 +37,17 @@ def compare(
     """Angles and distances of all rows and bodies between states (x, q) and (y, r)."""
     for k in range(angle.shape[0]):
         for b in range(rotor_class.size):
-            frame = (rotor_frame[0, b], rotor_frame[1, b], rotor_frame[2, b], rotor_frame[3, b])
-            expected = (q[k, b, 0], q[k, b, 1], q[k, b, 2], q[k, b, 3])
-            found = (r[k, b, 0], r[k, b, 1], r[k, b, 2], r[k, b, 3])
+            f, e, g = rotor_frame[:, b], q[k, b], r[k, b]
+            frame = (float(f[0]), float(f[1]), float(f[2]), float(f[3]))
+            expected = (float(e[0]), float(e[1]), float(e[2]), float(e[3]))
+            found = (float(g[0]), float(g[1]), float(g[2]), float(g[3]))
+            here, there = x[k, b], y[k, b]
+            off = (
+                float(there[0]) - float(here[0]),
+                float(there[1]) - float(here[1]),
+                float(there[2]) - float(here[2]),
+            )
             angle[k, b] = _angle_between(rotor_class[b], frame, expected, found)
-            off = (y[k, b, 0] - x[k, b, 0], y[k, b, 1] - x[k, b, 1], y[k, b, 2] - x[k, b, 2])
             distance[k, b] = math.sqrt(dot(off, off))
 
 

@@ -32,14 +32,7 @@ from particlerb.model.state import Frames, State, room_for
 from particlerb.plan.segments import GroupPlan
 from particlerb.plan.time_step import Stepping
 from particlerb.rotors.rotor_class import ASYMMETRIC
-from particlerb.stepping.loop import (
-    Copies,
-    Position,
-    Recording,
-    Schedule,
-    compiled_loop,
-    grid_stop,
-)
+from particlerb.stepping.loop import Copies, Position, Recording, Schedule, compiled_loop, grid_stop
 from particlerb.stepping.stepped_motion import NANOSECONDS_PER_CALL
 
 _JOINTS: Final = np.zeros((0, 0, 3))  # there are none
