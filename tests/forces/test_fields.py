@@ -190,8 +190,8 @@ def derivative(f, h=1e-3):
 
 def potential_work(terms, com, q):
     """Work of all forces with a potential, up to a constant [J]."""
-    energies = energies_of_loads(terms, com, q)
-    return np.sum(works_of(terms, com, q, 0.0)) - np.sum(energies)
+    energies = energies_of_loads(terms, com, q, 1)
+    return np.sum(works_of(terms, com, q, np.zeros(1))) - np.sum(energies)
 
 
 @given(seed=seeds, kind=st.sampled_from(list(KINDS)))

@@ -96,8 +96,8 @@ GEAR = joint("gear", "a", None, [0, 0, 0], [0, 0, 1], at_to=[0, 1.0, 0], teeth=[
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [(lambda scene: scene.update(force=[SPRING]), "gravity and constant pushes"),
-     (lambda scene: scene["joint"][0].update(breaks_at={"force": 1e3}), "gravity and constant"),
+    [(lambda scene: scene.update(force=[SPRING]), "no springs beside joints"),
+     (lambda scene: scene["joint"][0].update(breaks_at={"force": 1e3}), "springs and constant"),
      (lambda scene: scene["joint"].append(GEAR), "no gears, racks or screws"),
      (lambda scene: scene["body"][1].update(fixed=True), "no bodies that are fixed")],
 )  # fmt: skip
