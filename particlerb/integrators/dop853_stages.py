@@ -143,7 +143,7 @@ def _take_slopes(bodies: CommonSteps, t: float, y: Floats, slope: Floats) -> Non
     add_reactions(books, bodies.jointed, y, slope.reshape(y.shape), w, t)
 
 
-@inline
+@kernel
 def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None:
     """State where the slope of a stage is taken."""
     assign(new, y)

@@ -163,7 +163,7 @@ def _add_what_holds(
             _book(books, jointed, slope, w, k, 0.0, F, about_origin)
 
 
-@inline
+@kernel
 def add_reactions(
     books: Flag, jointed: Jointed | None, states: Floats, slope: Floats, w: int, t: float
 ) -> None:

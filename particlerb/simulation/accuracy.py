@@ -191,7 +191,7 @@ def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:
         if best.is_verified:
             return best.found(best.setting, best.error)
         if best.cost == math.inf:
-            known = [one.closest() for one in ladders]
+            known = [one.closest() for one in ladders if one.tried]
             met = [found for found in known if found.error <= pilot.wanted]
             if met:
                 return min(met, key=lambda found: found.cost)

@@ -155,7 +155,7 @@ class Ladder:
         self.content()
         self.cost = self.cost_of(self.setting, self.pilot.group.members.size)
         following, is_lost = self.next_setting(), not self.is_verified and self.is_lost()
-        if is_lost:
+        if is_lost and min(self.errors) > self.pilot.wanted:
             self.lost_at = self.cost_of(self.tried[-1].setting, self.pilot.group.members.size)
         if not self.is_verified and (
             is_lost
