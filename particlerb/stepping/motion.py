@@ -271,7 +271,7 @@ class ForceAccount:
 
 def few_at_once(n_states: int, n_bodies: int) -> Iterator[slice]:
     """Ranges of states of so many bodies that are looked at together."""
-    size = max(1, _AT_ONCE // n_bodies)
+    size = max(1, _AT_ONCE // max(n_bodies, 1))
     return (slice(k, k + size) for k in range(0, n_states, size))
 
 
