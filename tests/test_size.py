@@ -12,7 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 24889
+LINES_OF_CODE = 24830
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
@@ -29,7 +29,7 @@ BUDGETS = {
     "scenes for other programs": 480,
     "speed of compiling and of whole calls": 1034,
     "watches": 30,
-    "beside all these": 236,
+    "beside all these": 295,
 }
 """Lines of code that an ability took: see «Where things go» in docs/architecture.md."""
 
