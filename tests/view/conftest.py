@@ -29,6 +29,10 @@ VIOLATIONS = """window.violations = [];
 document.addEventListener("securitypolicyviolation",
   e => violations.push([e.effectiveDirective, e.blockedURI, e.sample]));"""
 
+FEW_PICTURES = """window.requestAnimationFrame = draw => setTimeout(
+  () => draw(performance.now()), 200);
+window.cancelAnimationFrame = clearTimeout;"""  # as there is no card that draws them
+
 
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory):
@@ -61,6 +65,12 @@ class Served:
     def __init__(self, page, serving, access, seen) -> None:
         self.page, self.serving, self.access = page, serving, access
         self.seen = seen  # console messages, of which an empty page has none
+
+    def wait_for_the_scene(self) -> None:
+        """After a page was loaded: until it is drawn, without what SwiftShader says on it."""
+        self.page.locator(".pb").first.wait_for(state="attached")
+        self.page.add_style_tag(content=".mantine-Notification-root{display:none}")
+        self.page.wait_for_timeout(1500)
 
     def until(self, holds: Callable[[], bool], what: str) -> None:
         """Wait until something holds."""
@@ -139,12 +149,12 @@ def served(browser, make) -> Iterator[Served]:
         page.on("console", lambda message: seen.append((message.type, message.text)))
         page.on("pageerror", lambda error: seen.append(("error", str(error))))
         page.add_init_script(VIOLATIONS)
+        page.add_init_script(FEW_PICTURES)
         try:
             page.goto(access.addresses()[0])
-            page.locator(".pb").first.wait_for()
-            page.add_style_tag(content=".mantine-Notification-root{display:none}")  # of SwiftShader
-            page.wait_for_timeout(1500)
-            yield Served(page, serving, access, seen)
+            one = Served(page, serving, access, seen)
+            one.wait_for_the_scene()
+            yield one
         finally:
             serving.stop()
             thread.join(PATIENCE)

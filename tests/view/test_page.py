@@ -43,13 +43,6 @@ def picture(served, name: str) -> None:
         served.page.screenshot(path=Path(PICTURES) / f"{name}.png")
 
 
-def picture_of(page, name: str) -> None:
-    """Keep a screenshot of a page of its own."""
-    if PICTURES:
-        page.add_style_tag(content=".mantine-Notification-root{display:none}")
-        page.screenshot(path=Path(PICTURES) / f"{name}.png")
-
-
 def state(served) -> list[np.ndarray]:
     """Position, orientation and momenta of all bodies."""
     return [values[0] for values in served.serving.session.frame[:4]]
@@ -163,13 +156,12 @@ def test_a_push_of_some_time_says_why_it_differs_from_the_hand_calculation(cube)
 
 def test_the_page_on_a_phone(cube):
     """Bodies above, the push below them; all without scrolling."""
-    page = cube.page.context.new_page()
+    page, size = cube.page, cube.page.viewport_size
     try:
         page.set_viewport_size({"width": 390, "height": 844})
-        page.goto(cube.page.url)
+        page.reload()
+        cube.wait_for_the_scene()
         button = page.get_by_role("button", name="push at this point")
-        button.wait_for()
-        page.wait_for_timeout(1500)
         box = button.bounding_box()
         assert 422 < box["y"] < 844 - box["height"]
         assert box["x"] >= 0
@@ -180,9 +172,9 @@ def test_the_page_on_a_phone(cube):
         clients = cube.serving.server.get_clients().values()
         phone = next(one for one in clients if one.camera.aspect < 0.6)
         cube.until(lambda: phone.camera.look_at[2] < 0.0, "the scene above the fields")
-        picture_of(page, "view_phone")
+        picture(cube, "view_phone")
     finally:
-        page.close()
+        page.set_viewport_size(size)
 
 
 def test_no_number_in_a_field_breaks_the_scene(cube):
