@@ -1,6 +1,6 @@
 """Run every kind of scene for very many steps: balance, momenta, memory, lists and file.
 
-    python benchmarks/long_runs.py [--minutes 45] [--only NAME,..] [--wall 3600] [--output FILE.csv]
+    python benchmarks/long_runs.py [--minutes 45] [--only NAME,..] [--unfinished] [--wall 3600]
 
 Small scenes get 1e7 steps, the cases of cases/ a hundred times their t_end, and four scenes the
 numbers that were stated for them: a heap of 1000 clumps for 60 s, 60 dumbbells that collide without
@@ -10,7 +10,9 @@ measures what a step takes, and a scene that would not fit into its share of the
 processor is cut, which its row tells; `--wall` is a limit by the clock [s]. Rows are written as
 scenes end: drift of energy and momenta as in the ledger of a run, how much the process has grown
 since a tenth of the run, the skin and the longest lists, and whether `info --verify` accepts the
-file. A scene that was not reached has the row «not run».
+file. A scene that was not reached has the row «not run». Rows that are there stay until their scene
+is run again, and each says by which commit it was made; `--unfinished` takes only scenes that were
+cut, failed or not run, the cheapest first.
 """
 
 import argparse
@@ -39,6 +41,7 @@ from particlerb.stepping.contact_motion import ContactMotion
 HERE = Path(__file__).resolve()
 CASES = HERE.parents[1] / "cases"
 PILOT = 1e-3  # share of the steps
+LONGER_PILOT = 1e-2  # where a scene seems too long
 MARGIN = 3.0  # of the share of time, after which a scene is ended,
 COMPILING = 200.0  # s of the processor beside it
 FRAMES = 200
@@ -50,7 +53,7 @@ LONGER = {  # what a hundred times t_end takes, where bodies, or a whip, get fas
 COLUMNS = (
     "scene", "method", "steps", "of_wanted", "t_end", "cpu_s", "us_per_step", "energy", "linear",
     "angular", "growth_MB", "new_lists", "skin_first", "skin_most", "pairs_most", "file_MB",
-    "outcome",
+    "outcome", "commit",
 )  # fmt: skip
 WEIGHT = {"acceleration": [0.0, 0.0, -9.81]}
 CORNERS = (0.1 * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)).tolist()
@@ -394,6 +397,14 @@ def child(scene: str, seconds: float, folder: Path) -> dict[str, Any]:
         run_prepared(prepared, None)
         pilots.append(time.process_time() - began)
     whole = max(pilots[2] - pilots[1], 1e-9) / (0.9 * PILOT)  # s for all steps
+    if whole > seconds:  # so many seconds are worth a longer pilot
+        prepared, began = (
+            prepare(to_system(loaded(scene, wanted * LONGER_PILOT))),
+            time.process_time(),
+        )
+        run_prepared(prepared, None)
+        longer = time.process_time() - began - pilots[1]
+        whole = max(longer, 1e-9) / (LONGER_PILOT - 0.1 * PILOT)
     amount = wanted * min(1.0, seconds / whole)
     lists.clear()
     case = loaded(scene, amount)
@@ -450,11 +461,36 @@ def row_of(scene: str, seconds: float, wall: float) -> dict[str, Any]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def rows_of(path: Path) -> dict[str, dict[str, Any]]:
+    """Rows that are there, and «not run» for the scenes that have none."""
+    rows: dict[str, dict[str, Any]] = {n: {"scene": n, "outcome": "not run"} for n in SCENES}
+    if path.exists():
+        with path.open(newline="", encoding="utf-8") as file:
+            rows |= {row["scene"]: row for row in csv.DictReader(file) if row["scene"] in rows}
+    return rows
+
+
+def is_whole(row: dict[str, Any]) -> bool:
+    """Whether a scene was run to the end that is wanted, without a fault."""
+    return row["outcome"] == "ok" and row["of_wanted"] == "1"
+
+
+def price(rows: dict[str, dict[str, Any]]) -> Callable[[str], float]:
+    """Seconds of the processor that the whole of a scene would take; 0 where nothing is known."""
+
+    def of(scene: str) -> float:
+        row = rows[scene]
+        return float(row.get("cpu_s") or 0.0) / float(row.get("of_wanted") or 1.0)
+
+    return of
+
+
 def main() -> None:
     """Run all scenes, or some, one after another."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--minutes", type=float, default=45.0)
     parser.add_argument("--only", default="")
+    parser.add_argument("--unfinished", action="store_true")
     parser.add_argument("--wall", type=float, default=3600.0)
     parser.add_argument("--output", type=Path, default=FOLDER / "long_runs.csv")
     parser.add_argument("--child", nargs=3)
@@ -465,22 +501,20 @@ def main() -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
         print(json.dumps(child(scene, float(seconds), Path(folder))))
         return
+    rows = rows_of(options.output)
     chosen = [name for name in SCENES if any(part in name for part in options.only.split(","))]
+    if options.unfinished:
+        chosen = sorted((name for name in chosen if not is_whole(rows[name])), key=price(rows))
     unit = 60.0 * options.minutes / sum(SCENES[name][2] for name in SCENES)
-    rows = {name: {"scene": name, "outcome": "not run"} for name in SCENES}
-    if options.output.exists():
-        with options.output.open(newline="", encoding="utf-8") as file:
-            lines = [line for line in file if not line.startswith("#")]
-        rows |= {row["scene"]: row for row in csv.DictReader(lines) if row["scene"] in rows}
     for name in chosen:
-        rows[name] = row_of(name, unit * SCENES[name][2], options.wall)
-        print({key: shown(value) for key, value in rows[name].items()}, flush=True)
+        row = row_of(name, unit * SCENES[name][2], options.wall) | {"commit": commit()}
+        print({key: shown(value) for key, value in row.items()}, flush=True)
+        rows = rows_of(options.output) | {name: row}  # others may have added theirs
         with options.output.open("w", newline="", encoding="utf-8") as file:
-            file.write(f"# benchmarks/long_runs.py --minutes {options.minutes:g}, {commit()}\n")
             writer = csv.DictWriter(file, COLUMNS)
             writer.writeheader()
-            for row in rows.values():
-                writer.writerow({key: shown(value) for key, value in row.items()})
+            for each in rows.values():
+                writer.writerow({key: shown(value) for key, value in each.items()})
 
 
 if __name__ == "__main__":

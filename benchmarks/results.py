@@ -45,9 +45,12 @@ def vector_bits() -> int:
 
 def commit() -> str:
     """The commit that was measured; with + where the sources differ from it."""
-    command = ["git", "describe", "--always", "--dirty=+", "--abbrev=10"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=FOLDER.parent)
-    return done.stdout.strip() or "unknown"
+    git = ["git", "-C", str(FOLDER.parents[1])]
+    told = [*git, "describe", "--always", "--abbrev=10"]
+    name = subprocess.run(told, capture_output=True, text=True, check=False).stdout.strip()
+    differs = [*git, "diff", "--quiet", "HEAD", "--", "particlerb", "cases", "benchmarks/*.py"]
+    is_clean = subprocess.run(differs, capture_output=True, check=False).returncode == 0
+    return (name + "+" * (not is_clean)) if name else "unknown"
 
 
 def record(name: str, figures: Sequence[tuple[str, float]]) -> None:
