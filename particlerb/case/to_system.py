@@ -38,7 +38,7 @@ from particlerb.geometry.particles import (
 )
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, bodies_of_kind
-from particlerb.model.state import initial_state, rotate, rotation_matrix
+from particlerb.model.state import initial_state, kinetic_energy, rotate, rotation_matrix
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import POINT, ROD
 
@@ -77,6 +77,9 @@ def to_system(
         if body.motion is not None:
             position[placement.block == i] += body.motion.shift
     counts, centred = np.diff(particles.offset), centred_at_com(particles, properties)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused
+        state = initial_state(bodies, position, placement.orientation, placement.velocity, omega)
+        _refuse_overflow(case, placement, kinetic_energy(bodies, state))
     return System(
         **records(case),
         names=placement.names,
@@ -87,9 +90,21 @@ def to_system(
         summed=counts,
         reach=farthest(centred),
         bodies=bodies,
-        state=initial_state(bodies, position, placement.orientation, placement.velocity, omega),
+        state=state,
         notes=tuple(notes),
     )
+
+
+def _refuse_overflow(case: Case, placement: Placement, energy: Floats) -> None:
+    """Raise CaseError where bodies are so fast that their energies [J] are no numbers."""
+    first = {int(placement.block[b]): b for b in np.flatnonzero(~np.isfinite(energy))[::-1]}
+    why = "moves or spins so fast that its kinetic energy is too large for float64"
+    problems = [
+        problem_at(case, f"body[{i}]", f"{placement.names[b]} {why}", "give smaller velocities")
+        for i, b in sorted(first.items())
+    ]
+    if problems:
+        raise CaseError(problems)
 
 
 def centred_at_com(particles: Particles, properties: MassProperties) -> Particles:

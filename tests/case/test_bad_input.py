@@ -1338,6 +1338,33 @@ force = [{ type = "push", body = "a", at = [-1e174, 1e5, 0.0], force = [-0.5, 0.
         prepare(to_system(parse(text)))
 
 
+@pytest.mark.parametrize("keys", ["velocity = [1e200, 0, 0]", "angular_velocity = [0, 1e160, 0]"])
+@pytest.mark.parametrize("law", ["", "stiffness = 1e4", 'law = "impulse"'])
+@pytest.mark.filterwarnings("error")
+def test_a_body_whose_energy_overflows_is_refused_before_it_is_planned(keys, law):
+    """With contact the plan squared the speed, with a warning of NumPy; the run ended later."""
+    text = f"""
+run = {{ t_end = 1.0, every = 0.5 }}
+{"contact = {" * bool(law)} {law} {"}" * bool(law)}
+[[body]]
+name = "still"
+shape = {{ type = "sphere", radius = 0.1 }}
+mass = 1.0
+[[body]]
+name = "fast"
+count = 2
+place = {{ type = "grid", spacing = 3.0 }}
+shape = {{ type = "sphere", radius = 0.1 }}
+mass = 1.0
+{keys}
+"""
+    with pytest.raises(CaseError) as caught:
+        prepare(to_system(parse(text)))
+    (problem,) = caught.value.problems
+    assert problem.key == "body[1]"
+    assert "fast[0] moves or spins so fast that its kinetic energy" in problem.reason
+
+
 def test_a_wall_that_turns_beyond_all_numbers_is_refused():
     """Its pose would be NaN, also at t = 0."""
     text = """
