@@ -5,7 +5,8 @@
 by simplified Newton iterations with A = G₀ M⁻¹ G₀ᵀ: fly, ν -= A⁻¹ g/h, fly again. The error shrinks
 by a factor of order ω h each time. The last two iterations are mixed so that the residual would be
 least (Anderson's mixing), which saves up to a fifth of them; not in loops, which may pass singular
-poses: there it may lead to another branch. It goes on until the residual no longer falls.
+poses: there it may lead to another branch. It goes on until the residual no longer falls; where
+that of a loop rises a hundredfold, it is on its way to another branch, and rows rest instead.
 Each cluster is solved by itself, so that its bits do not depend on others. Whole steps begin with a
 guess of ν from those before, which saves a fifth to a third; checkpoints keep what it needs.
 
@@ -46,6 +47,7 @@ _ROUNDING: Final = 1e-15  # residuals, over their size, that are as good as none
 _NEAR: Final = 1e-10  # below it an iteration that gains little is the last
 _GAIN: Final = 0.5
 _MIXED: Final = 1e-2  # farther off, iterations are not mixed: they might end in another branch
+_STRAYED: Final = 100.0  # times the least residual so far: a loop leaves for another branch
 _MOST_PASSES: Final = 4  # of a projection of momenta
 _TENFOLD: Final = 7  # times at most that the pivot below which rows rest grows, from 1e-8 on,
 _MOST_OPEN: Final = 1e-4  # and what the residual of a row that rests may be, over its size
@@ -279,7 +281,7 @@ def _fly_to_joints(joints: Joints, work: JointWork, c: int, t: float, dt: float)
     """Drift with impulses along the gradients so that g = 0 at its end: see above."""
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
-    before, mixes = 1e300, joints.clusters.smallest_pivot[c] == 0.0
+    before, least, mixes = 1e300, 1e300, joints.clusters.smallest_pivot[c] == 0.0
     for _ in range(MOST_ITERATIONS):
         fly(joints, work, c, dt)
         worst, where = residuals(joints, work, lo, hi, t + dt)
@@ -287,6 +289,9 @@ def _fly_to_joints(joints: Joints, work: JointWork, c: int, t: float, dt: float)
             worst = _count_teeth(joints.rolls, joints, work, lo, hi, dt, worst)
         if worst <= _ROUNDING or (worst < _NEAR and worst > _GAIN * before):
             return
+        if not mixes and worst > _STRAYED * least:
+            break
+        least = min(least, worst)
         share = _share_of_last(joints, work, lo, hi) if mixes and before < _MIXED else 0.0
         before = worst
         for r in range(lo, hi):

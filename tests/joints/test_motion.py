@@ -311,6 +311,28 @@ def test_a_composition_passes_that_pose_with_its_energy(ahead):
     assert abs(error) < 1e-3 * energy[0]
 
 
+@pytest.mark.plain
+@pytest.mark.parametrize(("method", "ahead"), [("rattle6", 0.021), ("rattle8", 0.0225)])
+def test_a_parallelogram_stays_one_as_it_folds(method, ahead):
+    """In one line two branches meet: its cranks turn alike, or against each other.
+
+    Both cranks stand `ahead` of the line [rad], and turn at 3 rad/s; no force acts.
+    """
+    w, angle = 3.0, np.pi - ahead
+    pin, foot = np.array([np.cos(angle), np.sin(angle), 0]), np.array([2.0, 0, 0])
+    v = w * np.cross(Z, pin)
+    bars = [bar("a", 0 * pin, pin, 1.0, 0.1, v / 2, [0, 0, w]),
+            bar("b", foot, foot + pin, 1.0, 0.1, v / 2, [0, 0, w]),
+            bar("c", pin, foot + pin, 1.0, 0.1, v)]  # fmt: skip
+    joints = [joint("hinge", "a", None, 0 * pin, Z), joint("hinge", "b", None, foot, Z)]
+    joints += [joint("hinge", "c", "a", pin, Z), joint("hinge", "c", "b", foot + pin, Z)]
+    with moved(case(bars, joints, (0, 0, 0)), 0.02, 5e-3, method) as trajectory:
+        x, error = trajectory.position[-1, 2], trajectory.observable("energy_error")[-1]
+    angle += 0.02 * w
+    assert np.abs(x - [1 + np.cos(angle), np.sin(angle), 0]).max() < 1e-7
+    assert abs(error) < 1e-5
+
+
 def test_equal_mechanisms_of_several_joints_move_alike():
     """Bit for bit, and as one alone."""
     links = hinge_chain(3, 0.3)
