@@ -204,6 +204,7 @@ def test_a_damped_mechanism_goes_on_bit_for_bit(tmp_path):
         ({"type": "ball", "motor": 1.0}, "springs and dampers alone"),
         ({"limit": {"range": [0.2, 0.1], "stiffness": 1.0}}, "must ascend"),
         ({"limit": {"range": [0.0, 4.0], "stiffness": 1.0}}, "beyond half a turn"),
+        ({"spring": {"stiffness": 1.0, "rest": 4.0}}, "beyond half a turn"),
     ],
 )
 def test_what_cannot_act_along_a_joint_is_named(keys, words):

@@ -6,7 +6,7 @@ from typing import Any
 
 from particlerb.case.joints import ACTIONS, ALONG, JOINT_TYPES, WITHOUT_AXIS
 from particlerb.case.problems import Path, nearest
-from particlerb.case.raw import Finding, bodies_named, entry_at, given
+from particlerb.case.raw import Finding, bodies_named, entry_at, given, number
 
 _LARGEST_BOUNCE = 2.6  # rad: a step of a fast body may pass what is nearer to half a turn
 
@@ -120,12 +120,21 @@ def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
     names, along = ALONG.get(kind, ()), entry_at(raw, "along", str)
     if along and along not in names:
         yield (*path, "along"), f"a {kind} joint has no {along}", nearest(along, list(names))
-    ends = entry_at(raw.get("limit"), "range", list)
+    yield from _half_turn_rules(path, raw, "angle" in str(along or names[:1]))
+
+
+def _half_turn_rules(path: Path, raw: dict[str, Any], is_angle: bool) -> Iterator[Finding]:
+    """Angles at which springs and stops act are those between half a turn back and one forth."""
+    reason, hint = "beyond half a turn", "give angles between -π and π"
+    ends, rest = entry_at(raw.get("limit"), "range", list), number(raw.get("spring"), "rest")
     if len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
         if not ends[0] < ends[1]:
             yield (*path, "limit", "range"), "must ascend", "give the least coordinate first"
-        elif "angle" in str(along or names[:1]) and max(map(abs, ends)) >= math.pi:
-            yield (*path, "limit", "range"), "beyond half a turn", "give angles between -π and π"
+        elif is_angle and max(map(abs, ends)) >= math.pi:
+            yield (*path, "limit", "range"), reason, hint
+    if is_angle and rest is not None and abs(rest) >= math.pi:
+        hint += "; a spring turns back in the shorter direction"
+        yield (*path, "spring", "rest"), reason, hint
 
 
 def driven_rules(joints: list[dict[str, Any]]) -> Iterator[Finding]:
