@@ -335,6 +335,8 @@ def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
     if contacts.history.inv_effective_mass[c] == 0.0:
         inv_mass = inv_effective_mass(model, bodies, a, point, normal)
         inv_mass += inv_effective_mass(model, bodies, b, point, normal)
+        if inv_mass == 0.0:  # neither can move: there is no force
+            return
         begin_contact(on, pair, c, inv_mass, r_eff)
     if overlap > _MAX_SPHERE_OVERLAP * min(r_i, r_j):
         note_overlap(on, overlap, min(r_i, r_j), a)

@@ -250,6 +250,8 @@ def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
     if contacts.history.inv_effective_mass[c] == 0.0:
         inv_mass = inv_effective_mass(model, bodies, a, point, normal)
         inv_mass += dot(normal, row3(poses.piston_axis, w)) ** 2
+        if inv_mass == 0.0:  # neither can move: there is no force
+            return
         begin_contact(on, pair, c, inv_mass, radius)
     is_thin = model.walls.kind[primitive] != PLANE
     if piece.is_too_weak or (piece.overlap > _MAX_WALL_OVERLAP * radius and is_thin):

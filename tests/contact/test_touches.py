@@ -216,3 +216,14 @@ def test_a_run_that_is_resumed_shows_the_same_contacts_bodies_and_walls(make, tm
         assert sum(t.contact_number[-1]) > 2
         for one, other in zip(resumed, content(t), strict=True):
             assert np.array_equal(one, other)
+
+
+@pytest.mark.plain
+def test_bodies_that_cannot_move_press_neither_each_other_nor_walls(make):
+    """A force between them would be that on a mass of no size: not a number."""
+    fixed = [make.sphere(f"f{k}", position=[0.15 * k, 0, 0.08], fixed=True) for k in range(2)]
+    ball = make.sphere(position=[1.0, 0, 0.1 - 2 * G / K])
+    with particlerb.run(stack(make, body=[*fixed, ball])) as t:
+        assert t.contacts(1).body.tolist() == [[2, -1]]
+        assert t.wall_force[:, 0, 2] == pytest.approx(-2.0 * G, rel=1e-9)
+        assert (t.contact_number == [0, 0, 1]).all()
