@@ -115,18 +115,18 @@ def contact_rows(
     return who[counts], what[counts]
 
 
-def contact_numbers(contacts: ContactOutput, n_bodies: int) -> Ints:
-    """Contacts of each body, (n_bodies,), those with walls among them."""
-    both = contacts.body.reshape(-1)
-    return np.bincount(both[both != _NOBODY], minlength=n_bodies)
+def contact_numbers(contacts: ContactOutput, bodies: range) -> Ints:
+    """Contacts of each body of a range, (n,), those with walls among them."""
+    both = contacts.body[(contacts.body >= bodies.start) & (contacts.body < bodies.stop)]
+    return np.bincount(both - bodies.start, minlength=len(bodies))
 
 
-def largest_overlaps(contacts: ContactOutput, n_bodies: int) -> Floats:
-    """Largest overlap of each body, (n_bodies,) [m]; 0 where it contacts nothing."""
-    largest = np.zeros(n_bodies)
+def largest_overlaps(contacts: ContactOutput, bodies: range) -> Floats:
+    """Largest overlap of each body of a range, (n,) [m]; 0 where it contacts nothing."""
+    largest = np.zeros(len(bodies))
     for side in contacts.body.T:
-        is_body = side != _NOBODY
-        np.maximum.at(largest, side[is_body], contacts.overlap[is_body])
+        own = (side >= bodies.start) & (side < bodies.stop)
+        np.maximum.at(largest, side[own] - bodies.start, contacts.overlap[own])
     return largest
 
 

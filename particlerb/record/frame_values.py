@@ -20,12 +20,15 @@ from particlerb.record import schema
 
 
 def contact_values(
-    fields: Collection[str], touches: Sequence[ContactOutput], n_bodies: int
+    fields: Collection[str], touches: Sequence[ContactOutput], bodies: range
 ) -> dict[str, Floats | Ints]:
-    """Those of the fields that contacts decide, for some frames: (T, n_bodies), (T, n_walls, 3)."""
+    """Those of the fields that contacts decide, for some frames: (T, n), (T, n_walls, 3).
+
+    The n bodies are those of a range of the scene.
+    """
     made: dict[str, Callable[[ContactOutput], Any]] = {
-        "contact_number": lambda one: contact_numbers(one, n_bodies),
-        "contact_overlap": lambda one: largest_overlaps(one, n_bodies),
+        "contact_number": lambda one: contact_numbers(one, bodies),
+        "contact_overlap": lambda one: largest_overlaps(one, bodies),
         "wall_force": lambda one: wall_loads(one)[0],
         "wall_torque": lambda one: wall_loads(one)[1],
         "wall_position": lambda one: one.centre,
@@ -83,8 +86,9 @@ class NewFrames(NamedTuple):
 def values_of(system: System, given: NewFrames) -> dict[str, Any]:
     """Arrays of new frames, by their paths, in the order of the checksums."""
     times, frames, rows, balance, contacts, others = given
-    fields = system.output.fields
-    found: dict[str, Any] = contact_values(fields, contacts, system.n_bodies)
+    fields, first = system.output.fields, system.names.part.start
+    own = range(first, first + system.n_bodies)
+    found: dict[str, Any] = contact_values(fields, contacts, own)
     found |= _fields_of(frames, rows, system, fields)
     found |= others
     dtype, values = np.dtype(system.output.dtype), {}

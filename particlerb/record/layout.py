@@ -108,10 +108,11 @@ def part_laid_out(system: System, of: Range, run: str) -> bytearray:
         clock = make_clock(file, n_frames)[schema.TIME]
         for path, element in schema.series_of(system.output.fields).items():
             if element.per == "body":
-                kind, width = schema.dtype_of(element, dtype), len(element.components)
-                n = of.stop - of.first
+                kind, n = schema.dtype_of(element, dtype), of.stop - of.first
+                width = len(element.components)
                 rows = schema.frames_per_chunk(n, width, kind.itemsize, n_frames)
-                hdf5.growing(file, path, kind, (n, width), rows=rows, fill=np.nan)
+                fill = None if element.is_count else np.nan
+                hdf5.growing(file, path, kind, (n, *element.width), rows=rows, fill=fill)
         _make_checksums(file, n_frames, clock)
         hdf5.note(file.id, **{schema.COMMITTED: np.int64(0)})
         file.flush()

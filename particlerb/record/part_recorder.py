@@ -146,12 +146,14 @@ class PartRecorder:
         """Append to the parts; arrays of all elements, and the share in the checksums."""
         values = values_of(self.system, given)
         total = np.zeros(len(given.times), dtype=np.uint64)
+        lists_contacts = schema.CONTACTS in self.system.output.fields
         for (first, stop), recorder in self.own:
             in_part = {
                 path: v[:, first - self.first : stop - self.first] if _is_of_bodies(path) else v
                 for path, v in values.items()
             }
             shares = [v if _is_of_bodies(path) else _nothing(v) for path, v in in_part.items()]
+            shares += [_nothing(given.times)] * lists_contacts
             sums = frame_checksums(len(total), shares, first)
             recorder.put(given, in_part, sums)
             total += sums
@@ -163,6 +165,7 @@ class PartRecorder:
             return
         rest = [_nothing(v) if _is_of_bodies(path) else v for path, v in values.items()]
         others = {path: v for path, v in values.items() if not _is_of_bodies(path)}
+        rest += self.master.lists_of(given)
         self.master.put(given, others, sums + frame_checksums(len(sums), rest))
 
     def save_checkpoint(self, checkpoints: _Checkpoints) -> None:

@@ -167,18 +167,19 @@ def growing_over(
 
 
 def rows_over(
-    file: h5py.File, path: str, source: str, dtype: Any, shape: tuple[int, int], parts: Parts
+    file: h5py.File, path: str, source: str, dtype: Any, shape: tuple[int, ...], parts: Parts
 ) -> None:
-    """A dataset (T N, C) over the first T frames of a dataset (T, N, C) of all parts; shape: T, C.
+    """A dataset (T N, ...) over the first T frames of one (T, N, ...) of all parts; shape: T, ....
 
     All parts must have these frames.
     """
-    n_frames, width = shape
-    plan, n = _plan(dtype), parts.n_bodies
-    space = h5s.create_simple((n_frames * n, width))
+    n_frames, *width = shape
+    plan, n, rest = _plan(dtype), parts.n_bodies, (0,) * len(width)
+    space = h5s.create_simple((n_frames * n, *width))
     for name, (first, stop) in zip(parts.names if n_frames else (), parts.ranges, strict=False):
-        rows, part = space.copy(), h5s.create_simple((n_frames, stop - first, width))
-        rows.select_hyperslab((first, 0), (n_frames, 1), (n, width), (stop - first, width))
+        rows, part = space.copy(), h5s.create_simple((n_frames, stop - first, *width))
+        ones, block = (1,) * len(width), (stop - first, *width)
+        rows.select_hyperslab((first, *rest), (n_frames, *ones), (n, *width), block)
         part.select_all()
         plan.set_virtual(rows, name.encode(), f"/{source}".encode(), part)
     h5d.create(
@@ -187,8 +188,9 @@ def rows_over(
 
 
 def _plan(dtype: Any) -> Any:
-    """Properties of a virtual dataset: what is not there is NaN."""
+    """Properties of a virtual dataset: what is not there is NaN; of integers -1."""
     plan = h5p.create(h5p.DATASET_CREATE)
     plan.set_obj_track_times(False)
-    plan.set_fill_value(np.array(np.nan, dtype=dtype))
+    missing = np.nan if np.dtype(dtype).kind == "f" else -1
+    plan.set_fill_value(np.array(missing, dtype=dtype))
     return plan

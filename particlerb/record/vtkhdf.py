@@ -18,7 +18,7 @@ from h5py import h5d, h5p, h5s
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.hdf5 import WITH_GROUPS, change, growing, note
 from particlerb.record.parts import Parts, rows_over
-from particlerb.record.schema import FIELDS, VTKHDF, rows_per_chunk
+from particlerb.record.schema import SERIES, VTKHDF, rows_per_chunk
 
 _CELLS: Final = ("Vertices", "Lines", "Polygons", "Strips")
 TOPOLOGY: Final = (
@@ -126,8 +126,8 @@ def _show(
     if parts is None:
         view(file, _place_of(name), values, n_frames)
         return
-    shape = n_frames, len(FIELDS[name].components)
     source = h5py.h5i.get_name(values).decode().lstrip("/")
+    shape = n_frames, *SERIES[source].width
     rows_over(file, _place_of(name), source, values.dtype, shape, parts)
 
 

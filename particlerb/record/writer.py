@@ -157,9 +157,10 @@ class Recorder:
         self.of_bodies = {} if self.parts else own
         paths = [p for p in paths if p not in own or not self.parts]
         paths += (STEP_TIMES, STEP_STARTS) if schema.VTKHDF in self.file else ()
-        paths += (schema.OFFSET,) if schema.CONTACTS in fields else ()
+        lists_contacts = schema.CONTACTS in fields and not is_part
+        paths += (schema.OFFSET,) if lists_contacts else ()
         self.series = {p: self.of_bodies.get(p) or opened(self.file, p) for p in paths}
-        self.contacts = ContactDatasets(self.file) if schema.CONTACTS in fields else None
+        self.contacts = ContactDatasets(self.file) if lists_contacts else None
         self.n_frames = self.n_written = 0  # that were appended; and without those in `pending`
         self.pending: list[dict[str, _Rows]] = []  # small arrays that wait
         self.known = 0  # frames that were there before
@@ -200,12 +201,16 @@ class Recorder:
 
         Large arrays are written now, small ones when they are many, or at the next commit.
         """
-        values, lists = values_of(self.system, given), []
-        if self.contacts is not None:
-            columns, ends = contact_columns(given.contacts, self.contacts.dtype)
-            lists.append(list_checksums(columns.values(), ends))
-        sums = frame_checksums(len(given.times), [*values.values(), *lists])
+        values = values_of(self.system, given)
+        sums = frame_checksums(len(given.times), [*values.values(), *self.lists_of(given)])
         self.put(given, values, sums)
+
+    def lists_of(self, given: NewFrames) -> list[Words]:
+        """Checksums of the lists of contacts of new frames, where they are to be recorded."""
+        if self.contacts is None:
+            return []
+        columns, ends = contact_columns(given.contacts, self.contacts.dtype)
+        return [list_checksums(columns.values(), ends)]
 
     def put(self, given: NewFrames, values: dict[str, Any], sums: Words) -> None:
         """Append new frames by their arrays, those that the file has, and their checksums."""

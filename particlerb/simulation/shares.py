@@ -207,8 +207,6 @@ def _unshared(system: System, groups: tuple[GroupPlan, ...]) -> Iterator[str]:
             yield f'the law "{system.contact.law}"' if system.contact else "contact by impulses"
         if contact is not None and contact.pistons is not None:
             yield "walls that slide under a load"
-        if contact is not None and contact.with_output:
-            yield "[output] fields of contacts"
     if len(groups) > 1:
         yield "bodies that touch nothing beside those that do"
     methods = {segment.method for group in groups for segment in group.segments}

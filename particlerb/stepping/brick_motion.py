@@ -29,6 +29,7 @@ from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, state_of
 from particlerb.model.superblocks import over_blocks, sum_by_number, summed
 from particlerb.ranks import ending_all
+from particlerb.stepping.contact_frames import ContactRows
 from particlerb.stepping.contact_lists import Histories, WallsAhead
 from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.exchange import Territory, kept_of
@@ -219,7 +220,7 @@ class BrickMotion(SharedMotion):
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""
         with ending_all(self.ranks):
-            self.frames = self.room_for_frames(len(frames.position), 0)
+            self.frames, self.contacts = self.room_for_frames(len(frames.position), 0), {}
             self.contact = self.contact._replace(frames=self.frames)
             elapsed = times - self.start
             sums = self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)
@@ -256,6 +257,21 @@ class BrickMotion(SharedMotion):
         if len(rows) != self.shown.members.size:
             raise MotionError(f"{len(rows)} bodies of {self.shown.members.size} were sent")
         return np.ascontiguousarray(rows)
+
+    def contacts_to_show(self, found: ContactRows) -> ContactRows:
+        """Contacts of the bodies that are shown here; on the first rank, which lists them, all.
+
+        Each is sent by the rank of one of its bodies that move.
+        """
+        exchange, (who, what) = self.exchange, found
+        first, second = exchange.places_of(who[:, :2].T)
+        of = np.where((second < 0) | exchange.is_free[first], first, second)
+        sends = self.is_own[np.searchsorted(self.local, of)]
+        rows = np.hstack([who, what])
+        to = exchange.home[first], np.where(second < 0, 0, exchange.home[second])
+        each = [sends & ((to[0] == k) | (to[1] == k) | (k == 0)) for k in range(self.ranks.count)]
+        came = np.concatenate(self.ranks.sent([rows[chosen] for chosen in each]))
+        return came[:, : who.shape[1]].astype(np.int64), came[:, who.shape[1] :]
 
     def show(self, frames: ContactFrames, frame: int) -> None:
         """Write what contacts have now into a frame."""

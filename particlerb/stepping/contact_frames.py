@@ -1,6 +1,6 @@
 """Who touches whom in a frame."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.contact_output import (
@@ -11,7 +11,9 @@ from particlerb.contact.contact_output import (
 )
 from particlerb.contact.records import Records
 from particlerb.contact.wall_motion import PrescribedMotion
-from particlerb.maths.vec3 import Ints
+from particlerb.maths.vec3 import Floats, Ints
+
+ContactRows = tuple[Ints, Floats]  # of `contact_rows`
 
 
 def output_of(
@@ -20,6 +22,7 @@ def output_of(
     numbers: Ints,
     motions: Sequence[PrescribedMotion],
     pistons: Records,
+    shown: Callable[[ContactRows], ContactRows],
 ) -> ContactOutput:
     """Contacts of the frame that was written last: its closing evaluation is still there.
 
@@ -32,11 +35,13 @@ def output_of(
         Of the walls.
     pistons : records PISTON
         As the frame has them.
+    shown : callable
+        Returns contacts that are shown here, where it is given those that were found here.
     """
     setup, workspace, lists, *_ = contact
-    is_by_impulses = setup.rules is not None
+    with_gaps = setup.rules is not None
     rows = [
-        contact_rows(one, setup.model, workspace, members, numbers, are_walls, is_by_impulses)
+        shown(contact_rows(one, setup.model, workspace, members, numbers, are_walls, with_gaps))
         for one, are_walls in ((lists.spheres, False), (lists.walls, True))
     ]
     centre, velocity = wall_centres(motions, workspace.poses)

@@ -45,7 +45,7 @@ from particlerb.model.state import Frames, State
 from particlerb.model.superblocks import sum_by_number
 from particlerb.model.worlds import bins_of, shape_of
 from particlerb.stepping.contact_checks import ContactChecks, is_due
-from particlerb.stepping.contact_frames import output_of
+from particlerb.stepping.contact_frames import ContactRows, output_of
 from particlerb.stepping.contact_lists import ContactLists, Histories, Lasted, WallsAhead
 from particlerb.stepping.loop import (
     Copies,
@@ -251,7 +251,13 @@ class ContactMotion(SteppedMotion):
             if row >= 0:
                 pistons, motions = self.frames.pistons[row], self.lists.motions
                 numbers = self.group.members, self.lists.numbers
-                self.contacts[row] = output_of(self.contact, *numbers, motions, pistons)
+                self.contacts[row] = output_of(
+                    self.contact, *numbers, motions, pistons, self.contacts_to_show
+                )
+
+    def contacts_to_show(self, found: ContactRows) -> ContactRows:
+        """Contacts that are shown here, of those that were found here: all of them."""
+        return found
 
     def _run_through(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule, with new lists where they are used up."""

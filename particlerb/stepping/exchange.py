@@ -38,13 +38,18 @@ class Exchange:
     """
 
     def __init__(self, shared: Shared, shown: SegmentGroup) -> None:
-        self.whole, self.ranks = shared.group, shared.ranks
+        self.shared, self.whole, self.ranks = shared, shared.group, shared.ranks
         self.model = self.whole.terms.known_contact.model
         self.is_free = self.model.inv_mass > 0.0
         parts = parts_of(self.whole.members.size)
         writer = writers(len(parts), self.ranks.count)
         self.home = writer[self.whole.members // parts[0].stop]
         self.places = shared.places(shown.members)
+
+    def places_of(self, numbers: Ints) -> Ints:
+        """Where among all bodies those with some numbers in the scene are; -1 of a negative one."""
+        places = self.shared.places(np.maximum(numbers, 0) - self.shared.first)
+        return np.where(numbers < 0, -1, places)
 
     def sent(self, to: Ints, rows: Rows) -> Rows:
         """Rows that come here, where each is sent to a rank."""

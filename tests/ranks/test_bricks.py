@@ -47,6 +47,7 @@ def test_clumps_that_touch_have_the_same_bits_on_any_number_of_ranks(
     assert whole(path) == whole(tmp_path / "1.h5")
     with h5py.File(path, "r") as file:
         assert abs(file["observables/work/value"][-1]) > 0.01  # [J] they have touched
+        assert len(file["contacts/wall"]) > 2  # in frames, too
     assert main(["info", str(path), "--verify"]) == 0
     made = tmp_path / "made.h5"
     assert main(["export", str(path), "--to", "h5", "-o", str(made)]) == 0
