@@ -31,18 +31,17 @@ def write(selection: Selection, path: Path) -> None:
     Raises
     ------
     ExportError
-        If a choice was made, or contacts were recorded.
+        If a choice was made.
     """
     trajectory = selection.trajectory
     n, file = trajectory.n_frames, trajectory.file
     recorded = [*trajectory.fields, *trajectory.other_fields]
-    asked = (*selection.fields, *selection.observed)
+    asked = {*selection.fields, *selection.observed}
+    asked |= {schema.CONTACTS} if selection.has_contacts else set()
     if (len(selection.frames), len(selection.bodies)) != (n, trajectory.n_bodies) or (
-        set(asked) != set(recorded)
+        asked != set(recorded)
     ):
-        raise ExportError(
-            "h5 is a whole trajectory, without contacts: leave out --bodies, --frames, --fields"
-        )
+        raise ExportError("h5 is a whole trajectory: leave out --bodies, --frames, --fields")
     if not isinstance(file, h5py.File):
         raise ExportError("h5 is made of a file; this trajectory is in memory")
     with trajectory_errors(file):
@@ -52,6 +51,8 @@ def write(selection: Selection, path: Path) -> None:
         write_rest(made, content)
         for name in _growing(file, recorded):
             _copy(trajectory, made, name)
+        if selection.has_contacts:
+            _copy_contacts(trajectory, made)
         count_steps(made, n)
         shown = [name for name in recorded if schema.series_of([name]) and name in schema.FIELDS]
         values = {name: opened(made, f"{schema.TRAJECTORY}/{name}/value") for name in shown}
@@ -74,6 +75,23 @@ def _copy(trajectory: Trajectory, made: h5py.File, path: str) -> None:
     with trajectory_errors(trajectory.file):
         for part in trajectory.portions():
             target[part] = source[part]
+
+
+def _copy_contacts(trajectory: Trajectory, made: h5py.File) -> None:
+    """Copy the contacts of all frames."""
+    starts, ends = opened(made, schema.OFFSET), trajectory.n_frames + 1
+    starts.resize(ends, axis=0)
+    with trajectory_errors(trajectory.file):
+        starts[:] = offset = dataset_at(trajectory.file, schema.OFFSET, "i", (None,))[:ends]
+        for name in schema.COLUMNS:
+            path = f"{schema.CONTACTS}/{name}"
+            target = opened(made, path)
+            target.resize(int(offset[-1]), axis=0)
+            source = dataset_at(trajectory.file, path, "fiu", (None, *target.shape[1:]))
+            for part in trajectory.portions():
+                rows = slice(int(offset[part.start]), int(offset[part.stop]))
+                if rows.stop > rows.start:
+                    target[rows] = source[rows]
 
 
 def _copy_state(file: h5py.File, made: h5py.File, n_frames: int) -> None:
