@@ -14,6 +14,7 @@ from particlerb.cli import main
 from particlerb.cli import ranks as of_commands
 from particlerb.model import superblocks
 from particlerb.model.bricks import Bricks
+from particlerb.plan import contact_rules
 from particlerb.ranks import Ranks
 
 
@@ -51,6 +52,7 @@ def test_clumps_that_touch_have_the_same_bits_on_any_number_of_ranks(
     assert main(["info", str(path), "--verify"]) == 0
     made = tmp_path / "made.h5"
     assert main(["export", str(path), "--to", "h5", "-o", str(made)]) == 0
+    assert digests(made) == expected
     done = command("resume", made, "--t-end", "0.25")
     assert done.returncode == 0, done.stderr
 
@@ -102,6 +104,43 @@ def test_check_says_how_bodies_that_touch_would_be_shared(capsys):
     assert [found[name] for name in names] == [27, 12, 15, 15 * 104, 1]
     assert main(["check", str(HERE / "gas.toml"), "--ranks", "28"]) == 2
     assert "28 ranks are too many for 27 bodies that move" in capsys.readouterr().err
+
+
+APART = """[[body]]
+name = "away"
+shape = { type = "moments", inertia = [1.0, 2.0, 2.5] }
+mass = 1.0
+contact = false
+"""
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("case", "more", "told"),
+    [
+        ("press", [], "walls that slide under a load"),
+        ("pyramid", [], 'the law "impulse"'),
+        ("granular_gas", [], 'the law "events"'),
+        ("cradle_on_strings", [], "joints"),
+        (HERE / "gas.toml", ["--set", "run.method=rk4"], "the method rk4"),
+        ("apart.toml", [], "bodies that touch nothing beside those that do"),
+    ],
+)
+def test_what_ranks_cannot_share_where_bodies_touch_is_named(
+    monkeypatch, tmp_path, capsys, case, more, told
+):
+    monkeypatch.chdir(tmp_path)
+    Path("apart.toml").write_text((HERE / "gas.toml").read_text() + APART)
+    assert main(["check", str(case), "--ranks", "2", *more]) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.plain
+def test_more_spheres_than_lists_can_number_are_refused(monkeypatch, capsys):
+    """The limit is 2^31, for one process too."""
+    monkeypatch.setattr(contact_rules, "LARGEST_NUMBER", 107)
+    assert main(["check", str(HERE / "gas.toml")]) == 2
+    assert "108 spheres of 27 bodies: lists number 107" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("far", [3.0, 1e9])
