@@ -63,7 +63,7 @@ class _Near(NamedTuple):
     radius: float  # [m] the smaller one
     effective: float  # [m] R*
     slow: float  # [m/s]
-    changes: Vec3  # [m/s²] of the velocity in it, without forces
+    changes: Vec3  # [m/s²] of the velocity in it, without forces, as if no ω changed
     normal: Vec3  # from the second to the first
     point: Vec3  # [m] in the middle of the gap
 
@@ -137,7 +137,10 @@ def _take_in(
     c = entry if entry >= 0 else ~entry
     force = row3(contacts.history.force, c)
     put_row3_at(rows.impulse, k, 0, scale(dt, force))
-    lean(partners, rows, k, scale(0.5 * dt, near.changes), force)
+    one, two = row3_at(partners.before, near.first, 6), row3_at(partners.before, near.second, 6)
+    changes = add(near.changes, cross(one, row3_at(rows.frame, k, ARM)))
+    changes = subtract(changes, cross(two, row3_at(rows.frame, k, ARM + 3)))
+    lean(partners, rows, k, scale(0.5 * dt, changes), force)
     put_row3_at(rows.impact, k, 0, ZERO)
     _take_in_rolling(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
     for deepest in (DEEPEST, DEEPEST_NOW):

@@ -99,6 +99,21 @@ def _put_inverse(inverse: Floats, b: int, mass: float, moments: Vec3, R: Matrix)
             at += 1
 
 
+@inline
+def _free_turning(R: Matrix, moments: Vec3, omega: Vec3) -> Vec3:
+    """How ω changes without torque [rad/s²], by Euler's equations; `moments` are inverse ones."""
+    x, y, z = moments
+    if (x == y and y == z) or x * y * z == 0.0:
+        return ZERO
+    p, q, r = turn_back(R, omega)
+    m = (
+        x * (z - y) / (y * z) * q * r,
+        y * (x - z) / (z * x) * r * p,
+        z * (y - x) / (x * y) * p * q,
+    )
+    return dot(R[0], m), dot(R[1], m), dot(R[2], m)
+
+
 @kernel
 def gather_velocities(
     contact: MovingContact | None, blocks: Floats, layout: Layout, first: int, last: int
@@ -119,6 +134,7 @@ def gather_velocities(
             put_row3_at(partners.before, b, 0, v)
             put_row3_at(partners.before, b, 3, omega)
             R, moments = matrix(get4(rows, Q, i)), get3(rows, INV_INERTIA, i)
+            put_row3_at(partners.before, b, 6, _free_turning(R, moments, omega))
             _put_inverse(partners.inverse, b, get(rows, INV_MASS, i), moments, R)
             if inv_mass[b] > 0.0:
                 v = scale(inv_mass[b], get3(rows, P, i))

@@ -51,6 +51,11 @@ class Body:
         """(6,) velocity and angular velocity."""
         return np.concatenate((self.v, np.linalg.solve(self.inertia, self.L)))
 
+    @property
+    def turning(self):
+        """(3,) change of the angular velocity without torque [rad/s²]."""
+        return np.linalg.solve(self.inertia, np.cross(self.L, self.twist[3:]))
+
     def push(self, impulse):
         """Change momenta by (6,)."""
         self.v = self.v + impulse[:3] / self.mass
@@ -138,6 +143,7 @@ class Scene:
                 arm = point - self.bodies[k].x
                 jacobian[:, 6 * k : 6 * k + 3] = sign * frame
                 jacobian[:, 6 * k + 3 : 6 * k + 6] = sign * np.cross(arm, frame)
+                changes = changes + sign * np.cross(self.bodies[k].turning, arm)
         touch = Touch(a, b, gap, jacobian, key)
         self._lean(touch, frame, changes)
         return touch
@@ -159,7 +165,7 @@ class Scene:
                 touch.across = half[1:] * (min(1.0, most / size) if size > 0.0 else 0.0)
 
     def _changes(self, one, x, other, y):
-        """Rate (3,) of the velocity of two balls in contact, or one on a plane, without forces.
+        """Rate (3,) of the velocity of two balls in contact, or one on a plane, as ω stay the same.
 
         Its normal part is along the turning normal. By a complex step: bodies move on for i s, and
         what is of the order of s is all that is imaginary.

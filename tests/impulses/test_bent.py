@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from impulse_scenes import DOWN, G, case, impulse
+from impulse_scenes import DOWN, G, case, impulse, plane
 
 import particlerb
 
@@ -79,3 +79,31 @@ def test_a_ball_rolls_off_a_ball_where_nothing_presses_it_any_more():
     away = np.linalg.norm(t.position[:, 1], axis=1)
     on = np.arccos(np.clip(t.position[:, 1, 2] / away, -1, 1)) < leaves - 0.05
     assert np.abs(away[on] - r).max() < 2e-5
+
+
+def rolling_of_chaplygin(h):
+    """A ball with unequal moments and its centre of mass in its middle that rolls on a plane."""
+    radius, omega = 0.1, [4.0, 7.0, 3.0]
+    places = [[0, 0, 0], [0.09, 0, 0], [-0.09, 0, 0], [0, 0.06, 0], [0, -0.06, 0]]
+    masses, radii = [1.0, 0.3, 0.3, 0.1, 0.1], [radius, 0, 0, 0, 0]
+    shape = {"type": "points", "mass": masses, "radius": radii, "position": places}
+    up = np.array([0.0, 0.0, radius])
+    ball = {"name": "ball", "shape": shape, "position": up.tolist(), "angular_velocity": omega,
+            "velocity": np.cross(omega, up).tolist()}  # fmt: skip
+    return up, particlerb.run(
+        case(ball, contact=impulse(0.0, 1e3), wall=[plane()], gravity=DOWN, dt=h, t_end=0.5,
+             every=0.1)
+    )  # fmt: skip
+
+
+@plain
+def test_a_ball_with_unequal_moments_rolls_without_a_loss():
+    """Chaplygin's ball keeps its energy, to order 2, and its angular momentum about the contact."""
+    lost = []
+    for h in (8e-3, 4e-3):
+        up, t = rolling_of_chaplygin(h)
+        about = t.angular_momentum[:, 0] + np.cross(up, t.linear_momentum[:, 0])
+        assert np.abs(about - about[0]).max() < 1e-13 * np.linalg.norm(about[0])
+        lost.append(np.ptp(t.observable("kinetic_energy")) / t.observable("kinetic_energy")[0])
+    assert lost[1] < 1e-5
+    assert 1.8 < np.log2(lost[0] / lost[1]) < 2.2
