@@ -61,8 +61,26 @@ def without_typos(found: Sequence[Message]) -> list[Message]:
         for one in found
         if (guess := re.match(_GUESS, one.hint)) and guess[2]
     }
-    meant |= {(*one.path[:-1], "euler_deg") for one in found if one.at_key and forms(one.path[:-1])}
-    return [one for one in found if one.reason != "missing" or one.path not in meant]
+    others = [one.path[:-1] for one in found if one.at_key and forms(one.path[:-1])]
+    meant |= {(*path, key) for path in others for key in ("euler_deg", "body", "random")}
+    return _one_of_a_form([m for m in found if m.reason != "missing" or m.path not in meant])
+
+
+def _one_of_a_form(found: Sequence[Message]) -> list[Message]:
+    """Messages in which the unknown keys of what may have another form are one message."""
+    unknown: dict[Path, list[Message]] = {}
+    for one in found:
+        if one.reason == "unknown key" and forms(one.path[:-1]):
+            unknown.setdefault(one.path[:-1], []).append(one)
+    several = {path: ones for path, ones in unknown.items() if len(ones) > 1}
+    told = []
+    for path, ones in several.items():
+        keys = [str(one.path[-1]) for one in ones]
+        turn = "; by an angle a about the unit vector n: [cos(a/2), sin(a/2) n]"
+        hint = forms(path) + (turn if "axis" in keys else "")
+        told.append(Message(path, f"unknown keys: {', '.join(keys)}", hint))
+    left = [one for one in found if one.path[:-1] not in several or one.reason != "unknown key"]
+    return left + told
 
 
 def decides_on_others(message: Message) -> bool:

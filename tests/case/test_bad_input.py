@@ -88,6 +88,22 @@ MISTAKES = [
     ),
     (
         "mass = 2.0",
+        "mass = 2.0\norientation = { axis = [0, 0, 1], angle_deg = 30 }",
+        9,
+        "body[0].orientation",
+        "unknown keys: axis, angle_deg",
+        "by an angle a about the unit vector n: [cos(a/2), sin(a/2) n]",
+    ),
+    (
+        "mass = 2.0",
+        "mass = 2.0\nvelocity = { x = 1, y = 2 }",
+        9,
+        "body[0].velocity",
+        "unknown keys: x, y",
+        "[x, y, z], { body = [x, y, z] }, or { random = v }",
+    ),
+    (
+        "mass = 2.0",
         "mass = 2.0\norientation = { axis = [0, 0, 1] }",
         9,
         "body[0].orientation.axis",
