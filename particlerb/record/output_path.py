@@ -23,6 +23,8 @@ def output_path(path: Path, overwrite: bool) -> Path:
         that leads nowhere.
     NotADirectoryError
         If it would lie in something that is no folder.
+    PermissionError
+        If its folder, or the nearest one that is there, may not be written.
     OSError
         If it cannot be found out.
     """
@@ -48,4 +50,8 @@ def output_path(path: Path, overwrite: bool) -> Path:
             raise FileExistsError(f"{path} is not a regular file, and stays: name a file with -o")
         if not overwrite:
             raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
-    return Path(os.path.realpath(path))
+    place = Path(os.path.realpath(path))
+    folder = next(parent for parent in place.parents if parent.exists())
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, "its folder may not be written", str(folder))
+    return place

@@ -79,6 +79,17 @@ def test_what_is_no_regular_file_stays(place, name, overwrite):
         output_path(Path(name), overwrite)
 
 
+@pytest.mark.parametrize("name", ["folder/new", "folder/none/new"])
+def test_a_folder_that_may_not_be_written_is_told_before_a_run(place, capsys, monkeypatch, name):
+    folder, may = str((place / "folder").resolve()), os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: str(path) != folder and may(path, mode))
+    words, _ = COMMANDS["run"]
+    assert main([*words, "-o", name]) == 2
+    out, err = capsys.readouterr()
+    assert err == f"particlerb: {name}.h5 cannot be made: its folder may not be written\n"
+    assert out == ""
+
+
 def test_links_are_followed(place):
     behind = (place / "folder").resolve()
     assert output_path(Path("link"), True) == behind / "target"
