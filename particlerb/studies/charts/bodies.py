@@ -102,7 +102,8 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
             axes.plot(*path[:, shown].T, color=COLOURS[1], lw=0.9, alpha=0.7)
     axes.set_aspect("equal", adjustable="datalim")
     axes.autoscale_view()
-    words = "at rest" if is_still else f"blue: up to {speed.max():.3g} m/s"
+    rest = "at rest" if frame else "all begin at rest"
+    words = rest if is_still else f"blue: up to {speed.max():.3g} m/s"
     title = f"t = {trajectory.time[frame]:.4g} s; {words}"
     finish_panel(axes, title, xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")
     axes.grid(visible=False)
