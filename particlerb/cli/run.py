@@ -81,7 +81,7 @@ def run_command(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace, ranks: Ranks) -> int:
     """Run a case, on ranks or alone."""
     if sys.stderr.isatty() and not options.quiet:
-        WHEN_COMPILING[:] = ["kernels, once, about 15 s (30 s for contact)"]
+        WHEN_COMPILING[:] = ["kernels, once, 5 to 20 s (up to a minute for contact)"]
     prepared = ranks.together(partial(prepared_case, options))
     system = prepared.system
     if ranks is not ALONE:
