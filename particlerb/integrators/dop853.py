@@ -20,7 +20,7 @@ METHOD: Final = Method(
     summary="order 8, adaptive by run.tolerance, dense output; the oracle; any force",
     order=8,
     accepts=ACCEPTED | {JOINTS, FLOWS},
-    cost=350.0,
+    cost=400.0,
     evaluations=12,
     is_adaptive=True,
 )

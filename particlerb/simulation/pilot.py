@@ -39,10 +39,10 @@ _ONE_OF: Final = 16  # so many, in lines:
 _FASTEST: Final = 4  # one of so many by its rate at t = 0, the others by their errors at
 _COARSE: Final = 1.0, 3.0  # rad of a step of strang; the second is for many,
 _COMPARED: Final = 0.7  # and of the step that it is compared with, of the first
-_FINER: Final = 0.125  # of these steps, where the errors are not regular
+_FINER: Final = 0.125  # of these steps, where forces change along the motion
 REGULAR: Final = 0.1  # errors below it follow the order of a method
-SET_UP: Final = 1e5  # ns of a trial beside its steps, roughly,
-_BEGIN: Final = 3e5  # and of a search beside its trials
+SET_UP: Final = 1.7e5  # ns of a trial beside its steps, roughly,
+BEGIN: Final = 3e5  # and of a search beside its trials
 _ALONE: Final = 6  # bodies in the lanes of a register that one without a full register costs
 _A_LOAD: Final = 1.2  # ns of a body for each evaluation of a force that changes
 _IN_TREES: Final = 8000.0  # ns of a step of an adaptive method for a body that joints hold,
@@ -56,7 +56,7 @@ class Pilot:
     def __init__(self, system: System, group: GroupPlan) -> None:
         self.system, self.group = system, group
         self.wanted, t_end = system.run.accuracy or 0.0, system.run.t_end
-        self.spent = _BEGIN  # ns, by the table
+        self.spent = BEGIN  # ns, by the table
         self.start, self.has_said = time.monotonic(), False
         self.rates = rates(system, group, t_end)
         self.rate = float(self.rates.max())
@@ -67,6 +67,7 @@ class Pilot:
         self.cost_of_loads = _A_LOAD * max(_changing_loads(s.terms) for s in group.segments)
         self.cost_between = max(cost_of(segment.terms) for segment in group.segments)
         self.is_coupled = any(segment.terms.is_coupled for segment in group.segments)
+        self.has_changing_forces = self.is_coupled or self.cost_of_loads > 0.0
         self.sets_off_again = not any(_remembers(segment.terms) for segment in group.segments)
         joints = [s.terms.joints for s in group.segments if s.terms.joints is not None]
         has_rows = any(tree_of(own) is None for own in joints)
@@ -110,15 +111,16 @@ class Pilot:
     def worst(self, count: int) -> Ints:
         """Bodies that are fastest, and those that err most with coarse steps.
 
-        Where not even so few err regularly, more are taken, and by finer steps if that is cheap.
+        Where not even so few err regularly, more are taken. Steps are finer where forces change
+        along the motion, if that is cheap.
         """
         turn = _COARSE[0 if self.is_short(_COARSE[0]) else 1]
+        if self.has_changing_forces and self.is_short(_FINER * turn, 10.0):
+            turn *= _FINER
         error = self.coarse_errors(turn)
         if np.partition(error, -count)[-count] > REGULAR:
             count = min(_PILOT, error.size)
             self.stands_for = error.size / count
-            if self.is_short(_FINER * turn, 10.0):
-                error = self.coarse_errors(_FINER * turn)
         fastest = np.argsort(-self.rates, kind="stable")[: count // _FASTEST]
         error[fastest] = np.inf
         return np.sort(np.argsort(-error, kind="stable")[:count])
@@ -179,18 +181,16 @@ class Pilot:
     def cost(self, stepping: Stepping, steps: float, n: int) -> float:
         """Time that n bodies of the group take for so many steps, by the table [ns]."""
         method = METHODS[stepping.method]
-        lanes, rest = n + (_ALONE - 1) * (n % LINE), n % PACK
+        lanes = n + (_ALONE - 1) * (n % LINE)
         if method.is_adaptive:
-            full = n - rest + (rest > 0) * max(rest, _ALONE)
-            lanes = 2 * lanes if self.is_coupled else full
+            lanes = 2 * lanes if self.is_coupled else LINE * -(-n // LINE)
         each = method.cost
         if self.held:
             lanes, each = n, self.held if method.is_adaptive else each
         if method.asymmetric_cost is not None:
             turns = stepping.dt * self.rate
             each *= 1.0 + self.asymmetric * (method.asymmetric_cost(turns) - 1.0)
-        if not method.is_adaptive:
-            each += method.evaluations * self.cost_of_loads
+        each += method.evaluations * self.cost_of_loads
         return float(steps * (lanes * each + method.evaluations * self.cost_between))
 
 

@@ -17,14 +17,16 @@ from particlerb.model.state import Frames
 from particlerb.plan.time_step import Stepping
 from particlerb.simulation.pilot import REGULAR, SET_UP, Pilot
 
-FIRST_TURN: Final = {"strang": 0.25, "force_gradient": 3.0, "rkn6": 4.0, "rk4": 0.75}
-_FIRST_TURN: Final = 0.5  # rad; of others
-_FIRST_WANTED: Final = 1e-3  # in the first step for this accuracy, by half of the order for others
-_HOPED: Final = 0.75  # of the order, in the step with which a method may be the cheapest
+FIRST_TURN: Final = {  # rad of a step that errs by FIRST_WANTED: under steady forces, and others
+    "strang": (0.2, 0.03), "force_gradient": (3.0, 0.6), "rkn6": (4.0, 1.5), "rk4": (0.4, 0.3),
+}  # fmt: skip
+_FIRST_TURN: Final = 0.5, 0.5  # of others
+_FIRST_WANTED: Final = 1e-3
+_SHARE: Final = 0.5  # of the order by which the first step is shorter for other accuracies
 _FIRST_TOLERANCE: Final = 0.01  # that is tried, in units of the accuracy,
 _COARSEST, _FINEST = 1e-3, 1e-14  # and its limits
 _ADAPTED: Final = 4.0  # rad of a step with a tolerance of 1, about,
-_LONGER: Final = 10.0  # and how many times longer steps may be later than at t = 0
+_LONGER: Final = 4.0  # and how many times longer steps may be later than at t = 0
 RATIO: Final = {
     "strang": 2.0, "force_gradient": 1.7, "rkn6": 1.6, "rk4": 1.8, "dop853": 30.0,
     "rattle": 2.0, "rattle4": 1.7, "rattle6": 1.5, "rattle8": 1.4,
@@ -93,10 +95,9 @@ class Ladder:
         The step is longer than what most scenes need.
         """
         first, ratio = self.first_setting(), RATIO[self.name]
-        step = min(self.pilot.longest(self.first_turn(_HOPED)), first)
-        whole = self.cost_of(step, self.pilot.group.members.size)
+        whole = self.cost_of(first, self.pilot.group.members.size)
         seen = [self.cost_of(first / ratio**k, self.pilot.which.size) for k in range(3)]
-        return whole + sum(seen) + 2.0 * SET_UP
+        return whole + sum(seen) + 3.0 * SET_UP
 
     def usual_cost(self) -> float:
         """What a run takes in most scenes [ns]: in few do steps grow much longer than at first."""
@@ -111,8 +112,11 @@ class Ladder:
         """
         turn = _LONGER * _ADAPTED * self.pilot.wanted ** (1.0 / self.method.order)
         steps = self.pilot.rate * sum(self.pilot.lengths) / turn
-        n = self.pilot.group.members.size
-        return max(self.pilot.cost(self.stepping(_COARSEST), steps, n), LEAST) + 2.0 * SET_UP
+        whole, seen = (
+            self.pilot.cost(self.stepping(_COARSEST), steps, group.size)
+            for group in (self.pilot.group.members, self.pilot.which)
+        )
+        return max(whole, LEAST) + 3.0 * (seen + SET_UP)
 
     def stepping(self, setting: float) -> Stepping:
         """How bodies are stepped with a setting."""
@@ -286,12 +290,12 @@ class Ladder:
         """
         if not self.is_stepped:
             return min(max(_FIRST_TOLERANCE * self.pilot.wanted, _FINEST), _COARSEST)
-        return min(self.pilot.longest(self.first_turn(0.5)), sum(self.pilot.lengths) / TIMES)
+        return min(self.pilot.longest(self.first_turn(_SHARE)), sum(self.pilot.lengths) / TIMES)
 
     def first_turn(self, share: float) -> float:
         """Turn in a step for the wanted accuracy by a share of the order [rad]."""
         ratio = float((self.pilot.wanted / _FIRST_WANTED) ** (share / self.order))
-        return ratio * FIRST_TURN.get(self.name, _FIRST_TURN)
+        return ratio * FIRST_TURN.get(self.name, _FIRST_TURN)[self.pilot.has_changing_forces]
 
     def cost_of(self, setting: float, n: int) -> float:
         """Time of a run of n bodies with a setting, by the table [ns]."""

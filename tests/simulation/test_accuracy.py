@@ -15,8 +15,8 @@ from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.time_step import Stepping, stepped_by
-from particlerb.simulation.accuracy import prepare_accurately, search
-from particlerb.simulation.pilot import Pilot
+from particlerb.simulation.accuracy import cheapest, prepare_accurately, search
+from particlerb.simulation.pilot import BEGIN, SET_UP, Pilot
 from particlerb.simulation.run import prepare
 from particlerb.simulation.step_ladder import LEAST, Ladder
 from particlerb.simulation.trials import poses
@@ -267,6 +267,59 @@ def test_a_search_costs_no_more_than_the_run(make, wanted):
     found = search(system, prepare(to_system(tops(make, 2000))).plan.groups[0])
     assert found.error <= wanted
     assert found.spent <= (1.5 if wanted == 1e-3 else 1.0) * max(found.cost, LEAST)
+
+
+def stones(make, n):
+    """Asymmetric bodies that tumble, fall and are slowed down by a drag."""
+    random = np.random.default_rng(3)
+    body = make.body(
+        "stone",
+        (1.0, 1.4, 0.6),
+        count=n,
+        position=[[3.0 * k, 0.0, 0.0] for k in range(n)],
+        angular_velocity=random.normal(0.0, 2.0, (n, 3)).tolist(),
+    )
+    drag = {"type": "drag", "body": "stone", "translation": 0.2, "rotation": 0.1}
+    push = make.push([0.0, 0.5, 0.0], [0.3, 0.1, 0.2], "stone")
+    return make.case(body, force=[drag, push], t_end=10.0, every=10.0)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    ("scene", "wanted", "names", "trials"),
+    [
+        ("gravity_gradient", 1e-6, ("force_gradient", "rkn6"), 3),
+        ("drag", 1e-3, ("strang", "rk4"), 5),
+        ("drag", 1e-6, ("rk4",), 5),
+    ],
+)
+def test_a_choice_is_cheap_and_not_too_good(make, monkeypatch, scene, wanted, names, trials):
+    """Beside each method alone, by the table; all bodies against a run with a third of the step.
+
+    Where there are more bodies than the pilot has, trials cost less than the run, set-ups left out;
+    at 1e-3 1.5 times as much, for all bodies are looked at. Else trials are few.
+    """
+    raw = stones(make, 100) if scene == "drag" else CASES / f"{scene}.toml"
+    system = to_system(load(raw, [f"run.accuracy={wanted}"]))
+    group = make_plan(system.with_run(method="auto")).groups[0]
+    calls = []
+    moved = Pilot.poses
+    with monkeypatch.context() as patch:
+        patch.setattr(Pilot, "poses", lambda *a: calls.append(a[1]) or moved(*a))
+        found = search(system, group)
+    assert len(calls) <= trials
+    if scene == "drag":
+        in_steps = found.spent - BEGIN - len(calls) * SET_UP
+        assert in_steps <= (1.5 if wanted == 1e-3 else 1.0) * found.cost
+    pilot = Pilot(system, group)
+    alone = [cheapest(pilot, [Ladder(pilot, name)]).cost for name in names]
+    assert found.stepping.method in names
+    assert found.cost <= 1.5 * min(alone)
+    monkeypatch.setattr(Pilot, "worst", lambda pilot, count: np.arange(pilot.rates.size))
+    every, times = Pilot(system, group), np.array([system.run.t_end])
+    finer = found.stepping._replace(dt=found.stepping.dt / 3.0)
+    own, true = (every.poses(stepping, times)[0] for stepping in (found.stepping, finer))
+    assert wanted / 50.0 < every.errors(times, own, true).max() < wanted
 
 
 @pytest.mark.plain

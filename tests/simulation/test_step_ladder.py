@@ -21,6 +21,7 @@ class FakePilot:
     def __init__(self, wanted, laws, bodies=1000, seen=32):
         self.wanted, self.laws, self.spent, self.steps = wanted, laws, 0.0, []
         self.rate, self.lengths, self.calm = 1.0, [T_END], 1.0
+        self.has_changing_forces = False
         self.which, self.group = np.arange(seen), SimpleNamespace(members=np.arange(bodies))
         self.system = SimpleNamespace(run=SimpleNamespace(t_end=T_END, dt=None))
 
@@ -46,7 +47,7 @@ def methods(monkeypatch):
         method = SimpleNamespace(order=order, is_adaptive=False)
         monkeypatch.setitem(METHODS, name, method)
         monkeypatch.setitem(ladder.RATIO, name, 2.0)
-        monkeypatch.setitem(ladder.FIRST_TURN, name, 1.0)
+        monkeypatch.setitem(ladder.FIRST_TURN, name, (1.0, 1.0))
 
 
 def choice(pilot, *names):
@@ -134,7 +135,7 @@ def test_the_search_takes_no_longer_than_the_run(wanted, bodies):
 
 def test_the_first_run_is_not_coarser_than_the_times_that_are_looked_at(monkeypatch):
     """Longer steps would be cut at these times, and cost as much."""
-    monkeypatch.setitem(ladder.FIRST_TURN, "second", 6.0)
+    monkeypatch.setitem(ladder.FIRST_TURN, "second", (6.0, 6.0))
     pilot = FakePilot(1e-3, {"second": law(1e-3, 2)})
     choice(pilot, "second")
     assert pilot.steps[0].dt == T_END / ladder.TIMES
