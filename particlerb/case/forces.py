@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, model_validator
 
 from particlerb.case.problems import Path
-from particlerb.case.raw import Finding, bodies_named, given, out_of_place
+from particlerb.case.raw import Finding, given, out_of_place, pair_rules
 from particlerb.case.values import (
     ORIGIN,
     Array3,
@@ -269,17 +269,10 @@ class SpringTable(LastingForceTable):
 
 
 def _pairing(path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
-    """Bodies at both ends make pairs."""
-    if not given(raw, "to") or given(raw, "reach"):
-        return
-    first, second = bodies_named(raw.get("body"), known), bodies_named(raw["to"], known)
-    if not first or not second:
-        return
-    n, m = sum(map(len, first)), sum(map(len, second))
-    if n != m and 1 not in {n, m}:
-        reason = f"names {m} bodies, `body` {n}: they make no pairs"
+    """Bodies at both ends make pairs, where reach does not find them."""
+    if not given(raw, "reach"):
         hint = "name equal numbers, or one for all; or give `reach`"
-        yield (*path, "to"), reason, hint
+        yield from pair_rules(path, raw, known, hint, either_way=True)
 
 
 class UniformField(LastingForceTable):

@@ -75,6 +75,16 @@ def bodies_named(value: Any, known: dict[str, range]) -> list[range] | None:
     return found
 
 
+def pair_rules(
+    path: Path, raw: dict[str, Any], known: dict[str, range], hint: str, either_way: bool = False
+) -> Iterator[Finding]:
+    """`body` and `to` make pairs: equal numbers, or one `to` for all; `either_way`: one `body`."""
+    ends = (bodies_named(raw.get(key), known) or () for key in ("body", "to"))
+    n, m = (sum(map(len, blocks)) for blocks in ends)
+    if n and m and m not in {n, 1} and not (either_way and n == 1):
+        yield (*path, "to"), f"names {m} bodies, `body` {n}: they make no pairs", hint
+
+
 def is_origin(position: Any) -> bool:
     """Whether a position is the default, which a resolved case states beside `place`."""
     return isinstance(position, list) and position == [0, 0, 0]

@@ -6,7 +6,7 @@ from typing import Any
 
 from particlerb.case.joints import ACTIONS, ALONG, JOINT_TYPES, WITHOUT_AXIS
 from particlerb.case.problems import Path, nearest
-from particlerb.case.raw import Finding, bodies_named, entry_at, given, number
+from particlerb.case.raw import Finding, bodies_named, entry_at, given, number, pair_rules
 
 _LARGEST_BOUNCE = 2.6  # rad: a step of a fast body may pass what is nearer to half a turn
 
@@ -30,16 +30,10 @@ def joint_rules(
         hint = "a body cannot be caught by a joint: give [0, time of release]"
         yield (*path, "during"), "a joint acts from the start on", hint
     yield from _other_end_rules(path, raw)
-    first = bodies_named(raw.get("body"), known)
     if raw.get("chain") is True:
-        yield from _chain_rules(path, raw, first)
-    elif given(raw, "to"):
-        second = bodies_named(raw["to"], known)
-        if first and second:
-            n, m = sum(map(len, first)), sum(map(len, second))
-            if m not in {n, 1}:
-                hint = "name equal numbers, or one for all"
-                yield (*path, "to"), f"names {m} bodies, `body` {n}: they make no pairs", hint
+        yield from _chain_rules(path, raw, bodies_named(raw.get("body"), known))
+    else:
+        yield from pair_rules(path, raw, known, "name equal numbers, or one for all")
 
 
 def _other_end_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
