@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 _BODY_FILE: Final = "a case; a table x y z m [r] of points, x y z r of spheres; STL, OBJ, PLY"
@@ -37,11 +38,6 @@ def _number(text: str, most: int | None = None) -> int:
         allowed = f"between 1 and {most}" if most else "a whole number, 1 or more"
         raise argparse.ArgumentTypeError(f"must be {allowed}, got {text}")
     return value
-
-
-def _port(text: str) -> int:
-    """A port."""
-    return _number(text, 65535)
 
 
 def _frame_slice(text: str) -> slice:
@@ -207,7 +203,8 @@ COMMANDS: Final = {
         _option("case", nargs="?", default="cube_at_rest", metavar="CASE|FILE",
                 help="a case to push, or a trajectory file to play; default: the paper's cube"),
         _SET, _THREADS,
-        _option("--port", type=_port, default=8080, help="default: %(default)s"),
+        _option("--port", type=partial(_number, most=65535), default=8080,
+                help="default: %(default)s"),
         _option("--host", default="127.0.0.1",
                 help="address to listen on; default: %(default)s, this machine only"),
         _option("--allow-host", dest="hosts", action="append", default=[], metavar="NAME",

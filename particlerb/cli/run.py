@@ -75,58 +75,46 @@ def _warn(options: argparse.Namespace, warnings: Sequence[str]) -> None:
 def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
     with ranks_of(options) as ranks:
-        return _run(options, ranks)
+        if sys.stderr.isatty() and not options.quiet:
+            WHEN_COMPILING[:] = ["kernels, once, 5 to 20 s (up to a minute for contact)"]
+        prepared = ranks.together(partial(prepared_case, options))
+        system = prepared.system
+        if ranks is not ALONE:
+            part_of(prepared, ranks)
+        path = ranks.together(partial(_output_path, options, system))
+        ranks.together(lambda: _warn(options, _disk_warnings(system, path)))
+        if not (options.quiet or options.json):
+            title = system.title or path.stem
+            print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
+            free = amount(_free_bytes(path))
+            print(f"  file: {path}, {size_text(system)}; {free} are free\n", flush=True)
 
-
-def _run(options: argparse.Namespace, ranks: Ranks) -> int:
-    """Run a case, on ranks or alone."""
-    if sys.stderr.isatty() and not options.quiet:
-        WHEN_COMPILING[:] = ["kernels, once, 5 to 20 s (up to a minute for contact)"]
-    prepared = ranks.together(partial(prepared_case, options))
-    system = prepared.system
-    if ranks is not ALONE:
-        part_of(prepared, ranks)
-    path = ranks.together(partial(_output_path, options, system))
-    ranks.together(lambda: _warn(options, _disk_warnings(system, path)))
-    if not (options.quiet or options.json):
-        title = system.title or path.stem
-        print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
-        free = amount(_free_bytes(path))
-        print(f"  file: {path}, {size_text(system)}; {free} are free\n", flush=True)
-
-    run = partial(run_prepared, prepared, path, options.overwrite, ranks=ranks)
-    before, total = _number_of(path), frame_count(system.run)
-    outcome = _execute(run, path, options, total, before=before, ranks=ranks)
-    return _conclude(prepared, outcome, path, options, ranks)
+        run = partial(run_prepared, prepared, path, options.overwrite, ranks=ranks)
+        before, total = _number_of(path), frame_count(system.run)
+        outcome = _execute(run, path, options, total, before=before, ranks=ranks)
+        return _conclude(prepared, outcome, path, options, ranks)
 
 
 def resume_command(options: argparse.Namespace) -> int:
     """`resume`: go on with the run of a file."""
     with ranks_of(options) as ranks:
-        return _resume(options, ranks)
+        path = Path(options.file)
+        ranks.together(lambda: None if ranks.number else probe(path))
+        with ending(CaseError, ResumeError, TrajectoryError, FileNotFoundError):
+            pending = look_at(path, options.t_end, options.threads, options.allow_code, ranks)
+        _warn(options, list(pending.warnings))
+        system, start = pending.prepared.system, pending.start
+        ranks.together(lambda: _warn(options, _disk_warnings(system, path, pending.known)))
+        if not (options.quiet or options.json):
+            again = f", the last {pending.known - start} of them to be computed again"
+            counts = f"{pending.known} of {pending.total} frames"
+            rest = again if start < pending.known else ""
+            print(f"{system.title or path.stem}\n\n{path} has {counts}{rest}\n", flush=True)
 
-
-def _resume(options: argparse.Namespace, ranks: Ranks) -> int:
-    """Go on with a run, on ranks or alone."""
-    path = Path(options.file)
-    ranks.together(lambda: None if ranks.number else probe(path))
-    with ending(CaseError, ResumeError, TrajectoryError, FileNotFoundError):
-        pending = look_at(path, options.t_end, options.threads, options.allow_code, ranks)
-    _warn(options, list(pending.warnings))
-    system, start = pending.prepared.system, pending.start
-    ranks.together(lambda: _warn(options, _disk_warnings(system, path, pending.known)))
-    if not (options.quiet or options.json):
-        again = f", the last {pending.known - start} of them to be computed again"
-        print(
-            f"{system.title or path.stem}\n\n{path} has {pending.known} of {pending.total} frames"
-            f"{again if start < pending.known else ''}\n",
-            flush=True,
-        )
-
-    run = partial(resume_pending, pending, ranks=ranks)
-    with ending(ResumeError):
-        outcome = _execute(run, path, options, pending.total, start, ranks=ranks)
-    return _conclude(pending.prepared, outcome, path, options, ranks)
+        run = partial(resume_pending, pending, ranks=ranks)
+        with ending(ResumeError):
+            outcome = _execute(run, path, options, pending.total, start, ranks=ranks)
+        return _conclude(pending.prepared, outcome, path, options, ranks)
 
 
 def _conclude(
