@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from particlerb.case.problems import CaseError, Path, Problem, Source, key_of, path_of, shown
+from particlerb.case.problems import Path, Problem, Source, key_of, path_of, refuse, shown
 
 
 def overridden(source: Source, overrides: Sequence[str]) -> Source:
@@ -35,8 +35,7 @@ def overridden(source: Source, overrides: Sequence[str]) -> Source:
                 Problem(f"--set {key}", None, None, key_of(path), text, str(error.args[0]))
             )
         paths.append(path)
-    if problems:
-        raise CaseError(problems)
+    refuse(problems)
     return source._replace(raw=raw, overridden=tuple(paths))
 
 

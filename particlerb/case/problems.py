@@ -6,7 +6,7 @@ A message has file, line, key, reason, source line and hint.
 import difflib
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
@@ -85,6 +85,12 @@ class CaseError(Exception):
     def __str__(self) -> str:
         """One block per problem."""
         return "\n".join(str(problem) for problem in self.problems)
+
+
+def refuse(problems: Collection[Problem]) -> None:
+    """Raise CaseError if there are problems."""
+    if problems:
+        raise CaseError(problems)
 
 
 def _printable(text: str) -> str:

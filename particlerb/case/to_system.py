@@ -17,7 +17,7 @@ from particlerb.case.bodies import Body, NormalDistribution, ShapePart
 from particlerb.case.matter import solid_of, spheres_of
 from particlerb.case.output import FIELDS_OF_LAWS
 from particlerb.case.placement import Placement, placement_of, quaternion_of, random_stream
-from particlerb.case.problems import CaseError, Problem, problem_at
+from particlerb.case.problems import Problem, problem_at, refuse
 from particlerb.case.reader import load
 from particlerb.case.reduction import reduced
 from particlerb.case.schema import Case
@@ -103,8 +103,7 @@ def _refuse_overflow(case: Case, placement: Placement, energy: Floats) -> None:
         problem_at(case, f"body[{i}]", f"{placement.names[b]} {why}", "give smaller velocities")
         for i, b in sorted(first.items())
     ]
-    if problems:
-        raise CaseError(problems)
+    refuse(problems)
 
 
 def centred_at_com(particles: Particles, properties: MassProperties) -> Particles:
@@ -152,7 +151,7 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
     known: dict[tuple[object, ...], tuple[int, list[tuple[str, str]]]] = {}
     n_kinds = 0
 
-    def refuse(i: int, error: Exception) -> None:
+    def blame(i: int, error: Exception) -> None:
         key = f"body[{i}].shape" if case.body[i].shape is not None else f"body[{i}].part"
         why = _OUT_OF_RANGE if isinstance(error, ArithmeticError) else error
         problems.append(problem_at(case, key, f"{case.body[i].name}: {why}"))
@@ -163,7 +162,7 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
             try:
                 particles, lines = _particle_sets(case, i, body)
             except (ValueError, ArithmeticError) as error:
-                refuse(i, error)
+                blame(i, error)
                 continue
             sets.append(particles)
             owners.append(i)
@@ -181,9 +180,8 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
             try:
                 _refuse_underflow(mass_properties(particles))
             except (ValueError, ArithmeticError) as error:
-                refuse(i, error)
-    if problems:
-        raise CaseError(problems)
+                blame(i, error)
+    refuse(problems)
     return together, properties, np.array(first)
 
 
@@ -293,8 +291,7 @@ def _possible_spin(case: Case, placement: Placement, bodies: Bodies) -> Floats:
         wrong = np.flatnonzero(own & (size > rounding))
         if len(wrong):
             problems.append(_spin_problem(case, i, int(wrong[0]), placement, bodies))
-    if problems:
-        raise CaseError(problems)
+    refuse(problems)
     return possible
 
 

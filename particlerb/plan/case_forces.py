@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.forces import AnyForce, LoadTable, read_load
-from particlerb.case.problems import CaseError, Problem
+from particlerb.case.problems import Problem, refuse
 from particlerb.forces import Terms, summed
 from particlerb.forces.gravity import UniformGravity
 from particlerb.forces.impulse import Impulse
@@ -77,8 +77,7 @@ def loads_of(system: System) -> list[ResolvedForce]:
         if system.merging is not None:
             resolved = [one for load in resolved for one in _on_hosts(load, system.merging)]
         loads += resolved
-    if problems:
-        raise CaseError(problems)
+    refuse(problems)
     return loads
 
 

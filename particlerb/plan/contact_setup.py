@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.contact import ContactTable, Pair
-from particlerb.case.problems import CaseError, Problem, nearest, problem_at
+from particlerb.case.problems import CaseError, Problem, nearest, problem_at, refuse
 from particlerb.contact.piston import Pistons
 from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.restitution import damping_ratio, effective_modulus, effective_shear_modulus
@@ -98,8 +98,7 @@ def contact_of(system: System) -> ContactSetup | None:
     tables = system.contacts or (system.contact,)
     pairs = [pairs_of(system, table, names, can_meet) for table in tables]
     problems += [problem for _, missing in pairs for problem in missing]
-    if problems:
-        raise CaseError(problems)
+    refuse(problems)
     contact = ContactSetup(
         record=system.contact,
         materials=names,

@@ -11,7 +11,7 @@ import numpy as np
 
 from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, PlaneWall
 from particlerb.case.placement import unit_vectors
-from particlerb.case.problems import CaseError, Problem, problem_at
+from particlerb.case.problems import Problem, problem_at, refuse
 from particlerb.contact.sphere_search import neighbours
 from particlerb.contact.wall_motion import PrescribedMotion, poses_at
 from particlerb.contact.wall_search import WallSearch
@@ -44,8 +44,7 @@ def refuse_misplaced(system: System, contact: "ContactSetup") -> None:
     """Raise CaseError with all that overlaps or lies beyond a wall at t = 0."""
     spheres = spheres_of(system, contact)
     wrong = [*_beyond_walls(system, contact, spheres), *_overlapping(system, contact, spheres)]
-    if wrong:
-        raise CaseError(wrong)
+    refuse(wrong)
 
 
 def spheres_of(system: System, contact: "ContactSetup") -> _SetupSpheres:

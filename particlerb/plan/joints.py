@@ -12,7 +12,7 @@ import numpy as np
 
 from particlerb.case.joints import ACTIONS, JointTable
 from particlerb.case.output import FIELDS_OF_JOINTS
-from particlerb.case.problems import CaseError, Problem, problem_at
+from particlerb.case.problems import CaseError, Problem, problem_at, refuse
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
     prescribed_momenta,
@@ -165,8 +165,7 @@ def joints_of(system: System) -> JointSetup | None:
             own = len(acting)
             acting.append(table)
         found.append(joint_rows.joints_of_table(system, number, ends, merging, (own, drive)))
-    if problems:
-        raise CaseError(problems)
+    refuse(problems)
     columns = list(zip(*found, strict=True))
     record, first, second, places, n_rows, until = map(np.concatenate, columns[3:])
     setup = JointSetup(
@@ -190,8 +189,7 @@ def joints_of(system: System) -> JointSetup | None:
     problems = _held_impulses(system, setup)
     if merging is None:
         problems = _impossible(system, setup) + problems
-    if problems:
-        raise CaseError(problems)
+    refuse(problems)
     return setup
 
 
@@ -348,8 +346,7 @@ def _refuse_misfits(
         if system.joint[number].drive is not None:
             hint += "; bodies begin with the speed of a drive"
         problems[number] = problem_at(system, f"joint[{number}]", reason, hint)
-    if problems:
-        raise CaseError(problems.values())
+    refuse(problems.values())
 
 
 def _refuse_loose(system: System, setup: JointSetup, joints: Joints, work: JointWork) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.case.forces import AnyForce, PythonTable, SpringTable
-from particlerb.case.problems import CaseError, Problem, problem_at
+from particlerb.case.problems import CaseError, Problem, problem_at, refuse
 from particlerb.forces.kinds import ForceError, by_its_arm
 from particlerb.forces.links import WORLD
 from particlerb.forces.python import with_code
@@ -93,8 +93,7 @@ def links_of(system: System) -> list[AnyLink]:
                 links += springs
         except CaseError as error:
             problems += error.problems
-    if problems:
-        raise CaseError(problems)
+    refuse(problems)
     return links
 
 

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from particlerb.case.coarse_lattice import coarse
-from particlerb.case.problems import CaseError
+from particlerb.case.problems import refuse
 from particlerb.maths.vec3 import Ints
 from particlerb.model.state import State
 from particlerb.model.system import System
@@ -75,8 +75,7 @@ def make_plan(
     loads = loads_of(system)
     links = _links_on_hosts(system)
     problems = impossible(system, loads) + coincident(system)
-    if problems:
-        raise CaseError(problems)
+    refuse(problems)
     touching, joints = contact_of(system), joints_of(system)
     start, state = now or (0.0, system.state)
     if now is not None and system.merging is not None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.case.problems import CaseError, nearest, problem_at
+from particlerb.case.problems import nearest, problem_at, refuse
 from particlerb.integrators import METHODS
 from particlerb.integrators.joint_slopes import add_actions
 from particlerb.integrators.joint_stages import place_driven
@@ -77,8 +77,7 @@ def refuse_checks(system: System) -> None:
             if np.size(check.value) != n:
                 reason = f"{check.joint} has {n} coordinate{'s' * (n != 1)}"
                 problems.append(problem_at(system, f"check.value[{k}].value", reason, ""))
-    if problems:
-        raise CaseError(problems)
+    refuse(problems)
 
 
 def of_all_ranks(values: JointValues, setup: JointSetup, ranks: Ranks) -> JointValues:

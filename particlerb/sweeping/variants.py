@@ -10,7 +10,7 @@ import numpy as np
 
 from particlerb.case.changes import changed, likeness
 from particlerb.case.overrides import with_value
-from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of, problem_at
+from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of, problem_at, refuse
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
 from particlerb.case.sweep import SweepTable
@@ -68,8 +68,7 @@ def variants(case: Case, sweep: SweepTable) -> list[Variant]:
             hashed = start.copy()
             hashed.update(_encoded(rows[number]).encode())
             found.append(Variant(number, rows[number], hashed.hexdigest()[:16], like))
-    if problems:
-        raise CaseError(problems.values())
+    refuse(problems.values())
     return sorted(found, key=lambda one: one.number)
 
 
