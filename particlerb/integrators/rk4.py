@@ -9,7 +9,6 @@ the form; Kutta 1901 for the method.
 
 from typing import Final
 
-from particlerb.compiled.jit import inline
 from particlerb.contact.contact_model import BY_SLOPES, Instant, LoadTimes, Slope
 from particlerb.forces.kernels import shift_time
 from particlerb.forces.kinds import CONTACT
@@ -28,14 +27,14 @@ from particlerb.integrators.slopes import (
 )
 from particlerb.integrators.stages import MovingBodies, loads, place, place_later, stage, stages
 from particlerb.maths.quaternion import add_scaled4, length, matrix, matrix_along
-from particlerb.maths.vec3 import Floats
-from particlerb.model.block import SCRATCH, get, get3, get4, put, put3, put4
+from particlerb.model.block import SCRATCH, get, put
 from particlerb.model.load import STATE_ROWS
 
 _WEIGHTS: Final = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)  # of the slopes
 _NEXT: Final = (0.5, 0.5, 1.0, 0.0)  # where the next slope is taken, in steps
 _WHERE: Final = (0.0, 0.5, 0.5, 1.0)  # each slope is taken, in steps
 _LENGTH: Final = SCRATCH  # row of |q| there
+_TOTAL: Final = STAGE + STATE_ROWS  # row of the sum so far; the state at the beginning is at STAGE
 
 
 @stage
@@ -66,28 +65,11 @@ def _four_slopes(moving: MovingBodies, first: int, last: int, dt: float) -> None
             book(books, rows, b, sixth, e4)
 
 
-@inline
-def _pose_at(rows: Floats, at: int, b: int) -> Pose:
-    """State of body b from row `at` on."""
-    return Pose(
-        get3(rows, at, b), get4(rows, at + 3, b), get3(rows, at + 7, b), get3(rows, at + 10, b)
-    )
-
-
-@inline
-def _put_pose_at(rows: Floats, at: int, b: int, y: Pose) -> None:
-    """Write the state of body b."""
-    put3(rows, at, b, y.x)
-    put4(rows, at + 3, b, y.q)
-    put3(rows, at + 7, b, y.p)
-    put3(rows, at + 10, b, y.L)
-
-
 @stage
 def _one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) -> None:
     """One slope, where bodies act on each other: the next needs those of all before it.
 
-    The state at the beginning, and the sum so far, are in the rows STAGE; those of the state have
+    The state at the beginning, and the sum so far, have rows of their own; those of the state have
     where the next slope is taken, with q/|q|, as forces between bodies want it, and |q| in LENGTH.
     """
     acting, books = moving.acting, moving.books
@@ -102,11 +84,11 @@ def _one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) -
             shift_time(acting, rows, b, _WHERE[k] * dt)
             slope, entry = slopes(acting, rows, b, y, R)
             if k == 0:
-                _put_pose_at(rows, STAGE, b, y)
-                _put_pose_at(rows, STAGE + STATE_ROWS, b, y)
-            start, total = _pose_at(rows, STAGE, b), _pose_at(rows, STAGE + STATE_ROWS, b)
-            total = add_pose(_WEIGHTS[k] * dt, slope, total)
-            _put_pose_at(rows, STAGE + STATE_ROWS, b, total)
+                put_pose(rows, b, y, STAGE)
+                put_pose(rows, b, y, _TOTAL)
+            start = pose(rows, b, STAGE)
+            total = add_pose(_WEIGHTS[k] * dt, slope, pose(rows, b, _TOTAL))
+            put_pose(rows, b, total, _TOTAL)
             after = total if k == 3 else add_pose(_NEXT[k] * dt, slope, start)
             put(rows, _LENGTH, b, length(after.q))
             put_pose(rows, b, on_sphere(after))

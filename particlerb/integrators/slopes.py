@@ -42,18 +42,19 @@ class Pose(NamedTuple):
 
 
 @inline
-def pose(rows: Floats, b: int) -> Pose:
-    """State of body b."""
-    return Pose(get3(rows, COM, b), get4(rows, Q, b), get3(rows, P, b), get3(rows, L, b))
+def pose(rows: Floats, b: int, at: int = COM) -> Pose:
+    """State of body b, whose rows begin at `at`."""
+    p, spin = get3(rows, at + P, b), get3(rows, at + L, b)
+    return Pose(get3(rows, at, b), get4(rows, at + Q, b), p, spin)
 
 
 @inline
-def put_pose(rows: Floats, b: int, y: Pose) -> None:
-    """Write the state of body b."""
-    put3(rows, COM, b, y.x)
-    put4(rows, Q, b, y.q)
-    put3(rows, P, b, y.p)
-    put3(rows, L, b, y.L)
+def put_pose(rows: Floats, b: int, y: Pose, at: int = COM) -> None:
+    """Write the state of body b into rows from `at` on."""
+    put3(rows, at, b, y.x)
+    put4(rows, at + Q, b, y.q)
+    put3(rows, at + P, b, y.p)
+    put3(rows, at + L, b, y.L)
 
 
 @inline
