@@ -78,25 +78,23 @@ def stage(function: Function) -> Function:
     return inlined
 
 
-def stages(function: Function) -> Function:
-    """Copy a list of stages into its callers."""
-    spliced = splice(function)
-    _LISTS[id(spliced)] = function
-    return spliced
+def _remembering(compiler: Callable[[Function], Function]) -> Callable[[Function], Function]:
+    """Decorator that compiles a list of stages so, and remembers it for `over_threads`."""
+
+    def decorate(function: Function) -> Function:
+        compiled = compiler(function)
+        _LISTS[id(compiled)] = function
+        return compiled
+
+    return decorate
 
 
-def caller_of_stages(function: Function) -> Function:
-    """Compile a function that calls stages by itself: for those that have several callers."""
-    compiled = kernel(function)
-    _LISTS[id(compiled)] = function
-    return compiled
-
-
-def inlined_caller(function: Function) -> Function:
-    """The same as a helper: a call hands some hundred arrays over, in half a microsecond."""
-    inlined = inline(function)
-    _LISTS[id(inlined)] = function
-    return inlined
+stages = _remembering(splice)
+"""Copy a list of stages into its callers."""
+caller_of_stages = _remembering(kernel)
+"""Compile a function that calls stages by itself: for those that have several callers."""
+inlined_caller = _remembering(inline)
+"""The same as a helper: a call hands some hundred arrays over, in half a microsecond."""
 
 
 def over_threads(function: Function, **names: Any) -> Function:
@@ -188,12 +186,6 @@ def _set_clock(jointed: Jointed | None, t: float) -> None:
 @stage
 def kick(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """Exact flow of the forces at a fixed pose, drag included."""
-    _kick_blocks(moving, first, last, dt)
-
-
-@inline
-def _kick_blocks(moving: MovingBodies, first: int, last: int, dt: float) -> None:
-    """Do the work of `kick`."""
     for k in range(first, last):
         rows, n = moving.blocks[k], moving.layout.size[k]
         begin_kick(moving.acting, rows, n, dt)
@@ -220,13 +212,6 @@ def constrained_drift(moving: MovingBodies, kick_dt: float, ahead: float, dt: fl
     drift_clusters(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, ahead, dt)
 
 
-@stage
-def _kick_damped(moving: MovingBodies, first: int, last: int, dt: float) -> None:
-    """The kick after damping, if something damps."""
-    if moving.damps is not None:
-        _kick_blocks(moving, first, last, dt)
-
-
 @stages
 def kick_jointed(
     moving: MovingBodies, first: int, last: int, closing: float, opening: float
@@ -235,7 +220,7 @@ def kick_jointed(
     kick(moving, first, last, closing if moving.damps is not None else closing + opening)
     if moving.damps is not None:
         project(moving, closing, closing + opening)
-    _kick_damped(moving, first, last, opening)
+        kick(moving, first, last, opening)
 
 
 @kernel
