@@ -141,8 +141,7 @@ def squared(d: Vec3, softening: float) -> float:
 # Bodies to points
 
 
-@inline
-def place_particles(attraction: Attraction, work: Fields, y: Floats, first: int, last: int) -> None:
+def _place(attraction: Attraction, work: Fields, y: Floats, first: int, last: int) -> None:
     """Place the particles of bodies first to last: x = com + R r.
 
     Parameters
@@ -167,10 +166,7 @@ def place_particles(attraction: Attraction, work: Fields, y: Floats, first: int,
             store3(points, i, add_scaled(1.0, turned, x))
 
 
-@kernel
-def place_points(attraction: Attraction, work: Fields, y: Floats, first: int, last: int) -> None:
-    """Place the particles of bodies first to last: see `place`."""
-    place_particles(attraction, work, y, first, last)
+place_particles, place_points = inline(_place), kernel(_place)
 
 
 # Field at the points
@@ -205,8 +201,7 @@ def _tile_of(work: Fields, tile: int) -> tuple[int, int, int, int]:
     return own[0], own[1], own[2], own[3]
 
 
-@inline
-def pull(attraction: Attraction, work: Fields, first: int, last: int) -> None:
+def _find_fields(attraction: Attraction, work: Fields, first: int, last: int) -> None:
     """Write the field at the particles of tiles first to last.
 
     Sources are cut into those before the bodies that a tile touches, those of these bodies, where
@@ -231,16 +226,12 @@ def pull(attraction: Attraction, work: Fields, first: int, last: int) -> None:
             _add_field(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
 
 
-@kernel
-def attract(attraction: Attraction, work: Fields, first: int, last: int) -> None:
-    """Write the field at the particles of tiles first to last: see `pull`."""
-    pull(attraction, work, first, last)
+pull, attract = inline(_find_fields), kernel(_find_fields)
 
 
 # Loads on the bodies
 
 
-@inline
 def _collect(attraction: Attraction, work: Fields, load: Floats, first: int, last: int) -> None:
     """Add force and torque of bodies first to last: Σ m g and Σ R r × m g.
 
@@ -266,12 +257,7 @@ def _collect(attraction: Attraction, work: Fields, load: Floats, first: int, las
         store3(torques, b, add_scaled(1.0, tau, load3(torques, b)))
 
 
-@kernel
-def add_attraction(
-    attraction: Attraction, work: Fields, load: Floats, first: int, last: int
-) -> None:
-    """Add force and torque of bodies first to last: see `_collect`."""
-    _collect(attraction, work, load, first, last)
+collect, add_attraction = inline(_collect), kernel(_collect)
 
 
 @kernel
@@ -284,7 +270,7 @@ def attraction_loads(attraction: Attraction, work: Fields, y: Floats, load: Floa
     n_bodies = attraction.offset.size - 1
     place_particles(attraction, work, y, 0, n_bodies)
     pull(attraction, work, 0, len(work.tile))
-    _collect(attraction, work, load, 0, n_bodies)
+    collect(attraction, work, load, 0, n_bodies)
 
 
 def spread_loads(
