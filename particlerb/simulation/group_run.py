@@ -18,7 +18,7 @@ from particlerb.integrators import METHODS
 from particlerb.joints.reactions import energy_of_joints
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import Frames, State, quaternion_product, state_in, state_of, states_in
+from particlerb.model.state import Frames, State, state_in, state_of, states_in
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.model.worlds import shape_of
@@ -164,7 +164,7 @@ class GroupRun:
         """Potential energies in rows of the frames, (T, ...) [J]."""
         found = np.zeros((rows.size, *shape_of(self.plan.worlds)))
         if self.pairs is not None or self.segment.terms.joints is not None:
-            found += [self.between_bodies(*self.pose(frames, row)) for row in rows.tolist()]
+            found += [self.between_bodies(*self.state_in(frames, row)[:2]) for row in rows.tolist()]
         for few in few_at_once(rows.size, self.plan.members.size):
             com, q, _, _ = states_in(frames, rows[few], self.plan.members, self.plan.bodies)
             found[few] += self.of_loads(com, q, rows[few].size)
@@ -274,12 +274,6 @@ class GroupRun:
         """State of the group in a frame."""
         return state_in(frames, row, self.plan.members, self.plan.bodies)
 
-    def pose(self, frames: Frames, row: int) -> tuple[Floats, Floats]:
-        """Centres of mass (3, n) and orientations of the rotor frames (4, n) in a frame."""
-        members = self.plan.members
-        q = quaternion_product(frames.orientation[row, members].T, self.plan.bodies.rotor_frame)
-        return frames.position[row, members].T, q
-
 
 def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
     """Bodies as the energy balance counts them: those that are held have no mass."""
@@ -317,7 +311,7 @@ def record_all(
 
 def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
     """Energies at t = 0 beside those of the bodies themselves, (1,) or (1, n_worlds)."""
-    bound = sum(run.potential(*run.pose(initial, 0)) for run in runs if run.is_bound)
+    bound = sum(run.potential(*run.state_in(initial, 0)[:2]) for run in runs if run.is_bound)
     energies = [run.motion.initial_energies for run in runs]
     potential, kinetic = (sum(own[1:], own[0]) for own in zip(*energies, strict=True))
     if runs[0].plan.worlds is not None:

@@ -142,7 +142,7 @@ def energies_at(part: BodySubset, frames: Frames, with_contacts: bool) -> Floats
         ]
         beside = initial_energies(runs, frame)
         if not with_contacts:
-            bound = sum(run.potential(*run.pose(frame, 0)) for run in runs if run.is_bound)
+            bound = sum(run.potential(*run.state_in(frame, 0)[:2]) for run in runs if run.is_bound)
             beside = Energies(np.zeros(1) + bound, np.zeros(1))
         bodies = counted(part.groups, part.bodies)
         sums = totals(frame, bodies, part.gravity, *beside).sums
