@@ -54,8 +54,6 @@ _IMPULSE_HISTORY: Final = record(
     force=3,  # [N] mean of the last step on the first body
     inv_effective_mass=1,  # [1/kg] 0 where the contact is not active
 )
-_ROLLING_IMPULSE_HISTORY: Final = record(_IMPULSE_HISTORY, torque=3)  # [N m] against rolling
-_ROLLING_HISTORY: Final = record(_HISTORY, rolling_spring=3)  # [m]
 
 # Forces of a contact on its first body, world axes
 FORCES: Final = record(
@@ -125,10 +123,10 @@ STAGES: Final = record(start=3, total=3, rolling_start=3, rolling_total=3)  # [m
 
 
 def history_record(with_rolling: bool, with_impulses: bool = False) -> np.dtype[Any]:
-    """Record of what a contact remembers."""
+    """Record of what a contact remembers; against rolling a torque [N m], or a spring [m]."""
     if with_impulses:
-        return _ROLLING_IMPULSE_HISTORY if with_rolling else _IMPULSE_HISTORY
-    return _ROLLING_HISTORY if with_rolling else _HISTORY
+        return record(_IMPULSE_HISTORY, torque=3) if with_rolling else _IMPULSE_HISTORY
+    return record(_HISTORY, rolling_spring=3) if with_rolling else _HISTORY
 
 
 def forces_record(with_rolling: bool, with_wall: bool) -> np.dtype[Any]:
