@@ -12,24 +12,24 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 24830
+LINES_OF_CODE = 24770
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
     "closed forms under force": 1596,
-    "joints": 5214,
+    "joints": 5218,
     "contact with every method": 480,
-    "contact by impulses": 3862,
+    "contact by impulses": 3880,
     "collisions by events": 1712,
     "forces: tables, gradients, written by users": 2151,
     "scenes and simulations in Python": 615,
     "sweeps": 1561,
-    "one scene over ranks": 2095,
-    "reports, pictures, the page": 1658,
+    "one scene over ranks": 2140,
+    "reports, pictures, the page": 1678,
     "scenes for other programs": 480,
     "speed of compiling and of whole calls": 1034,
-    "watches": 30,
-    "beside all these": 295,
+    "watches": 72,
+    "beside all these": 304,
 }
 """Lines of code that an ability took: see «Where things go» in docs/architecture.md."""
 
