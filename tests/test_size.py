@@ -24,7 +24,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2151,
     "scenes and simulations in Python": 615,
     "sweeps": 1561,
-    "one scene over ranks": 2140,
+    "one scene over ranks": 2136,
     "reports, pictures, the page": 1678,
     "scenes for other programs": 480,
     "speed of compiling and of whole calls": 1034,

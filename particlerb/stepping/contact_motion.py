@@ -66,8 +66,7 @@ WORTH_THREADS: Final = 6e4  # ns of a step from which on a second thread pays fo
 def _one_by_one(schedule: Schedule) -> Iterator[Schedule]:
     """The stops of a schedule, each as a schedule."""
     dt, steps, partial_steps, frame = schedule
-    for k in range(steps.size):
-        stop = slice(k, k + 1)
+    for stop in (slice(k, k + 1) for k in range(steps.size)):
         yield Schedule(dt, steps[stop], partial_steps[stop], frame[stop])
 
 
@@ -247,13 +246,10 @@ class ContactMotion(SteppedMotion):
             return
         for stop in _one_by_one(schedule):
             self._run_through(stop, recording)
-            row = int(stop.frame[0])
-            if row >= 0:
-                pistons, motions = self.frames.pistons[row], self.lists.motions
-                numbers = self.group.members, self.lists.numbers
-                self.contacts[row] = output_of(
-                    self.contact, *numbers, motions, pistons, self.contacts_to_show
-                )
+            if (row := int(stop.frame[0])) >= 0:
+                lists, pistons = self.lists, self.frames.pistons[row]
+                shown = self.group.members, lists.numbers, lists.motions, pistons
+                self.contacts[row] = output_of(self.contact, *shown, self.contacts_to_show)
 
     def contacts_to_show(self, found: ContactRows) -> ContactRows:
         """Contacts that are shown here, of those that were found here: all of them."""
