@@ -63,7 +63,7 @@ def to_system(
     ------
     CaseError
         If a shape has no particles or moments that no body has, a CSV file is malformed, or a
-        body spins where it cannot; and as `load`.
+        body spins where it cannot, or faster than its energy can tell; and as `load`.
     """
     case = load(given)
     placement = placement_of(case)
