@@ -1,4 +1,9 @@
-"""What pages show runs as it stands: cases, commands, Python, and what these print."""
+"""What pages show runs as it stands: cases, commands, Python, and what these print.
+
+Where a page shows a part of a case, or reads a file that its reader has, the rest is given here.
+Snippets of opening_files.md: tests/record/test_opening_files.py; of CONTRIBUTING.md:
+tests/forces/test_registry.py.
+"""
 
 import importlib.util
 import json
@@ -7,13 +12,18 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+from conftest import case, hooke, plane, sphere
 
-from particlerb.cli import main
+import particlerb
+from particlerb.cli import main, parser
+from particlerb.cli.arguments import COMMANDS
 
 DOCS = Path(__file__).parents[1] / "docs"
+BENCHMARKS = DOCS.parent / "benchmarks"
 TUTORIALS = sorted(f"tutorials/{path.name}" for path in (DOCS / "tutorials").glob("*.md"))
 SCENES = ["python.md", "forces.md"]
 SLOW = {
@@ -24,7 +34,20 @@ SLOW = {
 
 def blocks(page):
     """Language and text of all fenced blocks of a page."""
-    return re.findall(r"^```(\w+)\n(.*?)^```$", (DOCS / page).read_text(), re.S | re.M)
+    return re.findall(r"^```(\w*)\n(.*?)^```$", (DOCS / page).read_text(), re.S | re.M)
+
+
+def commands():
+    """Page, words and comment of all commands of the pages, in blocks and in sentences."""
+    for path in sorted(DOCS.glob("**/*.md")):
+        page = str(path.relative_to(DOCS))
+        lines = [line for _, text in blocks(page) for line in text.splitlines()]
+        lines += re.findall(r"`(python (?:-m particlerb|bench)[^`\n]+)`", path.read_text())
+        for line in lines:
+            command, _, comment = line.partition("#")
+            if match := re.match(r"(?:.*\s)?python (-m particlerb|benchmarks/\w+\.py)\b", command):
+                rest = command[match.end() :]
+                yield page, [match[1], *shlex.split(rest)], comment.strip()
 
 
 def follow(page, capsys):
@@ -60,6 +83,98 @@ PAGES = [pytest.param(p, marks=[pytest.mark.slow] * (p in SLOW)) for p in [*SCEN
 def test_a_page_does_what_it_says(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     follow(page, capsys)
+
+
+RUNS = [(words[1:], comment) for page, words, comment in commands() if page == "stability.md"]
+ENDS = [(words, comment) for words, comment in RUNS if words[:1] == ["run"]]
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(("words", "end"), ENDS, ids=[end for _, end in ENDS])
+def test_runs_end_as_the_page_of_stability_says(words, end, tmp_path, capsys):
+    """Of an error of rounding the page says no more than that it is one."""
+    main([*words, "-o", str(tmp_path / "a.h5")])
+    printed = "".join(capsys.readouterr())
+    if match := re.fullmatch(r"energy (\S+)", end):
+        error = re.search(r"external work removed\): energy ([^,]+),", printed)[1]
+        is_rounding = float(error) < 1e-12 and float(match[1]) < 1e-12
+        assert is_rounding or error == match[1]
+    else:
+        assert end in printed
+
+
+def test_commands_are_those_that_there_are():
+    """Each is read as the program reads it; scripts are there, with the options that are named."""
+    seen = list(commands())
+    for page, (program, *words), _ in seen:
+        if program == "-m particlerb":
+            command = words if words[0] in COMMANDS else ["run", *words]
+            assert parser().parse_known_args(command)[1] == [], f"{page}: {words}"
+            continue
+        script = DOCS.parent / program
+        assert script.is_file(), f"{page}: {program}"
+        options = [word.partition("=")[0] for word in words if word.startswith("--")]
+        source = script.read_text()
+        assert all(f'"{option}"' in source for option in options), f"{page}: {program} {words}"
+    assert len(seen) > 50
+
+
+FRAGMENTS = [
+    (page, text)
+    for page in ("forces.md", "impulses.md", "joints.md", "sweeps.md")
+    for language, text in blocks(page)
+    if language == "toml"
+]
+
+
+@pytest.mark.parametrize(("page", "text"), FRAGMENTS, ids=[page for page, _ in FRAGMENTS])
+def test_parts_of_cases_are_parts_of_a_case(page, text, tmp_path, monkeypatch):
+    """Keys alone are those of a hinge; gears have hinges that hold them."""
+    monkeypatch.chdir(tmp_path)
+    magnet = next(text for language, text in blocks("forces.md") if language == "python")
+    Path("magnet.py").write_text(magnet.partition("scene = ")[0])
+    part = tomllib.loads(text)
+    hinge = {"type": "hinge", "body": "door", "at": [0, 0, -0.8], "axis": [0, 0, 1]}
+    part = part if part.keys() & {"joint", "force", "sweep"} else {"joint": [hinge | part]}
+    names = ("door", "planet", "block", "bar")
+    bodies = [sphere(name, position=[0.75 * k, 0, 0]) for k, name in enumerate(names)]
+    if part.get("joint", [{}])[0].get("type") == "gear":
+        arm = sphere("arm", position=[0, 0, -1])
+        part["joint"] += [
+            {"type": "hinge", "body": "arm", "at": [0, 0, 0], "axis": [0, 0, 1]},
+            {"type": "hinge", "body": "planet", "to": "arm", "at": [0.75, 0, 0], "axis": [0, 0, 1]},
+        ]
+        bodies.append(arm)
+    law = (
+        {"law": "impulse", "restitution": 0.5, "friction": 0.3}
+        if page == "impulses.md"
+        else hooke()
+    )
+    whole = case(*bodies, contact=law, t_end=0.01, every=0.01) | part
+    particlerb.Simulation(whole, allow_code=True)
+
+
+@pytest.mark.parametrize("page", ["contact.md", "joints.md", "resuming.md", "sweeps.md"])
+@pytest.mark.plain
+def test_python_of_other_pages_runs(page, tmp_path, monkeypatch):
+    """On files of the names that they read."""
+    monkeypatch.chdir(tmp_path)
+    Path("output").mkdir()
+    files = {"contact.md": "heap.h5", "joints.md": "a.h5", "resuming.md": "output/mixer.h5"}
+    scene = case(sphere(position=[0, 0, 0.1]), t_end=0.02, every=0.01)
+    if page == "joints.md":
+        scene["joint"] = [{"type": "ball", "body": "ball", "at": [0, 0, 0.2]}]
+    else:
+        fields = ["position", "contacts", "wall_force"]
+        scene |= {"contact": hooke(), "wall": [plane()], "output": {"fields": fields}}
+    if page in files:
+        particlerb.run(scene, files[page]).close()
+    for language, text in blocks(page):
+        if language == "python":
+            names = {"particlerb": particlerb}
+            if page == "joints.md":
+                names["trajectory"] = particlerb.open(files[page])
+            exec(compile(text, page, "exec"), names)
 
 
 @pytest.mark.slow
