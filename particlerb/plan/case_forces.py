@@ -65,15 +65,15 @@ def loads_of(system: System) -> list[ResolvedForce]:
     """
     loads: list[ResolvedForce] = []
     problems: list[Problem] = []
-    whole = system if system.merging is None else system.merging.whole
-    for number, given, members in _acting_forces(system):
+    unmerged = system if system.merging is None else system.merging.whole
+    for number, table, members in _acting_forces(system):
         try:
-            force = with_code(_with_knots(given, system), system)
-            found = force_of(force).resolve(force, members, whole)
+            force = with_code(_with_knots(table, system), system)
+            acting = force_of(force).resolve(force, members, unmerged)
         except ForceError as error:
             problems.append(force_problem(system, number, error, members))
             continue
-        resolved = [ResolvedForce(number, force, *one) for one in found]
+        resolved = [ResolvedForce(number, force, *one) for one in acting]
         if system.merging is not None:
             resolved = [one for load in resolved for one in _on_hosts(load, system.merging)]
         loads += resolved
@@ -88,27 +88,27 @@ def _on_hosts(load: ResolvedForce, merging: Merging) -> list[ResolvedForce]:
     carried = [load._replace(members=load.members[~is_merged])] if not is_merged.all() else []
     in_body = getattr(load.force, "frame", "world") == "body"
     for b in load.members[is_merged].tolist():
-        body, given = np.array([b]), np.array(load.numbers)[:, None]
-        arm = merging.placed(body, given[:3]) if force_of(load.force).has_arm else given[:3]
-        rest = merging.turned(body, given[3:6]) if in_body else given[3:]
-        numbers = (*arm[:, 0].tolist(), *rest[:, 0].tolist())
+        body, values = np.array([b]), np.array(load.numbers)[:, None]
+        arm = merging.placed(body, values[:3]) if force_of(load.force).has_arm else values[:3]
+        vectors = merging.turned(body, values[3:6]) if in_body else values[3:]
+        numbers = (*arm[:, 0].tolist(), *vectors[:, 0].tolist())
         carried.append(load._replace(members=merging.host[body], numbers=numbers))
     return carried
 
 
 def _acting_forces(system: System) -> Iterator[tuple[int, AnyForce, Ints]]:
     """Forces on one body each, and on whom they act; what differs in each world by itself."""
-    for number, given in enumerate(system.force):
-        if is_link(given):
+    for number, table in enumerate(system.force):
+        if is_link(table):
             continue
-        members = system.names.find(given.body)
-        if number not in system.others and not getattr(given, "per_body", None):
-            yield number, given, members
+        members = system.names.find(table.body)
+        if number not in system.others and not getattr(table, "per_body", None):
+            yield number, table, members
             continue
-        each = members.reshape(system.n_worlds, -1)
-        forces = system.others.get(number, [given] * system.n_worlds)
-        for own, here in zip(forces, each, strict=True):
-            yield number, own, here
+        by_world = members.reshape(system.n_worlds, -1)
+        forces = system.others.get(number, [table] * system.n_worlds)
+        for force, bodies in zip(forces, by_world, strict=True):
+            yield number, force, bodies
 
 
 def _with_knots(force: AnyForce, system: System) -> AnyForce:
@@ -165,14 +165,14 @@ def acting_terms(system: System, bodies: Bodies, forces: list[Forces], start: fl
 
 def jumps_of(forces: list[Forces], bodies: Bodies) -> tuple[Impulse, ...]:
     """Impulses among forces of one instant."""
-    found = ((force_of(form).jump, form, numbers) for form, numbers in forces)
-    return tuple(jump(form, numbers, bodies) for jump, form, numbers in found if jump is not None)
+    loads = ((force_of(form).jump, form, numbers) for form, numbers in forces)
+    return tuple(jump(form, numbers, bodies) for jump, form, numbers in loads if jump is not None)
 
 
 def _impossible_torques(system: System, load: ResolvedForce) -> list[Problem]:
     """What is wrong with a force that turns a point, or a rod about its own axis."""
-    kind, own = force_of(load.force), system.bodies.rotor_class[load.members]
-    index = load.members[(own == POINT) | (own == ROD)]
+    kind, rotor_class = force_of(load.force), system.bodies.rotor_class[load.members]
+    index = load.members[(rotor_class == POINT) | (rotor_class == ROD)]
     if not index.size or not (kind.has_arm or kind.is_torque):
         return []
     bodies, state = taken(system.bodies, index), taken(system.state, index)
@@ -193,11 +193,11 @@ def _turning_part(load: ResolvedForce, bodies: Bodies, q: Floats) -> tuple[Float
     it about its axis, any other arm does so but by chance. Points can follow nothing.
     """
     is_torque, numbers = force_of(load.force).is_torque, np.array(load.numbers)[:, None]
-    given = vectors_of(load.force, numbers) if is_torque else numbers[:3]
+    vectors = vectors_of(load.force, numbers) if is_torque else numbers[:3]
     in_world = is_torque and getattr(load.force, "frame", "body") == "world"
-    n, k = bodies.mass.size, given.shape[1]
+    n, k = bodies.mass.size, vectors.shape[1]
     axes = np.repeat(q if in_world else bodies.rotor_frame, k, axis=1)
-    turn = rotate_back(axes, np.tile(given, n)).reshape(3, n, k)
+    turn = rotate_back(axes, np.tile(vectors, n)).reshape(3, n, k)
     axial = np.abs(turn[2]) if is_torque else np.hypot(turn[0], turn[1])
     size, axial = lengths(turn).max(axis=1), axial.max(axis=1)
     return size, np.where(bodies.rotor_class == POINT, size, axial)

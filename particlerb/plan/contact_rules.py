@@ -18,17 +18,17 @@ CONTACT_SHARE: Final = 1e-4  # default contact time, over that to come by a radi
 
 def rules_of(touching: ContactSetup, radius: float, n: int) -> ImpulseRules | None:
     """How contacts of n bodies are solved that have no stiffness; `radius` [m] is the smallest."""
-    asked = touching.record
-    if asked.law != "impulse":
+    record = touching.record
+    if record.law != "impulse":
         return None
     restitution, torsion = (
         numbers.ravel()
         for numbers in (touching.pairs.restitution, touching.pairs.torsional_friction)
     )
-    newton = asked.solver == "newton" or (asked.solver == "auto" and n <= MOST_BODIES)
+    newton = record.solver == "newton" or (record.solver == "auto" and n <= MOST_BODIES)
     return ImpulseRules(
-        restitution, torsion, asked.tolerance, asked.iterations, asked.push_out,
-        asked.slop * radius, asked.overlap, newton,
+        restitution, torsion, record.tolerance, record.iterations, record.push_out,
+        record.slop * radius, record.overlap, newton,
     )  # fmt: skip
 
 
@@ -38,16 +38,16 @@ def events_of(system: System, touching: ContactSetup) -> EventRules | None:
     The contact time, unless it is given, is such a share of the time in which the fastest body, or
     one that falls, comes by the smallest radius.
     """
-    asked = touching.record
-    if asked.law != "events":
+    record = touching.record
+    if record.law != "events":
         return None
-    sides = np.array(asked.periodic or (0.0, 0.0, 0.0))  # of the box that repeats; 0: without end
+    sides = np.array(record.periodic or (0.0, 0.0, 0.0))  # of the box that repeats; 0: without end
     box = np.where(sides > 0.0, sides, np.inf)
     least = LEAST_CELLS * 2.0 * float(system.reach[np.unique(system.kind)].max())
     if (box < least).any():
         reason = f"bodies may meet in two images: each side must be 0, or {least:.3g} m at least"
         raise CaseError([problem_at(system, "contact.periodic", reason, "enlarge it")])
-    time = asked.contact_time
+    time = record.contact_time
     if time is None:
         radius = system.particles.radius
         smallest = float(radius[radius > 0.0].min())

@@ -89,8 +89,8 @@ def contact_of(system: System) -> ContactSetup | None:
     wall_material = np.array(
         [codes.get(w.material or names[0], 0) for w in system.wall], dtype=np.int64
     )
-    one = slice(system.in_each)
-    can_meet = _meetings(len(names), material[one], fixed[one], wall_material)
+    first_world = slice(system.in_each)
+    can_meet = _meetings(len(names), material[first_world], fixed[first_world], wall_material)
     if not problems and not can_meet.any() and not _is_for_joints(system):
         reason = "this takes two bodies, or a body and a wall, of which one can move"
         hint = "add a [[wall]] or a body, or leave [contact] out"
@@ -102,7 +102,7 @@ def contact_of(system: System) -> ContactSetup | None:
     contact = ContactSetup(
         record=system.contact,
         materials=names,
-        pairs=side_by_side([found for found, _ in pairs]),
+        pairs=side_by_side([of_table for of_table, _ in pairs]),
         body=np.flatnonzero(material != NOTHING),
         material=material,
         fixed=fixed,
@@ -160,13 +160,13 @@ def _meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints) -> Bo
     walls : ndarray, shape (n_walls,)
         Code of each wall.
     """
-    here = material != NOTHING
-    moving = np.bincount(material[here & ~fixed], minlength=n_materials)
-    still = np.bincount(material[here & fixed], minlength=n_materials)
+    touches = material != NOTHING
+    moving = np.bincount(material[touches & ~fixed], minlength=n_materials)
+    still = np.bincount(material[touches & fixed], minlength=n_materials)
     still += np.bincount(walls, minlength=n_materials)
     met = (moving[:, None] > 0) & ((moving + still)[None, :] > 0)
-    own = (moving > 1) | ((moving == 1) & (still > 0))
-    np.fill_diagonal(met, own)
+    with_itself = (moving > 1) | ((moving == 1) & (still > 0))
+    np.fill_diagonal(met, with_itself)
     return np.asarray(met | met.T)
 
 
@@ -183,13 +183,13 @@ def pairs_of(
     pairs = MaterialPairs._make(
         [*np.zeros((len(MaterialPairs._fields) - 1, *can_meet.shape)), can_meet]
     )
-    own = {frozenset(pair.materials): (i, pair) for i, pair in enumerate(table.pair)}
+    by_names = {frozenset(pair.materials): (i, pair) for i, pair in enumerate(table.pair)}
     problems: list[Problem] = []
     is_hertz = table.law == "hertz"
     if is_hertz:
         problems += _without_moduli(system, can_meet)
     for a, b in np.argwhere(np.triu(can_meet)).tolist():
-        number, pair = own.get(frozenset((names[a], names[b])), (-1, None))
+        number, pair = by_names.get(frozenset((names[a], names[b])), (-1, None))
         needed = ["restitution", "friction"] + (["stiffness"] if table.law == "hooke" else [])
         missing = [key for key in needed if _number_of(table, pair, key) is None]
         if missing:
@@ -238,11 +238,11 @@ def _missing_number(
     if len(names) == 1:
         reason = f"missing: contact needs {listed}"
         return problem_at(system, f"contact.{missing[0]}", reason, "give it in [contact]")
-    which = f"{names[a]} with {names[b]}" if a != b else f"{names[a]} with itself"
+    pair = f"{names[a]} with {names[b]}" if a != b else f"{names[a]} with itself"
     if number >= 0:
-        key, reason = f"contact.pair[{number}].{missing[0]}", f"missing: {which} needs {listed}"
+        key, reason = f"contact.pair[{number}].{missing[0]}", f"missing: {pair} needs {listed}"
         return problem_at(system, key, reason, "give it here, or in [contact] for all pairs")
-    reason = f"missing: {which}, which can touch, has no {listed}"
+    reason = f"missing: {pair}, which can touch, has no {listed}"
     hint = f'add [[contact.pair]] with materials = ["{names[a]}", "{names[b]}"]'
     return problem_at(system, "contact.pair", reason, f"{hint}, or give {listed} in [contact]")
 
@@ -263,8 +263,8 @@ def _without_moduli(system: System, can_meet: Bools) -> list[Problem]:
 def _add_moduli(system: System, pairs: MaterialPairs) -> None:
     """Write E* and G* of all pairs that can meet."""
     for a, b in np.argwhere(pairs.can_meet).tolist():
-        one, other = system.material[a], system.material[b]
-        young = (one.young or 0.0, other.young or 0.0)
-        poisson = (one.poisson or 0.0, other.poisson or 0.0)
+        first, second = system.material[a], system.material[b]
+        young = (first.young or 0.0, second.young or 0.0)
+        poisson = (first.poisson or 0.0, second.poisson or 0.0)
         pairs.modulus[a, b] = effective_modulus(young, poisson)
         pairs.shear_modulus[a, b] = effective_shear_modulus(young, poisson)

@@ -52,8 +52,8 @@ def describe(system: System, plan: Plan, accuracy: str = "") -> str:
 def _bodies_line(system: System) -> str:
     """How many bodies of which rotor class."""
     counts = np.bincount(system.bodies.rotor_class, minlength=len(_CLASSES))
-    found = zip(counts.tolist(), _CLASSES, strict=True)
-    return ", ".join(_counted(n, name) for n, name in found if n)
+    counted = zip(counts.tolist(), _CLASSES, strict=True)
+    return ", ".join(_counted(n, name) for n, name in counted if n)
 
 
 def _counted(number: int, noun: str) -> str:
@@ -130,19 +130,19 @@ def _contact_line(system: System, plan: Plan) -> str:
     assert system.contact is not None
     contact = plan.contacts[0]
     spheres, walls = contact.model.spheres.radius.size, len(contact.motions)
-    what = f"{_counted(spheres, 'sphere')} and {_counted(walls, 'wall')}, {system.contact.law}"
+    line = f"{_counted(spheres, 'sphere')} and {_counted(walls, 'wall')}, {system.contact.law}"
     if contact.n_interior:
-        what += f", {contact.n_interior} inner spheres left out, which nothing can reach"
+        line += f", {contact.n_interior} inner spheres left out, which nothing can reach"
     if contact.rules is not None:
-        what = what if spheres else "nothing, impulse in joints alone"
-        what += f", {_solved(system, plan, system.contact)}"
+        line = line if spheres else "nothing, impulse in joints alone"
+        line += f", {_solved(system, plan, system.contact)}"
         if not spheres:
-            return what
+            return line
     if contact.events is not None:
         again = f"what hits again within {contact.events.contact_time:.3g} s bounces elastically"
-        return f"{what}, at the instants of impacts, one after the other; {again}"
-    what += f", pairs kept within {contact.skin:.3g} m{_flying(plan)}"
-    return what + _overlap_words(system, plan)
+        return f"{line}, at the instants of impacts, one after the other; {again}"
+    line += f", pairs kept within {contact.skin:.3g} m{_flying(plan)}"
+    return line + _overlap_words(system, plan)
 
 
 def _overlap_words(system: System, plan: Plan) -> str:
@@ -157,8 +157,8 @@ def _overlap_words(system: System, plan: Plan) -> str:
 
 def _solved(system: System, plan: Plan, table: ContactTable) -> str:
     """How impulses are found."""
-    own = [each for each in plan.segments if each[1].terms.touches_by_impulses]
-    after = _after_sweeps(table.solver, max(group.members.size for group, _ in own))
+    by_impulses = [each for each in plan.segments if each[1].terms.touches_by_impulses]
+    after = _after_sweeps(table.solver, max(group.members.size for group, _ in by_impulses))
     return f"residual {table.tolerance:.3g} or {table.iterations} sweeps, {after}"
 
 

@@ -46,22 +46,22 @@ def terms_between(
     springs = [link for link in links if isinstance(link, Link)]
     if springs:
         terms = terms._replace(links=_links_among(group.members, bodies, springs))
-    own = [link for link in links if isinstance(link, OwnLink)]
-    if own:
-        terms = terms._replace(own_pairs=_own_pairs_among(group.members, bodies, own))
+    user_links = [link for link in links if isinstance(link, OwnLink)]
+    if user_links:
+        terms = terms._replace(own_pairs=_own_pairs_among(group.members, bodies, user_links))
     if group.attracts:
         attraction = _attraction_among(system, group.members, bodies)
-        each = (attraction.offset.size - 1) // system.n_worlds
-        angle, accuracy = _tree_of(system, int(np.diff(attraction.offset[::each]).max()))
+        per_world = (attraction.offset.size - 1) // system.n_worlds
+        angle, accuracy = _tree_of(system, int(np.diff(attraction.offset[::per_world]).max()))
         terms = terms._replace(attraction=attraction, opening_angle=angle, tree_accuracy=accuracy)
     if group.touches and touching is not None:
         terms = terms._replace(contact=_contact_among(system, group.members, bodies, touching))
     if group.joints is not None:
-        held = group.joints.within(group.members, bodies, terms.links, time)
-        if held is not None and terms.links is not None:
+        acting = group.joints.within(group.members, bodies, terms.links, time)
+        if acting is not None and terms.links is not None:
             terms = terms._replace(links=terms.links._replace(damping=None))
         driven = prescribed_among(group.joints.driven, group.members)
-        terms = terms._replace(joints=held, driven=None if held is None else driven)
+        terms = terms._replace(joints=acting, driven=None if acting is None else driven)
     return terms
 
 
@@ -71,14 +71,14 @@ def _own_pairs_among(members: Ints, bodies: Bodies, links: list[OwnLink]) -> Own
     ends = (np.concatenate([link[k] for link in links]) for k in (2, 3))
     first, second = (place[np.searchsorted(members[place], end)] for end in ends)
     kinds = [(link.force.function, lengths_of(link.force)) for link in links]
-    known = list(dict.fromkeys(kinds))
+    distinct = list(dict.fromkeys(kinds))
     rows = np.zeros((max(len(link.numbers) for link in links), first.size))
-    kind = np.repeat([known.index(own) for own in kinds], [link.first.size for link in links])
+    kind = np.repeat([distinct.index(form) for form in kinds], [link.first.size for link in links])
     start = 0
     for link in links:
         rows[: len(link.numbers), start : start + link.first.size] = link.numbers
         start += link.first.size
-    forces, lengths = zip(*known, strict=True)
+    forces, lengths = zip(*distinct, strict=True)
     return own_pairs(functions_of(forces, lengths), (first, second), kind, rows, bodies)
 
 
@@ -175,8 +175,8 @@ def _apart_among(members: Ints, apart: Ints) -> Ints:
     a, b = apart >> KEY_BITS, apart & ((1 << KEY_BITS) - 1)
     inside = np.isin(a, members) & np.isin(b, members)
     order = np.argsort(members)
-    own = order[np.searchsorted(members[order], np.stack([a[inside], b[inside]]))]
-    return np.unique(pair_keys(*own))
+    numbers = order[np.searchsorted(members[order], np.stack([a[inside], b[inside]]))]
+    return np.unique(pair_keys(*numbers))
 
 
 def _reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
@@ -185,19 +185,19 @@ def _reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
     What starts overlapping, to be pushed apart, may be anywhere: then all can be reached.
     """
     radius, offset = system.particles.radius, system.particles.offset
-    found = radius > 0.0
+    reachable = radius > 0.0
     if touching.record.relax or not touching.body.size:
-        return found
+        return reachable
     comes = np.unique(system.kind[touching.body])
-    own = np.concatenate([radius[offset[kind] : offset[kind + 1]] for kind in comes])
-    smallest = 0.0 if has_edges(touching.walls) else float(own[own > 0.0].min())
+    radii = np.concatenate([radius[offset[kind] : offset[kind + 1]] for kind in comes])
+    smallest = 0.0 if has_edges(touching.walls) else float(radii[radii > 0.0].min())
     for kind in np.unique(system.kind[members]).tolist():
-        solid = offset[kind] + np.flatnonzero(found[offset[kind] : offset[kind + 1]])
+        solid = offset[kind] + np.flatnonzero(reachable[offset[kind] : offset[kind + 1]])
         if solid.size > 1:
             place = np.ascontiguousarray(system.particles.position[solid].T)
             depth = _DEEPEST * float(radius[solid].min())
-            found[solid] = outer_spheres(place, radius[solid], smallest, depth)
-    return found
+            reachable[solid] = outer_spheres(place, radius[solid], smallest, depth)
+    return reachable
 
 
 def _law_of(touching: ContactSetup) -> Law:
@@ -219,11 +219,11 @@ def _law_of(touching: ContactSetup) -> Law:
 
 def _tree_of(system: System, n_particles: int) -> tuple[float, float]:
     """Opening angle and accuracy of the tree that sums the attraction: see `Terms`."""
-    asked = system.attraction
-    assert asked is not None
-    if asked.sum == "direct" or (asked.sum == "auto" and n_particles < BREAK_EVEN):
+    table = system.attraction
+    assert table is not None
+    if table.sum == "direct" or (table.sum == "auto" and n_particles < BREAK_EVEN):
         return 0.0, 0.0
-    if asked.opening_angle is not None:
-        return asked.opening_angle, 0.0
+    if table.opening_angle is not None:
+        return table.opening_angle, 0.0
     accuracy = tree_accuracy(system)
     return safe_angle(accuracy), accuracy

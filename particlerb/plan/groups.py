@@ -48,8 +48,8 @@ def groups_of(
     """Groups of a system, in the order of their first bodies; those of unlike `apart` in others."""
     heavy = attracted(system)
     solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
-    held = None if joints is None else joints.acting
-    ties: list[AnyLink | Ties] = [*links, *([] if held is None else [held])]
+    acting = None if joints is None else joints.acting
+    ties: list[AnyLink | Ties] = [*links, *([] if acting is None else [acting])]
     ends = [end[end != WORLD] for tie in ties for end in (tie.first, tie.second)]
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     absent = bound if system.merging is None else np.union1d(bound, system.merging.guests)
@@ -59,22 +59,22 @@ def groups_of(
     ]
     together = solid if joints is None else joints.solved_with(solid)
     label = components(len(system.kind), ties, heavy, together)
-    for members in clusters(system, loads, links, label, bound, apart, held):
-        own = np.zeros(len(system.kind), dtype=bool)
-        own[members] = True
-        inside = [within(link, own) for link in links if own[link.first].any()]
-        attracts = bool(heavy.size) and bool(own[heavy[0]])
-        tied = joints if held is not None and own[held.first].any() else None
-        touches = bool(together.size) and bool(own[together[0]])
+    for members in clusters(system, loads, links, label, bound, apart, acting):
+        is_member = np.zeros(len(system.kind), dtype=bool)
+        is_member[members] = True
+        inside = [within(link, is_member) for link in links if is_member[link.first].any()]
+        attracts = bool(heavy.size) and bool(is_member[heavy[0]])
+        tied = joints if acting is not None and is_member[acting.first].any() else None
+        touches = bool(together.size) and bool(is_member[together[0]])
         forces = _aligned(loads, members)
         groups.append(GroupSetup(members, forces, inside, attracts, touches, tied))
     return sorted(groups, key=lambda group: int(group.members.min()))
 
 
-def part_of(group: GroupSetup, which: Ints) -> GroupSetup:
+def part_of(group: GroupSetup, index: Ints) -> GroupSetup:
     """Some bodies of a group that do not act on each other."""
-    forces = [Forces(form, numbers[:, which]) for form, numbers in group.forces]
-    return group._replace(members=group.members[which], forces=forces)
+    forces = [Forces(form, numbers[:, index]) for form, numbers in group.forces]
+    return group._replace(members=group.members[index], forces=forces)
 
 
 def _groups_alone(
@@ -90,8 +90,8 @@ def _groups_alone(
     for k, load in enumerate(loads):
         numbers[k, : len(load.numbers)] = load.numbers
         form, before = load.form, like[load.members]
-        for one in np.unique(before).tolist():
-            like[load.members[before == one]] = sequences[one, form]
+        for previous in np.unique(before).tolist():
+            like[load.members[before == previous]] = sequences[previous, form]
     none = np.zeros(0, dtype=np.int64)
     bodies = np.concatenate([none, *(load.members for load in loads)])
     order = np.argsort(bodies, kind="stable")
@@ -103,8 +103,8 @@ def _groups_alone(
     for members in np.split(free, np.flatnonzero(np.diff(like[free])) + 1) if free.size else []:
         first = np.searchsorted(bodies, members)
         length = np.searchsorted(bodies, members[0], side="right") - first[0]
-        own = acting[first[:, None] + np.arange(length)]
-        forces = [Forces(loads[k[0]].force, numbers[k].T) for k in own.T]
+        load_index = acting[first[:, None] + np.arange(length)]
+        forces = [Forces(loads[k[0]].force, numbers[k].T) for k in load_index.T]
         groups.append((members, forces))
     return groups
 
@@ -127,34 +127,34 @@ def clusters(
     order = bound[np.argsort(label[bound], kind="stable")]
     starts = np.flatnonzero(np.diff(label[order], prepend=-1))
     signs: dict[int, list[object]] = {}
-    for part in np.split(order, starts[1:]):
-        first, last = int(part[0]), int(part[-1])
+    for cluster in np.split(order, starts[1:]):
+        first, last = int(cluster[0]), int(cluster[-1])
         block = superblock_of(first, last) if system.n_worlds == 1 else 0
-        like = int(apart[first]), block, *system.kind[part % system.in_each].tolist()
+        like = int(apart[first]), block, *system.kind[cluster % system.in_each].tolist()
         signs[int(label[first])] = [like]
     for link in links:
         labels, count = np.unique(label[link.first], return_counts=True)
-        for one, springs in zip(labels.tolist(), count.tolist(), strict=True):
-            signs[one].append((link.number, springs))
+        for key, springs in zip(labels.tolist(), count.tolist(), strict=True):
+            signs[key].append((link.number, springs))
     if joints is not None:
-        for one, number in zip(label[joints.first].tolist(), joints.record.tolist(), strict=True):
-            signs[one].append(("joint", number))
+        for key, number in zip(label[joints.first].tolist(), joints.record.tolist(), strict=True):
+            signs[key].append(("joint", number))
     for load in loads:
         labels = np.unique(label[load.members[np.isin(load.members, bound)]])
-        for one in labels.tolist():
-            signs[one].append(load.form)
+        for key in labels.tolist():
+            signs[key].append(load.form)
     alike: defaultdict[tuple[object, ...], list[Ints]] = defaultdict(list)
-    for part in np.split(order, starts[1:]):
-        alike[tuple(signs[int(label[part[0]])])].append(part)
-    whole = [np.sort(np.concatenate(parts)) for parts in alike.values()]
+    for cluster in np.split(order, starts[1:]):
+        alike[tuple(signs[int(label[cluster[0]])])].append(cluster)
+    groups = [np.sort(np.concatenate(parts)) for parts in alike.values()]
     is_asymmetric = system.bodies.rotor_class == ASYMMETRIC
-    return [members[np.argsort(~is_asymmetric[members], kind="stable")] for members in whole]
+    return [members[np.argsort(~is_asymmetric[members], kind="stable")] for members in groups]
 
 
 def within(link: AnyLink, is_member: Bools) -> AnyLink:
     """The pairs of a link on bodies of a cluster."""
-    which = np.flatnonzero(is_member[link.first])
-    values = {name: getattr(link, name)[..., which] for name in link._fields[2:]}
+    pairs = np.flatnonzero(is_member[link.first])
+    values = {name: getattr(link, name)[..., pairs] for name in link._fields[2:]}
     return link._replace(**values)
 
 

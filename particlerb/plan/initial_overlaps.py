@@ -49,9 +49,9 @@ def refuse_misplaced(system: System, contact: "ContactSetup") -> None:
 
 def spheres_of(system: System, contact: "ContactSetup") -> _SetupSpheres:
     """Where the spheres of a system are at t = 0."""
-    index, own = particles_of(system, contact.body)
+    index, of_body = particles_of(system, contact.body)
     solid = system.particles.radius[index] > 0.0
-    index, owner = index[solid], contact.body[own[solid]]
+    index, owner = index[solid], contact.body[of_body[solid]]
     place = places(system, owner, system.particles.position[index].T)
     return _SetupSpheres(np.ascontiguousarray(place), system.particles.radius[index], owner)
 
@@ -90,10 +90,10 @@ def _overlapping(
     if contact.record.relax:
         return
     spheres = _with_images(spheres, contact)
-    found = neighbours(
+    pairs = neighbours(
         spheres.place, spheres.radius, spheres.body, 0.0, contact.apart, system.world
     )
-    i, j = found.first, found.second
+    i, j = pairs.first, pairs.second
     distance = lengths(spheres.place[:, j] - spheres.place[:, i])
     depth = spheres.radius[i] + spheres.radius[j] - distance
     a, b = spheres.body[i], spheres.body[j]
@@ -106,11 +106,11 @@ def _overlapping(
     first = np.concatenate([[True], (np.diff(a) != 0) | (np.diff(b) != 0)])
     a, b, depth = a[first], b[first], depth[first]
     named = np.argsort(-depth, kind="stable")[:_MOST_NAMED]
-    which = ", ".join(
+    listed = ", ".join(
         f"{system.names[int(a[k])]} and {system.names[int(b[k])]} by {depth[k]:.3g} m"
         for k in named
     )
-    reason = f"bodies overlap at t = 0: {which}{and_more(a.size - named.size)}"
+    reason = f"bodies overlap at t = 0: {listed}{and_more(a.size - named.size)}"
     yield problem_at(system, f"body[{system.block[b[named[0]]]}]", reason, _hint(contact))
 
 
@@ -140,9 +140,9 @@ def _beyond_walls(
         wrong = np.flatnonzero((depth[number] > _allowed(contact, spheres)) & ~outside)
         if wrong.size:
             named = wrong[np.argsort(-depth[number, wrong], kind="stable")[:_MOST_NAMED]]
-            which = ", ".join(f"{system.names[int(b)]} by {depth[number, b]:.3g} m" for b in named)
+            listed = ", ".join(f"{system.names[int(b)]} by {depth[number, b]:.3g} m" for b in named)
             more = and_more(wrong.size - named.size)
-            reason = f"overlaps bodies at t = 0: {which}{more}"
+            reason = f"overlaps bodies at t = 0: {listed}{more}"
             yield problem_at(system, f"wall[{number}]", reason, _hint(contact))
 
 

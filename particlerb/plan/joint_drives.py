@@ -58,13 +58,13 @@ def _spline(t: Floats, x: Floats, ends: tuple[float, float]) -> Floats:
         speeds[k] = 3.0 * (h[k] * slope[k - 1] + h[k - 1] * slope[k])
     v = np.linalg.solve(A, speeds)
     curvature = (3.0 * slope - 2.0 * v[:-1] - v[1:]) / h
-    rest = (v[:-1] + v[1:] - 2.0 * slope) / (h * h)
+    cubic = (v[:-1] + v[1:] - 2.0 * slope) / (h * h)
     last = np.array([[x[-1], ends[1], 0.0, 0.0]])
-    return np.vstack([np.stack([x[:-1], v[:-1], curvature, rest], axis=1), last])
+    return np.vstack([np.stack([x[:-1], v[:-1], curvature, cubic], axis=1), last])
 
 
 def drives_from(courses: Sequence[DriveCourse], start: float) -> Drives:
     """All of them from a time on."""
-    found = [course.since(start) for course in courses]
-    polynomials, waves = (np.array([own[k] for own in found]) for k in (0, 1))
+    pairs = [course.since(start) for course in courses]
+    polynomials, waves = (np.array([pair[k] for pair in pairs]) for k in (0, 1))
     return Drives(polynomials.reshape(-1, 4), waves.reshape(-1, 3))

@@ -65,19 +65,19 @@ def joints_of_table(
     if merging is not None:
         ends = in_hosts(ends, merging)
         if merges(table):
-            other = (second != WORLD) & merging.is_merged[second]
-            until[merging.is_merged[first] | other] = -np.inf
-    own = rows_of(table.type, ends, *rows, table.along)
+            second_merged = (second != WORLD) & merging.is_merged[second]
+            until[merging.is_merged[first] | second_merged] = -np.inf
+    table_rows = rows_of(table.type, ends, *rows, table.along)
     axes = ends.first["n"], ends.second.get("m", ends.second["n"])
     return TableJoints(
         names,
         coordinates_of(table.type, ends),
-        own,
+        table_rows,
         np.full(first.size, number),
         ends.a,
         ends.b,
         np.stack([ends.first_at, ends.second_at, *axes], axis=1),
-        np.full(first.size, own.kind.size // first.size),
+        np.full(first.size, table_rows.kind.size // first.size),
         until,
     )
 
@@ -102,23 +102,23 @@ def _action_of(table: JointTable) -> Actions:
 
 def bounds_of(tables: Sequence[JointTable]) -> Bounds:
     """What acts within bounds in joints of these tables; rows are numbers of the tables."""
-    found: list[tuple[float, ...]] = []
+    records: list[tuple[float, ...]] = []
     for k, table in enumerate(tables):
         limit, motor = table.limit, table.motor
         if limit is not None and limit.stiffness is None:
-            found.append((k, STOP, *limit.range, limit.restitution, 0.0, np.inf))
+            records.append((k, STOP, *limit.range, limit.restitution, 0.0, np.inf))
         if isinstance(motor, JointMotor):
-            found.append((k, MOTOR, -np.inf, np.inf, 0.0, motor.speed, motor.largest))
+            records.append((k, MOTOR, -np.inf, np.inf, 0.0, motor.speed, motor.largest))
         if table.friction > 0.0:
-            found.append((k, RUBS, -np.inf, np.inf, 0.0, 0.0, table.friction))
-    row, kind, *numbers = np.array(found).reshape(-1, 7).T
+            records.append((k, RUBS, -np.inf, np.inf, 0.0, 0.0, table.friction))
+    row, kind, *numbers = np.array(records).reshape(-1, 7).T
     return Bounds(row.astype(np.int64), kind.astype(np.int64), *map(np.ascontiguousarray, numbers))
 
 
 def bounds_among(bounds: Bounds, rows: ConstraintRows) -> Bounds | None:
     """Those in rows of joints of a group, whose actions they name; None where there are none."""
-    row, which = np.nonzero(rows.action[:, None] == bounds.row)
-    return Bounds._make([row, *(values[which] for values in bounds[1:])]) if row.size else None
+    row, index = np.nonzero(rows.action[:, None] == bounds.row)
+    return Bounds._make([row, *(values[index] for values in bounds[1:])]) if row.size else None
 
 
 def loose_wheels(joints: Joints, work: JointWork) -> dict[int, str]:
@@ -126,7 +126,7 @@ def loose_wheels(joints: Joints, work: JointWork) -> dict[int, str]:
 
     Of momenta along each such way, what the joints leave is to be nothing.
     """
-    rows, y, found = joints.rows, work.y, dict[int, str]()
+    rows, y, loose = joints.rows, work.y, dict[int, str]()
     for c, (lo, hi) in enumerate(pairwise(joints.program.start[joints.clusters.joint].tolist())):
         rolling = lo + np.flatnonzero(np.isin(rows.kind[lo:hi], (GEAR, RACK)))
         if rolling.size:
@@ -135,13 +135,13 @@ def loose_wheels(joints: Joints, work: JointWork) -> dict[int, str]:
         for r in rolling.tolist():
             for words, way in _ways_of(joints, work, r):
                 y[:, P:] = 0.0
-                for k, own in ((rows.a[r], way[:6]), (rows.b[r], way[6:])):
-                    y[k, P:] += own * (joints.inv_mass[k] > 0.0)
+                for k, gradient in ((rows.a[r], way[:6]), (rows.b[r], way[6:])):
+                    y[k, P:] += gradient * (joints.inv_mass[k] > 0.0)
                 before = _along(joints, y, r, way)
                 keep_rates(joints, work, c, lo, hi)
                 if _along(joints, y, r, way) > _LOOSE * before:
-                    found.setdefault(r, words)
-    return found
+                    loose.setdefault(r, words)
+    return loose
 
 
 def _ways_of(joints: Joints, work: JointWork, r: int) -> list[tuple[str, Floats]]:
@@ -153,27 +153,27 @@ def _ways_of(joints: Joints, work: JointWork, r: int) -> list[tuple[str, Floats]
     if rows.kind[r] == GEAR:
         across, arm = d - n * (n @ d), rb
     tilts = [np.cross(n, axis) for axis in np.eye(3)]
-    found = [("may tilt against each other", np.r_[none, v, none, -v]) for v in tilts]
+    ways = [("may tilt against each other", np.r_[none, v, none, -v]) for v in tilts]
     if across.any():
         way = np.r_[across, np.cross(ra, across), -across, -np.cross(arm, across)]
-        found.append(("may move apart", way))
-    return found
+        ways.append(("may move apart", way))
+    return ways
 
 
 def _along(joints: Joints, y: Floats, r: int, way: Floats) -> float:
     """Rate of what has a gradient, by the momenta of the bodies of row r."""
-    found = 0.0
-    for k, own in ((joints.rows.a[r], way[:6]), (joints.rows.b[r], way[6:])):
+    rate = 0.0
+    for k, gradient in ((joints.rows.a[r], way[:6]), (joints.rows.b[r], way[6:])):
         spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3_at(y, k, L))
-        found += joints.inv_mass[k] * float(own[:3] @ y[k, P:L]) + float(own[3:] @ spin)
-    return found
+        rate += joints.inv_mass[k] * float(gradient[:3] @ y[k, P:L]) + float(gradient[3:] @ spin)
+    return rate
 
 
 def breaks_of(system: System, record: Ints) -> Breaks:
     """Loads at which joints break, of these records."""
     loads = [table.breaks_at or JointLoad.model_construct() for table in system.joint]
-    each = [(load.force or np.inf, load.torque or np.inf) for load in loads]
-    return Breaks(*np.ascontiguousarray(np.array(each)[record].T))
+    limits = [(load.force or np.inf, load.torque or np.inf) for load in loads]
+    return Breaks(*np.ascontiguousarray(np.array(limits)[record].T))
 
 
 def with_dashpots(
@@ -182,7 +182,7 @@ def with_dashpots(
     """Rows and actions of joints of n bodies, with the dashpots among them."""
     assert links.damping is not None
     m = links.first.size
-    own = ConstraintRows(
+    dashpots = ConstraintRows(
         np.full(m, STRETCH),
         links.first,
         np.where(links.second == WORLD, n, links.second),
@@ -199,5 +199,5 @@ def with_dashpots(
     damping = Actions(*none)._replace(
         damping=links.damping, lower=none[3] - np.inf, upper=none[4] + np.inf
     )
-    both = ConstraintRows(*(np.concatenate(pair) for pair in zip(rows, own, strict=True)))
-    return both, both_actions(actions, damping)
+    all_rows = ConstraintRows(*(np.concatenate(pair) for pair in zip(rows, dashpots, strict=True)))
+    return all_rows, both_actions(actions, damping)

@@ -61,10 +61,10 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
     ends = (joints.rows.a, joints.rows.first), (joints.rows.b, joints.rows.second)
     for bodies_of, arms in ends:
         end = bodies_of[first]
-        own = np.maximum(carried, weight[end])
+        load = np.maximum(carried, weight[end])
         turning = _softness(arms[first], joints.inv_inertia[end])
         swinging = 2.0 * joints.inv_mass[end] / joints.rows.length[first]
-        np.add.at(squared, end, own * (turning + np.where(is_distance, swinging, 0.0)))
+        np.add.at(squared, end, load * (turning + np.where(is_distance, swinging, 0.0)))
     rows = joints.rows
     soft = np.flatnonzero(rows.action != HOLDS)
     g, actions = work.gradient[soft], joints.actions
@@ -76,9 +76,9 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
     driven = np.flatnonzero(rows.drive != AT_REST)
     for end in (rows.a, rows.b):
         np.add.at(squared, end[driven], joints.drives.wave[rows.drive[driven], 1] ** 2)
-    found = np.empty(bodies.mass.size)
-    found[joints.order] = np.sqrt(squared[:-1])
-    return found
+    rates = np.empty(bodies.mass.size)
+    rates[joints.order] = np.sqrt(squared[:-1])
+    return rates
 
 
 def _softness(arm: Floats, inv_inertia: Floats) -> Floats:
@@ -88,11 +88,11 @@ def _softness(arm: Floats, inv_inertia: Floats) -> Floats:
     """
     across = np.cross(arm[:, None], np.eye(3))  # r × n of the three axes
     form = np.einsum("kia,ka,kja->kij", across, inv_inertia, across)
-    size, found = lengths(arm.T), np.full(len(arm), np.inf)
-    known = np.isfinite(form).all(axis=(1, 2))
-    largest = np.linalg.eigvalsh(form[known])[:, -1]
-    found[known] = largest / np.where(size > 0.0, size, 1.0)[known]
-    return found
+    size, softness = lengths(arm.T), np.full(len(arm), np.inf)
+    is_finite = np.isfinite(form).all(axis=(1, 2))
+    largest = np.linalg.eigvalsh(form[is_finite])[:, -1]
+    softness[is_finite] = largest / np.where(size > 0.0, size, 1.0)[is_finite]
+    return softness
 
 
 def joint_line(system: System, plan: Plan) -> str:
@@ -108,10 +108,10 @@ def joint_line(system: System, plan: Plan) -> str:
         joints = group.segments[0].terms.joints
         if joints is None:
             continue
-        own = _Count(system, group, joints)
-        clusters, bodies, free = clusters + own.clusters, bodies + own.bodies, free + own.free
-        dependent += [setup.names[k] for k in own.dependent]
-        n_dependent += own.n_dependent
+        count = _Count(system, group, joints)
+        clusters, bodies, free = clusters + count.clusters, bodies + count.bodies, free + count.free
+        dependent += [setup.names[k] for k in count.dependent]
+        n_dependent += count.n_dependent
     lasting = np.repeat(setup.until > 0.0, np.diff(setup.start))
     rows = int((setup.rows.action[lasting] == HOLDS).sum())
     held = f"{bodies} bod{'ies' if bodies > 1 else 'y'} in {clusters} cluster{'s' * (clusters > 1)}"
@@ -135,11 +135,11 @@ def _merged_words(system: System) -> str:
     """Which bodies are merged; empty where none are."""
     if system.merging is None:
         return ""
-    own = np.flatnonzero(system.merging.is_merged)
-    names = ", ".join(system.names[b] for b in own[:_MOST_NAMED].tolist())
-    more = ", ..." if own.size > _MOST_NAMED else ""
-    parts = np.unique(system.merging.host[own]).size
-    return f"; {own.size} bodies are merged into {parts}: {names}{more}"
+    bodies = np.flatnonzero(system.merging.is_merged)
+    names = ", ".join(system.names[b] for b in bodies[:_MOST_NAMED].tolist())
+    more = ", ..." if bodies.size > _MOST_NAMED else ""
+    parts = np.unique(system.merging.host[bodies]).size
+    return f"; {bodies.size} bodies are merged into {parts}: {names}{more}"
 
 
 class _Count:
@@ -158,7 +158,7 @@ class _Count:
         for c, (lo, hi) in enumerate(pairwise(clusters.joint.tolist())):
             if lo == hi:
                 continue
-            own = freedom[clusters.body[c] : clusters.body[c + 1]]
+            freedoms = freedom[clusters.body[c] : clusters.body[c + 1]]
             rows = int((joints.rows.action[start[lo] : start[hi]] == HOLDS).sum())
             null = np.zeros((0, rows))
             if not rows:
@@ -166,10 +166,10 @@ class _Count:
             if clusters.smallest_pivot[c] > 0.0 and rows <= _MOST_ROWS:
                 null = null_vectors(joints, work, c)
             self.clusters += 1
-            self.bodies += own.size
-            self.free += int(own.sum()) - rows + len(null)
+            self.bodies += freedoms.size
+            self.free += int(freedoms.sum()) - rows + len(null)
             self.n_dependent += len(null)
             if len(null):
                 hit = np.flatnonzero(np.abs(null).max(axis=0) > _IN_SET) + start[lo]
-                which = np.unique(np.searchsorted(start, hit, side="right") - 1)
-                self.dependent += joints.number[which].tolist()
+                dependent = np.unique(np.searchsorted(start, hit, side="right") - 1)
+                self.dependent += joints.number[dependent].tolist()

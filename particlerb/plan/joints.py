@@ -78,26 +78,26 @@ class JointSetup(NamedTuple):
         n = int(max(members.max(), self.first.max())) + 1
         place = np.full(n + 1, WORLD)
         place[members] = np.arange(members.size)
-        which = np.flatnonzero((place[self.first] != WORLD) & (self.until > time))
-        if not which.size:
+        acting = np.flatnonzero((place[self.first] != WORLD) & (self.until > time))
+        if not acting.size:
             return None
         place[WORLD] = members.size
-        count = np.diff(self.start)[which]
+        count = np.diff(self.start)[acting]
         start = np.r_[0, np.cumsum(count)]
-        index = np.repeat(self.start[which] - start[:-1], count) + np.arange(start[-1])
+        index = np.repeat(self.start[acting] - start[:-1], count) + np.arange(start[-1])
         rows = ConstraintRows(*(values[index] for values in self.rows))
         rows = rows._replace(a=place[rows.a], b=place[rows.b])
-        taken = np.isin(self.coordinates.joint, which) & self.counts_turns
+        taken = np.isin(self.coordinates.joint, acting) & self.counts_turns
         coordinates = Coordinates._make(values[taken] for values in self.coordinates)
         coordinates = coordinates._replace(a=place[coordinates.a], b=place[coordinates.b])
         actions = self.actions
         if links is not None and links.damping is not None:
             rows, actions = joint_rows.with_dashpots(rows, actions, links, members.size)
             start = np.r_[start, start[-1] + 1 + np.arange(links.first.size)]
-            which = np.r_[which, np.full(links.first.size, -1)]
+            acting = np.r_[acting, np.full(links.first.size, -1)]
         drives = drives_from(self.courses, time)
         prescribed = np.isin(members, [] if self.driven is None else self.driven.which)
-        joints = joints_among(which, start, rows, bodies, actions, coordinates, drives, prescribed)
+        joints = joints_among(acting, start, rows, bodies, actions, coordinates, drives, prescribed)
         limits = Breaks(*(np.append(limit, np.inf)[joints.number] for limit in self.breaks))
         breaks = limits if np.isfinite(limits).any() else None
         return joints._replace(
@@ -107,8 +107,8 @@ class JointSetup(NamedTuple):
     @property
     def acting(self) -> Ties:
         """Joints that ever act."""
-        own = np.flatnonzero(self.until > 0.0)
-        return Ties(self.record[own], self.first[own], self.second[own])
+        lasting = np.flatnonzero(self.until > 0.0)
+        return Ties(self.record[lasting], self.first[lasting], self.second[lasting])
 
     def solved_with(self, solid: Ints) -> Ints:
         """Bodies that touch, and those with something within bounds, which are solved with them."""
@@ -118,14 +118,14 @@ class JointSetup(NamedTuple):
 
     def drives_among(self, members: Ints) -> list[DriveCourse]:
         """What is prescribed among the members of a group."""
-        own = np.unique(self.rows.drive[np.isin(self.rows.a, members)])
-        return [self.courses[k] for k in own[own != AT_REST].tolist()]
+        drives = np.unique(self.rows.drive[np.isin(self.rows.a, members)])
+        return [self.courses[k] for k in drives[drives != AT_REST].tolist()]
 
     @property
     def coordinate_labels(self) -> list[tuple[str, str]]:
         """Name and unit of each coordinate."""
         pairs = zip(self.names, self.types, strict=True)
-        return [(f"{name}, {own}", unit) for name, kind in pairs for own, unit in names_of(kind)]
+        return [(f"{name}, {word}", unit) for name, kind in pairs for word, unit in names_of(kind)]
 
 
 def asked_of_joints(system: System) -> set[str]:
@@ -149,7 +149,7 @@ def joints_of(system: System) -> JointSetup | None:
     merging = system.merging
     system = system if merging is None else merging.whole
     system = system._replace(state=system.placed or system.state)
-    problems, found, acting = list[Problem](), list[joint_rows.TableJoints](), list[JointTable]()
+    problems, parts, acting = list[Problem](), list[joint_rows.TableJoints](), list[JointTable]()
     driven = [k for k, table in enumerate(system.joint) if table.drive is not None]
     for number, table in enumerate(system.joint):
         first, second = pairs_of(system, table)
@@ -160,24 +160,24 @@ def joints_of(system: System) -> JointSetup | None:
         if problem := wrong_place(system, number, ends):
             problems.append(problem)
             continue
-        drive, own = driven.index(number) if number in driven else AT_REST, HOLDS
+        drive, action = driven.index(number) if number in driven else AT_REST, HOLDS
         if any(getattr(table, key) for key in ACTIONS):
-            own = len(acting)
+            action = len(acting)
             acting.append(table)
-        found.append(joint_rows.joints_of_table(system, number, ends, merging, (own, drive)))
+        parts.append(joint_rows.joints_of_table(system, number, ends, merging, (action, drive)))
     refuse(problems)
-    columns = list(zip(*found, strict=True))
+    columns = list(zip(*parts, strict=True))
     record, first, second, places, n_rows, until = map(np.concatenate, columns[3:])
     setup = JointSetup(
-        unique([name for own in found for name in own.names]),
+        unique([name for part in parts for name in part.names]),
         tuple(system.joint[k].type for k in record.tolist()),
         record,
         first,
         second,
         np.cumsum([0, *n_rows]),
-        ConstraintRows(*map(np.concatenate, zip(*(own.rows for own in found), strict=True))),
+        ConstraintRows(*map(np.concatenate, zip(*(part.rows for part in parts), strict=True))),
         places,
-        united(columns[1], [len(own.names) for own in found]),
+        united(columns[1], [len(part.names) for part in parts]),
         "joint_coordinate" in asked_of_joints(system),
         joint_rows.actions_of(acting),
         until,
@@ -245,9 +245,9 @@ def _at_start(system: System, setup: JointSetup) -> _AtStart:
     for k in range(0 if setup.driven is None else setup.driven.which.size):
         assert setup.driven is not None
         x, q, v, w = prescribed_pose(setup.driven, k, 0.0)
-        own = int(np.flatnonzero(joints.order == setup.driven.which[k])[0])
-        work.y[own] = [*x, *q, *np.concatenate(prescribed_momenta(setup.driven, k, q, v, w))]
-        work.motion[own, :6], work.later[own] = [*v, *w], [*x, *q]
+        body = int(np.flatnonzero(joints.order == setup.driven.which[k])[0])
+        work.y[body] = [*x, *q, *np.concatenate(prescribed_momenta(setup.driven, k, q, v, w))]
+        work.motion[body, :6], work.later[body] = [*v, *w], [*x, *q]
     edges = joints.program.start[joints.clusters.joint].tolist()
     return _AtStart(joints, work, [slice(*ends) for ends in pairwise(edges)])
 
@@ -267,7 +267,7 @@ def _impossible(system: System, setup: JointSetup) -> list[Problem]:
     n, (joints, work, _) = system.n_bodies, _at_start(system, setup)
     linearise(joints, work, 0, joints.rows.kind.size)
     rotor_class = np.append(system.bodies.rotor_class[joints.order], NAMES.index("sphere"))
-    found: dict[int, Problem] = {}
+    problems: dict[int, Problem] = {}
     for end, at in ((joints.rows.a, 3), (joints.rows.b, 6)):
         turning = work.gradient[:, at : at + 3].T
         arm = np.abs(rotate_back(np.ascontiguousarray(work.y[end, 3:7].T), turning))
@@ -283,10 +283,10 @@ def _impossible(system: System, setup: JointSetup) -> list[Problem]:
                 f" {NAMES[int(rotor_class[end[row]])]} that {what}"
             )
             hint = "use a ball joint or a distance at its centre of mass, or on the axis of a rod"
-            found.setdefault(
+            problems.setdefault(
                 joint, problem_at(system, f"joint[{int(setup.record[joint])}]", reason, hint)
             )
-    return list(found.values())
+    return list(problems.values())
 
 
 def assembled(system: System) -> System:
@@ -310,13 +310,13 @@ def assembled(system: System) -> System:
         off = np.abs(work.g) / joints.rows.size
         _refuse_misfits(system, setup, joints, off, "{name} does not fit where its bodies start:")
     before = work.y.copy()
-    for c, own in enumerate(rows):
+    for c, cluster_rows in enumerate(rows):
         bodies = slice(joints.clusters.body[c], joints.clusters.body[c + 1])
-        if own.start < own.stop and off[own].max() > 0.0:
+        if cluster_rows.start < cluster_rows.stop and off[cluster_rows].max() > 0.0:
             work.y[bodies, 7:] = 0.0
             constrained_drift(joints, work, c, 0.0, -1.0, 1.0)
             work.y[bodies, 7:] = before[bodies, 7:]
-            _refuse_apart(system, setup, joints, work, own)
+            _refuse_apart(system, setup, joints, work, cluster_rows)
     _refuse_fast(system, setup, joints, work)
     for c in range(len(rows)):
         project_momenta(joints, work, c, 0.0, 0.0, 0.0)
@@ -324,11 +324,11 @@ def assembled(system: System) -> System:
     state = np.empty((13, n))
     state[:, joints.order] = work.y[:n].T
     _refuse_loose(system, setup, joints, work)
-    found = system._replace(state=state_of(state), placed=system.state)
+    fitted = system._replace(state=state_of(state), placed=system.state)
     if moved <= _ALLOWED * float(joints.rows.size.max()):
-        return found
+        return fitted
     line = f"bodies moved by up to {moved:.3g} m at the start, until all joints fit"
-    return found._replace(notes=(*system.notes, ("joints", line)))
+    return fitted._replace(notes=(*system.notes, ("joints", line)))
 
 
 def _refuse_misfits(
@@ -359,14 +359,14 @@ def _refuse_loose(system: System, setup: JointSetup, joints: Joints, work: Joint
 
 
 def _refuse_apart(
-    system: System, setup: JointSetup, joints: Joints, work: JointWork, own: slice
+    system: System, setup: JointSetup, joints: Joints, work: JointWork, rows: slice
 ) -> None:
     """Raise CaseError where the joints of a cluster have not come together."""
-    residuals(joints, work, own.start, own.stop, 0.0)
-    off = np.abs(work.g[own]) / joints.rows.size[own]
+    residuals(joints, work, rows.start, rows.stop, 0.0)
+    off = np.abs(work.g[rows]) / joints.rows.size[rows]
     if (off <= _FITS).all():  # of NaN it is not
         return
-    joint = joint_of_row(joints, own.start + int(np.argmax(np.nan_to_num(off, nan=np.inf))))
+    joint = joint_of_row(joints, rows.start + int(np.argmax(np.nan_to_num(off, nan=np.inf))))
     reason = f"no pose near the start meets {setup.names[joint]} and the joints about it"
     hint = "place the bodies nearer to where they belong, or remove a contradicting joint"
     raise CaseError([problem_at(system, f"joint[{int(setup.record[joint])}]", reason, hint)])

@@ -103,24 +103,24 @@ def with_known_courses(
     WorldsDifferError
         If only some of them have one.
     """
-    known: dict[int, Bools] = {}  # by terms, which stretches without a load share
+    closed_by_terms: dict[int, Bools] = {}  # by terms, which stretches without a load share
 
     def closed(terms: Terms) -> Bools:
         """Which bodies have a closed form under terms that are kept."""
-        if id(terms) not in known:
-            known[id(terms)] = _closed(bodies, terms, scene)
-        return known[id(terms)]
+        if id(terms) not in closed_by_terms:
+            closed_by_terms[id(terms)] = _closed(bodies, terms, scene)
+        return closed_by_terms[id(terms)]
 
-    asked = courses is not None and courses.asked
-    if not (asked or any(_asks(stretch.terms) for stretch in stretches)):
+    is_needed = courses is not None and courses.asked
+    if not (is_needed or any(_asks(stretch.terms) for stretch in stretches)):
         return [(one.terms, closed(one.terms)) for one in stretches]
-    courses, found = Courses(bodies, state) if courses is None else courses.copied(), []
+    courses, results = Courses(bodies, state) if courses is None else courses.copied(), []
     for stretch in stretches:
         terms = courses.under(stretch)
         is_closed = closed(terms)
         courses.leave(is_closed)
-        found.append((terms, is_closed))
-    return found
+        results.append((terms, is_closed))
+    return results
 
 
 def _closed(bodies: Bodies, terms: Terms, scene: Ints | None) -> Bools:
@@ -248,15 +248,15 @@ class _Straight:
         if links is not None and (links.second != WORLD).any():
             partners = np.full(n, WORLD)
             partners[links.first], partners[links.second] = links.second, links.first
-            known = partners if self.partners is None else self.partners
-            self.is_alone &= bool((partners == known).all())
+            previous = partners if self.partners is None else self.partners
+            self.is_alone &= bool((partners == previous).all())
             self.partners, self.holds[:] = partners, False  # pairs are not followed in the world
             x, v = self.state.com, self.state.p * self.bodies.inv_mass
-            own = np.ones(n, dtype=bool)
+            is_straight = np.ones(n, dtype=bool)
             apart = [u[:, links.second] - u[:, links.first] for u in (x, v)]
             askew = ~_are_parallel(*apart)
-            own[links.first[askew]] = own[links.second[askew]] = False
-            return own & self.is_alone if links.damping is not None else None
+            is_straight[links.first[askew]] = is_straight[links.second[askew]] = False
+            return is_straight & self.is_alone if links.damping is not None else None
         force = force_of_loads(terms, n)
         if terms.gravity is not None:
             force = force + terms.gravity.mass * terms.gravity.acceleration[:, None]
@@ -267,11 +267,11 @@ class _Straight:
             return None
         left = np.arange(links.first.size)
         while left.size:  # one link of each body after the other
-            bodies, own = np.unique(links.first[left], return_index=True)
+            bodies, index = np.unique(links.first[left], return_index=True)
             y = np.zeros((3, n))
-            y[:, bodies] = self.state.com[:, bodies] - links.second_at[:, left[own]]
+            y[:, bodies] = self.state.com[:, bodies] - links.second_at[:, left[index]]
             self.meet(y)
-            left = np.delete(left, own)
+            left = np.delete(left, index)
         return self.holds.copy()
 
     def leave(self, is_closed: Bools) -> None:

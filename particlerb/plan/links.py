@@ -78,18 +78,18 @@ def links_of(system: System) -> list[AnyLink]:
         the axis of a rod, a function that fails.
     """
     links, problems = list[AnyLink](), list[Problem]()
-    whole = system if system.merging is None else system.merging.whole
+    unmerged = system if system.merging is None else system.merging.whole
     for number, force in enumerate(system.force):
         if not is_link(force):
             continue
         try:
             if isinstance(force, PythonTable):
-                own = in_worlds(whole, number, force, _own_link_of)
-                _try_own(whole, number, own)
-                links += own
+                user_links = in_worlds(unmerged, number, force, _own_link_of)
+                _try_own(unmerged, number, user_links)
+                links += user_links
             else:
-                springs = in_worlds(whole, number, force, link_of)
-                problems += [one for link in springs for one in _misplaced_ends(whole, link)]
+                springs = in_worlds(unmerged, number, force, link_of)
+                problems += [one for link in springs for one in _misplaced_ends(unmerged, link)]
                 links += springs
         except CaseError as error:
             problems += error.problems
@@ -134,8 +134,8 @@ def _own_link_of(system: System, number: int, force: PythonTable) -> OwnLink:
     """
     try:
         force = with_code(force, system)
-        found = _pairs_in_reach if force.reach is not None else _pairs_as_named
-        first, second = found(system, number, force)
+        find_pairs = _pairs_in_reach if force.reach is not None else _pairs_as_named
+        first, second = find_pairs(system, number, force)
         return OwnLink(number, force, first, second, numbers_of_pairs(force, first, second, system))
     except ForceError as error:
         raise CaseError([force_problem(system, number, error)]) from None
@@ -198,11 +198,11 @@ def _pairs_as_named(
     if force.at == force.to_at:  # then neither end is the first
         a, b = np.minimum(first, second), np.maximum(first, second)
     order = np.lexsort((b, a))
-    same = (np.diff(a[order]) == 0) & (np.diff(b[order]) == 0)
-    again = order[1:][same]
+    is_repeated = (np.diff(a[order]) == 0) & (np.diff(b[order]) == 0)
+    again = order[1:][is_repeated]
     if again.size:
-        one, other = system.names[int(first[again[0]])], system.names[int(second[again[0]])]
-        reason = f"ties {one} to {other} twice{and_more(again.size - 1)}"
+        name_a, name_b = system.names[int(first[again[0]])], system.names[int(second[again[0]])]
+        reason = f"ties {name_a} to {name_b} twice{and_more(again.size - 1)}"
         raise CaseError([problem_at(system, key, reason, "name every pair once")])
     return first.copy(), second.copy()
 
@@ -233,14 +233,14 @@ def _pairs_in_reach(
         raise CaseError([problem_at(system, key, reason, "name more in `body`, or in `to`")])
     here, there = places(system, first, force.at), places(system, second, force.to_at)
     is_first, is_second = is_among(first, system), is_among(second, system)
-    found, count = [], 0
+    pairs, count = [], 0
     for i, j, _ in near(here, there, reach * (1.0 + _REACH_ROUNDING)):
         a, b = first[i], second[j]
-        wanted = a != b
+        is_wanted = a != b
         if force.at == force.to_at:
-            wanted &= (a < b) | ~(is_second[a] & is_first[b])
-        found.append(np.stack([a[wanted], b[wanted]]))
-        count += int(wanted.sum())
+            is_wanted &= (a < b) | ~(is_second[a] & is_first[b])
+        pairs.append(np.stack([a[is_wanted], b[is_wanted]]))
+        count += int(is_wanted.sum())
         if count > MOST_SPRINGS:
             reason = f"ties more than {MOST_SPRINGS:.0e} pairs"
             raise CaseError([problem_at(system, key, reason, "give a shorter reach")])
@@ -248,7 +248,7 @@ def _pairs_in_reach(
         closest = nearest_distance(first, second, here, there, reach)
         reason = f"no two points are that near: the nearest are {closest:.6g} m apart"
         raise CaseError([problem_at(system, key, reason, "give a longer reach")])
-    a, b = np.concatenate(found, axis=1)
+    a, b = np.concatenate(pairs, axis=1)
     order = np.lexsort((b, a))
     return a[order], b[order]
 
@@ -293,8 +293,8 @@ def attracted(system: System) -> Ints:
     if system.attraction is None:
         return np.zeros(0, dtype=np.int64)
     if system.attraction.body is None:
-        found = np.arange(len(system.kind))
-        return found if system.merging is None else np.setdiff1d(found, system.merging.guests)
+        bodies = np.arange(len(system.kind))
+        return bodies if system.merging is None else np.setdiff1d(bodies, system.merging.guests)
     return system.names.find(system.attraction.body)
 
 
@@ -310,23 +310,23 @@ def coincident(system: System) -> list[Problem]:
     bodies = attracted(system)
     if system.attraction is None or system.attraction.softening > 0.0 or not bodies.size:
         return []
-    index, own = particles_of(system, bodies)
+    index, of_body = particles_of(system, bodies)
     heavy = system.particles.mass[index] > 0.0
-    index, owner = index[heavy], bodies[own[heavy]]
+    index, owner = index[heavy], bodies[of_body[heavy]]
     place = places(system, owner, system.particles.position[index].T)
     place = np.vstack([system.world[owner], place])
     order = np.lexsort((owner, *place))
     place, owner = place[:, order], owner[order]
     is_same = (place[:, 1:] == place[:, :-1]).all(axis=0) & (owner[1:] != owner[:-1])
-    same = np.flatnonzero(is_same)
-    if not same.size:
+    repeated = np.flatnonzero(is_same)
+    if not repeated.size:
         return []
-    k = int(same[0])
-    one, other = system.names[int(owner[k])], system.names[int(owner[k + 1])]
+    k = int(repeated[0])
+    name, other = system.names[int(owner[k])], system.names[int(owner[k + 1])]
     where = ", ".join(f"{x:.6g}" for x in place[1:, k])
     reason = (
-        f"{one} and {other} each have a particle at [{where}] m at t = 0, where their attraction"
-        f" has no bound{and_more(same.size - 1)}"
+        f"{name} and {other} each have a particle at [{where}] m at t = 0, where their attraction"
+        f" has no bound{and_more(repeated.size - 1)}"
     )
     return [problem_at(system, "attraction", reason, "give `softening`, or move one of the two")]
 

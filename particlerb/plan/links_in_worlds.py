@@ -34,14 +34,14 @@ def in_worlds(
     """
     if system.n_worlds == 1:
         return [link_of(system, number, force)]
-    found: list[Any] = []
+    links: list[Any] = []
     for world in range(system.n_worlds):
-        own = system.others[number][world] if number in system.others else force
-        link = link_of(system.scene(world), number, own)
+        world_force = system.others[number][world] if number in system.others else force
+        link = link_of(system.scene(world), number, world_force)
         second = np.where(link.second == WORLD, WORLD, link.second + world * system.in_each)
         first = link.first + world * system.in_each
-        found.append(link._replace(first=first, second=second))
+        links.append(link._replace(first=first, second=second))
     if number in system.others:
-        return found
-    arrays = (np.concatenate(one, axis=-1) for one in zip(*(a[2:] for a in found), strict=True))
-    return [type(found[0])(number, found[0].force, *arrays)]
+        return links
+    arrays = (np.concatenate(one, axis=-1) for one in zip(*(a[2:] for a in links), strict=True))
+    return [type(links[0])(number, links[0].force, *arrays)]

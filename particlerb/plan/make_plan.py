@@ -83,8 +83,8 @@ def make_plan(
     system = system._replace(state=state)
     grouped = groups_of(system, loads, links, touching, joints, _apart(behind, system.n_bodies))
     grouped = _after(behind, grouped) if behind else grouped
-    asked = touching, start, now is None
-    cut = [part for group in grouped for part in cut_into_segments(system, group, *asked)]
+    setting = touching, start, now is None
+    cut = [part for group in grouped for part in cut_into_segments(system, group, *setting)]
     cut.sort(key=lambda group: int(group.members.min()))
     refuse_method(system, cut)
     stepped = tuple(with_steps(group, step(system, group)) for group in cut)
@@ -122,7 +122,7 @@ def _apart(behind: Mapping[bytes, Behind], n_bodies: int) -> Ints:
 
 def _after(behind: Mapping[bytes, Behind], groups: list[GroupSetup]) -> list[GroupSetup]:
     """The same groups with what they have left behind."""
-    found = [behind.get(group.members.tobytes()) for group in groups]
-    if None in found:
+    pasts = [behind.get(group.members.tobytes()) for group in groups]
+    if None in pasts:
         raise RegroupedError
-    return [group._replace(behind=own) for group, own in zip(groups, found, strict=True)]
+    return [group._replace(behind=past) for group, past in zip(groups, pasts, strict=True)]

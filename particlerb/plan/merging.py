@@ -62,8 +62,8 @@ def merged(system: System) -> System:
     if system.merging is not None or not any(map(merges, system.joint)):
         return system
     if system.whole is not None:
-        own = system.names.part
-        return merged(system.whole).part(own.start, own.stop)
+        span = system.names.part
+        return merged(system.whole).part(span.start, span.stop)
     host, is_merged, is_held = _parts_of(system)
     if not is_merged.any():
         return system
@@ -103,9 +103,9 @@ def _parts_of(system: System) -> tuple[Ints, Bools, Bools]:
     if attracted(system).size:  # the momentum that others take from what is held is not known
         is_merged &= label != of_world
     is_merged[still] = False
-    host, own = np.arange(n), np.flatnonzero(is_merged)
-    _, first, part = np.unique(label[own], return_index=True, return_inverse=True)
-    host[own] = own[first[part]]
+    host, bodies = np.arange(n), np.flatnonzero(is_merged)
+    _, first, group = np.unique(label[bodies], return_index=True, return_inverse=True)
+    host[bodies] = bodies[first[group]]
     return host, is_merged, is_merged & (label == of_world)
 
 
@@ -115,53 +115,53 @@ def _kept_apart(system: System) -> dict[str, Ints]:
     if system.contact is not None:
         return {"contact": np.arange(n)}
     moves = np.array([body.motion is not None for body in system.body])[system.block]
-    found = {"a body with `motion`": np.flatnonzero(moves)}
+    reasons = {"a body with `motion`": np.flatnonzero(moves)}
     for force in system.force:
         turns = getattr(force, "frame", "world") == "body" and force.timed is not None
         if force.type not in _KNOWN or turns or getattr(force, "reach", None) is not None:
-            own = f"a force of type {force.type}"
+            reason = f"a force of type {force.type}"
             for key in force.names_bodies:
                 if (names := getattr(force, key)) is not None:
                     ends = system.names.find(names)
-                    found[own] = np.r_[found.get(own, []), ends].astype(np.int64)
+                    reasons[reason] = np.r_[reasons.get(reason, []), ends].astype(np.int64)
     heavy = attracted(system)
     if heavy.size and heavy.size < n:
-        found["attraction of some bodies alone"] = np.arange(n)
-    return found
+        reasons["attraction of some bodies alone"] = np.arange(n)
+    return reasons
 
 
 def why_rows(system: System) -> list[str]:
     """Why `fixed` joints keep their rows; none where all are merged."""
     whole, n = system if system.merging is None else system.merging.whole, system.n_bodies
     tables = [table for table in whole.joint if table.type == "fixed"]
-    found = ["`merge = false`"] if any(not table.merge for table in tables) else []
+    why = ["`merge = false`"] if any(not table.merge for table in tables) else []
     if any(table.merge and not merges(table) for table in tables):
-        found.append("a release")
+        why.append("a release")
     tables = [table for table in tables if merges(table)]
     if not tables:
-        return found
+        return why
     tie = _Tie(whole, tables)
     label = components(n + 1, [tie], np.r_[n, np.flatnonzero(whole.is_held)])
     is_merged = np.zeros(n, np.bool_) if system.merging is None else system.merging.is_merged
     inside = np.minimum(tie.second, n - 1)
     apart = ~is_merged[tie.first] & ~((tie.second < n) & is_merged[inside])
-    kept = label[tie.first[apart]]
+    labels = label[tie.first[apart]]
     reasons = _kept_apart(whole).items()
-    named = [reason for reason, own in reasons if np.isin(label[own], kept).any()]
-    return found + (named or ["another joint inside of one body"] * bool(kept.size))
+    named = [reason for reason, bodies in reasons if np.isin(label[bodies], labels).any()]
+    return why + (named or ["another joint inside of one body"] * bool(labels.size))
 
 
 def _with_parts(system: System, host: Ints, is_merged: Bools, is_held: Bools) -> System:
     """The system whose bodies of a host are one."""
-    n, own = system.n_bodies, np.flatnonzero(is_merged)
+    n, members = system.n_bodies, np.flatnonzero(is_merged)
     com, q, _, _ = system.state
     axes = body_orientation(q, system.bodies.rotor_frame)
     turn = np.zeros((4, n))
     turn[0] = 1.0
-    turn[:, own] = quaternion_product(axes[:, host[own]] * CONJUGATE, axes[:, own])
+    turn[:, members] = quaternion_product(axes[:, host[members]] * CONJUGATE, axes[:, members])
     shift = np.zeros((3, n))
-    shift[:, own] = rotate_back(axes[:, host[own]], com[:, own] - com[:, host[own]])
-    hosts = np.unique(host[own])
+    shift[:, members] = rotate_back(axes[:, host[members]], com[:, members] - com[:, host[members]])
+    hosts = np.unique(host[members])
     sets = [_united(system, np.flatnonzero(host == h), turn, shift) for h in hosts.tolist()]
     particles = concatenate(sets)
     properties = mass_properties(particles)
@@ -171,8 +171,8 @@ def _with_parts(system: System, host: Ints, is_merged: Bools, is_held: Bools) ->
     kind = system.kind.copy()
     kind[hosts] = len(system.reach) + np.arange(hosts.size)
     bodies = Bodies._make(values.copy() for values in system.bodies)
-    found = bodies_of_kind(properties, np.arange(hosts.size))
-    for values, of_hosts in zip(bodies, found, strict=True):
+    host_bodies = bodies_of_kind(properties, np.arange(hosts.size))
+    for values, of_hosts in zip(bodies, host_bodies, strict=True):
         values[..., hosts] = of_hosts
     absent = is_merged & (host != np.arange(n))
     merging = Merging(system, held(bodies, absent | is_held), host, turn, shift, is_merged, is_held)
@@ -213,9 +213,9 @@ def on_hosts(link: Link, merging: Merging) -> Link:
     at, to_at = link.first_at, link.second_at
     at, to_at = np.where(is_turned, (to_at, at), (at, to_at))
     ends_held = is_held[second] & (second != WORLD)
-    own = second[ends_held]
-    axes = body_orientation(whole.state.q[:, own], whole.bodies.rotor_frame[:, own])
-    to_at[:, ends_held] = whole.state.com[:, own] + rotate(axes, to_at[:, ends_held])
+    held_bodies = second[ends_held]
+    axes = body_orientation(whole.state.q[:, held_bodies], whole.bodies.rotor_frame[:, held_bodies])
+    to_at[:, ends_held] = whole.state.com[:, held_bodies] + rotate(axes, to_at[:, ends_held])
     second = np.where(ends_held, WORLD, second)
     inside = second != WORLD
     to_at[:, inside] = merging.placed(second[inside], to_at[:, inside])

@@ -33,17 +33,17 @@ def near(here: Floats, there: Floats, reach: float) -> Iterator[tuple[Ints, Ints
     cells = [numbered_cells(np.floor(axis / reach)) for axis in np.hstack([here, there])]
     width, height = int(cells[1].max()) + 2, int(cells[2].max()) + 2
     column, level = cells[0] * width + cells[1], cells[2]
-    columns, own = np.unique(column[n:], return_inverse=True)
-    cell = own * height + level[n:]
+    columns, column_number = np.unique(column[n:], return_inverse=True)
+    cell = column_number * height + level[n:]
     order = np.argsort(cell, kind="stable")
     cell = cell[order]
     for to_the_side in (-width - 1, -width, -width + 1, -1, 0, 1, width - 1, width, width + 1):
-        wanted = column[:n] + to_the_side
-        k = np.minimum(np.searchsorted(columns, wanted), columns.size - 1)
+        neighbour = column[:n] + to_the_side
+        k = np.minimum(np.searchsorted(columns, neighbour), columns.size - 1)
         middle = k * height + level[:n]
         start = np.searchsorted(cell, middle - 1, side="left")
         stop = np.searchsorted(cell, middle + 1, side="right")
-        count = np.where(columns[k] == wanted, stop - start, 0)
+        count = np.where(columns[k] == neighbour, stop - start, 0)
         for lo, hi in chunks(count):
             i = np.repeat(np.arange(lo, hi), count[lo:hi])
             before = np.cumsum(count[lo:hi]) - count[lo:hi]
@@ -55,9 +55,9 @@ def near(here: Floats, there: Floats, reach: float) -> Iterator[tuple[Ints, Ints
 
 def numbered_cells(cells: Floats) -> Ints:
     """Numbers from 1 of cells on a line, of which two differ by 1 only if the cells do."""
-    known, own = np.unique(cells, return_inverse=True)
-    gaps = np.minimum(np.diff(known), 2.0).astype(np.int64)
-    return np.concatenate([[1], 1 + np.cumsum(gaps)])[own]
+    distinct, inverse = np.unique(cells, return_inverse=True)
+    gaps = np.minimum(np.diff(distinct), 2.0).astype(np.int64)
+    return np.concatenate([[1], 1 + np.cumsum(gaps)])[inverse]
 
 
 def chunks(count: Ints) -> Iterator[tuple[int, int]]:
@@ -76,13 +76,13 @@ def nearest_distance(first: Ints, second: Ints, here: Floats, there: Floats, rea
 
     Among very many at about the same distance it is that of the first MOST_SOUGHT pairs.
     """
-    found, sought = np.inf, 0
-    while not np.isfinite(found):
+    nearest, sought = np.inf, 0
+    while not np.isfinite(nearest):
         reach *= 2.0
         for i, j, distance in near(here, there, reach):
-            others = distance[first[i] != second[j]]
-            found = min(found, float(others.min(initial=np.inf)))
+            between_bodies = distance[first[i] != second[j]]
+            nearest = min(nearest, float(between_bodies.min(initial=np.inf)))
             sought += i.size
-            if sought > _MOST_SOUGHT and np.isfinite(found):
+            if sought > _MOST_SOUGHT and np.isfinite(nearest):
                 break
-    return found
+    return nearest

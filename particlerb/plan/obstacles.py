@@ -59,13 +59,13 @@ def _mesh_of(system: System, number: int, table: MeshWall) -> Walls:
         raise wrong(reason, "write it again, as binary or ASCII STL")
     if not np.isfinite(corners).all():
         raise wrong("has a corner that is not finite")
-    vertices, own = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     turns = np.tile(quaternion_of(table.orientation)[:, None], len(vertices))
     vertices = rotate(turns, table.scale * vertices.T).T + np.array(table.position)
-    made = surface(vertices, own.reshape(-1, 3))
-    if not made.kind.size:
+    walls = surface(vertices, index.reshape(-1, 3))
+    if not walls.kind.size:
         raise wrong("has no triangle with an area")
-    return made
+    return walls
 
 
 def middle(table: AnyWall) -> Vec3:
@@ -78,11 +78,11 @@ def middle(table: AnyWall) -> Vec3:
     return table.centre if isinstance(table, CylinderWall) else table.position
 
 
-def motion_of(motion: Prescribed | None, own: Vec3) -> PrescribedMotion:
-    """Motion about a centre, one's own where none is given."""
+def motion_of(motion: Prescribed | None, default_centre: Vec3) -> PrescribedMotion:
+    """Motion about a centre, the default one where none is given."""
     if motion is None:
-        return PrescribedMotion(own)
-    centre = own if motion.centre is None else motion.centre
+        return PrescribedMotion(default_centre)
+    centre = default_centre if motion.centre is None else motion.centre
     moving = PrescribedMotion(centre, motion.velocity, motion.angular_velocity)
     if (wave := motion.oscillation) is None:
         return moving
@@ -104,37 +104,37 @@ def drive_of(body: Body, com: Floats) -> PrescribedMotion:
 def pistons_of(system: System) -> Pistons | None:
     """Walls that slide, if there are any."""
     wall = [w for w, table in enumerate(system.wall) if table.piston is not None]
-    given = [table.piston for table in system.wall if table.piston is not None]
-    if not given:
+    pistons = [table.piston for table in system.wall if table.piston is not None]
+    if not pistons:
         return None
     of_wall = np.full(len(system.wall), -1)
     of_wall[wall] = np.arange(len(wall))
-    axis = np.array([unit(one.axis) for one in given])
-    mass = np.array([one.mass for one in given])
+    axis = np.array([unit(piston.axis) for piston in pistons])
+    mass = np.array([piston.mass for piston in pistons])
     return Pistons(
         np.array(wall),
         of_wall,
         axis,
         mass,
-        np.array([one.load for one in given]) + mass * (axis @ system.acceleration),
-        np.array([one.limits or (-np.inf, np.inf) for one in given]),
-        np.array([[0.0, one.velocity] for one in given]),
+        np.array([piston.load for piston in pistons]) + mass * (axis @ system.acceleration),
+        np.array([piston.limits or (-np.inf, np.inf) for piston in pistons]),
+        np.array([[0.0, piston.velocity] for piston in pistons]),
     )
 
 
 def driven_bodies(system: System) -> PrescribedBodies | None:
     """Those of a system that begins at t = 0; None where there are none."""
-    which = np.flatnonzero([system.body[k].motion is not None for k in system.block])
-    if not which.size:
+    driven = np.flatnonzero([system.body[k].motion is not None for k in system.block])
+    if not driven.size:
         return None
     bodies, (com, q, _, _) = system.bodies, system.state
-    motions = [drive_of(system.body[system.block[b]], com[:, b]) for b in which.tolist()]
+    motions = [drive_of(system.body[system.block[b]], com[:, b]) for b in driven.tolist()]
     at_start = np.array([math.sin(motion.phase) * np.array(motion.amplitude) for motion in motions])
     return PrescribedBodies(
-        which,
+        driven,
         motion_records(motions),
-        np.ascontiguousarray(com[:, which] - at_start.T),
-        np.ascontiguousarray(q[:, which]),
-        bodies.mass[which],
-        np.ascontiguousarray(bodies.inertia[:, which]),
+        np.ascontiguousarray(com[:, driven] - at_start.T),
+        np.ascontiguousarray(q[:, driven]),
+        bodies.mass[driven],
+        np.ascontiguousarray(bodies.inertia[:, driven]),
     )

@@ -50,8 +50,8 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
         if links is not None:
             swing = np.maximum(swing, link_rates(links))
         if segment.terms.own_pairs is not None:
-            own = pair_rates(segment.terms.own_pairs, bodies, state, segment.start)
-            swing = np.maximum(swing, own)
+            pair_swing = pair_rates(segment.terms.own_pairs, bodies, state, segment.start)
+            swing = np.maximum(swing, pair_swing)
         if segment.terms.joints is not None:
             _, force = force_of(group.group(segment))
             swing = np.maximum(swing, joint_rates(segment.terms.joints, bodies, state, force))
@@ -86,11 +86,11 @@ def _attraction_rates(attraction: Attraction, com: Floats) -> Floats:
     Of very many bodies some are looked at, and all others get the largest of these.
     """
     n = com.shape[1]
-    which = np.unique(np.linspace(0, n - 1, min(n, _MOST_LOOKED_AT)).astype(np.int64))
+    sample = np.unique(np.linspace(0, n - 1, min(n, _MOST_LOOKED_AT)).astype(np.int64))
     owner = np.repeat(np.arange(n), np.diff(attraction.offset))
     gm: Floats = np.bincount(owner, attraction.gm, n).astype(np.float64)
-    found = fastest_rates(gm, com, attraction.softening, which)
-    return found if which.size == n else np.full(n, found.max())
+    fastest = fastest_rates(gm, com, attraction.softening, sample)
+    return fastest if sample.size == n else np.full(n, fastest.max())
 
 
 def fastest_contact(system: System, group: GroupPlan, segment: Segment) -> float:
@@ -112,21 +112,21 @@ def _contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: fl
     """
     model, law = contact.model, contact.model.law
     softness = bodies.inv_mass + softest_turning(model.spheres, bodies.inv_inertia)
-    own = np.full(softness.size, -1)
-    own[model.spheres.body] = model.spheres.partner
-    partner = _softest_partners(contact, softness, own)
-    own[model.spheres.body] = model.spheres.material
-    pair = model.pair_of[own]  # of bodies that touch nothing any one: they have no partners
-    both = np.maximum(np.where(own[:, None] >= 0, softness[:, None] + partner, 0.0), 0.0)
+    code = np.full(softness.size, -1)
+    code[model.spheres.body] = model.spheres.partner
+    partner = _softest_partners(contact, softness, code)
+    code[model.spheres.body] = model.spheres.material
+    pair = model.pair_of[code]  # of bodies that touch nothing any one: they have no partners
+    inv_m_eff = np.maximum(np.where(code[:, None] >= 0, softness[:, None] + partner, 0.0), 0.0)
     shear = np.where(law.friction > 0.0, law.tangential_stiffness, 0.0)
     if law.hertz is None:
         k = (law.stiffness + shear)[pair]
-        return np.asarray(np.sqrt((k * both).max(axis=1)))
+        return np.asarray(np.sqrt((k * inv_m_eff).max(axis=1)))
     speed = _impact_speed(contact, bodies, state, fall)
     K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(float(model.spheres.radius.max()))
     share = 1.0 + 6.0 * (shear / np.maximum(law.stiffness, 1e-300))[pair]
-    depth = (1.25 * speed**2 / np.maximum(K * both, 1e-300)) ** 0.4
-    squared = np.where(K * both > 0.0, 1.5 * K * np.sqrt(depth) * share * both, 0.0)
+    depth = (1.25 * speed**2 / np.maximum(K * inv_m_eff, 1e-300)) ** 0.4
+    squared = np.where(K * inv_m_eff > 0.0, 1.5 * K * np.sqrt(depth) * share * inv_m_eff, 0.0)
     return np.asarray(np.sqrt(squared.max(axis=1)))
 
 
@@ -168,14 +168,14 @@ def _softest_partners(contact: GroupContact, softness: Floats, material: Ints) -
     model, walls = contact.model, contact.model.walls
     partner = np.full((softness.size, model.pair_of.shape[1]), -np.inf)
     for code in np.unique(material[material >= 0]).tolist():
-        those = np.flatnonzero(material == code)
-        softest = those[np.argmax(softness[those])]
+        bodies = np.flatnonzero(material == code)
+        softest = bodies[np.argmax(softness[bodies])]
         partner[:, code] = softness[softest]
-        partner[softest, code] = softness[those[those != softest]].max(initial=-np.inf)
+        partner[softest, code] = softness[bodies[bodies != softest]].max(initial=-np.inf)
     inverse = np.zeros(int(walls.wall.max(initial=-1)) + 1)
     if contact.pistons is not None:
         inverse[contact.pistons.wall] = 1.0 / contact.pistons.mass
     for code in np.unique(model.wall_material).tolist():
-        own = walls.wall[model.wall_material == code]
-        partner[:, code] = np.maximum(partner[:, code], inverse[own].max())
+        of_material = walls.wall[model.wall_material == code]
+        partner[:, code] = np.maximum(partner[:, code], inverse[of_material].max())
     return partner

@@ -147,13 +147,13 @@ def cut_into_segments(
     stretches: list[Stretch] = []
     idle = acting_terms(system, bodies, [], begin)
     for start, acting, now in zip(starts, *_acting(group.forces, spans, starts), strict=True):
-        both = zip(group.links, spans_of_links, strict=True)
-        links = [link for link, s in both if s[0] <= start < s[-1]]
+        spanned = zip(group.links, spans_of_links, strict=True)
+        links = [link for link, s in spanned if s[0] <= start < s[-1]]
         released = 0 if group.joints is None else int((group.joints.until <= start).sum())
         key = released, *(link.number for link in links)
         if key not in between:
-            others = terms_between(system, group, bodies, links, touching, start)
-            between[key] = others._replace(gravity=idle.gravity, loads=idle.loads)
+            between_bodies = terms_between(system, group, bodies, links, touching, start)
+            between[key] = between_bodies._replace(gravity=idle.gravity, loads=idle.loads)
         terms = between[key]
         if acting:
             terms = terms._replace(loads=acting_terms(system, bodies, acting, start).loads)
@@ -166,10 +166,10 @@ def cut_into_segments(
     closed, segments = [], []
     scene = system.world[members] if group.joints is not None or group.links else None
     named, stops = system.run.method, [*starts[1:], np.inf]
-    own = bodies, taken(system.state, members)
-    known = _with_closed_forms(named, *own, stretches, scene, group.behind)
+    at_begin = bodies, taken(system.state, members)
+    known_terms = _with_closed_forms(named, *at_begin, stretches, scene, group.behind)
     for start, stop, (_, jumps), (terms, is_closed) in zip(
-        starts, stops, stretches, known, strict=True
+        starts, stops, stretches, known_terms, strict=True
     ):
         method = _chosen_method(named, bodies, terms, is_closed)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))
@@ -193,8 +193,8 @@ def _cut_apart(
     """Parts of a group by themselves, as `cut_into_segments`."""
     if group.behind is not None:
         raise RegroupedError
-    own = [part_of(group, which) for which in parts]
-    return [part for one in own for part in cut_into_segments(system, one, touching, *start)]
+    groups = [part_of(group, index) for index in parts]
+    return [part for setup in groups for part in cut_into_segments(system, setup, touching, *start)]
 
 
 def _acting(
@@ -224,10 +224,10 @@ def _with_drag_among_joints(terms: Terms, bodies: Bodies) -> Terms:
     return terms._replace(joints=joints, loads=tuple(others))
 
 
-def _refused_terms(method: str, terms: Terms, found: Needs | None = None) -> list[str]:
+def _refused_terms(method: str, terms: Terms, known_needs: Needs | None = None) -> list[str]:
     """Terms that need more than a method takes into account; what that is, where it steps."""
     chosen, refused = METHODS[method], {}
-    for name, needs in (needs_of(terms) if found is None else found).items():
+    for name, needs in (needs_of(terms) if known_needs is None else known_needs).items():
         lacking = sorted(_NEEDS.get(need, _NEEDS[JOINTS]) for need in needs - chosen.accepts)
         if lacking:
             refused[name] = f" ({lacking[0]})" if has_step(method) else ""
@@ -262,10 +262,10 @@ def is_adaptive(method: str) -> bool:
 
 def _may_be_closed(named: str, terms: Terms) -> bool:
     """Whether a segment is not stepped where it has a closed form: a named method steps."""
-    asked = METHODS.get(named)
-    is_idle = asked is not None and (
-        (asked.holds_joints and terms.joints is None)
-        or (asked.takes_impulses and terms.contact is None)
+    method = METHODS.get(named)
+    is_idle = method is not None and (
+        (method.holds_joints and terms.joints is None)
+        or (method.takes_impulses and terms.contact is None)
     )
     return is_idle or named in ("auto", "exact")
 
@@ -292,12 +292,12 @@ def left_behind(system: System, group: GroupPlan, number: int, before: Behind | 
     passed, method = group.segments[:number], system.run.method
     start = group.bodies, taken(system.state, group.members)
     courses = Courses(*start) if before is None else before.courses
-    if courses is None or not all(_may_be_closed(method, one.terms) for one in passed):
+    if courses is None or not all(_may_be_closed(method, segment.terms) for segment in passed):
         return Behind(group.segments[number].start, None)
     courses = courses.copied()
-    for one in passed:
-        courses.under(Stretch(one.terms, one.jumps))
-        courses.leave(np.full(group.members.size, not has_step(one.method)))
+    for segment in passed:
+        courses.under(Stretch(segment.terms, segment.jumps))
+        courses.leave(np.full(group.members.size, not has_step(segment.method)))
     return Behind(group.segments[number].start, courses)
 
 
@@ -339,34 +339,34 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
 
 def inside(groups: Sequence[GroupPlan], of: Range, begin: int = 0) -> list[GroupPlan]:
     """What there is of groups in a range of bodies, which are numbered from another one on."""
-    found = []
+    parts = []
     for group in groups:
-        own = np.flatnonzero((group.members >= of.first) & (group.members < of.stop))
-        members = group.members[own] - begin
-        if own.size == group.members.size:
-            found.append(group._replace(members=members))
-        elif own.size:
-            found.append(chosen(group, own, members))
-    return found
+        index = np.flatnonzero((group.members >= of.first) & (group.members < of.stop))
+        members = group.members[index] - begin
+        if index.size == group.members.size:
+            parts.append(group._replace(members=members))
+        elif index.size:
+            parts.append(chosen(group, index, members))
+    return parts
 
 
-def chosen(group: GroupPlan, own: Ints, members: Ints) -> GroupPlan:
+def chosen(group: GroupPlan, index: Ints, members: Ints) -> GroupPlan:
     """Some bodies of a group under new numbers."""
     segments = tuple(
         segment._replace(
-            terms=terms_on(segment.terms, own),
-            jumps=jumps_on(segment.jumps, own),
+            terms=terms_on(segment.terms, index),
+            jumps=jumps_on(segment.jumps, index),
         )
         for segment in group.segments
     )
-    return GroupPlan(members, taken(group.bodies, own), segments)
+    return GroupPlan(members, taken(group.bodies, index), segments)
 
 
-def jumps_on(jumps: tuple[Impulse, ...], own: Ints) -> tuple[Impulse, ...]:
+def jumps_on(jumps: tuple[Impulse, ...], k: Ints) -> tuple[Impulse, ...]:
     """Impulses on some of the bodies."""
-    one = np.ascontiguousarray
+    dense = np.ascontiguousarray
     return tuple(
-        jump._replace(at=one(jump.at[:, own]), impulse=one(jump.impulse[:, own])) for jump in jumps
+        jump._replace(at=dense(jump.at[:, k]), impulse=dense(jump.impulse[:, k])) for jump in jumps
     )
 
 

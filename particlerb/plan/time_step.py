@@ -93,9 +93,9 @@ def step_key(system: System) -> str:
 
 def contact_limit(method: str, contact: GroupContact) -> float:
     """Largest ω dt [rad] at which bodies stay at rest on contacts, however these are damped."""
-    given, undamped = METHODS[method].contact_limit, METHODS[method].stability_limit
-    assert given is not None
-    limits = map(given, contact.model.law.damping_ratio.tolist())
+    limit_at, undamped = METHODS[method].contact_limit, METHODS[method].stability_limit
+    assert limit_at is not None
+    limits = map(limit_at, contact.model.law.damping_ratio.tolist())
     return min((min(limit, undamped or math.inf) for limit in limits), default=undamped)
 
 
@@ -300,7 +300,7 @@ def refuse_endless(system: System, groups: tuple[GroupPlan, ...]) -> None:
 
 def step_warnings(system: System, groups: tuple[GroupPlan, ...]) -> list[str]:
     """Warnings about steps that turn a body too far, now or by t_end, or let springs explode."""
-    found: dict[str, tuple[float, str, float]] = {}
+    worst: dict[str, tuple[float, str, float]] = {}
     for group in groups:
         stepped = [segment for segment in group.stepped if not is_adaptive(segment.method)]
         if not stepped:
@@ -327,8 +327,8 @@ def step_warnings(system: System, groups: tuple[GroupPlan, ...]) -> list[str]:
                 reason += f" turns bodies like {name} by up to {turn:.3g} rad"
             else:
                 continue
-            found[kind] = max(found.get(kind, (0.0, "", 0.0)), (turn, reason, advised))
-    advice = ((reason, f"advised: dt = {dt:.3g} s or less") for _, reason, dt in found.values())
+            worst[kind] = max(worst.get(kind, (0.0, "", 0.0)), (turn, reason, advised))
+    advice = ((reason, f"advised: dt = {dt:.3g} s or less") for _, reason, dt in worst.values())
     return [as_warning(problem_at(system, step_key(system), *words)) for words in advice]
 
 
