@@ -77,16 +77,16 @@ def _enter(
     """
     for f in range(len(sums)):
         w = f % len(initial)
-        now, given, first = sums[f], booked[f], initial[w]
+        now, gained, first = sums[f], booked[f], initial[w]
         energy = now[0] + now[1]
-        error = energy - first[0] - given[0]
+        error = energy - first[0] - gained[0]
         single[0, f], single[1, f], single[2, f] = now[0], now[1], energy
-        single[3, f], single[4, f] = given[0], error
+        single[3, f], single[4, f] = gained[0], error
         for c in range(3):
             vectors[0, f, c], vectors[2, f, c] = now[2 + c], now[5 + c]
-            vectors[1, f, c] = now[2 + c] - first[1 + c] - given[1 + c]
-            vectors[3, f, c] = now[5 + c] - first[4 + c] - given[4 + c]
-        scales[0, w] = _larger(scales[0, w], _larger(now[0], abs(given[0])))
+            vectors[1, f, c] = now[2 + c] - first[1 + c] - gained[1 + c]
+            vectors[3, f, c] = now[5 + c] - first[4 + c] - gained[4 + c]
+        scales[0, w] = _larger(scales[0, w], _larger(now[0], abs(gained[0])))
         scales[1, w], scales[2, w] = _larger(scales[1, w], now[8]), _larger(scales[2, w], now[9])
         errors[0, w] = _larger(errors[0, w], abs(error))
         errors[1, w] = _larger(errors[1, w], np.sqrt(_square(vectors[1, f])))
@@ -136,12 +136,12 @@ class EnergyBalance:
         """
         n = now.sums.size // N_TOTALS
         single, vectors = np.empty((5, n)), np.empty((4, n, 3))
-        sums, given = now.sums.reshape(n, N_TOTALS), booked.reshape(n, 7)
-        _enter(sums, given, self.initial, self.errors, self.scales, single, vectors)
+        sums, gains = now.sums.reshape(n, N_TOTALS), booked.reshape(n, 7)
+        _enter(sums, gains, self.initial, self.errors, self.scales, single, vectors)
         np.maximum(self.scales[0], gross, out=self.scales[0])
         if self.shape:
-            each = -1, *self.shape
-            single, vectors = single.reshape(5, *each), vectors.reshape(4, *each, 3)
+            by_frame = -1, *self.shape
+            single, vectors = single.reshape(5, *by_frame), vectors.reshape(4, *by_frame, 3)
         return Entries(*single, *vectors)
 
     def drift(
@@ -165,8 +165,8 @@ class EnergyBalance:
             Size of the acceleration of gravity.
         """
         sizes = _sizes(bodies, com, len(self.initial))
-        each = [own.max(axis=0, initial=0.0) for own, _ in ranks.gathered(sizes)]
-        R = np.max(each, axis=0)
+        reaches = [reach.max(axis=0, initial=0.0) for reach, _ in ranks.gathered(sizes)]
+        R = np.max(reaches, axis=0)
         mass = summed(sizes[1], ranks)
         momentum = mass * R / duration
         seen = np.stack([momentum * R / duration, momentum, momentum * R])
@@ -191,7 +191,7 @@ def _sizes(bodies: Bodies, com: Floats, n_worlds: int) -> Floats:
     n = reach.size
     ranges = [Range(0, n)] if n_worlds > 1 else list(superblocks(n))
     sizes = np.empty((2, len(ranges), n_worlds))
-    for k, own in enumerate(ranges):
-        sizes[0, k] = reach[slice(*own)].reshape(n_worlds, -1).max(axis=1)
-        sizes[1, k] = bodies.mass[slice(*own)].reshape(n_worlds, -1).sum(axis=1)
+    for k, span in enumerate(ranges):
+        sizes[0, k] = reach[slice(*span)].reshape(n_worlds, -1).max(axis=1)
+        sizes[1, k] = bodies.mass[slice(*span)].reshape(n_worlds, -1).sum(axis=1)
     return sizes

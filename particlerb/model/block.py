@@ -106,9 +106,9 @@ def gather_block(rows: Floats, y: Floats, lo: int, n: int) -> None:
 def scatter_block(values: Floats, rows: Floats, at: int, first: int, lo: int, n: int) -> None:
     """Rows of values (rows, n_bodies) from `first` on, into the rows of a block from `at` on."""
     for c in range(first, values.shape[0]):
-        own = values[c, lo : lo + n]
-        for b in range(own.size):
-            put(rows, at + c - first, b, own[b])
+        row = values[c, lo : lo + n]
+        for b in range(row.size):
+            put(rows, at + c - first, b, row[b])
 
 
 def in_blocks(n: int, n_rows: int, parts: Sequence[tuple[int, Floats]]) -> Floats:

@@ -113,8 +113,8 @@ def taken(record: Record, index: Ints) -> Record:
     is_range = bool((index == np.arange(first, first + index.size)).all())
     if is_range and index.size == record[0].shape[-1]:
         return record
-    which = slice(first, first + index.size) if is_range else index
-    return type(record)(*(np.ascontiguousarray(array[..., which]) for array in record))
+    chosen = slice(first, first + index.size) if is_range else index
+    return type(record)(*(np.ascontiguousarray(array[..., chosen]) for array in record))
 
 
 def held(bodies: Bodies, fixed: Bools) -> Bodies:

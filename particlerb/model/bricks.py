@@ -59,26 +59,26 @@ class Bricks:
 
     def _parts(self, points: Floats, node: _Node) -> Iterator[_Node]:
         """The two boxes of a cut, those of them that are to be cut again."""
-        number, first, bricks, which = node
-        is_below = points[self.axis[number], which] < self.place[number]
-        below = _Node(number + 1, first, node.lower, which[is_below])
+        number, first, bricks, index = node
+        is_below = points[self.axis[number], index] < self.place[number]
+        below = _Node(number + 1, first, node.lower, index[is_below])
         beyond = number + node.lower, first + node.lower, bricks - node.lower
-        yield from (part for part in (below, _Node(*beyond, which[~is_below])) if part.bricks > 1)
+        yield from (part for part in (below, _Node(*beyond, index[~is_below])) if part.bricks > 1)
 
     def _cut(self, points: Floats, level: list[_Node], ranks: Ranks) -> None:
         """Cut boxes of a level, all ranks together."""
         corners = np.full((len(level), 6), -np.inf)
         for k, node in enumerate(level):
-            own = points[:, node.which]
+            inside = points[:, node.which]
             corners[k, :3], corners[k, 3:] = (
-                (-own).max(1, initial=-np.inf),
-                own.max(1, initial=-np.inf),
+                (-inside).max(1, initial=-np.inf),
+                inside.max(1, initial=-np.inf),
             )
         corners = ranks.largest(corners)
         low, high = np.where(np.isfinite(corners), corners, 0.0).reshape(-1, 2, 3).swapaxes(0, 1)
         low = -low
         axes = np.argmax(high - low, axis=1)
-        ends = np.stack([each[np.arange(len(level)), axes] for each in (low, high)], axis=1)
+        ends = np.stack([corner[np.arange(len(level)), axes] for corner in (low, high)], axis=1)
         for node, axis in zip(level, axes.tolist(), strict=True):
             self.axis[node.number] = axis
         for _ in range(_REFINEMENTS):
@@ -92,17 +92,17 @@ class Bricks:
         """
         counts = np.zeros((len(level), _BINS + 2), dtype=np.int64)
         edges = np.linspace(ends[:, 0], ends[:, 1], _BINS + 1, axis=1)
-        for k, (number, _, _, which) in enumerate(level):
-            place = np.searchsorted(edges[k], points[self.axis[number], which], side="right")
+        for k, (number, _, _, index) in enumerate(level):
+            place = np.searchsorted(edges[k], points[self.axis[number], index], side="right")
             counts[k] = np.bincount(place, minlength=_BINS + 2)
         below: Ints = np.cumsum(ranks.added(counts), axis=1)  # each edge, all at the end
         is_near = True
         for k, node in enumerate(level):
-            wanted = below[k, -1] * node.lower / node.bricks
-            edge = int(np.argmin(np.abs(below[k, :-1] - wanted)))
+            target = below[k, -1] * node.lower / node.bricks
+            edge = int(np.argmin(np.abs(below[k, :-1] - target)))
             self.place[node.number] = edges[k, edge]
-            missed = below[k, edge] - wanted
-            is_near &= bool(abs(missed) <= max(1.0, _NEAR_ENOUGH * wanted / node.lower))
+            missed = below[k, edge] - target
+            is_near &= bool(abs(missed) <= max(1.0, _NEAR_ENOUGH * target / node.lower))
             at = min(max(edge - (missed > 0), 0), _BINS - 1)
             ends[k] = edges[k, at : at + 2]
         return is_near

@@ -40,14 +40,14 @@ def compare(
             f, e, g = rotor_frame[:, b], q[k, b], r[k, b]
             frame = (float(f[0]), float(f[1]), float(f[2]), float(f[3]))
             expected = (float(e[0]), float(e[1]), float(e[2]), float(e[3]))
-            found = (float(g[0]), float(g[1]), float(g[2]), float(g[3]))
+            actual = (float(g[0]), float(g[1]), float(g[2]), float(g[3]))
             here, there = x[k, b], y[k, b]
             off = (
                 float(there[0]) - float(here[0]),
                 float(there[1]) - float(here[1]),
                 float(there[2]) - float(here[2]),
             )
-            angle[k, b] = _angle_between(rotor_class[b], frame, expected, found)
+            angle[k, b] = _angle_between(rotor_class[b], frame, expected, actual)
             distance[k, b] = math.sqrt(dot(off, off))
 
 
@@ -69,8 +69,8 @@ def misfits(bodies: Bodies, x: Floats, q: Floats, y: Floats, r: Floats) -> tuple
     return angle, distance
 
 
-def angles(bodies: Bodies, expected: Floats, found: Floats) -> Floats:
+def angles(bodies: Bodies, expected: Floats, actual: Floats) -> Floats:
     """Angles between orientations (n, 4) of n bodies, (n,) [rad]; as `misfits`."""
     at_rest = np.zeros((1, len(expected), 3))
-    (angle,), _ = misfits(bodies, at_rest, expected[None], at_rest, found[None])
+    (angle,), _ = misfits(bodies, at_rest, expected[None], at_rest, actual[None])
     return np.asarray(angle)

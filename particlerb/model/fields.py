@@ -10,4 +10,4 @@ ROWS: Final = table_beside(__file__, "fields.txt")
 
 def names_of(*whose: str) -> tuple[str, ...]:
     """Names of the fields of bodies, walls and so on."""
-    return tuple(name for own in whose for of, name, *_ in ROWS if of == own)
+    return tuple(name for owner in whose for of, name, *_ in ROWS if of == owner)

@@ -43,15 +43,15 @@ class Merging(NamedTuple):
 
     def part(self, first: int, stop: int) -> "Merging":
         """The same of a range of bodies, none of which others than these carry."""
-        own = np.arange(first, stop)
+        members = np.arange(first, stop)
         return Merging(
             self.whole.part(first, stop),
-            taken(self.bodies, own),
-            self.host[own] - first,
-            self.turn[:, own],
-            self.shift[:, own],
-            self.is_merged[own],
-            self.is_held[own],
+            taken(self.bodies, members),
+            self.host[members] - first,
+            self.turn[:, members],
+            self.shift[:, members],
+            self.is_merged[members],
+            self.is_held[members],
         )
 
     def placed(self, bodies: Ints, at: Floats) -> Floats:
@@ -64,42 +64,42 @@ class Merging(NamedTuple):
 
     def in_hosts(self, bodies: Ints, vectors: Floats, is_point: bool) -> Floats:
         """The same from rotor frames to rotor frames, (k, 3)."""
-        own, theirs = self.whole.bodies.rotor_frame, self.bodies.rotor_frame
-        given = rotate(own[:, bodies], vectors.T)
-        given = self.placed(bodies, given) if is_point else self.turned(bodies, given)
-        return rotate_back(theirs[:, self.host[bodies]], given).T
+        frames, host_frames = self.whole.bodies.rotor_frame, self.bodies.rotor_frame
+        in_world = rotate(frames[:, bodies], vectors.T)
+        in_world = self.placed(bodies, in_world) if is_point else self.turned(bodies, in_world)
+        return rotate_back(host_frames[:, self.host[bodies]], in_world).T
 
     def together(self, state: State) -> State:
         """State of what moves, from one of all bodies; zero momenta of what is carried."""
         com, q, p, L = (values.copy() for values in state)
-        own, n = np.flatnonzero(self.is_merged), self.host.size
-        hosts = np.unique(self.host[own])
+        merged, n = np.flatnonzero(self.is_merged), self.host.size
+        hosts = np.unique(self.host[merged])
         axes = body_orientation(q[:, hosts], self.whole.bodies.rotor_frame[:, hosts])
         com[:, hosts] -= rotate(axes, self.shift[:, hosts])
         q[:, hosts] = quaternion_product(axes, self.bodies.rotor_frame[:, hosts])
-        arms = state.com[:, own] - com[:, self.host[own]]
-        turning = L[:, own] + cross_columns(arms, p[:, own])
+        arms = state.com[:, merged] - com[:, self.host[merged]]
+        turning = L[:, merged] + cross_columns(arms, p[:, merged])
         sums = np.zeros((n, 6))
-        np.add.at(sums, self.host[own], np.vstack([p[:, own], turning]).T)
-        p[:, own], L[:, own] = sums[own, :3].T, sums[own, 3:].T
+        np.add.at(sums, self.host[merged], np.vstack([p[:, merged], turning]).T)
+        p[:, merged], L[:, merged] = sums[merged, :3].T, sums[merged, 3:].T
         moves = self.bodies.mass > 0.0
         return State(com, q, p * moves, L * moves)
 
     def shown(self, frames: Frames) -> Frames:
         """Frames of all bodies, from those of what moves."""
-        own = np.flatnonzero(self.is_merged)
-        host, bodies = self.host[own], self.whole.bodies
+        merged = np.flatnonzero(self.is_merged)
+        host, bodies = self.host[merged], self.whole.bodies
         x, q, p, L = (values.copy() for values in frames[:4])
         velocity, omega = derived(taken(self.bodies, host), q[:, host], p[:, host], L[:, host])
         for k in range(len(x)):
             axes, w = q[k, host].T, omega[k].T
-            arm = rotate(axes, self.shift[:, own])
-            turned = quaternion_product(axes, self.turn[:, own])
+            arm = rotate(axes, self.shift[:, merged])
+            turned = quaternion_product(axes, self.turn[:, merged])
             v = velocity[k].T + cross_columns(w, arm)
-            x[k, own], q[k, own] = frames.position[k, host] + arm.T, turned.T
-            p[k, own] = (bodies.mass[own] * v).T
-            rotor = quaternion_product(turned, bodies.rotor_frame[:, own])
-            L[k, own] = rotate(rotor, bodies.inertia[:, own] * rotate_back(rotor, w)).T
+            x[k, merged], q[k, merged] = frames.position[k, host] + arm.T, turned.T
+            p[k, merged] = (bodies.mass[merged] * v).T
+            rotor = quaternion_product(turned, bodies.rotor_frame[:, merged])
+            L[k, merged] = rotate(rotor, bodies.inertia[:, merged] * rotate_back(rotor, w)).T
         return Frames(x, q, p, L, frames.last, frames.is_frame)
 
     def clear(self, frames: Frames) -> None:

@@ -57,8 +57,8 @@ class BodyNames(Sequence[str]):
         """All names, a million in a third of a second."""
         for _ in range(self.n_worlds):
             for (name, count), first in zip(self.records, self.first.tolist(), strict=False):
-                own = range(max(self.part.start - first, 0), min(self.part.stop - first, count))
-                yield from (name if count == 1 else f"{name}[{k}]" for k in own)
+                numbers = range(max(self.part.start - first, 0), min(self.part.stop - first, count))
+                yield from (name if count == 1 else f"{name}[{k}]" for k in numbers)
 
     def find(self, names: str | Sequence[str]) -> _Ints:
         """Indices of the bodies that are named, ascending and each once, shape (n,).
@@ -74,8 +74,8 @@ class BodyNames(Sequence[str]):
         KeyError
             If there is no such body.
         """
-        found = self.find_in_order(names)
-        return found if (found[1:] > found[:-1]).all() else np.unique(found)
+        index = self.find_in_order(names)
+        return index if (index[1:] > index[:-1]).all() else np.unique(index)
 
     def find_in_order(self, names: str | Sequence[str]) -> _Ints:
         """Indices of the bodies as they are named: in this order, and as often; else as `find`.
@@ -83,8 +83,8 @@ class BodyNames(Sequence[str]):
         Those of several scenes are of one scene after the other.
         """
         listed = [names] if isinstance(names, str) else names
-        found = np.concatenate([self._find_one(name) for name in listed])
-        inside = found[(found >= self.part.start) & (found < self.part.stop)] - self.part.start
+        index = np.concatenate([self._find_one(name) for name in listed])
+        inside = index[(index >= self.part.start) & (index < self.part.stop)] - self.part.start
         worlds = np.arange(self.n_worlds, dtype=np.int64)[:, None]
         return np.asarray((worlds * len(self.part) + inside).ravel())
 

@@ -54,9 +54,9 @@ def fastest_frequency(
                 tau[c] += sign * np.bincount(body, turning[c], n + 1)
         moved = inv_mass * F[:, :-1]
         spun = rotate(q, inv_inertia * rotate_back(q, tau[:, :-1]))
-        given = (F[:, :-1] * moved).sum() + (tau[:, :-1] * spun).sum()
+        numerator = (F[:, :-1] * moved).sum() + (tau[:, :-1] * spun).sum()
         stored = (u * f).sum()
-        squared = float(given / stored) if stored > 0.0 else 0.0
+        squared = float(numerator / stored) if stored > 0.0 else 0.0
         size = max(float(np.abs(moved).max()), float(np.abs(spun).max()))
         if not 0.0 < size < np.inf:
             break

@@ -36,10 +36,10 @@ class Frames(NamedTuple):
     last: Floats  # (N, 4) orientation of the last frame, for a continuous sign
     is_frame: Bools  # (T,) whether a row is a frame, or only looked at by a check
 
-    def rows(self, which: slice) -> "Frames":
+    def rows(self, chosen: slice) -> "Frames":
         """View of some rows."""
-        x, q, p, L = (values[which] for values in self[:4])
-        return Frames(x, q, p, L, self.last, self.is_frame[which])
+        x, q, p, L = (values[chosen] for values in self[:4])
+        return Frames(x, q, p, L, self.last, self.is_frame[chosen])
 
     def copied_row(self, k: int) -> "Frames":
         """Copy of one row."""
@@ -173,9 +173,9 @@ def rotate_back(q: Floats, v: Floats) -> Floats:
 
 def in_rotor_frame(rotor_frame: Floats, v: Floats) -> Floats:
     """Vectors (3, n) of the body frame in the rotor frame: zero where they are a rounding."""
-    found, is_turned = rotate_back(rotor_frame, v), rotor_frame[1:].any(axis=0)
-    noise = _ROUNDING * is_turned * np.abs(found).max(axis=0)
-    return np.where(np.abs(found) <= noise, 0.0, found)
+    rotated, is_turned = rotate_back(rotor_frame, v), rotor_frame[1:].any(axis=0)
+    noise = _ROUNDING * is_turned * np.abs(rotated).max(axis=0)
+    return np.where(np.abs(rotated) <= noise, 0.0, rotated)
 
 
 def body_orientation(q: Floats, rotor_frame: Floats) -> Floats:
@@ -233,10 +233,10 @@ def initial_state(
     largest = size.max(axis=0)
     near = np.flatnonzero(size.sum(axis=0) - largest <= _ROUNDING * largest)
     if near.size:  # about a principal axis, exactly: no rounding aside, which might grow
-        own = np.abs(np.einsum("ijn,in->jn", exact_matrix(q[:, near]), spin[:, near]))
-        is_own = (own > 0.0).sum(axis=0) == 1
-        which, k = near[is_own], own.argmax(axis=0)[is_own]
-        L[:, which] = bodies.inertia[k, which] * spin[:, which]
+        components = np.abs(np.einsum("ijn,in->jn", exact_matrix(q[:, near]), spin[:, near]))
+        is_principal = (components > 0.0).sum(axis=0) == 1
+        about_axis, k = near[is_principal], components.argmax(axis=0)[is_principal]
+        L[:, about_axis] = bodies.inertia[k, about_axis] * spin[:, about_axis]
     return State(
         np.ascontiguousarray(position.T, dtype=np.float64),
         q,

@@ -37,8 +37,8 @@ def superblock_of(first: int, last: int) -> int:
 
 def parts_of(n: int) -> list[Range]:
     """Ranges of n bodies that are files of their own: whole superblocks, as many in each."""
-    each = SUPERBLOCK * -(-n // (SUPERBLOCK * _MOST_PARTS))
-    return [Range(first, min(first + each, n)) for first in range(0, n, each)]
+    size = SUPERBLOCK * -(-n // (SUPERBLOCK * _MOST_PARTS))
+    return [Range(first, min(first + size, n)) for first in range(0, n, size)]
 
 
 def own_parts(n_parts: int, ranks: Ranks) -> range:
@@ -56,10 +56,10 @@ def writers(n_parts: int, n_ranks: int) -> Ints:
 def range_of(n: int, ranks: Ranks) -> Range:
     """Bodies, of n, that a rank writes: those of its parts; none where there are fewer of these."""
     ranges = parts_of(n)
-    own = own_parts(len(ranges), ranks)
-    if not own:
+    parts = own_parts(len(ranges), ranks)
+    if not parts:
         return Range(0, 0)
-    return Range(ranges[own[0]].first, ranges[own[-1]].stop)
+    return Range(ranges[parts[0]].first, ranges[parts[-1]].stop)
 
 
 def over_blocks(blocks: Floats) -> Floats:
@@ -71,13 +71,13 @@ def over_blocks(blocks: Floats) -> Floats:
     return sums
 
 
-def summed(own: Sequence[Floats], ranks: Ranks = ALONE) -> Floats:
-    """Sum over all superblocks, in their order; `own` has one array for each of this rank.
+def summed(sums: Sequence[Floats], ranks: Ranks = ALONE) -> Floats:
+    """Sum over all superblocks, in their order; `sums` has one array for each of this rank.
 
     One after the other: NumPy's sums take another order where there is one frame only. Of a single
     superblock it is the array itself.
     """
-    rows = own if ranks is ALONE else [row for of_rank in ranks.gathered(own) for row in of_rank]
+    rows = sums if ranks is ALONE else [row for of_rank in ranks.gathered(sums) for row in of_rank]
     if len(rows) == 1:
         return rows[0]
     total: Floats = rows[0].copy()
@@ -90,5 +90,5 @@ def sum_by_number(values: Floats, number: Ints, ranks: Ranks = ALONE) -> float:
     """Sum of values of bodies, (n,), in the order of their numbers, superblock by superblock."""
     room = np.zeros(int(number.max(initial=-1)) + 1)
     room[number] = values
-    own = [room[first:stop].sum() for first, stop in superblocks(room.size)]
-    return float(summed(own, ranks))
+    sums = [room[first:stop].sum() for first, stop in superblocks(room.size)]
+    return float(summed(sums, ranks))

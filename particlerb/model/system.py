@@ -109,32 +109,32 @@ class System(NamedTuple):
 
     def scene(self, world: int) -> Self:
         """One of several worlds, but for forces that differ there."""
-        own = np.arange(self.in_each) + world * self.in_each
-        return self._with_bodies(own, BodyNames(self.names.records))
+        members = np.arange(self.in_each) + world * self.in_each
+        return self._with_bodies(members, BodyNames(self.names.records))
 
     def part(self, first: int, stop: int) -> Self:
         """Bodies of a range, with all records."""
         names = BodyNames(self.names.records, range(first, stop))
-        found = self._with_bodies(np.arange(first, stop), names)
+        subset = self._with_bodies(np.arange(first, stop), names)
         merging = None if self.merging is None else self.merging.part(first, stop)
-        return found._replace(merging=merging, whole=self)
+        return subset._replace(merging=merging, whole=self)
 
-    def _with_bodies(self, own: Ints, names: BodyNames) -> Self:
+    def _with_bodies(self, index: Ints, names: BodyNames) -> Self:
         """Some bodies, under these names."""
         return self._replace(
             names=names,
-            block=self.block[own],
-            kind=self.kind[own],
-            bodies=taken(self.bodies, own),
-            state=taken(self.state, own),
+            block=self.block[index],
+            kind=self.kind[index],
+            bodies=taken(self.bodies, index),
+            state=taken(self.state, index),
             n_worlds=1,
         )
 
     @property
     def is_held(self) -> Bools:
         """Whether nothing can push a body: it is fixed, or moves as prescribed; (n_bodies,)."""
-        own = np.array([body.is_held for body in self.body])[self.block]
-        return own if self.merging is None else own | self.merging.is_held
+        held = np.array([body.is_held for body in self.body])[self.block]
+        return held if self.merging is None else held | self.merging.is_held
 
     @property
     def acceleration(self) -> Floats:

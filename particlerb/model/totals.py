@@ -120,11 +120,11 @@ def _add_up(p: Rows3, out: Floats, sums: Floats) -> None:
 def _add_to_bins(p: Rows3, out: Floats, bins: Ints, sums: Floats) -> None:
     """Add a block to the sums (bins, 10) of the bins of its bodies."""
     for b in range(bins.size):
-        own = sums[bins[b]]
+        bin_sums = sums[bins[b]]
         for c in range(3):
             out[2 + c, b] = p[c][b]
         for c in range(N_TOTALS):
-            own[c] += out[c, b]
+            bin_sums[c] += out[c, b]
 
 
 class BlockRows(NamedTuple):
@@ -236,13 +236,13 @@ def totals(
     known : sequence of ndarray
         What `sums_over` gives of superblocks, where it is known.
     """
-    each = list(superblocks(bodies.mass.size)) if n_worlds == 1 else [None]
-    known = known if len(known) == len(each) else [None] * len(each)  # one where bodies touch
-    own = [
+    blocks = list(superblocks(bodies.mass.size)) if n_worlds == 1 else [None]
+    known = known if len(known) == len(blocks) else [None] * len(blocks)  # one where bodies touch
+    block_sums = [
         sums_over(frames, bodies, gravity, n_worlds, of) if sums is None else sums
-        for of, sums in zip(each, known, strict=True)
+        for of, sums in zip(blocks, known, strict=True)
     ]
-    sums = summed(own, ranks)
+    sums = summed(block_sums, ranks)
     sums[..., 0] += kinetic
     sums[..., 1] += potential
     return Totals(sums)

@@ -44,11 +44,11 @@ def worlds_among(world: Ints, n_worlds: int) -> Worlds:
     return Worlds(np.argsort(world, kind="stable").reshape(n_worlds, -1))
 
 
-def part_of_worlds(worlds: Worlds | None, which: Ints) -> Worlds | None:
+def part_of_worlds(worlds: Worlds | None, index: Ints) -> Worlds | None:
     """Worlds of some bodies of a group, ascending."""
     if worlds is None:
         return None
-    return worlds_among(worlds.numbers[which], len(worlds.bodies))
+    return worlds_among(worlds.numbers[index], len(worlds.bodies))
 
 
 def shape_of(worlds: Worlds | None) -> tuple[int, ...]:
@@ -60,8 +60,8 @@ def over_bodies(values: Floats, worlds: Worlds | None) -> Floats:
     """Sums over the last axis of (..., n): (...) of one scene, or (n_worlds, ...)."""
     if worlds is None:
         return np.asarray(values.sum(axis=-1))
-    each = np.ascontiguousarray(np.moveaxis(values[..., worlds.bodies], -2, 0))
-    return np.asarray(each.sum(axis=-1))
+    by_world = np.ascontiguousarray(np.moveaxis(values[..., worlds.bodies], -2, 0))
+    return np.asarray(by_world.sum(axis=-1))
 
 
 def over_pairs(values: Floats, first: Ints, worlds: Worlds | None) -> Floats | float:
@@ -75,8 +75,8 @@ def over_all(values: Floats, worlds: Worlds | None) -> Floats:
     """Sums over all components and bodies, (k, n), of one scene or of each world."""
     if worlds is None:
         return np.asarray(values.sum())
-    each = np.ascontiguousarray(np.moveaxis(values[..., worlds.bodies], -2, 0))
-    return np.asarray(each.reshape(len(each), -1).sum(axis=-1))
+    by_world = np.ascontiguousarray(np.moveaxis(values[..., worlds.bodies], -2, 0))
+    return np.asarray(by_world.reshape(len(by_world), -1).sum(axis=-1))
 
 
 def bins_of(block: Ints, worlds: Worlds | None) -> Ints:
@@ -94,15 +94,15 @@ def bins_of(block: Ints, worlds: Worlds | None) -> Ints:
     return bins
 
 
-def bins_among(which: Ints, worlds: Worlds | None, size: int) -> tuple[Ints, int]:
+def bins_among(index: Ints, worlds: Worlds | None, size: int) -> tuple[Ints, int]:
     """Bins of some bodies of a group, ascending, in blocks of a size in each world; and how many.
 
     Worlds may have more or fewer of these bodies: all have as many bins.
     """
-    n = which.size
+    n = index.size
     if worlds is None:
         return np.arange(n) // size, -(-n // size)
-    world = worlds.numbers[which]
+    world = worlds.numbers[index]
     count = np.bincount(world, minlength=len(worlds.bodies))
     place = np.arange(n) - (np.cumsum(count) - count)[world]
     in_each = -(-int(count.max()) // size)
