@@ -24,10 +24,10 @@ ZERO: Final = (0.0, 0.0, 0.0)
 
 def differences(values: Array, before: Any) -> Array:
     """Each of the values less the one before it; `numpy.diff` takes ten times as long for a few."""
-    found = values.copy()
-    found[1:] -= values[:-1]
-    found[:1] -= before
-    return found
+    changes = values.copy()
+    changes[1:] -= values[:-1]
+    changes[:1] -= before
+    return changes
 
 
 @inline
