@@ -73,7 +73,7 @@ def place_contacts(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
-    own: OwnBlocks,
+    share: OwnBlocks,
     instant: Instant,
 ) -> bool:
     """Place bodies and walls at an instant; whether the lists hold for the step that follows.
@@ -82,13 +82,13 @@ def place_contacts(
     ----------
     contact, team, pairs : MovingContact, Team, PairTerms
         None where there are none.
-    own : OwnBlocks
+    share : OwnBlocks
     instant : Instant
     """
     if contact is None or team is None:
         return True
     begin_step(contact, instant)
-    reached = place_bodies_and_walls(contact, team, pairs, own, instant)
+    reached = place_bodies_and_walls(contact, team, pairs, share, instant)
     return keep_extremes(contact, instant, *reached)
 
 
@@ -127,7 +127,7 @@ def place_within_step(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
-    own: OwnBlocks,
+    share: OwnBlocks,
     later: float,
 ) -> None:
     """Place them anew, so many seconds after the step began."""
@@ -135,13 +135,13 @@ def place_within_step(
         return
     time = contact.workspace.step_start.time[0] + later
     instant = Instant(0.0, 0.0, time, 0.0)
-    path, v, w = place_bodies_and_walls(contact, team, pairs, own, instant)
+    path, v, w = place_bodies_and_walls(contact, team, pairs, share, instant)
     keep_extremes(contact, instant, path, v, w)
 
 
 @kernel
 def place_bodies_and_walls(
-    contact: MovingContact, team: Team, pairs: PairTerms | None, own: OwnBlocks, instant: Instant
+    contact: MovingContact, team: Team, pairs: PairTerms | None, share: OwnBlocks, instant: Instant
 ) -> tuple[float, float, float]:
     """Place bodies and walls at an instant.
 
@@ -154,7 +154,7 @@ def place_bodies_and_walls(
     time, ahead = instant.time, instant.ahead
     model, t, path, v, w = setup.model, memory.start + time, 0.0, 0.0, 0.0
     allowance = _PART_OF_SKIN * setup.skin
-    blocks, layout, first, last = own
+    blocks, layout, first, last = share
     for k in range(first, last):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         _put_prescribed(model.prescribed, t, False, rows, lo, n)
@@ -251,12 +251,12 @@ def farthest(listed_pose: Floats, rows: Floats, reach: Floats, lo: int, n: int) 
 
 
 @kernel
-def close_prescribed(contact: MovingContact | None, own: OwnBlocks, time: float) -> None:
+def close_prescribed(contact: MovingContact | None, share: OwnBlocks, time: float) -> None:
     """Write prescribed bodies with their momenta, as frames show them."""
     if contact is None:
         return
     prescribed, t = contact.setup.model.prescribed, contact.memory.start + time
-    blocks, layout, first, last = own
+    blocks, layout, first, last = share
     for k in range(first, last):
         _put_prescribed(prescribed, t, True, blocks[k], layout.first[k], layout.size[k])
 
@@ -297,7 +297,7 @@ def contact_loads(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
-    own: OwnBlocks,
+    share: OwnBlocks,
     times: LoadTimes,
 ) -> None:
     """Evaluate contacts where bodies are placed, and write all loads of other bodies.
@@ -314,7 +314,7 @@ def contact_loads(
     model, later, span = setup.model, after - before, times.span
     find_contact_forces(setup, workspace, lists, memory.extremes, before, after, growth, team)
     meet(team)
-    blocks, layout, first, last = own
+    blocks, layout, first, last = share
     for k in range(first, last):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         for c in range(CONTACT_ROWS):
@@ -327,12 +327,12 @@ def contact_loads(
 
 
 @kernel
-def put_loads_of_pairs(team: Team | None, pairs: PairTerms | None, own: OwnBlocks) -> None:
+def put_loads_of_pairs(team: Team | None, pairs: PairTerms | None, share: OwnBlocks) -> None:
     """Write forces without touching alone, once the first thread of a team has found them."""
     if team is None or pairs is None:
         return
     meet(team)
-    blocks, layout, first, last = own
+    blocks, layout, first, last = share
     for k in range(first, last):
         _scatter_loads(pairs, blocks[k], layout.first[k], layout.size[k])
 
@@ -345,12 +345,12 @@ def _scatter_loads(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> No
 
 
 @kernel
-def keep_momenta(contact: MovingContact | None, own: OwnBlocks) -> None:
+def keep_momenta(contact: MovingContact | None, share: OwnBlocks) -> None:
     """Keep the momenta of the drift before this kick."""
     if contact is None:
         return
     momenta = contact.memory.momenta
-    blocks, layout, first, last = own
+    blocks, layout, first, last = share
     for k in range(first, last):
         rows, lo = blocks[k], layout.first[k]
         for c in range(6):

@@ -83,9 +83,9 @@ def spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
         for c in range(STATE_ROWS):
             for b in range(layout.size[k]):
                 states[c, lo + b] = y[k, c * w + b]
-        own = rows4(states[Q : Q + 4], lo, lo + layout.size[k])
+        orientations = rows4(states[Q : Q + 4], lo, lo + layout.size[k])
         for b in range(layout.size[k]):
-            store4(own, b, normalised(load4(own, b)))
+            store4(orientations, b, normalised(load4(orientations, b)))
 
 
 @kernel
@@ -114,9 +114,9 @@ def slopes_of_blocks(
     slope: Floats,
 ) -> None:  # fmt: skip
     """Slopes of all blocks in the states y, with the loads in their rows."""
-    own = slope.reshape(y.shape)
+    slopes = slope.reshape(y.shape)
     for k in range(layout.first.size):
-        take_slopes(equations, blocks[k], layout.size[k], w, t, y[k], own[k])
+        take_slopes(equations, blocks[k], layout.size[k], w, t, y[k], slopes[k])
 
 
 @caller_of_stages
@@ -126,10 +126,10 @@ def _put_loads(
     """Loads in the states y between bodies, if there are any, into the rows of the blocks."""
     if pairs is None:
         return
-    links, own, attraction, work, with_dashpots, clock, states, load, _ = pairs
+    links, own_pairs, attraction, fields, with_dashpots, clock, states, load, _ = pairs
     spread_out(y, layout, w, states)
     clock[0] = clock[2] + t
-    pair_loads(links, own, attraction, work, with_dashpots, clock, states, load)
+    pair_loads(links, own_pairs, attraction, fields, with_dashpots, clock, states, load)
     scatter_loads(load, blocks, layout)
 
 

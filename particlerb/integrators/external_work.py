@@ -37,9 +37,9 @@ def entry_of_kick(
     quadratic in the momenta, so this is exact with the velocities of the whole kick.
     """
     linear = dot(add_scaled(1.0, old[0], new[0]), subtract(new[0], middle[0]))
-    both = turn_back(R, add_scaled(1.0, old[1], new[1]))
+    summed = turn_back(R, add_scaled(1.0, old[1], new[1]))
     change = turn_back(R, subtract(new[1], middle[1]))
-    angular = dot(both, component_product(get3(rows, INV_INERTIA, b), change))
+    angular = dot(summed, component_product(get3(rows, INV_INERTIA, b), change))
     work = 0.5 * (linear * get(rows, INV_MASS, b) + angular)
     dp = subtract(new[0], old[0])
     return work, dp, add_scaled(1.0, subtract(new[1], old[1]), cross(x, dp))

@@ -74,16 +74,16 @@ def place_in_the_middle(
     team: Team | None,
     pairs: PairTerms | None,
     acting: Acting,
-    own: OwnBlocks,
+    share: OwnBlocks,
     dt: float,
 ) -> None:
     """Place bodies and walls, and take loads that depend on time, in the middle of a step."""
-    for k in range(own.first, own.last):
-        for b in range(own.layout.size[k]):
-            shift_time(acting, own.blocks[k], b, 0.5 * dt)
-    if own.first == 0:
+    for k in range(share.first, share.last):
+        for b in range(share.layout.size[k]):
+            shift_time(acting, share.blocks[k], b, 0.5 * dt)
+    if share.first == 0:
         shift_pair_time(pairs, 0.5 * dt)
-    place_within_step(contact, team, pairs, own, 0.5 * dt)
+    place_within_step(contact, team, pairs, share, 0.5 * dt)
 
 
 # Velocities
@@ -324,10 +324,10 @@ def _note_overlap(contact: MovingContact, impulses: Impulses, dt: float) -> None
     workspace, rows, k = contact.workspace, impulses.rows, impulses.filled[1]
     if k < 0 or workspace.deepest[0, 0] > 0.0:
         return
-    found, limits = workspace.deepest[0], rows.limits
-    found[0] = -limits[k, GAP] - dt * approach(impulses.partners, rows, k)[0]
-    found[1], found[2], found[3] = limits[k, RADIUS], rows.first[k], rows.second[k]
-    found[4] = workspace.step_start.time[0] + 1.5 * dt
+    deepest, limits = workspace.deepest[0], rows.limits
+    deepest[0] = -limits[k, GAP] - dt * approach(impulses.partners, rows, k)[0]
+    deepest[1], deepest[2], deepest[3] = limits[k, RADIUS], rows.first[k], rows.second[k]
+    deepest[4] = workspace.step_start.time[0] + 1.5 * dt
 
 
 @kernel

@@ -35,9 +35,9 @@ def _put_state(jointed: Jointed, states: Floats, w: int) -> None:
     """States of the mechanisms, from blocks (blocks, 13 w or more), with |q| = 1."""
     y = jointed.work.y
     for k in range(jointed.block.size):
-        own, lane, square = states[jointed.block[k]], jointed.lane[k], 0.0
+        row, lane, square = states[jointed.block[k]], jointed.lane[k], 0.0
         for c in range(STATE):
-            y[k, c] = own[c * w + lane]
+            y[k, c] = row[c * w + lane]
         for c in range(Q, P):
             square += y[k, c] * y[k, c]
         for c in range(Q, P):
@@ -56,12 +56,12 @@ def _give_state(jointed: Jointed, states: Floats, w: int) -> None:
 def _give_slopes(jointed: Jointed, slope: Floats, w: int) -> None:
     """Forces and torques back; bodies that nothing moves have no slopes, and book nothing."""
     for k in range(jointed.block.size):
-        own, lane = slope[jointed.block[k]], jointed.lane[k]
+        row, lane = slope[jointed.block[k]], jointed.lane[k]
         for i in range(6):
-            own[(P + i) * w + lane] = jointed.work.change[k, i]
+            row[(P + i) * w + lane] = jointed.work.change[k, i]
         if jointed.joints.inv_mass[k] == 0.0:
-            for c in range(own.size // w):
-                own[c * w + lane] = 0.0
+            for c in range(row.size // w):
+                row[c * w + lane] = 0.0
 
 
 @inline
@@ -71,11 +71,11 @@ def _book(
     """Book rates on body k: power [W], force [N] and torque about the origin [N m]."""
     if books is None:
         return
-    own, lane = slope[jointed.block[k]], jointed.lane[k]
-    own[_WORK * w + lane] += power
+    row, lane = slope[jointed.block[k]], jointed.lane[k]
+    row[_WORK * w + lane] += power
     for i in range(3):
-        own[(_IMPULSE + i) * w + lane] += F[i]
-        own[(_ANGULAR + i) * w + lane] += tau[i]
+        row[(_IMPULSE + i) * w + lane] += F[i]
+        row[(_ANGULAR + i) * w + lane] += tau[i]
 
 
 @inline

@@ -148,9 +148,9 @@ def _book_given(
         turning = subtract(row3_at(work.y, k, L), get3(rows, COM + L, b))
         q = get4(rows, COM + Q, b)
         spin = by_inverse_inertia(joints.inv_inertia, q, k, turning)
-        found = joints.inv_mass[k] * dot(get3(rows, STAGE, b), by_joints)
-        found += dot(get3(rows, STAGE + 3, b), spin)
-        book(books, rows, b, 0.5, (found, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        gain = joints.inv_mass[k] * dot(get3(rows, STAGE, b), by_joints)
+        gain += dot(get3(rows, STAGE + 3, b), spin)
+        book(books, rows, b, 0.5, (gain, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
 @inline

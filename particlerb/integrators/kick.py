@@ -113,18 +113,18 @@ def _solve_some_kicks(acting: Acting, rows: Floats, first: int, last: int, dt: f
         put3(rows, SCRATCH, b, old[0])
         put3(rows, SCRATCH + 3, b, old[1])
         kick = _kick_of(acting, rows, b, dt, old)
-        known = _iterated(
+        guess = _iterated(
             acting, rows, b, kick, dt, _iterated(acting, rows, b, kick, dt, kick.last)
         )
-        many += _iterate(acting, rows, b, kick, dt, known, True)
+        many += _iterate(acting, rows, b, kick, dt, guess, True)
     for _ in range(_MOST):
         if many == 0:
             return
         many = 0
         for b in range(first, last):
             old = get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)
-            kick, known = _kick_of(acting, rows, b, dt, old), (get3(rows, P, b), get3(rows, L, b))
-            many += _iterate(acting, rows, b, kick, dt, known, get(rows, _CHANGES, b) > 0.0)
+            kick, guess = _kick_of(acting, rows, b, dt, old), (get3(rows, P, b), get3(rows, L, b))
+            many += _iterate(acting, rows, b, kick, dt, guess, get(rows, _CHANGES, b) > 0.0)
     for b in range(first, last):
         if get(rows, _CHANGES, b) > 0.0:
             put3(rows, P, b, (np.nan, np.nan, np.nan))
@@ -132,16 +132,16 @@ def _solve_some_kicks(acting: Acting, rows: Floats, first: int, last: int, dt: f
 
 @inline
 def _iterate(
-    acting: Acting, rows: Floats, b: int, kick: _Kick, dt: float, known: Momenta, changes: bool
+    acting: Acting, rows: Floats, b: int, kick: _Kick, dt: float, guess: Momenta, changes: bool
 ) -> int:
-    """Two iterations of body b from known momenta, unless it has converged; 1 if it needs more."""
-    second = _iterated(acting, rows, b, kick, dt, known)
+    """Two iterations of body b from a guess, unless it has converged; 1 if it needs more."""
+    second = _iterated(acting, rows, b, kick, dt, guess)
     third = _iterated(acting, rows, b, kick, dt, second)
-    p, spin = _one_of(changes, third, known)
+    p, spin = _one_of(changes, third, guess)
     put3(rows, P, b, p)
     put3(rows, L, b, spin)
-    more = _differs(known[0], second[0], third[0], kick.first[0], kick.last[0])
-    more = more | _differs(known[1], second[1], third[1], kick.first[1], kick.last[1])
+    more = _differs(guess[0], second[0], third[0], kick.first[0], kick.last[0])
+    more = more | _differs(guess[1], second[1], third[1], kick.first[1], kick.last[1])
     more = more & changes
     put(rows, _CHANGES, b, 1.0 if more else 0.0)
     return 1 if more else 0

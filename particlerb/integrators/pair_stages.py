@@ -70,12 +70,12 @@ def scatter(values: Floats, blocks: Floats, layout: Layout, at: int, first: int)
 
 @inline
 def _attraction_into(
-    attraction: Attraction | None, work: Fields | None, y: Floats, load: Floats
+    attraction: Attraction | None, fields: Fields | None, y: Floats, load: Floats
 ) -> None:
     """Add the loads of a direct sum, if there is one."""
-    if attraction is None or work is None:
+    if attraction is None or fields is None:
         return
-    attraction_loads(attraction, work, y, load)
+    attraction_loads(attraction, fields, y, load)
 
 
 @inline
@@ -106,9 +106,9 @@ def shift_pair_time(pairs: PairTerms | None, later: float) -> None:
 @inline
 def pair_loads(
     links: Links | None,
-    own: OwnPairs | None,
+    own_pairs: OwnPairs | None,
     attraction: Attraction | None,
-    work: Fields | None,
+    fields: Fields | None,
     with_dashpots: bool,
     clock: Floats,
     y: Floats,
@@ -120,8 +120,8 @@ def pair_loads(
     """
     clear(load)
     link_loads(links, y, load, with_dashpots)
-    own_pair_loads(own, clock[0], y, load, with_dashpots)
-    _attraction_into(attraction, work, y, load)
+    own_pair_loads(own_pairs, clock[0], y, load, with_dashpots)
+    _attraction_into(attraction, fields, y, load)
 
 
 @inline
@@ -134,13 +134,13 @@ def put_pair_loads(
     """
     if pairs is None:
         return
-    links, own, attraction, work, with_dashpots, clock, y, load, _ = pairs
+    links, own_pairs, attraction, fields, with_dashpots, clock, y, load, _ = pairs
     if team is None:
         _gather(blocks, layout, y)
-        pair_loads(links, own, attraction, work, with_dashpots, clock, y, load)
+        pair_loads(links, own_pairs, attraction, fields, with_dashpots, clock, y, load)
         scatter(load, blocks, layout, PAIR, 0)
     elif team.rank == 0:
-        pair_loads(links, own, attraction, work, with_dashpots, clock, y, load)
+        pair_loads(links, own_pairs, attraction, fields, with_dashpots, clock, y, load)
 
 
 @kernel
@@ -173,14 +173,14 @@ def flow_pairs(
         return
     meet_all(team)
     if _is_first(team):
-        links, own, _, _, _, clock, y, _, booked = pairs
+        links, own_pairs, _, _, _, clock, y, _, booked = pairs
         _gather(blocks, layout, y)
         clear(booked)
         if backwards:
-            flow_own_pairs(own, clock[0], y, booked, dt, backwards)
+            flow_own_pairs(own_pairs, clock[0], y, booked, dt, backwards)
         damp_links(links, y, booked, dt, backwards)
         if not backwards:
-            flow_own_pairs(own, clock[0], y, booked, dt, backwards)
+            flow_own_pairs(own_pairs, clock[0], y, booked, dt, backwards)
         scatter(y, blocks, layout, P, _MOMENTA)
         for k in range(layout.first.size):
             rows, lo = blocks[k], layout.first[k]

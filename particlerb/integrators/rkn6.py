@@ -68,8 +68,8 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
         loads(moving, first, last, NOW)
         kick_dt = KICKS[k] * dt if k > 0 else CLOSING_KICK * dt + open_kick
         drift_dt, share = DRIFTS[k] * dt, abs(DRIFTS[k])
-        part = KickAndDrift(kick_dt, 0.0, _BEFORE[k] * dt, drift_dt, share, k == 0)
-        kick_and_rotor_drift(moving, first, last, None, part)
+        move = KickAndDrift(kick_dt, 0.0, _BEFORE[k] * dt, drift_dt, share, k == 0)
+        kick_and_rotor_drift(moving, first, last, None, move)
 
 
 METHOD: Final = Method(

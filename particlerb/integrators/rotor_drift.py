@@ -140,7 +140,7 @@ class KickAndDrift(NamedTuple):
 
 @inline
 def _drift_asymmetric(
-    kind: Flag, gradient: Flag, moving: MovingBodies, first: int, last: int, part: KickAndDrift
+    kind: Flag, gradient: Flag, moving: MovingBodies, first: int, last: int, move: KickAndDrift
 ) -> None:
     """Kick and drift of asymmetric bodies, as long as the fastest of a block asks for."""
     if kind is None:
@@ -148,19 +148,19 @@ def _drift_asymmetric(
     acting, books = moving.acting, moving.books
     for block in range(first, min(last, moving.layout.asymmetric)):
         rows, n = moving.blocks[block], moving.layout.size[block]
-        turned = abs(part.drift) * _turn_rate(rows, n, part.is_first)
-        pieces = pieces_of(turned, part.share)
+        turned = abs(move.drift) * _turn_rate(rows, n, move.is_first)
+        pieces = pieces_of(turned, move.share)
         iterations = iterations_of(turned / pieces)
         for b in range(n):
-            shift_time(acting, rows, b, part.before)
-            spin, R = kick_with_gradient(gradient, acting, books, rows, b, part.kick, part.weight)
-            _start_drift(rows, b, spin, R, part.drift, pieces)
-        _finish_drift(rows, n, part.drift, pieces, iterations)
+            shift_time(acting, rows, b, move.before)
+            spin, R = kick_with_gradient(gradient, acting, books, rows, b, move.kick, move.weight)
+            _start_drift(rows, b, spin, R, move.drift, pieces)
+        _finish_drift(rows, n, move.drift, pieces, iterations)
 
 
 @inline
 def _drift_symmetric(
-    kind: Flag, gradient: Flag, moving: MovingBodies, first: int, last: int, part: KickAndDrift
+    kind: Flag, gradient: Flag, moving: MovingBodies, first: int, last: int, move: KickAndDrift
 ) -> None:
     """Kick and drift of bodies whose drift has a closed form."""
     if kind is None:
@@ -169,15 +169,15 @@ def _drift_symmetric(
     for block in range(max(first, moving.layout.asymmetric), last):
         rows = moving.blocks[block]
         for b in range(moving.layout.size[block]):
-            shift_time(acting, rows, b, part.before)
-            kick_with_gradient(gradient, acting, books, rows, b, part.kick, part.weight)
-            _fly_and_split(rows, b, part.drift)
+            shift_time(acting, rows, b, move.before)
+            kick_with_gradient(gradient, acting, books, rows, b, move.kick, move.weight)
+            _fly_and_split(rows, b, move.drift)
 
 
 @stage
 def kick_and_rotor_drift(
-    moving: MovingBodies, first: int, last: int, gradient: Flag, part: KickAndDrift
+    moving: MovingBodies, first: int, last: int, gradient: Flag, move: KickAndDrift
 ) -> None:
     """A kick, bent by the gradient or not, and the drift after it."""
-    _drift_asymmetric(moving.rotors.asymmetric, gradient, moving, first, last, part)
-    _drift_symmetric(moving.rotors.symmetric, gradient, moving, first, last, part)
+    _drift_asymmetric(moving.rotors.asymmetric, gradient, moving, first, last, move)
+    _drift_symmetric(moving.rotors.symmetric, gradient, moving, first, last, move)

@@ -127,32 +127,32 @@ def _spread_stage(
 @stages
 def place(moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
     """Bring bodies to where contacts are evaluated; False where new lists have to be made first."""
-    own = OwnBlocks(moving.blocks, moving.layout, first, last)
-    return place_contacts(moving.contact, moving.team, moving.pairs, own, instant)
+    share = OwnBlocks(moving.blocks, moving.layout, first, last)
+    return place_contacts(moving.contact, moving.team, moving.pairs, share, instant)
 
 
 @stages
 def loads(moving: MovingBodies, first: int, last: int, times: LoadTimes) -> None:
     """Write what bodies do to each other into their rows PAIR."""
-    own = OwnBlocks(moving.blocks, moving.layout, first, last)
+    share = OwnBlocks(moving.blocks, moving.layout, first, last)
     put_pair_loads(moving.team, moving.pairs, moving.blocks, moving.layout)
-    contact_loads(moving.contact, moving.team, moving.pairs, own, times)
+    contact_loads(moving.contact, moving.team, moving.pairs, share, times)
 
 
 @stages
 def loads_of_pairs(moving: MovingBodies, first: int, last: int) -> None:
     """Write what bodies do to each other without touching into their rows PAIR."""
-    own = OwnBlocks(moving.blocks, moving.layout, first, last)
+    share = OwnBlocks(moving.blocks, moving.layout, first, last)
     put_pair_loads(moving.team, moving.pairs, moving.blocks, moving.layout)
-    put_loads_of_pairs(moving.team, moving.pairs, own)
+    put_loads_of_pairs(moving.team, moving.pairs, share)
 
 
 @stages
 def place_later(moving: MovingBodies, first: int, last: int, later: float) -> None:
     """Bring bodies to where they are so many seconds after the step began, and the time."""
-    own = OwnBlocks(moving.blocks, moving.layout, first, last)
+    share = OwnBlocks(moving.blocks, moving.layout, first, last)
     shift_pairs(moving, first, later)
-    place_within_step(moving.contact, moving.team, moving.pairs, own, later)
+    place_within_step(moving.contact, moving.team, moving.pairs, share, later)
 
 
 @kernel
