@@ -89,8 +89,8 @@ def _convective(
         return dot(tangent(u, d), subtract(k, cross(wb, d1)))
     if kind in (ALONG, RACK):
         return dot(u, k) + 2.0 * dot(u1, d1) + dot(u2, d)
-    found: float = (dot(d1, d1) + dot(d, k)) / rows.length[r]
-    return found
+    convective: float = (dot(d1, d1) + dot(d, k)) / rows.length[r]
+    return convective
 
 
 @inline
@@ -119,20 +119,20 @@ def accelerations(joints: Joints, work: JointWork, lo: int, hi: int, load: Float
         return
     rows, gradient, k = joints.rows, work.gradient, ZERO
     R = rotations(rows, work.y, lo)
-    one = _spin_of(joints, work, rows.a[lo], R[0])
-    other = _spin_of(joints, work, rows.b[lo], R[1])
+    spin_a = _spin_of(joints, work, rows.a[lo], R[0])
+    spin_b = _spin_of(joints, work, rows.b[lo], R[1])
     for r in range(lo, hi):
         if r > lo and is_of_other_bodies(rows, lo, r):
             R = rotations(rows, work.y, r)
-            one = _spin_of(joints, work, rows.a[r], R[0])
-            other = _spin_of(joints, work, rows.b[r], R[1])
+            spin_a = _spin_of(joints, work, rows.a[r], R[0])
+            spin_b = _spin_of(joints, work, rows.b[r], R[1])
         if rows.kind[r] == WORLD_ALONG:
             if r == lo or not joints.beside[r]:
-                k = _centripetal(joints, work, r, R, one.w, other.w)
-            found = dot(row3_at(rows.axis, r, 0), k)
+                k = _centripetal(joints, work, r, R, spin_a.w, spin_b.w)
+            acceleration = dot(row3_at(rows.axis, r, 0), k)
         else:
-            found = _convective(joints, work, r, R, one.w, other.w)
-        found += rate(joints, gradient, r, load, 0)
-        found -= course(joints.drives, rows.drive[r], work.clock[0])[2]
-        found -= dot(row3_at(gradient, r, 3), one.lost)
-        work.z[r] = dot(row3_at(gradient, r, 6), other.lost) - found
+            acceleration = _convective(joints, work, r, R, spin_a.w, spin_b.w)
+        acceleration += rate(joints, gradient, r, load, 0)
+        acceleration -= course(joints.drives, rows.drive[r], work.clock[0])[2]
+        acceleration -= dot(row3_at(gradient, r, 3), spin_a.lost)
+        work.z[r] = dot(row3_at(gradient, r, 6), spin_b.lost) - acceleration

@@ -28,8 +28,8 @@ def _from_rest(actions: Actions, k: int, kind: int, x: float) -> float:
 @inline
 def _beyond(actions: Actions, k: int, x: float) -> float:
     """How far x is beyond the stops of action k."""
-    found: float = max(x - actions.upper[k], 0.0) + min(x - actions.lower[k], 0.0)
-    return found
+    excess: float = max(x - actions.upper[k], 0.0) + min(x - actions.lower[k], 0.0)
+    return excess
 
 
 @inline
@@ -70,8 +70,8 @@ def kick_actions(joints: Joints, work: JointWork, lo: int, hi: int, dt: float) -
 def work_of_motor(joints: Joints, work: JointWork, r: int, dt: float) -> float:
     """Work of a motor in a kick: with its rates before, and after the impulses of the joints."""
     after = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
-    found: float = 0.5 * dt * joints.actions.motor[joints.rows.action[r]] * (work.before[r] + after)
-    return found
+    W: float = 0.5 * dt * joints.actions.motor[joints.rows.action[r]] * (work.before[r] + after)
+    return W
 
 
 @unfused_kernel

@@ -30,21 +30,21 @@ class _Elimination(NamedTuple):
 
 def _eliminated(near: list[set[int]]) -> _Elimination:
     """Elimination of joints of which these are near each other, fewest neighbours first."""
-    heap = [(len(own), k) for k, own in enumerate(near)]
+    heap = [(len(neighbours), k) for k, neighbours in enumerate(near)]
     heapq.heapify(heap)
-    left, found = set(range(len(near))), _Elimination([], [])
+    remaining, elimination = set(range(len(near))), _Elimination([], [])
     while heap:
         degree, k = heapq.heappop(heap)
-        if k not in left or degree != len(near[k]):
+        if k not in remaining or degree != len(near[k]):
             continue
-        left.remove(k)
-        found.order.append(k)
-        found.coupled.append(sorted(near[k]))
+        remaining.remove(k)
+        elimination.order.append(k)
+        elimination.coupled.append(sorted(near[k]))
         for i in near[k]:
             near[i] |= near[k]
             near[i] -= {i, k}
             heapq.heappush(heap, (len(near[i]), i))
-    return found
+    return elimination
 
 
 def _neighbours(a: Ints, b: Ints, moves: Bools) -> list[set[int]]:
@@ -55,11 +55,11 @@ def _neighbours(a: Ints, b: Ints, moves: Bools) -> list[set[int]]:
             if moves[body]:
                 at[body].append(j)
     near: list[set[int]] = [set() for _ in range(a.size)]
-    for own in at.values():
-        for j in own:
-            near[j].update(own)
-    for j, others in enumerate(near):
-        others.discard(j)
+    for joints in at.values():
+        for j in joints:
+            near[j].update(joints)
+    for j, neighbours in enumerate(near):
+        neighbours.discard(j)
     return near
 
 
@@ -75,26 +75,26 @@ def program_of(a: Ints, b: Ints, start: Ints, inv_mass: Floats) -> Program:
     inv_mass : ndarray, shape (n + 1,) [1/kg]
     """
     moves = inv_mass > 0.0
-    found = _eliminated(_neighbours(a, b, moves))
+    elimination = _eliminated(_neighbours(a, b, moves))
     place = np.empty(a.size, dtype=np.int64)
-    place[found.order] = np.arange(a.size)
+    place[elimination.order] = np.arange(a.size)
     pairs = [(j, j) for j in range(a.size)]
-    known = {pair: k for k, pair in enumerate(pairs)}
+    numbers = {pair: k for k, pair in enumerate(pairs)}
 
     def block(i: int, j: int) -> int:
         """Number of the block of two joints, the later one first."""
         pair = (i, j) if place[i] >= place[j] else (j, i)
-        if pair not in known:
-            known[pair] = len(pairs)
+        if pair not in numbers:
+            numbers[pair] = len(pairs)
             pairs.append(pair)
-        return known[pair]
+        return numbers[pair]
 
     column, update = [0], [0]
     below: list[int] = []
     below_joint: list[int] = []
     updates: list[tuple[int, ...]] = []
     rows = np.diff(start).tolist()
-    for k, coupled in zip(found.order, found.coupled, strict=True):
+    for k, coupled in zip(elimination.order, elimination.coupled, strict=True):
         coupled.sort(key=lambda j: int(place[j]))
         below += [block(i, k) for i in coupled]
         below_joint += coupled
@@ -109,7 +109,7 @@ def program_of(a: Ints, b: Ints, start: Ints, inv_mass: Floats) -> Program:
         start,
         pair,
         _shared(a, b, pair, inv_mass),
-        _ints(found.order),
+        _ints(elimination.order),
         _ints(column),
         _ints(below),
         _ints(below_joint),
@@ -233,14 +233,14 @@ def _factorise_below(factor: Floats, k: int, n: int, at: int, rows: int) -> None
 
 @inline
 def _update(
-    factor: Floats, k: int, one: int, other: int, target: int, rows: int, columns: int, n: int
+    factor: Floats, k: int, left: int, right: int, target: int, rows: int, columns: int, n: int
 ) -> None:
-    """Target -= one D⁻¹ otherᵀ, with D of the diagonal block k; of a diagonal block its half."""
+    """Target -= left D⁻¹ rightᵀ, with D of the diagonal block k; of a diagonal block its half."""
     for r in range(rows):
-        for c in range(r + 1 if one == other else columns):
+        for c in range(r + 1 if left == right else columns):
             v = factor[target, r, c]
             for i in range(n):
-                v -= factor[one, r, i] * factor[k, i, i] * factor[other, c, i]
+                v -= factor[left, r, i] * factor[k, i, i] * factor[right, c, i]
             factor[target, r, c] = v
 
 
@@ -263,14 +263,14 @@ def _eliminate(
         else:
             _factorise_below(factor, d, n, at, rows)
     for q in range(program.update[e], program.update[e + 1]):
-        one, other, target = program.updates[q, 0], program.updates[q, 1], program.updates[q, 2]
+        left, right, target = program.updates[q, 0], program.updates[q, 1], program.updates[q, 2]
         rows, columns = program.updates[q, 3], program.updates[q, 4]
         if n == 5 and rows == 5 and columns == 5:
-            update_fives(factor, d, one, other, target)
+            update_fives(factor, d, left, right, target)
         elif rows == n and columns == n:
-            _update(factor, d, one, other, target, n, n, n)
+            _update(factor, d, left, right, target, n, n, n)
         else:
-            _update(factor, d, one, other, target, rows, columns, n)
+            _update(factor, d, left, right, target, rows, columns, n)
 
 
 @kernel

@@ -65,10 +65,10 @@ def let_break(
         return False
     start, begin, least = joints.program.start, work.clock[2] + t, _SAME * work.clock[1]
     lo, hi = joints.clusters.joint[c], joints.clusters.joint[c + 1]
-    found = False
+    any_breaks = False
     for j in range(lo, hi):
-        found = found or -least <= work.broken[j] - begin < dt - least
-    if not found:
+        any_breaks = any_breaks or -least <= work.broken[j] - begin < dt - least
+    if not any_breaks:
         return False
     for j in range(lo, hi):
         later = work.broken[j] - begin
@@ -118,13 +118,13 @@ def break_by_multipliers(
     breaks: Breaks, joints: Joints, work: JointWork, broken: Floats, t: float
 ) -> bool:
     """Whether joints that hold carry more than they can, by z in the states y; they break at t."""
-    found = False
+    any_breaks = False
     for j in range(broken.size):
         force, torque = _impulses(joints, work, j, work.z, work.y)
         is_too_much = force > breaks.force[j] or torque > breaks.torque[j]
         if is_too_much and broken[j] == inf:
-            broken[j], found = t, True
-    return found
+            broken[j], any_breaks = t, True
+    return any_breaks
 
 
 @inline
@@ -139,13 +139,13 @@ def may_break(breaks: Breaks, broken: Floats) -> bool:
 @inline
 def let_go(work: JointWork, broken: Floats, t: float) -> bool:
     """Leave out what has broken by t, and forget what broke later; whether any held until now."""
-    found = False
+    any_breaks = False
     for j in range(broken.size):
         has_broken = broken[j] <= t
-        found = found or (has_broken and work.broken[j] == inf)
+        any_breaks = any_breaks or (has_broken and work.broken[j] == inf)
         work.broken[j] = -inf if has_broken else inf
         broken[j] = broken[j] if has_broken else inf
-    return found
+    return any_breaks
 
 
 @inline

@@ -20,7 +20,7 @@ from particlerb.maths.vec3 import Floats, Vec3, dot, subtract
 
 def names_of(kind: str) -> list[tuple[str, str]]:
     """Names and units of the coordinates of joints of a type; those of balls are not counted."""
-    rows = [(name, own[0].kind) for name, own in COORDINATES.get(kind, {}).items()]
+    rows = [(name, along[0].kind) for name, along in COORDINATES.get(kind, {}).items()]
     return [(name, "m" if of == ALONG else "rad") for name, of in rows if of != ROTATION]
 
 
@@ -40,17 +40,17 @@ def coordinates_of(kind: str, ends: Ends) -> Coordinates:
         is_angle.append(unit == "rad")
     k, n = ends.a.size, len(parts)
     joint = np.repeat(np.arange(k), n)
-    found = np.stack(parts, axis=1).reshape(-1, 4, 3) if parts else np.zeros((0, 4, 3))
+    stacked = np.stack(parts, axis=1).reshape(-1, 4, 3) if parts else np.zeros((0, 4, 3))
     angles = np.tile(is_angle, k).astype(np.bool_)
-    return Coordinates(np.arange(k * n), joint, ends.a[joint], ends.b[joint], angles, found)
+    return Coordinates(np.arange(k * n), joint, ends.a[joint], ends.b[joint], angles, stacked)
 
 
 def united(parts: Sequence[Coordinates], n_joints: Sequence[int]) -> Coordinates:
     """Coordinates of several types of joints in one, numbered through; so many joints of each."""
     first = np.cumsum([0, *n_joints])[:-1]
-    moved = [one._replace(joint=one.joint + k) for one, k in zip(parts, first, strict=True)]
-    found = Coordinates._make(np.concatenate(arrays) for arrays in zip(*moved, strict=True))
-    return found._replace(number=np.arange(found.a.size))
+    moved = [part._replace(joint=part.joint + k) for part, k in zip(parts, first, strict=True)]
+    joined = Coordinates._make(np.concatenate(arrays) for arrays in zip(*moved, strict=True))
+    return joined._replace(number=np.arange(joined.a.size))
 
 
 @inline

@@ -38,11 +38,11 @@ def set_moving(joints: Joints, work: JointWork, lo: int, hi: int, t: float) -> N
 def _by_carried(joints: Joints, work: JointWork, r: int) -> float:
     """What bodies that move as prescribed do to g of row r, per second."""
     gradient, motion, a, b = work.gradient, work.motion, joints.rows.a[r], joints.rows.b[r]
-    found = 0.0
+    speed = 0.0
     for i in range(3):
-        found += gradient[r, i] * (motion[a, i] - motion[b, i])
-        found += gradient[r, 3 + i] * motion[a, 3 + i] + gradient[r, 6 + i] * motion[b, 3 + i]
-    return found
+        speed += gradient[r, i] * (motion[a, i] - motion[b, i])
+        speed += gradient[r, 3 + i] * motion[a, 3 + i] + gradient[r, 6 + i] * motion[b, 3 + i]
+    return speed
 
 
 @inline

@@ -33,14 +33,14 @@ def _product(u: Five, v: Five) -> float:
 
 
 @inline
-def update_fives(factor: Floats, k: int, one: int, other: int, target: int) -> None:
-    """Target -= one D⁻¹ otherᵀ, with D of the diagonal block k; of a diagonal block its half."""
+def update_fives(factor: Floats, k: int, left: int, right: int, target: int) -> None:
+    """Target -= left D⁻¹ rightᵀ, with D of the diagonal block k; of a diagonal block its half."""
     d = _diagonal(factor, k)
     for r in range(5):
-        u = _row(factor, one, r)
+        u = _row(factor, left, r)
         u = u[0] * d[0], u[1] * d[1], u[2] * d[2], u[3] * d[3], u[4] * d[4]
-        for c in range(r + 1 if one == other else 5):
-            factor[target, r, c] -= _product(u, _row(factor, other, c))
+        for c in range(r + 1 if left == right else 5):
+            factor[target, r, c] -= _product(u, _row(factor, right, c))
 
 
 @inline
@@ -53,13 +53,13 @@ def down_fives(program: Program, factor: Floats, z: Floats, e: int, k: int, d: i
     c = z[at + 2] - v[0] * a - v[1] * b
     f = z[at + 3] - w[0] * a - w[1] * b - w[2] * c
     g = z[at + 4] - x[0] * a - x[1] * b - x[2] * c - x[3] * f
-    own = a * factor[d, 0, 0], b * u[1], c * v[2], f * w[3], g * x[4]
-    z[at], z[at + 1], z[at + 2], z[at + 3], z[at + 4] = own
+    solved = a * factor[d, 0, 0], b * u[1], c * v[2], f * w[3], g * x[4]
+    z[at], z[at + 1], z[at + 2], z[at + 3], z[at + 4] = solved
     for q in range(program.column[e], program.column[e + 1]):
         i, block = program.below_joint[q], program.below[q]
         first = program.start[i]
         for r in range(program.start[i + 1] - first):
-            z[first + r] -= _product(_row(factor, block, r), own)
+            z[first + r] -= _product(_row(factor, block, r), solved)
 
 
 @inline
@@ -71,9 +71,9 @@ def up_fives(program: Program, factor: Floats, z: Floats, e: int, k: int, d: int
         i, block = program.below_joint[q], program.below[q]
         first = program.start[i]
         for r in range(program.start[i + 1] - first):
-            row, own = _row(factor, block, r), z[first + r]
-            a, b, c = a + row[0] * own, b + row[1] * own, c + row[2] * own
-            f, g = f + row[3] * own, g + row[4] * own
+            row, below = _row(factor, block, r), z[first + r]
+            a, b, c = a + row[0] * below, b + row[1] * below, c + row[2] * below
+            f, g = f + row[3] * below, g + row[4] * below
     u, v, w, x = _row(factor, d, 1), _row(factor, d, 2), _row(factor, d, 3), _row(factor, d, 4)
     g = z[at + 4] - x[4] * g
     f = z[at + 3] - w[3] * f - x[3] * g

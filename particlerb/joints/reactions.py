@@ -49,12 +49,12 @@ def weighted_gradient(joints: Joints, work: JointWork, c: int) -> Floats:
     weighted = np.zeros((hi - lo, n + 1, 6))
     index = np.arange(hi - lo)
     for end, sign, at in ((rows.a[lo:hi], 1.0, 3), (rows.b[lo:hi], -1.0, 6)):
-        own = np.minimum(end - body[0], n)
+        column = np.minimum(end - body[0], n)
         q = work.y[end, 3:7]
-        weighted[index, own, :3] = sign * work.gradient[lo:hi, :3]
-        weighted[index, own, :3] *= np.sqrt(joints.inv_mass[end])[:, None]
+        weighted[index, column, :3] = sign * work.gradient[lo:hi, :3]
+        weighted[index, column, :3] *= np.sqrt(joints.inv_mass[end])[:, None]
         turning = rotate_back(q.T, work.gradient[lo:hi, at : at + 3].T)
-        weighted[index, own, 3:] = turning.T * np.sqrt(joints.inv_inertia[end])
+        weighted[index, column, 3:] = turning.T * np.sqrt(joints.inv_inertia[end])
     return np.ascontiguousarray(weighted[:, :n].reshape(hi - lo, -1))
 
 
@@ -62,10 +62,10 @@ def dependent_rows(weighted: Floats) -> Floats:
     """Null vectors of Gᵀ, (redundant, rows); none where all rows are independent, or lost."""
     if not (weighted.size and np.isfinite(weighted).all()):
         return np.zeros((0, len(weighted)))
-    U, found, _ = np.linalg.svd(weighted)
+    U, singular_values, _ = np.linalg.svd(weighted)
     size = np.zeros(len(U))
-    size[: found.size] = found
-    null: Floats = U[:, size <= _DEPENDENT * found[0]].T
+    size[: singular_values.size] = singular_values
+    null: Floats = U[:, size <= _DEPENDENT * singular_values[0]].T
     return null
 
 
@@ -73,9 +73,9 @@ def null_vectors(joints: Joints, work: JointWork, c: int) -> Floats:
     """Null vectors of Gᵀ of cluster c, (redundant, rows), 0 in rows that hold nothing."""
     lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
     holds = joints.rows.action[lo:hi] == HOLDS
-    found = dependent_rows(weighted_gradient(joints, work, c)[holds])
-    null = np.zeros((len(found), hi - lo))
-    null[:, holds] = found
+    dependent = dependent_rows(weighted_gradient(joints, work, c)[holds])
+    null = np.zeros((len(dependent), hi - lo))
+    null[:, holds] = dependent
     return null
 
 
@@ -102,9 +102,9 @@ def make_least(joints: Joints, work: JointWork) -> Bools:
         for vector in null:
             z = np.zeros(work.z.size)
             z[lo:hi] = vector
-            given = np.abs(forces_of_joints(joints, work, z))
-            given[:, 3:] /= _joint_sizes(joints)[joints.program.start[:-1], None]
-            is_open |= given > _OPEN * given.max()
+            reactions = np.abs(forces_of_joints(joints, work, z))
+            reactions[:, 3:] /= _joint_sizes(joints)[joints.program.start[:-1], None]
+            is_open |= reactions > _OPEN * reactions.max()
     return is_open
 
 

@@ -45,8 +45,8 @@ def mechanisms_of(joints: Joints, n_partners: int) -> Mechanisms:
     moves = is_tied[cluster] & (joints.inv_mass[:-1] > 0.0)
     number[joints.order[moves]] = cluster[moves]
     start = np.append(0, np.cumsum(np.where(is_tied, 36 * size * size, 0)))
-    known = np.zeros(n_partners, dtype=np.bool_)
-    return Mechanisms(number, place, joints.order, body, start[:-1], np.zeros(start[-1]), known)
+    is_known = np.zeros(n_partners, dtype=np.bool_)
+    return Mechanisms(number, place, joints.order, body, start[:-1], np.zeros(start[-1]), is_known)
 
 
 def bounded_of(joints: Joints, mechanisms: Mechanisms) -> Bounded | None:
@@ -67,11 +67,11 @@ def pairs_through(mechanisms: Mechanisms | None, a: Ints, b: Ints) -> tuple[Ints
         return a, b
     number, first, member = mechanisms.number, mechanisms.first, mechanisms.member
     tied = {c: member[first[c] : first[c + 1]] for c in np.unique(number[number >= 0])}
-    pairs = {(i, j) for own in tied.values() for i in own for j in own if i < j}
+    pairs = {(i, j) for members in tied.values() for i in members for j in members if i < j}
     for i, j in {*zip(a.tolist(), b.tolist(), strict=True)}:
         pairs.update(product(tied.get(number[i], [i]), tied.get(number[j], [j])))
-    one, other = np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2).T
-    return one, other
+    pair_a, pair_b = np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2).T
+    return pair_a, pair_b
 
 
 @kernel
@@ -102,23 +102,23 @@ def _respond(
     joints: Joints, work: JointWork, partners: Partners, mechanisms: Mechanisms, b: int
 ) -> None:
     """Find the rows of body b in the matrix of its mechanism, if joints hold it, once a step."""
-    c, known, member = mechanisms.number[b], mechanisms.is_known, mechanisms.member
-    if c < 0 or known[b]:
+    c, is_known, member = mechanisms.number[b], mechanisms.is_known, mechanisms.member
+    if c < 0 or is_known[b]:
         return
     first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
     lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
     is_factorised = False
     for k in range(first, last):
-        is_factorised |= known[member[k]]
+        is_factorised |= is_known[member[k]]
     if not is_factorised:
         factorise_cluster(joints, work, c, 0.0, work.clock[0])
-    known[b] = True
+    is_known[b] = True
     for i in range(6):
         _clear(work, first, last)
         work.change[first + mechanisms.place[b], i] = 1.0
         for r in range(lo, hi):
-            found = rate(joints, work.gradient, r, work.change, 0)
-            work.z[r] = -found if work.compliance[r] == 0.0 else 0.0
+            speed = rate(joints, work.gradient, r, work.change, 0)
+            work.z[r] = -speed if work.compliance[r] == 0.0 else 0.0
         solve(joints.program, joints.clusters, work.factor, work.z, c)
         inv_mass, gradient = joints.inv_mass, work.gradient
         add_impulses(joints.rows, inv_mass, gradient, work.z, lo, hi, work.change, 0)
@@ -186,7 +186,7 @@ def move_to_joints(
 
     One step of Newton's method with the poses in `work`, weighed by the masses.
     """
-    move, found = partners.move, False
+    move, any_moved = partners.move, False
     for b in range(move.shape[0]):
         for i in range(6):
             move[b, i] = 0.0
@@ -199,7 +199,7 @@ def move_to_joints(
         worst, _ = residuals(joints, work, lo, hi, work.clock[0])
         if worst <= _ROUNDING:
             continue
-        found = True
+        any_moved = True
         _clear(work, first, last)
         for r in range(lo, hi):
             work.z[r] = -work.g[r]
@@ -212,4 +212,4 @@ def move_to_joints(
             put_row3_at(move, b, 0, dx)
             turn = inverse_inertia_times(partners.inverse, b, row3_at(work.change, k, 3))
             put_row3_at(move, b, 3, turn)
-    return found
+    return any_moved

@@ -126,8 +126,8 @@ def is_of_directions(kind: int) -> bool:
 def _rotation(rows: ConstraintRows, y: Floats, r: int) -> Vec3:
     """Rotation vector of the bodies of row r against each other, world axes, at most π long."""
     x, z = row3(rows.first, r), row3(rows.second, r)
-    own = multiply(orientation(y, rows.a[r]), (z[0], x[0], x[1], x[2]))
-    q = multiply(own, conjugate(orientation(y, rows.b[r])))
+    turned = multiply(orientation(y, rows.a[r]), (z[0], x[0], x[1], x[2]))
+    q = multiply(turned, conjugate(orientation(y, rows.b[r])))
     v = q[1], q[2], q[3]
     s = norm(v)
     f = 2.0 * atan2(s, abs(q[0])) / s if s > 0.0 else 2.0
@@ -221,8 +221,8 @@ def tensor(R: Matrix, a: Vec3) -> Matrix:
 def _inverse_inertias(joints: Joints, r: int, R: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]:
     """The same of both bodies of row r."""
     a, b = joints.rows.a[r], joints.rows.b[r]
-    one = tensor(R[0], row3_at(joints.inv_inertia, a, 0))
-    return one, tensor(R[1], row3_at(joints.inv_inertia, b, 0))
+    inverse_a = tensor(R[0], row3_at(joints.inv_inertia, a, 0))
+    return inverse_a, tensor(R[1], row3_at(joints.inv_inertia, b, 0))
 
 
 @inline
@@ -276,9 +276,9 @@ def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
     v = subtract(
         scale(joints.inv_mass[a], row3_at(y, a, at)), scale(joints.inv_mass[b], row3_at(y, b, at))
     )
-    found = dot(row3_at(gradient, r, 0), v)
-    found += dot(row3_at(gradient, r, 9), row3_at(y, a, at + 3))
-    return found + dot(row3_at(gradient, r, 12), row3_at(y, b, at + 3))
+    speed = dot(row3_at(gradient, r, 0), v)
+    speed += dot(row3_at(gradient, r, 9), row3_at(y, a, at + 3))
+    return speed + dot(row3_at(gradient, r, 12), row3_at(y, b, at + 3))
 
 
 @unfused_kernel
@@ -286,14 +286,14 @@ def rates(joints: Joints, work: JointWork, lo: int, hi: int) -> float:
     """z = -ġ of rows lo to hi; the largest over its size [1/s]."""
     worst = 0.0
     for r in range(lo, hi):
-        found = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
+        speed = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
         soft = work.compliance[r]
         if soft > 0.0:
-            found = found + soft * work.total[r] if soft < inf else 0.0
-        work.z[r] = -found
-        found = abs(found) / joints.rows.size[r]
-        if not found <= worst:
-            worst = found
+            speed = speed + soft * work.total[r] if soft < inf else 0.0
+        work.z[r] = -speed
+        speed = abs(speed) / joints.rows.size[r]
+        if not speed <= worst:
+            worst = speed
     return worst
 
 

@@ -66,9 +66,9 @@ def joints_among(
     order = np.argsort(label, kind="stable")
     place = np.empty(n + 1, dtype=np.int64)
     place[order], place[n] = np.arange(n), n
-    own = np.argsort(label[a], kind="stable")  # joints, cluster by cluster
-    count = np.diff(start)[own]
-    taken = np.repeat(start[own] - (np.cumsum(count) - count), count) + np.arange(count.sum())
+    index = np.argsort(label[a], kind="stable")  # joints, cluster by cluster
+    count = np.diff(start)[index]
+    taken = np.repeat(start[index] - (np.cumsum(count) - count), count) + np.arange(count.sum())
     rows = ConstraintRows(*(array[taken] for array in rows))
     rows = rows._replace(a=place[rows.a], b=place[rows.b])
     inv_mass = np.append(bodies.inv_mass[order], 0.0)
@@ -80,11 +80,11 @@ def joints_among(
     )
     first, rank = np.r_[0, ends], np.r_[0, np.cumsum(count)]
     holds = np.logical_or.reduceat(rows.action == HOLDS, rank[:-1])
-    clusters, program = _programs(first, label[a[own]], label[order], rows, rank, inv_mass, holds)
+    clusters, program = _programs(first, label[a[index]], label[order], rows, rank, inv_mass, holds)
     acts = any(values.any() for values in (actions.stiffness, actions.stop, actions.motor))
     damps = actions.damping.any() or actions.stop_damping.any()
     return Joints(
-        order, inv_mass, inv_inertia, rows, clusters, program, number[own], actions,
+        order, inv_mass, inv_inertia, rows, clusters, program, number[index], actions,
         np.zeros((n + 1, 2)), _beside(rows), acts, bool(damps), coordinates, drives, prescribed,
         bool((rows.drive != AT_REST).any() or prescribed.any()),
         rolls=flag(bool(np.isin(rows.kind, (RACK, GEAR)).any())),
@@ -100,9 +100,9 @@ def action(
     return Actions(*(np.array([number]) for number in numbers))
 
 
-def both_actions(one: Actions, other: Actions) -> Actions:
+def both_actions(first: Actions, second: Actions) -> Actions:
     """Those of both, one after the other."""
-    return Actions(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
+    return Actions(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
 
 
 def with_drag(joints: Joints, linear: Floats, angular: Floats) -> Joints:
@@ -114,9 +114,9 @@ def with_drag(joints: Joints, linear: Floats, angular: Floats) -> Joints:
 
 def _beside(rows: ConstraintRows) -> Bools:
     """Which rows differ from those before by their axis alone, of those along axes of the world."""
-    own = np.column_stack([rows.kind, rows.a, rows.b, rows.first, rows.second])
-    same = np.append(False, (own[1:] == own[:-1]).all(axis=1))
-    return np.asarray(same & (rows.kind == WORLD_ALONG))
+    columns = np.column_stack([rows.kind, rows.a, rows.b, rows.first, rows.second])
+    is_equal = np.append(False, (columns[1:] == columns[:-1]).all(axis=1))
+    return np.asarray(is_equal & (rows.kind == WORLD_ALONG))
 
 
 def _labels(n: int, a: Ints, b: Ints) -> Ints:
@@ -145,7 +145,7 @@ def _programs(
     """Programs of all clusters, one behind the other; equal ones are made once."""
     labels = of_body[first[:-1]]
     joint = np.append(np.searchsorted(of_joint, labels), of_joint.size)
-    known: dict[bytes, Program] = {}
+    programs: dict[bytes, Program] = {}
     parts: list[Program] = []
     pivot = np.zeros(labels.size)
     for c, (lo, hi) in enumerate(pairwise(joint)):
@@ -156,9 +156,9 @@ def _programs(
         masses = np.append(inv_mass[first[c] : first[c + 1]], 0.0)
         own_start = start[lo : hi + 1] - start[lo]
         sign = b"".join(values.tobytes() for values in (a, b, own_start, masses))
-        if sign not in known:
-            known[sign] = program_of(a, b, own_start, masses)
-        parts.append(known[sign])
+        if sign not in programs:
+            programs[sign] = program_of(a, b, own_start, masses)
+        parts.append(programs[sign])
         stands = masses == 0.0  # held bodies, and the world
         is_tied = bool(stands[:n].any() or is_world.any())
         has_loop = holds[lo:hi].sum() > n - stands[:n].sum() - 1 + int(is_tied)

@@ -117,11 +117,11 @@ def begin_with_guess(joints: Joints, work: JointWork, c: int, kick_dt: float) ->
     for j in range(first, last):
         d = joints.clusters.block[c] + j - first
         for r in range(start[j], start[j + 1]):
-            found = 0.0
+            force = 0.0
             if work.factor[d, r - start[j], r - start[j]] != 0.0:
                 for i in range(work.past.shape[1]):
-                    found += work.past[r, i] if work.past[r, i] == work.past[r, i] else 0.0
-            work.z[r] = kick_dt * found
+                    force += work.past[r, i] if work.past[r, i] == work.past[r, i] else 0.0
+            work.z[r] = kick_dt * force
     _add(joints, work, start[first], start[last])
 
 
@@ -129,10 +129,10 @@ def begin_with_guess(joints: Joints, work: JointWork, c: int, kick_dt: float) ->
 def remember(work: JointWork, lo: int, hi: int, kick_dt: float) -> None:
     """Keep the impulses of rows lo to hi for the guess of the next step."""
     for r in range(lo, hi):
-        found = work.total[r] / kick_dt
+        force = work.total[r] / kick_dt
         for i in range(work.past.shape[1]):
-            before, work.past[r, i] = work.past[r, i], found
-            found -= before
+            before, work.past[r, i] = work.past[r, i], force
+            force -= before
 
 
 @unfused_kernel
@@ -170,10 +170,10 @@ def constrained_drift(
 @inline
 def _turn(joints: Joints, work: JointWork, k: int, dt: float) -> Vec3:
     """How far body k turns in a drift, if it went on as it begins."""
-    own = by_inverse_inertia(
+    omega = by_inverse_inertia(
         joints.inv_inertia, orientation(work.pose, k), k, row3_at(work.y, k, L)
     )
-    return scale(dt, add(own, row3_at(work.motion, k, 3)))
+    return scale(dt, add(omega, row3_at(work.motion, k, 3)))
 
 
 @inline
@@ -251,9 +251,9 @@ def _share_of_last(joints: Joints, work: JointWork, lo: int, hi: int) -> float:
     """How much of the last gain to take back, so that the residual over the sizes is least."""
     along, square = 0.0, 0.0
     for r in range(lo, hi):
-        own = work.g[r] / joints.rows.size[r]
-        change = own - work.last_g[r] / joints.rows.size[r]
-        along, square = along + change * own, square + change * change
+        relative = work.g[r] / joints.rows.size[r]
+        change = relative - work.last_g[r] / joints.rows.size[r]
+        along, square = along + change * relative, square + change * change
     return along / square if square > 0.0 else 0.0
 
 

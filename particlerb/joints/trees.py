@@ -88,10 +88,10 @@ def tree_of(joints: Joints) -> JointTree | None:
     rows, start, world = joints.rows, joints.program.start, joints.inv_mass.size - 1
     near: defaultdict[int, list[tuple[int, Ints]]] = defaultdict(list)
     for j in range(start.size - 1):
-        own = np.arange(start[j], start[j + 1])
-        own = own[rows.action[own] == HOLDS]
-        for one, other in ((rows.a, rows.b), (rows.b, rows.a)) if own.size else ():
-            near[int(one[own[0]])].append((int(other[own[0]]), own))
+        index = np.arange(start[j], start[j + 1])
+        index = index[rows.action[index] == HOLDS]
+        for begin, end in ((rows.a, rows.b), (rows.b, rows.a)) if index.size else ():
+            near[int(begin[index[0]])].append((int(end[index[0]]), index))
     is_held = joints.inv_mass == 0.0
     is_thin = ~is_held & (joints.inv_inertia == 0.0).any(axis=1)
     is_fixed = not joints.moves and joints.rolls is None and joints.breaks is None
@@ -99,49 +99,49 @@ def tree_of(joints: Joints) -> JointTree | None:
     if not is_fixed or not near or is_thin[[*near]].any():
         return None
     axes = [(is_shift, world, axis) for is_shift in (True, False) for axis in np.eye(3)]
-    found: list[tuple[int, int, Floats, list[_Direction]]] = []
-    known: set[int] = set()
+    branches: list[tuple[int, int, Floats, list[_Direction]]] = []
+    reached: set[int] = set()
     used: set[int] = set()
     for root in sorted(near, key=lambda k: not is_held[k]):
-        if root not in known and not is_held[root]:
-            found.append((root, world, np.zeros(6), axes))
-        known.add(root)
+        if root not in reached and not is_held[root]:
+            branches.append((root, world, np.zeros(6), axes))
+        reached.add(root)
         ahead = [root]
         while ahead:
             p = ahead.pop()
-            for k, own in near[p]:
-                if own[0] in used:
+            for k, index in near[p]:
+                if index[0] in used:
                     continue
-                if k in known or is_held[k]:
+                if k in reached or is_held[k]:
                     return None
-                used.add(own[0])
-                known.add(k)
+                used.add(index[0])
+                reached.add(k)
                 ahead.append(k)
-                ends = rows.first[own[0]], rows.second[own[0]]
-                arm = np.concatenate(ends if k == rows.a[own[0]] else ends[::-1])
-                found.append((k, p, arm, _directions(rows, own, p, world)))
-    body, before, arms, free = zip(*found, strict=True)
-    flat = [*(one for own in free for one in own), (False, world, np.zeros(3))]
+                ends = rows.first[index[0]], rows.second[index[0]]
+                arm = np.concatenate(ends if k == rows.a[index[0]] else ends[::-1])
+                branches.append((k, p, arm, _directions(rows, index, p, world)))
+    body, before, arms, free = zip(*branches, strict=True)
+    flat = [*(way for ways in free for way in ways), (False, world, np.zeros(3))]
     is_shift, of, axis = zip(*flat, strict=True)
     return JointTree(
         np.array(body), np.array(before), 1.0 / joints.inv_mass[[*body]],
         1.0 / joints.inv_inertia[[*body]], np.array(arms),
-        np.cumsum([0, *(len(own) for own in free)]), np.array(is_shift), np.array(of),
+        np.cumsum([0, *(len(ways) for ways in free)]), np.array(is_shift), np.array(of),
         np.array(axis), TreeBodies(*(np.zeros((world + 1, k)) for k in (9, 3, 3, 3, 6, 6, 27, 6))),
         FreeDirections(*(np.zeros((len(of), k)) for k in (3, 6)), *np.zeros((2, len(of)))),
     )  # fmt: skip
 
 
-def _directions(rows: ConstraintRows, own: Ints, before: int, world: int) -> list[_Direction]:
+def _directions(rows: ConstraintRows, index: Ints, before: int, world: int) -> list[_Direction]:
     """Shifts, then turns, that rows of a joint leave free; those fixed in the body before first."""
-    a, b, dots = rows.a[own[0]], rows.b[own[0]], own[rows.kind[own] == DOT]
+    a, b, dots = rows.a[index[0]], rows.b[index[0]], index[rows.kind[index] == DOT]
     across = [(b, rows.axis[r]) for r in dots]
     normal = [(a, rows.first[r]) for r in dots[:1]]
-    points = own.size - dots.size
+    points = index.size - dots.size
     shifts = {3: [], 2: normal, 1: across}[points]
     turns = {0: [(world, axis) for axis in np.eye(3)], 1: normal + across, 2: normal, 3: []}
-    found = [(True, *one) for one in shifts] + [(False, *one) for one in turns[dots.size]]
-    return sorted(found, key=lambda one: (not one[0], one[1] != before))
+    ways = [(True, *way) for way in shifts] + [(False, *way) for way in turns[dots.size]]
+    return sorted(ways, key=lambda way: (not way[0], way[1] != before))
 
 
 @inline
@@ -279,8 +279,8 @@ def _at_point_before(inertia: _Inertia, r: Vec3) -> _Inertia:
 def _eliminate(tree: JointTree, i: int, is_held: bool) -> None:
     """Take the free directions out of body i of the tree, and add it to the body before."""
     bodies, directions, k, p = tree.bodies, tree.directions, tree.body[i], tree.before[i]
-    own = bodies.inertia
-    A, B, C = _matrix_at(own, k, 0), _matrix_at(own, k, 9), _matrix_at(own, k, 18)
+    inertia = bodies.inertia
+    A, B, C = _matrix_at(inertia, k, 0), _matrix_at(inertia, k, 9), _matrix_at(inertia, k, 18)
     linear, angular = row3_at(bodies.rest, k, 0), row3_at(bodies.rest, k, 3)
     F = add(row3_at(bodies.b, k, 0), add(turn(A, linear), turn(B, angular)))
     tau = add(row3_at(bodies.b, k, 3), add(turn_back(B, linear), turn(C, angular)))

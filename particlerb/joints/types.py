@@ -99,11 +99,11 @@ def rows_of(
     """
     parts = [_row_of(row, ends) for row in TYPES[kind]]
     if action != HOLDS:
-        for own in coordinate_rows(kind, ends, along):
-            parts.append(own._replace(action=np.full(ends.a.size, action)))
+        for constraint in coordinate_rows(kind, ends, along):
+            parts.append(constraint._replace(action=np.full(ends.a.size, action)))
     if drive != AT_REST:
-        for own in coordinate_rows(kind, ends, along):
-            parts.append(own._replace(drive=np.full(ends.a.size, drive)))
+        for constraint in coordinate_rows(kind, ends, along):
+            parts.append(constraint._replace(drive=np.full(ends.a.size, drive)))
     stacked = (np.stack(arrays, axis=1) for arrays in zip(*parts, strict=True))
     return ConstraintRows(*(array.reshape(-1, *array.shape[2:]) for array in stacked))
 
@@ -113,9 +113,9 @@ def coordinate_rows(kind: str, ends: Ends, along: str | None) -> list[Constraint
     rows = COORDINATES[kind][along or next(iter(COORDINATES[kind]))]
     if kind == "ball":
         return [_rotation_of(row, ends) for row in rows]
-    found = [_row_of(row, ends) for row in rows]
-    shifted = [own._replace(second=ends.second["at"]) for own in found]
-    return shifted if rows[0].kind == ALONG else found
+    constraints = [_row_of(row, ends) for row in rows]
+    shifted = [constraint._replace(second=ends.second["at"]) for constraint in constraints]
+    return shifted if rows[0].kind == ALONG else constraints
 
 
 def _rotation_of(row: _Constraint, ends: Ends) -> ConstraintRows:

@@ -60,8 +60,8 @@ def rolled(
 @inline
 def nearest(g: float, to: float, period: float) -> float:
     """Of g and all that differ from it by periods, the nearest to a number."""
-    found: float = g - period * np.floor((g - to) / period + 0.5)
-    return found
+    shifted: float = g - period * np.floor((g - to) / period + 0.5)
+    return shifted
 
 
 @inline
