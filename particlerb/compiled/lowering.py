@@ -9,7 +9,8 @@ nothing is counted (docs/decisions/0024).
 On some processors vectors of 512 bits are set (see `vector_width`). The rest saves time of a first
 run, and changes no code: flags, compared some hundred thousand times, are told apart by a text that
 is made once; the signature of an operator for some types is looked for once, where Numba tries a
-dozen templates each time; and functions are not checked again behind each pass.
+dozen templates each time; the lives of variables are found once, where Numba finds them nine times;
+and functions are not checked again behind each pass.
 """
 
 from collections import defaultdict
@@ -26,7 +27,9 @@ from numba.core import (
     errors,
     ir,
     lowering,
+    postproc,
     targetconfig,
+    transforms,
     typed_passes,
 )
 
@@ -66,6 +69,22 @@ def _signature_once(function: Any, context: Any, args: Any, keys: Any) -> Any:
 
 
 types.BaseFunction.get_call_type = _signature_once  # type: ignore[assignment]
+
+_processed: Any = postproc.PostProcessor.run
+
+
+def _processed_once(of: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+    """Lives of the variables of a function: found where they are asked for, after the last pass."""
+    function, flags = of.func_ir, targetconfig.ConfigStack.top_or_none()
+    if emit_dels or function.is_generator or not isinstance(flags, _Flags):
+        _processed(of, emit_dels, extend_lifetimes)
+        return
+    function.blocks = transforms.canonicalize_cfg(function.blocks)
+    function.variable_lifetime = cast(Any, postproc.VariableLifetime)(function.blocks)
+    function.generator_info = None
+
+
+postproc.PostProcessor.run = _processed_once  # type: ignore[method-assign]
 
 
 class _Lower(lowering.Lower):
