@@ -169,16 +169,17 @@ def wall_contact_forces(
     before: float,
     after: float,
     growth: Growth,
-    bounds: tuple[int, int, int, int],
+    part: tuple[int, int, int],
     rank: int,
 ) -> None:
     """Forces of contacts of spheres with walls, whose poses are those of this instant.
 
-    `bounds` are those of a shell, and between them those of the share of this thread: of spheres
-    and walls whose contacts begin there.
+    `part` is a shell and what this thread does of it: spheres and walls whose contacts begin there.
     """
     on = Evaluation(model, workspace, contacts, before, after, growth, rank)
-    least, c, end, most = bounds
+    shell, c, end = part
+    least = contacts.shell_ends[shell - 1] if shell > 0 else 0
+    most = contacts.shell_ends[shell]
     if least < c < end:
         c = _end_of(model, contacts, c - 1, end)
     while c < end:

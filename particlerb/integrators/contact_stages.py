@@ -287,8 +287,8 @@ def find_contact_forces(
             )
         if SHELL_GAPS[s] * skin <= reached:
             first, end = share_of(team, end_walls, walls.shell_ends[s])
-            bounds = end_walls, first, end, walls.shell_ends[s]
-            wall_contact_forces(model, workspace, walls, before, after, growth, bounds, team.rank)
+            part = s, first, end
+            wall_contact_forces(model, workspace, walls, before, after, growth, part, team.rank)
         end_spheres, end_walls = spheres.shell_ends[s], walls.shell_ends[s]
 
 
