@@ -94,6 +94,9 @@ class Growth(NamedTuple):
     slope: Slope | None  # None: springs grow by the times above
 
 
+NO_GROWTH: Final = Growth(0.0, 0.0, 0.0, None)
+
+
 class StepShares(NamedTuple):
     """What an evaluation of contacts stands for, in shares of the steps before and after it."""
 

@@ -34,11 +34,13 @@ from particlerb.stepping.contact_lists import Histories, WallsAhead
 from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.exchange import Territory, kept_of
 from particlerb.stepping.loop import (
+    PLACE,
     Copies,
     Position,
     Recording,
     Schedule,
     grid_position,
+    look_alone,
     loop_over_ranks,
     store_blocks,
 )
@@ -140,7 +142,7 @@ class BrickMotion(SharedMotion):
         self.lists.go_on(old)
         self.checks.watch, self.frames = watch, frames
         self.contact = self.contact._replace(frames=frames)
-        self._place()
+        self.now_only(PLACE)
 
     def take_up(self, rows: Floats, skin: float, both: list[tuple[Ints, Floats]]) -> Floats:
         """Take bodies where they were when lists were made, and contacts; return the poses of now.
@@ -157,6 +159,12 @@ class BrickMotion(SharedMotion):
         return own[:, 1 + GROSS :]
 
     # Steps
+
+    def now_only(self, what: int, row: int = 0) -> None:
+        """Do a part of a step at the time of now, with the momenta of now; without other ranks."""
+        moving = self.moving._replace(contact=self.contact, team=ONE_THREAD)
+        position, time = Position(what, row, self.grid_step), self.grid_step * self.dt
+        look_alone(self.method)(moving, 0, len(self.blocks), position, time)
 
     def enter(
         self, kernel: Callable[..., Any], moving: MovingBodies, first: int, last: int, *others: Any

@@ -16,11 +16,8 @@ from particlerb.contact.contact_model import (
     ContactFrames,
     ContactMemory,
     GroupContact,
-    Growth,
-    Instant,
     MovingContact,
     NeighbourLists,
-    Slope,
     Workspace,
 )
 from particlerb.contact.contact_output import ContactOutput
@@ -36,25 +33,15 @@ from particlerb.contact.records import (
     zero_records,
 )
 from particlerb.impulses.records import Impulses
-from particlerb.integrators.contact_copies import store_contacts
-from particlerb.integrators.contact_stages import find_contact_forces, place_contacts
 from particlerb.integrators.method import Method
-from particlerb.integrators.pair_stages import OwnBlocks
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.state import Frames, State
+from particlerb.model.state import Frames, State, room_for
 from particlerb.model.superblocks import sum_by_number
 from particlerb.model.worlds import bins_of, shape_of
 from particlerb.stepping.contact_checks import ContactChecks, is_due
 from particlerb.stepping.contact_frames import ContactRows, output_of
 from particlerb.stepping.contact_lists import ContactLists, Histories, Lasted, WallsAhead
-from particlerb.stepping.loop import (
-    Copies,
-    Position,
-    Recording,
-    Schedule,
-    compiled_loop,
-    loop_over_threads,
-)
+from particlerb.stepping.loop import EVALUATE, PLACE, SHOW, Copies, Position, Recording, Schedule
 from particlerb.stepping.motion import ContactStart, Energies, Motion, SegmentGroup
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 from particlerb.stepping.stepped_motion import SteppedMotion
@@ -87,6 +74,7 @@ class ContactMotion(SteppedMotion):
 
     room_for_tally = 0  # numbers that are counted of impulses
     share = 1.0  # of the costs that are this process's own
+    entered: tuple[Schedule, Recording] | None = None  # no stops, and no room for frames
 
     def __init__(
         self,
@@ -181,7 +169,7 @@ class ContactMotion(SteppedMotion):
         time = self.grid_step * self.dt
         steps = self.grid_step - self.list_step  # for which the last lists were good
         lasted = Lasted(steps, time < self.contact.memory.valid_until, self.step_cost)
-        self._place()
+        self.now_only(PLACE)
         self.check_lists(steps)
         poses = self.contact.workspace.poses
         ahead = self.lists.look_ahead(self.corners(), poses, self.start + time, lasted)
@@ -225,11 +213,14 @@ class ContactMotion(SteppedMotion):
         """Lists of now, and until when they hold [s]."""
         return self.lists.make(self.contact.workspace, self.contact.memory, time, ahead)
 
-    def _place(self) -> None:
-        """Place bodies and walls at the time of now, with the momenta of now."""
-        own = OwnBlocks(self.blocks, self.layout, 0, len(self.blocks))
-        instant = Instant(0.0, 0.0, self.grid_step * self.dt, 0.0)
-        place_contacts(self.contact, ONE_THREAD, None, own, instant)
+    def now_only(self, what: int, row: int = 0) -> None:
+        """Do a part of a step at the time of now, with the momenta of now."""
+        if self.entered is None:
+            nothing = Schedule(self.dt, np.zeros(0, int), np.zeros(0), np.zeros(0, int))
+            self.entered = nothing, self.recording(room_for(0, 0, np.empty((0, 4))))
+        moving = self.moving._replace(contact=self.contact, team=ONE_THREAD)
+        position, n = Position(what, row, self.grid_step), len(self.blocks)
+        self.loop_over_steps(True)(moving, *self.entered, self._copies(), position, n, 0, n)
 
     def look(self) -> float:
         """Frequency of the bodies on all their contacts [rad/s]."""
@@ -270,18 +261,14 @@ class ContactMotion(SteppedMotion):
         self, schedule: Schedule, recording: Recording, saved: Copies, position: Position
     ) -> Position:
         """Go on from a position, to the end or to where new lists have to be made."""
-        forces, n = self.forces, len(self.blocks)
-        is_spread = forces is not None and forces.is_large
-        loop = compiled_loop(self.method, True, True)
-        if forces is not None and forces.is_large:
-            loop = loop_over_threads(self.method, forces, True)
+        n, loop = len(self.blocks), self.loop_over_steps(True)
 
         def through(team: Team) -> Position:
             moving = self.moving._replace(contact=self.contact, team=team)
             first, last = n * team.rank // team.size, n * (team.rank + 1) // team.size
             return loop(moving, schedule, recording, saved, position, n, first, last)
 
-        return through(ONE_THREAD) if is_spread else together(through, self.threads)
+        return through(ONE_THREAD) if self.is_spread else together(through, self.threads)
 
     def check_steps(self) -> None:
         """Raise MotionError where the last steps were wrong."""
@@ -302,13 +289,11 @@ class ContactMotion(SteppedMotion):
 
     def _elastic_energies(self) -> Energies:
         """Of contacts and pistons at the start."""
-        setup, workspace, lists, memory, _ = self.contact
+        lists, memory = self.contact.lists, self.contact.memory
         histories = lists.spheres.history.copy(), lists.walls.history.copy()
-        self._place()
+        self.now_only(PLACE)
         memory.extremes.displacement[:] = np.inf
-        slope = Slope(0.0, 0.0, 0.0, True) if self.method.takes_slopes else None
-        growth = Growth(0.0, 0.0, 0.0, slope)
-        find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, growth, ONE_THREAD)
+        self.now_only(EVALUATE)
         memory.extremes.displacement[:] = 0.0
         lists.spheres.history[:], lists.walls.history[:] = histories
         frame = self.room_for_frames(1, memory.pistons.size)
@@ -317,7 +302,8 @@ class ContactMotion(SteppedMotion):
 
     def show(self, frames: ContactFrames, frame: int) -> None:
         """Write what contacts have now into a frame."""
-        store_contacts(self.contact._replace(frames=frames), ONE_THREAD, frame)
+        self.contact = self.contact._replace(frames=frames)
+        self.now_only(SHOW, frame)
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""

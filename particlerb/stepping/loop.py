@@ -9,14 +9,14 @@ each step together.
 import math
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel, kernel_from
-from particlerb.contact.contact_model import ContactChanges, Instant
+from particlerb.contact.contact_model import NO_GROWTH, ContactChanges, Growth, Instant, Slope
 from particlerb.integrators.contact_copies import restore_contacts, save_contacts, store_contacts
-from particlerb.integrators.contact_stages import close_prescribed
+from particlerb.integrators.contact_stages import close_prescribed, find_contact_forces
 from particlerb.integrators.external_work import store_sums
 from particlerb.integrators.method import Method, Step
 from particlerb.integrators.pair_stages import (
@@ -43,6 +43,9 @@ from particlerb.stepping.pair_forces import PairForces
 
 PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
 CLOSE: Final = -2  # the end of the motion: make the open kick, behind the last partial step
+PLACE: Final = -1  # in place of a stop: bodies and walls, as before a step
+EVALUATE: Final = -2  # all contacts
+SHOW: Final = -3  # what contacts have, in a row of the frames
 _TIME_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of a time that is a sum of steps
 
 
@@ -58,8 +61,8 @@ class Schedule(NamedTuple):
 class Position(NamedTuple):
     """Where the loop is: before a step on the grid, or before a partial one."""
 
-    stop: int  # of the schedule
-    step: int  # of those before that stop
+    stop: int  # of the schedule; or PLACE, EVALUATE, SHOW
+    step: int  # of those before that stop; a row for SHOW
     steps_done: int  # of the segment
 
 
@@ -151,6 +154,36 @@ def _nothing_open(
     """Do nothing: there is no open kick, and nothing touches."""
 
 
+@stages
+def look(
+    moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
+) -> None:
+    """Do nothing: nothing touches."""
+
+
+@stages
+def _place_alone(
+    moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
+) -> None:
+    """Place bodies and walls."""
+    place(moving, first, last, Instant(0.0, 0.0, time, 0.0))
+
+
+@stages
+def _look_at_contacts(
+    moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
+) -> None:
+    """Do a part of a step with contacts."""
+    contact, team = moving.contact, moving.team
+    if asked.stop == PLACE:
+        place(moving, first, last, Instant(0.0, 0.0, time, 0.0))
+    elif asked.stop == EVALUATE:
+        setup, workspace, lists, memory, _ = contact
+        find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, growth, team)
+    else:
+        store_contacts(contact, team, asked.step)
+
+
 @inline
 def _ratio(a: float, b: float) -> float:
     """a / b, 0 where a is."""
@@ -170,6 +203,7 @@ def finish(moving: MovingBodies, first: int, last: int, open_kick: float, instan
 
 
 CLOSING_KICK: Final = 0.0  # stands for that of a method
+GROWTH: Final = NO_GROWTH  # stands for that of a method's contacts
 
 
 def advance(
@@ -185,9 +219,13 @@ def advance(
     """Take blocks through a schedule, so many of them together: one, or all.
 
     From a position, which only all blocks together may have inside the schedule, to its end, or to
-    the step before which new lists of contacts have to be made.
+    the step before which new lists of contacts have to be made. Asked so, they do a part of a step
+    at a time on the grid, with what is compiled for steps.
     """
     dt, steps, partial, frame = schedule
+    if position.stop < 0:
+        look(moving, first, last, position, position.steps_done * dt, GROWTH)
+        return position
     step_number = position.steps_done
     for lo in range(first, last, together):
         hi = min(lo + together, last)
@@ -244,17 +282,24 @@ def _finish_of(method: Method, touches: bool) -> Step:
     return method.show if touches and method.show is not None else _nothing_open
 
 
+def _looking(method: Method, touches: bool) -> dict[str, Any]:
+    """How parts of a step are done for bodies that touch."""
+    if not touches:
+        return {}
+    growth = NO_GROWTH._replace(slope=Slope(0.0, 0.0, 0.0, True) if method.takes_slopes else None)
+    return {"look": _place_alone if method.takes_impulses else _look_at_contacts, "GROWTH": growth}
+
+
 @cache
 def compiled_loop(
     method: Method, is_coupled: bool, touches: bool = False
 ) -> Callable[..., Position]:
     """The loop with the step of a method, compiled."""
     name = f"{method.name}_coupled" if is_coupled else method.name
+    name += "_touching" if touches else ""
     chosen, closing = _step_of(method, is_coupled), _finish_of(method, touches)
-    if closing is method.show:
-        name += "_touching"
-    kick = method.closing_kick
-    return kernel_from(advance, name, step=chosen, finish=closing, CLOSING_KICK=kick)
+    names = {"step": chosen, "finish": closing, "CLOSING_KICK": method.closing_kick}
+    return kernel_from(advance, name, **names, **_looking(method, touches))
 
 
 def loop_over_threads(
@@ -277,12 +322,28 @@ def loop_over_threads(
     chosen = over_threads(_step_of(method, True), **others)
     closing_kick = over_threads(close, **others)
     closing = over_threads(_finish_of(method, touches), close=closing_kick, **others)
-    return over_threads(advance, step=chosen, finish=closing, **others)
+    names = {"step": chosen, "finish": closing, **_looking(method, touches), **others}
+    return over_threads(advance, **names)
 
 
 def _one_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """The step of a method by itself."""
     step(moving, first, last, open_kick, dt)
+
+
+def _one_look(
+    moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
+) -> None:
+    """A part of a step by itself."""
+    look(moving, first, last, asked, time, growth)
+
+
+@cache
+def look_alone(method: Method) -> Callable[..., None]:
+    """Parts of a step `(moving, first, last, position, time)`, for ranks that share bodies."""
+    names = _looking(method, True)
+    made = kernel_from(_one_look, f"{method.name}_touching", look=names["look"])
+    return lambda *asked: made(*asked, names["GROWTH"])
 
 
 def loop_over_ranks(

@@ -235,10 +235,21 @@ class SteppedMotion(JointedMotion):
         if not self.is_coupled:
             stops = sum(schedule.steps.tolist()) + schedule.steps.size
             THREADS.share(partial(loop, *arguments, 1), n_blocks, n * stops)
-        elif self.forces is not None and self.forces.is_large:
-            loop_over_threads(self.method, self.forces)(*arguments, n_blocks, 0, n_blocks)
+        elif self.is_spread:
+            self.loop_over_steps()(*arguments, n_blocks, 0, n_blocks)
         else:
             THREADS.alone(loop, *arguments, n_blocks, 0, n_blocks)
+
+    @property
+    def is_spread(self) -> bool:
+        """Whether large forces spread themselves over threads."""
+        return self.forces is not None and self.forces.is_large
+
+    def loop_over_steps(self, touches: bool = False) -> Callable[..., Position]:
+        """The loop; large forces bring one of their own."""
+        if self.forces is not None and self.forces.is_large:
+            return loop_over_threads(self.method, self.forces, touches)
+        return compiled_loop(self.method, self.is_coupled or touches, touches)
 
     def schedules(self, counts: Ints, partial: Floats, rows: Ints) -> Iterator[Schedule]:
         """Schedules of a bounded number of steps, with pauses where a frame is further away."""
