@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, unfused_kernel
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import lengths
 from particlerb.model.superblocks import Range, summed, superblocks
-from particlerb.model.totals import N_TOTALS, Totals
+from particlerb.model.totals import N_TOTALS, Totals, far_norm
 from particlerb.ranks import ALONE, Ranks
 
 _STILL = 1e-20  # share of the energy of a motion that is seen; below it there is none
@@ -54,12 +55,6 @@ def _larger(a: float, b: float) -> float:
     return b if b > a or np.isnan(b) else a
 
 
-@inline
-def _square(v: Floats) -> float:
-    """|v|²."""
-    return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-
-
 @unfused_kernel
 def _enter(
     sums: Floats,
@@ -89,8 +84,8 @@ def _enter(
         scales[0, w] = _larger(scales[0, w], _larger(now[0], abs(gained[0])))
         scales[1, w], scales[2, w] = _larger(scales[1, w], now[8]), _larger(scales[2, w], now[9])
         errors[0, w] = _larger(errors[0, w], abs(error))
-        errors[1, w] = _larger(errors[1, w], np.sqrt(_square(vectors[1, f])))
-        errors[2, w] = _larger(errors[2, w], np.sqrt(_square(vectors[3, f])))
+        errors[1, w] = _larger(errors[1, w], far_norm(row3(vectors[1], f)))
+        errors[2, w] = _larger(errors[2, w], far_norm(row3(vectors[3], f)))
 
 
 class EnergyBalance:

@@ -23,6 +23,7 @@ from particlerb.ranks import ALONE, Ranks
 
 N_TOTALS: Final = 10
 _NEAR = 1e-6  # share of |x| |p| that an angular momentum is never judged below: x × p rounds
+_HUGE, _FAR = 2.0**1000, 2.0**-520  # square of what is far, and by what it is made smaller
 
 
 class Totals(NamedTuple):
@@ -79,6 +80,14 @@ def _load_rows(frames: Frames, f: int, lo: int, mass: Floats, local: Floats, n: 
 
 
 @inline
+def far_norm(v: Vec3) -> float:
+    """|v|, also where its square is too large for float64."""
+    small, large = (_FAR, 1.0 / _FAR) if dot(v, v) > _HUGE else (1.0, 1.0)
+    near = scale(small, v)
+    return large * np.sqrt(dot(near, near))
+
+
+@inline
 def _momenta_rows(
     x: Rows3, p: Rows3, L: Rows3, mass: Floats, inv_mass: Floats, g: Vec3, out: Floats
 ) -> None:
@@ -92,9 +101,9 @@ def _momenta_rows(
         kinetic[b] = 0.5 * dot(p_b, scale(inv_mass[b], p_b))
         potential[b] = -mass[b] * dot(g, x_b)
         store3(H, b, add_scaled(1.0, orbit, L_b))
-        size[b] = np.sqrt(dot(p_b, p_b))
-        reach = _NEAR * np.sqrt(dot(x_b, x_b) * dot(p_b, p_b))  # straight through the origin
-        spin[b] = np.sqrt(dot(L_b, L_b)) + np.sqrt(dot(orbit, orbit)) + reach
+        size[b] = far_norm(p_b)
+        reach = _NEAR * far_norm(x_b) * size[b]  # straight through the origin
+        spin[b] = far_norm(L_b) + far_norm(orbit) + reach
 
 
 @inline

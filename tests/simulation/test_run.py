@@ -290,6 +290,20 @@ def test_a_run_that_overflows_says_when_and_keeps_the_frames_before(make, tmp_pa
         assert np.isfinite(kept.energy).all()
 
 
+@pytest.mark.plain
+@pytest.mark.parametrize("method", ["exact", "strang"])
+def test_energies_that_fit_are_finite_though_squares_of_momenta_are_not(make, method):
+    """The sizes by which momenta are judged overflowed from 1e80 m/s on."""
+    v = np.array([1e150, -7e149, 3e149])
+    body = make.body(mass=2.0, position=[1.0, 2.0, 3.0], velocity=v.tolist())
+    with particlerb.run(make.case(body, method=method)) as t:
+        path = np.outer(t.time, v)
+        assert t.position[:, 0] - [1.0, 2.0, 3.0] == pytest.approx(path, rel=1e-14, abs=1e136)
+        assert t.ledger.kinetic_energy == pytest.approx(v @ v, rel=1e-14)
+        turning = t.observable("angular_momentum_error")
+        assert np.abs(turning).max() < 1e-14 * np.abs(path).max() * np.abs(v).max()
+
+
 def test_a_run_that_fails_at_once_leaves_an_empty_file(make, tmp_path):
     path = tmp_path / "run.h5"
     hits = [make.impulse([1e308, 0, 0])] * 2
