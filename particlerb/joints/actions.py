@@ -9,14 +9,17 @@ over a span s, which is symmetric, of order two, and dissipates at any step. A r
 in the factor with 2/(s c) on its diagonal, drag in the masses: M + s D/2 in place of M.
 """
 
-from math import inf
+from math import copysign, inf, pi
+from typing import Final
 
 from particlerb.compiled.jit import inline, unfused_kernel
-from particlerb.joints.records import HOLDS, Actions, Joints, JointWork, P
+from particlerb.joints.records import HOLDS, TURN, Actions, ConstraintRows, Joints, JointWork, P
 from particlerb.joints.rows import add_impulses, coordinate, orientation, rate, shorter
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.rows import row3, row3_at
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add, component_product, cross, dot, scale
+
+_MOST_BEYOND: Final = 0.9  # of the way from a stop to the middle between it and the other
 
 
 @inline
@@ -26,10 +29,24 @@ def _from_rest(actions: Actions, k: int, kind: int, x: float) -> float:
 
 
 @inline
-def _beyond(actions: Actions, k: int, x: float) -> float:
-    """How far x is beyond the stops of action k."""
+def _beyond(actions: Actions, k: int, kind: int, x: float) -> float:
+    """How far x is beyond the stops of action k; an angle beyond the nearer one."""
     excess: float = max(x - actions.upper[k], 0.0) + min(x - actions.lower[k], 0.0)
-    return excess
+    other = excess - copysign(2.0 * pi - (actions.upper[k] - actions.lower[k]), excess)
+    return other if kind >= TURN and excess != 0.0 and abs(other) < abs(excess) else excess
+
+
+@inline
+def gives_way(rows: ConstraintRows, actions: Actions, r: int, before: Floats, y: Floats) -> bool:
+    """Whether an angle has all but passed the middle between its stops, or does on the way to y."""
+    k, kind = rows.action[r], rows.kind[r]
+    if k == HOLDS or kind < TURN or actions.stop[k] == 0.0:
+        return False
+    x, last = coordinate(rows, y, r), coordinate(rows, before, r)
+    on, beyond = shorter(kind, x - last), _beyond(actions, k, kind, x)
+    has_passed = beyond * on < 0.0 and _beyond(actions, k, kind, last) * on >= 0.0
+    middle = pi - 0.5 * (actions.upper[k] - actions.lower[k])
+    return has_passed or abs(beyond) > _MOST_BEYOND * middle
 
 
 @inline
@@ -41,7 +58,10 @@ def set_compliance(joints: Joints, work: JointWork, r: int, span: float) -> None
     c = 0.0
     if span > 0.0:
         c = joints.actions.damping[k]
-        if _beyond(joints.actions, k, coordinate(joints.rows, work.y, r)) != 0.0:
+        if (
+            _beyond(joints.actions, k, joints.rows.kind[r], coordinate(joints.rows, work.y, r))
+            != 0.0
+        ):
             c += joints.actions.stop_damping[k]
     work.compliance[r] = 2.0 / (span * c) if c > 0.0 else inf
 
@@ -57,7 +77,7 @@ def kick_actions(joints: Joints, work: JointWork, lo: int, hi: int, dt: float) -
         if k != HOLDS:
             x = coordinate(joints.rows, work.y, r)
             f = -actions.stiffness[k] * _from_rest(actions, k, kind[r], x)
-            f += actions.motor[k] - actions.stop[k] * _beyond(actions, k, x)
+            f += actions.motor[k] - actions.stop[k] * _beyond(actions, k, kind[r], x)
             work.z[r] = work.total[r] = f * dt
             work.before[r] = rate(joints, work.gradient, r, work.y, P)
             work.before[r] += work.moving[r] - rate(joints, work.gradient, r, work.change, 0)
@@ -84,8 +104,8 @@ def add_stored_energy(joints: Joints, y: Floats, world: Ints, sums: Floats) -> N
     for r in range(joints.rows.kind.size):
         k = joints.rows.action[r]
         if k != HOLDS:
-            x = coordinate(joints.rows, y, r)
-            away, beyond = _from_rest(actions, k, joints.rows.kind[r], x), _beyond(actions, k, x)
+            x, kind = coordinate(joints.rows, y, r), joints.rows.kind[r]
+            away, beyond = _from_rest(actions, k, kind, x), _beyond(actions, k, kind, x)
             energy = actions.stiffness[k] * away * away + actions.stop[k] * beyond * beyond
             sums[world[joints.rows.a[r]]] += 0.5 * energy
 
@@ -93,12 +113,12 @@ def add_stored_energy(joints: Joints, y: Floats, world: Ints, sums: Floats) -> N
 @inline
 def action_force(joints: Joints, work: JointWork, r: int) -> tuple[float, float]:
     """What acts along row r [N or N m], and the power of that which has no potential [W]."""
-    actions, k = joints.actions, joints.rows.action[r]
+    actions, k, kind = joints.actions, joints.rows.action[r], joints.rows.kind[r]
     x = coordinate(joints.rows, work.y, r)
     v = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
-    beyond = _beyond(actions, k, x)
+    beyond = _beyond(actions, k, kind, x)
     c = actions.damping[k] + (actions.stop_damping[k] if beyond != 0.0 else 0.0)
-    f = -actions.stiffness[k] * _from_rest(actions, k, joints.rows.kind[r], x)
+    f = -actions.stiffness[k] * _from_rest(actions, k, kind, x)
     f = f + actions.motor[k] - actions.stop[k] * beyond - c * v
     return f, (actions.motor[k] - c * v) * v
 

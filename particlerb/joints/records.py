@@ -190,7 +190,7 @@ class JointWork(NamedTuple):
     compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
     past: Floats  # (m, 4) of the last step, over its kick, and differences back; NaN: not known
     factor: Floats  # (blocks, w, w) for joints of w rows at most
-    lost: Ints  # (k,) 1 + row that did not converge, and m more if its axes left their place
+    lost: Ints  # (k,) 1 + row that did not converge; m, 2 m more: see `lost_joints`
     turned: Floats  # (c, 3) cosine, sine and whole turns of each angle; or displacement [m], 0, 0
     clock: Floats  # (3,) [s] since the segment began, at the start of a step; the whole step; when
     # the segment began

@@ -19,7 +19,7 @@ from math import inf
 from typing import Final
 
 from particlerb.compiled.jit import Flag, inline, kernel, unfused_kernel
-from particlerb.joints.actions import kick_actions, set_compliance
+from particlerb.joints.actions import gives_way, kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.breaking import leave_out, let_break
 from particlerb.joints.drives import carry, set_moving
@@ -165,6 +165,10 @@ def constrained_drift(
         _factor(joints, work, c)
         _fly_to_joints(joints, work, c, t, dt)
     _see_teeth(joints.rolls, joints, work, c, dt)
+    if joints.acts:
+        for r in range(lo, hi):
+            if gives_way(joints.rows, joints.actions, r, work.pose, work.y):
+                work.lost[c] = 1 + r + 2 * joints.rows.kind.size
 
 
 @inline

@@ -365,9 +365,15 @@ def lost(system: System, runs: Sequence[GroupRun]) -> str:
     if setup is None:
         return ""
     first = joints[min(joints)]
+    kind = first.motion.lost_joints()[min(joints)]
+    if kind == 2:
+        return (
+            f"joint {setup.names[min(joints)]} has turned so far beyond its stop that the other end"
+            " of its limit is as near: take a larger limit.stiffness, or a shorter run.dt"
+        )
     if setup.types[min(joints)] in ROLLING:
         why = "in a step teeth, or turns, were passed: take a shorter run.dt"
-        if first.motion.lost_joints()[min(joints)]:
+        if kind == 1:
             why = (
                 "its axes have left their place: hold them by hinges, parallel and at their"
                 " distance, or take a shorter run.dt"

@@ -39,14 +39,14 @@ class JointedMotion(Motion):
     group: SegmentGroup
     jointed: Jointed | None  # None: none does
 
-    def lost_joints(self) -> dict[int, bool]:
-        """Joints that no impulse keeps any more, and whether axes have left their place."""
+    def lost_joints(self) -> dict[int, int]:
+        """Joints that no impulse keeps any more; 1: axes have left their place, 2: a stop."""
         if self.jointed is None:
             return {}
         joints, work = self.jointed.joints, self.jointed.work
-        is_askew, rows = np.divmod(work.lost[work.lost > 0] - 1, joints.rows.kind.size)
+        why, rows = np.divmod(work.lost[work.lost > 0] - 1, joints.rows.kind.size)
         which = np.searchsorted(joints.program.start, rows, side="right") - 1
-        return dict(zip(joints.number[which].tolist(), (is_askew > 0).tolist(), strict=True))
+        return dict(zip(joints.number[which].tolist(), why.tolist(), strict=True))
 
     @property
     def breaks(self) -> bool:

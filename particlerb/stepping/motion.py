@@ -126,8 +126,8 @@ class Motion(Protocol):
         """When joints of the group have broken [s], (j,): inf where they hold."""
         return np.zeros(0)
 
-    def lost_joints(self) -> dict[int, bool]:
-        """Joints that no impulse keeps any more, and whether axes have left their place."""
+    def lost_joints(self) -> dict[int, int]:
+        """Joints that no impulse keeps any more; 1: axes have left their place, 2: a stop."""
         return {}
 
     def turn_on(self, before: "Motion") -> None:

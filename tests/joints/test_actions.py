@@ -8,6 +8,7 @@ import particlerb
 from particlerb import CaseError, joint_loads
 from particlerb.case.to_system import to_system
 from particlerb.simulation.run import prepare
+from particlerb.simulation.whole_run import RunError
 
 FIELDS = ["position", "orientation", "linear_momentum", "angular_momentum"]
 FIELDS += ["velocity", "angular_velocity"]
@@ -137,6 +138,33 @@ def test_a_stop_that_damps_ends_a_fall():
         assert np.abs(ledger.energy_error).max() < 1e-3 * np.abs(ledger.work).max()
     depth = 0.5 * 9.81 * np.cos(phi[-1]) / 500.0
     assert phi[-1] == pytest.approx(0.4 + depth, abs=1e-6)
+
+
+@plain
+@pytest.mark.parametrize(
+    ("method", "step", "within"), [("rattle", 4e-3, 3e-4), ("dop853", None, 1e-8)]
+)
+def test_a_stop_is_met_beyond_half_a_turn_too(method, step, within):
+    """It pushed from the other end of its limit there, with 1466 J in place of 0.67."""
+    scene = hinged(2.0, limit={"range": [-0.5, 3.0], "stiffness": 20.0})
+    scene["run"] = {"t_end": 2.5, "every": 0.02, "method": method} | ({"dt": step} if step else {})
+    with particlerb.run(scene) as t:
+        assert np.abs(t.ledger.energy_error).max() < within
+        phi = angle(t)
+    deepest = 2.0 * np.sqrt(MOMENT / 20.0)
+    assert phi.max() == pytest.approx(3.0 + deepest, abs=2e-3)
+    assert phi[-1] == pytest.approx(
+        3.0 - 2.0 * (2.5 - 1.5 - np.pi * 0.5 * deepest), abs=10 * within
+    )
+
+
+@plain
+@pytest.mark.parametrize("method", ["rattle", "dop853"])
+def test_a_stop_that_is_passed_ends_the_run(method):
+    scene = hinged(4.0, limit={"range": [-0.5, 1.0], "stiffness": 1.0})
+    scene["run"] = {"t_end": 4.0, "every": 0.05, "method": method}
+    with pytest.raises(RunError, match="has turned so far beyond its stop"):
+        particlerb.run(scene)
 
 
 def dragged(dt):
