@@ -61,14 +61,14 @@ def _advance_packs(
     pack = CommonSteps(equations, rows, layout, None, None, None, vectors)
     for lo in range(first * BLOCK, min(last * BLOCK, n), PACK):
         layout.first[0], layout.size[0] = lo, min(n - lo, PACK)
-        own, at = blocks[lo // BLOCK], lo % BLOCK
-        for r in range(own.size // STRIDE):
+        block, at = blocks[lo // BLOCK], lo % BLOCK
+        for r in range(block.size // STRIDE):
             for b in range(layout.size[0]):
-                put(rows[0], r, b, get(own, r, at + b))
+                put(rows[0], r, b, get(block, r, at + b))
         advance_steps(pack, clock[lo // PACK], leg, recording)
         for r in range(size):
             for b in range(layout.size[0]):
-                put(own, r, at + b, get(rows[0], r, b))
+                put(block, r, at + b, get(rows[0], r, b))
 
 
 class AdaptiveMotion(JointedMotion):
@@ -123,9 +123,9 @@ class AdaptiveMotion(JointedMotion):
 
     def advance_some(self, leg: Leg, recording: Recording) -> None:
         """Advance all bodies: together, or packs of them over threads."""
-        where = self.clock[0], leg, recording
+        shared = self.clock[0], leg, recording
         if self.forces is None:
-            through = partial(_advance_packs, self.equations, self.blocks, self.clock, *where[1:])
+            through = partial(_advance_packs, self.equations, self.blocks, self.clock, *shared[1:])
             stops = leg.times.size + 1
             THREADS.spread(through, self.group.members.size, int(stops * self.cost))
             return
@@ -133,12 +133,12 @@ class AdaptiveMotion(JointedMotion):
         pairs = None if acting.pair is None else forces.pairs
         joints = self.group.terms.joints
         breaks = None if joints is None else joints.breaks
-        own = self.blocks, self.layout, pairs, self.jointed, breaks, self.vectors
-        bodies = CommonSteps(self.equations, *own)
+        arguments = self.blocks, self.layout, pairs, self.jointed, breaks, self.vectors
+        bodies = CommonSteps(self.equations, *arguments)
         if forces.is_large:
-            over_threads(advance_steps, pair_loads=lambda *_: forces.evaluate())(bodies, *where)
+            over_threads(advance_steps, pair_loads=lambda *_: forces.evaluate())(bodies, *shared)
         else:
-            THREADS.alone(advance_steps, bodies, *where)
+            THREADS.alone(advance_steps, bodies, *shared)
         if breaks is not None:
             self.clock[0, 1] = self.vectors.tried[0]
 
@@ -155,8 +155,8 @@ class AdaptiveMotion(JointedMotion):
         self.advance(np.empty(0), np.empty(0, dtype=np.int64), elapsed, none)
         state = state_of(self.blocks, n)
         sums = out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1)
-        own = np.array([elapsed]), state.com, state.q, state.L, sums[None]
-        return state, self.account.of_states(*own)[0]
+        arguments = np.array([elapsed]), state.com, state.q, state.L, sums[None]
+        return state, self.account.of_states(*arguments)[0]
 
     def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
         """Through all times; sums of what was booked, for each row of the frames."""

@@ -53,10 +53,10 @@ def begin(
     if group.terms.contact is not None:
         return _begin_touching(method, group, state, start, dt, before)
     parts: list[tuple[Ints, Motion]] = []
-    for which in _parts_of(method, group):
-        part = group if which.size == group.members.size else part_of(group, which)
-        first = state if part is group else taken(state, which)
-        parts.append((which, SteppedMotion(method, part, first, start, dt)))
+    for indices in _parts_of(method, group):
+        part = group if indices.size == group.members.size else part_of(group, indices)
+        first = state if part is group else taken(state, indices)
+        parts.append((indices, SteppedMotion(method, part, first, start, dt)))
     return parts[0][1] if len(parts) == 1 else CompositeMotion(tuple(parts))
 
 
@@ -90,4 +90,4 @@ def _parts_of(method: Method, group: SegmentGroup) -> list[Ints]:
         return [everyone]
     is_asymmetric = group.bodies.rotor_class == ASYMMETRIC
     kinds = everyone[is_asymmetric], everyone[~is_asymmetric]
-    return [which for which in kinds if which.size]
+    return [indices for indices in kinds if indices.size]

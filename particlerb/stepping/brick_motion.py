@@ -70,11 +70,11 @@ class BrickMotion(SharedMotion):
             turns = slice(number, None, self.ranks.count)
             self.territory = Territory(exchange, com[:, self.is_free][:, turns])
             owner = self.territory.owners(np.arange(com.shape[1]), com)
-            own = np.flatnonzero(owner == number)
+            bodies = np.flatnonzero(owner == number)
             kept = [] if before is None else [kept_of(each) for each in before.lists.histories]
             histories = exchange.routed(kept, owner) if kept else None
             skin = exchange.whole.terms.known_contact.skin
-            self.lay_out(own, self.initial[own], skin, histories)
+            self.lay_out(bodies, self.initial[bodies], skin, histories)
             self.loop = loop_over_ranks(method, self.place, self.store, self.enter)
             self.set_off(True)
 
@@ -88,18 +88,18 @@ class BrickMotion(SharedMotion):
 
     # Who is where
 
-    def lay_out(self, own: Ints, rows: Floats, skin: float, histories: Histories | None) -> None:
+    def lay_out(self, bodies: Ints, rows: Floats, skin: float, histories: Histories | None) -> None:
         """Room for the bodies of this rank, ascending, which have these rows, and for copies.
 
         Lists with this skin [m] are to be made of them.
         """
-        came, ghosts = self.territory.copies_of(own, rows, skin)
+        ghost_rows, ghosts = self.territory.copies_of(bodies, rows, skin)
         held = np.flatnonzero(~self.is_free)
-        local = np.unique(np.concatenate([own, ghosts, held]))
+        local = np.unique(np.concatenate([bodies, ghosts, held]))
         values = self.initial[local]
-        for which, of in ((ghosts, came), (own, rows)):
-            values[np.searchsorted(local, which)] = of
-        self.local, self.is_own = local, np.isin(local, own)
+        for indices, new_rows in ((ghosts, ghost_rows), (bodies, rows)):
+            values[np.searchsorted(local, indices)] = new_rows
+        self.local, self.is_own = local, np.isin(local, bodies)
         steps = self.steps_done
         group, numbers = contact_part(self.exchange.whole, local)
         state = state_of(values[:, :STATE_ROWS].T)
@@ -108,7 +108,7 @@ class BrickMotion(SharedMotion):
         self.begin_contact(state, numbers, histories, None, self.is_own)
         self.put(values)
         self._count_costs()
-        self.territory.find_slots(lambda which: self.slots[np.searchsorted(local, which)])
+        self.territory.find_slots(lambda indices: self.slots[np.searchsorted(local, indices)])
 
     def _count_costs(self) -> None:
         """Costs of all bodies: who decides by them decides the same on all ranks."""
@@ -123,40 +123,40 @@ class BrickMotion(SharedMotion):
         if self.lists.count == 0:
             return  # they are where they belong
         ranks, old = self.ranks, self.lists
-        rows, here = self.travelling(), np.flatnonzero(self.is_own)
-        moves = self.is_free[self.local[here]]
-        com = np.ascontiguousarray(rows[here, :3].T)
+        rows, local_own = self.travelling(), np.flatnonzero(self.is_own)
+        moves = self.is_free[self.local[local_own]]
+        com = np.ascontiguousarray(rows[local_own, :3].T)
         owner = self.territory.next_owners(com, moves)
         goes = np.full(self.is_free.size, ranks.number)
-        goes[self.local[here]] = owner
+        goes[self.local[local_own]] = owner
         histories = self.exchange.routed([kept_of(each) for each in old.histories], goes)
-        who, own = self.exchange.bodies_sent(owner, self.local[here], rows[here])
-        found = int(ranks.added(np.array([who.size]))[0])
-        if found != self.is_free.size or np.unique(who).size != who.size:
+        bodies, arrived = self.exchange.bodies_sent(owner, self.local[local_own], rows[local_own])
+        total = int(ranks.added(np.array([bodies.size]))[0])
+        if total != self.is_free.size or np.unique(bodies).size != bodies.size:
             raise MotionError(
-                f"at t = {self.now:.6g} s ranks have {found} bodies of {self.is_free.size}: that"
+                f"at t = {self.now:.6g} s ranks have {total} bodies of {self.is_free.size}: that"
                 " is a fault of this program, please report it with the case"
             )
         watch, frames = self.checks.watch, self.frames
-        self.lay_out(who, own, old.skin, histories)
+        self.lay_out(bodies, arrived, old.skin, histories)
         self.lists.go_on(old)
         self.checks.watch, self.frames = watch, frames
         self.contact = self.contact._replace(frames=frames)
         self.now_only(PLACE)
 
-    def take_up(self, rows: Floats, skin: float, both: list[tuple[Ints, Floats]]) -> Floats:
+    def take_up(self, rows: Floats, skin: float, contacts: list[tuple[Ints, Floats]]) -> Floats:
         """Take bodies where they were when lists were made, and contacts; return the poses of now.
 
         Rows begin with the numbers of bodies, and end with these poses; each rank has some of all.
         """
-        which, com = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1:4].T)
-        self.territory.fit(com[:, self.is_free[which]])
+        bodies, com = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1:4].T)
+        self.territory.fit(com[:, self.is_free[bodies]])
         owner = np.zeros(self.is_free.size, dtype=np.int64)
-        owner[which] = self.territory.owners(which, com)
-        who, own = self.exchange.bodies_sent(owner[which], which, rows[:, 1:])
-        histories = self.exchange.routed(both, self.ranks.added(owner))
-        self.lay_out(who, own[:, : 1 + GROSS], skin, histories)
-        return own[:, 1 + GROSS :]
+        owner[bodies] = self.territory.owners(bodies, com)
+        own_bodies, arrived = self.exchange.bodies_sent(owner[bodies], bodies, rows[:, 1:])
+        histories = self.exchange.routed(contacts, self.ranks.added(owner))
+        self.lay_out(own_bodies, arrived[:, : 1 + GROSS], skin, histories)
+        return arrived[:, 1 + GROSS :]
 
     # Steps
 
@@ -186,9 +186,9 @@ class BrickMotion(SharedMotion):
         begin_step(contact, instant)
 
         def here(moving: MovingBodies, lo: int, hi: int) -> tuple[float, float, float]:
-            own = OwnBlocks(moving.blocks, moving.layout, lo, hi)
+            own_blocks = OwnBlocks(moving.blocks, moving.layout, lo, hi)
             assert moving.team is not None
-            return place_bodies_and_walls(contact, moving.team, None, own, instant)
+            return place_bodies_and_walls(contact, moving.team, None, own_blocks, instant)
 
         reached = self.ranks.largest(np.array(self.enter(here, moving, first, last)))
         return bool(keep_extremes(contact, instant, *reached.tolist()))
@@ -260,26 +260,26 @@ class BrickMotion(SharedMotion):
 
     def to_show(self, values: Floats) -> Floats:
         """Rows of the bodies that are shown here, where each rank has (n, ..) of its own."""
-        who, exchange = self.local[self.is_own], self.exchange
-        _, rows = exchange.bodies_sent(exchange.home[who], who, values[self.is_own])
+        bodies, exchange = self.local[self.is_own], self.exchange
+        _, rows = exchange.bodies_sent(exchange.home[bodies], bodies, values[self.is_own])
         if len(rows) != self.shown.members.size:
             raise MotionError(f"{len(rows)} bodies of {self.shown.members.size} were sent")
         return np.ascontiguousarray(rows)
 
-    def contacts_to_show(self, found: ContactRows) -> ContactRows:
+    def contacts_to_show(self, contacts: ContactRows) -> ContactRows:
         """Contacts of the bodies that are shown here; on the first rank, which lists them, all.
 
         Each is sent by the rank of one of its bodies that move.
         """
-        exchange, (who, what) = self.exchange, found
-        first, second = exchange.places_of(who[:, :2].T)
-        of = np.where((second < 0) | exchange.is_free[first], first, second)
-        sends = self.is_own[np.searchsorted(self.local, of)]
-        rows = np.hstack([who, what])
+        exchange, (numbers, values) = self.exchange, contacts
+        first, second = exchange.places_of(numbers[:, :2].T)
+        body = np.where((second < 0) | exchange.is_free[first], first, second)
+        sends = self.is_own[np.searchsorted(self.local, body)]
+        rows = np.hstack([numbers, values])
         to = exchange.home[first], np.where(second < 0, 0, exchange.home[second])
-        each = [sends & ((to[0] == k) | (to[1] == k) | (k == 0)) for k in range(self.ranks.count)]
-        came = np.concatenate(self.ranks.sent([rows[chosen] for chosen in each]))
-        return came[:, : who.shape[1]].astype(np.int64), came[:, who.shape[1] :]
+        masks = [sends & ((to[0] == k) | (to[1] == k) | (k == 0)) for k in range(self.ranks.count)]
+        received = np.concatenate(self.ranks.sent([rows[chosen] for chosen in masks]))
+        return received[:, : numbers.shape[1]].astype(np.int64), received[:, numbers.shape[1] :]
 
     def show(self, frames: ContactFrames, frame: int) -> None:
         """Write what contacts have now into a frame."""

@@ -41,8 +41,8 @@ class Levers(NamedTuple):
 
 def lever_of(terms: Terms) -> Floats | None:
     """Lever tensor of the loads of a group, (9, n) [N m]; None where nothing turns a body."""
-    found = [load.lever for load in terms.loads if isinstance(load, Push) and load.lever.any()]
-    return found[0] if found else None
+    levers = [load.lever for load in terms.loads if isinstance(load, Push) and load.lever.any()]
+    return levers[0] if levers else None
 
 
 def levers_on(bodies: Bodies, lever: Floats) -> Levers:
@@ -159,14 +159,14 @@ def translations_of(group: SegmentGroup, state: State) -> Translations:
 def _pair_on_springs(bodies: Bodies, links: Links, state: State) -> Translations:
     """Two bodies on springs between them: both about their centre of mass."""
     n, other = bodies.mass.size, _others(links, bodies.mass.size)
-    both = bodies.mass + bodies.mass[other]
+    total_mass = bodies.mass + bodies.mass[other]
     stiffness, damping = np.zeros(n), np.zeros(n)
     for ends in (links.first, links.second):
         np.add.at(stiffness, ends, links.stiffness)
         np.add.at(damping, ends, 0.0 if links.damping is None else links.damping)
     softness = bodies.inv_mass + bodies.inv_mass[other]
     weighted = state.com * bodies.mass
-    middle, drift = ((v + v[:, other]) / both for v in (weighted, state.p))
+    middle, drift = ((v + v[:, other]) / total_mass for v in (weighted, state.p))
     squared, none = stiffness * softness, np.zeros((3, n))
     if damping.any():
         damped = DampedOscillator(squared, middle, none, damping * softness)

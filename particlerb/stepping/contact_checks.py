@@ -46,8 +46,8 @@ class ContactChecks:
         Of missed pairs, that continues from motions before this one.
     limit : float
         ω dt above which the method lets bodies on undamped contacts grow without bound; 0: always.
-    own : ndarray, shape (n,), optional
-        Bodies whose contacts are all known; left out: all.
+    is_own : ndarray, shape (n,), optional
+        Whether all contacts of a body are known; left out: of each.
     """
 
     def __init__(
@@ -56,13 +56,13 @@ class ContactChecks:
         dt: float,
         watch: Watch | None = None,
         limit: float = STABLE,
-        own: Bools | None = None,
+        is_own: Bools | None = None,
     ) -> None:
         contact = group.terms.known_contact
         spheres, n = contact.model.spheres, group.members.size
         self.members, self.dt, self.limit = group.members, dt, limit or STABLE
         self.watch = watch or Watch()
-        self._is_left_out = np.zeros(n, dtype=np.bool_) if own is None else ~own
+        self._is_left_out = np.zeros(n, dtype=np.bool_) if is_own is None else ~is_own
         self._radius = np.full(n, np.inf)
         np.minimum.at(self._radius, spheres.body, spheres.radius)
         self._bound = bounding_radii(spheres, n)
@@ -82,11 +82,11 @@ class ContactChecks:
             )
         return rate
 
-    def missed_pairs(self, contact: MovingContact, work: float, now: float) -> None:
+    def missed_pairs(self, contact: MovingContact, cost: float, now: float) -> None:
         """Raise MotionError where something overlaps and no contact acts, after more work [ns]."""
         setup, workspace, n = contact.setup, contact.workspace, self._bound.size
         model, rows = setup.model, workspace.bodies
-        if not self.watch.is_due(n, model.walls.kind.size, work):
+        if not self.watch.is_due(n, model.walls.kind.size, cost):
             return
         prescribed, extra = model.prescribed, np.zeros(n)
         if prescribed is not None:

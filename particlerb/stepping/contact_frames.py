@@ -41,8 +41,8 @@ def output_of(
     setup, workspace, lists, *_ = contact
     with_gaps = setup.rules is not None
     rows = [
-        shown(contact_rows(one, setup.model, workspace, members, numbers, are_walls, with_gaps))
-        for one, are_walls in ((lists.spheres, False), (lists.walls, True))
+        shown(contact_rows(pairs, setup.model, workspace, members, numbers, are_walls, with_gaps))
+        for pairs, are_walls in ((lists.spheres, False), (lists.walls, True))
     ]
     centre, velocity = wall_centres(motions, workspace.poses)
     if setup.pistons is not None:  # contacts saw a velocity carried on

@@ -73,8 +73,8 @@ class ContactLists:
         What contacts of spheres with these numbers, and with walls, keep from earlier steps.
     with_stages : bool
         Whether springs take several slopes in a step.
-    own : ndarray, shape (n_bodies,), optional
-        Bodies whose contacts are asked for; left out: all.
+    is_own : ndarray, shape (n_bodies,), optional
+        Whether the contacts of a body are asked for; left out: of each.
     """
 
     def __init__(
@@ -84,14 +84,14 @@ class ContactLists:
         numbers: Ints | None = None,
         histories: Histories | None = None,
         with_stages: bool = False,
-        own: Bools | None = None,
+        is_own: Bools | None = None,
     ) -> None:
         spheres, walls = contact.model.spheres, contact.model.walls
         n_spheres = spheres.radius.size
         self.contact, self.dt, self.with_stages = contact, dt, with_stages
         self.skin = self.least_skin = contact.skin
         self.count, self.n_pairs = 0, 0  # lists so far; pairs in the last of them
-        self.own = own
+        self.own = is_own
         self.count_cost(n_spheres)
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
@@ -100,7 +100,7 @@ class ContactLists:
         self.histories = histories or (empty_history(self.record),) * 2
         self._search = SphereSearch(spheres.radius, spheres.body, spheres.apart, spheres.world)
         self._walls = WallSearch(walls, spheres.radius)
-        self._at_walls = None if own is None else np.flatnonzero(own[spheres.body])
+        self._at_walls = None if is_own is None else np.flatnonzero(is_own[spheres.body])
         self._primitives = np.arange(walls.kind.size)
         largest = float(spheres.radius.max(initial=0.0))
         self._max_contact_arm = float((contact.max_arm + 2.0 * largest).max())
@@ -121,8 +121,8 @@ class ContactLists:
         """Lists without a pair, of n bodies."""
         none, ends = np.zeros(0, dtype=np.int32), np.zeros(N_SHELLS, dtype=np.int64)
         spheres, walls = (
-            self._list_of(which, none, none, np.zeros((0, history.values.shape[1])), ends)
-            for which, history in enumerate(self.histories)
+            self._list_of(kind, none, none, np.zeros((0, history.values.shape[1])), ends)
+            for kind, history in enumerate(self.histories)
         )
         alone = incidence(none.astype(np.int64), none.astype(np.int64), n)
         return NeighbourLists(spheres, walls, alone, alone, self._max_contact_arm)
@@ -183,8 +183,8 @@ class ContactLists:
         if self.own is None:
             return first, second
         body = self.contact.model.spheres.body
-        which = np.flatnonzero(self.own[body[first]] | self.own[body[second]])
-        return first[which], second[which]
+        kept = np.flatnonzero(self.own[body[first]] | self.own[body[second]])
+        return first[kept], second[kept]
 
     def _counted(self, first: Ints, second: Ints) -> int:
         """How many pairs of spheres; of those that others have too only the own."""
@@ -235,29 +235,29 @@ class ContactLists:
         return WallsAhead(steps * self.dt, ahead + sliding)
 
     def _contacts(
-        self, which: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], shell: Ints
+        self, kind: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], shell: Ints
     ) -> ContactList:
         """New contacts of spheres, or of walls, with the history of those of the old list."""
-        m, old = pairs[0].size, self.histories[which]
+        m, old = pairs[0].size, self.histories[kind]
         if 2 * m > LARGEST_NUMBER:  # each is in the rows of two bodies
             raise MotionError(f"{m} pairs are near: lists number {LARGEST_NUMBER // 2}")
         keys, rows = np.empty((2, m), dtype=np.int64)
-        values = self._buffer(f"history {which}, {self.count % 2}", m, old.values.shape[1])
+        values = self._buffer(f"history {kind}, {self.count % 2}", m, old.values.shape[1])
         new, ends = ContactHistory(keys, rows, values), np.empty(N_SHELLS, dtype=np.int64)
         first, second = np.empty((2, m), dtype=np.int32)
-        wall = self.contact.model.walls.wall if which == 1 else self.numbers[:0]
+        wall = self.contact.model.walls.wall if kind == 1 else self.numbers[:0]
         order_contacts(pairs, numbers, wall, shell, old, new, first, second, ends)
         spheres, walls = self.histories
-        self.histories = (new, walls) if which == 0 else (spheres, new)
-        return self._list_of(which, first, second, values, ends)
+        self.histories = (new, walls) if kind == 0 else (spheres, new)
+        return self._list_of(kind, first, second, values, ends)
 
     def _list_of(
-        self, which: int, first: Indices, second: Indices, values: Floats, ends: Ints
+        self, kind: int, first: Indices, second: Indices, values: Floats, ends: Ints
     ) -> ContactList:
         """Contacts of spheres, or of walls, with rows of their history."""
         m, with_rolling = first.size, self.contact.model.law.rolling is not None
-        record = records.forces_record(with_rolling, which == 1)
-        rows_of_forces = self._buffer(f"forces {which}", m, records.columns_of(record))
+        record = records.forces_record(with_rolling, kind == 1)
+        rows_of_forces = self._buffer(f"forces {kind}", m, records.columns_of(record))
         rows_of_forces[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
         forces = records.from_floats(rows_of_forces, record)
         history = records.from_floats(values, self.record)

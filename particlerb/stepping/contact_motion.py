@@ -106,9 +106,9 @@ class ContactMotion(SteppedMotion):
         numbers: Ints | None,
         histories: Histories | None,
         watch: Watch | None,
-        own: Bools | None = None,
+        is_own: Bools | None = None,
     ) -> None:
-        """Room for the contacts of the bodies in the blocks; `own` are asked for, or all."""
+        """Room for the contacts of the bodies in the blocks: of those that are own, or all."""
         method, group, start, dt = self.method, self.group, self.start, self.dt
         setup = group.terms.known_contact
         n, n_spheres = group.members.size, setup.model.spheres.radius.size
@@ -116,8 +116,8 @@ class ContactMotion(SteppedMotion):
         self.step_cost = self.cost_of(n, n_spheres)
         self.cost += evaluation
         self.threads = len(self.blocks) if evaluation > WORTH_THREADS else 1
-        self.lists = ContactLists(setup, dt, numbers, histories, method.takes_slopes, own)
-        self.checks = ContactChecks(group, dt, watch, method.stability_limit, own)
+        self.lists = ContactLists(setup, dt, numbers, histories, method.takes_slopes, is_own)
+        self.checks = ContactChecks(group, dt, watch, method.stability_limit, is_own)
         poses = zero_records(POSE, len(setup.motions))
         xyzr, bodies = np.zeros((n_spheres, 4)), zero_records(BODY, n)
         deepest, step_start = np.zeros((len(self.blocks), 5)), zero_records(STEP_START, 1)
@@ -195,8 +195,8 @@ class ContactMotion(SteppedMotion):
         """Raise MotionError where the run is wrong, after so many steps with the same lists."""
         contact = self.contact
         if steps > 0:
-            work = self.share * (self.lists.cost + steps * self.step_cost)
-            self.checks.missed_pairs(contact, work, self.now)
+            cost = self.share * (self.lists.cost + steps * self.step_cost)
+            self.checks.missed_pairs(contact, cost, self.now)
         if self.looks and self.lists.count > 0 and is_due(self.lists.count):
             self.look()
         self.checks.tunnelling(contact, self.values(0, 13), self.now)
@@ -242,9 +242,9 @@ class ContactMotion(SteppedMotion):
                 shown = self.group.members, lists.numbers, lists.motions, pistons
                 self.contacts[row] = output_of(self.contact, *shown, self.contacts_to_show)
 
-    def contacts_to_show(self, found: ContactRows) -> ContactRows:
+    def contacts_to_show(self, contacts: ContactRows) -> ContactRows:
         """Contacts that are shown here, of those that were found here: all of them."""
-        return found
+        return contacts
 
     def _run_through(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule, with new lists where they are used up."""
@@ -343,7 +343,7 @@ class ContactMotion(SteppedMotion):
         if worlds is None:
             return sum_by_number(work, self.group.members)
         number = self.group.members[worlds.bodies[0]]
-        return np.array([sum_by_number(work[own], number) for own in worlds.bodies])
+        return np.array([sum_by_number(work[bodies], number) for bodies in worlds.bodies])
 
     def contact_start(self) -> ContactStart:
         """What contacts keep, and pistons, for the next segment."""

@@ -10,29 +10,29 @@ from particlerb.model.bodies import taken
 from particlerb.stepping.motion import SegmentGroup
 
 
-def contact_part(group: SegmentGroup, which: Ints) -> tuple[SegmentGroup, Ints]:
+def contact_part(group: SegmentGroup, indices: Ints) -> tuple[SegmentGroup, Ints]:
     """Some bodies of a group, ascending, and the numbers of their spheres.
 
     All that move as prescribed, and pairs that do not touch, are among them or none.
     """
     contact = group.terms.known_contact
     model = contact.model
-    kept, body = rows_of_kinds(model.spheres.offset, which)
+    kept, body = rows_of_kinds(model.spheres.offset, indices)
     spheres = model.spheres._replace(
         arm=np.ascontiguousarray(model.spheres.arm[:, kept]),
         radius=model.spheres.radius[kept],
         body=body,
         material=model.spheres.material[kept],
         partner=model.spheres.partner[kept],
-        world=model.spheres.world[which],
-        offset=np.searchsorted(body, np.arange(which.size + 1)),
+        world=model.spheres.world[indices],
+        offset=np.searchsorted(body, np.arange(indices.size + 1)),
     )
-    own = model._replace(
+    part_model = model._replace(
         spheres=spheres,
-        inv_mass=model.inv_mass[which],
-        inv_inertia=np.ascontiguousarray(model.inv_inertia[:, which]),
-        prescribed=prescribed_among(model.prescribed, which),
+        inv_mass=model.inv_mass[indices],
+        inv_inertia=np.ascontiguousarray(model.inv_inertia[:, indices]),
+        prescribed=prescribed_among(model.prescribed, indices),
     )
-    part = contact._replace(model=own, max_arm=contact.max_arm[which])
-    terms = terms_on(group.terms._replace(contact=None), which)._replace(contact=part)
-    return SegmentGroup(group.members[which], taken(group.bodies, which), terms), kept
+    part_contact = contact._replace(model=part_model, max_arm=contact.max_arm[indices])
+    terms = terms_on(group.terms._replace(contact=None), indices)._replace(contact=part_contact)
+    return SegmentGroup(group.members[indices], taken(group.bodies, indices), terms), kept

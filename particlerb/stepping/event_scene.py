@@ -55,13 +55,13 @@ def bounds_of(group: SegmentGroup) -> tuple[Floats, Floats]:
 
 def _points_of(walls: Walls) -> Floats:
     """Points that finite walls reach to, (3, m) [m]."""
-    found = [np.zeros((3, 0))]
+    points = [np.zeros((3, 0))]
     for kind, row in zip(walls.kind.tolist(), walls.parameter, strict=True):
         if kind == FACE:
-            found.append(row[:9].reshape(3, 3).T)
+            points.append(row[:9].reshape(3, 3).T)
         elif kind == SIDE:
-            found += [row[:3, None] + s * (row[7] + row[6]) for s in (-1.0, 1.0)]
-    return np.concatenate(found, axis=1)
+            points += [row[:3, None] + s * (row[7] + row[6]) for s in (-1.0, 1.0)]
+    return np.concatenate(points, axis=1)
 
 
 class _Grid(NamedTuple):
@@ -117,7 +117,7 @@ def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> E
     grid = _grid(group, state.com)
     sizes = np.diff(spheres.offset)[order]
     first = np.concatenate([[0], np.cumsum(sizes)])
-    which = np.repeat(spheres.offset[order] - first[:-1], sizes) + np.arange(first[-1])
+    sphere_order = np.repeat(spheres.offset[order] - first[:-1], sizes) + np.arange(first[-1])
     gravity = np.zeros(3)
     if group.terms.gravity is not None:
         gravity = group.terms.gravity.acceleration.copy()
@@ -133,7 +133,7 @@ def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> E
         n_moving=n_moving,
         body=body,
         kind=kind,
-        sphere=np.vstack([spheres.arm, spheres.radius]).T[which].copy(),
+        sphere=np.vstack([spheres.arm, spheres.radius]).T[sphere_order].copy(),
         pair_of=model.pair_of,
         rules=np.stack([rules.restitution, friction], axis=1),
         wall_kind=walls.kind,

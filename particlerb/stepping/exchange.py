@@ -55,11 +55,11 @@ class Exchange:
         """Rows that come here, where each is sent to a rank."""
         return np.concatenate(self.ranks.sent([rows[to == k] for k in range(self.ranks.count)]))
 
-    def bodies_sent(self, to: Ints, who: Ints, rows: Floats) -> tuple[Ints, Floats]:
+    def bodies_sent(self, to: Ints, bodies: Ints, rows: Floats) -> tuple[Ints, Floats]:
         """Bodies that come here, ascending, and their rows, where each is sent to a rank."""
-        came = self.sent(to, np.column_stack([who, rows]))
-        came = came[np.argsort(came[:, 0])]
-        return came[:, 0].astype(np.int64), came[:, 1:]
+        received = self.sent(to, np.column_stack([bodies, rows]))
+        received = received[np.argsort(received[:, 0])]
+        return received[:, 0].astype(np.int64), received[:, 1:]
 
     def everyone(self, shown: State) -> State:
         """State of all bodies, on each rank, from those that are shown on each."""
@@ -67,23 +67,23 @@ class Exchange:
         rows = np.concatenate(self.ranks.sent([rows] * self.ranks.count))
         return state_of(rows[np.argsort(rows[:, 0]), 1:].T)
 
-    def ends_of(self, which: int, keys: Ints) -> list[Ints]:
+    def ends_of(self, kind: int, keys: Ints) -> list[Ints]:
         """Bodies of contacts of spheres, or with walls, by their keys."""
-        spheres = [keys >> KEY_BITS] if which else [keys >> KEY_BITS, keys & (2**KEY_BITS - 1)]
+        spheres = [keys >> KEY_BITS] if kind else [keys >> KEY_BITS, keys & (2**KEY_BITS - 1)]
         offset = self.model.spheres.offset
         return [np.searchsorted(offset, number, side="right") - 1 for number in spheres]
 
-    def routed(self, both: list[tuple[Ints, Floats]], owner: Ints) -> Histories:
+    def routed(self, contacts: list[tuple[Ints, Floats]], owner: Ints) -> Histories:
         """What contacts keep that come here, each from a rank, or two, to those of its bodies."""
-        found = []
-        for which, (keys, values) in enumerate(both):
-            to = [owner[of] for of in self.ends_of(which, keys)]
+        arrived = []
+        for kind, (keys, values) in enumerate(contacts):
+            to = [owner[of] for of in self.ends_of(kind, keys)]
             goes = [np.any([of == k for of in to], axis=0) for k in range(self.ranks.count)]
-            came = np.concatenate(self.ranks.sent([keys[chosen] for chosen in goes]))
+            received = np.concatenate(self.ranks.sent([keys[chosen] for chosen in goes]))
             kept = np.concatenate(self.ranks.sent([values[chosen] for chosen in goes]))
-            each, first = np.unique(came, return_index=True)
-            found.append((each, kept[first]))
-        return histories_of(found)
+            distinct, first = np.unique(received, return_index=True)
+            arrived.append((distinct, kept[first]))
+        return histories_of(arrived)
 
 
 class Territory:
@@ -108,12 +108,12 @@ class Territory:
         """Cut space by the centres of mass of bodies that move."""
         self.bricks = Bricks(com, self.ranks)
 
-    def owners(self, which: Ints, com: Floats) -> Ints:
+    def owners(self, bodies: Ints, com: Floats) -> Ints:
         """Ranks that have bodies with centres of mass (3, n); of held ones they take turns."""
         is_free = self.exchange.is_free
-        among_held = np.searchsorted(np.flatnonzero(~is_free), which)
+        among_held = np.searchsorted(np.flatnonzero(~is_free), bodies)
         owner = self.bricks.owners(np.ascontiguousarray(com))
-        return np.where(is_free[which], owner, among_held % self.ranks.count)
+        return np.where(is_free[bodies], owner, among_held % self.ranks.count)
 
     def next_owners(self, com: Floats, moves: Bools) -> Ints:
         """Ranks that have the bodies of this one from now on; bricks follow where they must."""
@@ -125,35 +125,35 @@ class Territory:
         self.bricks = bricks
         return np.where(moves, bricks.owners(com), self.ranks.number)
 
-    def copies_of(self, own: Ints, rows: Floats, skin: float) -> tuple[Floats, Ints]:
+    def copies_of(self, bodies: Ints, rows: Floats, skin: float) -> tuple[Floats, Ints]:
         """Bodies of other ranks that may touch those of this one: rows, and who they are.
 
         A rank without bodies gets a copy of one, so that it has something to go through.
         """
-        ranks, free = self.ranks, self.exchange.is_free[own]
+        ranks, free = self.ranks, self.exchange.is_free[bodies]
         counts = ranks.gathered(int(free.sum()))
         com = np.ascontiguousarray(rows[:, :3].T)
-        far = _MARGIN * (self.bound[own] + self.reach + skin)
+        far = _MARGIN * (self.bound[bodies] + self.reach + skin)
         leaders = [k for k, count in enumerate(counts) if count]
         out, self.given = [], {}
         for k, count in enumerate(counts):
             near = free & (self.bricks.distances(com, k) < far)
             if count == 0 and leaders and leaders[0] == ranks.number:
                 near[np.flatnonzero(free)[0]] = True
-            which = np.flatnonzero(near) if k != ranks.number else np.zeros(0, dtype=np.int64)
-            out.append(np.column_stack([own[which], rows[which]]))
-            if which.size:
-                self.given[k] = own[which], rows[:0]
-        came = ranks.sent(out)
-        who = [of[:, 0].astype(np.int64) for of in came]
-        self.copies = {k: (of, rows[:0]) for k, of in enumerate(who) if of.size}
-        return np.concatenate(came)[:, 1:], np.concatenate(who)
+            indices = np.flatnonzero(near) if k != ranks.number else np.zeros(0, dtype=np.int64)
+            out.append(np.column_stack([bodies[indices], rows[indices]]))
+            if indices.size:
+                self.given[k] = bodies[indices], rows[:0]
+        received = ranks.sent(out)
+        copied = [of[:, 0].astype(np.int64) for of in received]
+        self.copies = {k: (of, rows[:0]) for k, of in enumerate(copied) if of.size}
+        return np.concatenate(received)[:, 1:], np.concatenate(copied)
 
     def find_slots(self, slots_of: Callable[[Ints], Ints]) -> None:
         """Note in which slots of the blocks those are that are swapped, and make room for them."""
         for swapped in (self.given, self.copies):
-            for k, (which, _) in swapped.items():
-                swapped[k] = slots_of(which), np.empty((which.size, STATE_ROWS))
+            for k, (bodies, _) in swapped.items():
+                swapped[k] = slots_of(bodies), np.empty((bodies.size, STATE_ROWS))
 
     def swap(self, blocks: Floats) -> None:
         """Send states to ranks that have copies, and get those of the copies here."""
@@ -164,8 +164,8 @@ class Territory:
             {k: out for k, (_, out) in self.given.items()},
             {k: room for k, (_, room) in self.copies.items()},
         )
-        for slots, came in self.copies.values():
-            rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK] = came
+        for slots, received in self.copies.values():
+            rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK] = received
 
 
 def kept_of(history: ContactHistory) -> tuple[Ints, Floats]:
@@ -174,11 +174,11 @@ def kept_of(history: ContactHistory) -> tuple[Ints, Floats]:
     return history.keys[kept], history.values[history.rows[kept]]
 
 
-def histories_of(both: list[tuple[Ints, Floats]]) -> Histories:
+def histories_of(contacts: list[tuple[Ints, Floats]]) -> Histories:
     """Histories of contacts of spheres, and with walls, by their keys in any order."""
     spheres, walls = (
         ContactHistory(keys[order], np.arange(keys.size), values[order])
-        for keys, values in both
+        for keys, values in contacts
         for order in (np.argsort(keys),)
     )
     return spheres, walls

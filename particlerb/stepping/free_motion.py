@@ -92,9 +92,9 @@ class _Part(NamedTuple):
     @property
     def sums(self) -> bool:
         """Whether what forces give is summed by the kernel."""
-        own = (None, None) if self.is_pair else (self.orbit, self.spring)
-        found = (self.drag, self.braked, self.changes_spin, *own)
-        return any(one is not None for one in found)
+        orbit_and_spring = (None, None) if self.is_pair else (self.orbit, self.spring)
+        terms = (self.drag, self.braked, self.changes_spin, *orbit_and_spring)
+        return any(one is not None for one in terms)
 
 
 class _Turned(NamedTuple):
@@ -122,18 +122,18 @@ def _spin(spinning: Spinning | None, lo: int, hi: int, t: float, out: Floats, gi
 
 
 @inline
-def _gather(part: _Part, lo: int, n: int, own: Floats) -> None:
+def _gather(part: _Part, lo: int, n: int, inputs: Floats) -> None:
     """Copy bodies from `lo` on into rows: x, p, L, force, rotor frame, 1/M, M, 1/I."""
     size = part.inv_mass.size
     for b in range(n):
         j = part.which[lo + b]
-        store3(rows3(own[0:3], 0, n), b, load3(rows3(part.state.com, 0, size), j))
-        store3(rows3(own[3:6], 0, n), b, load3(rows3(part.state.p, 0, size), j))
-        store3(rows3(own[6:9], 0, n), b, load3(rows3(part.state.L, 0, size), j))
-        store3(rows3(own[9:12], 0, n), b, load3(rows3(part.force, 0, size), j))
-        store4(rows4(own[12:16], 0, n), b, load4(rows4(part.rotor_frame, 0, size), j))
-        own[16, b], own[17, b] = part.inv_mass[j], part.mass[j]
-        store3(rows3(own[18:21], 0, n), b, load3(rows3(part.inv_inertia, 0, size), j))
+        store3(rows3(inputs[0:3], 0, n), b, load3(rows3(part.state.com, 0, size), j))
+        store3(rows3(inputs[3:6], 0, n), b, load3(rows3(part.state.p, 0, size), j))
+        store3(rows3(inputs[6:9], 0, n), b, load3(rows3(part.state.L, 0, size), j))
+        store3(rows3(inputs[9:12], 0, n), b, load3(rows3(part.force, 0, size), j))
+        store4(rows4(inputs[12:16], 0, n), b, load4(rows4(part.rotor_frame, 0, size), j))
+        inputs[16, b], inputs[17, b] = part.inv_mass[j], part.mass[j]
+        store3(rows3(inputs[18:21], 0, n), b, load3(rows3(part.inv_inertia, 0, size), j))
 
 
 @inline
@@ -170,22 +170,22 @@ def _fly_blocks(
     one.
     """
     g, room = (part.gravity[0], part.gravity[1], part.gravity[2]), np.empty((N_TOTALS, STRIDE))
-    out, own = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, STRIDE))
+    out, inputs = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, STRIDE))
     local, place = out.reshape((BOOKED + 1, STRIDE)), np.empty(BLOCK, np.int64)
     for k in range(first, last):
         lo = k * BLOCK
         n = min(BLOCK, part.which.size - lo)
-        _gather(part, lo, n, own)
+        _gather(part, lo, n, inputs)
         for b in range(n):
             place[b] = members[part.which[lo + b]]
         com, p = rows3(local[COM : COM + 3], 0, n), rows3(local[P : P + 3], 0, n)
-        start, p0, F = rows3(own[0:3], 0, n), rows3(own[3:6], 0, n), rows3(own[9:12], 0, n)
-        of = Centres(start, p0, F, own[16, :n], com, p)
-        q, spin = rows4(local[Q : Q + 4], 0, n), rows3(own[6:9], 0, n)
+        start, p0, F = rows3(inputs[0:3], 0, n), rows3(inputs[3:6], 0, n), rows3(inputs[9:12], 0, n)
+        of = Centres(start, p0, F, inputs[16, :n], com, p)
+        q, spin = rows4(local[Q : Q + 4], 0, n), rows3(inputs[6:9], 0, n)
         if part.changes_spin is not None:
             spin = rows3(local[L : L + 3], 0, n)
-        frame, inverse = rows4(own[12:16], 0, n), rows3(own[18:21], 0, n)
-        summed = BlockRows(com, q, p, spin, own[17, :n], own[16, :n], inverse)
+        frame, inverse = rows4(inputs[12:16], 0, n), rows3(inputs[18:21], 0, n)
+        summed = BlockRows(com, q, p, spin, inputs[17, :n], inputs[16, :n], inverse)
         for f in range(times.size):
             booked = None if given is None or bins is None else Given(given[f], bins)
             _move_block(part, k, times[f], of, q, out, booked)
@@ -197,15 +197,15 @@ def _fly_blocks(
 @unfused_kernel
 def _end_blocks(part: _Part, t: float, end: State, given: Given | None) -> None:
     """State of the bodies of a part at one time; L only where it changes."""
-    out, own = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, STRIDE))
+    out, inputs = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, STRIDE))
     local = out.reshape((BOOKED + 1, STRIDE))
     for k in range(-(-part.which.size // BLOCK)):
         lo = k * BLOCK
         n = min(BLOCK, part.which.size - lo)
-        _gather(part, lo, n, own)
+        _gather(part, lo, n, inputs)
         com, p = rows3(local[COM : COM + 3], 0, n), rows3(local[P : P + 3], 0, n)
-        start, p0, F = rows3(own[0:3], 0, n), rows3(own[3:6], 0, n), rows3(own[9:12], 0, n)
-        of = Centres(start, p0, F, own[16, :n], com, p)
+        start, p0, F = rows3(inputs[0:3], 0, n), rows3(inputs[3:6], 0, n), rows3(inputs[9:12], 0, n)
+        of = Centres(start, p0, F, inputs[16, :n], com, p)
         _move_block(part, k, t, of, rows4(local[Q : Q + 4], 0, n), out, given)
         for b in range(n):
             j = part.which[lo + b]
@@ -217,9 +217,9 @@ def _end_blocks(part: _Part, t: float, end: State, given: Given | None) -> None:
                     end.L[i, j] = local[L + i, b]
 
 
-def _taken(record: Record | None, which: Ints) -> Record | None:
+def _taken(record: Record | None, index: Ints) -> Record | None:
     """`taken` of what is there."""
-    return None if record is None else taken(record, which)
+    return None if record is None else taken(record, index)
 
 
 class FreeMotion(Motion):
@@ -260,49 +260,49 @@ class FreeMotion(Motion):
                 free = free[~is_spun]
         if free.size < bodies.mass.size:
             bodies, state = taken(bodies, free), taken(state, free)
-        for which, turn in turns_of(bodies.inertia, bodies.rotor_class, state.q, state.L):
-            own = free[which]
+        for among, turn in turns_of(bodies.inertia, bodies.rotor_class, state.q, state.L):
+            index = free[among]
             steady, theta, hyperbolic = by_kind(turn)
-            yield own, self.part(own, steady=steady, theta=theta, hyperbolic=hyperbolic), None
+            yield index, self.part(index, steady=steady, theta=theta, hyperbolic=hyperbolic), None
 
-    def spun_part(self, which: Ints, torque: Floats, drag: Floats) -> tuple[Ints, _Part, None]:
+    def spun_part(self, index: Ints, torque: Floats, drag: Floats) -> tuple[Ints, _Part, None]:
         """Bodies that a torque or drag turns about a line."""
         bodies, axis = self.group.bodies, self.group.terms.axis
-        k = np.zeros(which.size, dtype=np.int64) if axis is None else np.maximum(axis[which], 0)
-        inverse = bodies.inv_inertia[k % LINE, which]
+        k = np.zeros(index.size, dtype=np.int64) if axis is None else np.maximum(axis[index], 0)
+        inverse = bodies.inv_inertia[k % LINE, index]
         vectors = (self.state.q, self.state.L, torque)
-        own = [np.ascontiguousarray(one[:, which]) for one in vectors]
-        spinning = Spinning(drag[which] * inverse, inverse, *own)
-        return which, self.part(which)._replace(spinning=spinning, changes_spin=flag(True)), None
+        columns = [np.ascontiguousarray(vector[:, index]) for vector in vectors]
+        spinning = Spinning(drag[index] * inverse, inverse, *columns)
+        return index, self.part(index)._replace(spinning=spinning, changes_spin=flag(True)), None
 
     def top_parts(self, levers: Levers) -> Iterator[tuple[Ints, _Part, _Turned]]:
         """The same of tops, in the axes in which the force acts on axis 3."""
-        bodies, index = self.group.bodies, np.flatnonzero(levers.is_top)
-        tops, axes = taken(levers.tops, index), levers.axes[:, index]
-        state = taken(self.state, index)
+        bodies, all_tops = self.group.bodies, np.flatnonzero(levers.is_top)
+        tops, axes = taken(levers.tops, all_tops), levers.axes[:, all_tops]
+        state = taken(self.state, all_tops)
         q = quaternion_product(state.q, axes)
         work = (tops.lever * rotate(q, _AXIS_3)).sum(axis=0)
-        for which, table in prepare_tops(tops, q, state.L) if index.size else []:
-            own = index[which]
+        for among, table in prepare_tops(tops, q, state.L) if all_tops.size else []:
+            index = all_tops[among]
             kind = "top" if len(table) == N_THETA else "near"
-            turn: Any = {kind: in_blocks(which.size, len(table), [(0, table)])}
-            part = self.part(own, changes_spin=flag(True), **turn)
+            turn: Any = {kind: in_blocks(among.size, len(table), [(0, table)])}
+            part = self.part(index, changes_spin=flag(True), **turn)
             if axes[1:].any():  # other ones than those of the rotor frame
                 frame, inverse = bodies.rotor_frame.copy(), bodies.inv_inertia.copy()
-                frame[:, own] = quaternion_product(frame[:, own], axes[:, which])
-                turned = np.stack([rotate(axes[:, which], e[:, None]) for e in np.eye(3)])
-                inverse[:, own] = (turned * turned * inverse[:, own]).sum(axis=1)
+                frame[:, index] = quaternion_product(frame[:, index], axes[:, among])
+                turned = np.stack([rotate(axes[:, among], e[:, None]) for e in np.eye(3)])
+                inverse[:, index] = (turned * turned * inverse[:, index]).sum(axis=1)
                 part = part._replace(rotor_frame=frame, inv_inertia=inverse)
-            worlds = part_of_worlds(self.group.worlds, own)
-            before = over_bodies(work[None, which], worlds), over_bodies(state.L[:, which], worlds)
+            worlds = part_of_worlds(self.group.worlds, index)
+            before = over_bodies(work[None, among], worlds), over_bodies(state.L[:, among], worlds)
             first = np.concatenate([before[0], 0.0 * before[1], before[1]], axis=-1)
-            yield own, part, _Turned(axes[:, which], first)
+            yield index, part, _Turned(axes[:, among], first)
 
-    def part(self, which: Ints, **turn: Any) -> _Part:
+    def part(self, index: Ints, **turn: Any) -> _Part:
         """Some bodies with their turn, if that is known."""
         bodies, moves = self.group.bodies, self.moves
         gravity = self.group.terms.gravity
-        drift = None if moves.drift is None else np.ascontiguousarray(moves.drift[:, which])
+        drift = None if moves.drift is None else np.ascontiguousarray(moves.drift[:, index])
         return _Part(
             self.own,
             self.force,
@@ -311,12 +311,12 @@ class FreeMotion(Motion):
             bodies.inv_inertia,
             bodies.rotor_frame,
             _WEIGHTLESS if gravity is None else gravity.acceleration,
-            which,
-            _taken(moves.drag, which),
-            _taken(moves.spring, which),
-            _taken(moves.braked, which),
+            index,
+            _taken(moves.drag, index),
+            _taken(moves.spring, index),
+            _taken(moves.braked, index),
             drift,
-            _taken(self.orbit, which),
+            _taken(self.orbit, index),
             is_pair=flag(self.is_pair),
             **turn,
         )
@@ -342,17 +342,17 @@ class FreeMotion(Motion):
         if self.orbit is not None:
             self.refuse_fall(elapsed.max(initial=0.0))
         booked = self.booked(elapsed)
-        for which, part, turned in self.parts:
+        for index, part, turned in self.parts:
             worlds, given, bins = self.group.worlds, None, None
-            n_bins = -(-which.size // BLOCK)
+            n_bins = -(-index.size // BLOCK)
             if part.sums or worlds is not None:
-                bins, n_bins = bins_among(which, worlds, BLOCK)
+                bins, n_bins = bins_among(index, worlds, BLOCK)
             if part.sums:
                 given = np.zeros((times.size, n_bins, GIVEN))
             sums = np.zeros((0 if self.sums is None else times.size, n_bins, N_TOTALS))
             room = self.group.members, frames, given, bins, sums
             fly = partial(_fly_blocks, part, elapsed, rows, *room)
-            THREADS.spread(fly, which.size, which.size * times.size)
+            THREADS.spread(fly, index.size, index.size * times.size)
             if given is not None:
                 booked += over_bins(given, worlds)
             if self.sums is not None:
@@ -367,16 +367,16 @@ class FreeMotion(Motion):
         self.refuse_fall(t)
         end = State(*(values.copy() for values in self.state))
         booked = self.booked(np.array([t]))[0]
-        for which, part, turned in self.parts:
+        for index, part, turned in self.parts:
             worlds, given = self.group.worlds, None
             if part.sums:
-                bins, n_bins = bins_among(which, worlds, which.size)
+                bins, n_bins = bins_among(index, worlds, index.size)
                 given = Given(np.zeros((n_bins, GIVEN)), bins)
             THREADS.alone(_end_blocks, part, t, end, given)
             if given is not None:
                 booked += given.sums[0] if worlds is None else given.sums
             if turned is not None:
-                end.q[:, which] = quaternion_product(end.q[:, which], turned.axes * CONJUGATE)
+                end.q[:, index] = quaternion_product(end.q[:, index], turned.axes * CONJUGATE)
                 booked -= turned.first
         return end, booked
 

@@ -85,13 +85,13 @@ class ImpulseMotion(ContactMotion):
             owner, (first, second, *_) = setup.model.spheres.body, lists.spheres
             moves, n = impulses.partners.inverse[:, 0] > 0.0, setup.model.inv_mass.size
             moves[:n] = setup.model.inv_mass > 0.0
-            one, other = owner[first], owner[second]
+            body, other = owner[first], owner[second]
             if setup.pistons is not None:
                 wall = setup.model.walls.wall[lists.walls.second]
                 slides = setup.pistons.of_wall[wall] >= 0
-                one = np.append(one, owner[lists.walls.first[slides]])
+                body = np.append(body, owner[lists.walls.first[slides]])
                 other = np.append(other, n + wall[slides])
-            a, b = pairs_through(impulses.partners.mechanisms, one, other)
+            a, b = pairs_through(impulses.partners.mechanisms, body, other)
             newton = room_for_newton(moves, a, b, impulses.rows.first.size)
             impulses = impulses._replace(newton=newton)
         self.contact = self.contact._replace(workspace=workspace._replace(impulses=impulses))

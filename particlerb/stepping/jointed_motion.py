@@ -20,17 +20,17 @@ def jointed_in(
     joints, driven = group.terms.joints, group.terms.driven
     if joints is None:
         return None
-    own = slots[joints.order]
-    work = room_for_joints(joints)
-    work.y[:-1] = np.vstack(first).T[joints.order]
-    count_turns(joints.coordinates, work.y, work.turned)
-    work.turned[:, 2] = 0.0
-    work.clock[1:] = dt, start
-    given = flag(not has_potential(group.terms))
+    body_slots = slots[joints.order]
+    workspace = room_for_joints(joints)
+    workspace.y[:-1] = np.vstack(first).T[joints.order]
+    count_turns(joints.coordinates, workspace.y, workspace.turned)
+    workspace.turned[:, 2] = 0.0
+    workspace.clock[1:] = dt, start
+    no_potential = flag(not has_potential(group.terms))
     if driven is not None:
         driven = driven._replace(which=np.argsort(joints.order)[driven.which])
-    places = own // BLOCK, own % BLOCK
-    return Jointed(joints, work, *places, given, flag(joints.damps), driven, start)
+    places = body_slots // BLOCK, body_slots % BLOCK
+    return Jointed(joints, workspace, *places, no_potential, flag(joints.damps), driven, start)
 
 
 class JointedMotion(Motion):
@@ -95,7 +95,7 @@ class JointedMotion(Motion):
         new = self.group.terms.joints
         if old is None or new is None or not isinstance(before, JointedMotion):
             return
-        known = dict(zip(old.number.tolist(), before.broken.tolist(), strict=True))
-        self.broken[:] = [known.get(number, np.inf) for number in new.number.tolist()]
+        break_times = dict(zip(old.number.tolist(), before.broken.tolist(), strict=True))
+        self.broken[:] = [break_times.get(number, np.inf) for number in new.number.tolist()]
         stayed = np.isin(old.coordinates.number, new.coordinates.number)
         self.turned[:] = before.turned[stayed]

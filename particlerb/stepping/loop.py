@@ -257,8 +257,8 @@ def advance(
             if frame[s] != PAUSE:
                 instant = Instant(last_step, 0.0, time, _ratio(open_kick, last_kick))
                 finish(moving, lo, hi, open_kick, instant)
-                own = OwnBlocks(moving.blocks, moving.layout, lo, hi)
-                close_prescribed(moving.contact, own, time)
+                own_blocks = OwnBlocks(moving.blocks, moving.layout, lo, hi)
+                close_prescribed(moving.contact, own_blocks, time)
             if frame[s] >= 0:
                 _store(moving, lo, hi, recording, frame[s])
                 _restore(moving, lo, hi, saved)
@@ -364,9 +364,9 @@ def loop_over_ranks(
         Enters a kernel `(moving, first, last, ...)` with all threads: takes it, then `moving`, ...
     """
     name = f"{method.name}_touching"
-    whole = partial(enter, kernel_from(_one_step, name, step=_step_of(method, True)))
+    one_step = partial(enter, kernel_from(_one_step, name, step=_step_of(method, True)))
     closing = over_threads(_close_at, place=place, close=partial(enter, close))
-    names = {"step": whole, "finish": closing, "CLOSING_KICK": method.closing_kick}
+    names = {"step": one_step, "finish": closing, "CLOSING_KICK": method.closing_kick}
     return over_threads(advance, place=place, _store=store, **names)
 
 

@@ -228,10 +228,10 @@ class ForceAccount:
 
     def work(self, com: Floats, q: Floats, elapsed: Floats) -> Floats:
         """Work of potentials, (T, ...) [J], up to a constant, in states one after the other."""
-        given = np.zeros((elapsed.size, *shape_of(self.group.worlds)))
-        for one in works_of(self.group.terms, com, q, elapsed):
-            given += np.moveaxis(self.group.totals(one), -1, 0)
-        return given
+        total = np.zeros((elapsed.size, *shape_of(self.group.worlds)))
+        for work in works_of(self.group.terms, com, q, elapsed):
+            total += np.moveaxis(self.group.totals(work), -1, 0)
+        return total
 
     def of_states(self, elapsed: Floats, com: Floats, q: Floats, L: Floats, sums: Floats) -> Floats:
         """Work, impulse and angular impulse (T, ..., 7) until states, one after the other.
@@ -242,31 +242,31 @@ class ForceAccount:
             return np.zeros_like(sums)
         potential = self.work(com, q, elapsed) - self.work_before
         if self.books is None:
-            given = self.constant.booked(elapsed)
-            given[..., 0] = potential
+            booked = self.constant.booked(elapsed)
+            booked[..., 0] = potential
             if not self.group.terms.is_coupled:
                 turned = L.reshape(3, elapsed.size, -1) - self.first.L[:, None]
-                given[..., 4:] += np.moveaxis(over_bodies(turned, self.group.worlds), -1, 0)
-            return given
-        given = sums.copy()
-        given[..., 0] += potential
-        return given
+                booked[..., 4:] += np.moveaxis(over_bodies(turned, self.group.worlds), -1, 0)
+            return booked
+        booked = sums.copy()
+        booked[..., 0] += potential
+        return booked
 
     def at_end(self, values: Floats, elapsed: float) -> tuple[State, Floats]:
         """State, and what was given until then, from rows (CHANGING, n) of blocks."""
         state, sums = state_of(values[:STATE_ROWS]), self.group.totals(values[BOOKED : BOOKED + 7])
-        given = self.of_states(np.array([elapsed]), state.com, state.q, state.L, sums[None])
-        return state, given[0]
+        booked = self.of_states(np.array([elapsed]), state.com, state.q, state.L, sums[None])
+        return state, booked[0]
 
     def of_frames(self, elapsed: Floats, rows: Ints, frames: Frames, sums: Floats) -> Floats:
         """The same until rows of the frames, of few bodies in many of them at once."""
         if not self.is_kept:
             return np.zeros((rows.size, *sums.shape[1:]))
-        own, bodies, given = self.group.members, self.group.bodies, [sums[:0]]
-        for few in few_at_once(rows.size, own.size):
-            x, q, _, L = states_in(frames, rows[few], own, bodies)
-            given.append(self.of_states(elapsed[few], x, q, L, sums[rows[few]]))
-        return np.concatenate(given)
+        members, bodies, booked = self.group.members, self.group.bodies, [sums[:0]]
+        for few in few_at_once(rows.size, members.size):
+            x, q, _, L = states_in(frames, rows[few], members, bodies)
+            booked.append(self.of_states(elapsed[few], x, q, L, sums[rows[few]]))
+        return np.concatenate(booked)
 
 
 def few_at_once(n_states: int, n_bodies: int) -> Iterator[slice]:
@@ -303,14 +303,14 @@ class CompositeMotion(Motion):
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
-        n = sum(which.size for which, _ in self.parts)
+        n = sum(index.size for index, _ in self.parts)
         state = State(*(np.empty((rows, n)) for rows in (3, 4, 3, 3)))
         booked = []
-        for which, motion in self.parts:
-            part, given = motion.finish(stop)
-            for whole, own in zip(state, part, strict=True):
-                whole[:, which] = own
-            booked.append(given)
+        for index, motion in self.parts:
+            part_state, part_booked = motion.finish(stop)
+            for values, part_values in zip(state, part_state, strict=True):
+                values[:, index] = part_values
+            booked.append(part_booked)
         return state, sum_of(booked)
 
     def checkpoint(self) -> Saved:
@@ -326,7 +326,7 @@ class CompositeMotion(Motion):
             motion.restore(within(str(k), saved))
 
 
-def part_of(group: SegmentGroup, which: Ints) -> SegmentGroup:
+def part_of(group: SegmentGroup, index: Ints) -> SegmentGroup:
     """Some bodies of a group with what acts on them."""
-    bodies, terms = taken(group.bodies, which), terms_on(group.terms, which)
-    return SegmentGroup(group.members[which], bodies, terms, part_of_worlds(group.worlds, which))
+    bodies, terms = taken(group.bodies, index), terms_on(group.terms, index)
+    return SegmentGroup(group.members[index], bodies, terms, part_of_worlds(group.worlds, index))

@@ -167,16 +167,16 @@ def _orbits(frame: tuple[Floats, Floats], x: Floats, v: Floats, mu: Floats, shar
     nearest = np.where(is_seen, h2 / (mu * (1.0 + e)), r)
     period = np.where(beta > 0.0, 2.0 * np.pi * mu / (beta * k), 0.0)
     never = np.full(r.size, np.inf)
-    found = Orbit(
+    orbit = Orbit(
         *frame,
         share * np.where(is_seen, to_pericentre, x / r),
         share * np.where(is_seen, cross_columns(h, to_pericentre), r * v),
         nearest, np.where(is_seen, 0.0, eta), mu, beta, np.zeros(r.size), period, r, never,
     )  # fmt: skip
-    _times_since(s, found, found.since)
-    later = np.where(period > 0.0, period, np.inf) - found.since
-    until = np.where(found.since < 0.0, -found.since, later)
-    return found._replace(until=np.where(nearest <= _FALLEN * r, until, np.inf))
+    _times_since(s, orbit, orbit.since)
+    later = np.where(period > 0.0, period, np.inf) - orbit.since
+    until = np.where(orbit.since < 0.0, -orbit.since, later)
+    return orbit._replace(until=np.where(nearest <= _FALLEN * r, until, np.inf))
 
 
 def orbits_of(group: SegmentGroup, state: State) -> Orbit | None:
@@ -193,6 +193,6 @@ def orbits_of(group: SegmentGroup, state: State) -> Orbit | None:
         x, v = state.com - state.com[:, ::-1], velocity - velocity[:, ::-1]
         return _orbits(frame, x, v, np.full(n, attraction.gm.sum()), mass[::-1] / mass.sum())
     middle, mu = np.zeros((2, 3, n))
-    for one in centres:
-        middle, mu = np.where(one.mu > 0.0, (one.centre, mu + one.mu), (middle, mu))
+    for central in centres:
+        middle, mu = np.where(central.mu > 0.0, (central.centre, mu + central.mu), (middle, mu))
     return _orbits((middle, np.zeros((3, n))), state.com - middle, velocity, mu[0], np.ones(n))

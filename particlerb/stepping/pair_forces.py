@@ -29,14 +29,14 @@ WORTH_THREADS: Final = 1e6  # ns of an evaluation from which on threads pay for 
 
 def cost_of(terms: Terms) -> float:
     """Estimate of one evaluation of the forces between bodies on one thread [ns]."""
-    links, own, attraction = terms.links, terms.own_pairs, terms.attraction
+    links, own_pairs, attraction = terms.links, terms.own_pairs, terms.attraction
     if not terms.is_coupled:
         return 0.0
     cost = _NANOSECONDS_TO_CALL
     if links is not None:
         cost += _NANOSECONDS_PER_LINK * links.first.size
-    if own is not None:
-        cost += _NANOSECONDS_PER_LINK * own.first.size
+    if own_pairs is not None:
+        cost += _NANOSECONDS_PER_LINK * own_pairs.first.size
     if attraction is not None:
         n = float(attraction.mass.size)
         cost += _NANOSECONDS_IN_TREE * n if terms.opening_angle else _NANOSECONDS_PER_PAIR * n * n
@@ -88,14 +88,14 @@ class PairForces:
 
     def evaluate(self) -> None:
         """Loads in the state y, over all threads."""
-        links, own, attraction, work, with_dashpots, clock, y, load, _ = self.pairs
+        links, own_pairs, attraction, fields, with_dashpots, clock, y, load, _ = self.pairs
         load[:] = 0.0
         THREADS.alone(link_loads, links, y, load, with_dashpots)
-        THREADS.alone(own_pair_loads, own, clock[0], y, load, with_dashpots)
+        THREADS.alone(own_pair_loads, own_pairs, clock[0], y, load, with_dashpots)
         if self.tree is not None:
             self.tree.loads(y, load)
-        if attraction is not None and work is not None:
-            spread_loads(attraction, work, y, load, self.ranks)
+        if attraction is not None and fields is not None:
+            spread_loads(attraction, fields, y, load, self.ranks)
 
     def potential_energy(self, com: Floats, q: Floats) -> Floats | float:
         """Of the bodies with each other, and of links to the world [J]; in each world."""
@@ -103,13 +103,13 @@ class PairForces:
         if self.pairs.links is not None:
             energy = energy + link_energy(self.pairs.links, com, q, self.worlds)
         if self.pairs.own is not None:
-            own = pair_energies(self.pairs.own, com, q)
-            energy = energy + over_pairs(own, self.pairs.own.first, self.worlds)
+            energies = pair_energies(self.pairs.own, com, q)
+            energy = energy + over_pairs(energies, self.pairs.own.first, self.worlds)
         y = np.zeros((STATE_ROWS, com.shape[1]))
         y[:3], y[3:7] = com, q
         if self.pairs.attraction is not None and self.pairs.work is not None:
-            where = self.pairs.attraction, self.pairs.work, y, self.worlds, self.ranks
-            energy = energy + potential_energy(*where)
+            arguments = self.pairs.attraction, self.pairs.work, y, self.worlds, self.ranks
+            energy = energy + potential_energy(*arguments)
         if self.tree is not None:
             energy += self.tree.potential_energy(y)
         return energy

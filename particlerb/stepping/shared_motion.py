@@ -74,21 +74,21 @@ class SharedMotion(ContactMotion):
 
     def collect(self) -> None:
         """Send bodies, and what contacts keep, to the ranks that save them."""
-        who, here, exchange = self.local[self.is_own], self.is_own, self.exchange
-        listed = self.contact.memory.listed_pose.T[here]
+        bodies, is_own, exchange = self.local[self.is_own], self.is_own, self.exchange
+        listed = self.contact.memory.listed_pose.T[is_own]
         with ending_all(self.ranks):
-            rows = np.column_stack([self.travelling()[here], listed])
-            who, rows = exchange.bodies_sent(exchange.home[who], who, rows)
-            self.bodies_to_save = np.column_stack([who, rows])
+            rows = np.column_stack([self.travelling()[is_own], listed])
+            bodies, rows = exchange.bodies_sent(exchange.home[bodies], bodies, rows)
+            self.bodies_to_save = np.column_stack([bodies, rows])
             self.contacts_to_save = [
-                self._collected(which, *kept_of(history))
-                for which, history in enumerate(self.lists.histories)
+                self._collected(kind, *kept_of(history))
+                for kind, history in enumerate(self.lists.histories)
             ]
 
-    def _collected(self, which: int, keys: Ints, values: Floats) -> tuple[Ints, Floats]:
+    def _collected(self, kind: int, keys: Ints, values: Floats) -> tuple[Ints, Floats]:
         """Contacts to save here; each is sent by the rank of one of its bodies that move."""
         exchange = self.exchange
-        ends = exchange.ends_of(which, keys)
+        ends = exchange.ends_of(kind, keys)
         first, of = ends[0], np.where(exchange.is_free[ends[0]], ends[0], ends[-1])
         sends = np.flatnonzero(self.is_own[np.searchsorted(self.local, of)])
         to = exchange.home[first[sends]]
@@ -99,13 +99,13 @@ class SharedMotion(ContactMotion):
     def checkpoint_of(self, of: Range) -> Saved:
         """What was collected of some bodies of the scene, and what concerns all of them."""
         memory, members = self.contact.memory, self.exchange.whole.members
-        who = members[self.bodies_to_save[:, 0].astype(np.int64)]
-        own: Saved = {"rows": self.bodies_to_save[(who >= of.first) & (who < of.stop)]}
-        for which, (keys, values) in enumerate(self.contacts_to_save):
-            who = members[self.exchange.ends_of(which, keys)[0]]
-            chosen = (who >= of.first) & (who < of.stop)
-            own |= {f"keys.{which}": keys[chosen], f"values.{which}": values[chosen]}
-        return under(OF_BODIES, own) | {
+        numbers = members[self.bodies_to_save[:, 0].astype(np.int64)]
+        bodies: Saved = {"rows": self.bodies_to_save[(numbers >= of.first) & (numbers < of.stop)]}
+        for kind, (keys, values) in enumerate(self.contacts_to_save):
+            numbers = members[self.exchange.ends_of(kind, keys)[0]]
+            chosen = (numbers >= of.first) & (numbers < of.stop)
+            bodies |= {f"keys.{kind}": keys[chosen], f"values.{kind}": values[chosen]}
+        return under(OF_BODIES, bodies) | {
             "done": np.array(self.steps_done),
             "list_step": np.array(self.list_step),
             "lists": np.array(self.lists.count),
@@ -123,14 +123,14 @@ class SharedMotion(ContactMotion):
 
     def _go_on(self, saved: Saved) -> None:
         """Make the lists of then, and let bodies and contacts be as they are now."""
-        own = within(OF_BODIES, saved)
-        saved_rows = own["rows"][np.argsort(own["rows"][:, 0])]
+        bodies = within(OF_BODIES, saved)
+        saved_rows = bodies["rows"][np.argsort(bodies["rows"][:, 0])]
         rows, skin = saved_rows.copy(), float(saved["skin"])
         pose, listed = slice(1, 1 + _POSE), slice(1 + _LISTED, None)
         rows[:, pose], rows[:, listed] = saved_rows[:, listed], saved_rows[:, pose]
-        both = [(own[f"keys.{which}"], own[f"values.{which}"]) for which in (0, 1)]
+        contacts = [(bodies[f"keys.{kind}"], bodies[f"values.{kind}"]) for kind in (0, 1)]
         self.steps_done = self.grid_step = int(saved["list_step"])
-        now = self.take_up(rows, skin, both)
+        now = self.take_up(rows, skin, contacts)
         self.lists.skin, self.lists.count = skin, int(saved["lists"]) - 1
         self.now_only(PLACE)
         self.list_pairs(WallsAhead(*saved["ahead"].tolist()))
@@ -144,14 +144,14 @@ class SharedMotion(ContactMotion):
         self.steps_done = self.grid_step = int(saved["done"])
         self.contact_frequency = float(saved["frequency"])
 
-    def take_up(self, rows: Floats, skin: float, both: list[tuple[Ints, Floats]]) -> Floats:
+    def take_up(self, rows: Floats, skin: float, contacts: list[tuple[Ints, Floats]]) -> Floats:
         """Take bodies where they were when lists were made, and contacts; return the poses of now.
 
         Rows begin with the numbers of bodies, and end with these poses.
         """
         del skin
         self.put(rows[:, 1 : 2 + GROSS])
-        self.lists.histories = histories_of(both)
+        self.lists.histories = histories_of(contacts)
         return rows[:, 1 + _LISTED :]
 
     def put(self, rows: Floats) -> None:

@@ -158,9 +158,9 @@ class DiluteMotion(Motion):
         self.walls = WallSearch(contact.model.walls, self.bound)
         self.no_reach = np.zeros(n)  # a sphere around a body does not move when it turns
         self.wall_motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
-        whole = ContactMotion(method, group, state, start, dt, histories=histories)
-        self.nothing = all_inactive(whole.contact.lists)
-        self.initial_energies, self.elastic = whole.initial_energies, np.zeros(0)
+        motion = ContactMotion(method, group, state, start, dt, histories=histories)
+        self.nothing = all_inactive(motion.contact.lists)
+        self.initial_energies, self.elastic = motion.initial_energies, np.zeros(0)
         self.contacts: dict[int, ContactOutput] = {}
         self.state = state
         # at the end of the interval
@@ -234,8 +234,8 @@ class DiluteMotion(Motion):
         way = wall_displacement(self.wall_motions, (steps + 1) * self.dt, reach)
         touched, _, _ = self.walls.pairs(com, poses, self.skin + way)
         is_near = np.zeros(self.bound.size, dtype=np.bool_)
-        for which in (first, second, touched):
-            is_near[which] = True
+        for indices in (first, second, touched):
+            is_near[indices] = True
         return is_near
 
     def interval(self) -> _Interval:
@@ -262,8 +262,8 @@ class DiluteMotion(Motion):
     def keep_watch(self) -> None:
         """Raise MotionError where one that has flown overlaps something; now and then."""
         model, n, now = self.contact.model, self.active.size, self.time(self.done)
-        work = self.method.cost * (_TO_BEGIN * n + self.steps * float(self.active.sum()))
-        if not self.watch_of_flights.is_due(n, model.walls.kind.size, work):
+        cost = self.method.cost * (_TO_BEGIN * n + self.steps * float(self.active.sum()))
+        if not self.watch_of_flights.is_due(n, model.walls.kind.size, cost):
             return
         (com, q, p, L), spheres = self.state, model.spheres
         x = com[:, spheres.body] + rotate(q[:, spheres.body], spheres.arm)
@@ -295,8 +295,8 @@ class DiluteMotion(Motion):
                 if self.shown is None:
                     self.shown = self.interval()
                 shown = rows[done:until]
-                given = self.shown.together.record(times[done:until], shown, frames)
-                booked[done:until] = self.booked + given
+                gained = self.shown.together.record(times[done:until], shown, frames)
+                booked[done:until] = self.booked + gained
                 self.elastic[shown] = self.shown.energies(shown)
                 self.contacts |= self._outputs_in(times[done:until], shown)
                 done = until
@@ -326,9 +326,9 @@ class DiluteMotion(Motion):
         while self.time(self.done + self.steps) <= stop:
             self.cross()
         shown = self.shown or self.interval()
-        state, given = shown.together.finish(stop)
+        state, gained = shown.together.finish(stop)
         self.histories = shown.histories()
-        return state, self.booked + given
+        return state, self.booked + gained
 
     def contact_start(self) -> ContactStart:
         """What contacts keep at the end, for the next segment; there are no pistons."""
@@ -337,8 +337,8 @@ class DiluteMotion(Motion):
     def checkpoint(self) -> Saved:
         """The state at the start of the interval, and who is stepped in it: it is taken again."""
         saved = under("state", to_arrays(self.state))
-        for k, one in enumerate(self.histories or ()):
-            saved |= under(f"kept.{k}", to_arrays(one))
+        for k, history in enumerate(self.histories or ()):
+            saved |= under(f"kept.{k}", to_arrays(history))
         saved |= {"active": self.active.copy(), "booked": self.booked.copy()}
         counts = np.array([self.done, self.steps, *self.flown, self.count])
         extremes = np.array([self.skin, self.previous_work, self.contact_frequency])

@@ -102,9 +102,9 @@ class SteppedMotion(JointedMotion):
         self.pose_loop: Callable[..., Position] | None = None  # and for it
         self.account = ForceAccount(group, state, method.keeps_angular_momentum)
         self.jointed = jointed_in(group, state, self.slots, start, dt)
-        links, own = terms.links, terms.own_pairs
+        links, own_pairs = terms.links, terms.own_pairs
         has_dashpots = links is not None and links.damping is not None
-        has_dashpots |= own is not None and bool(own.takes_velocities.any())
+        has_dashpots |= own_pairs is not None and bool(own_pairs.takes_velocities.any())
         self.moving = MovingBodies(
             self.blocks,
             self.layout,
@@ -180,8 +180,8 @@ class SteppedMotion(JointedMotion):
         recording.sums.fill(0.0)
         if self.pose_loop is None:
             loop = compiled_loop(self.method, self.is_coupled)
-            given = self._arguments(schedule, recording)
-            self.pose_loop = for_types_of(loop, *given, 1, 0, 1)
+            arguments = self._arguments(schedule, recording)
+            self.pose_loop = for_types_of(loop, *arguments, 1, 0, 1)
         self._run_through_loop(self.pose_loop, schedule, recording)
         self.steps_done = steps
 

@@ -123,11 +123,11 @@ def parabola(of: Centres, t: float) -> None:
 @inline
 def add_given(given: Given, j: int, work: float, impulse: Vec3, angular: Vec3) -> None:
     """Add what body j of a part was given to the sums of its bin."""
-    own = given.sums[given.bins[j]]
-    own[0] += work
+    sums = given.sums[given.bins[j]]
+    sums[0] += work
     for k in range(3):
-        own[1 + k] += impulse[k]
-        own[4 + k] += angular[k]
+        sums[1 + k] += impulse[k]
+        sums[4 + k] += angular[k]
 
 
 @inline
