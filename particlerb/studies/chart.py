@@ -72,5 +72,5 @@ def chart(
 
 def curve_count(system: System, methods: Sequence[str], peers: Sequence[str]) -> int:
     """Curves that a chart will have, for a progress bar."""
-    own = len(methods or method_names(system))
-    return own + sum(len(variants_of(engine, system)) for engine in engines(peers))
+    n_methods = len(methods or method_names(system))
+    return n_methods + sum(len(variants_of(engine, system)) for engine in engines(peers))

@@ -57,8 +57,8 @@ class LawStudy(Study):
         before, floor = self.states("moreau", step), np.inf
         while THREADS.own.clock() - start < budget and floor > 1e-12:
             step *= 0.5
-            found = self.states("moreau", step)
-            before, floor = found, self.difference(before, found)
+            after = self.states("moreau", step)
+            before, floor = after, self.difference(before, after)
         return Reference(before, f"impulses with a step of {step:.3g} s", floor)
 
     def ladder(self, method: str) -> Iterator[float]:

@@ -77,16 +77,16 @@ def engines(names: Sequence[str]) -> list[Engine]:
     """
     if not names:
         return []
-    known = _adapters().ENGINES
-    asked = chosen_names(names, ("all", *known), "peer")
-    return [known[name]() for name in (known if "all" in asked else asked)]
+    by_name = _adapters().ENGINES
+    asked = chosen_names(names, ("all", *by_name), "peer")
+    return [by_name[name]() for name in (by_name if "all" in asked else asked)]
 
 
 def refusal_by(engine: Engine, scene: PeerScene) -> str:
     """Why an engine cannot hold a scene; empty where it can."""
-    for what in ("joints", "springs", "attraction"):
-        if getattr(scene, what) is not None and what not in getattr(engine, "HOLDS", ()):
-            return f"it is given no {what}"
+    for feature in ("joints", "springs", "attraction"):
+        if getattr(scene, feature) is not None and feature not in getattr(engine, "HOLDS", ()):
+            return f"it is given no {feature}"
     if scene.contact is None:
         return engine.refusal(scene) or ""
     if not hasattr(engine, "CONTACT"):
@@ -154,8 +154,8 @@ def peer_scene(system: System) -> PeerScene:
     setup = joints_of(system)
     if setup is None:
         return scene
-    own = setup.rows
-    joints = own.kind, own.a, own.b, own.first, own.second, own.axis, own.length
+    rows = setup.rows
+    joints = rows.kind, rows.a, rows.b, rows.first, rows.second, rows.axis, rows.length
     model = ""
     with contextlib.suppress(ExportError):
         model = mjcf_scene(system, system.run.dt or FREE_STEP)
@@ -198,14 +198,14 @@ def _springs(bodies: Bodies, links: Sequence[Link]) -> tuple[Any, ...]:
         for name in ("first_at", "second_at")
     )
     frames = bodies.rotor_frame
-    own = rotate_back(frames[:, first], first_at)
-    other = np.where(second < 0, second_at, rotate_back(frames[:, second], second_at))
+    first_place = rotate_back(frames[:, first], first_at)
+    second_place = np.where(second < 0, second_at, rotate_back(frames[:, second], second_at))
     numbers = [
         np.concatenate([np.full(link.first.size, link.force.stiffness) for link in links]),
         np.concatenate([np.full(link.first.size, link.force.damping) for link in links]),
         np.concatenate([link.rest_length for link in links]),
     ]
-    at = np.ascontiguousarray(np.stack([own.T, other.T]))
+    at = np.ascontiguousarray(np.stack([first_place.T, second_place.T]))
     return np.stack([first, np.where(second < 0, -1, second)]), at, np.array(numbers)
 
 
@@ -236,26 +236,26 @@ def _touching(system: System, types: ModuleType) -> PeerScene:
             refused["LAMMPS"] = f"it is given no {missing[0]}"
     except ExportError as error:
         refused["LAMMPS"] = str(error)
-    own = contact.restitution, contact.friction
-    return scene._replace(refused=refused, contact=own)
+    law = contact.restitution, contact.friction
+    return scene._replace(refused=refused, contact=law)
 
 
 def course_of(
     engine: Engine, scene: PeerScene, variant: str, step: float, bodies: Bodies
 ) -> tuple[Frames, float]:
     """States that an engine finds at the times of a scene in which bodies touch, and its time."""
-    found = engine.course(scene, variant, step)
+    course = engine.course(scene, variant, step)
     frame = bodies.rotor_frame
-    q = np.array([body_orientation(row.T, frame).T for row in found.orientation])
-    momenta = found.velocity * bodies.mass[:, None], found.angular_momentum
+    q = np.array([body_orientation(row.T, frame).T for row in course.orientation])
+    momenta = course.velocity * bodies.mass[:, None], course.angular_momentum
     is_frame = np.ones(scene.times.size, dtype=np.bool_)
-    return Frames(found.position, q, *momenta, q[-1], is_frame), float(found.seconds)
+    return Frames(course.position, q, *momenta, q[-1], is_frame), float(course.seconds)
 
 
 JOINT_ORACLE: Final = "DOP853 (SciPy) on accelerations with multipliers, tolerance 1e-13"
 
 
-def oracle_states(system: System, which: Ints, times: Floats) -> Frames:
+def oracle_states(system: System, indices: Ints, times: Floats) -> Frames:
     """States of some bodies of a system with joints at ascending times, by another formulation.
 
     Raises
@@ -268,11 +268,11 @@ def oracle_states(system: System, which: Ints, times: Floats) -> Frames:
     except ValueError as error:
         raise CaseError([problem_at(system, "joint", str(error), "")]) from None
     textbook = import_module(f"{_adapters().__name__}.with_textbook")
-    y = textbook.oracle(scene, times)[:, which]
-    frame = system.bodies.rotor_frame[:, which]
+    y = textbook.oracle(scene, times)[:, indices]
+    frame = system.bodies.rotor_frame[:, indices]
     q = [body_orientation(row.T, frame).T for row in y[:, :, 3:7]]
     x, v, L = (np.ascontiguousarray(y[:, :, k : k + 3]) for k in (0, 7, 10))
-    momenta = v * system.bodies.mass[which, None], L
+    momenta = v * system.bodies.mass[indices, None], L
     return Frames(x, np.array(q), *momenta, q[-1], np.ones(times.size, dtype=np.bool_))
 
 
@@ -282,25 +282,25 @@ def _to_rotor(frame: Floats, vector: Sequence[float]) -> Floats:
 
 
 def peer_errors(
-    result: Any, scene: System, which: Ints, part: BodySubset, times: Floats, reference: Frames
+    result: Any, scene: System, indices: Ints, judged: BodySubset, times: Floats, reference: Frames
 ) -> tuple[Error, float, float]:
     """Errors of a peer's end state, and its relative drifts of energy and angular momentum.
 
     Its drifts count where nothing acts; elsewhere they are NaN.
     """
-    bodies = taken(scene.bodies, which)
-    orientation = body_orientation(result.orientation[which].T, bodies.rotor_frame).T
+    bodies = taken(scene.bodies, indices)
+    orientation = body_orientation(result.orientation[indices].T, bodies.rotor_frame).T
 
     position, turned = (
         np.repeat(column[None], times.size, axis=0)
-        for column in (result.position[which], orientation)
+        for column in (result.position[indices], orientation)
     )
-    found = reference._replace(position=position, orientation=turned)
-    error = errors(part, times, found, reference)[-1]
+    final = reference._replace(position=position, orientation=turned)
+    error = errors(judged, times, final, reference)[-1]
     is_free = scene.attraction is None and not scene.force
-    if not is_free or any(s.terms != type(s.terms)() for g in part.groups for s in g.segments):
+    if not is_free or any(s.terms != type(s.terms)() for g in judged.groups for s in g.segments):
         return error, np.nan, np.nan
-    kinetic = kinetic_energy(bodies, part.state)
-    energy = np.abs(result.kinetic_energy[which] - kinetic).sum() / kinetic.sum()
-    spin = np.linalg.norm(result.angular_momentum[which] - part.state.L.T, axis=1).sum()
-    return error, float(energy), float(spin / np.linalg.norm(part.state.L, axis=0).sum())
+    kinetic = kinetic_energy(bodies, judged.state)
+    energy = np.abs(result.kinetic_energy[indices] - kinetic).sum() / kinetic.sum()
+    spin = np.linalg.norm(result.angular_momentum[indices] - judged.state.L.T, axis=1).sum()
+    return error, float(energy), float(spin / np.linalg.norm(judged.state.L, axis=0).sum())

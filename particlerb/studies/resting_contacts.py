@@ -34,12 +34,12 @@ def resting(z: float, zeta: float) -> tuple[StabilityScene, float]:
     k, weight = z * z, min(z * z, 1.0)
     deep = weight / k
     moved = scene(np.full(3, 4e3), np.zeros((1, 3)), position=(0, 0, _RADIUS - (1 + _TOUCH) * deep))
-    bodies, one, none = moved.bodies, np.ones(1), np.zeros(1, dtype=np.int64)
+    bodies, ones, none = moved.bodies, np.ones(1), np.zeros(1, dtype=np.int64)
     spheres = ContactSpheres(
-        np.zeros((3, 1)), _RADIUS * one, none, none, none, np.array([0, 1]), none[:0], none
+        np.zeros((3, 1)), _RADIUS * ones, none, none, none, np.array([0, 1]), none[:0], none
     )
-    damping = TANGENTIAL_DAMPING * one
-    law = Law(k * one, 0.0 * one, zeta * one, damping, 0.0 * one, None, None, None)
+    damping = TANGENTIAL_DAMPING * ones
+    law = Law(k * ones, 0.0 * ones, zeta * ones, damping, 0.0 * ones, None, None, None)
     floor, pair = (
         joined([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))]),
         np.zeros((1, 1), dtype=np.int64),
@@ -96,10 +96,10 @@ THEORY: Final[dict[str, Callable[[float], float]]] = {
 
 def contact_limits(method: str) -> tuple[Limit, ...]:
     """Limits of a method that takes contact; explicit Euler has none without damping."""
-    found = []
+    limits = []
     for zeta in RATIOS:
         theory = THEORY[method](zeta)
         if theory > 0.0:
             name = f"resting contact, ζ = {zeta}: largest hω"
-            found.append(Limit(method, name, theory, measured(method, zeta), zeta))
-    return tuple(found)
+            limits.append(Limit(method, name, theory, measured(method, zeta), zeta))
+    return tuple(limits)

@@ -86,8 +86,8 @@ def _maps_of(
     """Maps of a method from its rows."""
     maps = []
     for k, (family, make) in enumerate(stability_runs.FAMILIES.items()):
-        own = slice(k * columns, (k + 1) * columns)
-        parts = (np.array([values[own] for values in column]) for column in zip(*rows, strict=True))
+        cut = slice(k * columns, (k + 1) * columns)
+        parts = (np.array([values[cut] for values in column]) for column in zip(*rows, strict=True))
         maps.append(Map(method, family, _paces(method), make(columns)[0], *parts))
     return maps
 
@@ -282,22 +282,22 @@ def _in_parallel(
 # What a map says
 
 
-def largest_pace(one: Map, error: float) -> float:
+def largest_pace(map_: Map, error: float) -> float:
     """Largest step up to which no body of a map has a larger error; 0 if there is none."""
-    good = np.asarray((one.error <= error).all(axis=1))
+    good = np.asarray((map_.error <= error).all(axis=1))
     rows = good.size if good.all() else int(good.argmin())
-    return float(one.pace[rows - 1]) if rows else 0.0
+    return float(map_.pace[rows - 1]) if rows else 0.0
 
 
-def is_tolerance(one: Map) -> bool:
+def is_tolerance(map_: Map) -> bool:
     """Whether the rows of a map are tolerances."""
-    return bool(METHODS[one.method].is_adaptive)
+    return bool(METHODS[map_.method].is_adaptive)
 
 
-def onsets(one: Map) -> dict[str, float]:
+def onsets(map_: Map) -> dict[str, float]:
     """Smallest step of a map at which each verdict but the best occurs."""
     return {
-        name: float(one.pace[(one.verdict == k).any(axis=1).argmax()])
+        name: float(map_.pace[(map_.verdict == k).any(axis=1).argmax()])
         for k, name in enumerate(stability_runs.VERDICTS)
-        if k != stability_runs.ACCURATE and (one.verdict == k).any()
+        if k != stability_runs.ACCURATE and (map_.verdict == k).any()
     }

@@ -101,8 +101,8 @@ def tops(omega: Floats, stiffness: Floats) -> StabilityScene:
     """
     n = stiffness.size
     hook = np.tile([[0.0], [0.0], [-1.0]], (1, n))
-    own = rotate_back(bodies_of(np.tile(MOMENTS, (n, 1))).rotor_frame, hook)
-    spring = Spring(own, hook, stiffness, np.zeros(n))
+    body_hook = rotate_back(bodies_of(np.tile(MOMENTS, (n, 1))).rotor_frame, hook)
+    spring = Spring(body_hook, hook, stiffness, np.zeros(n))
     return scene(MOMENTS, omega, Terms(loads=(spring,)), mass=1e20)
 
 
@@ -237,11 +237,11 @@ def root(f: Callable[[float], float], low: float, high: float) -> float:
 
 def plain_map(inertia: Floats, omega: Floats, sweeps: int = 3000) -> tuple[Floats, Floats]:
     """(x, y, z) of rotors/moser_veselov.py for a step of 1 s, (3, n), and its last change, (n,)."""
-    given = modified_inertia(1.0 / inertia.T)
-    a, m = given[:3], given[3] * (inertia * omega).T
+    constants = modified_inertia(1.0 / inertia.T)
+    a, m = constants[:3], constants[3] * (inertia * omega).T
     N, H = 0.5 * (m * m).sum(axis=0), 0.5 * (a * m * m).sum(axis=0)
     powers = np.array([N, H, N**2, N * H, H**2, N**3, N**2 * H, N * H**2, H**3])
-    s, d = (given[4:13] * powers).sum(axis=0), (given[13:22] * powers).sum(axis=0)
+    s, d = (constants[4:13] * powers).sum(axis=0), (constants[13:22] * powers).sum(axis=0)
     b = (1.0 + s) * a + d
     u = 0.5 * m * b
     f = [(1.0 / b[k - 2] - 1.0 / b[k - 1]) * b[k] for k in range(3)]
@@ -316,7 +316,7 @@ def _drag_alone(theory: float, **search: Any) -> _LimitCase:
 def _energy_factors(theory: Callable[[float], float], *z: float, **steps: Any) -> list[_LimitCase]:
     """Energy of an oscillator per step."""
     name = "energy per step - 1 at hω = {}"
-    return [_LimitCase(name.format(one), theory(one), partial(gain, z=one, **steps)) for one in z]
+    return [_LimitCase(name.format(x), theory(x), partial(gain, z=x, **steps)) for x in z]
 
 
 def _symmetric_top(theory: float) -> _LimitCase:

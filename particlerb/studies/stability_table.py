@@ -35,9 +35,9 @@ def table(study: stability.Stability) -> str:
     return "\n\n".join([*parts, _EXPLANATION])
 
 
-def _limit_row(one: Limit) -> tuple[str, ...]:
+def _limit_row(lim: Limit) -> tuple[str, ...]:
     """Texts of a limit."""
-    return one.method, one.name, number(one.theory), number(one.measured), _percent(one.difference)
+    return lim.method, lim.name, number(lim.theory), number(lim.measured), _percent(lim.difference)
 
 
 def number(value: float) -> str:
@@ -53,33 +53,33 @@ def _percent(value: float) -> str:
 def _drift_row(drift: stability.EnergyDrift) -> tuple[str, ...]:
     """Texts of a drift."""
     p, spread = stability.growth_exponent(drift)
-    found = f"{drift.largest[-1]:.1e}", f"{p:.2f} ± {spread:.2f}"
+    size_and_growth = f"{drift.largest[-1]:.1e}", f"{p:.2f} ± {spread:.2f}"
     if math.isnan(p):
         ended = drift.turns[np.isinf(drift.largest).argmax()]
-        found = f"inf after {ended:.2g} turns", "-"
+        size_and_growth = f"inf after {ended:.2g} turns", "-"
     spin = (
         "-" if math.isnan(p) or drift.motion != stability.FREE else f"{drift.spin_error.max():.0e}"
     )
-    return drift.method, drift.motion, f"{drift.pace:g}", *found, spin
+    return drift.method, drift.motion, f"{drift.pace:g}", *size_and_growth, spin
 
 
-def _map_row(one: stability.Map) -> tuple[str, ...]:
+def _map_row(map_: stability.Map) -> tuple[str, ...]:
     """Texts of a map."""
-    if not one.pace.any():
-        worst = f"no step; worst error {one.error.max():.0e}"
-        return one.method, one.family, "any", "any", "-", worst
-    first = one.turns[0].min()
-    steps = (f"{stability.largest_pace(one, error):.2g}" for error in (SMALL, LARGE))
+    if not map_.pace.any():
+        worst = f"no step; worst error {map_.error.max():.0e}"
+        return map_.method, map_.family, "any", "any", "-", worst
+    first = map_.turns[0].min()
+    steps = (f"{stability.largest_pace(map_, error):.2g}" for error in (SMALL, LARGE))
     lost = f"{first:.2g} turns" if math.isfinite(first) else "-"
-    return one.method, one.family, *steps, lost, _what_happens(one)
+    return map_.method, map_.family, *steps, lost, _what_happens(map_)
 
 
-def _what_happens(one: stability.Map) -> str:
+def _what_happens(map_: stability.Map) -> str:
     """Verdicts in the order in which they set in."""
-    found = sorted(stability.onsets(one).items(), key=lambda item: item[1])
-    if not found:
-        return f"accurate throughout; worst error {one.error.max():.0e}"
-    return "; ".join(f"{name} from {pace:.2g}" for name, pace in found)
+    onsets = sorted(stability.onsets(map_).items(), key=lambda item: item[1])
+    if not onsets:
+        return f"accurate throughout; worst error {map_.error.max():.0e}"
+    return "; ".join(f"{name} from {pace:.2g}" for name, pace in onsets)
 
 
 _CSV_HEAD: Final = (
@@ -95,11 +95,11 @@ def csv_rows(study: stability.Stability) -> Iterator[Sequence[object]]:
     the energy was off by 10 % (maps), or passed (drift).
     """
     yield _CSV_HEAD
-    for one in study.maps:
-        for (r, c), error in np.ndenumerate(one.error):
-            place = float(one.pace[r]), float(one.across[c])
-            found = float(error), VERDICTS[one.verdict[r, c]], float(one.turns[r, c])
-            yield "map", one.method, one.family, *place, *found, "", ""
+    for map_ in study.maps:
+        for (r, c), error in np.ndenumerate(map_.error):
+            place = float(map_.pace[r]), float(map_.across[c])
+            values = float(error), VERDICTS[map_.verdict[r, c]], float(map_.turns[r, c])
+            yield "map", map_.method, map_.family, *place, *values, "", ""
     for limit in study.limits:
         yield "limit", limit.method, limit.name, *[""] * 5, limit.theory, limit.measured
     for drift in study.drifts:

@@ -53,8 +53,8 @@ def stays_across(method: str, moved: StabilityScene, steps: int) -> Bools:
 
 def tension_limits(method: str) -> tuple[Limit]:
     """Largest hω of `rattle` or a composition of it."""
-    found = limit(method, tense, *_RANGE, steps=_STEPS, is_bounded=stays_across)
-    return (Limit(method, "tension in rods: largest hω", theory_of(method), found),)
+    largest = limit(method, tense, *_RANGE, steps=_STEPS, is_bounded=stays_across)
+    return (Limit(method, "tension in rods: largest hω", theory_of(method), largest),)
 
 
 def theory_of(method: str) -> float:

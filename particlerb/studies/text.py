@@ -25,12 +25,12 @@ def count_of(number: int, noun: str, plural: str = "") -> str:
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
-def chosen_names(asked: Sequence[str], known: Sequence[str], what: str) -> list[str]:
+def chosen_names(asked: Sequence[str], available: Sequence[str], what: str) -> list[str]:
     """Names that were asked for, each once, or all; ValueError names those that are not known."""
-    unknown = [name for name in asked if name not in known]
+    unknown = [name for name in asked if name not in available]
     if unknown:
-        raise ValueError(f"{', '.join(unknown)}: no such {what}; there are {', '.join(known)}")
-    return list(dict.fromkeys(asked or known))
+        raise ValueError(f"{', '.join(unknown)}: no such {what}; there are {', '.join(available)}")
+    return list(dict.fromkeys(asked or available))
 
 
 def method_names(system: System) -> tuple[str, ...]:

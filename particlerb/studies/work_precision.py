@@ -150,8 +150,8 @@ class Study:
 
     def states(self, method: str, step: float | None) -> Frames:
         """States of the judged bodies at the way points."""
-        own = part(self.system, self.plan(method, step), self.which)
-        return timed_states(own, self.times)[0]
+        judged = part(self.system, self.plan(method, step), self.which)
+        return timed_states(judged, self.times)[0]
 
     def difference(self, a: Frames, b: Frames) -> float:
         """Largest angle, or relative distance, between two runs at t_end."""
@@ -180,13 +180,13 @@ class Study:
         step = self.first_step()
         self.states(second, step)  # compile
         start = THREADS.own.clock()
-        found, stays = [np.inf, np.inf], 0
+        gaps, stays = [np.inf, np.inf], 0
         while THREADS.own.clock() - start < budget and stays < 2:
             step *= 0.5
-            found.append(self.difference(self.states(second, step), oracle))
-            stays = stays + 1 if found[-1] > 0.5 * min(found[:-1]) and found[-1] < 1e-6 else 0
+            gaps.append(self.difference(self.states(second, step), oracle))
+            stays = stays + 1 if gaps[-1] > 0.5 * min(gaps[:-1]) and gaps[-1] < 1e-6 else 0
         # where the difference no longer falls it is noise: the larger of two neighbours counts
-        floor = min(map(max, pairwise(found[1:]))) if len(found) > 3 else found[-1]
+        floor = min(map(max, pairwise(gaps[1:]))) if len(gaps) > 3 else gaps[-1]
         return Reference(oracle, f"{what}, checked by {second} with shorter steps", floor)
 
     def converge(self, budget: float) -> tuple[str, float]:
@@ -203,8 +203,8 @@ class Study:
 
     def energies_by(self, method: str, step: float) -> tuple[Floats, float]:
         """Energy at the times of a run of ours, and its largest kinetic one [J]."""
-        own = part(self.system, self.plan(method, step), self.which)
-        kinetic, potential = energies(own, *timed_states(own, self.times))
+        judged = part(self.system, self.plan(method, step), self.which)
+        kinetic, potential = energies(judged, *timed_states(judged, self.times))
         return kinetic + potential, float(kinetic.max())
 
     def failure_of(self, error: Error) -> str:
@@ -214,9 +214,9 @@ class Study:
             return f"energy off by {off:.2g} times the largest kinetic one"
         return failure(error)
 
-    def energy_error(self, found: Floats) -> float:
+    def energy_error(self, energy: Floats) -> float:
         """Largest difference from the energy that is expected, over its scale."""
-        return float(np.abs(found - self.expected).max() / self.scale)
+        return float(np.abs(energy - self.expected).max() / self.scale)
 
     # Steps
 
@@ -285,30 +285,30 @@ class Study:
     def measured(self, method: str, step: float | None, repeats: int = REPEATS) -> Point:
         """One point."""
         plan = self.plan(method, step)
-        own = part(self.system, plan, self.which)
-        made = partial(Point, method, "", step or 0.0, has_step(method) and is_adaptive(method))
+        judged = part(self.system, plan, self.which)
+        to_point = partial(Point, method, "", step or 0.0, has_step(method) and is_adaptive(method))
         before = THREADS.busy
         try:
-            frames, booked = timed_states(own, self.times)
+            frames, booked = timed_states(judged, self.times)
         except MotionError as problem:
             error = Error(np.nan, np.nan, np.nan)
-            return made(THREADS.busy - before, error, np.nan, np.nan, str(problem))
+            return to_point(THREADS.busy - before, error, np.nan, np.nan, str(problem))
         spent = THREADS.busy - before
-        energy, spin = drifts(own, frames, booked)
+        energy, spin = drifts(judged, frames, booked)
         error = Error(energy, energy, 0.0)
         if self.is_compared:
-            kinetic, potential = energies(own, frames, booked)
+            kinetic, potential = energies(judged, frames, booked)
             off = self.energy_error(kinetic + potential)
             error = Error(off, off, 0.0)
         if not self.by_energy:
-            error = errors(own, self.times, frames, self.reference.frames)[-1]
+            error = errors(judged, self.times, frames, self.reference.frames)[-1]
         if spent < _LONG or self.which.size < self.system.n_bodies:
-            whole = part(self.system, plan, np.arange(self.system.n_bodies))
-            times = [seconds(whole, self.t_end) for _ in range(repeats)]
+            all_bodies = part(self.system, plan, np.arange(self.system.n_bodies))
+            times = [seconds(all_bodies, self.t_end) for _ in range(repeats)]
             while repeats > 1 and sum(times) < _FILLED and len(times) < _MOST_REPEATS:
-                times.append(seconds(whole, self.t_end))
+                times.append(seconds(all_bodies, self.t_end))
             spent = float(np.median(times))
-        return made(spent, error, energy, spin, self.failure_of(error))
+        return to_point(spent, error, energy, spin, self.failure_of(error))
 
     def peer_curve(self, engine: Engine, variant: str, budget: float) -> Iterator[Point]:
         """Points of one variant of a peer."""
@@ -323,12 +323,12 @@ class Study:
             results = [engine.run(self.peer_scene, variant, step)]
             while len(results) < REPEATS and THREADS.own.clock() - start < budget:
                 results.append(engine.run(self.peer_scene, variant, step))
-            spent = float(np.median([one.seconds for one in results]))
+            spent = float(np.median([result.seconds for result in results]))
             error, energy, spin = peer_errors(
                 results[0], self.system, self.which, self.judged, self.times, self.reference.frames
             )
-            made = partial(Point, variant, engine.NAME, step, engine.ADAPTIVE, spent)
-            yield made(error, energy, spin, failure(error))
+            to_point = partial(Point, variant, engine.NAME, step, engine.ADAPTIVE, spent)
+            yield to_point(error, energy, spin, failure(error))
             if THREADS.own.clock() - start > budget:
                 return
 
@@ -352,8 +352,8 @@ class Study:
                 error = Error(off, off, 0.0)
             else:
                 error = errors(self.judged, self.times, frames, self.reference.frames)[-1]
-            made = partial(Point, variant, engine.NAME, step, False, spent)
-            yield made(error, np.nan, np.nan, self.failure_of(error))
+            to_point = partial(Point, variant, engine.NAME, step, False, spent)
+            yield to_point(error, np.nan, np.nan, self.failure_of(error))
             now = THREADS.own.clock()
             if now - start + 2.2 * (now - ahead) > budget:
                 return

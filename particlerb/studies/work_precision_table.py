@@ -30,22 +30,22 @@ def cheapest(points: Sequence[Point], target: float) -> Point | None:
     return min(good, key=_fast_first, default=None)
 
 
-def advice(found: WorkPrecision) -> str:
+def advice(chart: WorkPrecision) -> str:
     """The sentence that a user wants."""
-    if found.target < found.floor:
+    if chart.target < chart.floor:
         return (
-            f"an error of {found.target:.3g} cannot be judged: the reference is accurate to"
-            f" {found.floor:.1g} only"
+            f"an error of {chart.target:.3g} cannot be judged: the reference is accurate to"
+            f" {chart.floor:.1g} only"
         )
-    best = cheapest(found.points, found.target)
+    best = cheapest(chart.points, chart.target)
     if best is not None:
-        return f"for an error of {found.target:.3g} take {setting(best)}: {duration(best.seconds)}"
-    own = [p for p in found.points if not p.engine and not p.failure]
-    if not own:
+        return f"for an error of {chart.target:.3g} take {setting(best)}: {duration(best.seconds)}"
+    ours = [p for p in chart.points if not p.engine and not p.failure]
+    if not ours:
         return "every run failed: shorten run.t_end"
-    least = min(own, key=lambda p: p.size)
+    least = min(ours, key=lambda p: p.size)
     return (
-        f"no run reached an error of {found.target:.3g} within the budget; the best was"
+        f"no run reached an error of {chart.target:.3g} within the budget; the best was"
         f" {setting(least)}: {least.size:.2g} in {duration(least.seconds)}"
     )
 
@@ -65,54 +65,54 @@ def duration(seconds: float) -> str:
     return f"{seconds * 1e9:.3g} ns"
 
 
-def table(found: WorkPrecision) -> str:
+def table(chart: WorkPrecision) -> str:
     """Text of a chart: one line per point, then what was left out, then the advice."""
-    bodies = count_of(found.n_bodies, "body", "bodies")
-    sampled = f"; errors of {found.n_sampled} sampled bodies"
-    front = {id(point) for point in frontier(found.points)}
-    first = ("error", "", "", "balance") if found.measure == BESIDE else _POSES
-    heads = columns(found, (*first, "|L|"))
+    bodies = count_of(chart.n_bodies, "body", "bodies")
+    sampled = f"; errors of {chart.n_sampled} sampled bodies"
+    front = {id(point) for point in frontier(chart.points)}
+    first = ("error", "", "", "balance") if chart.measure == BESIDE else _POSES
+    heads = columns(chart, (*first, "|L|"))
     return "\n".join(
         [
-            f"{found.title}: {bodies} to t = {found.t_end:.6g} s, {found.clock} on one thread",
-            f"{found.measure}, against {found.reference}, good to {found.floor:.1g}"
-            + (sampled if found.n_sampled < found.n_bodies else ""),
+            f"{chart.title}: {bodies} to t = {chart.t_end:.6g} s, {chart.clock} on one thread",
+            f"{chart.measure}, against {chart.reference}, good to {chart.floor:.1g}"
+            + (sampled if chart.n_sampled < chart.n_bodies else ""),
             "",
             f"{'method':<28} {'dt or tol':>10} {'time':>9} {heads}",
-            *(row(found, p, "*" if id(p) in front else " ") for p in found.points),
-            *(f" {name}: left out, {reason}" for name, reason in found.left_out),
-            *(f" {note}" for note in found.notes),
-            *(f" {name}: {error:.2e} rad, published" for name, error in found.published),
+            *(row(chart, p, "*" if id(p) in front else " ") for p in chart.points),
+            *(f" {name}: left out, {reason}" for name, reason in chart.left_out),
+            *(f" {note}" for note in chart.notes),
+            *(f" {name}: {error:.2e} rad, published" for name, error in chart.published),
             "",
             "* on the Pareto front: no method of ours is both faster and more accurate",
-            advice(found),
+            advice(chart),
         ]
     )
 
 
-def row(found: WorkPrecision, p: Point, mark: str) -> str:
+def row(chart: WorkPrecision, p: Point, mark: str) -> str:
     """A point in a line."""
     step = f"{p.step:.3g}" if p.step else "-"
     numbers = (*p.error, p.energy, p.spin)
-    values = columns(found, ["-" if isnan(value) else f"{value:.2e}" for value in numbers])
+    values = columns(chart, ["-" if isnan(value) else f"{value:.2e}" for value in numbers])
     failed = f"  FAILED, {p.failure}" if p.failure else ""
     return f"{mark}{p.label:<27} {step:>10} {duration(p.seconds):>9} {values}{failed}"
 
 
-def columns(found: WorkPrecision, values: Sequence[str]) -> str:
+def columns(chart: WorkPrecision, values: Sequence[str]) -> str:
     """Columns of a table: errors of orientation and position, which say nothing of contact."""
-    shown = values if found.measure == POSE else values[3:]
-    shown = (values[0], *shown) if found.measure == BESIDE else shown
+    shown = values if chart.measure == POSE else values[3:]
+    shown = (values[0], *shown) if chart.measure == BESIDE else shown
     return " ".join(f"{value:>9}" for value in shown)
 
 
-def csv_rows(found: WorkPrecision) -> Iterator[Sequence[object]]:
+def csv_rows(chart: WorkPrecision) -> Iterator[Sequence[object]]:
     """All points; the first row is the header."""
     yield (
         "engine", "method", "step [s] or tolerance", "is_tolerance", "seconds", "worst [rad]",
         "rms [rad]", "position", "energy", "angular_momentum", "failure",
     )  # fmt: skip
-    for p in found.points:
+    for p in chart.points:
         yield (
             p.engine or "particlerb", p.method, p.step, p.is_tolerance, p.seconds, p.error.worst,
             p.error.rms, p.error.position, p.energy, p.spin, p.failure,

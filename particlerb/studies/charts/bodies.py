@@ -116,8 +116,8 @@ def draw_at_rest(axes: Axes, trajectory: Trajectory, shown: list[int]) -> None:
     view = view_at_angle(upright(trajectory))
     shapes = shapes_of(trajectory)
     placed = [
-        shapes[b].moved(view @ rotation_matrix(own), view @ com)
-        for b, own, com in zip(shown, q, x, strict=True)
+        shapes[b].moved(view @ rotation_matrix(orientation), view @ com)
+        for b, orientation, com in zip(shown, q, x, strict=True)
     ]
     draw_solids(axes, placed, "#a9cce3", 2.0)
     axes.set_aspect("equal", adjustable="datalim")

@@ -40,7 +40,7 @@ def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
     def placed(local: Floats | list[Floats], k: int) -> list[Floats]:
         """Points of each body at an instant, world frame."""
         turns = zip(local, orientations[k], x[frames[k]], strict=True)
-        return [own @ R.T + com for own, R, com in turns]
+        return [body_points @ R.T + com for body_points, R, com in turns]
 
     corners = [
         placed([m.vertices[np.unique(m.faces)] for m in shapes], k) for k in range(len(frames))
@@ -67,8 +67,8 @@ def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
         }
         for circle in circles[k]:
             axes.plot(*(circle @ view.T).T[:2], lw=2.2 if is_last else 0.8, **line)
-        for com, own in zip(x[frames[k]] @ view.T, hinges[k], strict=True):
-            for end in own @ view.T:
+        for com, joints in zip(x[frames[k]] @ view.T, hinges[k], strict=True):
+            for end in joints @ view.T:
                 axes.plot(*zip(com[:2], end[:2], strict=True), lw=2.2 if is_last else 1.2, **line)
                 axes.plot(*end[:2], "o", ms=4, mfc="white", **line)
         for ends in distances:
@@ -89,8 +89,8 @@ def _numbers(trajectory: Trajectory, names: list[str] | None) -> list[int]:
     return [
         b
         for name in names or []
-        for b, own in enumerate(trajectory.names)
-        if own == name or own.startswith(f"{name}[")
+        for b, body_name in enumerate(trajectory.names)
+        if body_name == name or body_name.startswith(f"{name}[")
     ]
 
 
@@ -114,11 +114,11 @@ def _drawn_as(
 
 def _without_shape(trajectory: Trajectory) -> Bools:
     """Bodies of which only the moments of inertia are known."""
-    found = np.zeros(trajectory.n_bodies, dtype=bool)
+    is_shapeless = np.zeros(trajectory.n_bodies, dtype=bool)
     for body in trajectory.parameter("case_resolved")["body"]:
         if (body["shape"] or {}).get("type") == "moments":
-            found[_numbers(trajectory, [body["name"]])] = True
-    return found
+            is_shapeless[_numbers(trajectory, [body["name"]])] = True
+    return is_shapeless
 
 
 def _joint_points(
@@ -129,9 +129,9 @@ def _joint_points(
     In the frame of the body, from its centre of mass.
     """
     x, q = (trajectory.read(name, slice(0, 1))[0] for name in ("position", "orientation"))
-    turns = [rotation_matrix(own) for own in q]
-    found: list[list[Floats]] = [[] for _ in range(trajectory.n_bodies)]
-    hinged: list[list[Floats]] = [[] for _ in found]
+    turns = [rotation_matrix(orientation) for orientation in q]
+    points: list[list[Floats]] = [[] for _ in range(trajectory.n_bodies)]
+    hinged: list[list[Floats]] = [[] for _ in points]
     distances: list[list[_End]] = []
 
     def placed(point: Any, b: int) -> Floats:
@@ -155,12 +155,12 @@ def _joint_points(
                 ends.append((_WORLD, np.array(at_to)))
             for b, place in ends:
                 if b != _WORLD:
-                    found[b].append(turns[b].T @ (place - x[b]))
+                    points[b].append(turns[b].T @ (place - x[b]))
                     if joint["type"] == "hinge":
                         hinged[b].append(turns[b].T @ _axis_of(joint, turns[a]))
             if joint["type"] == "distance" and not (joint["breaks_at"] or joint["during"]):
-                distances.append([(b, len(found[b]) - 1, place) for b, place in ends])
-    return [np.array(own).reshape(-1, 3) for own in found], distances, hinged
+                distances.append([(b, len(points[b]) - 1, place) for b, place in ends])
+    return [np.array(places).reshape(-1, 3) for places in points], distances, hinged
 
 
 def _axis_of(joint: dict[str, Any], turn: Floats) -> Floats:

@@ -58,12 +58,12 @@ def solids_of(trajectory: Trajectory) -> list[SurfaceMesh | None]:
         surfaces = Surfaces(system)
     except (CaseError, TrajectoryError, ImportError, OSError):
         return none
-    found = [
+    meshes = [
         surfaces.of_kind(kind).mesh if has_surface[block] else None
         for kind, block in zip(system.kind, system.block, strict=True)
     ]
-    total = sum(len(mesh.faces) for mesh in found if mesh is not None)
-    return found if total <= _MOST else none
+    total = sum(len(mesh.faces) for mesh in meshes if mesh is not None)
+    return meshes if total <= _MOST else none
 
 
 def view_along(across: int, up: int) -> Floats:
@@ -89,7 +89,7 @@ def draw_solids(
     fills: list[Floats] = []
     edges: list[Floats] = []
     depths: list[Floats] = []
-    for mesh in (one for one in solids if one.faces.size):
+    for mesh in (solid for solid in solids if solid.faces.size):
         normal = _normals(mesh)
         is_front = normal[:, 2] < 0.0
         faces = mesh.vertices[mesh.faces[is_front]]

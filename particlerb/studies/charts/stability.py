@@ -62,8 +62,8 @@ _BOTTOM, _TOP = 1e-15, 30.0  # of the drift
 
 def pictures(study: Stability) -> dict[str, Callable[[Stability, Path], None]]:
     """What draws a study, by the end of the name of the file: what is not in it is left out."""
-    found = {"maps": draw_maps, "limits": draw_limits, "drifts": draw_drifts}
-    return {name: draw for name, draw in found.items() if getattr(study, name)}
+    drawings = {"maps": draw_maps, "limits": draw_limits, "drifts": draw_drifts}
+    return {name: draw for name, draw in drawings.items() if getattr(study, name)}
 
 
 # Maps
@@ -83,10 +83,10 @@ def draw_maps(study: Stability, path: Path) -> None:
         heading = f"{method}\n{_headline(study, method)}"
         cell.suptitle(heading, color=METHOD_COLOURS[method], fontsize=9.5)
         panels = cell.subplots(1, len(families), sharey=True, squeeze=False)[0]
-        own = [one for one in study.maps if one.method == method]
-        for axes, one in zip(panels, own, strict=True):
+        maps = [one for one in study.maps if one.method == method]
+        for axes, one in zip(panels, maps, strict=True):
             _draw_map(axes, one)
-        if is_tolerance(own[0]):
+        if is_tolerance(maps[0]):
             panels[0].set_ylabel("tolerance", fontsize=9)
         elif k % _ACROSS == 0:
             panels[0].set_ylabel("h |ω|  [rad per step]", fontsize=9)
@@ -102,33 +102,33 @@ def draw_maps(study: Stability, path: Path) -> None:
 
 def _headline(study: Stability, method: str) -> str:
     """How far a method is accurate, over all its maps."""
-    own = [one for one in study.maps if one.method == method]
-    if not own[0].pace.any():
+    maps = [one for one in study.maps if one.method == method]
+    if not maps[0].pace.any():
         return "no step, no limit"
-    pace = min(largest_pace(one, SMALL) for one in own)
+    pace = min(largest_pace(one, SMALL) for one in maps)
     if pace == 0.0:
         return "wrong at every step tried"
-    if pace == own[0].pace[-1]:
+    if pace == maps[0].pace[-1]:
         return "within 0.1 % at every step tried"
-    what = "tolerance" if is_tolerance(own[0]) else "h|ω|"
+    what = "tolerance" if is_tolerance(maps[0]) else "h|ω|"
     return f"within 0.1 % up to {what} = {pace:.2g}"
 
 
-def _draw_map(axes: Axes, one: Map) -> None:
+def _draw_map(axes: Axes, map_: Map) -> None:
     """Colours of the verdicts, lines of equal error, names of the regions."""
-    columns = np.arange(one.across.size + 1) - 0.5
+    columns = np.arange(map_.across.size + 1) - 0.5
     norm = BoundaryNorm(np.arange(len(VERDICTS) + 1) - 0.5, len(VERDICTS))
-    edges = _edges_of(one.pace) if one.pace.size > 1 else np.array([_STEPS[0], _STEPS[-1]])
-    axes.pcolormesh(columns, edges, one.verdict, cmap=ListedColormap(_TINTS), norm=norm)
+    edges = _edges_of(map_.pace) if map_.pace.size > 1 else np.array([_STEPS[0], _STEPS[-1]])
+    axes.pcolormesh(columns, edges, map_.verdict, cmap=ListedColormap(_TINTS), norm=norm)
     axes.set_yscale("log")
-    if one.pace.any():
-        _draw_levels(axes, one)
-        _name_regions(axes, one)
+    if map_.pace.any():
+        _draw_levels(axes, map_)
+        _name_regions(axes, map_)
     else:
-        text = f"closed form:\nno step\n\nworst error\n{one.error.max():.0e}"
+        text = f"closed form:\nno step\n\nworst error\n{map_.error.max():.0e}"
         write_inside(axes, 0.5, 0.5, text, ha="center", va="center", fontsize=9)
-    _mark_across(axes, one)
-    _mark_pace(axes, one)
+    _mark_across(axes, map_)
+    _mark_pace(axes, map_)
 
 
 def _edges_of(pace: Floats) -> Floats:
@@ -137,36 +137,36 @@ def _edges_of(pace: Floats) -> Floats:
     return np.append(pace / half, pace[-1] * half)
 
 
-def _draw_levels(axes: Axes, one: Map) -> None:
+def _draw_levels(axes: Axes, map_: Map) -> None:
     """Lines of equal worst energy error, where it is finite."""
-    height = np.log10(np.clip(one.error, FLOOR, 1e3))
+    height = np.log10(np.clip(map_.error, FLOOR, 1e3))
     levels = [level for level in _LEVELS if height.min() < level < height.max()]
-    if not levels or (one.verdict == UNSOLVABLE).all():
+    if not levels or (map_.verdict == UNSOLVABLE).all():
         return
     lines = axes.contour(
-        np.arange(one.across.size), one.pace, height, levels=levels, colors=INK, linewidths=0.7,
+        np.arange(map_.across.size), map_.pace, height, levels=levels, colors=INK, linewidths=0.7,
         linestyles="solid",
     )  # fmt: skip
     axes.clabel(lines, fmt=lambda level: f"1e{level:.0f}", fontsize=6.5)
 
 
-def _name_regions(axes: Axes, one: Map) -> None:
+def _name_regions(axes: Axes, map_: Map) -> None:
     """The word of each verdict in the widest place of its region, and how soon all is lost."""
     for k, word in enumerate(MEANING):
-        place = widest(one.verdict == k)
+        place = widest(map_.verdict == k)
         if place is None:
             continue
         axes.text(
-            place[1], one.pace[place[0]], word, ha="center", va="center", fontsize=8,
+            place[1], map_.pace[place[0]], word, ha="center", va="center", fontsize=8,
             weight="bold", color=_ink_on(k), zorder=5,
             bbox={"facecolor": _TINTS[k], "edgecolor": "none", "alpha": 0.9, "pad": 1.5},
         )  # fmt: skip
-    if largest_pace(one, SMALL) > 0.0 or is_tolerance(one):
+    if largest_pace(map_, SMALL) > 0.0 or is_tolerance(map_):
         return
-    for row in (one.pace.size // 10, 5 * one.pace.size // 6):
-        turns, verdict = one.turns[row], int(one.verdict[row].max())
+    for row in (map_.pace.size // 10, 5 * map_.pace.size // 6):
+        turns, verdict = map_.turns[row], int(map_.verdict[row].max())
         text = f"10 % off after\n{turns.min():.2g} turns\nor more"
-        axes.text((one.across.size - 1) / 2, one.pace[row], text, ha="center", va="center",
+        axes.text((map_.across.size - 1) / 2, map_.pace[row], text, ha="center", va="center",
                   fontsize=7.5, color=_ink_on(verdict))  # fmt: skip
 
 
@@ -197,33 +197,33 @@ def widest(region: Bools) -> tuple[int, int] | None:
     return int(r), int(c)
 
 
-def _mark_across(axes: Axes, one: Map) -> None:
+def _mark_across(axes: Axes, map_: Map) -> None:
     """What the columns are."""
     axes.xaxis.set_minor_locator(NullLocator())
-    x = np.arange(one.across.size, dtype=float)
-    if one.family == "shape":
-        at = [0.0, *np.interp([0.25, 0.5], one.across[1:], x[1:]), x[-1]]
+    x = np.arange(map_.across.size, dtype=float)
+    if map_.family == "shape":
+        at = [0.0, *np.interp([0.25, 0.5], map_.across[1:], x[1:]), x[-1]]
         axes.set_xticks(at[::3], ["needle", "disc"], fontsize=8)
         axes.set_xlabel("shape: plate\nof sides 1 : b", fontsize=8)
         axes.set_xticks(at[1:3], minor=True)
         return
-    at = np.interp(list(_STARTS), one.across, x).tolist()
+    at = np.interp(list(_STARTS), map_.across, x).tolist()
     axes.set_xticks(at, list(_STARTS.values()), fontsize=8)
     axes.axvline(at[1], color=INK, lw=0.8, ls=":")
     axes.set_xlabel("start, I = (1, 2, 3)", fontsize=8)
 
 
-def _mark_pace(axes: Axes, one: Map) -> None:
+def _mark_pace(axes: Axes, map_: Map) -> None:
     """Ticks of the steps, and of the steps per turn; or of the tolerances."""
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.tick_params(axis="y", labelsize=8)
-    if is_tolerance(one):
+    if is_tolerance(map_):
         return
     axes.set_ylim(_STEPS[0], _STEPS[-1])
     axes.yaxis.set_major_locator(FixedLocator(_STEPS))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    missing = one.pace[0] / _STEPS[0] if one.pace.any() else 1.0
+    missing = map_.pace[0] / _STEPS[0] if map_.pace.any() else 1.0
     if missing > 2.0:
         height = 0.5 * math.log(missing) / math.log(_STEPS[-1] / _STEPS[0])
         text = "not run:\nsmall steps\ncost too much"
@@ -262,13 +262,13 @@ def _draw_distances(axes: Axes, limits: Sequence[Limit]) -> None:
     figures: dict[str, Any] = {"va": "center", "family": "monospace", "fontsize": 8.5}
     axes.axvspan(-1.0, 1.0, color="#eef2f6", lw=0)
     axes.axvline(0.0, color=INK, lw=0.8)
-    for y, one in zip(range(len(limits), 0, -1), limits, strict=True):
-        colour = METHOD_COLOURS[one.method]
-        if math.isfinite(one.theory):
-            axes.plot(100.0 * (one.measured / one.theory - 1.0), y, "o", color=colour, ms=5)
-        name = f"{one.method}: {one.name.replace(': largest', ',')}"
+    for y, limit in zip(range(len(limits), 0, -1), limits, strict=True):
+        colour = METHOD_COLOURS[limit.method]
+        if math.isfinite(limit.theory):
+            axes.plot(100.0 * (limit.measured / limit.theory - 1.0), y, "o", color=colour, ms=5)
+        name = f"{limit.method}: {limit.name.replace(': largest', ',')}"
         write_beside(axes, -0.02, y, name, ha="right", va="center", fontsize=8.5, color=colour)
-        text = f"{number(one.theory):>12} {number(one.measured):>12}"
+        text = f"{number(limit.theory):>12} {number(limit.measured):>12}"
         write_beside(axes, 1.02, y, text, **figures)
     heading = f"{'theory':>12} {'measured':>12}"
     write_beside(axes, 1.02, len(limits) + 1.0, heading, weight="bold", **figures)
@@ -289,11 +289,11 @@ def _draw_resting(axes: Axes, limits: Sequence[Limit]) -> None:
     axes.set_xlabel("damping ratio ζ of the contact")
     ends = []
     for method in dict.fromkeys(one.method for one in limits):
-        own = [one for one in limits if one.method == method]
+        dots = [one for one in limits if one.method == method]
         colour, zeta = METHOD_COLOURS[method], np.linspace(0.0, RATIOS[-1], 101)
         theory = [THEORY[method](ratio) for ratio in zeta.tolist()]
         axes.plot(zeta, theory, color=colour, lw=1.5)
-        axes.plot([one.zeta for one in own], [one.measured for one in own], "o", color=colour, ms=6)
+        axes.plot([p.zeta for p in dots], [p.measured for p in dots], "o", color=colour, ms=6)
         ends.append((zeta[-1], theory[-1], method, colour))
     for x, y, text, colour in ends:
         axes.text(x + 0.03, y, text, color=colour, va="top" if "strang" in text else "bottom")
@@ -307,8 +307,8 @@ def draw_drifts(study: Stability, path: Path) -> None:
     drifts, figure = study.drifts, Figure(figsize=(_WIDTH, 10.0), layout="constrained")
     panels = figure.subplots(len(MOTIONS), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, motion in zip(panels, MOTIONS, strict=True):
-        own = [one for one in drifts if one.motion == motion]
-        longest = max(one.turns[-1] for one in own)
+        of_motion = [one for one in drifts if one.motion == motion]
+        longest = max(one.turns[-1] for one in of_motion)
         finish_panel(
             axes, f"{motion}, eight starts: every sample (dots), largest until then (line)",
             xscale="log", yscale="log", xlim=(0.1, 2e4 * longest), ylim=(_BOTTOM, _TOP),
@@ -316,9 +316,9 @@ def draw_drifts(study: Stability, path: Path) -> None:
             ylabel="|E/E₀ − 1|",
         )  # fmt: skip
         axes.xaxis.set_minor_locator(NullLocator())
-        for drift in own:
+        for drift in of_motion:
             _draw_drift(axes, drift)
-        _name_drifts(axes, own)
+        _name_drifts(axes, of_motion)
     panels[-1].set_xlabel("turns; at the ends h|ω|, and p of an error ∝ tᵖ over the last decade")
     figure.savefig(path, dpi=_DPI)
 

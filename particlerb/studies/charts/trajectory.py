@@ -88,20 +88,20 @@ def _draw_panels(
     figure: Figure, trajectory: Trajectory, case: dict[str, Any], body: str | None
 ) -> None:
     """Draw what fits the scene, or a body."""
-    one = _fastest(trajectory) if body is None else trajectory.names.index(body)
-    shown = _shown(trajectory.n_bodies, FEW, one)
+    b = _fastest(trajectory) if body is None else trajectory.names.index(body)
+    shown = _shown(trajectory.n_bodies, FEW, b)
     is_still = not np.ptp(trajectory.read("position", bodies=shown), axis=0).any()
-    is_tumbling = is_still and not _is_top(trajectory, one) and trajectory.n_frames > 1
-    if is_tumbling and trajectory.omega_body(one)[0].any():
+    is_tumbling = is_still and not _is_top(trajectory, b) and trajectory.n_frames > 1
+    if is_tumbling and trajectory.omega_body(b)[0].any():
         grid = figure.add_gridspec(2, 3, height_ratios=(0.6, 1.0), width_ratios=(1.0, 1.0, 1.3))
-        draw_orientations(figure.add_subplot(grid[0, :]), trajectory, one)
+        draw_orientations(figure.add_subplot(grid[0, :]), trajectory, b)
         places = [grid[1, 0], grid[1, 1], grid[1, 2]]
     else:
         grid = figure.add_gridspec(2, 2)
-        _draw_bodies(figure, grid[0, 0], trajectory, case, one, shown, body is None)
+        _draw_bodies(figure, grid[0, 0], trajectory, case, b, shown, body is None)
         places = [grid[0, 1], grid[1, 0], grid[1, 1]]
     above, below, last = (figure.add_subplot(place) for place in places)
-    _draw_motion(above, below, trajectory, case, one, body is not None or is_still)
+    _draw_motion(above, below, trajectory, case, b, body is not None or is_still)
     _draw_conservation_errors(last, trajectory)
 
 
@@ -110,7 +110,7 @@ def _draw_motion(
     below: Axes,
     trajectory: Trajectory,
     case: dict[str, Any],
-    one: int,
+    b: int,
     is_of_one: bool,
 ) -> None:
     """Two panels over time: of one body, or what moves the scene on."""
@@ -124,15 +124,15 @@ def _draw_motion(
         _draw_energies(above, trajectory)
         is_coupled = trajectory.n_bodies > FEW or _couples(case)
         (_draw_heights if is_coupled else _draw_rates)(below, trajectory, case)
-    elif _is_top(trajectory, one):
-        _draw_angular_velocity(above, trajectory, one)
-        _draw_nutation(below, trajectory, one)
+    elif _is_top(trajectory, b):
+        _draw_angular_velocity(above, trajectory, b)
+        _draw_nutation(below, trajectory, b)
     elif trajectory.ledger.potential_energy.any() and not is_of_one:
         _draw_energies(above, trajectory)
-        _draw_angular_velocity(below, trajectory, one)
+        _draw_angular_velocity(below, trajectory, b)
     else:
-        _draw_angular_velocity(above, trajectory, one)
-        _draw_axis(below, trajectory, one, is_free=not case["force"])
+        _draw_angular_velocity(above, trajectory, b)
+        _draw_axis(below, trajectory, b, is_free=not case["force"])
 
 
 def _couples(case: dict[str, Any]) -> bool:

@@ -55,7 +55,7 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     """Draw a chart; the suffix of the path is the format."""
     figure = Figure(figsize=(10.5, 6.8), layout="constrained")
     axes = figure.add_subplot()
-    curves = [list(own) for _, own in groupby(chart.points, lambda p: p.label)]
+    curves = [list(group) for _, group in groupby(chart.points, lambda p: p.label)]
     engines = list(dict.fromkeys(p.engine for p in chart.points if p.engine))
     drawn = []
     for points in curves:
@@ -81,8 +81,8 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
         f"{chart.title}   ({bodies} to t = {chart.t_end:.6g} s, one thread, {processor()})",
         color=INK, x=0.01, ha="left", fontsize=12,
     )  # fmt: skip
-    own = METHOD_COLOURS.keys()
-    absent = [f"{name}: left out, {why}" for name, why in chart.left_out if name not in own]
+    our_names = METHOD_COLOURS.keys()
+    absent = [f"{name}: left out, {why}" for name, why in chart.left_out if name not in our_names]
     if words := "\n".join((*chart.notes, *absent)):
         figure.supxlabel(words, fontsize=8, color=_PEER, x=0.01, ha="left")
     figure.savefig(path, dpi=130)
@@ -117,9 +117,7 @@ def limits(chart: WorkPrecision, curves: Sequence[_Curve]) -> dict[str, Any]:
     low, high = min(*heights, chart.target) / 10.0, 10.0 * max(*heights, chart.target)
     is_failed = any(p.failure for p in chart.points)
     left = math.log10(min(times) / 2.0)
-    wide = [
-        (math.log10(own.points[-1, 0]) - left) / (0.97 - _LETTER * len(own.name)) for own in curves
-    ]
+    wide = [(math.log10(c.points[-1, 0]) - left) / (0.97 - _LETTER * len(c.name)) for c in curves]
     published = max((len(names) for names, _ in together(chart.published)), default=0)
     wide.append((math.log10(max(times)) - left) / (0.98 - _LETTER * published))
     top = 20.0 if is_failed or not curves else min(high, 20.0)
@@ -132,8 +130,8 @@ def _label_curves(axes: Axes, curves: Sequence[_Curve], taken: list[_Place]) -> 
     The end is preferred to other points, and the height of the point to others.
     """
     to_share = axes.transScale + axes.transLimits
-    shares = [to_share.transform(own.points) for own in curves]
-    levels = [np.array([[0.0, own.point[1]], [1.0, own.point[1]]]) for own in taken]
+    shares = [to_share.transform(curve.points) for curve in curves]
+    levels = [np.array([[0.0, label.point[1]], [1.0, label.point[1]]]) for label in taken]
     sides = np.array([[-_MARK, 0.0], [_MARK, 0.0]])
     marks = [points + side for points in shares for side in sides]
     drawn = np.concatenate([*map(_along, (*shares, *levels)), *marks])
@@ -148,23 +146,24 @@ def _label_curves(axes: Axes, curves: Sequence[_Curve], taken: list[_Place]) -> 
         moved = 30.0 * abs(place.level - place.point[1])
         return 1e3 * (overlaps + is_out) + crossed + moved + 1.5 * (not is_end)
 
-    for own, points in sorted(
+    for curve, points in sorted(
         zip(curves, shares, strict=True), key=lambda one: float(one[0].points[-1, 1])
     ):
         tried = [
             (place, k == len(points) - 1)
             for k, point in enumerate(points)
-            for place in _places(point, own.name)
+            for place in _places(point, curve.name)
         ]
         best = min(tried, key=lambda one: cost(*one))[0]
         taken.append(best)
         is_far = abs(best.level - best.point[1]) > 0.5 * _LINE
-        line = {"arrowstyle": "-", "color": own.colour, "lw": 0.6} if is_far else None
+        line = {"arrowstyle": "-", "color": curve.colour, "lw": 0.6} if is_far else None
         is_left = best.right < best.point[0]
         at = (best.right if is_left else best.left, best.level)
         axes.annotate(
-            own.name, best.point, at, "axes fraction", color=own.colour, fontsize=9, va="center",
-            ha="right" if is_left else "left", zorder=5, arrowprops=line, path_effects=_HALO,
+            curve.name, best.point, at, "axes fraction", color=curve.colour, fontsize=9,
+            va="center", ha="right" if is_left else "left", zorder=5, arrowprops=line,
+            path_effects=_HALO,
         )  # fmt: skip
 
 
@@ -175,10 +174,10 @@ def _places(point: Floats, name: str) -> list[_Place]:
     return [_Place((x, y), left, left + width, y + d) for left in sides for d in _SHIFTS.tolist()]
 
 
-def _overlap(one: _Place, other: _Place) -> bool:
+def _overlap(text: _Place, other: _Place) -> bool:
     """Whether two texts cover each other."""
-    is_level = abs(one.level - other.level) < _LINE
-    return is_level and one.left < other.right and other.left < one.right
+    is_level = abs(text.level - other.level) < _LINE
+    return is_level and text.left < other.right and other.left < text.right
 
 
 def _along(points: Floats) -> Floats:
