@@ -88,15 +88,15 @@ def prepare_accurately(system: System) -> Prepared:
     if system.run.accuracy is None:
         return prepare(system)
     system = made_ready(system)
-    free, found = merged(system.with_run(method="auto")), []
+    free, chosen_steps = merged(system.with_run(method="auto")), []
 
     def choose(group: GroupPlan) -> Stepping | None:
-        found.append(search(free, group))
-        return None if found[-1] is None else found[-1].stepping
+        chosen_steps.append(search(free, group))
+        return None if chosen_steps[-1] is None else chosen_steps[-1].stepping
 
     chosen = make_plan(free, choose)
-    choice = [None if one is None else one.stepping for one in found]
-    estimate = _estimate_of(free, chosen, found)
+    choice = [None if one is None else one.stepping for one in chosen_steps]
+    estimate = _estimate_of(free, chosen, chosen_steps)
     warnings = chosen.warnings
     if not estimate.is_met:
         worst = max(estimate.groups, key=lambda group: group[2])[0]
@@ -133,16 +133,16 @@ def prepare_again(system: System, stepping: str | None) -> Prepared:
     return Prepared(system, plan, describe(system, plan))
 
 
-def _estimate_of(system: System, plan: Plan, found: list[ChosenStep | None]) -> _Estimate:
+def _estimate_of(system: System, plan: Plan, steps: list[ChosenStep | None]) -> _Estimate:
     """Summary over all groups."""
-    known = [(g, one) for g, one in zip(plan.groups, found, strict=True) if one is not None]
+    searched = [(g, one) for g, one in zip(plan.groups, steps, strict=True) if one is not None]
     return _Estimate(
         system.run.accuracy or 0.0,
-        max((one.error for _, one in known), default=0.0),
-        min((one.until for _, one in known), default=system.run.t_end),
-        tuple((group_name(system, g.members), one.stepping, one.error) for g, one in known),
-        sum(one.bodies for _, one in known),
-        sum(g.members.size for g, _ in known),
+        max((one.error for _, one in searched), default=0.0),
+        min((one.until for _, one in searched), default=system.run.t_end),
+        tuple((group_name(system, g.members), one.stepping, one.error) for g, one in searched),
+        sum(one.bodies for _, one in searched),
+        sum(g.members.size for g, _ in searched),
     )
 
 
@@ -191,11 +191,11 @@ def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:
         if best.is_verified:
             return best.found(best.setting, best.error)
         if best.cost == math.inf:
-            known = [one.closest() for one in ladders if one.tried]
-            met = [found for found in known if found.error <= pilot.wanted]
+            closest = [one.closest() for one in ladders if one.tried]
+            met = [step for step in closest if step.error <= pilot.wanted]
             if met:
-                return min(met, key=lambda found: found.cost)
-            return min(known, key=lambda found: found.error)
+                return min(met, key=lambda step: step.cost)
+            return min(closest, key=lambda step: step.error)
         if best.cost > _HOPELESS * min(ladder.lost_at for ladder in ladders):
             best.cost = math.inf
         else:
@@ -217,8 +217,8 @@ def by_energy(pilot: Pilot, method: str) -> ChosenStep:
     times = share * np.linspace(0.0, system.run.t_end, MORE_TIMES + 1)[1:]
     while True:
         plan = Plan((stepped_by(pilot.group, stepping),), "", ())
-        own = part(system, plan, np.sort(pilot.group.members))
-        error = drifts(own, *states_at(own, times))[0]
+        subset = part(system, plan, np.sort(pilot.group.members))
+        error = drifts(subset, *states_at(subset, times))[0]
         cost = pilot.cost(stepping, stepped_time / stepping.dt, n)
         pilot.spent += share * cost
         pilot.say_so(method)

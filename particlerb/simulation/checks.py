@@ -60,39 +60,39 @@ def results(system: System, outcome: Outcome, ranks: Ranks = ALONE) -> list[Resu
     for check in system.check.value:
         time = system.run.t_end if check.time is None else check.time
         if check.body is not None:
-            own = [
+            of_body = [
                 _value_result(check, time, system, int(b), probes[time].frame)
                 for b in system.names.find(check.body)
             ]
-            values.append(own)
+            values.append(of_body)
         elif ranks.number:  # the first has what there is once
             values.append([])
         elif check.joint is None:
             number = impulse_quantity(check, probes[time].tally)
             values.append([_number_result(check, time, number)])
         elif setup is not None:
-            found = joint_quantity(check, setup, probes[time].joints)
-            values.append([_number_result(check, time, found)])
+            measured = joint_quantity(check, setup, probes[time].joints)
+            values.append([_number_result(check, time, measured)])
     of_checks = zip(*ranks.gathered(values), strict=True)
-    found_of_all = [one for of_ranks in of_checks for own in of_ranks for one in own]
-    return limits(system.check, outcome.drift) + found_of_all
+    value_results = [result for of_ranks in of_checks for of_rank in of_ranks for result in of_rank]
+    return limits(system.check, outcome.drift) + value_results
 
 
 def _value_result(check: CheckValue, time: float, system: System, b: int, frames: Frames) -> Result:
     """One expected value of one body."""
     expected = np.array(check.value, dtype=np.float64)
-    found = quantity(check, system, b, frames)
+    value = quantity(check, system, b, frames)
     if check.quantity == "inertia" and expected.ndim == 1:
         expected = np.diag(expected)
-    error = float(np.abs(found - expected).max())
+    error = float(np.abs(value - expected).max())
     if check.quantity == "orientation":
         expected = unit_vectors(expected)
-        error = float(angles(taken(system.bodies, np.array([b])), expected[None], found[None])[0])
-        found = found if found @ expected >= 0 else -found
+        error = float(angles(taken(system.bodies, np.array([b])), expected[None], value[None])[0])
+        value = value if value @ expected >= 0 else -value
     frame = f", {check.frame} frame" if check.frame == "body" else ""
     when = "" if check.quantity == "inertia" else f" at {time:.9g} s"
     name = f"{check.quantity} of {system.names[b]}{when}{frame}"
-    return Result(name, numbers(expected), numbers(found), error, check.tolerance)
+    return Result(name, numbers(expected), numbers(value), error, check.tolerance)
 
 
 def quantity(check: Asked, system: System, b: int, frames: Frames) -> Floats:
@@ -127,13 +127,13 @@ def quantities(check: Asked, system: System, index: Ints, frames: Frames) -> Flo
     return vector.T
 
 
-def _number_result(check: CheckValue, time: float, found: Floats) -> Result:
+def _number_result(check: CheckValue, time: float, value: Floats) -> Result:
     """One expected value of one joint, or of all contacts by impulses."""
     expected = np.atleast_1d(np.array(check.value, dtype=np.float64))
-    error = float(np.abs(found - expected).max())
+    error = float(np.abs(value - expected).max())
     owner = "all contacts" if check.joint is None else check.joint
     name = f"{check.quantity} of {owner} at {time:.9g} s"
-    return Result(name, numbers(expected), numbers(found), error, check.tolerance)
+    return Result(name, numbers(expected), numbers(value), error, check.tolerance)
 
 
 def joint_quantity(check: Asked, setup: JointSetup, values: JointValues | None) -> Floats:
@@ -141,8 +141,8 @@ def joint_quantity(check: Asked, setup: JointSetup, values: JointValues | None) 
     assert check.joint is not None
     assert values is not None
     j = setup.names.index(check.joint)
-    which = setup.coordinates.joint == j if check.quantity == "joint_coordinate" else j
-    return np.atleast_1d(getattr(values, check.quantity)[0, which])
+    columns = setup.coordinates.joint == j if check.quantity == "joint_coordinate" else j
+    return np.atleast_1d(getattr(values, check.quantity)[0, columns])
 
 
 def numbers(values: Floats) -> str:

@@ -68,21 +68,21 @@ def batches(system: System, done: int = 0, ranks: Ranks = ALONE) -> Iterator[Bat
     their sizes allow: whole chunks are written without a copy. All ranks take the same.
     """
     most = int(min(max(_BATCH_BYTES // (max(system.n_bodies, 1) * 13 * 8), 1), BATCH_FRAMES))
-    n, whole = frame_count(system.run), _whole_frames(system.run)
+    n, whole_frames = frame_count(system.run), _whole_frames(system.run)
     asked = [system.run.t_end if v.time is None else v.time for v in system.check.value]
     probes = np.unique(np.array(asked, dtype=np.float64))
     if done:
         probes = probes[probes > frame_times(system.run, done - 1, done)]
     size = min(FIRST_BATCH, most)
     while done < n:
-        stop = whole if done < whole else n
+        stop = whole_frames if done < whole_frames else n
         over = (done + size) % size if size >= _FEWEST_EVEN else 0
         frames = frame_times(system.run, done, min(done + size - over, stop))
         due, probes = probes[probes <= frames[-1]], probes[probes > frames[-1]]
         times = np.union1d(frames, due) if due.size else frames
         start = time.monotonic()
         done += len(frames)
-        given = np.isin(times, frames), np.isin(times, due)
-        yield Batch(times, *given, done == whole, done > whole)
+        masks = np.isin(times, frames), np.isin(times, due)
+        yield Batch(times, *masks, done == whole_frames, done > whole_frames)
         share = BATCH_SECONDS / max(time.monotonic() - start, 1e-9)
         size = min(ranks.gathered(int(min(max(size * min(share, 4.0), 1), most))))

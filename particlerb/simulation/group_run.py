@@ -57,8 +57,8 @@ class GroupRun:
     def checkpoint(self, of: Range) -> Saved:
         """The segment, how it began, and its motion; of some bodies where ranks share it."""
         motion = self.motion
-        own = motion.checkpoint_of(of) if isinstance(motion, SharedMotion) else motion.checkpoint()
-        saved = under("motion", own)
+        kept = motion.checkpoint_of(of) if isinstance(motion, SharedMotion) else motion.checkpoint()
+        saved = under("motion", kept)
         if self.number:
             saved |= {"before": self.before.copy(), "turnover": np.array(self.turnover)}
             saved |= self._first_of(of) if self.plan.shared else {"first": np.vstack(self.first)}
@@ -78,8 +78,8 @@ class GroupRun:
         if self.number:
             self.before, self.turnover = saved["before"], float(saved["turnover"])
             rows = within(OF_BODIES, saved).get("first")
-            whole = saved["first"] if rows is None else rows[np.argsort(rows[:, 0]), 1:].T
-            self.first = state_of(whole)
+            first = saved["first"] if rows is None else rows[np.argsort(rows[:, 0]), 1:].T
+            self.first = state_of(first)
             self.pairs = self.pair_forces()
             self.motion = self.set_off(self.motion)
         self.motion.restore(within("motion", saved))
@@ -156,19 +156,19 @@ class GroupRun:
             self.plan.group(self.segment),
             np.zeros((n_states, *shape_of(self.plan.worlds))),
         )
-        for one in energies_of_loads(self.segment.terms, com, q, n_states):
-            energy += np.moveaxis(group.totals(one), -1, 0)
+        for energies in energies_of_loads(self.segment.terms, com, q, n_states):
+            energy += np.moveaxis(group.totals(energies), -1, 0)
         return energy
 
     def potentials(self, frames: Frames, rows: Ints) -> Floats:
         """Potential energies in rows of the frames, (T, ...) [J]."""
-        found = np.zeros((rows.size, *shape_of(self.plan.worlds)))
+        energy = np.zeros((rows.size, *shape_of(self.plan.worlds)))
         if self.pairs is not None or self.segment.terms.joints is not None:
-            found += [self.between_bodies(*self.state_in(frames, row)[:2]) for row in rows.tolist()]
+            energy += [self.between_bodies(*self.state_in(frames, r)[:2]) for r in rows.tolist()]
         for few in few_at_once(rows.size, self.plan.members.size):
             com, q, _, _ = states_in(frames, rows[few], self.plan.members, self.plan.bodies)
-            found[few] += self.of_loads(com, q, rows[few].size)
-        return found
+            energy[few] += self.of_loads(com, q, rows[few].size)
+        return energy
 
     def begin(self, segment: Segment, state: State, before: Motion | None) -> Motion:
         """Apply the impulses at the start of a segment and set off, after another motion."""
@@ -233,16 +233,16 @@ class GroupRun:
         while done < times.size:
             until = int(times.searchsorted(self.segment.stop))
             if until > done:
-                rows, own = np.arange(done, until), slice(done, until)
-                self.motion.sums = None if self.sums is None else self.sums[own]
-                booked[own] = self.before + self.motion.record(times[own], rows, frames)
+                rows, span = np.arange(done, until), slice(done, until)
+                self.motion.sums = None if self.sums is None else self.sums[span]
+                booked[span] = self.before + self.motion.record(times[span], rows, frames)
                 self.motion.sums = None
                 if self.is_bound:
-                    potential[own] = self.potentials(frames, rows)
+                    potential[span] = self.potentials(frames, rows)
                 if self.segment.terms.contact is not None:
                     contacts = self.motion.contact_energies(rows)
-                    potential[own] += contacts.potential
-                    kinetic[own] += contacts.kinetic
+                    potential[span] += contacts.potential
+                    kinetic[span] += contacts.kinetic
                 self.contacts |= self.motion.contacts
                 self.tallies |= self.motion.impulse_tallies(rows)
                 if self.joint_values is not None:
@@ -298,14 +298,14 @@ def record_all(
 
     `sums` (T, 10) are added to, of groups that do so by themselves.
     """
-    found = []
+    recorded = []
     for run in runs:
         run.joint_values, run.sums = joints, sums
-        found.append(run.record(times, frames))
-    booked, energies = found[0]
-    for given, beside in found[1:]:
-        booked += given
-        energies = Energies(*(a + b for a, b in zip(energies, beside, strict=True)))
+        recorded.append(run.record(times, frames))
+    booked, energies = recorded[0]
+    for group_booked, group_energies in recorded[1:]:
+        booked += group_booked
+        energies = Energies(*(a + b for a, b in zip(energies, group_energies, strict=True)))
     return booked, energies
 
 
@@ -313,7 +313,7 @@ def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
     """Energies at t = 0 beside those of the bodies themselves, (1,) or (1, n_worlds)."""
     bound = sum(run.potential(*run.state_in(initial, 0)[:2]) for run in runs if run.is_bound)
     energies = [run.motion.initial_energies for run in runs]
-    potential, kinetic = (sum(own[1:], own[0]) for own in zip(*energies, strict=True))
+    potential, kinetic = (sum(values[1:], values[0]) for values in zip(*energies, strict=True))
     if runs[0].plan.worlds is not None:
         potential, kinetic = potential.reshape(1, -1), kinetic.reshape(1, -1)
     return Energies(potential + bound, kinetic)
@@ -321,16 +321,16 @@ def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
 
 def tally_of(runs: Sequence[GroupRun]) -> Floats | None:
     """What was counted of impulses; None where there are none."""
-    found = [run.motion.impulse_tally() for run in runs]
-    return next((tally for tally in found if tally.size), None)
+    tallies = [run.motion.impulse_tally() for run in runs]
+    return next((tally for tally in tallies if tally.size), None)
 
 
 def own_failure(error: Exception, runs: Sequence[GroupRun]) -> str:
     """What is to be said of an error in a force that a user wrote; empty where it is none."""
     terms = [run.segment.terms for run in runs]
-    own = [load.force for one in terms for load in one.loads if isinstance(load, Written)]
-    own += [force for one in terms if one.own_pairs for force in one.own_pairs.functions.forces]
-    files = {force.function.__code__.co_filename for force in own}
+    forces = [load.force for one in terms for load in one.loads if isinstance(load, Written)]
+    forces += [force for one in terms if one.own_pairs for force in one.own_pairs.functions.forces]
+    files = {force.function.__code__.co_filename for force in forces}
     passed = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
     return next((told(error, name) for name in reversed(passed) if name in files), "")
 
@@ -339,20 +339,20 @@ def own_forces_on(b: int, runs: Sequence[GroupRun], times: Floats, frames: Frame
     """What forces that users wrote have to do with body b, which is not finite in frame f."""
     words = ""
     for run in runs:
-        where = np.flatnonzero(run.plan.members == b)
+        indices = np.flatnonzero(run.plan.members == b)
         loads = [load for load in run.segment.terms.loads if isinstance(load, Written)]
-        for load in loads if where.size else ():
+        for load in loads if indices.size else ():
             words = f"; {place_of(load.force.function)}: {load.force.name} acts on it"
             if f > 0:
                 state = run.state_in(frames, f - 1)
-                given = given_to(load, run.plan.bodies, state, int(where[0]))
-                if wrong := wrong_result(load.force, given, float(times[f])):
+                arguments = given_to(load, run.plan.bodies, state, int(indices[0]))
+                if wrong := wrong_result(load.force, arguments, float(times[f])):
                     return f": {wrong}"
         pairs = run.segment.terms.own_pairs
-        if pairs is not None and where.size:
-            then = run.state_in(frames, f - 1) if f > 0 else None
-            own = run.plan.bodies, then, int(where[0]), float(times[f])
-            words, wrong = wrong_pair(pairs, *own)
+        if pairs is not None and indices.size:
+            before = run.state_in(frames, f - 1) if f > 0 else None
+            context = run.plan.bodies, before, int(indices[0]), float(times[f])
+            words, wrong = wrong_pair(pairs, *context)
             if wrong:
                 return f": {wrong}"
     return words

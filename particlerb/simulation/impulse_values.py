@@ -24,8 +24,8 @@ _COLUMNS: Final = {  # of a tally: since the last frame, and since t = 0
 def impulse_fields(tallies: Mapping[int, Floats], rows: list[int]) -> dict[str, Floats]:
     """What some frames show, (T,) each; 0 where nothing can touch."""
     nothing = np.zeros(records.TALLY)
-    found = np.array([tallies.get(row, nothing) for row in rows])
-    return {name: found[:, now] for name, (now, _) in _COLUMNS.items()}
+    shown = np.array([tallies.get(row, nothing) for row in rows])
+    return {name: shown[:, now] for name, (now, _) in _COLUMNS.items()}
 
 
 def impulse_quantity(asked: Asked, tally: Floats | None) -> Floats:

@@ -58,9 +58,9 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
     if setup is None:
         raise KeyError("the trajectory has no joints")
     times = trajectory.time
-    found = room_for_values(setup, times.size)
+    values = room_for_values(setup, times.size)
     if np.isfinite(setup.breaks).any():
-        found.joint_break_time[:] = trajectory.joint_break_time
+        values.joint_break_time[:] = trajectory.joint_break_time
     x, q, p, L = (np.asarray(getattr(trajectory, name)) for name in STATE_FIELDS)
-    LoadReader(system).read(times, Frames(x, q, p, L, q[0], times > 0.0), found)
-    return JointLoads(setup.names, *found[:6])
+    LoadReader(system).read(times, Frames(x, q, p, L, q[0], times > 0.0), values)
+    return JointLoads(setup.names, *values[:6])

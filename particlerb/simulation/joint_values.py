@@ -89,9 +89,9 @@ def of_all_ranks(values: JointValues, setup: JointSetup, ranks: Ranks) -> JointV
         return values
     idle = room_for_values(setup, len(values.joint_misfit))
 
-    def added(own: Any, none: Any) -> Any:
+    def added(array: Any, none: Any) -> Any:
         start = none.view(np.int64)
-        return (ranks.added(own.view(np.int64) - start) + start).view(own.dtype)
+        return (ranks.added(array.view(np.int64) - start) + start).view(array.dtype)
 
     return JointValues._make(map(added, values, idle))
 
@@ -112,8 +112,8 @@ def broken_joints(
     if setup is None or values is None:
         return ()
     times = values.joint_break_time[-1].tolist()
-    found = [(name, t) for name, t in zip(setup.names, times, strict=True) if t > 0.0]
-    return tuple(sorted(found, key=lambda one: one[1]))
+    broken = [(name, t) for name, t in zip(setup.names, times, strict=True) if t > 0.0]
+    return tuple(sorted(broken, key=lambda one: one[1]))
 
 
 def at_row(values: JointValues, row: int) -> JointValues:
@@ -151,7 +151,7 @@ class LoadReader:
         broken = np.append(values.joint_break_time[k], 0.0)
         broken = np.where(broken > 0.0, broken, np.inf)
         for g, group in enumerate(self.groups):
-            s = next(s for s, own in enumerate(group.segments) if own.start <= time < own.stop)
+            s = next(s for s, span in enumerate(group.segments) if span.start <= time < span.stop)
             if group.segments[s].terms.joints is None:
                 continue
             state = state_in(frames, k, group.members, group.bodies)
@@ -213,19 +213,19 @@ class JointReader:
         carried, is_joint = forces_of_joints(joints, work, work.z), joints.number >= 0
         if self.segment.terms.contact is not None:  # what contacts keep is not in the state
             carried[:], is_open[:] = np.nan, True
-        own, is_known = joints.number[is_joint], ~is_open[is_joint]
+        numbers, is_known = joints.number[is_joint], ~is_open[is_joint]
         force, torque = np.hsplit(carried[is_joint], 2)
-        values.joint_force[row, own], values.joint_torque[row, own] = force, torque
-        values.joint_force_determined[row, own] = is_known[:, :3]
-        values.joint_torque_determined[row, own] = is_known[:, 3:]
-        values.joint_break_time[row, own] = np.where(is_broken, broken, 0.0)[is_joint]
+        values.joint_force[row, numbers], values.joint_torque[row, numbers] = force, torque
+        values.joint_force_determined[row, numbers] = is_known[:, :3]
+        values.joint_torque_determined[row, numbers] = is_known[:, 3:]
+        values.joint_break_time[row, numbers] = np.where(is_broken, broken, 0.0)[is_joint]
         residuals(joints, work, 0, m, work.clock[0])
         rates(joints, work, 0, m)
         start, size = joints.program.start[:-1], joints.rows.size
         misfit = np.maximum.reduceat(np.abs(work.g) / size, start)
-        values.joint_misfit[row, own] = misfit[is_joint]
+        values.joint_misfit[row, numbers] = misfit[is_joint]
         rate = np.maximum.reduceat(np.abs(work.z) / size, start)
-        values.joint_rate[row, own] = rate[is_joint]
+        values.joint_rate[row, numbers] = rate[is_joint]
         if turned is not None:
-            known = values_of(joints.coordinates, turned)
-            values.joint_coordinate[row, joints.coordinates.number] = known
+            coordinates = values_of(joints.coordinates, turned)
+            values.joint_coordinate[row, joints.coordinates.number] = coordinates

@@ -54,38 +54,38 @@ class Outcome(NamedTuple):
     broken: tuple[tuple[str, float], ...] = ()  # joints that have broken, and when [s]
 
 
-def saved_probes(probes: Sequence[Probe], own: slice) -> Saved:
+def saved_probes(probes: Sequence[Probe], of: slice) -> Saved:
     """Probes of some bodies as a checkpoint holds them."""
     saved: Saved = {"probes": np.array([probe.time for probe in probes])}
     for k, probe in enumerate(probes):
-        saved |= {f"probe.{k}.{name}": getattr(probe.frame, name)[:, own] for name in STATE_FIELDS}
+        saved |= {f"probe.{k}.{name}": getattr(probe.frame, name)[:, of] for name in STATE_FIELDS}
         if probe.tally is not None:
             saved[f"probe.{k}.tally"] = probe.tally
         if probe.joints is not None:
-            saved |= {f"probe.{k}.{name}": own for name, own in probe.joints._asdict().items()}
+            saved |= {f"probe.{k}.{name}": row for name, row in probe.joints._asdict().items()}
     return saved
 
 
 def restored_probes(saved: Saved, last: Floats) -> list[Probe]:
     """Probes of a checkpoint; `last` are the orientations of the last frame."""
-    found = []
+    probes = []
     for k, time in enumerate(saved["probes"].tolist()):
         x, q, p, L = (saved[f"probe.{k}.{name}"] for name in STATE_FIELDS)
         names = JointValues._fields if f"probe.{k}.{JointValues._fields[0]}" in saved else ()
         joints = JointValues(*(saved[f"probe.{k}.{name}"] for name in names)) if names else None
         frame = Frames(x, q, p, L, last, np.zeros(1, dtype=np.bool_))
-        found.append(Probe(time, frame, joints, saved.get(f"probe.{k}.tally")))
-    return found
+        probes.append(Probe(time, frame, joints, saved.get(f"probe.{k}.tally")))
+    return probes
 
 
 def joined(checkpoints: Sequence[Saved]) -> Saved:
     """Checkpoints of ranges of bodies that follow each other, as one."""
-    found: Saved = {name: values for one in checkpoints for name, values in one.items()}
-    for name in found if len(checkpoints) > 1 else ():
+    merged: Saved = {name: values for one in checkpoints for name, values in one.items()}
+    for name in merged if len(checkpoints) > 1 else ():
         axis = _axis_of_bodies(name)
         if axis is not None:
-            found[name] = np.concatenate([one[name] for one in checkpoints], axis=axis)
-    return found
+            merged[name] = np.concatenate([one[name] for one in checkpoints], axis=axis)
+    return merged
 
 
 def of_no_body(checkpoint: Saved) -> Saved:

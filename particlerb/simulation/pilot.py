@@ -70,7 +70,7 @@ class Pilot:
         self.has_changing_forces = self.is_coupled or self.cost_of_loads > 0.0
         self.sets_off_again = not any(_remembers(segment.terms) for segment in group.segments)
         joints = [s.terms.joints for s in group.segments if s.terms.joints is not None]
-        has_rows = any(tree_of(own) is None for own in joints)
+        has_rows = any(tree_of(of_segment) is None for of_segment in joints)
         self.held = (_BY_ROWS if has_rows else _IN_TREES) if joints else 0.0
         self.asymmetric = float(np.mean(group.bodies.rotor_class == ASYMMETRIC))
         self.gone: tuple[Frames | None, Floats] = (None, np.empty(0))  # ways of the last reference
@@ -85,16 +85,16 @@ class Pilot:
             self.take(self.worst(enough))
             self.calm = _per_pack(self.rates) / _per_pack(self.rates[self.which])
 
-    def take(self, which: Ints) -> None:
+    def take(self, indices: Ints) -> None:
         """Let the pilot have these bodies of the group."""
-        own = self.group.members[which]
-        self.which, self.state = which, taken(self.system.state, own)
-        self.bodies = taken(self.group.bodies, which)
+        members = self.group.members[indices]
+        self.which, self.state = indices, taken(self.system.state, members)
+        self.bodies = taken(self.group.bodies, indices)
         vars(self).pop("own", None)
         if self.rehearsal is not None:
-            self.rehearsal = self.rehearsal.of(which, self.bodies)
+            self.rehearsal = self.rehearsal.of(indices, self.bodies)
         self.begun: dict[str, Any] = {}  # motions of these bodies, by their methods
-        self.size = self.system.reach[self.system.kind[own]]
+        self.size = self.system.reach[self.system.kind[members]]
 
     @cached_property
     def own(self) -> GroupPlan:
@@ -162,13 +162,13 @@ class Pilot:
             _LOG.info(text, name, method)
 
     def errors(
-        self, times: Floats, found: Frames, expected: Frames, rows: slice = slice(None)
+        self, times: Floats, frames: Frames, expected: Frames, rows: slice = slice(None)
     ) -> Floats:
         """Errors of the bodies in rows, (T, n): the larger of orientation and position.
 
         Where they stand for others that may err more, they are as many times larger.
         """
-        poses = *expected[:2], *found[:2]
+        poses = *expected[:2], *frames[:2]
         error, off = misfits(self.bodies, *(values[rows] for values in poses))
         if not (off <= error * self.size).all():  # else turns are the larger errors
             if self.gone[0] is not expected:

@@ -55,10 +55,10 @@ class Rehearsal:
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
         self.place(group.bodies, parts, row_count(terms))
 
-    def of(self, which: Ints, bodies: Bodies) -> "Rehearsal":
+    def of(self, index: Ints, bodies: Bodies) -> "Rehearsal":
         """Some of the bodies alone."""
         changing(self.blocks)[:] = self.first
-        rows = self.blocks.reshape(len(self.blocks), -1, STRIDE)[which // BLOCK, :, which % BLOCK]
+        rows = self.blocks.reshape(len(self.blocks), -1, STRIDE)[index // BLOCK, :, index % BLOCK]
         some = copy(self)
         some.place(bodies, [(0, rows.T)], self.n_rows)
         return some
@@ -82,8 +82,8 @@ class Rehearsal:
     @cached_property
     def kinds(self) -> list[tuple[Ints, "Rehearsal"]]:
         """Asymmetric bodies and the others, each alone."""
-        found = (np.flatnonzero(self.is_asymmetric == one) for one in (True, False))
-        return [(which, self.of(which, taken(self.bodies, which))) for which in found]
+        kinds = (np.flatnonzero(self.is_asymmetric == value) for value in (True, False))
+        return [(index, self.of(index, taken(self.bodies, index))) for index in kinds]
 
     def loop(self, name: str) -> Any:
         """Compiled loop of a method, with the bodies as it takes them."""
@@ -111,23 +111,23 @@ class Rehearsal:
         n = self.block.size
         frames = room_for(times.size, n, np.eye(1, 4).repeat(n, axis=0))
         if self.is_mixed and METHODS[stepping.method].rotor_constants is not None:
-            for which, some in self.kinds:
-                some.record(stepping, times, which, frames)
+            for columns, some in self.kinds:
+                some.record(stepping, times, columns, frames)
         else:
             self.record(stepping, times, np.arange(n), frames)
         return frames
 
-    def record(self, stepping: Stepping, times: Floats, which: Ints, frames: Frames) -> None:
+    def record(self, stepping: Stepping, times: Floats, columns: Ints, frames: Frames) -> None:
         """Write the states at ascending times into these columns of frames."""
         stops = [grid_stop(time, stepping.dt) for time in times.tolist()]
-        steps = np.array([0, *(whole for whole, _ in stops)])
+        steps = np.array([0, *(full for full, _ in stops)])
         partial_steps = np.array([rest for _, rest in stops])
         schedule = Schedule(
             stepping.dt, steps[1:] - steps[:-1], partial_steps, np.arange(times.size)
         )
         changing(self.blocks)[:] = self.first
         sums = np.zeros((times.size, len(self.blocks), 7))
-        where = self.bodies.rotor_frame, which, frames, sums, self.block, _JOINTS
-        arguments = schedule, Recording(*where), Copies(self.saved), Position(0, 0, 0)
+        places = self.bodies.rotor_frame, columns, frames, sums, self.block, _JOINTS
+        arguments = schedule, Recording(*places), Copies(self.saved), Position(0, 0, 0)
         through = partial(self.loop(stepping.method), *arguments, 1)
-        THREADS.share(through, len(self.blocks), which.size * int(steps[-1] + times.size))
+        THREADS.share(through, len(self.blocks), columns.size * int(steps[-1] + times.size))

@@ -122,9 +122,9 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
                 f"{path}: its case gives other bodies or another plan than the run had: it was"
                 " changed in the file; run it anew"
             )
-        known = _frames_that_stay(path, trajectory.time, system.run)
+        n_kept = _frames_that_stay(path, trajectory.time, system.run)
         total = frame_count(system.run)
-        if known == total and is_finished(file, n):
+        if n_kept == total and is_finished(file, n):
             raise ResumeError(
                 f"{path} has nothing left to do: all {n} frames until"
                 f" t = {system.run.t_end!r} s are there; --t-end prolongs the run"
@@ -134,13 +134,13 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
         except CheckpointError as error:
             raise ResumeError(f"{error}: it cannot be continued; run the case anew") from None
         start = checkpoint.n_frames if checkpoint else 0
-        if start > known:
+        if start > n_kept:
             raise ResumeError(f"{path}: the checkpoint lies behind the frames; run the case anew")
     is_prolonged = source.raw["run"]["t_end"] != system.run.t_end
     warnings = prepared.plan.warnings
     if is_prolonged and system.run.accuracy is not None:
         warnings = (*warnings, _UNVERIFIED)
-    return _Pending(path, prepared, checkpoint, start, known, total, is_prolonged, warnings, parts)
+    return _Pending(path, prepared, checkpoint, start, n_kept, total, is_prolonged, warnings, parts)
 
 
 def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
@@ -150,10 +150,8 @@ def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
     numbers = every if is_copied else own_parts(len(every), ranks)
     looked_at = numbers or range(1)
     folder = folder_beside(pending.path)
-    own = ranks.together(lambda: [states_of(folder / parts.names[k]) for k in looked_at])
-    each = [
-        set(states) for of_rank in ranks.gathered([list(one) for one in own]) for states in of_rank
-    ]
+    saved = ranks.together(lambda: [states_of(folder / parts.names[k]) for k in looked_at])
+    each = [set(states) for rank in ranks.gathered([list(one) for one in saved]) for states in rank]
     common = [n for n in set.intersection(*each) if n <= pending.known]
     if not common:
         raise ResumeError(
@@ -161,7 +159,7 @@ def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
             " run the case anew"
         )
     start = max(common)
-    state = joined([states[start] for states in own])
+    state = joined([states[start] for states in saved])
     checkpoint = Checkpoint(start, state if numbers else of_no_body(state), "")
     return pending._replace(checkpoint=checkpoint, start=start)
 
@@ -178,24 +176,24 @@ def resume_pending(
     KeyboardInterrupt, OSError, RunError
         As in `simulate.advance`.
     """
-    path, prepared, checkpoint, start, known, _, is_prolonged, _, _ = pending
-    whole = prepared.system
+    path, prepared, checkpoint, start, n_kept, _, is_prolonged, _, _ = pending
+    system = prepared.system
     recorder: Recorder | PartRecorder
     try:
         if pending.parts is None:
             if checkpoint and any(name.startswith(f"{SHARED}.") for name in checkpoint.arrays):
                 prepared = part_of(prepared, ranks)  # parts were made one file
-            recorder = Recorder.reopen(path, whole, start, known, is_prolonged=is_prolonged)
+            recorder = Recorder.reopen(path, system, start, n_kept, is_prolonged=is_prolonged)
         else:
             prepared = part_of(prepared, ranks)
             recorder = PartRecorder.reopen(
-                path, prepared.system, pending.parts, ranks, start, known, is_prolonged
+                path, prepared.system, pending.parts, ranks, start, n_kept, is_prolonged
             )
     except InUseError:
         raise ResumeError(f"{path} is being written by another run") from None
     except DamagedError as error:
         raise ResumeError(str(error)) from None
-    with THREADS.using(whole.run.threads):
+    with THREADS.using(system.run.threads):
         return advance(prepared, recorder, checkpoint, progress, ranks)
 
 
@@ -233,8 +231,8 @@ def _refuse_other_version(path: Path, stored: str | None, revision: str | None) 
 
 def _case_of(source: Source, t_end: float | None, threads: int | None) -> Case:
     """Case of a file, with another end or other threads if they are given."""
-    given = {"t_end": t_end, "threads": threads}
-    changes = {key: value for key, value in given.items() if value is not None}
+    options = {"t_end": t_end, "threads": threads}
+    changes = {key: value for key, value in options.items() if value is not None}
     run = source.raw.get("run")
     raw = {**source.raw, "run": {**run, **changes}} if isinstance(run, dict) else source.raw
     return build(source._replace(raw=raw), ())

@@ -92,10 +92,10 @@ def run_prepared(
         If the run fails; the frames until then are committed.
     """
     system = prepared.system
-    own = {"plan": prepared.text, "identity": identity(prepared), **prepared.parameters}
+    texts = {"plan": prepared.text, "identity": identity(prepared), **prepared.parameters}
     content = {}
     if ranks.number == 0:  # which writes what does not change
-        content = tables_of(system, labels_of(system)) | texts_of(system, own)
+        content = tables_of(system, labels_of(system)) | texts_of(system, texts)
     recorder: Recorder | Memory | PartRecorder
     if path is None:
         recorder = Memory(system, content)
@@ -104,7 +104,7 @@ def run_prepared(
     else:
         parts, prepared = parts_of(system.n_bodies), part_of(prepared, ranks)
         recorder = PartRecorder.create(
-            path, prepared.system, content, parts, own["identity"], ranks, overwrite
+            path, prepared.system, content, parts, texts["identity"], ranks, overwrite
         )
     with THREADS.using(system.run.threads):
         return advance(prepared, recorder, None, progress, ranks)
@@ -195,16 +195,16 @@ def _one_batch(run: "Run", recorder: Any, batch: Batch) -> tuple[Reached, RunErr
 def identity(prepared: Prepared) -> str:
     """Hash of what decides the motion: the records without its end and threads, bodies, plan."""
     system, plan = prepared.system, prepared.plan
-    found = hashlib.sha256(
+    hasher = hashlib.sha256(
         to_case(system).model_dump_json(exclude={"run": {"t_end", "threads"}}).encode()
     )
     for values in (*system.bodies, *system.state, *system.particles, system.kind):
-        found.update(np.ascontiguousarray(values).tobytes())
+        hasher.update(np.ascontiguousarray(values).tobytes())
     for group in plan.groups:
         for s in group.segments:
-            found.update(repr((s.start, s.stop, s.method, s.dt, s.tolerance)).encode())
-        found.update(group.members.tobytes())
-    return found.hexdigest()
+            hasher.update(repr((s.start, s.stop, s.method, s.dt, s.tolerance)).encode())
+        hasher.update(group.members.tobytes())
+    return hasher.hexdigest()
 
 
 class _Nowhere:

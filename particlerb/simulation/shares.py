@@ -60,8 +60,8 @@ def _told_of(system: System, ties: Sequence[AnyLink | Ties], members: Ints, bloc
     tie = next(tie for tie in ties if np.isin(tie.first, members).any())
     if isinstance(tie, Ties):
         k, number = int(np.argmax(np.isin(tie.first, members))), int(tie.record)
-        own = joint_name(system, system.joint[number], tie.first, tie.second, k)
-        name = f"joint[{number}] ({own})"
+        tie_name = joint_name(system, system.joint[number], tie.first, tie.second, k)
+        name = f"joint[{number}] ({tie_name})"
     else:
         name = f"force[{tie.number}]"
     return (
@@ -167,30 +167,30 @@ def _part_of_touching(prepared: Prepared, group: GroupPlan, ranks: Ranks) -> Pre
     """Bodies that a rank shows and writes; whom it moves changes on the way."""
     system = prepared.system
     first, stop = range_of(system.n_bodies, ranks)
-    own = np.flatnonzero((group.members >= first) & (group.members < stop))
-    whole = group.group(group.segments[0])
-    shared = Shared(whole, ranks, first)
-    bodies, members = taken(group.bodies, own), group.members[own] - first
-    segments = tuple(_shown(segment, own) for segment in group.segments)
-    part = group._replace(members=members, bodies=bodies, segments=segments, shared=shared)
-    plan = prepared.plan._replace(groups=(part,))
+    indices = np.flatnonzero((group.members >= first) & (group.members < stop))
+    all_bodies = group.group(group.segments[0])
+    shared = Shared(all_bodies, ranks, first)
+    bodies, members = taken(group.bodies, indices), group.members[indices] - first
+    segments = tuple(_shown(segment, indices) for segment in group.segments)
+    shown = group._replace(members=members, bodies=bodies, segments=segments, shared=shared)
+    plan = prepared.plan._replace(groups=(shown,))
     return prepared._replace(system=system.part(first, stop), plan=plan, first=first)
 
 
-def _shown(segment: Segment, own: Ints) -> Segment:
+def _shown(segment: Segment, indices: Ints) -> Segment:
     """A segment of bodies that a rank shows, with what acts on all."""
-    contact, jumps = segment.terms.contact, jumps_on(segment.jumps, own)
-    terms = terms_on(segment.terms._replace(contact=None), own)._replace(contact=contact)
+    contact, jumps = segment.terms.contact, jumps_on(segment.jumps, indices)
+    terms = terms_on(segment.terms._replace(contact=None), indices)._replace(contact=contact)
     return segment._replace(terms=terms, jumps=jumps, whole=segment.terms)
 
 
 def refuse_contact(prepared: Prepared, ranks: Ranks) -> None:
     """Raise NoRanksError where ranks cannot share what touches; it says what it is."""
-    found = list(dict.fromkeys(_unshared(prepared.system, prepared.plan.groups)))
-    if found:
+    unshared = list(dict.fromkeys(_unshared(prepared.system, prepared.plan.groups)))
+    if unshared:
         raise NoRanksError(
             f"--mpi shares clumps with springs in their contacts, and this case has"
-            f" {', '.join(found)}: run it without --mpi"
+            f" {', '.join(unshared)}: run it without --mpi"
         )
     n = int((prepared.plan.groups[0].bodies.inv_mass > 0.0).sum())
     if ranks.count > n:

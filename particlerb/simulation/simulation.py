@@ -261,11 +261,11 @@ class Simulation(Closing):
         if self.system.joint:
             raise ValueError("set_state: joints hold these bodies; a state must fit them")
         now = self._state
-        given = position, orientation, velocity, angular_velocity
-        known = now.position, now.orientation, now.velocity, now.angular_velocity
+        new_values = position, orientation, velocity, angular_velocity
+        old_values = now.position, now.orientation, now.velocity, now.angular_velocity
         names = "position", "orientation", "velocity", "angular_velocity"
         values = []
-        for name, new, old in zip(names, given, known, strict=True):
+        for name, new, old in zip(names, new_values, old_values, strict=True):
             try:
                 array = np.array(old if new is None else new)
                 array = array.astype(np.float64, casting="same_kind")
@@ -331,10 +331,10 @@ class Simulation(Closing):
                 due = due[due <= until]
                 is_last = due.size < BATCH_FRAMES
                 times = np.union1d(due, [until]) if is_last else due
-                found = self._look(times, np.isin(times, due))
+                state = self._look(times, np.isin(times, due))
                 self._due += due.size
                 if is_last:
-                    return found
+                    return state
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the state
     def _glance(self, time: float) -> BodyStates:

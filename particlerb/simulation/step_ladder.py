@@ -95,9 +95,9 @@ class Ladder:
         The step is longer than what most scenes need.
         """
         first, ratio = self.first_setting(), RATIO[self.name]
-        whole = self.cost_of(first, self.pilot.group.members.size)
-        seen = [self.cost_of(first / ratio**k, self.pilot.which.size) for k in range(3)]
-        return whole + sum(seen) + 3.0 * SET_UP
+        run_cost = self.cost_of(first, self.pilot.group.members.size)
+        trial_costs = [self.cost_of(first / ratio**k, self.pilot.which.size) for k in range(3)]
+        return run_cost + sum(trial_costs) + 3.0 * SET_UP
 
     def usual_cost(self) -> float:
         """What a run takes in most scenes [ns]: in few do steps grow much longer than at first."""
@@ -112,11 +112,11 @@ class Ladder:
         """
         turn = _LONGER * _ADAPTED * self.pilot.wanted ** (1.0 / self.method.order)
         steps = self.pilot.rate * sum(self.pilot.lengths) / turn
-        whole, seen = (
+        run_cost, trial_cost = (
             self.pilot.cost(self.stepping(_COARSEST), steps, group.size)
             for group in (self.pilot.group.members, self.pilot.which)
         )
-        return max(whole, LEAST) + 3.0 * (seen + SET_UP)
+        return max(run_cost, LEAST) + 3.0 * (trial_cost + SET_UP)
 
     def stepping(self, setting: float) -> Stepping:
         """How bodies are stepped with a setting."""
@@ -179,21 +179,21 @@ class Ladder:
             self.apart[key] = float(errors.max())
         return self.apart[key]
 
-    def hardly_moved(self, one: _Tried, finest: _Tried) -> bool:
+    def hardly_moved(self, run: _Tried, finest: _Tried) -> bool:
         """Whether the finest run lies close to the one before, as seen from a run far off."""
         before = self.tried[-2]
-        if finest is not self.tried[-1] or one is before:
+        if finest is not self.tried[-1] or run is before:
             return False
-        far = self.apart.get((one.setting, before.setting), 0.0)
+        far = self.apart.get((run.setting, before.setting), 0.0)
         return self.between(before, finest) < _CLOSE * far
 
     def content(self) -> None:
         """Take what is seen to meet the accuracy, where nothing longer is promised."""
         least = 0.99 * RATIO[self.name] * self.tried[-1].setting  # less errs as the finest does
-        for k, one in enumerate(self.tried[:-1]):
+        for k, run in enumerate(self.tried[:-1]):
             is_met = max(self.errors[k:]) <= ENOUGH * self.pilot.wanted
-            if is_met and not self.is_verified and one.setting >= max(self.setting, least):
-                self.setting, self.is_verified = one.setting, True
+            if is_met and not self.is_verified and run.setting >= max(self.setting, least):
+                self.setting, self.is_verified = run.setting, True
 
     def is_lost(self) -> bool:
         """Whether errors no longer fall: with much finer settings they are half at least.
@@ -254,8 +254,8 @@ class Ladder:
     @property
     def error(self) -> float:
         """Estimate of the error with the promising setting."""
-        known = {one.setting: e for one, e in zip(self.tried, self.errors, strict=False)}
-        return float(known.get(self.setting, self.goal))
+        errors = {one.setting: e for one, e in zip(self.tried, self.errors, strict=False)}
+        return float(errors.get(self.setting, self.goal))
 
     def is_orderly(self, k: int) -> bool:
         """Whether the error falls from run k to the next as the order of the method says."""
@@ -327,7 +327,7 @@ class Ladder:
     def until(self, stepping: Stepping) -> float:
         """Time until when what is wanted holds, where it does not to the end [s]."""
         times = np.linspace(0.0, self.pilot.system.run.t_end, MORE_TIMES + 1)
-        found, _ = self.pilot.poses(stepping, times[1:])
+        frames, _ = self.pilot.poses(stepping, times[1:])
         finest, _ = self.pilot.poses(self.stepping(self.tried[-1].setting), times[1:])
-        holds = self.pilot.errors(times[1:], found, finest).max(axis=1) <= self.pilot.wanted
+        holds = self.pilot.errors(times[1:], frames, finest).max(axis=1) <= self.pilot.wanted
         return float(times[-1 if holds.all() else int(np.argmin(holds))])

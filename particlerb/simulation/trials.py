@@ -61,30 +61,30 @@ class Error(NamedTuple):
 
 def sample(system: System, plan: Plan, t_end: float, packs: int) -> Ints:
     """Bodies of so many packs at most, ascending: those of the fastest bodies, and others."""
-    found: list[tuple[float, Ints]] = []
+    candidates: list[tuple[float, Ints]] = []
     for group in plan.groups:
         rate = np.nan_to_num(rates(system, group, t_end), posinf=np.inf)
         if any(segment.terms.is_coupled for segment in group.segments):
-            found.append((float(rate.max()), group.members))
+            candidates.append((float(rate.max()), group.members))
             continue
         for lo in range(0, group.members.size, PACK):
-            own = slice(lo, lo + PACK)
-            found.append((float(rate[own].max()), group.members[own]))
-    fast = sorted(range(len(found)), key=lambda k: -found[k][0])[: -(-packs // 2)]
-    spread = np.linspace(0, len(found) - 1, packs // 2).astype(int).tolist()
-    chosen_packs = [found[k][1] for k in sorted({*fast, *spread})]
+            span = slice(lo, lo + PACK)
+            candidates.append((float(rate[span].max()), group.members[span]))
+    fast = sorted(range(len(candidates)), key=lambda k: -candidates[k][0])[: -(-packs // 2)]
+    spread = np.linspace(0, len(candidates) - 1, packs // 2).astype(int).tolist()
+    chosen_packs = [candidates[k][1] for k in sorted({*fast, *spread})]
     return np.sort(np.concatenate(chosen_packs))
 
 
-def part(system: System, plan: Plan, which: Ints) -> BodySubset:
+def part(system: System, plan: Plan, indices: Ints) -> BodySubset:
     """Chosen bodies of a plan, ascending."""
-    size = system.reach[system.kind[which]]
+    size = system.reach[system.kind[indices]]
     groups = []
     for group in plan.groups:
-        own = np.flatnonzero(np.isin(group.members, which))
-        if own.size:
-            groups.append(chosen(group, own, np.searchsorted(which, group.members[own])))
-    bodies, state = taken(system.bodies, which), taken(system.state, which)
+        places = np.flatnonzero(np.isin(group.members, indices))
+        if places.size:
+            groups.append(chosen(group, places, np.searchsorted(indices, group.members[places])))
+    bodies, state = taken(system.bodies, indices), taken(system.state, indices)
     return BodySubset(bodies, state, tuple(groups), size, system.acceleration)
 
 
@@ -95,9 +95,9 @@ def states_at(part: BodySubset, times: Floats) -> tuple[Frames, _Books]:
     frames = room_for(times.size, part.bodies.mass.size, initial.last)
     group_runs = [GroupRun(group, taken(part.state, group.members)) for group in part.groups]
     first = initial_energies(group_runs, initial)
-    given, later = record_all(group_runs, times, frames)
+    booked, later = record_all(group_runs, times, frames)
     gross = sum(group_run.turned_over() for group_run in group_runs)
-    return frames, _Books(given, first, later, gross, float(times[-1]))
+    return frames, _Books(booked, first, later, gross, float(times[-1]))
 
 
 timed_states = all_compiled()(states_at)  # for what measures time
@@ -133,8 +133,8 @@ def energies(part: BodySubset, frames: Frames, books: _Books) -> tuple[Floats, F
 @np.errstate(over="ignore", invalid="ignore")
 def energies_at(part: BodySubset, frames: Frames, with_contacts: bool) -> Floats:
     """Sum of both in frames of another program, with or without that of contacts, (T,) [J]."""
-    found = np.empty(len(frames.position))
-    for row in range(found.size):
+    energy = np.empty(len(frames.position))
+    for row in range(energy.size):
         frame = frames.rows(slice(row, row + 1))
         runs = [
             GroupRun(group, state_in(frames, row, group.members, group.bodies))
@@ -146,8 +146,8 @@ def energies_at(part: BodySubset, frames: Frames, with_contacts: bool) -> Floats
             beside = Energies(np.zeros(1) + bound, np.zeros(1))
         bodies = counted(part.groups, part.bodies)
         sums = totals(frame, bodies, part.gravity, *beside).sums
-        found[row] = sums[0, 0] + sums[0, 1]
-    return found
+        energy[row] = sums[0, 0] + sums[0, 1]
+    return energy
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -204,16 +204,16 @@ def _motion(group: GroupPlan, segment: Segment, state: State, begun: dict[str, A
 
 def _forget_accounts(motion: Any) -> None:
     """Let a motion, and its parts, not sum up what forces give."""
-    parts = [own for _, own in motion.parts] if isinstance(motion, CompositeMotion) else [motion]
-    for one in parts:
-        if hasattr(one, "account"):
-            one.account.is_kept = False
+    parts = [m for _, m in motion.parts] if isinstance(motion, CompositeMotion) else [motion]
+    for inner in parts:
+        if hasattr(inner, "account"):
+            inner.account.is_kept = False
 
 
-def errors(part: BodySubset, times: Floats, found: Frames, expected: Frames) -> list[Error]:
+def errors(part: BodySubset, times: Floats, frames: Frames, expected: Frames) -> list[Error]:
     """Errors at each time; the way of a body is summed over the times before."""
     way = ways(part.bodies, times, expected, part.state.p.T)
-    turn, relative = relative_misfits(part.bodies, np.maximum(part.size, way), found, expected)
+    turn, relative = relative_misfits(part.bodies, np.maximum(part.size, way), frames, expected)
     rms = np.sqrt(np.mean(turn * turn, axis=1))
     rows = zip(turn.max(axis=1), rms, relative.max(axis=1), strict=True)
     return [Error(*map(float, row)) for row in rows]
@@ -238,8 +238,8 @@ def ways(bodies: Bodies, times: Floats, frames: Frames, first: Floats) -> Floats
 
 @np.errstate(over="ignore", invalid="ignore")
 def relative_misfits(
-    bodies: Bodies, scale: Floats, found: Frames, expected: Frames
+    bodies: Bodies, scale: Floats, frames: Frames, expected: Frames
 ) -> tuple[Floats, Floats]:
     """Errors of bodies: orientation [rad], and position in units of `scale`, (T, n)."""
-    turn, off = misfits(bodies, *expected[:2], *found[:2])
+    turn, off = misfits(bodies, *expected[:2], *frames[:2])
     return turn, np.divide(off, scale, out=off, where=scale > 0.0)

@@ -89,15 +89,15 @@ class Run:
         self.n_frames = 0  # that lie behind
         self.probes: list[Probe] = []
 
-    def begin(self, plan: Plan, state: State, known: Mapping[bytes, Motion]) -> None:
-        """Set off by a plan, from a state of all bodies, after known motions of the same bodies."""
+    def begin(self, plan: Plan, state: State, motions: Mapping[bytes, Motion]) -> None:
+        """Set off by a plan, from a state of all bodies, after motions of the same bodies."""
         self.superblocks: list[list[GroupRun]] = []
         self.group_runs: list[GroupRun] = []
         for groups in in_superblocks(plan.groups, self.system.n_bodies):
-            before = [known.get(group.members.tobytes()) if known else None for group in groups]
-            own = [taken(state, group.members) for group in groups]
+            before = [motions.get(group.members.tobytes()) if motions else None for group in groups]
+            states = [taken(state, group.members) for group in groups]
             with self.failing():
-                begun = [GroupRun(*one) for one in zip(groups, own, before, strict=True)]
+                begun = [GroupRun(*one) for one in zip(groups, states, before, strict=True)]
             self.superblocks.append(begun)
         self.group_runs = [run for runs in self.superblocks for run in runs]
         self.sums_itself = [all(run.sums_itself for run in runs) for runs in self.superblocks]
@@ -106,27 +106,27 @@ class Run:
     def initial_energies(self, frame: Frames) -> Energies:
         """Energies of a first frame beside those of the bodies themselves."""
         each = [initial_energies(runs, frame) for runs in self.superblocks]
-        return Energies(*(self.over_ranks(own) for own in zip(*each, strict=True)))
+        return Energies(*(self.over_ranks(values) for values in zip(*each, strict=True)))
 
-    def over_ranks(self, own: Sequence[Floats]) -> Floats:
+    def over_ranks(self, parts: Sequence[Floats]) -> Floats:
         """Sum over superblocks of all ranks of what their motions return."""
-        return summed(own, ALONE if self.is_shared else self.adding)
+        return summed(parts, ALONE if self.is_shared else self.adding)
 
-    def totals_of(self, frames: Frames, beside: Energies, known: _Sums = ()) -> Totals:
+    def totals_of(self, frames: Frames, beside: Energies, sums: _Sums = ()) -> Totals:
         """Totals of frames, with the energies beside the bodies' own."""
         n_worlds, ranks = self.system.n_worlds, self.adding
-        return totals(frames, self.counted, self.gravity, *beside, n_worlds, ranks, known)
+        return totals(frames, self.counted, self.gravity, *beside, n_worlds, ranks, sums)
 
     def finish(self, time: float) -> State:
         """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
-        whole = State(*(values.copy() for values in self.moving.state))
+        all_states = State(*(values.copy() for values in self.moving.state))
         for group_run in self.group_runs:
             state, booked = group_run.finish(time)
             self.before += booked
-            for values, own in zip(whole, state, strict=True):
-                values[:, group_run.plan.members] = own
+            for values, group_values in zip(all_states, state, strict=True):
+                values[:, group_run.plan.members] = group_values
         self.turned_over_before += sum(t.turned_over() for t in self.group_runs)
-        return whole if self.moving.merging is None else self.moving.merging.apart(whole)
+        return all_states if self.moving.merging is None else self.moving.merging.apart(all_states)
 
     def restart(self, system: System, plan: Plan, state: State, last: Entries) -> None:
         """Go on from a state, where the run was finished, by another plan.
@@ -134,12 +134,12 @@ class Run:
         What changes the energy and the momenta is booked: `last` are the entries before it.
         Contacts keep what they kept where their group stays the same.
         """
-        known = {t.plan.members.tobytes(): t.motion for t in self.group_runs}
+        motions = {t.plan.members.tobytes(): t.motion for t in self.group_runs}
         self.system, self.gravity, self.moving = system, system.acceleration, merged(system)
         if self.moving.merging is not None:
             state = self.moving.merging.together(state)
         self.checks = StateChecks(self.moving, plan)
-        self.begin(plan, state, known)
+        self.begin(plan, state, motions)
         frame = as_frame(self.moving.bodies, state)
         now = self.totals_of(frame, self.initial_energies(frame))
         self.before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
@@ -151,7 +151,7 @@ class Run:
         """Runs of groups, with the number of the first body of their superblock, and a key."""
         if self.is_shared:  # each is of all bodies
             return [(-1, SHARED, run) for run in self.group_runs]
-        firsts = [self.number_of_first + own.first for own in superblocks(self.system.n_bodies)]
+        firsts = [self.number_of_first + block.first for block in superblocks(self.system.n_bodies)]
         return [
             (first, f"group.{first}.{k}", run)
             for first, runs in zip(firsts, self.superblocks, strict=False)
@@ -173,12 +173,12 @@ class Run:
     def checkpoint_of(self, of: Range) -> Saved:
         """The same of a range of bodies of the scene: of whole superblocks."""
         first = self.number_of_first
-        own = slice(of.first - first, of.stop - first)
-        saved = {"last": self.last[own].copy()} | under("ledger", self.balance.checkpoint())
+        rows = slice(of.first - first, of.stop - first)
+        saved = {"last": self.last[rows].copy()} | under("ledger", self.balance.checkpoint())
         for number, key, group_run in self.keyed_runs:
             if number < 0 or of.first <= number < of.stop:
                 saved |= under(key, group_run.checkpoint(of))
-        return saved | saved_probes(self.probes, own)
+        return saved | saved_probes(self.probes, rows)
 
     def restore(self, n_frames: int, saved: Saved) -> None:
         """Go on behind so many frames from what was saved then."""
@@ -220,17 +220,17 @@ class Run:
         frames.is_frame[:] = is_frame
         if self.setup is not None:
             self.joints = room_for_values(self.setup, times.size)
-        given, beside, known = self.ranks.together(lambda: self.record(times, frames))
-        booked = self.over_ranks(given)
-        energies = Energies(*(self.over_ranks(own) for own in zip(*beside, strict=True)))
+        booked_parts, beside, sums = self.ranks.together(lambda: self.record(times, frames))
+        booked = self.over_ranks(booked_parts)
+        energies = Energies(*(self.over_ranks(parts) for parts in zip(*beside, strict=True)))
         self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
         booked += self.before
-        now = self.totals_of(frames, energies, known)
+        now = self.totals_of(frames, energies, sums)
         is_finite = math.isfinite(np.add.reduce(now.sums, axis=None))
-        found = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
-        each = self.ranks.gathered(found)
-        rank = min(range(len(each)), key=lambda k: each[k][0])
-        sound, problem = each[rank]
+        verdict = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
+        verdicts = self.ranks.gathered(verdict)
+        rank = min(range(len(verdicts)), key=lambda k: verdicts[k][0])
+        sound, problem = verdicts[rank]
         error = RunError(self.ranks.named(rank, problem)) if problem else None
         if not (is_finite and math.isfinite(np.add.reduce(booked, axis=None))):
             values = np.concatenate([now.sums, booked], axis=-1).reshape(times.size, -1)
@@ -258,15 +258,15 @@ class Run:
     ) -> tuple[list[Floats], list[Energies], list[Floats | None]]:
         """Write rows of the frames; of each superblock what `record_all` returns, and its sums."""
         worlds = () if self.system.n_worlds == 1 else (self.system.n_worlds,)
-        booked, energies, known = [], [], []
+        booked, energies, block_sums = [], [], []
         with self.failing():
             for runs, sums_itself in zip(self.superblocks, self.sums_itself, strict=True):
                 sums = np.zeros((times.size, *worlds, N_TOTALS)) if sums_itself else None
-                given, beside = record_all(runs, times, frames, self.joints, sums)
-                booked.append(given)
-                energies.append(beside)
-                known.append(sums)
-        return booked, energies, known
+                group_booked, group_energies = record_all(runs, times, frames, self.joints, sums)
+                booked.append(group_booked)
+                energies.append(group_energies)
+                block_sums.append(sums)
+        return booked, energies, block_sums
 
     @contextlib.contextmanager
     def failing(self) -> Iterator[None]:
