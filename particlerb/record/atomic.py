@@ -109,14 +109,14 @@ class AtomicFile:
             view[:] = page[offset : offset + len(view)]
             self.place += len(view)
             return len(view)
-        found = [
+        page_pieces = [
             (self.changed.get(number) or self.new.get(number), offset, start, stop)
             for number, offset, start, stop in pieces(self.place, len(view))
         ]
-        if any(page is None for page, _, _, _ in found):
+        if any(page is None for page, _, _, _ in page_pieces):
             with self.blaming():
                 fill(self.descriptor, self.place, view)
-        for page, offset, start, stop in found:
+        for page, offset, start, stop in page_pieces:
             if page is not None:
                 view[start:stop] = page[offset : offset + stop - start]
         self.place += len(view)
@@ -221,10 +221,10 @@ class AtomicFile:
 
     def is_in_place(self) -> bool:
         """Whether the changed pages are in their places."""
-        found = bytearray(PAGE)
+        written = bytearray(PAGE)
         for number, page in self.changed.items():
-            fill(self.descriptor, number * PAGE, memoryview(found))
-            if found != page:
+            fill(self.descriptor, number * PAGE, memoryview(written))
+            if written != page:
                 return False
         return True
 
@@ -294,8 +294,8 @@ def pieces(place: int, size: int) -> Iterator[tuple[int, int, int, int]]:
 def runs(pages: Mapping[int, _Buffer]) -> Iterator[tuple[int, bytes]]:
     """Places and bytes of pages that follow each other; the superblock comes last."""
     numbers = enumerate(sorted(pages))
-    found = [[number for _, number in run] for _, run in groupby(numbers, lambda k: k[1] - k[0])]
-    for run in reversed(found):
+    groups = [[number for _, number in run] for _, run in groupby(numbers, lambda k: k[1] - k[0])]
+    for run in reversed(groups):
         yield run[0] * PAGE, b"".join(pages[number] for number in run)
 
 
@@ -326,9 +326,9 @@ def record(place: int, pages: Mapping[int, _Buffer]) -> bytes:
 
 def _hash_of(place: int, content: _Buffer) -> bytes:
     """SHA-256 of a record at a place."""
-    found = hashlib.sha256(place.to_bytes(8, "little"))
-    found.update(content)
-    return found.digest()
+    hasher = hashlib.sha256(place.to_bytes(8, "little"))
+    hasher.update(content)
+    return hasher.digest()
 
 
 def left_over(descriptor: int) -> dict[int, _Buffer]:

@@ -142,13 +142,13 @@ def dataset_at(
         dataset = object_at(file, path)
         if not isinstance(dataset, h5py.Dataset):
             raise ValueError(f"{path} is not a dataset")
-        dtype, found = dataset.dtype, dataset.shape
+        dtype, extent = dataset.dtype, dataset.shape
         is_short = dtype.kind == "f" and dtype.itemsize < 4
         if dtype.kind not in kinds or dtype.hasobject or is_short:
             raise ValueError(f"{path} has the type {dtype}")
-        fits = found is not None and len(found) == len(shape)
-        if not fits or any(n not in (None, m) for m, n in zip(found, shape, strict=True)):
-            raise ValueError(f"{path} has the shape {found}")
+        fits = extent is not None and len(extent) == len(shape)
+        if not fits or any(n not in (None, m) for m, n in zip(extent, shape, strict=True)):
+            raise ValueError(f"{path} has the shape {extent}")
         require_own_storage(file, dataset, path)
     return dataset
 
@@ -156,12 +156,12 @@ def dataset_at(
 def object_at(file: h5py.File, path: str) -> Any:
     """What hard links lead to."""
     place: Any = file
-    for part in path.split("/"):
-        if not isinstance(place, h5py.Group) or part not in place:
+    for name in path.split("/"):
+        if not isinstance(place, h5py.Group) or name not in place:
             raise KeyError(f"{path} is missing")
-        if place.id.links.get_info(part.encode()).type != h5l.TYPE_HARD:
+        if place.id.links.get_info(name.encode()).type != h5l.TYPE_HARD:
             raise ValueError(f"{path} is a link to elsewhere")
-        place = place[part]
+        place = place[name]
     return place
 
 
@@ -205,8 +205,8 @@ def require_self_contained(file: h5py.File) -> None:
         if not isinstance(link, h5py.HardLink):
             wrong.append(f"{name} is a link to elsewhere")
 
-    def look_at_object(name: str, found: Any) -> None:
-        if isinstance(found, h5py.Dataset) and not _lies_inside(found):
+    def look_at_object(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and not _lies_inside(item):
             wrong.append(f"{name} lies in another file")
 
     with trajectory_errors(file):

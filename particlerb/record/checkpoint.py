@@ -111,13 +111,13 @@ def slots_in(file: h5py.File) -> dict[int, dict[str, Any]]:
 
     A kill while parts are committed leaves some of them one state ahead.
     """
-    found: dict[int, dict[str, Any]] = {}
+    states: dict[int, dict[str, Any]] = {}
     for is_before in (True, False) if schema.CHECKPOINT in file else ():
         with suppress(TrajectoryError, CheckpointError):
             slot = slot_in(file, is_before)
             if slot.content and slot.digest == slot.stored:
-                found[slot.n_frames] = _arrays_in(file, slot)
-    return found
+                states[slot.n_frames] = _arrays_in(file, slot)
+    return states
 
 
 def states_of(path: Path) -> dict[int, dict[str, Any]]:

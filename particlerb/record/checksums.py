@@ -104,13 +104,13 @@ def _order(path: str) -> tuple[int, str]:
 
 def digest_of(content: Mapping[str, Any]) -> str:
     """SHA-256 of arrays and texts by their paths."""
-    found = hashlib.sha256()
+    hasher = hashlib.sha256()
     for path in sorted(content, key=_order):
         value = content[path]
         data = value if isinstance(value, bytes) else np.ascontiguousarray(value).tobytes()
-        found.update(f"{path} {len(data)} ".encode())
-        found.update(data)
-    return found.hexdigest()
+        hasher.update(f"{path} {len(data)} ".encode())
+        hasher.update(data)
+    return hasher.hexdigest()
 
 
 def digest(file: h5py.File) -> str:

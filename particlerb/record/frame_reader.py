@@ -131,22 +131,22 @@ class FrameReader(Closing):
                 if len(values) < self.n_frames:
                     raise ValueError(f"{path} ends before frame {self.n_frames - 1}")
                 if bodies == slice(None):
-                    found: Floats = values[lo:hi:stride]
+                    rows: Floats = values[lo:hi:stride]
                 else:
-                    found = _without_cache(values)[lo:hi:stride, bodies]
-                if np.isinf(found).any() or (np.isnan(found).any() and not element.has_gaps):
+                    rows = _without_cache(values)[lo:hi:stride, bodies]
+                if np.isinf(rows).any() or (np.isnan(rows).any() and not element.has_gaps):
                     raise ValueError(f"{path} has entries that are not finite")
-            return found if found.base is None else found.copy()  # a view of what is in memory
+            return rows if rows.base is None else rows.copy()  # a view of what is in memory
 
         return self.patiently(read)
 
     def table(self, path: str, kinds: str, shape: tuple[int | None, ...]) -> Any:
         """A whole dataset that does not change in time."""
         with trajectory_errors(self.file):
-            found = np.array(dataset_at(self.file, path, kinds, shape)[()])
-            if found.dtype.kind == "f" and not np.isfinite(found).all():
+            array = np.array(dataset_at(self.file, path, kinds, shape)[()])
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
                 raise ValueError(f"{path} has entries that are not finite")
-        return found
+        return array
 
     def read(
         self,
@@ -198,8 +198,8 @@ class FrameReader(Closing):
         chosen = range(self.n_frames)[frames]
         size = max(1, PORTION // max(n_bodies or self.n_bodies, 1))
         for first in range(0, len(chosen), size):
-            part = chosen[first : first + size]
-            yield slice(part.start, part.stop, part.step)
+            span = chosen[first : first + size]
+            yield slice(span.start, span.stop, span.step)
 
     @cached_property
     def fields(self) -> list[str]:
@@ -213,8 +213,8 @@ class FrameReader(Closing):
         places = dict.fromkeys(schema.CONTACT_FIELDS, schema.TRAJECTORY)
         places |= dict.fromkeys((*schema.OBSERVED, *schema.IMPULSES), schema.OBSERVABLES)
         with trajectory_errors(self.file):
-            found = [f for f, place in places.items() if has(self.file, f"{place}/{f}/value")]
-            return found + ([schema.CONTACTS] if has(self.file, schema.OFFSET) else [])
+            fields = [f for f, place in places.items() if has(self.file, f"{place}/{f}/value")]
+            return fields + ([schema.CONTACTS] if has(self.file, schema.OFFSET) else [])
 
     def require(self, name: str) -> None:
         """Raise KeyError if a field of contacts, walls or joints was not recorded."""
@@ -241,14 +241,14 @@ class FrameReader(Closing):
         """Their units: rad or m."""
         return self.names_of("coordinate", "units")
 
-    def names_of(self, part: str, which: str = "names") -> Sequence[str]:
+    def names_of(self, part: str, column: str = "names") -> Sequence[str]:
         """Names of walls, joints or coordinates, where a field of theirs was recorded."""
-        path = getattr(schema.PARTS[part], which)
+        path = getattr(schema.PARTS[part], column)
         if path not in self._texts:
             if part not in schema.parts_of(self.other_fields):
                 raise KeyError(f"no field of {part}s was recorded: see [output] fields")
-            found = self.table(path, "S", (None,))
-            self._texts[path] = [name.decode(errors="replace") for name in found]
+            encoded = self.table(path, "S", (None,))
+            self._texts[path] = [name.decode(errors="replace") for name in encoded]
         return self._texts[path]
 
     @property
@@ -311,14 +311,14 @@ class FrameReader(Closing):
                     raise ValueError(
                         f"{schema.OFFSET} does not ascend, or ends before frame {stop - 1}"
                     )
-                found = []
+                columns = []
                 for name, column in schema.COLUMNS.items():
                     kinds, path = "i" if column.is_count else "f", f"{schema.CONTACTS}/{name}"
                     values = dataset_at(self.file, path, kinds, (None, *column.width))
                     if len(values) < offset[-1]:
                         raise ValueError(f"{path} has no row {offset[-1] - 1}")
-                    found.append(values[offset[0] : offset[-1]])
-            return Contacts(*found), offset[1:] - offset[0]
+                    columns.append(values[offset[0] : offset[-1]])
+            return Contacts(*columns), offset[1:] - offset[0]
 
         return self.patiently(read)
 

@@ -83,21 +83,21 @@ class NewFrames(NamedTuple):
     others: Mapping[str, Floats | Ints] = MappingProxyType({})  # fields of joints and impulses
 
 
-def values_of(system: System, given: NewFrames) -> dict[str, Any]:
+def values_of(system: System, new: NewFrames) -> dict[str, Any]:
     """Arrays of new frames, by their paths, in the order of the checksums."""
-    times, frames, rows, balance, contacts, others = given
+    times, frames, rows, balance, contacts, others = new
     fields, first = system.output.fields, system.names.part.start
-    own = range(first, first + system.n_bodies)
-    found: dict[str, Any] = contact_values(fields, contacts, own)
-    found |= _fields_of(frames, rows, system, fields)
-    found |= others
+    bodies = range(first, first + system.n_bodies)
+    table: dict[str, Any] = contact_values(fields, contacts, bodies)
+    table |= _fields_of(frames, rows, system, fields)
+    table |= others
     dtype, values = np.dtype(system.output.dtype), {}
     for path, element in schema.series_of(fields).items():
         name = path.split("/")[-2]
         if path == schema.TIME:
             value = times
         else:
-            value = found[name] if element.per or element.is_asked else getattr(balance, name)[rows]
+            value = table[name] if element.per or element.is_asked else getattr(balance, name)[rows]
         values[path] = value.astype(schema.dtype_of(element, dtype), copy=False)
     return values
 

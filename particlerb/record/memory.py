@@ -68,13 +68,13 @@ class Memory:
         """Forget everything."""
         self.content = {}
 
-    def append(self, given: NewFrames) -> None:
+    def append(self, frames: NewFrames) -> None:
         """Keep new frames."""
-        new = slice(self.n_frames, self.n_frames + len(given.times))
-        for path, values in values_of(self.system, given).items():
+        new = slice(self.n_frames, self.n_frames + len(frames.times))
+        for path, values in values_of(self.system, frames).items():
             self.content[path][new] = values
         self.n_frames = new.stop
-        self.touches += given.contacts if schema.CONTACTS in self.system.output.fields else ()
+        self.touches += frames.contacts if schema.CONTACTS in self.system.output.fields else ()
 
     def save_checkpoint(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
         """Do nothing: it ends with the process."""
@@ -87,5 +87,5 @@ class Memory:
         if schema.CONTACTS in self.system.output.fields:
             dtype = np.dtype(self.system.output.dtype)
             columns, ends = contact_columns(self.touches, dtype)
-            self.content |= {f"{schema.CONTACTS}/{name}": own for name, own in columns.items()}
+            self.content |= {f"{schema.CONTACTS}/{name}": v for name, v in columns.items()}
             self.content[schema.OFFSET] = np.r_[0, ends]

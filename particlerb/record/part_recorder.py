@@ -136,16 +136,16 @@ class PartRecorder:
         """The master, on the first rank."""
         return self.master.file if self.master else None
 
-    def append(self, given: NewFrames) -> None:
+    def append(self, frames: NewFrames) -> None:
         """Append new frames of the bodies of this rank."""
-        values, sums = self.ranks.together(lambda: self.append_parts(given))
-        whole: Words = np.add.reduce(np.stack(self.ranks.gathered(sums)), axis=0)
-        self.ranks.together(lambda: self.append_master(given, values, whole))
+        values, sums = self.ranks.together(lambda: self.append_parts(frames))
+        total: Words = np.add.reduce(np.stack(self.ranks.gathered(sums)), axis=0)
+        self.ranks.together(lambda: self.append_master(frames, values, total))
 
-    def append_parts(self, given: NewFrames) -> tuple[Mapping[str, Any], Words]:
+    def append_parts(self, frames: NewFrames) -> tuple[Mapping[str, Any], Words]:
         """Append to the parts; arrays of all elements, and the share in the checksums."""
-        values = values_of(self.system, given)
-        total = np.zeros(len(given.times), dtype=np.uint64)
+        values = values_of(self.system, frames)
+        total = np.zeros(len(frames.times), dtype=np.uint64)
         lists_contacts = schema.CONTACTS in self.system.output.fields
         for (first, stop), recorder in self.own:
             in_part = {
@@ -153,20 +153,20 @@ class PartRecorder:
                 for path, v in values.items()
             }
             shares = [v if _is_of_bodies(path) else _nothing(v) for path, v in in_part.items()]
-            shares += [_nothing(given.times)] * lists_contacts
+            shares += [_nothing(frames.times)] * lists_contacts
             sums = frame_checksums(len(total), shares, first)
-            recorder.put(given, in_part, sums)
+            recorder.put(frames, in_part, sums)
             total += sums
         return values, total
 
-    def append_master(self, given: NewFrames, values: Mapping[str, Any], sums: Words) -> None:
+    def append_master(self, frames: NewFrames, values: Mapping[str, Any], sums: Words) -> None:
         """Append to the master what is not of bodies; `sums` are the shares of the parts."""
         if self.master is None:
             return
         rest = [_nothing(v) if _is_of_bodies(path) else v for path, v in values.items()]
         others = {path: v for path, v in values.items() if not _is_of_bodies(path)}
-        rest += self.master.lists_of(given)
-        self.master.put(given, others, sums + frame_checksums(len(sums), rest))
+        rest += self.master.lists_of(frames)
+        self.master.put(frames, others, sums + frame_checksums(len(sums), rest))
 
     def save_checkpoint(self, checkpoints: _Checkpoints) -> None:
         """Keep the state behind all frames, of each part by itself."""
@@ -183,7 +183,7 @@ class PartRecorder:
         """Commit what has waited for a second, on all ranks where the first one says so."""
         start = time.monotonic()
         is_due = start - self.last_commit > SECONDS_BETWEEN_COMMITS
-        is_due &= all(own.n_frames >= own.known for own in self.recorders)
+        is_due &= all(recorder.n_frames >= recorder.known for recorder in self.recorders)
         allowed = SHARE_OF_CHECKPOINTS * (start - self.last_checkpoint)
         saves = checkpoints is not None and allowed >= self.seconds_for_checkpoint
         is_due, saves = self.ranks.gathered((is_due, saves))[0]
@@ -201,9 +201,9 @@ class PartRecorder:
 
         Its part may be one that the master must not be ahead of.
         """
-        own = any(recorder.output.is_broken for recorder in self.recorders)
+        has_broken = any(recorder.output.is_broken for recorder in self.recorders)
         is_new = self.master is not None and self.master.output.waiting is not None
-        each = self.ranks.gathered((own, is_new))
+        each = self.ranks.gathered((has_broken, is_new))
         if not any(is_broken for is_broken, _ in each):
             self.in_order(Recorder.finish)
             return
@@ -214,11 +214,11 @@ class PartRecorder:
                 recorder.output.path.unlink(missing_ok=True)
                 recorder.output.path.parent.rmdir()  # if it is empty
 
-    def in_order(self, work: Callable[[Recorder], None]) -> None:
+    def in_order(self, action: Callable[[Recorder], None]) -> None:
         """Do something with all parts, and with the master when all ranks are done."""
         masters = [self.master] if self.master else []
         for recorders in ([recorder for _, recorder in self.own], masters):
-            self.ranks.together(partial(list, map(work, recorders)))
+            self.ranks.together(partial(list, map(action, recorders)))
 
 
 def _is_of_bodies(path: str) -> bool:

@@ -124,7 +124,7 @@ def parts_in(file: Any) -> Parts | None:
         raise ValueError("its parts do not follow each other")
     if not _NAME.fullmatch(folder):
         raise ValueError(f"its parts lie in {folder!r}, not in a folder beside it")
-    ranges = [Range(*own) for own in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)]
+    ranges = [Range(*ends) for ends in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)]
     return Parts(folder, tuple(ranges), bytes(header_attribute(file, _RUN, "S")).decode())
 
 
@@ -152,16 +152,16 @@ def growing_over(
     most = (h5s.UNLIMITED, *width)
     plan = _plan(dtype)
     for name, (first, stop) in zip(parts.names, parts.ranges, strict=True):
-        own = (stop - first, *width[1:])
+        extent = (stop - first, *width[1:])
         rest = (0,) * (len(width) - 1)
-        whole, part = (
+        full_space, part_space = (
             h5s.create_simple((0, *width), most),
-            h5s.create_simple((0, *own), (most[0], *own)),
+            h5s.create_simple((0, *extent), (most[0], *extent)),
         )
-        ones, block = (1,) * len(most), (h5s.UNLIMITED, *own)
-        whole.select_hyperslab((0, first, *rest), ones, block=block)
-        part.select_hyperslab((0, 0, *rest), ones, block=block)
-        plan.set_virtual(whole, name.encode(), f"/{path}".encode(), part)
+        ones, block = (1,) * len(most), (h5s.UNLIMITED, *extent)
+        full_space.select_hyperslab((0, first, *rest), ones, block=block)
+        part_space.select_hyperslab((0, 0, *rest), ones, block=block)
+        plan.set_virtual(full_space, name.encode(), f"/{path}".encode(), part_space)
     kind, space = h5py.h5t.py_create(np.dtype(dtype)), h5s.create_simple((0, *width), most)
     return h5d.create(file.id, path.encode(), kind, space, plan, WITH_GROUPS)
 
@@ -177,11 +177,11 @@ def rows_over(
     plan, n, rest = _plan(dtype), parts.n_bodies, (0,) * len(width)
     space = h5s.create_simple((n_frames * n, *width))
     for name, (first, stop) in zip(parts.names if n_frames else (), parts.ranges, strict=False):
-        rows, part = space.copy(), h5s.create_simple((n_frames, stop - first, *width))
+        rows, part_space = space.copy(), h5s.create_simple((n_frames, stop - first, *width))
         ones, block = (1,) * len(width), (stop - first, *width)
         rows.select_hyperslab((first, *rest), (n_frames, *ones), (n, *width), block)
-        part.select_all()
-        plan.set_virtual(rows, name.encode(), f"/{source}".encode(), part)
+        part_space.select_all()
+        plan.set_virtual(rows, name.encode(), f"/{source}".encode(), part_space)
     h5d.create(
         file.id, path.encode(), h5py.h5t.py_create(np.dtype(dtype)), space, plan, WITH_GROUPS
     )

@@ -49,11 +49,11 @@ def texts_of(system: System, more: Mapping[str, str]) -> dict[str, Any]:
     hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
     if hashes:
         texts[FILE_NAMES] = json.dumps(hashes)
-    found: dict[str, Any] = {f"{PARAMETERS}/{k}": words.encode() for k, words in texts.items()}
-    found[f"{PARAMETERS}/seed"] = np.array(case.run.seed)
+    entries: dict[str, Any] = {f"{PARAMETERS}/{k}": words.encode() for k, words in texts.items()}
+    entries[f"{PARAMETERS}/seed"] = np.array(case.run.seed)
     for name, key in hashes.items():
-        found[f"{FILES}/{key}"] = np.frombuffer(contents[name], dtype=np.uint8)
-    return found
+        entries[f"{FILES}/{key}"] = np.frombuffer(contents[name], dtype=np.uint8)
+    return entries
 
 
 def replace_case(file: h5py.File, system: System) -> None:
@@ -126,9 +126,9 @@ def write_text(file: h5py.File, name: str, words: str) -> None:
 def versions() -> dict[str, str]:
     """Versions of what made the file."""
     names = ("numpy", "numba", "h5py")
-    found = {name: str(sys.modules[name].__version__) for name in names if name in sys.modules}
-    own = {"particlerb": particlerb.__version__, "sources": source_hash()}
-    return {**own, "python": platform.python_version(), **found}
+    libraries = {name: str(sys.modules[name].__version__) for name in names if name in sys.modules}
+    program = {"particlerb": particlerb.__version__, "sources": source_hash()}
+    return {**program, "python": platform.python_version(), **libraries}
 
 
 def this_machine() -> dict[str, Any]:

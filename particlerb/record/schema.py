@@ -66,8 +66,8 @@ def _elements(of: str, per: str = "", is_asked: bool = False) -> dict[str, Eleme
         name: Element(
             components, units, meaning, frame, "count" in flags, per, is_asked, "gaps" in flags
         )
-        for own, name, components, units, frame, flags, meaning in ROWS
-        if own == of
+        for owner, name, components, units, frame, flags, meaning in ROWS
+        if owner == of
     }
 
 
@@ -129,8 +129,8 @@ SCALE_OF: Final = {"body": BODY} | {name: part.numbers for name, part in PARTS.i
 
 def parts_of(fields: Collection[str]) -> list[str]:
     """Those of `PARTS` that a file names which records these fields."""
-    found = {element.per for element in series_of(fields).values()}
-    return [part for part in PARTS if part in found]
+    owners = {element.per for element in series_of(fields).values()}
+    return [part for part in PARTS if part in owners]
 
 
 STATIC: Final = _elements("constant")  # by their datasets

@@ -111,17 +111,17 @@ class Trajectory(LabelledReader):
         n = self.n_frames
         q = self.read("orientation", bodies=body).T
         L = self.read("angular_momentum", bodies=body).T
-        one = taken(self.bodies, np.array([body]))
-        frame = np.repeat(one.rotor_frame, n, axis=1)
+        bodies = taken(self.bodies, np.array([body]))
+        frame = np.repeat(bodies.rotor_frame, n, axis=1)
         m = rotate_back(frame, rotate_back(q, L))
-        return rotate(frame, one.inv_inertia * m).T
+        return rotate(frame, bodies.inv_inertia * m).T
 
     def momentum_sizes(self) -> tuple[float, float]:
         """Scales of the drifts: Σ|p| [kg m/s], and Σ|L| + Σ|x × p| [kg m²/s], largest of all."""
         linear = angular = 0.0
-        for part in self.portions():
+        for span in self.portions():
             x, p, L = (
-                self.read(name, part)
+                self.read(name, span)
                 for name in ("position", "linear_momentum", "angular_momentum")
             )
             spin = np.linalg.norm(L, axis=2) + np.linalg.norm(np.cross(x, p), axis=2)
@@ -345,10 +345,10 @@ class Trajectory(LabelledReader):
             raise TrajectoryError(f"{self.file.filename}: its case is wrong: {error}") from None
 
 
-def check_trajectory(given: object) -> None:
+def check_trajectory(value: object) -> None:
     """Raise a TypeError where a user gives anything else, a path for instance."""
-    if not isinstance(given, Trajectory):
-        kind = type(given).__name__
+    if not isinstance(value, Trajectory):
+        kind = type(value).__name__
         raise TypeError(f"a Trajectory is needed, as particlerb.open(path) gives it, got {kind}")
 
 

@@ -62,13 +62,13 @@ def verify(trajectory: Trajectory) -> list[Finding]:
         "steps for VTK": _verify_steps,
         "checkpoint": _verify_checkpoint,
     }
-    found = []
+    findings = []
     for what, look in looks.items():
         try:
-            found.append(Finding(what, True, look(trajectory)))
+            findings.append(Finding(what, True, look(trajectory)))
         except (_Flaw, checked_reading.TrajectoryError) as flaw:
-            found.append(Finding(what, False, str(flaw)))
-    return found
+            findings.append(Finding(what, False, str(flaw)))
+    return findings
 
 
 def _verify_tables(trajectory: Trajectory) -> str:
@@ -104,17 +104,17 @@ def _verify_checksums(trajectory: Trajectory) -> str:
     )
     wrong: list[int] = []
     recorded = {*trajectory.fields, *trajectory.other_fields}
-    for part in trajectory.portions():
-        size = len(range(n)[part])
-        values: list[Any] = [trajectory.series(path, part) for path in schema.series_of(recorded)]
+    for span in trajectory.portions():
+        size = len(range(n)[span])
+        values: list[Any] = [trajectory.series(path, span) for path in schema.series_of(recorded)]
         if schema.CONTACTS in recorded:
-            values.append(list_checksums(*trajectory.contact_rows(part.start, part.stop)))
+            values.append(list_checksums(*trajectory.contact_rows(span.start, span.stop)))
         with checked_reading.trajectory_errors(trajectory.file):
-            written = stored[part]
+            written = stored[span]
         if len(written) != size:
             raise _Flaw(f"end before frame {n - 1}")
         differ = np.flatnonzero(written != frame_checksums(size, values))
-        wrong += (part.start + differ).tolist()
+        wrong += (span.start + differ).tolist()
     if wrong:
         rest = f" and {len(wrong) - 3} more" if len(wrong) > 3 else ""
         raise _Flaw(f"frame {', '.join(map(str, wrong[:3]))}{rest} differ from what was written")
@@ -128,8 +128,8 @@ def _verify_balance(trajectory: Trajectory) -> str:
     if lacking:
         return f"closes; not summed again, {', '.join(lacking)} was not recorded"
     worst = 0.0
-    for part in trajectory.portions():
-        worst = max(worst, _summed_again(trajectory, part))
+    for span in trajectory.portions():
+        worst = max(worst, _summed_again(trajectory, span))
     return f"closes; summed again from the frames it differs by {worst:.1g} at most"
 
 
@@ -139,7 +139,7 @@ def _balance(trajectory: Trajectory) -> None:
         trajectory.observable(name)
         for name in ("kinetic_energy", "potential_energy", "energy", "work", "energy_error")
     )
-    size = sum(float(np.abs(part).max(initial=0.0)) for part in (kinetic, potential, work))
+    size = sum(float(np.abs(values).max(initial=0.0)) for values in (kinetic, potential, work))
     if (np.abs(energy - kinetic - potential) > _ROUNDING["f8"] * size).any():
         raise _Flaw("energy is not the sum of its parts")
     initial = energy - work - error
@@ -148,9 +148,9 @@ def _balance(trajectory: Trajectory) -> None:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of bytes that are no state
-def _summed_again(trajectory: Trajectory, part: slice) -> float:
+def _summed_again(trajectory: Trajectory, span: slice) -> float:
     """Largest difference between observables and the sums of some frames, relative."""
-    values = {name: trajectory.read(name, part) for name in STATE_FIELDS}
+    values = {name: trajectory.read(name, span) for name in STATE_FIELDS}
     precise = values["position"].dtype == np.float64
     x, q, p, L = (np.ascontiguousarray(values[name], dtype=np.float64) for name in STATE_FIELDS)
     n_frames = len(x)
@@ -158,14 +158,14 @@ def _summed_again(trajectory: Trajectory, part: slice) -> float:
     now = totals(frames, counted(trajectory), np.zeros(3))
     worst = 0.0
     for name, size in _SUMMED.items():
-        difference = trajectory.observable(name, part) - getattr(now, name)
+        difference = trajectory.observable(name, span) - getattr(now, name)
         if name == "kinetic_energy" and _has_pistons(trajectory):  # theirs is in the balance too
             difference = np.minimum(difference, 0.0)
         difference = np.abs(difference).reshape(n_frames, -1).max(axis=1)
         largest = getattr(now, size).max(initial=0.0)
         share = float(difference.max(initial=0.0)) / (largest or 1.0)
         if not share <= _ROUNDING["f8" if precise else "f4"]:
-            frame = int(np.argmax(difference)) + (part.start or 0)
+            frame = int(np.argmax(difference)) + (span.start or 0)
             raise _Flaw(f"{name} of frame {frame} is not the sum over its bodies")
         worst = max(worst, share)
     return worst
@@ -195,8 +195,8 @@ def _verify_frames(trajectory: Trajectory) -> str:
     if "orientation" not in trajectory.fields:
         return "no orientations"
     worst = 0.0
-    for part in trajectory.portions():
-        size = np.linalg.norm(trajectory.read("orientation", part), axis=2)
+    for span in trajectory.portions():
+        size = np.linalg.norm(trajectory.read("orientation", span), axis=2)
         worst = max(worst, float(np.abs(size - 1.0).max(initial=0.0)))
     if worst > _ROUNDING["f4"]:
         raise _Flaw(f"an orientation is not a rotation: |q| - 1 = {worst:.1g}")

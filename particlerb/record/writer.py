@@ -152,10 +152,10 @@ class Recorder:
         paths = [p for p in schema.series_of(fields) if not is_part or p in self.file]
         paths += [schema.STEP, schema.CHECKSUMS]
         # Those that are large, and where they lie in parts:
-        own = {p: opened(self.file, p) for p in paths if p in _OF_BODIES}
-        self.shown = {p.split("/")[-2]: values for p, values in own.items()}
-        self.of_bodies = {} if self.parts else own
-        paths = [p for p in paths if p not in own or not self.parts]
+        of_bodies = {p: opened(self.file, p) for p in paths if p in _OF_BODIES}
+        self.shown = {p.split("/")[-2]: values for p, values in of_bodies.items()}
+        self.of_bodies = {} if self.parts else of_bodies
+        paths = [p for p in paths if p not in of_bodies or not self.parts]
         paths += (STEP_TIMES, STEP_STARTS) if schema.VTKHDF in self.file else ()
         lists_contacts = schema.CONTACTS in fields and not is_part
         paths += (schema.OFFSET,) if lists_contacts else ()
@@ -196,26 +196,26 @@ class Recorder:
             return int(self.pending[-1][schema.OFFSET][-1])
         return int(self.contacts.offset[self.n_written])
 
-    def append(self, given: NewFrames) -> None:
+    def append(self, frames: NewFrames) -> None:
         """Append new frames, but for those that the file had before.
 
         Large arrays are written now, small ones when they are many, or at the next commit.
         """
-        values = values_of(self.system, given)
-        sums = frame_checksums(len(given.times), [*values.values(), *self.lists_of(given)])
-        self.put(given, values, sums)
+        values = values_of(self.system, frames)
+        sums = frame_checksums(len(frames.times), [*values.values(), *self.lists_of(frames)])
+        self.put(frames, values, sums)
 
-    def lists_of(self, given: NewFrames) -> list[Words]:
+    def lists_of(self, frames: NewFrames) -> list[Words]:
         """Checksums of the lists of contacts of new frames, where they are to be recorded."""
         if self.contacts is None:
             return []
-        columns, ends = contact_columns(given.contacts, self.contacts.dtype)
+        columns, ends = contact_columns(frames.contacts, self.contacts.dtype)
         return [list_checksums(columns.values(), ends)]
 
-    def put(self, given: NewFrames, values: dict[str, Any], sums: Words) -> None:
+    def put(self, frames: NewFrames, values: dict[str, Any], sums: Words) -> None:
         """Append new frames by their arrays, those that the file has, and their checksums."""
         with self.output.writing():
-            n, times = self.n_frames, given.times
+            n, times = self.n_frames, frames.times
             new = slice(self.recognise(n, sums), None)
             if not len(sums[new]):
                 return
@@ -227,7 +227,7 @@ class Recorder:
                 _append_rows(dataset, self.n_frames, values.pop(path)[new])
             small = {path: value[new] for path, value in values.items() if path in self.series}
             if self.contacts is not None:
-                small[schema.OFFSET] = self.contacts.write(self.n_contacts, given.contacts[new])
+                small[schema.OFFSET] = self.contacts.write(self.n_contacts, frames.contacts[new])
             self.pending.append(small)
             self.n_frames = n + len(times)
             size = sum(values[:1].nbytes for values in small.values())
@@ -242,17 +242,17 @@ class Recorder:
         OtherFrameError
             If one is another.
         """
-        known = min(max(self.known - first, 0), len(sums))
-        stored: Words = self.series[schema.CHECKSUMS][first : first + known]
-        other = np.flatnonzero(sums[:known] != stored)
+        n_known = min(max(self.known - first, 0), len(sums))
+        stored: Words = self.series[schema.CHECKSUMS][first : first + n_known]
+        other = np.flatnonzero(sums[:n_known] != stored)
         if other.size:
             raise OtherFrameError(
                 f"frame {first + int(other[0])} comes out differently than it is in"
                 f" {self.output.path}: the file was changed, or written on another kind of"
                 " processor"
             )
-        self.n_frames, self.n_written = first + known, self.n_written + known
-        return known
+        self.n_frames, self.n_written = first + n_known, self.n_written + n_known
+        return n_known
 
     def save_checkpoint(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
         """Keep the state behind all frames; it is written, and counts, from the next commit on."""
@@ -282,7 +282,7 @@ class Recorder:
     def write_small(self) -> None:
         """Write the small arrays that wait."""
         for path in self.pending[0] if self.pending else ():
-            values = np.concatenate([part[path] for part in self.pending])
+            values = np.concatenate([batch[path] for batch in self.pending])
             # The offset of contacts has one entry more than there are frames.
             _append_rows(self.series[path], self.n_written + (path == schema.OFFSET), values)
         self.n_written, self.pending = self.n_frames, []
@@ -326,11 +326,11 @@ def _append_rows(dataset: h5py.Dataset, first: int, values: _Rows) -> None:
     dataset.id.set_extent((first + shape[0], *shape[1:]))
     data: Any = np.ascontiguousarray(values)
     fits = (rows, *shape[1:]) == chunk and values.dtype == dataset.dtype
-    whole = shape[0] // rows * rows if fits and first % rows == 0 else 0
-    for k in range(0, whole, rows):
+    n_whole = shape[0] // rows * rows if fits and first % rows == 0 else 0
+    for k in range(0, n_whole, rows):
         dataset.id.write_direct_chunk((first + k, *origin), data[k : k + rows])
-    if whole < shape[0]:
-        rest = data[whole:]
+    if n_whole < shape[0]:
+        rest = data[n_whole:]
         place = dataset.id.get_space()
-        place.select_hyperslab((first + whole, *origin), rest.shape)
+        place.select_hyperslab((first + n_whole, *origin), rest.shape)
         dataset.id.write(h5s.create_simple(rest.shape), place, rest)
