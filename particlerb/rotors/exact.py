@@ -232,23 +232,23 @@ def turns_of(
         n_turning, n_theta = THREADS.timed(moduli, bodies, L, asymmetric, CROSSOVER, modulus)
     groups: list[tuple[Ints, Turn]] = []
     if n_theta:
-        which = _those(modulus >= CROSSOVER, n_theta)
+        indices = _those(modulus >= CROSSOVER, n_theta)
         table, right = np.empty((THETA_ROWS, n_theta)), np.empty((4, n_theta), np.int8)
-        THREADS.alone(theta_table, bodies, which, table, right)
+        THREADS.alone(theta_table, bodies, indices, table, right)
         clock, left, series = split(table, 3, 4, 3)
-        groups.append((which, ThetaTurn(clock, left, right, series)))
+        groups.append((indices, ThetaTurn(clock, left, right, series)))
     if n_near := n_turning - n_theta:
-        which = _those(~((modulus < 0.0) | (modulus >= CROSSOVER)), n_near)
+        indices = _those(~((modulus < 0.0) | (modulus >= CROSSOVER)), n_near)
         table, right = np.empty((NEAR_ROWS, n_near)), np.empty((4, n_near), np.int8)
-        THREADS.alone(near_table, bodies, which, table, right)
+        THREADS.alone(near_table, bodies, indices, table, right)
         clock, left, *rest = split(table, 3, 4, 5, 6, 6)
-        groups.append((which, HyperbolicTurn(clock, left, right, *rest)))
+        groups.append((indices, HyperbolicTurn(clock, left, right, *rest)))
     if n_steady := n - n_turning:
-        which = _those(modulus < 0.0, n_steady)
+        indices = _those(modulus < 0.0, n_steady)
         table = np.empty((STEADY_ROWS, n_steady))
-        inverse = _steady_inverse(inertia[:, which], rotor_class[which], modulus[which])
-        THREADS.alone(steady_table, inverse, q, L, which, table)
-        groups.append((which, SteadyTurn(*split(table, 3, 2, 4))))
+        inverse = _steady_inverse(inertia[:, indices], rotor_class[indices], modulus[indices])
+        THREADS.alone(steady_table, inverse, q, L, indices, table)
+        groups.append((indices, SteadyTurn(*split(table, 3, 2, 4))))
     return groups
 
 

@@ -88,19 +88,19 @@ def _unit(vectors: Floats, b: int) -> float:
 
 @unfused_kernel
 def moduli(
-    bodies: Tumblers, L: Floats, which: Ints, crossover: float, out: Floats
+    bodies: Tumblers, L: Floats, indices: Ints, crossover: float, out: Floats
 ) -> tuple[int, int]:
-    """`complementary_modulus` of bodies `which`, their units, and L in their rotor frames.
+    """`complementary_modulus` of bodies `indices`, their units, and L in their rotor frames.
 
     How many are asymmetric in their motion, and how many of these are beyond the crossover.
     """
     inertia, q, momentum, units = bodies
     s = np.empty((_INPUTS + 1, _BLOCK))
     n_turning, n_theta = 0, 0
-    for lo in range(0, which.size, _BLOCK):
-        hi = min(lo + _BLOCK, which.size)
+    for lo in range(0, indices.size, _BLOCK):
+        hi = min(lo + _BLOCK, indices.size)
         for b in range(_BLOCK):
-            j = which[min(lo + b, hi - 1)]
+            j = indices[min(lo + b, hi - 1)]
             unit, unit_L = _unit(inertia, j), _unit(L, j)
             units[0, j], units[1, j] = unit, unit_L
             for i in range(3):
@@ -115,7 +115,7 @@ def moduli(
             store3(low, b, (m[0][1], m[1][1], m[2][1]))
             result[b] = complementary_modulus(load3(moment, b), (m[0][0], m[1][0], m[2][0]))
         for b in range(hi - lo):
-            j = which[lo + b]
+            j = indices[lo + b]
             out[j] = result[b]
             for i in range(MOMENTUM_ROWS):
                 momentum[i, j] = s[7 + i, b]
@@ -125,11 +125,11 @@ def moduli(
 
 
 @unfused_kernel
-def _fill(bodies: Tumblers, which: Ints, lo: int, hi: int, s: Floats) -> None:
-    """Copy bodies which[lo:hi] into the first rows of a scratch block; the last one fills it up."""
+def _fill(bodies: Tumblers, indices: Ints, lo: int, hi: int, s: Floats) -> None:
+    """Copy bodies indices[lo:hi] into the first rows of a scratch block; the last one fills it."""
     inertia, q, momentum, units = bodies
     for b in range(_BLOCK):
-        j = which[min(lo + b, hi - 1)]
+        j = indices[min(lo + b, hi - 1)]
         for i in range(3):
             s[i, b] = inertia[i, j] * units[0, j]
         for i in range(4):
@@ -212,42 +212,42 @@ def near_turn(
 
 
 @unfused_kernel
-def theta_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> None:
+def theta_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) -> None:
     """Constants of ThetaTurn: right, and in one table clock, left, series."""
     s = np.empty((_INPUTS + 4 + THETA_ROWS, _BLOCK))
-    for lo in range(0, which.size, _BLOCK):
-        hi = min(lo + _BLOCK, which.size)
-        _fill(bodies, which, lo, hi, s)
+    for lo in range(0, indices.size, _BLOCK):
+        hi = min(lo + _BLOCK, indices.size)
+        _fill(bodies, indices, lo, hi, s)
         moment, turn, rate, high, low = _inputs(s)
         (clock, left, right_of), series = _results(s), _rows_3(s, 25)
         for b in range(_BLOCK):
             m = _pairs(load3(high, b), load3(low, b))
-            own = theta_turn(load3(moment, b), m, load4(turn, b), rate[b])
-            store3(clock, b, own[0])
-            store4(left, b, own[1])
-            store4(right_of, b, own[2])
-            store3(series, b, own[3])
+            constants = theta_turn(load3(moment, b), m, load4(turn, b), rate[b])
+            store3(clock, b, constants[0])
+            store4(left, b, constants[1])
+            store4(right_of, b, constants[2])
+            store3(series, b, constants[3])
         _drain(s, lo, hi, table, right)
 
 
 @unfused_kernel
-def near_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> None:
+def near_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) -> None:
     """Constants of HyperbolicTurn: right, and in one table clock, left, scale, cosines, sines."""
     s = np.empty((_INPUTS + 4 + NEAR_ROWS, _BLOCK))
-    for lo in range(0, which.size, _BLOCK):
-        hi = min(lo + _BLOCK, which.size)
-        _fill(bodies, which, lo, hi, s)
+    for lo in range(0, indices.size, _BLOCK):
+        hi = min(lo + _BLOCK, indices.size)
+        _fill(bodies, indices, lo, hi, s)
         moment, turn, rate, high, low = _inputs(s)
         clock, left, right_of = _results(s)
         scale, phase = _rows_4(s, 25), s[29]
         cosines, sines = (_rows_3(s, 30), _rows_3(s, 33)), (_rows_3(s, 36), _rows_3(s, 39))
         for b in range(_BLOCK):
             m = _pairs(load3(high, b), load3(low, b))
-            own = near_turn(load3(moment, b), m, load4(turn, b), rate[b])
-            of = own[3]
-            store3(clock, b, own[0])
-            store4(left, b, own[1])
-            store4(right_of, b, own[2])
+            constants = near_turn(load3(moment, b), m, load4(turn, b), rate[b])
+            of = constants[3]
+            store3(clock, b, constants[0])
+            store4(left, b, constants[1])
+            store4(right_of, b, constants[2])
             store4(scale, b, (of.fall, of.r, of.s, of.kappa))
             phase[b] = of.turn
             store3(cosines[0], b, of.cosines[:3])
@@ -258,10 +258,10 @@ def near_table(bodies: Tumblers, which: Ints, table: Floats, right: Bytes) -> No
 
 
 @unfused_kernel
-def steady_table(inv_inertia: Floats, q: Floats, L: Floats, which: Ints, table: Floats) -> None:
+def steady_table(inv_inertia: Floats, q: Floats, L: Floats, indices: Ints, table: Floats) -> None:
     """Constants of SteadyTurn: axis, clock, start."""
-    for b in range(which.size):
-        j = which[b]
+    for b in range(indices.size):
+        j = indices[b]
         q_b, L_b = (q[0, j], q[1, j], q[2, j], q[3, j]), (L[0, j], L[1, j], L[2, j])
         G = np.sqrt(L_b[0] * L_b[0] + L_b[1] * L_b[1] + L_b[2] * L_b[2])
         inv = 1.0 / max(G, TINY)

@@ -258,10 +258,10 @@ def near_constants(of: Reduced) -> tuple[Clock, NearTop]:
         (b.sin2, 2.0 * b.cos2 * b.sin2),
         (a.turn, b.turn),
     )
-    own, _ = half_turns(x)
-    local, slopes = near_local(own, top)
+    remainder, _ = half_turns(x)
+    local, slopes = near_local(remainder, top)
     (f, g), (df, dg) = local, _rates(slopes, rate)
     ua, ub = rate * a.turn, rate * b.turn
     slopes = (df[0] - ua * f[1], df[1] + ua * f[0]), (dg[0] - ub * g[1], dg[1] + ub * g[0])
     phase_a, phase_b = phases(local, slopes, nu, of)
-    return Clock(x, rate, nu, (phase_a - a.turn * own, phase_b - b.turn * own)), top
+    return Clock(x, rate, nu, (phase_a - a.turn * remainder, phase_b - b.turn * remainder)), top

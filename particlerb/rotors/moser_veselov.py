@@ -46,8 +46,8 @@ def modified_inertia(inv_inertia: Floats) -> Floats:
     n = inv_inertia.shape[1]
     if n == 0 or (inv_inertia != inv_inertia[:, :1]).any():
         return np.array(_coefficients(*inv_inertia))
-    one = _coefficients(*inv_inertia[:, 0].tolist())  # numbers are faster than arrays
-    return np.array(one)[:, None].repeat(n, axis=1)
+    coefficients = _coefficients(*inv_inertia[:, 0].tolist())  # numbers are faster than arrays
+    return np.array(coefficients)[:, None].repeat(n, axis=1)
 
 
 def _coefficients(x: Any, y: Any, z: Any) -> tuple[Any, ...]:

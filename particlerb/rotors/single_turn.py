@@ -109,17 +109,17 @@ def set_turn(
     if not is_asymmetric:
         set_steady_turn(turn, b, inverse, q, L)
         return
-    one, other = _unit(inertia), _unit(L)
-    moments, spin = scale(one, inertia), scale(other, L)
+    unit, unit_L = _unit(inertia), _unit(L)
+    moments, spin = scale(unit, inertia), scale(unit_L, L)
     m = dd.to_body(q, spin)
     modulus = complementary_modulus(moments, (m[0][0], m[1][0], m[2][0]))
     if modulus < 0.0:
         about = inverse[0] if modulus == -1.0 else inverse[1] if modulus == -2.0 else inverse[2]
         _set_steady(turn, b, q, L, norm(L) * about, 0.0)
     elif modulus >= CROSSOVER:
-        _set_theta(turn, b, moments, q, spin, one / other)
+        _set_theta(turn, b, moments, q, spin, unit / unit_L)
     else:
-        _set_near(turn, b, moments, q, spin, one / other)
+        _set_near(turn, b, moments, q, spin, unit / unit_L)
 
 
 @inline

@@ -51,8 +51,8 @@ def _seen(omega: Rows3, pull: Rows3, q: Rows4, b: int) -> tuple[Quat, Vec3, Redu
     left = (1.0, 0.0, 0.0, 0.0)
     if size > 0.0:
         left = _up_frame(-x / size, -y / size, -z / size)
-    own = to_body(left, load3(omega, b))
-    return left, own, reduced(multiply(conjugate(left), load4(q, b)), own, 2.0 * size)
+    omega_up = to_body(left, load3(omega, b))
+    return left, omega_up, reduced(multiply(conjugate(left), load4(q, b)), omega_up, 2.0 * size)
 
 
 @inline
@@ -74,10 +74,10 @@ def _theta_table(
     n = stretch.size
     rates, pulls, turns = rows3(omega, 0, n), rows3(pull, 0, n), rows4(q, 0, n)
     for b in range(n):
-        left, own, of = _seen(rates, pulls, turns, b)
+        left, omega_up, of = _seen(rates, pulls, turns, b)
         clock, top = theta_constants(of)
         delta = clock.nu[1] - clock.nu[0]
-        _store(table, b, clock, of.axial * stretch[b], left, delta, (own[2], of.axial))
+        _store(table, b, clock, of.axial * stretch[b], left, delta, (omega_up[2], of.axial))
         for k in range(5):
             table[OWN + k, b] = top.alpha_sin[k]
             table[OWN + 5 + k, b] = top.alpha_cos[k]
@@ -92,11 +92,11 @@ def _near_table(omega: Floats, pull: Floats, q: Floats, stretch: Floats, table: 
     n = stretch.size
     rates, pulls, turns = rows3(omega, 0, n), rows3(pull, 0, n), rows4(q, 0, n)
     for b in range(n):
-        left, own, of = _seen(rates, pulls, turns, b)
+        left, omega_up, of = _seen(rates, pulls, turns, b)
         clock, top = near_constants(of)
         turn_a, turn_b = top.turns
         delta = (clock.nu[1] + clock.rate * turn_b) - (clock.nu[0] + clock.rate * turn_a)
-        _store(table, b, clock, of.axial * stretch[b], left, delta, (own[2], of.axial))
+        _store(table, b, clock, of.axial * stretch[b], left, delta, (omega_up[2], of.axial))
         numbers = (top.fall, top.r, top.kappa, *top.odd_cos, *top.odd_sin, *top.even_cos)
         for k, value in enumerate((*numbers, *top.even_sin, *top.turns)):
             table[OWN + k, b] = value
@@ -130,22 +130,22 @@ def prepare_tops(tops: Tops, q: Floats, L: Floats) -> list[tuple[Ints, Floats]]:
     omega, pull, modulus = omega / unit, pull / unit / unit, np.empty(unit.size)
     table = np.empty((N_THETA, unit.size))
     THREADS.alone(_theta_table, omega, pull, np.ascontiguousarray(q), tops.stretch, table, modulus)
-    found = []
-    if (which := np.flatnonzero(modulus >= CROSSOVER)).size:
-        found.append((which, _in_units(table[:, which], tops, unit, which)))
-    if (which := np.flatnonzero(modulus < CROSSOVER)).size:
-        own = [np.ascontiguousarray(a[..., which]) for a in (omega, pull, q, tops.stretch)]
-        near = np.empty((N_NEAR, which.size))
-        THREADS.alone(_near_table, *own, near)
-        found.append((which, _in_units(near, tops, unit, which)))
-    return found
+    tables = []
+    if (indices := np.flatnonzero(modulus >= CROSSOVER)).size:
+        tables.append((indices, _in_units(table[:, indices], tops, unit, indices)))
+    if (indices := np.flatnonzero(modulus < CROSSOVER)).size:
+        inputs = [np.ascontiguousarray(a[..., indices]) for a in (omega, pull, q, tops.stretch)]
+        near = np.empty((N_NEAR, indices.size))
+        THREADS.alone(_near_table, *inputs, near)
+        tables.append((indices, _in_units(near, tops, unit, indices)))
+    return tables
 
 
-def _in_units(table: Floats, tops: Tops, unit: Floats, which: Ints) -> Floats:
+def _in_units(table: Floats, tops: Tops, unit: Floats, indices: Ints) -> Floats:
     """Table with rates in rad/s, the moments, and the sizes of the levers."""
-    table[_TIMED] *= unit[which]
-    moment, size = tops.moment[which], np.sqrt((tops.lever * tops.lever).sum(axis=0))[which]
+    table[_TIMED] *= unit[indices]
+    moment, size = tops.moment[indices], np.sqrt((tops.lever * tops.lever).sum(axis=0))[indices]
     table[DELTA + 1], table[DELTA + 3] = moment, size
-    table[DELTA + 2] *= moment * unit[which]
-    table[AXIAL] *= moment * unit[which] * tops.spins[which]
+    table[DELTA + 2] *= moment * unit[indices]
+    table[AXIAL] *= moment * unit[indices] * tops.spins[indices]
     return table
