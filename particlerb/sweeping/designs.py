@@ -62,9 +62,9 @@ def _columns(case: Case, name: str) -> dict[str, list[Any]]:
         if row and (len(row) != len(keys) or "" in row)
     ]
     if problems:
-        raise CaseError(one._replace(file=file.name) for one in problems)
+        raise CaseError(problem._replace(file=file.name) for problem in problems)
     columns = zip(*filter(None, rows), strict=True)
-    return {key: [toml_value(cell) for cell in own] for key, own in zip(keys, columns, strict=True)}
+    return {key: [toml_value(cell) for cell in col] for key, col in zip(keys, columns, strict=True)}
 
 
 def rows_of(sweep: SweepTable) -> Iterator[tuple[Any, ...]]:

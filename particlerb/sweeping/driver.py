@@ -85,23 +85,23 @@ def sweep(
     """
     base = load(case, (), allow_code)
     asked = written_out(base, _asked(base, axes))
-    found = variants(base, asked)
-    system = to_system(built(base, list(map(path_of, asked.axes)), found[0].values))
+    all_variants = variants(base, asked)
+    system = to_system(built(base, list(map(path_of, asked.axes)), all_variants[0].values))
     loads_of(system)  # whose code may have to be allowed
     names = [name for one in asked.value for name in columns(one, system)]
     path, heads = None if table is None else Path(table), [label(key) for key in asked.axes]
     with TableFile(path, heads, names) as file:
-        left = [variant for variant in found if variant.hash not in file.known]
-        progress(len(found) - len(left))
+        left = [variant for variant in all_variants if variant.hash not in file.known]
+        progress(len(all_variants) - len(left))
 
         def take(rows: list[Row]) -> None:
-            file.add([(found[row.number], row) for row in rows])
+            file.add([(all_variants[row.number], row) for row in rows])
             progress(len(rows))
 
         if left:
             n = workers or os.cpu_count() or 1
             _drive(_pool(executor, n), _tasks(base, system, asked, left, n), 2 * n, take)
-        return file.finish(found, asked.replicates)
+        return file.finish(all_variants, asked.replicates)
 
 
 def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
@@ -132,10 +132,10 @@ def _tasks(
         seconds = _SECONDS_IN_BATCH + each * steps * system.n_bodies
         most = _MOST_IN_BATCH
         fewest = min(most, int(1.0 / seconds) + 1)
-    for part in ([left[0]], *alike.values()):
-        size = min(most, max(fewest, len(part) // (8 * n)))
-        for lo in range(0, len(part), size):
-            numbers, values, *_ = zip(*part[lo : lo + size], strict=True)
+    for group in ([left[0]], *alike.values()):
+        size = min(most, max(fewest, len(group) // (8 * n)))
+        for lo in range(0, len(group), size):
+            numbers, values, *_ = zip(*group[lo : lo + size], strict=True)
             yield Task(numbers, values, paths, source, asked.value, share)
 
 

@@ -51,10 +51,10 @@ class SweepRows(NamedTuple):
         axes = self.axes if n == 1 else self.axes[:-1]
         first = [self.column(name)[::n] for name in axes]
         is_done = np.reshape([status == "done" for status in self.column("status")], (-1, n))
-        found = [
+        columns = [
             np.where(is_done, np.reshape(self.column(name), (-1, n)), np.nan) for name in names
         ]
-        parts = [part for values in found for part in _mean_and_error(values.astype(float))]
+        parts = [column for values in columns for column in _mean_and_error(values.astype(float))]
         heads = [head for name in names for head in (name, f"{name}.error")]
         rows = zip(*first, is_done.sum(axis=1).tolist(), *parts, strict=True)
         return Means((*axes, "done", *heads), tuple(rows))
@@ -134,11 +134,11 @@ class TableFile(Closing):
     @staticmethod
     def _whole_lines(path: Path) -> str:
         """Text of a file, of which a last line that was torn is cut off."""
-        raw = path.read_bytes()
-        whole = raw[: raw.rfind(b"\n") + 1]
-        if len(whole) < len(raw):
-            os.truncate(path, len(whole))
-        return whole.decode("utf-8", "replace")
+        content = path.read_bytes()
+        kept = content[: content.rfind(b"\n") + 1]
+        if len(kept) < len(content):
+            os.truncate(path, len(kept))
+        return kept.decode("utf-8", "replace")
 
     def _append(self, lines: Sequence[Sequence[Any]]) -> None:
         """Append lines, which are on the disk when this returns."""
@@ -150,12 +150,12 @@ class TableFile(Closing):
 
     def add(self, rows: Sequence[tuple[Variant, Row]]) -> None:
         """Add rows."""
-        lines, known = list[tuple[Any, ...]](), [variant.hash for variant, _ in rows]
+        lines, hashes = list[tuple[Any, ...]](), [variant.hash for variant, _ in rows]
         for variant, (number, status, drift, missed, values) in rows:
             axes = [x if isinstance(x, (float, str, int)) else repr(x) for x in variant.values]
             lines.append((number, variant.hash, status, drift, missed, *axes, *values))
-        self.known.update(zip(known, lines, strict=True))
-        self._order += known
+        self.known.update(zip(hashes, lines, strict=True))
+        self._order += hashes
         if self.path is not None:
             self._append(lines)
 
@@ -165,16 +165,16 @@ class TableFile(Closing):
         Means over replicates are written beside it.
         """
         rows = tuple((v.number, *self.known[v.hash][1:]) for v in variants)
-        known = [self.known[v.hash][0] for v in variants]
+        numbers = [self.known[v.hash][0] for v in variants]
         if self.path is not None and (
-            self._order != [v.hash for v in variants] or known != list(range(len(variants)))
+            self._order != [v.hash for v in variants] or numbers != list(range(len(variants)))
         ):
             _write(self.path, [self.columns, *rows])
-        found = SweepRows(self.columns, rows, self.n_axes, replicates)
+        result = SweepRows(self.columns, rows, self.n_axes, replicates)
         if self.path is not None and replicates > 1:
-            means = found.means()
+            means = result.means()
             _write(means_beside(self.path), [means.columns, *means.rows])
-        return found
+        return result
 
     def close(self) -> None:
         """Let others write it."""
@@ -184,8 +184,8 @@ class TableFile(Closing):
 
 def _parsed(line: Sequence[str]) -> tuple[Any, ...]:
     """Row of a line of the file."""
-    number, known, status, *rest = line
-    return (int(number), known, status, *map(_number, rest))
+    number, variant_hash, status, *rest = line
+    return (int(number), variant_hash, status, *map(_number, rest))
 
 
 def _number(text: str) -> Any:

@@ -70,22 +70,22 @@ def rows_of(
 ) -> list[Row]:
     """Rows of the worlds of a system that has run; a variant alone is one."""
     values = [_found(one, system, outcome) for one in asked]
-    found = np.hstack([np.zeros((len(numbers), 0)), *values]).tolist()
+    results = np.hstack([np.zeros((len(numbers), 0)), *values]).tolist()
     missed = np.zeros(len(numbers), dtype=np.int64)
     for name, each in outcome.drift._asdict().items():
         limit = getattr(system.check, f"{name}_drift")
         missed += 0 if limit is None else ~(np.asarray(each) <= limit)
     energy = np.atleast_1d(outcome.drift.energy).tolist()
-    rows = zip(numbers, energy, missed.tolist(), found, strict=True)
-    return [Row(number, "done", drift, n, tuple(own)) for number, drift, n, own in rows]
+    rows = zip(numbers, energy, missed.tolist(), results, strict=True)
+    return [Row(number, "done", drift, n, tuple(row)) for number, drift, n, row in rows]
 
 
 def _refuse_different(system: System, group: GroupPlan) -> None:
     """Raise WorldsDifferError where a group is not the same in each, or steps by its bodies."""
     assert group.worlds is not None
     bodies = group.worlds.bodies
-    own = group.members[bodies] - system.in_each * np.arange(len(bodies))[:, None]
-    if (own != own[0]).any() or (np.diff(group.bodies.rotor_class[bodies], axis=0) != 0).any():
+    rows = group.members[bodies] - system.in_each * np.arange(len(bodies))[:, None]
+    if (rows != rows[0]).any() or (np.diff(group.bodies.rotor_class[bodies], axis=0) != 0).any():
         raise WorldsDifferError("other bodies advance together in each")
     for segment in group.segments:
         if is_adaptive(segment.method):
@@ -109,8 +109,8 @@ def _found(asked: Asked, system: System, outcome: Outcome) -> Floats:
         return _of_joints(asked, system, probe)
     if asked.body is None:
         return impulse_quantity(asked, probe.tally)[None]
-    found = quantities(asked, system, system.names.find(asked.body), probe.frame)
-    return found.reshape(system.n_worlds, -1)
+    values = quantities(asked, system, system.names.find(asked.body), probe.frame)
+    return values.reshape(system.n_worlds, -1)
 
 
 def _of_joints(asked: Asked, system: System, probe: Probe) -> Floats:
@@ -123,8 +123,8 @@ def _of_joints(asked: Asked, system: System, probe: Probe) -> Floats:
     j = first.names.index(str(asked.joint))
     record = first.record[j]
     place = j - int(np.searchsorted(first.record, record))
-    own = np.flatnonzero(setup.record == record).reshape(system.n_worlds, -1)[:, place]
+    columns = np.flatnonzero(setup.record == record).reshape(system.n_worlds, -1)[:, place]
     if asked.quantity == "joint_coordinate":
-        own = np.flatnonzero(np.isin(setup.coordinates.joint, own))
-    found: Floats = getattr(probe.joints, asked.quantity)[0, own]
-    return found.reshape(system.n_worlds, -1)
+        columns = np.flatnonzero(np.isin(setup.coordinates.joint, columns))
+    values: Floats = getattr(probe.joints, asked.quantity)[0, columns]
+    return values.reshape(system.n_worlds, -1)

@@ -47,29 +47,29 @@ def variants(case: Case, sweep: SweepTable) -> list[Variant]:
     alike: dict[Any, list[int]] = {}
     for number, row in enumerate(rows):
         alike.setdefault(likeness(paths, row), []).append(number)
-    found: list[Variant] = []
+    all_variants: list[Variant] = []
     problems: dict[tuple[str, str], Problem] = {}
     for like, numbers in alike.items():
         start, suspects = None, set(numbers)
         for number in numbers:
             if number in suspects:
                 try:
-                    one = built(case, paths, rows[number])
+                    variant = built(case, paths, rows[number])
                 except CaseError as error:
                     _tell(error, sweep, rows[number], problems)
                     if len(problems) >= _MOST_PROBLEMS:
                         raise CaseError(problems.values()) from None
                     continue
                 if start is None:
-                    start = _hash_start(one, sweep, paths)
+                    start = _hash_start(variant, sweep, paths)
                     others = [rows[k] for k in numbers[1:]]
-                    suspects = {numbers[1 + k] for k in changed(one, paths, others)[1]}
+                    suspects = {numbers[1 + k] for k in changed(variant, paths, others)[1]}
             assert start is not None
             hashed = start.copy()
             hashed.update(_encoded(rows[number]).encode())
-            found.append(Variant(number, rows[number], hashed.hexdigest()[:16], like))
+            all_variants.append(Variant(number, rows[number], hashed.hexdigest()[:16], like))
     refuse(problems.values())
-    return sorted(found, key=lambda one: one.number)
+    return sorted(all_variants, key=lambda one: one.number)
 
 
 def with_values(raw: Any, paths: Sequence[Path], row: Sequence[Any]) -> Any:
@@ -103,9 +103,9 @@ def _tell(
 ) -> None:
     """Add what is wrong with a variant to what is known, with its values."""
     values = ", ".join(f"{key} = {value!r}" for key, value in zip(sweep.axes, row, strict=True))
-    for one in error.problems:
-        named = one._replace(reason=f"{one.reason} (with {values})")
-        problems.setdefault((one.key, one.reason), named)
+    for problem in error.problems:
+        named = problem._replace(reason=f"{problem.reason} (with {values})")
+        problems.setdefault((problem.key, problem.reason), named)
 
 
 def _hash_start(case: Case, sweep: SweepTable, paths: Sequence[Path]) -> Any:
@@ -113,24 +113,24 @@ def _hash_start(case: Case, sweep: SweepTable, paths: Sequence[Path]) -> Any:
 
     With the values of the axes it is that of a variant.
     """
-    own = case.model_dump(mode="json", exclude={"title": True, "sweep": True, "run": {"threads"}})
+    dump = case.model_dump(mode="json", exclude={"title": True, "sweep": True, "run": {"threads"}})
     for path in paths:
-        _forget(own, path)
+        _forget(dump, path)
     files = {
         name: hashlib.sha256(data).hexdigest() for name, data in case.source.files.contents.items()
     }
     asked = [value.model_dump(mode="json") for value in sweep.value]
-    text = json.dumps([own, list(sweep.axes), files, asked, source_hash()], sort_keys=True)
+    text = json.dumps([dump, list(sweep.axes), files, asked, source_hash()], sort_keys=True)
     return hashlib.sha256(text.encode())
 
 
-def _forget(own: Any, path: Path) -> None:
+def _forget(data: Any, path: Path) -> None:
     """Leave out what stands at a path, if it has the form there that was given."""
     *parts, last = path
     with contextlib.suppress(LookupError, TypeError):
-        for part in parts:
-            own = own[part]
-        own[last] = None
+        for key in parts:
+            data = data[key]
+        data[last] = None
 
 
 def label(sweep_key: str) -> str:
