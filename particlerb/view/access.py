@@ -79,10 +79,10 @@ class _Authority(NamedTuple):
 
 def authority(text: str) -> _Authority | None:
     """What a Host header or an origin names; None where it names nothing, or oddly."""
-    found = _AUTHORITY.fullmatch(text.lower())
-    if found is None:
+    match = _AUTHORITY.fullmatch(text.lower())
+    if match is None:
         return None
-    name, port = found[1], found[2]
+    name, port = match[1], match[2]
     if port is not None and not 1 <= int(port) <= 65535:
         return None
     try:
@@ -101,10 +101,10 @@ def _origin_of(text: str) -> _Authority | None:
     """Host and port of an origin, the port of its scheme if none is named; None for `null`."""
     scheme, mark, rest = text.partition("://")
     ports = {"http": 80, "https": 443}
-    found = authority(rest)
-    if not mark or scheme.lower() not in ports or found is None:
+    address = authority(rest)
+    if not mark or scheme.lower() not in ports or address is None:
         return None
-    return found._replace(port=found.port or ports[scheme.lower()])
+    return address._replace(port=address.port or ports[scheme.lower()])
 
 
 class Access:
@@ -140,10 +140,10 @@ class Access:
     def read(name: str) -> str:
         """A name as requests are compared with it."""
         bare = f"[{name}]" if name.count(":") > 1 and not name.startswith("[") else name
-        found = authority(bare)
-        if found is None or found.port is not None:
+        address = authority(bare)
+        if address is None or address.port is not None:
             raise ValueError(f"{name!r} is not a host: a name or an address, without a port")
-        return found.name
+        return address.name
 
     @property
     def is_local(self) -> bool:
@@ -223,20 +223,20 @@ class Access:
         """
         try:
             query = urlsplit(request.path).query
-            found = parse_qsl(query, True, True, max_num_fields=1) if query else []
+            pairs = parse_qsl(query, True, True, max_num_fields=1) if query else []
         except ValueError:
             return None
-        return [value for _, value in found] if all(k == "token" for k, _ in found) else None
+        return [value for _, value in pairs] if all(k == "token" for k, _ in pairs) else None
 
     def has_token(self, request: Request, fields: list[str]) -> bool:
         """Whether the token is in the address or in a cookie."""
         pairs = [
-            part.strip().partition("=")
+            item.strip().partition("=")
             for line in request.headers.get_all("Cookie")
-            for part in line.split(";")
+            for item in line.split(";")
         ]
-        given = fields or [value for name, _, value in pairs if name == self.cookie]
-        same = [hmac.compare_digest(_coded(value), _coded(self.token)) for value in given]
+        tokens = fields or [value for name, _, value in pairs if name == self.cookie]
+        same = [hmac.compare_digest(_coded(value), _coded(self.token)) for value in tokens]
         return any(same)
 
     # The place at which they are asked
@@ -254,11 +254,11 @@ class Access:
             if why:
                 response = connection.respond(http.HTTPStatus.FORBIDDEN, f"403: {why}\n")
             else:
-                found = hook(connection, request) if hook else None
-                given = await found if isinstance(found, Awaitable) else found
-                if given is None:
+                result = hook(connection, request) if hook else None
+                reply = await result if isinstance(result, Awaitable) else result
+                if reply is None:
                     return None
-                response = given
+                response = reply
             for name, value in HEADERS.items():
                 response.headers[name] = value
             if not why and self.token and self.fields(request):
@@ -312,11 +312,11 @@ class Access:
             refused.append(({"Host": ours}, ""))
         wanted = [(headers, target, (403, 403)) for headers, target in refused]
         for headers, target, codes in (*wanted, ({"Host": ours}, query, (200, 101))):
-            found = self.status(headers, target), self.status({**headers, **_UPGRADE}, target)
-            if found != codes:
+            answers = self.status(headers, target), self.status({**headers, **_UPGRADE}, target)
+            if answers != codes:
                 raise AccessError(
                     f"viser {viser.__version__} does not let the page be guarded: a request with"
-                    f" {headers} and {'the' if target else 'no'} token is answered by {found} and"
+                    f" {headers} and {'the' if target else 'no'} token is answered by {answers} and"
                     f" not by {codes}; install the range of viser that particlerb asks for"
                 )
 
@@ -350,9 +350,9 @@ class _Sifting:
     async def recv(self) -> bytes:
         """What may go on of the next message of which anything may."""
         while True:
-            found = self.sifted(await self.connection.recv())
-            if found is not None:
-                return found
+            message = self.sifted(await self.connection.recv())
+            if message is not None:
+                return message
 
 
 _UPGRADE: Final = {

@@ -40,8 +40,8 @@ def _place_in(plan: GroupPlan, group_run: GroupRun, time: float) -> int | None:
     k = next((k for k, one in enumerate(now) if one.start == was[-1].start), None)
     if k is None or now[k].stop < time:
         return None
-    both = min(k + 1, len(was))
-    was, now = was[-both:], now[k + 1 - both : k + 1]
+    n_common = min(k + 1, len(was))
+    was, now = was[-n_common:], now[k + 1 - n_common : k + 1]
     is_same = same(was[:-1], now[:-1])
     is_same = is_same and same(was[-1]._replace(stop=0.0), now[-1]._replace(stop=0.0))
     return k if is_same else None
@@ -66,11 +66,11 @@ def left_by(run: Run, before: Mapping[bytes, Behind]) -> tuple[dict[bytes, Behin
 def followed(run: Run, system: System, plan: Plan, time: float) -> bool:
     """Let a run that has come to a time [s] go on by another plan; False where groups cannot."""
     runs = {t.plan.members.tobytes(): t for t in run.group_runs}
-    found = [(runs.get(group.members.tobytes()), group) for group in plan.groups]
-    places = [None if t is None else _place_in(group, t, time) for t, group in found]
+    pairs = [(runs.get(group.members.tobytes()), group) for group in plan.groups]
+    places = [None if t is None else _place_in(group, t, time) for t, group in pairs]
     if len(run.superblocks) > 1 or None in places:
         return False
-    for (group_run, group), k in zip(found, places, strict=True):
+    for (group_run, group), k in zip(pairs, places, strict=True):
         if group_run is not None and k is not None:
             group_run.plan, group_run.number = group, k
     run.system, checks = system, StateChecks(run.moving, plan)
@@ -86,11 +86,11 @@ def catch_up(run: Run, before: Run | None, frames: Floats, time: float) -> None:
     Groups with the same past take over what the other has computed; the others go through all
     frames, whose orientations set the sign of the next.
     """
-    known = {t.plan.members.tobytes(): t for t in before.group_runs} if before else {}
+    old_runs = {t.plan.members.tobytes(): t for t in before.group_runs} if before else {}
     fresh = []
     for runs in run.superblocks:
         for k, group_run in enumerate(runs):
-            old = known.get(group_run.plan.members.tobytes())
+            old = old_runs.get(group_run.plan.members.tobytes())
             place = None if old is None else _place_in(group_run.plan, old, time)
             if before and old and place is not None:
                 old.plan, old.number = group_run.plan, place

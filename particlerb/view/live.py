@@ -105,8 +105,8 @@ class Live(Page):
         """Say a point of the body that is looked at in the field of the point."""
         surface = self.stage.surfaces.of_kind(self.session.system.kind[self.body])
         way = _TO_POINT / np.linalg.norm(_TO_POINT)
-        found = meet(surface, 3.0 * surface.reach * way, -way)
-        off = 0.0 if found is None else 3.0 * surface.reach - found[0]
+        hit = meet(surface, 3.0 * surface.reach * way, -way)
+        off = 0.0 if hit is None else 3.0 * surface.reach - hit[0]
         point = off * way if off > 0.3 * surface.reach else self.corner()
         self.controls.point.value = ", ".join(f"{x:.3g}" for x in point + 0.0)
 
@@ -202,10 +202,10 @@ class Live(Page):
         size = float(np.linalg.norm(at))
         surface = self.stage.surfaces.of_kind(self.session.system.kind[b])
         start = at * (3.0 * surface.reach / size) if size > 0.0 else at
-        found = meet(surface, start, -at / size) if size > 0.0 else None
-        if found is None:
+        hit = meet(surface, start, -at / size) if size > 0.0 else None
+        if hit is None:
             raise ValueError("no surface belongs to this point: choose another direction")
-        return found[1]
+        return hit[1]
 
     def push(self, b: int, at: Floats, directions: dict[str, Floats]) -> None:
         """Apply what the fields say to a point of body b."""

@@ -74,8 +74,8 @@ class BodyMotion(NamedTuple):
 def motion_of(system: System, b: int, *state: Floats) -> BodyMotion:
     """Motion of body b from position, orientation and momenta of all bodies, (N, 3) and (N, 4)."""
     x, q, p, L = (np.array(values[b], dtype=np.float64) for values in state)
-    one = taken(system.bodies, np.array([b]))
-    v, omega = derived(one, q[None, None], p[None, None], L[None, None])
+    bodies = taken(system.bodies, np.array([b]))
+    v, omega = derived(bodies, q[None, None], p[None, None], L[None, None])
     return BodyMotion(x, q, p, L, v[0, 0], omega[0, 0])
 
 
@@ -87,17 +87,17 @@ def shown(value: float, digits: int) -> str:
     return repr(value) if float(rounded) == value else f"{rounded}{_MORE}"
 
 
-def _texts(one: NumberRow, digits: int) -> list[str]:
+def _texts(quantity: NumberRow, digits: int) -> list[str]:
     """Its numbers as they are shown; what rounding leaves beside larger ones is `0…`.
 
     With all 17 digits that is shown as well.
     """
-    own = _DIFFERENCE if one.key.startswith("difference_") else digits
-    least = 0.0 if digits == MOST_DIGITS else one.scale * 10.0 ** -max(digits, _NOISE)
-    is_noise = [0.0 < abs(value) < least for value in one.values]
+    n_digits = _DIFFERENCE if quantity.key.startswith("difference_") else digits
+    least = 0.0 if digits == MOST_DIGITS else quantity.scale * 10.0 ** -max(digits, _NOISE)
+    is_noise = [0.0 < abs(value) < least for value in quantity.values]
     return [
-        f"0{_MORE}" if small else shown(value, own)
-        for value, small in zip(one.values, is_noise, strict=True)
+        f"0{_MORE}" if small else shown(value, n_digits)
+        for value, small in zip(quantity.values, is_noise, strict=True)
     ]
 
 
@@ -240,21 +240,21 @@ def row(key: str, label: str, values: Iterable[float], scale: float = 0.0) -> Nu
 def table(title: str, parts: Iterable[NumberGroup], digits: int) -> str:
     """HTML of quantities; the numbers of each lie in elements that carry its key."""
     lines = [_STYLE, f'<div class="pb" style="display:block"><b>{html.escape(title)}</b>']
-    for part in parts:
-        lines.append(f"<h4>{html.escape(part.title)}</h4>")
-        lines += [f"<p>{html.escape(remark)}</p>" for remark in part.remarks]
-        lines += [_html_row(one, digits) for one in part.rows]
+    for group in parts:
+        lines.append(f"<h4>{html.escape(group.title)}</h4>")
+        lines += [f"<p>{html.escape(remark)}</p>" for remark in group.remarks]
+        lines += [_html_row(quantity, digits) for quantity in group.rows]
     return "".join([*lines, "</div>"])
 
 
-def _html_row(one: NumberRow, digits: int) -> str:
+def _html_row(quantity: NumberRow, digits: int) -> str:
     """One quantity: side by side while there is room, else one below the other."""
-    texts = [text.replace(_MORE, f"<i>{_MORE}</i>") for text in _texts(one, digits)]
+    texts = [text.replace(_MORE, f"<i>{_MORE}</i>") for text in _texts(quantity, digits)]
     if digits > _NARROW:
         texts = ["<br>".join(texts)]
-    begins = ' class="t"' if one.key.startswith("hand_") else ""
+    begins = ' class="t"' if quantity.key.startswith("hand_") else ""
     is_long = len(texts) > 3
-    label = f"<u{' class=s' if is_long else ''}>{html.escape(one.label)}</u>"
-    cells = "".join(f'<span data-key="{one.key}">{text}</span>' for text in texts)
+    label = f"<u{' class=s' if is_long else ''}>{html.escape(quantity.label)}</u>"
+    cells = "".join(f'<span data-key="{quantity.key}">{text}</span>' for text in texts)
     empty = "<span></span>" * (3 - len(texts)) if digits <= _NARROW else ""
     return f"<div{begins}>{label}{cells}{empty}</div>"

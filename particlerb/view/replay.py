@@ -218,8 +218,8 @@ class Replay(Page):
             if self.range.get("shown") != (0.0, 0.0):
                 palette = np.array(COLOURS, dtype=np.uint8)
                 few = len(self.names) <= len(COLOURS)
-                which = np.arange(len(self.names)) if few else self.system.block
-                self.stage.colour(palette[which % len(palette)])
+                numbers = np.arange(len(self.names)) if few else self.system.block
+                self.stage.colour(palette[numbers % len(palette)])
                 self.range["shown"] = 0.0, 0.0
             return
         from particlerb.studies.charts.style import viridis

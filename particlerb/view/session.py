@@ -333,8 +333,8 @@ def _ending(ended: Sequence[_Force], time: float, forces: list[_Force]) -> list[
     if not ended:
         return forces
     cut = {id(f): {**f, "during": [f["during"][0], time]} for f in ended}
-    found = (cut.get(id(f), f) for f in forces)
-    return [f for f in found if "during" not in f or f["during"][0] < f["during"][1]]
+    kept = (cut.get(id(f), f) for f in forces)
+    return [f for f in kept if "during" not in f or f["during"][0] < f["during"][1]]
 
 
 def opening(system: System, plan: Plan, longest: float) -> dict[str, Any]:
