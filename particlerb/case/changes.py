@@ -59,7 +59,7 @@ def _pattern(value: Any) -> object:
     if isinstance(value, (list, tuple)):
         return tuple(map(_pattern, value))
     if isinstance(value, dict):
-        return tuple((key, _pattern(one)) for key, one in sorted(value.items()))
+        return tuple((key, _pattern(entry)) for key, entry in sorted(value.items()))
     return repr(value)
 
 
@@ -84,25 +84,25 @@ def changed(
     set of int
         Numbers of variants that are wrong. If there are some, the dict lacks what is wrong.
     """
-    found, wrong = dict[Path, list[Any]](), set[int]()
+    changes, wrong = dict[Path, list[Any]](), set[int]()
     numbers = [(k, path, _place_of(path)) for k, path in enumerate(paths) if _is_number(path)]
     for place in dict.fromkeys(place for _, _, place in numbers):
-        own = [(k, path[len(place) :]) for k, path, there in numbers if there == place]
+        keys = [(k, path[len(place) :]) for k, path, there in numbers if there == place]
         start: Any = case.source.raw
-        for part in place:
-            start = start.get(part) if isinstance(start, dict) else start[part]
+        for key in place:
+            start = start.get(key) if isinstance(start, dict) else start[key]
         start = {} if start is None else start
         values = []
         for row in rows:
             value = start
-            for k, rest in own:
+            for k, rest in keys:
                 value = with_value(value, rest, row[k])
             values.append(value)
         try:
-            found[place] = _adapter(case, place).validate_python(values)
+            changes[place] = _adapter(case, place).validate_python(values)
         except ValidationError as error:
-            wrong |= {int(one["loc"][0]) for one in error.errors(include_url=False)}
-    return found, wrong
+            wrong |= {int(fault["loc"][0]) for fault in error.errors(include_url=False)}
+    return changes, wrong
 
 
 def _place_of(path: Path) -> Path:

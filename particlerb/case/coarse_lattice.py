@@ -60,12 +60,12 @@ def coarse(system: System) -> Iterator[Problem]:
         if not is_changed and (is_asked or not is_off):
             continue
         count = int(system.summed[k])
-        which = f"{body.name}: as {count} particle{'s' if count > 1 else ''} it"
+        subject = f"{body.name}: as {count} particle{'s' if count > 1 else ''} it"
         if is_changed:
-            reason = f"{which} is a {NAMES[code]}, which the solid is not, and cannot turn as it"
+            reason = f"{subject} is a {NAMES[code]}, which the solid is not, and cannot turn as it"
         else:
             side = "above" if off[worst] > 0.0 else "below"
-            reason = f"{which} has a principal moment {abs(100 * off[worst]):.3g} % {side} that"
+            reason = f"{subject} has a principal moment {abs(100 * off[worst]):.3g} % {side} that"
             reason += " of the solid"
         key, shape = _worst_shape(body)
         yield problem_at(system, f"body[{i}].{key}", reason, _advice(shape))
@@ -134,8 +134,8 @@ def _error_of(shape: AnyShape, particles: Particles) -> float:
 
 def _advice(shape: AnyShape) -> str:
     """What would do: a finer lattice if there is one that is not too large, and the exact set."""
-    n, found = int(np.max(_cells_of(shape))), ""
-    while not found and n < _MOST_CELLS:
+    n, finer = int(np.max(_cells_of(shape))), ""
+    while not finer and n < _MOST_CELLS:
         n = max(n + 1, round(_FINER * n))
         try:
             particles = _particles_of(shape, n)
@@ -144,6 +144,6 @@ def _advice(shape: AnyShape) -> str:
         if len(particles.mass) > MOST_PARTICLES:
             break
         if _error_of(shape, particles) <= _TOLERATED * (1.0 + _ROUNDING):
-            found = f"n = {n} is within {100 * _TOLERATED:g} %; "
+            finer = f"n = {n} is within {100 * _TOLERATED:g} %; "
     exact = f'arrangement = "{_EXACT[shape.type]}" has exactly the moments of the solid'
-    return f"{found}{exact}"
+    return f"{finer}{exact}"

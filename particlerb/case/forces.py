@@ -69,7 +69,7 @@ class ForceTable(Table):
         return ()
 
     @classmethod
-    def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+    def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
         """Rules that involve more than one key of the table, or other tables; see case/rules/."""
         yield from ()
 
@@ -162,7 +162,7 @@ class LoadTable(LastingForceTable):
         return super().edges if self.timed is None else self.timed.times or ()
 
     @classmethod
-    def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+    def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
         """Knots say when a load acts."""
         if isinstance(raw.get(cls.load_key), Mapping) and given(raw, "during"):
             reason = f"given beside the knots of {cls.load_key}"
@@ -253,7 +253,7 @@ class SpringTable(LastingForceTable):
     names_bodies: ClassVar[tuple[str, ...]] = ("body", "to")
 
     @classmethod
-    def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+    def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
         """A spring has one other end, and as many bodies there as it needs."""
         has_end = any(given(raw, key) for key in ("anchor", "to", "reach"))
         has_typo = not cls.model_fields.keys() >= raw.keys()
@@ -265,14 +265,14 @@ class SpringTable(LastingForceTable):
                 if given(raw, key):
                     yield (*path, key), "given beside anchor", "a spring has one other end"
             yield from out_of_place(path, raw, "to_at", "an anchor")
-        yield from _pairing(path, raw, known)
+        yield from _pairing(path, raw, blocks)
 
 
-def _pairing(path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+def _pairing(path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
     """Bodies at both ends make pairs, where reach does not find them."""
     if not given(raw, "reach"):
         hint = "name equal numbers, or one for all; or give `reach`"
-        yield from pair_rules(path, raw, known, hint, either_way=True)
+        yield from pair_rules(path, raw, blocks, hint, either_way=True)
 
 
 class UniformField(LastingForceTable):
@@ -296,7 +296,7 @@ class UniformField(LastingForceTable):
         return isinstance(self.charge, tuple)
 
     @classmethod
-    def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+    def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
         """A single charge has a place, others sit where the particles are."""
         if isinstance(raw.get("charge"), list):
             yield from out_of_place(path, raw, "at", "a charge for each particle")
@@ -359,9 +359,9 @@ class PythonTable(LastingForceTable):
     to_at: ClassVar[tuple[float, float, float]] = ORIGIN
 
     @classmethod
-    def rules(cls, path: Path, raw: dict[str, Any], known: dict[str, range]) -> Iterator[Finding]:
+    def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
         """Of two bodies, they make pairs."""
-        yield from _pairing(path, raw, known)
+        yield from _pairing(path, raw, blocks)
 
     @property
     def is_pairwise(self) -> bool:

@@ -49,37 +49,37 @@ def messages_of(
     return [_message(raw, error, root) for error in errors if not _is_follow_up(error)]
 
 
-def without_typos(found: Sequence[Message]) -> list[Message]:
+def without_typos(messages: Sequence[Message]) -> list[Message]:
     """Messages without missing keys that are there with a typing mistake, or in another form."""
     meant = {
         (*one.path[:-1], guess[1] or guess[2])
-        for one in found
+        for one in messages
         if one.reason == "unknown key" and (guess := re.match(_GUESS, one.hint))
     }
     meant |= {
         (*one.path[:-1], guess[2], one.path[-1])
-        for one in found
+        for one in messages
         if (guess := re.match(_GUESS, one.hint)) and guess[2]
     }
-    others = [one.path[:-1] for one in found if one.at_key and forms(one.path[:-1])]
+    others = [one.path[:-1] for one in messages if one.at_key and forms(one.path[:-1])]
     meant |= {(*path, key) for path in others for key in ("euler_deg", "body", "random")}
-    return _one_of_a_form([m for m in found if m.reason != "missing" or m.path not in meant])
+    return _one_of_a_form([m for m in messages if m.reason != "missing" or m.path not in meant])
 
 
-def _one_of_a_form(found: Sequence[Message]) -> list[Message]:
+def _one_of_a_form(messages: Sequence[Message]) -> list[Message]:
     """Messages in which the unknown keys of what may have another form are one message."""
     unknown: dict[Path, list[Message]] = {}
-    for one in found:
-        if one.reason == "unknown key" and forms(one.path[:-1]):
-            unknown.setdefault(one.path[:-1], []).append(one)
-    several = {path: ones for path, ones in unknown.items() if len(ones) > 1}
+    for m in messages:
+        if m.reason == "unknown key" and forms(m.path[:-1]):
+            unknown.setdefault(m.path[:-1], []).append(m)
+    several = {path: group for path, group in unknown.items() if len(group) > 1}
     told = []
-    for path, ones in several.items():
-        keys = [str(one.path[-1]) for one in ones]
+    for path, group in several.items():
+        keys = [str(m.path[-1]) for m in group]
         turn = "; by an angle a about the unit vector n: [cos(a/2), sin(a/2) n]"
         hint = forms(path) + (turn if "axis" in keys else "")
         told.append(Message(path, f"unknown keys: {', '.join(keys)}", hint))
-    left = [one for one in found if one.path[:-1] not in several or one.reason != "unknown key"]
+    left = [m for m in messages if m.path[:-1] not in several or m.reason != "unknown key"]
     return left + told
 
 
@@ -114,8 +114,8 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
         return _type_message(path, context, _table_keys(raw, path, root))
     if kind in {"literal_error", "choice"}:
-        known = re.findall(r"'([^']*)'", context["expected"])
-        hint = forms(path) or nearest(str(value), known)
+        choices = re.findall(r"'([^']*)'", context["expected"])
+        hint = forms(path) or nearest(str(value), choices)
         return Message(path, f"unknown: {shown(value)}", hint)
     reason = _reason_of(kind, context, value) or error["msg"]
     if kind == "float_type" and _tables(_types_at(raw, path, root), None):
@@ -166,9 +166,9 @@ def _type_message(path: Path, context: dict[str, Any], keys: Sequence[str]) -> M
     """A `type` that is missing or that no shape, force, placement or wall has."""
     if "tag" not in context:
         return Message((*path, "type"), "missing", f"known: {', '.join(keys)}")
-    known = re.findall(r"'([^']*)'", context["expected_tags"])
+    tags = re.findall(r"'([^']*)'", context["expected_tags"])
     tag = str(context["tag"])
-    return Message((*path, "type"), f"unknown type {shown(tag)}", nearest(tag, known))
+    return Message((*path, "type"), f"unknown type {shown(tag)}", nearest(tag, tags))
 
 
 def _reason_of(kind: str, context: dict[str, Any], value: Any) -> str:
@@ -194,24 +194,24 @@ def _path_in(raw: Any, loc: tuple[int | str, ...], root: type[Table]) -> Path:
     """Path in the data: pydantic's location without the tags of unions and invented indices."""
     path: Path = ()
     node, was_tag = raw, False
-    for part in loc:
-        is_tag = isinstance(part, str) and not was_tag and len(_types_at(raw, path, root)) > 1
+    for key in loc:
+        is_tag = isinstance(key, str) and not was_tag and len(_types_at(raw, path, root)) > 1
         was_tag = is_tag
         if is_tag:
             continue
-        if isinstance(part, int) and not isinstance(node, (list, tuple)):
+        if isinstance(key, int) and not isinstance(node, (list, tuple)):
             break
-        node = child(node, part)
-        path = (*path, part)
+        node = child(node, key)
+        path = (*path, key)
     return path
 
 
-def child(node: Any, part: int | str) -> Any:
+def child(node: Any, key: int | str) -> Any:
     """Entry of a table or list; None where there is none."""
     if isinstance(node, dict):
-        return node.get(part)
-    is_there = isinstance(node, list) and isinstance(part, int) and part < len(node)
-    return node[part] if is_there else None
+        return node.get(key)
+    is_there = isinstance(node, list) and isinstance(key, int) and key < len(node)
+    return node[key] if is_there else None
 
 
 def _alternatives(annotation: Any) -> list[Any]:
@@ -227,21 +227,21 @@ def _types_at(raw: Any, path: Path, root: type[Table]) -> list[Any]:
     """Types that the entry at a path may have."""
     types: list[Any] = [root]
     node = raw
-    for part in path:
-        if isinstance(part, str):
+    for key in path:
+        if isinstance(key, str):
             tables = _tables(types, node)
-            found = [t.model_fields[part].annotation for t in tables if part in t.model_fields]
-            found += [get_args(t)[1] for t in types if get_origin(t) is dict]
-            types = _alternatives(found[0]) if found else []
-        node = child(node, part)
+            annotations = [t.model_fields[key].annotation for t in tables if key in t.model_fields]
+            annotations += [get_args(t)[1] for t in types if get_origin(t) is dict]
+            types = _alternatives(annotations[0]) if annotations else []
+        node = child(node, key)
     return types
 
 
 def _tables(types: Sequence[Any], node: Any) -> list[type[Table]]:
     """Tables among some types; the one that the `type` of the data names, where it names one."""
-    found = [one for one in types if isinstance(one, type) and issubclass(one, Table)]
+    tables = [t for t in types if isinstance(t, type) and issubclass(t, Table)]
     kind = node.get("type") if isinstance(node, dict) else None
-    return [table for table in found if kind in names_of(table)] or found
+    return [table for table in tables if kind in names_of(table)] or tables
 
 
 def names_of(table: type[Table]) -> tuple[str, ...]:
@@ -272,7 +272,7 @@ def fill(record: Table, keys: Mapping[str, Any]) -> None:
     try:
         table.__pydantic_validator__.validate_python(raw, self_instance=record)
     except ValidationError as error:
-        found = without_typos(messages_of(raw, error.errors(include_url=False), table))
+        messages = without_typos(messages_of(raw, error.errors(include_url=False), table))
         locator = Locator(Source(raw=raw))
-        problems = [locator.problem(*one) for one in found]
+        problems = [locator.problem(*one) for one in messages]
         raise CaseError(one._replace(file=table.__name__) for one in problems) from None

@@ -48,11 +48,11 @@ def placement_of(case: Case) -> Placement:
     position, velocity, angular_velocity = (np.empty((n, 3)) for _ in range(3))
     orientation = np.empty((n, 4))
     for i, body in enumerate(case.body):
-        own = slice(first[i], first[i + 1])
-        position[own] = positions(case, i)
-        orientation[own] = q = orientations(case, i)
-        velocity[own] = vectors(case, i, "velocity", body.velocity, q)
-        angular_velocity[own] = vectors(case, i, "angular_velocity", body.angular_velocity, q)
+        members = slice(first[i], first[i + 1])
+        position[members] = positions(case, i)
+        orientation[members] = q = orientations(case, i)
+        velocity[members] = vectors(case, i, "velocity", body.velocity, q)
+        angular_velocity[members] = vectors(case, i, "angular_velocity", body.angular_velocity, q)
     return Placement(block, position, orientation, velocity, angular_velocity, names)
 
 
@@ -149,10 +149,10 @@ def quaternion_of_euler(euler_deg: Sequence[float]) -> FloatArray:
     )
 
 
-def quaternion_of(given: Euler | Sequence[float]) -> FloatArray:
+def quaternion_of(value: Euler | Sequence[float]) -> FloatArray:
     """Unit quaternion (4,) of an orientation as a case gives it."""
     return unit_vectors(
-        quaternion_of_euler(given.euler_deg) if isinstance(given, Euler) else np.array(given)
+        quaternion_of_euler(value.euler_deg) if isinstance(value, Euler) else np.array(value)
     )
 
 

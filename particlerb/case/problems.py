@@ -104,8 +104,8 @@ def _printable(text: str) -> str:
 def key_of(path: Path) -> str:
     """Path as people write it: body[0].shape.radius."""
     key = ""
-    for part in path:
-        key += f"[{part}]" if isinstance(part, int) else f".{part}" if key else part
+    for entry in path:
+        key += f"[{entry}]" if isinstance(entry, int) else f".{entry}" if key else entry
     return key
 
 
@@ -127,15 +127,15 @@ def shown(value: Any) -> str:
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
 
 
-def nearest(word: str, known: Sequence[str], label: str = "known") -> str:
+def nearest(word: str, names: Sequence[str], label: str = "known") -> str:
     """Hint with the known word that is meant, in double quotes, and all that are known."""
-    if not known:
+    if not names:
         return ""
-    meant = [name for name, others in _MEANT.items() if word.lower() in others and name in known]
-    close = meant or difflib.get_close_matches(word[:100], known[:_MOST_COMPARED], 1, 0.5)
+    meant = [name for name, others in _MEANT.items() if word.lower() in others and name in names]
+    close = meant or difflib.get_close_matches(word[:100], names[:_MOST_COMPARED], 1, 0.5)
     guess = f'did you mean "{close[0]}"? ' if close else ""
-    rest = f", ... ({len(known)} in all)" if len(known) > _MOST_LISTED else ""
-    return f"{guess}{label}: {', '.join(known[:_MOST_LISTED])}{rest}"
+    rest = f", ... ({len(names)} in all)" if len(names) > _MOST_LISTED else ""
+    return f"{guess}{label}: {', '.join(names[:_MOST_LISTED])}{rest}"
 
 
 class Source(NamedTuple):
@@ -186,9 +186,9 @@ class Locator:
             if path[: len(override)] == override:
                 name = "--set " + ".".join(map(str, override))
                 return Problem(name, None, None, key_of(path), value, reason, hint)
-        found = file_problem(self.source.path, reason, hint)
-        found = found._replace(key=key_of(path), value=value)
-        return found._replace(**self.position(path, at_key)) if self.source.text else found
+        problem = file_problem(self.source.path, reason, hint)
+        problem = problem._replace(key=key_of(path), value=value)
+        return problem._replace(**self.position(path, at_key)) if self.source.text else problem
 
     def position(self, path: Path, at_key: bool) -> dict[str, Any]:
         """Line, column, source line and length of the nearest entry that the text has."""
@@ -199,13 +199,13 @@ class Locator:
             self.extents = extents(self.source.text) if is_short else {}
         if not self.extents:
             return {}
-        known = path
-        while known and known not in self.extents:
-            known = known[:-1]
-        if not known:
+        nearest = path
+        while nearest and nearest not in self.extents:
+            nearest = nearest[:-1]
+        if not nearest:
             return {"line": 1, "column": 1}
-        extent = self.extents[known]
-        start, end = extent.value if known == path and not at_key else extent.key
+        extent = self.extents[nearest]
+        start, end = extent.value if nearest == path and not at_key else extent.key
         text = self.source.text
         first = text.rfind("\n", 0, start) + 1
         last = text.find("\n", start)
@@ -225,9 +225,9 @@ def file_problem(path: FilePath | None, reason: str, hint: str = "") -> Problem:
 
 def _value_at(raw: Any, path: Path) -> str:
     """Value at a path, shortened; empty where there is none."""
-    for part in path:
+    for key in path:
         try:
-            raw = raw[part]
+            raw = raw[key]
         except (LookupError, TypeError):
             return ""
     return shown(raw)

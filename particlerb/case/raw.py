@@ -46,41 +46,41 @@ def given(table: dict[str, Any], key: str) -> bool:
 
 def members(raw: dict[str, Any]) -> dict[str, range]:
     """Indices of the bodies of every block; none where a block says not how many it has."""
-    found: dict[str, range] = {}
+    blocks: dict[str, range] = {}
     first = 0
     for _, body in tables(raw, "body"):
         name, count = body.get("name"), body.get("count", 1)
         is_count = isinstance(count, int) and 1 <= count <= LARGEST_COUNT
         if not isinstance(name, str) or not is_count:
             return {}
-        found[name] = range(first, first + count)
+        blocks[name] = range(first, first + count)
         first += count
-    return found
+    return blocks
 
 
-def bodies_named(value: Any, known: dict[str, range]) -> list[range] | None:
+def bodies_named(value: Any, blocks: dict[str, range]) -> list[range] | None:
     """Bodies of one name, or of each of a list; None where one is not there."""
-    found = []
+    named = []
     for name in value if isinstance(value, list) else [value]:
         match = REFERENCE.fullmatch(name) if isinstance(name, str) else None
-        if match is None or match["name"] not in known:
+        if match is None or match["name"] not in blocks:
             return None
-        block = known[match["name"]]
+        block = blocks[match["name"]]
         if match["index"]:
             k = int(match["index"])
             block = block[k : k + 1]
         if not block:
             return None
-        found.append(block)
-    return found
+        named.append(block)
+    return named
 
 
 def pair_rules(
-    path: Path, raw: dict[str, Any], known: dict[str, range], hint: str, either_way: bool = False
+    path: Path, raw: dict[str, Any], blocks: dict[str, range], hint: str, either_way: bool = False
 ) -> Iterator[Finding]:
     """`body` and `to` make pairs: equal numbers, or one `to` for all; `either_way`: one `body`."""
-    ends = (bodies_named(raw.get(key), known) or () for key in ("body", "to"))
-    n, m = (sum(map(len, blocks)) for blocks in ends)
+    ends = (bodies_named(raw.get(key), blocks) or () for key in ("body", "to"))
+    n, m = (sum(map(len, end)) for end in ends)
     if n and m and m not in {n, 1} and not (either_way and n == 1):
         yield (*path, "to"), f"names {m} bodies, `body` {n}: they make no pairs", hint
 
@@ -99,5 +99,5 @@ def out_of_place(path: Path, table: dict[str, Any], key: str, what: str) -> Iter
 def bases(names: Any) -> set[str]:
     """Names of the blocks of bodies that are named."""
     listed = names if isinstance(names, list) else [names]
-    found = (REFERENCE.fullmatch(name) for name in listed if isinstance(name, str))
-    return {match["name"] for match in found if match}
+    matches = (REFERENCE.fullmatch(name) for name in listed if isinstance(name, str))
+    return {match["name"] for match in matches if match}

@@ -82,7 +82,7 @@ def load(
     TypeError
         If the source, or an override, is none of these.
     """
-    if isinstance(overrides, str) or not all(isinstance(one, str) for one in overrides):
+    if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides):
         raise TypeError(f'overrides must be a list of texts like "run.dt=1e-4", got {overrides!r}')
     case = _loaded(source, overrides)
     if allow_code:
@@ -156,8 +156,8 @@ def read_text(path: FilePath) -> str:
         line = raw.count(b"\n", 0, error.start) + 1
         column = error.start - raw.rfind(b"\n", 0, error.start)
         reason = f"byte 0x{raw[error.start]:02x} is not UTF-8"
-        found = file_problem(path, reason, "save the file as UTF-8")
-        raise CaseError([found._replace(line=line, column=column)]) from None
+        problem = file_problem(path, reason, "save the file as UTF-8")
+        raise CaseError([problem._replace(line=line, column=column)]) from None
 
 
 def _missing_file(path: FilePath) -> Problem:
@@ -168,8 +168,8 @@ def _missing_file(path: FilePath) -> Problem:
         return file_problem(path, "there is no such folder")
     if path.parent == FilePath() and case_path(path.stem) is not None:
         return file_problem(path, "there is no such file", f"the example is called {path.stem}")
-    known = sorted(entry.name for entry in path.parent.glob("*.toml"))
-    return file_problem(path, "there is no such file", nearest(path.name, known))
+    files = sorted(entry.name for entry in path.parent.glob("*.toml"))
+    return file_problem(path, "there is no such file", nearest(path.name, files))
 
 
 def _syntax_problem(text: str, path: FilePath | None, message: str) -> Problem:
@@ -188,26 +188,26 @@ def build(source: Source, overrides: Sequence[str]) -> Case:
     source = overridden(source, overrides)
     raw = dict(source.raw)
     try:
-        found = [Message(*finding) for finding in findings(raw, source.files)]
+        messages = [Message(*finding) for finding in findings(raw, source.files)]
         try:
             case = Case.model_validate(raw)
         except ValidationError as error:
-            wrong = messages_of(raw, error.errors(include_url=False))
-            found = wrong if any(map(decides_on_others, wrong)) else wrong + found
-        if found:
-            raise CaseError(_located(source, without_typos(found)))
+            errors = messages_of(raw, error.errors(include_url=False))
+            messages = errors if any(map(decides_on_others, errors)) else errors + messages
+        if messages:
+            raise CaseError(_located(source, without_typos(messages)))
     except RecursionError:
         raise CaseError([file_problem(source.path, "is nested too deeply")]) from None
     case._source = source
     return case
 
 
-def _located(source: Source, found: Sequence[Message]) -> list[Problem]:
+def _located(source: Source, messages: Sequence[Message]) -> list[Problem]:
     """Messages with their places in the file, each once, and not more than can be read."""
-    once = list({(key_of(one.path), one.reason): one for one in found}.values())
+    distinct = list({(key_of(m.path), m.reason): m for m in messages}.values())
     locator = Locator(source)
-    problems = [locator.problem(*one) for one in once[:_MOST_PROBLEMS]]
-    if len(once) > _MOST_PROBLEMS:
-        reason = f"{len(once) - _MOST_PROBLEMS} more problems are not shown"
+    problems = [locator.problem(*m) for m in distinct[:_MOST_PROBLEMS]]
+    if len(distinct) > _MOST_PROBLEMS:
+        reason = f"{len(distinct) - _MOST_PROBLEMS} more problems are not shown"
         problems.append(file_problem(source.path, reason))
     return problems

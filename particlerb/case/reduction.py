@@ -43,14 +43,14 @@ def reduced(
     touched, heavy = needs(case, placement, kind, len(count))
     sets = []
     for k in range(len(count)):
-        whole = kind_of(particles, k)
-        surface = (whole.radius > 0.0) & touched[k]
+        own_particles = kind_of(particles, k)
+        surface = (own_particles.radius > 0.0) & touched[k]
         if count[k] <= MANY or heavy[k] or 2 * np.count_nonzero(surface) > count[k]:
-            sets.append(whole)
+            sets.append(own_particles)
             continue
         matter = _points_for(properties, k)
         if surface.any():
-            shell = one_kind(whole.position[surface], 0.0, whole.radius[surface])
+            shell = one_kind(own_particles.position[surface], 0.0, own_particles.radius[surface])
             matter = united(concatenate([shell, matter]))
         sets.append(matter)
     return concatenate(sets)
@@ -73,8 +73,8 @@ def needs(case: Case, placement: Placement, kind: Ints, n_kinds: int) -> tuple[B
     touched[kind[can_touch[placement.block]]] = True
     if case.attraction is not None:
         names = case.attraction.body
-        own = slice(None) if names is None else placement.names.find(names)
-        heavy[kind[own]] = True
+        attracted = slice(None) if names is None else placement.names.find(names)
+        heavy[kind[attracted]] = True
     for force in case.force:
         if force.needs_particles:
             heavy[kind[placement.names.find(force.body)]] = True

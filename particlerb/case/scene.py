@@ -39,7 +39,7 @@ def _adds(
 
     add.__doc__ = f"Add a [[{to}]] with these keys, see docs/case.md; return the record."
     add.__name__, add.__qualname__ = f"add_{to}", f"Scene.add_{to}"
-    keys = [own.replace(annotation=Parameter.empty) for own in signature(table).parameters.values()]
+    keys = [p.replace(annotation=Parameter.empty) for p in signature(table).parameters.values()]
     shown = Signature([Parameter("self", Parameter.POSITIONAL_ONLY), *keys])
     vars(add)["__signature__"] = shown  # what editors and notebooks complete
     return add
@@ -48,7 +48,7 @@ def _adds(
 _T = TypeVar("_T")
 
 
-def _table(kind: str, given: _T, example: str) -> _T:
+def _table(kind: str, table: _T, example: str) -> _T:
     """A record, or a mapping with its keys, as it is.
 
     Raises
@@ -56,9 +56,9 @@ def _table(kind: str, given: _T, example: str) -> _T:
     TypeError
         If it is anything else.
     """
-    if not isinstance(given, (Table, Mapping)):
-        raise TypeError(f"a {kind} is a table, such as {example}(..), got {given!r:.60}")
-    return given
+    if not isinstance(table, (Table, Mapping)):
+        raise TypeError(f"a {kind} is a table, such as {example}(..), got {table!r:.60}")
+    return table
 
 
 class Scene(Mapping[str, Any]):
@@ -127,10 +127,10 @@ class Scene(Mapping[str, Any]):
         return self._gravity
 
     @gravity.setter
-    def gravity(self, given: Gravity | Sequence[float] | None) -> None:
-        if given is not None and not isinstance(given, Gravity):
-            given = Gravity(acceleration=given)
-        self._gravity = given
+    def gravity(self, value: Gravity | Sequence[float] | None) -> None:
+        if value is not None and not isinstance(value, Gravity):
+            value = Gravity(acceleration=value)
+        self._gravity = value
 
     def add_force(self, force: AnyForce) -> AnyForce:
         """Add a force, such as `PushTable(body="cube", force=(0, 0, 50))`; return it."""

@@ -88,17 +88,17 @@ def _kinds(case: Case, changes: _Changes, first: System, n_worlds: int) -> dict[
     kind, n, records = np.tile(first.kind, (n_worlds, 1)), len(case.body), list(case.body)
     owners = []
     for i, body in enumerate(case.body):
-        own = {key: changes["body", i, key] for key in _MATTER if ("body", i, key) in changes}
-        if own:
+        new = {key: changes["body", i, key] for key in _MATTER if ("body", i, key) in changes}
+        if new:
             owners.append(i)
-            each = zip(*own.values(), strict=True)
-            records += [body.model_copy(update=dict(zip(own, one, strict=True))) for one in each]
+            each = zip(*new.values(), strict=True)
+            records += [body.model_copy(update=dict(zip(new, row, strict=True))) for row in each]
     if not owners:
         return {"kind": kind.ravel(), "properties": first.properties}
     all_records = case.model_copy(update={"body": tuple(records)})
     particles, properties, of_record = kinds(all_records, [])
-    for i, own_kinds in zip(owners, of_record[n:].reshape(-1, n_worlds), strict=True):
-        kind[:, first.block == i] = own_kinds[:, None]
+    for i, kinds_of_record in zip(owners, of_record[n:].reshape(-1, n_worlds), strict=True):
+        kind[:, first.block == i] = kinds_of_record[:, None]
     for i in set(range(n)) - set(owners):
         kind[:, first.block == i] = of_record[i]
     centred = centred_at_com(particles, properties)
@@ -122,17 +122,17 @@ def _placement(case: Case, changes: _Changes, n_worlds: int) -> Placement:
             is_drawn = ("run",) in changes and isinstance(getattr(body, key), _DRAWN)
             return is_drawn or ("body", i, key) in changes
 
-        own = slice(base.names.first[i], base.names.first[i + 1])
+        members = slice(base.names.first[i], base.names.first[i + 1])
         if differs("position") or differs("place"):
             key = "position" if body.place is None else "place"
-            position[:, own] = _of_worlds(case, changes, n_worlds, i, key)
+            position[:, members] = _of_worlds(case, changes, n_worlds, i, key)
         turns = differs("orientation")
         if turns:
-            orientation[:, own] = _of_worlds(case, changes, n_worlds, i, "orientation")
+            orientation[:, members] = _of_worlds(case, changes, n_worlds, i, "orientation")
         for key, array in (("velocity", velocity), ("angular_velocity", spin)):
             if differs(key) or (turns and isinstance(getattr(body, key), InBody)):
-                q = orientation[:, own]
-                array[:, own] = _of_worlds(case, changes, n_worlds, i, key, q)
+                q = orientation[:, members]
+                array[:, members] = _of_worlds(case, changes, n_worlds, i, key, q)
     x, q, v, omega = (array.reshape(-1, array.shape[-1]) for array in values)
     names = BodyNames(base.names.records, n_worlds=n_worlds)
     return Placement(np.tile(base.block, n_worlds), x, q, v, omega, names)
@@ -143,19 +143,19 @@ def _of_worlds(
 ) -> Floats:
     """Initial values of a record in all worlds, (n_worlds, count or 1, k)."""
     body = case.body[i]
-    given = changes.get(("body", i, key), [getattr(body, key)] * n_worlds)
-    if all(type(one) is tuple for one in given):
-        values = np.array(given)[:, None]
+    entries = changes.get(("body", i, key), [getattr(body, key)] * n_worlds)
+    if all(type(entry) is tuple for entry in entries):
+        values = np.array(entries)[:, None]
         return unit_vectors(values) if key == "orientation" else values
-    if q is not None and all(isinstance(one, InBody) for one in given):
-        return in_world(q, np.array([one.body for one in given])[:, None])
-    found, records = [], list(case.body)
+    if q is not None and all(isinstance(entry, InBody) for entry in entries):
+        return in_world(q, np.array([entry.body for entry in entries])[:, None])
+    rows, records = [], list(case.body)
     runs = changes.get(("run",), [case.run] * n_worlds)
-    for w, (one, run) in enumerate(zip(given, runs, strict=True)):
-        records[i] = body.model_copy(update={key: one})
-        own = case.model_copy(update={"run": run, "body": tuple(records)})
+    for w, (entry, run) in enumerate(zip(entries, runs, strict=True)):
+        records[i] = body.model_copy(update={key: entry})
+        variant = case.model_copy(update={"run": run, "body": tuple(records)})
         if q is not None:
-            found.append(vectors(own, i, key, one, q[w]))
+            rows.append(vectors(variant, i, key, entry, q[w]))
         else:
-            found.append(orientations(own, i) if key == "orientation" else positions(own, i))
-    return np.array([np.atleast_2d(one) for one in found])
+            rows.append(orientations(variant, i) if key == "orientation" else positions(variant, i))
+    return np.array([np.atleast_2d(row) for row in rows])

@@ -115,14 +115,14 @@ def centred_at_com(particles: Particles, properties: MassProperties) -> Particle
 def records(case: Case) -> dict[str, Any]:
     """What a system holds of its case."""
     keys = Case.model_fields.keys() & System._fields
-    found = {key: getattr(case, key) for key in (*keys, "source")}
+    held = {key: getattr(case, key) for key in (*keys, "source")}
     shown = FIELDS_OF_LAWS.get(case.contact.law, ()) if case.contact else ()
     if any(joint.breaks_at is not None for joint in case.joint):
         shown = (*shown, "joint_break_time")
     if shown:  # how well impulses are solved, and which joints have broken
         fields = dict.fromkeys((*case.output.fields, *shown))
-        found["output"] = case.output.model_copy(update={"fields": tuple(fields)})
-    return found
+        held["output"] = case.output.model_copy(update={"fields": tuple(fields)})
+    return held
 
 
 def with_records(system: System, case: Case) -> System:
@@ -148,7 +148,7 @@ def farthest(particles: Particles) -> Floats:
 def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProperties, Ints]:
     """Particles of all kinds, their mass properties, and the (first) kind of each block."""
     sets, owners, first, problems = list[Particles](), list[int](), list[int](), list[Problem]()
-    known: dict[tuple[object, ...], tuple[int, list[tuple[str, str]]]] = {}
+    kinds_of_matter: dict[tuple[object, ...], tuple[int, list[tuple[str, str]]]] = {}
     n_kinds = 0
 
     def blame(i: int, error: Exception) -> None:
@@ -158,7 +158,7 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
 
     for i, body in enumerate(case.body):
         matter = (i if _is_drawn(body) else -1, body.shape, body.part, body.mass, body.density)
-        if matter not in known:
+        if matter not in kinds_of_matter:
             try:
                 particles, lines = _particle_sets(case, i, body)
             except (ValueError, ArithmeticError) as error:
@@ -166,11 +166,11 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
                 continue
             sets.append(particles)
             owners.append(i)
-            known[matter] = n_kinds, lines
+            kinds_of_matter[matter] = n_kinds, lines
             n_kinds += len(particles.offset) - 1
-        kind, lines = known[matter]
+        kind, lines = kinds_of_matter[matter]
         first.append(kind)
-        notes += [(body.name + which, line) for which, line in lines]
+        notes += [(body.name + part, line) for part, line in lines]
     try:
         together = concatenate(sets)
         properties = mass_properties(together)
@@ -285,10 +285,10 @@ def _possible_spin(case: Case, placement: Placement, bodies: Bodies) -> Floats:
     possible, size, rounding = spins_of(placement, bodies)
     problems: list[Problem] = []
     for i, body in enumerate(case.body):
-        own = placement.block == i
+        is_member = placement.block == i
         if isinstance(body.angular_velocity, NormalDistribution):
             continue
-        wrong = np.flatnonzero(own & (size > rounding))
+        wrong = np.flatnonzero(is_member & (size > rounding))
         if len(wrong):
             problems.append(_spin_problem(case, i, int(wrong[0]), placement, bodies))
     refuse(problems)

@@ -17,10 +17,10 @@ def toml_text(raw: Mapping[str, Any], comments: Iterable[str] = ()) -> str:
     document = tomlkit.document()
     for line in comments:
         document.add(tomlkit.comment(line) if line else tomlkit.nl())
-    given = _without_none(raw)
-    first = [key for key in ("title", "run") if key in given]
-    for key in (*first, *(key for key in given if key not in first)):
-        document.add(key, tomlkit.item(given[key]))
+    tables = _without_none(raw)
+    first = [key for key in ("title", "run") if key in tables]
+    for key in (*first, *(key for key in tables if key not in first)):
+        document.add(key, tomlkit.item(tables[key]))
     return tomlkit.dumps(document)
 
 

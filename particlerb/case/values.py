@@ -72,23 +72,23 @@ class Table(BaseModel):
 
         Pydantic's own `use_attribute_docstrings` would read the sources at every import.
         """
-        found = handler(schema)
-        for key, entry in handler.resolve_ref_schema(found)["properties"].items():
+        json_schema = handler(schema)
+        for key, entry in handler.resolve_ref_schema(json_schema)["properties"].items():
             entry["description"] = descriptions(cls)[key]
-        return found
+        return json_schema
 
 
 @cache
 def descriptions(table: type[BaseModel]) -> dict[str, str]:
     """Docstrings of the keys of a table, its own and those that it inherits."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for base in reversed(table.__mro__[: table.__mro__.index(Table)]):
         (described,) = ast.parse(dedent(getsource(base))).body
         for key, below in pairwise(getattr(described, "body", [])):
             match key, below:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(text))):
-                    found[name] = " ".join(text.split())
-    return found
+                    texts[name] = " ".join(text.split())
+    return texts
 
 
 def by_type(union: Any) -> dict[str, Any]:
@@ -158,7 +158,7 @@ def _repeated(value: Any) -> Any:
 def alone(value: Any) -> Any:
     """List with one name where a name is given; for a table that has a name, this."""
     values = value if isinstance(value, (list, tuple)) else (value,)
-    names = tuple(getattr(one, "name", one) for one in values)
+    names = tuple(getattr(entry, "name", entry) for entry in values)
     return names if all(isinstance(name, str) for name in names) else value
 
 
@@ -322,14 +322,14 @@ class Forms:
         """Form of a value among those that there are."""
         if not isinstance(value, (list, tuple)) and isinstance(value, (dict, Mapping, BaseModel)):
             keys = type(value).model_fields if isinstance(value, BaseModel) else value
-            found = "random" if "random" in keys and "random" in self.names else "table"
+            form = "random" if "random" in keys and "random" in self.names else "table"
         elif isinstance(value, str):
-            found = "word"
+            form = "word"
         elif "rows" in self.names and is_rows(value):
-            found = "rows"
+            form = "rows"
         else:
-            found = "list" if isinstance(value, (list, tuple)) else "number"
-        return found if found in self.names else self.names[0]
+            form = "list" if isinstance(value, (list, tuple)) else "number"
+        return form if form in self.names else self.names[0]
 
 
 OneOrientation = Annotated[Quaternion | Euler, Forms("list", "table")]

@@ -117,8 +117,8 @@ def _name_rules(raw: dict[str, Any]) -> Iterator[Finding]:
         first: dict[str, str] = {}
         for kind in family:
             for i, table in tables(raw, kind):
-                name, own = table.get("name"), f"{kind}[{i}]"
-                if isinstance(name, str) and first.setdefault(name, own) != own:
+                name, place = table.get("name"), f"{kind}[{i}]"
+                if isinstance(name, str) and first.setdefault(name, place) != place:
                     yield (kind, i, "name"), f'"{name}" is the name of {first[name]} already', ""
 
 
@@ -163,14 +163,14 @@ def _named_body(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Find
         yield path, f'there is no body "{value}"', f"{match['name']}[0] to [{count - 1}] exist"
 
 
-def _attraction_rules(table: Any, known: dict[str, range]) -> Iterator[Finding]:
+def _attraction_rules(table: Any, blocks: dict[str, range]) -> Iterator[Finding]:
     """Two bodies at least attract each other, and what a tree sums as one is said once."""
     if not isinstance(table, dict):
         return
     if given(table, "opening_angle") and given(table, "accuracy"):
         yield ("attraction", "accuracy"), "given beside opening_angle", "give one of them"
-    every = list(known.values())
-    blocks = bodies_named(table["body"], known) if given(table, "body") else every
-    if blocks and all(len(b) == 1 and b == blocks[0] for b in blocks):
+    every = list(blocks.values())
+    attracted = bodies_named(table["body"], blocks) if given(table, "body") else every
+    if attracted and all(len(b) == 1 and b == attracted[0] for b in attracted):
         key = ("attraction", "body") if given(table, "body") else ("attraction",)
         yield key, "needs two bodies at least, has one", "name more of them, or leave this out"

@@ -27,16 +27,16 @@ def contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
             yield ("wall", i), "nothing touches a wall without [contact]", "add [contact]"
     if contact is not None or (is_missing and not tables(raw, "wall")):
         yield from _output_rules(raw)
-    known = [one["name"] for _, one in tables(raw, "material") if isinstance(one.get("name"), str)]
+    materials = [m["name"] for _, m in tables(raw, "material") if isinstance(m.get("name"), str)]
     for kind in ("body", "wall"):
         for i, table in tables(raw, kind):
-            yield from _named_material((kind, i, "material"), table.get("material"), known)
+            yield from _named_material((kind, i, "material"), table.get("material"), materials)
     first: dict[frozenset[str], int] = {}
     for i, pair in tables(contact, "pair"):
         path: Path = ("contact", "pair", i)
         listed = [name for name in entry_at(pair, "materials", list) if isinstance(name, str)]
         for j, name in enumerate(listed):
-            yield from _named_material((*path, "materials", j), name, known)
+            yield from _named_material((*path, "materials", j), name, materials)
         if len(listed) == 2 and first.setdefault(frozenset(listed), i) != i:
             reason = f"this pair is contact.pair[{first[frozenset(listed)]}] already"
             yield (*path, "materials"), reason, "name every pair once"
@@ -52,17 +52,17 @@ def contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
 
 def _output_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """What is to be recorded of contacts, walls and joints, or checked of impulses, is there."""
-    known = output.FIELDS_OF_LAWS.get(entry_at(raw.get("contact"), "law", str), ())
+    fields = output.FIELDS_OF_LAWS.get(entry_at(raw.get("contact"), "law", str), ())
     for parent in ("check", "sweep"):
         for i, value in tables(raw.get(parent), "value"):
             name = value.get("quantity")
-            if name in output.FIELDS_OF_IMPULSES and name not in known:
+            if name in output.FIELDS_OF_IMPULSES and name not in fields:
                 yield ((parent, "value", i, "quantity"), *_of_another_law(name))
     for i, name in enumerate(entry_at(raw.get("output"), "fields", list)):
         path: Path = ("output", "fields", i)
         if name in output.FIELDS_OF_CONTACT and raw.get("contact") is None:
             yield path, f"there is no {name} without [contact]", "add [contact], or leave it out"
-        elif name in output.FIELDS_OF_IMPULSES and name not in known:
+        elif name in output.FIELDS_OF_IMPULSES and name not in fields:
             yield (path, *_of_another_law(name))
         elif name in output.FIELDS_OF_WALLS and not tables(raw, "wall"):
             yield path, f"there is no {name} without a [[wall]]", "leave it out"
@@ -81,10 +81,10 @@ def _of_another_law(name: str) -> tuple[str, str]:
     return f"there is no {name} without {_NAMES_OF_LAWS[law]}", hint
 
 
-def _named_material(path: Path, name: Any, known: list[str]) -> Iterator[Finding]:
+def _named_material(path: Path, name: Any, materials: list[str]) -> Iterator[Finding]:
     """A material that is named is there."""
-    if isinstance(name, str) and name and name not in known:
-        hint = nearest(name, known) or "there is no [[material]]"
+    if isinstance(name, str) and name and name not in materials:
+        hint = nearest(name, materials) or "there is no [[material]]"
         yield path, f'there is no material "{name}"', hint
 
 

@@ -12,7 +12,7 @@ _LARGEST_BOUNCE = 2.6  # rad: a step of a fast body may pass what is nearer to h
 
 
 def joint_rules(
-    path: Path, raw: dict[str, Any], known: dict[str, range], law: str
+    path: Path, raw: dict[str, Any], blocks: dict[str, range], law: str
 ) -> Iterator[Finding]:
     """A joint has the axes that it needs, and two ends; `law` is that of [contact], if any."""
     kind = raw.get("type")
@@ -31,9 +31,9 @@ def joint_rules(
         yield (*path, "during"), "a joint acts from the start on", hint
     yield from _other_end_rules(path, raw)
     if raw.get("chain") is True:
-        yield from _chain_rules(path, raw, bodies_named(raw.get("body"), known))
+        yield from _chain_rules(path, raw, bodies_named(raw.get("body"), blocks))
     else:
-        yield from pair_rules(path, raw, known, "name equal numbers, or one for all")
+        yield from pair_rules(path, raw, blocks, "name equal numbers, or one for all")
 
 
 def _other_end_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
@@ -63,9 +63,9 @@ def within_bounds(raw: dict[str, Any]) -> dict[str, str]:
     """Keys of a joint that are impulses within bounds, and what to take in their place."""
     limit = raw.get("limit")
     is_hard = isinstance(limit, dict) and not given(limit, "stiffness")
-    found = {"limit": "give a stiffness"} if is_hard else {}
-    found |= {"motor": "give a number"} if isinstance(raw.get("motor"), dict) else {}
-    return found | ({"friction": "take a damper"} if raw.get("friction") else {})
+    replacements = {"limit": "give a stiffness"} if is_hard else {}
+    replacements |= {"motor": "give a number"} if isinstance(raw.get("motor"), dict) else {}
+    return replacements | ({"friction": "take a damper"} if raw.get("friction") else {})
 
 
 def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]:
@@ -73,12 +73,12 @@ def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]
     limit, kind = raw.get("limit"), raw.get("type")
     if isinstance(limit, dict) and not given(limit, "stiffness"):
         ends = entry_at(limit, "range", list)
-        known = len(ends) == 2 and all(isinstance(x, int | float) for x in ends)
-        if known and ends[0] < ends[1] and not ends[0] <= 0.0 <= ends[1]:
+        is_range = len(ends) == 2 and all(isinstance(x, int | float) for x in ends)
+        if is_range and ends[0] < ends[1] and not ends[0] <= 0.0 <= ends[1]:
             reason = "the bodies stand at 0 at the start, beyond a hard stop"
             yield (*path, "limit", "range"), reason, "let the range hold 0"
         is_angle = kind in ("hinge", "universal") or raw.get("along") == "angle"
-        bounces = known and is_angle and bool(limit.get("restitution"))
+        bounces = is_range and is_angle and bool(limit.get("restitution"))
         if bounces and max(map(abs, ends)) > _LARGEST_BOUNCE:
             reason = "a stop this near to half a turn may be passed before the bounce is seen"
             hint = f"keep it within {_LARGEST_BOUNCE} rad, or leave `restitution` out"
@@ -134,9 +134,9 @@ def _half_turn_rules(path: Path, raw: dict[str, Any], is_angle: bool) -> Iterato
 def driven_rules(joints: list[dict[str, Any]]) -> Iterator[Finding]:
     """What acts within bounds does nothing where another joint prescribes the coordinate."""
     named = [tuple(joint.get(key) for key in ("body", "to", "type", "along")) for joint in joints]
-    driven = [own for own, joint in zip(named, joints, strict=True) if given(joint, "drive")]
-    for i, (joint, own) in enumerate(zip(joints, named, strict=True)):
-        is_driven = own in driven or (own[1], own[0], *own[2:]) in driven
+    driven = [axis for axis, joint in zip(named, joints, strict=True) if given(joint, "drive")]
+    for i, (joint, axis) in enumerate(zip(joints, named, strict=True)):
+        is_driven = axis in driven or (axis[1], axis[0], *axis[2:]) in driven
         if is_driven and not given(joint, "drive"):
             for key in within_bounds(joint):
                 reason = "another joint of the same bodies has a drive, which leaves nothing free"
