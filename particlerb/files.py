@@ -94,7 +94,7 @@ def content(file: str | FilePath | File) -> File:
     return file if isinstance(file, File) else File(str(file), FilePath(file).read_bytes())
 
 
-def number_of(given: object, what: str) -> float:
+def number_of(value: object, what: str) -> float:
     """A number that a function was given, a NumPy scalar too.
 
     Raises
@@ -102,13 +102,13 @@ def number_of(given: object, what: str) -> float:
     TypeError
         If it is none.
     """
-    number = given.item() if hasattr(given, "item") and not getattr(given, "ndim", 0) else given
+    number = value.item() if hasattr(value, "item") and not getattr(value, "ndim", 0) else value
     if isinstance(number, bool) or not isinstance(number, Real):
-        raise TypeError(f"{what} must be a number, got {type(given).__name__}")
+        raise TypeError(f"{what} must be a number, got {type(value).__name__}")
     return float(number)
 
 
-def path_of(given: object, what: str) -> FilePath:
+def path_of(value: object, what: str) -> FilePath:
     """Path that a user gives.
 
     Raises
@@ -116,9 +116,9 @@ def path_of(given: object, what: str) -> FilePath:
     TypeError
         If it is none; says what it should have been.
     """
-    if not isinstance(given, (str, PathLike)):
-        raise TypeError(f"{what} must be a path, got {type(given).__name__}")
-    return FilePath(given)
+    if not isinstance(value, (str, PathLike)):
+        raise TypeError(f"{what} must be a path, got {type(value).__name__}")
+    return FilePath(value)
 
 
 def is_file(path: FilePath) -> bool:

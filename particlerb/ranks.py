@@ -72,8 +72,8 @@ class Ranks:
         """Rows from each rank, where each has given some for each: all of one type and width."""
         return list(rows)
 
-    def swapped(self, given: Mapping[int, Rows], room: Mapping[int, Rows]) -> None:
-        """Send rows to some ranks, and fill the room with those that these send here."""
+    def swapped(self, outgoing: Mapping[int, Rows], incoming: Mapping[int, Rows]) -> None:
+        """Send rows to some ranks, and receive into `incoming` those that these send here."""
 
 
 ALONE: Final = Ranks()
@@ -135,27 +135,27 @@ class _RanksOfMPI(Ranks):
     def _reduced(self, values: Rows, how: Any) -> Rows:
         """Numbers of all ranks, brought together."""
         values = np.ascontiguousarray(values)
-        found = np.empty_like(values)
-        self.communicator.Allreduce(values, found, op=how)
-        return found
+        result = np.empty_like(values)
+        self.communicator.Allreduce(values, result, op=how)
+        return result
 
     def sent(self, rows: Sequence[Rows]) -> list[Rows]:
         """Rows from each rank, where each has given some for each: all of one type and width."""
-        sizes = np.array([own.nbytes for own in rows])
-        came = np.empty_like(sizes)
-        self.communicator.Alltoall(sizes, came)
-        ends, starts = np.cumsum(came), np.cumsum(came) - came
-        given, room = np.ascontiguousarray(np.concatenate(rows)), np.empty(ends[-1], np.uint8)
-        out = given.reshape(-1).view(np.uint8), (sizes, np.cumsum(sizes) - sizes), self.mpi.BYTE
-        self.communicator.Alltoallv(out, (room, (came, starts), self.mpi.BYTE))
-        form = -1, *given.shape[1:]
+        sizes = np.array([part.nbytes for part in rows])
+        received = np.empty_like(sizes)
+        self.communicator.Alltoall(sizes, received)
+        ends, starts = np.cumsum(received), np.cumsum(received) - received
+        outgoing, buffer = np.ascontiguousarray(np.concatenate(rows)), np.empty(ends[-1], np.uint8)
+        out = outgoing.reshape(-1).view(np.uint8), (sizes, np.cumsum(sizes) - sizes), self.mpi.BYTE
+        self.communicator.Alltoallv(out, (buffer, (received, starts), self.mpi.BYTE))
+        form = -1, *outgoing.shape[1:]
         each = zip(starts.tolist(), ends.tolist(), strict=True)
-        return [room[first:end].view(given.dtype).reshape(form) for first, end in each]
+        return [buffer[first:end].view(outgoing.dtype).reshape(form) for first, end in each]
 
-    def swapped(self, given: Mapping[int, Rows], room: Mapping[int, Rows]) -> None:
-        """Send rows to some ranks, and fill the room with those that these send here."""
-        requests = [self.communicator.Irecv(rows, k) for k, rows in room.items()]
-        requests += [self.communicator.Isend(rows, k) for k, rows in given.items()]
+    def swapped(self, outgoing: Mapping[int, Rows], incoming: Mapping[int, Rows]) -> None:
+        """Send rows to some ranks, and receive into `incoming` those that these send here."""
+        requests = [self.communicator.Irecv(rows, k) for k, rows in incoming.items()]
+        requests += [self.communicator.Isend(rows, k) for k, rows in outgoing.items()]
         self.mpi.Request.Waitall(requests)
 
 

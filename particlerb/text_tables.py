@@ -109,9 +109,9 @@ def _header(cells: Sequence[str], columns: Columns, where: str) -> list[str]:
     names = [_OTHER_NAMES.get(cell.lower(), cell.lower()) for cell in cells]
     if missing := [name for name in columns.required if name not in names]:
         raise ValueError(f"{where}: column {', '.join(missing)} is missing; found {names}")
-    known = (*columns.required, *columns.optional)
-    if unknown := [name for name in names if name not in known]:
-        raise ValueError(f"{where}: unknown column {unknown[0]!r}; known are {', '.join(known)}")
+    allowed = (*columns.required, *columns.optional)
+    if unknown := [name for name in names if name not in allowed]:
+        raise ValueError(f"{where}: unknown column {unknown[0]!r}; known are {', '.join(allowed)}")
     if len(set(names)) < len(names):
         raise ValueError(f"{where}: a column is given twice: {names}")
     return names

@@ -64,8 +64,8 @@ class UserForce:
             raise TypeError(f"{where}: a force of {', '.join(changing)} has none; leave it out")
         others = arguments_of(potential).keys() - {*self._all(_POSE), *self.signature}
         if others:
-            known = ", ".join(dict.fromkeys((*self._all(_POSE), *self.signature)))
-            raise TypeError(f"{where} takes {', '.join(sorted(others))}; it may take {known}")
+            allowed = ", ".join(dict.fromkeys((*self._all(_POSE), *self.signature)))
+            raise TypeError(f"{where} takes {', '.join(sorted(others))}; it may take {allowed}")
 
     def __call__(self, *args: Any, **keys: Any) -> Any:
         """What the function returns."""
@@ -82,14 +82,14 @@ class UserForce:
 
     def _all(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Names of what the body has, or of what both have."""
-        both = (f"{name}{end}" for end in (1, 2) for name in names)
-        return tuple(both) if self.is_pairwise else names
+        of_pair = (f"{name}{end}" for end in (1, 2) for name in names)
+        return tuple(of_pair) if self.is_pairwise else names
 
     @property
     def parameters(self) -> dict[str, Any]:
         """Its arguments that have no meaning of their own, with their defaults; `...`: none."""
-        given = ("t", *self._all(_GIVEN))
-        return {name: value for name, value in self.signature.items() if name not in given}
+        reserved = ("t", *self._all(_GIVEN))
+        return {name: value for name, value in self.signature.items() if name not in reserved}
 
     @property
     def depends_on_velocity(self) -> bool:
@@ -167,13 +167,13 @@ def load_force(file: File, name: str) -> UserForce:
     lines = source.splitlines(keepends=True)
     linecache.cache[file.name] = len(source), None, lines, file.name  # for messages and texts
     names = _run(source, file.name)
-    found = names.get(name)
-    if isinstance(found, UserForce):
-        return found
-    if callable(found):
-        raise UserForceError(f"{place_of(found)}: write @particlerb.force above `def {name}`")
-    known = ", ".join(key for key, value in names.items() if isinstance(value, UserForce))
-    raise UserForceError(f'{file.name} has no force "{name}"; it has: {known or "none"}')
+    member = names.get(name)
+    if isinstance(member, UserForce):
+        return member
+    if callable(member):
+        raise UserForceError(f"{place_of(member)}: write @particlerb.force above `def {name}`")
+    forces = ", ".join(key for key, value in names.items() if isinstance(value, UserForce))
+    raise UserForceError(f'{file.name} has no force "{name}"; it has: {forces or "none"}')
 
 
 @lru_cache(maxsize=64)
@@ -212,14 +212,14 @@ def arguments_of(function: Callable[..., Any]) -> dict[str, Any]:
     TypeError
         If some have no name.
     """
-    found: dict[str, Any] = {}
-    for name, one in inspect.signature(function).parameters.items():
-        if one.kind is not inspect.Parameter.POSITIONAL_OR_KEYWORD:
+    arguments: dict[str, Any] = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if parameter.kind is not inspect.Parameter.POSITIONAL_OR_KEYWORD:
             raise TypeError(
-                f"{place_of(function)}: {one} cannot be an argument of a force: name each one"
+                f"{place_of(function)}: {parameter} cannot be an argument of a force: name each one"
             )
-        found[name] = ... if one.default is inspect.Parameter.empty else one.default
-    return found
+        arguments[name] = ... if parameter.default is inspect.Parameter.empty else parameter.default
+    return arguments
 
 
 # What a function reaches
@@ -277,8 +277,8 @@ class _Closed:
 
     def add(self, function: Callable[..., Any]) -> None:
         """Add a function, after what it reaches."""
-        own, defaults, text = _source_of(function)
-        if not self._is_new(own, function):
+        own_name, defaults, text = _source_of(function)
+        if not self._is_new(own_name, function):
             return
         around = [(name, function.__globals__.get(name)) for name in defaults]
         for name, value in (*reached(function), *around):
@@ -291,7 +291,7 @@ class _Closed:
                 self.add(plain)
             else:
                 raise _NotClosedError
-        self.lines[own] = text
+        self.lines[own_name] = text
 
     def _is_new(self, name: str, value: Any, marks: bool = True) -> bool:
         """Whether a name is not known yet; of another value it may not be."""
@@ -299,8 +299,8 @@ class _Closed:
             if marks:
                 self.values[name] = value
             return True
-        known = self.values[name]
-        if known is value or (type(known) is type(value) and repr(known) == repr(value)):
+        previous = self.values[name]
+        if previous is value or (type(previous) is type(value) and repr(previous) == repr(value)):
             return False
         raise _NotClosedError
 
@@ -313,19 +313,19 @@ class _Closed:
             return f"import numpy\n{name} = numpy.array({value.tolist()!r}, '{value.dtype}')\n"
         if isinstance(value, ModuleType) and _is_library(value.__name__):
             return f"import {value.__name__} as {name}\n"
-        home, own = getattr(value, "__module__", None), getattr(value, "__name__", None)
-        if _is_library(home) and own:
-            return f"from {home} import {own} as {name}\n"
+        home, value_name = getattr(value, "__module__", None), getattr(value, "__name__", None)
+        if _is_library(home) and value_name:
+            return f"from {home} import {value_name} as {name}\n"
         if isinstance(value, (BuiltinFunctionType, np.ufunc)):
-            return f"from {home or 'numpy'} import {own} as {name}\n"
+            return f"from {home or 'numpy'} import {value_name} as {name}\n"
         raise _NotClosedError
 
     def module(self, force: UserForce) -> str:
         """Text of it, with the decorator before the force."""
         potential = "" if force.potential is None else f"potential={force.potential.__name__}"
-        own = self.lines.pop(force.name)
+        source = self.lines.pop(force.name)
         head = ["from __future__ import annotations\n", "import particlerb\n"]
-        return "".join([*head, *self.lines.values(), f"@particlerb.force({potential})\n", own])
+        return "".join([*head, *self.lines.values(), f"@particlerb.force({potential})\n", source])
 
 
 def digest_of(text: str) -> str:

@@ -118,8 +118,8 @@ def _parsed(top: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Name
         sys.stdout.flush()
     if beyond:
         word = beyond[0].partition("=")[0]
-        known = re.findall(r"--[a-z-]+", options.options_text())
-        near = difflib.get_close_matches(word, known, 1, 0.75) if word.startswith("-") else []
+        flags = re.findall(r"--[a-z-]+", options.options_text())
+        near = difflib.get_close_matches(word, flags, 1, 0.75) if word.startswith("-") else []
         hint = f"did you mean {near[0]}?" if near else _listed(options.command)
         raise Ending(f"{options.command} does not take {beyond[0]}; {hint}")
     return options

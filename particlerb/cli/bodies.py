@@ -92,24 +92,24 @@ def _bodies_of_case(case: Case, wanted: str | None) -> list[_Named]:
     try:
         bodies = np.arange(system.n_bodies) if wanted is None else system.names.find(wanted)
     except KeyError:
-        known = ", ".join(body.name for body in case.body)
-        raise Ending(f"{wanted}: no such body; bodies here: {known}") from None
+        names = ", ".join(body.name for body in case.body)
+        raise Ending(f"{wanted}: no such body; bodies here: {names}") from None
     speed = np.linalg.norm(omega_world(system.bodies, system.state), axis=0)
-    found = []
+    named = []
     alike = np.stack([system.block[bodies], system.kind[bodies]])
-    _, first, which = np.unique(alike, axis=1, return_index=True, return_inverse=True)
+    _, first, group = np.unique(alike, axis=1, return_index=True, return_inverse=True)
     for i in np.sort(first):
         b, k = bodies[i], system.kind[bodies[i]]
         local = kind_of(system.particles, k)
         particles = local._replace(position=local.position + system.properties.com[k])
-        spin = float(speed[bodies][which.ravel() == which.flat[i]].max())
+        spin = float(speed[bodies][group.ravel() == group.flat[i]].max())
         body = system.body[system.block[b]]
         notes = [line for name, line in system.notes if name.partition(", part ")[0] == body.name]
         matter = matter_of(system.files, body)._replace(notes=tuple(notes))
-        found.append(
+        named.append(
             _Named(system.names[b], particles, of_kind(system.properties, k), matter, spin)
         )
-    return found
+    return named
 
 
 def _body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) -> _Named:
@@ -165,9 +165,9 @@ def mass_command(options: argparse.Namespace) -> int:
     """`mass`: mass properties of the bodies of a case, of a table of points or spheres."""
     records = []
     for body in named_bodies(options, options.body):
-        known = body.name, body.properties, 0, len(body.particles.mass), body.matter, body.spin
+        values = body.name, body.properties, 0, len(body.particles.mass), body.matter, body.spin
         try:
-            records.append(record_of(*known, RADIANS_PER_STEP))
+            records.append(record_of(*values, RADIANS_PER_STEP))
         except ValueError as error:
             raise Ending(f"{options.file}: {error}") from None
     if options.json:

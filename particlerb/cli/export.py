@@ -42,17 +42,17 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
         raise Ending("--frames and --fields are for trajectories")
     if options.to in _SCENES and not options.bodies and (case := case_of(options)):
         return _export_scene(options, case)
-    found = [
+    bodies = [
         Exported(body.name, body.particles, body.properties)
         for name in options.bodies or [None]
         for body in named_bodies(options, name)
     ]
-    stem = file_name(found[0].name if len(found) == 1 else Path(options.file).stem)
+    stem = file_name(bodies[0].name if len(bodies) == 1 else Path(options.file).stem)
     path = output_of(options, Path(stem + BODY_FORMATS[options.to].suffix), Path(options.file))
     if options.to == "lammps":
         to_write(path.with_suffix(".rigid"), options.overwrite, Path(options.file))
     with ending(ExportError), writing(path):
-        written = export_bodies(found, path, options.to)
+        written = export_bodies(bodies, path, options.to)
     print(f"written: {', '.join(map(str, written))}")
     return DONE
 
@@ -74,10 +74,10 @@ def _export_scene(options: argparse.Namespace, case: Case) -> int:
         else:
             texts, springs = {".xml": mjcf_scene(system, step)}, springs_of(system)
         written = [path, *(path.with_suffix(suffix) for suffix in list(texts)[1:])]
-        for own in written[1:]:
-            to_write(own, options.overwrite, source)
-        for own, text in zip(written, texts.values(), strict=True):
-            own.write_text(text, encoding="utf-8")
+        for file in written[1:]:
+            to_write(file, options.overwrite, source)
+        for file, text in zip(written, texts.values(), strict=True):
+            file.write_text(text, encoding="utf-8")
     print(f"written: {', '.join(map(str, written))}")
     for line in left_out(system, springs):
         print(f"left out: {line}")

@@ -87,8 +87,8 @@ def probe(path: Path) -> None:
                 open_trajectory(path) as t,
             ):
                 require_self_contained(t.file)
-                for one in part_paths(t.file):
-                    with open_file(one) as part:
+                for part_path in part_paths(t.file):
+                    with open_file(part_path) as part:
                         require_self_contained(part)
         finally:
             os._exit(0)

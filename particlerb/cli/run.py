@@ -326,28 +326,28 @@ def event_text(tally: Floats) -> str:
 
 def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
     """Warnings about what a run has seen: stiff contacts, a tree that errs, missing impulses."""
-    found, limit, tree, tally = [], stable_turn(prepared.plan), outcome.tree, outcome.tally
+    warnings, limit, tree, tally = [], stable_turn(prepared.plan), outcome.tree, outcome.tally
     if outcome.swing > limit:
-        found.append(
+        warnings.append(
             "particlerb: warning: all contacts of a body together reached"
             f" ω dt = {outcome.swing:.3g}: above {limit:.3g} contacts with this damping do not"
             f" come to rest; divide run.dt by {outcome.swing / limit:.2g}"
         )
     if tree is not None and tree.seen > tree.asked:
         angle = other_angle(*tree)
-        found.append(
+        warnings.append(
             f"particlerb: warning: the error of the tree of the attraction reached {tree.seen:.2g},"
             f" above the requested {tree.asked:.2g}: the scene has changed since its opening angle"
             f" was chosen; set attraction.opening_angle = {angle:.2g}"
         )
     if tally is not None and tally[records.WORST_EVER] >= _UNSOLVED:
-        found.append(
+        warnings.append(
             "particlerb: warning: impulses of contacts were not found: the residual reached"
             f" {tally[records.WORST_EVER]:.2g} at t = {tally[records.WORST_TIME]:.6g} s, and where"
             " it is 1 they are no better than none; take more contact.iterations or"
             ' contact.solver = "newton"'
         )
-    return found
+    return warnings
 
 
 def contact_text(frequency: float) -> str:

@@ -31,8 +31,8 @@ def chart_command(options: argparse.Namespace) -> int:
         system = to_system(case)
         bar.total = chart.curve_count(system, *asked)
         how = options.error, options.budget, bar.update, options.processor_time
-        found = chart.chart(system, *asked, *how, kind=kind)
-    return _show(found, work_precision_table, {"": draw_chart}, paths)
+        results = chart.chart(system, *asked, *how, kind=kind)
+    return _show(results, work_precision_table, {"": draw_chart}, paths)
 
 
 def stability_command(options: argparse.Namespace) -> int:
@@ -43,8 +43,8 @@ def stability_command(options: argparse.Namespace) -> int:
     paths = _outputs(options, "stability", ("maps", "limits", "drifts"))
     with _measuring("map") as bar:
         bar.total = stability.n_tasks(options.methods)
-        found = stability.stability(options.methods, options.budget, bar.update)
-    return _show(found, stability_table, pictures(found), paths)
+        results = stability.stability(options.methods, options.budget, bar.update)
+    return _show(results, stability_table, pictures(results), paths)
 
 
 def converge_command(options: argparse.Namespace) -> int:
@@ -55,8 +55,8 @@ def converge_command(options: argparse.Namespace) -> int:
     paths = _outputs(options, "converge")
     with _measuring("shape") as bar:
         bar.total = len(convergence.arrangements(options.shapes))
-        found = convergence.converge(options.shapes, options.most, bar.update)
-    return _show(found, convergence, {"": draw_convergence}, paths)
+        results = convergence.converge(options.shapes, options.most, bar.update)
+    return _show(results, convergence, {"": draw_convergence}, paths)
 
 
 @contextlib.contextmanager
@@ -67,7 +67,7 @@ def _measuring(unit: str) -> Iterator[Any]:
 
 
 def _show(
-    found: Any,
+    results: Any,
     words: ModuleType,
     pictures: Mapping[str, Callable[[Any, Path], None]],
     paths: Mapping[str, list[Path]],
@@ -76,14 +76,14 @@ def _show(
 
     `words` has `table` and `csv_rows` of what was found.
     """
-    print(words.table(found))
+    print(words.table(results))
     written = list(paths["csv"])
     with writing(written[0]), written[0].open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows(words.csv_rows(found))
+        csv.writer(file).writerows(words.csv_rows(results))
     for name, draw in pictures.items():
         for path in paths[name]:
             with writing(path):
-                draw(found, path)
+                draw(results, path)
             written.append(path)
     print(f"written: {', '.join(map(str, written))}")
     return DONE

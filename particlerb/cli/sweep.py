@@ -45,20 +45,20 @@ def _sweep(options: argparse.Namespace, workers: Workers | None) -> int:
     with ending(CaseError, ValueError), tqdm(unit="run", delay=0.5, disable=None) as bar:
         try:
             executor, n = workers or (None, options.workers)
-            found = sweep(case, path, axes=axes, executor=executor, workers=n, progress=bar.update)
+            table = sweep(case, path, axes=axes, executor=executor, workers=n, progress=bar.update)
         except KeyboardInterrupt:
             again = f"particlerb {shlex.join(sys.argv[1:])}"
             rest = f"{path} has the rows so far; the same command continues: {again}"
             raise Ending(f"interrupted: {rest}", INTERRUPTED) from None
-    print(tamed(summary(found)))
-    written = [path, *([means_beside(path)] if found.replicates > 1 else [])]
+    print(tamed(summary(table)))
+    written = [path, *([means_beside(path)] if table.replicates > 1 else [])]
     if options.plot:
         picture = path.with_suffix(".png")
-        written += [picture] * _plot(found, case.title or stem, picture)
+        written += [picture] * _plot(table, case.title or stem, picture)
     print(f"written: {', '.join(map(str, written))}")
-    if any(status != "done" for status in found.column("status")):
+    if any(status != "done" for status in table.column("status")):
         return FAILED
-    return MISSED if any(found.column("checks_missed")) else DONE
+    return MISSED if any(table.column("checks_missed")) else DONE
 
 
 def _axis(text: str) -> tuple[str, Any]:
@@ -72,36 +72,36 @@ def _axis(text: str) -> tuple[str, Any]:
         raise Ending(f"--axis {text}: must be KEY=[a, b] or KEY={{low=a, high=b, n=5}}") from None
 
 
-def _plot(found: SweepRows, title: str, path: Path) -> bool:
+def _plot(table: SweepRows, title: str, path: Path) -> bool:
     """Draw the values over the axes that are numbers, if there are such: not over replicates."""
     from particlerb.studies.charts.sweep import draw_sweep
 
-    columns = {name: found.column(name) for name in (*found.axes, *found.values, "energy_drift")}
+    columns = {name: table.column(name) for name in (*table.axes, *table.values, "energy_drift")}
     numbers = {
         name: np.array(column, dtype=np.float64)
         for name, column in columns.items()
         if all(isinstance(x, (int, float)) for x in column)
     }
-    own = found.axes if found.replicates == 1 else found.axes[:-1]
-    axes = [(name, numbers[name]) for name in own if name in numbers]
-    values = [(name, numbers[name]) for name in found.values or ("energy_drift",)]
+    varied = table.axes if table.replicates == 1 else table.axes[:-1]
+    axes = [(name, numbers[name]) for name in varied if name in numbers]
+    values = [(name, numbers[name]) for name in table.values or ("energy_drift",)]
     if axes:
         draw_sweep(title, axes, values, path)
     return bool(axes)
 
 
-def summary(found: SweepRows) -> str:
+def summary(table: SweepRows) -> str:
     """How many runs are done, why others failed, and the range of each value."""
-    status = Counter(found.column("status"))
-    lines = [f"{len(found.rows)} runs, {status.pop('done', 0)} done"]
+    status = Counter(table.column("status"))
+    lines = [f"{len(table.rows)} runs, {status.pop('done', 0)} done"]
     lines += [f"  {n} {why}" for why, n in status.most_common()]
-    missed = sum(n > 0 for n in found.column("checks_missed"))
+    missed = sum(n > 0 for n in table.column("checks_missed"))
     lines += [f"  {missed} missed a check"] if missed else []
-    means = found.means()
-    is_repeated = found.replicates > 1
+    means = table.means()
+    is_repeated = table.replicates > 1
     if is_repeated:
-        lines.append(f"  means over {found.replicates} replicates of {len(means.rows)} variants:")
-    width = max(map(len, found.columns))
+        lines.append(f"  means over {table.replicates} replicates of {len(means.rows)} variants:")
+    width = max(map(len, table.columns))
     last = f" {'error':>12}" if is_repeated else ""
     lines.append(f"  {'':{width}} {'least':>12} {'median':>12} {'largest':>12}{last}")
     for name in means.columns:
