@@ -74,25 +74,25 @@ class Selection(NamedTuple):
         frames = slice(self.frames.start, self.frames.stop, self.frames.step)
         return self.trajectory.portions(frames, rows)
 
-    def values(self, name: str, part: slice) -> Floats:
+    def values(self, name: str, frames: slice) -> Floats:
         """A field of the chosen bodies in some frames, (T, n, C) or (T, n); derived if need be."""
         trajectory = self.trajectory
         everyone = len(self.bodies) == trajectory.n_bodies
         bodies = slice(None) if everyone else self.bodies
         if name in trajectory.fields or name in CONTACT_FIELDS:
-            return trajectory.read(name, part, bodies)
+            return trajectory.read(name, frames, bodies)
         if name == "velocity":
-            momentum = trajectory.read("linear_momentum", part, bodies)
+            momentum = trajectory.read("linear_momentum", frames, bodies)
             return momentum * trajectory.bodies.inv_mass[self.bodies, None]
-        q = trajectory.read("orientation", part, bodies)
-        L = trajectory.read("angular_momentum", part, bodies)
+        q = trajectory.read("orientation", frames, bodies)
+        L = trajectory.read("angular_momentum", frames, bodies)
         return derived(taken(trajectory.bodies, self.bodies), q, L, L)[1]
 
     def contacts(self, frame: int) -> Contacts:
         """Contacts of the chosen bodies in a frame, with each other and with all else."""
-        found = self.trajectory.contacts(frame)
-        chosen = np.isin(found.body, self.bodies).any(axis=1)
-        return Contacts._make(column[chosen] for column in found)
+        contacts = self.trajectory.contacts(frame)
+        chosen = np.isin(contacts.body, self.bodies).any(axis=1)
+        return Contacts._make(column[chosen] for column in contacts)
 
 
 def export(
@@ -176,12 +176,12 @@ def _chosen_fields(
     """Fields that were asked for, or all recorded, of those that a format holds, in fixed order."""
     recorded = trajectory.fields + trajectory.other_fields
     derived = [name for name in FIELDS if is_known(trajectory, name)]
-    known = [name for name in derived + trajectory.other_fields if name in held]
+    allowed = [name for name in derived + trajectory.other_fields if name in held]
     for name in asked:
-        if name not in known:
+        if name not in allowed:
             reason = f"{to} cannot hold it" if name in recorded else "no such field here"
-            raise ExportError(f"{name}: {reason}; there are {', '.join(known)}")
-    return [name for name in known if name in (asked or recorded)]
+            raise ExportError(f"{name}: {reason}; there are {', '.join(allowed)}")
+    return [name for name in allowed if name in (asked or recorded)]
 
 
 def is_known(trajectory: Trajectory, name: str) -> bool:
@@ -206,8 +206,8 @@ def _chosen_bodies(trajectory: Trajectory, asked: Sequence[str]) -> Ints:
         return np.arange(trajectory.n_bodies)
     numbers: dict[str, list[int]] = {}
     for number, name in enumerate(trajectory.names):
-        for one in {name, name.rpartition("[")[0] if name.endswith("]") else name}:
-            numbers.setdefault(one, []).append(number)
+        for label in {name, name.rpartition("[")[0] if name.endswith("]") else name}:
+            numbers.setdefault(label, []).append(number)
     for name in asked:
         if name not in numbers:
             first = ", ".join(trajectory.names[:3])

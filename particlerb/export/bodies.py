@@ -91,9 +91,9 @@ def export_bodies(bodies: Sequence[Exported], path: Path, to: str) -> list[Path]
         return [path]
     written: list[Path] = []
     for suffix, text in BODY_FORMATS[to].write(bodies).items():
-        own = path.with_suffix(suffix) if written else path
-        own.write_text(text, encoding="utf-8")
-        written.append(own)
+        file = path.with_suffix(suffix) if written else path
+        file.write_text(text, encoding="utf-8")
+        written.append(file)
     return written
 
 
@@ -182,8 +182,8 @@ def mjcf(bodies: Sequence[Exported]) -> dict[str, str]:
         tensor_text = numbers(six(tensor))
         inertial = {"pos": numbers(com), "mass": numbers(mass), "fullinertia": tensor_text}
         ET.SubElement(element, "inertial", inertial)
-        own = _carriers_of(body)
-        for position, radius in zip(own.position, own.radius, strict=True):
+        carrying = _carriers_of(body)
+        for position, radius in zip(carrying.position, carrying.radius, strict=True):
             place = {"type": "sphere", "pos": numbers(position)}
             if radius > 0.0:
                 ET.SubElement(element, "geom", place, size=numbers(radius), mass="0")
@@ -203,8 +203,8 @@ def yade(bodies: Sequence[Exported]) -> dict[str, str]:
     ]
     for k, body in enumerate(bodies):
         mass, com, _, moments, axes, _ = (array[0] for array in body.properties)
-        own = _carriers_of(body)
-        if not own.radius.any():
+        carrying = _carriers_of(body)
+        if not carrying.radius.any():
             raise ExportError(f"{body.name} has no particle with a radius: YADE holds spheres")
         lines += [
             f"# clump {k} {body.name}",
@@ -214,8 +214,8 @@ def yade(bodies: Sequence[Exported]) -> dict[str, str]:
             f"# com {numbers(com)}  (as given)",
             "# set both after loading: O.bodies[id].state.mass = mass, .state.inertia = inertia",
         ]
-        local = _in_principal_axes(body, own.position)
-        lines += [f"{numbers(p, r)} {k}" for p, r in zip(local, own.radius, strict=True)]
+        local = _in_principal_axes(body, carrying.position)
+        lines += [f"{numbers(p, r)} {k}" for p, r in zip(local, carrying.radius, strict=True)]
     return {".txt": "\n".join(lines) + "\n"}
 
 

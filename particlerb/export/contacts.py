@@ -27,14 +27,14 @@ def write(selection: Selection, path: Path) -> None:
     if not selection.has_contacts:
         raise ExportError(f"contacts needs {CONTACTS}, not recorded: see [output] fields")
     trajectory, frames = selection.trajectory, list(selection.frames)
-    points, found = [], []
+    points, of_frames = [], []
     for k in frames:
         contacts = selection.contacts(k)
-        found.append(contacts)
+        of_frames.append(contacts)
         points.append(_ends(trajectory.read("position", slice(k, k + 1))[0], contacts))
-    counts = np.array([len(own) // 2 for own in points])
+    counts = np.array([len(ends) // 2 for ends in points])
     force, overlap, wall = (
-        np.concatenate([getattr(one, name) for one in found])
+        np.concatenate([getattr(one, name) for one in of_frames])
         for name in ("force", "overlap", "wall")
     )
     data = {"force": force, "size": np.linalg.norm(force, axis=1), "overlap": overlap, "wall": wall}

@@ -65,16 +65,16 @@ def columns(names: tuple[str, ...]) -> list[str]:
 
 def _labelled(
     trajectory: Trajectory,
-    parts: Iterator[slice],
+    portions: Iterator[slice],
     labels: list[tuple[int, str]],
     fields: tuple[str, ...],
     values: Callable[[str, slice], Floats],
 ) -> Iterator[tuple[Any, ...]]:
     """Rows of all frames: one for each label, with its numbers of all fields."""
-    for part in parts:
-        found = [values(name, part) for name in fields]
-        of_frame = [array.reshape(*array.shape[:2], -1) for array in found]
-        numbers, times = range(trajectory.n_frames)[part], trajectory.time[part].tolist()
+    for frames in portions:
+        arrays = [values(name, frames) for name in fields]
+        of_frame = [array.reshape(*array.shape[:2], -1) for array in arrays]
+        numbers, times = range(trajectory.n_frames)[frames], trajectory.time[frames].tolist()
         for k, (frame, t) in enumerate(zip(numbers, times, strict=True)):
             rows = zip(labels, *(array[k].tolist() for array in of_frame), strict=True)
             for label, *row in rows:
@@ -85,8 +85,8 @@ def _of_contacts(selection: Selection) -> Iterator[tuple[Any, ...]]:
     """Rows of contacts: two bodies, or a body and a wall; -1 stands for what it is not."""
     times = selection.trajectory.time
     for frame in selection.frames:
-        found = selection.contacts(frame)
-        values = (getattr(found, name) for name in COLUMNS)
+        contacts = selection.contacts(frame)
+        values = (getattr(contacts, name) for name in COLUMNS)
         flat = [v.reshape(len(v), 1 if v.ndim == 1 else v.shape[1]).tolist() for v in values]
-        for parts in zip(*flat, strict=True):
-            yield (frame, float(times[frame]), *(number for part in parts for number in part))
+        for row in zip(*flat, strict=True):
+            yield (frame, float(times[frame]), *(number for cell in row for number in cell))

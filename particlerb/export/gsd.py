@@ -39,9 +39,9 @@ def write(selection: Selection, path: Path) -> None:
     names = [_type_name(trajectory, int(kind)) for kind in kinds]
     shapes = [_type_shape(trajectory, int(kind)) for kind in kinds]
     with hoomd.open(path, "w") as file:
-        for part in selection.portions():
-            columns = _per_body(selection, bodies, part)
-            for row, number in enumerate(range(trajectory.n_frames)[part]):
+        for frames in selection.portions():
+            columns = _per_body(selection, bodies, frames)
+            for row, number in enumerate(range(trajectory.n_frames)[frames]):
                 frame = hoomd.Frame()
                 frame.configuration.step = number
                 frame.configuration.box = [*edges, 0, 0, 0]
@@ -51,22 +51,22 @@ def write(selection: Selection, path: Path) -> None:
                 particles.mass, particles.moment_inertia = bodies.mass, bodies.inertia.T
                 for name, values in columns.items():
                     setattr(particles, name, values[row])
-                own = slice(number, number + 1)
-                frame.log = {"time": trajectory.time[own], "energy": trajectory.energy[own]}
+                now = slice(number, number + 1)
+                frame.log = {"time": trajectory.time[now], "energy": trajectory.energy[now]}
                 file.append(frame)
 
 
-def _per_body(selection: Selection, bodies: Bodies, part: slice) -> dict[str, Floats]:
+def _per_body(selection: Selection, bodies: Bodies, frames: slice) -> dict[str, Floats]:
     """Columns of some frames, each (T, n, ...)."""
-    known = {name for name in selection.fields if is_known(selection.trajectory, name)}
-    position = selection.values("position", part)
-    body_frame = selection.values("orientation", part)
+    fields = {name for name in selection.fields if is_known(selection.trajectory, name)}
+    position = selection.values("position", frames)
+    body_frame = selection.values("orientation", frames)
     q = np.stack([quaternion_product(frame.T, bodies.rotor_frame).T for frame in body_frame])
     columns = {"position": position, "orientation": q}
-    if known & {"velocity", "linear_momentum"}:
-        columns["velocity"] = selection.values("velocity", part)
-    if "angular_momentum" in known:
-        L = selection.values("angular_momentum", part)
+    if fields & {"velocity", "linear_momentum"}:
+        columns["velocity"] = selection.values("velocity", frames)
+    if "angular_momentum" in fields:
+        L = selection.values("angular_momentum", frames)
         columns["angmom"] = np.stack(
             [_momentum_quaternion(a.T, b.T).T for a, b in zip(q, L, strict=True)]
         )
@@ -83,8 +83,8 @@ def _momentum_quaternion(q: Floats, L: Floats) -> Floats:
 def _box_edges(selection: Selection) -> list[float]:
     """Edges of a box about the origin that holds all positions."""
     reach = np.zeros(3)
-    for part in selection.portions():
-        reach = np.maximum(reach, np.abs(selection.values("position", part)).max(axis=(0, 1)))
+    for frames in selection.portions():
+        reach = np.maximum(reach, np.abs(selection.values("position", frames)).max(axis=(0, 1)))
     reach = np.where(reach > 0.0, reach, max(float(reach.max()), 1.0))
     return (2.0 * _ROOM * reach).tolist()
 
@@ -99,12 +99,12 @@ def _type_name(trajectory: Trajectory, kind: int) -> str:
 
 def _type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
     """What OVITO shows of a kind, in the principal frame."""
-    own, body = kind_of(trajectory.particles, kind), int(np.argmax(trajectory.kind == kind))
-    is_sphere = own.radius > 0.0  # beside these, points without a radius carry matter
-    radius = own.radius[is_sphere]
+    particles, body = kind_of(trajectory.particles, kind), int(np.argmax(trajectory.kind == kind))
+    is_sphere = particles.radius > 0.0  # beside these, points without a radius carry matter
+    radius = particles.radius[is_sphere]
     if 0 < radius.size <= _MOST_SPHERES:
         frame = np.tile(trajectory.bodies.rotor_frame[:, body : body + 1], radius.size)
-        centres = rotate_back(frame, own.position[is_sphere].T).T
+        centres = rotate_back(frame, particles.position[is_sphere].T).T
         return sphere_union(centres, radius)
     a, b, c = ellipsoid(trajectory.bodies.inertia[:, body], float(trajectory.mass[body]))
     return {"type": "Ellipsoid", "a": a, "b": b, "c": c}

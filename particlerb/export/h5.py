@@ -73,8 +73,8 @@ def _copy(trajectory: Trajectory, made: h5py.File, path: str) -> None:
     target.resize(n, axis=0)
     source = dataset_at(trajectory.file, path, "fiu", (None, *target.shape[1:]))
     with trajectory_errors(trajectory.file):
-        for part in trajectory.portions():
-            target[part] = source[part]
+        for frames in trajectory.portions():
+            target[frames] = source[frames]
 
 
 def _copy_contacts(trajectory: Trajectory, made: h5py.File) -> None:
@@ -88,18 +88,18 @@ def _copy_contacts(trajectory: Trajectory, made: h5py.File) -> None:
             target = opened(made, path)
             target.resize(int(offset[-1]), axis=0)
             source = dataset_at(trajectory.file, path, "fiu", (None, *target.shape[1:]))
-            for part in trajectory.portions():
-                rows = slice(int(offset[part.start]), int(offset[part.stop]))
+            for frames in trajectory.portions():
+                rows = slice(int(offset[frames.start]), int(offset[frames.stop]))
                 if rows.stop > rows.start:
                     target[rows] = source[rows]
 
 
 def _copy_state(file: h5py.File, made: h5py.File, n_frames: int) -> None:
     """Copy the last state of the run, where there is one."""
-    own = [states_of(path) for path in part_paths(file)]
-    common = set(range(n_frames + 1)).intersection(*own) if own else ()
+    by_part = [states_of(path) for path in part_paths(file)]
+    common = set(range(n_frames + 1)).intersection(*by_part) if by_part else ()
     if common:
-        write_checkpoint(made, max(common), joined([states[max(common)] for states in own]))
-    elif not own and schema.CHECKPOINT in file:
-        found = read_checkpoint(file)
-        write_checkpoint(made, found.n_frames, found.arrays)
+        write_checkpoint(made, max(common), joined([states[max(common)] for states in by_part]))
+    elif not by_part and schema.CHECKPOINT in file:
+        state = read_checkpoint(file)
+        write_checkpoint(made, state.n_frames, state.arrays)

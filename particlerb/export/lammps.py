@@ -40,9 +40,9 @@ def write(selection: Selection, path: Path) -> None:
     head = " ".join(["id", "type", "mass", *labels])
     line = "%d %d %.17g" + " %.17g" * len(labels) + "\n"
     with path.open("w", encoding="ascii") as file:
-        for part in selection.portions():
-            values = np.concatenate([selection.values(name, part) for name in fields], axis=2)
-            for frame, rows in zip(range(trajectory.n_frames)[part], values, strict=True):
+        for frames in selection.portions():
+            values = np.concatenate([selection.values(name, frames) for name in fields], axis=2)
+            for frame, rows in zip(range(trajectory.n_frames)[frames], values, strict=True):
                 begin(file, frame, rows[:, :3])
                 file.write(f"ITEM: ATOMS {head}\n")
                 entries: list[Any] = [

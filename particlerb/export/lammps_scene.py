@@ -89,7 +89,7 @@ class _Atoms:
             carriers(kind_of(system.particles, k), float(system.properties.mass[k]))
             for k in range(len(system.reach))
         ]
-        sizes = np.array([len(own.mass) for own in per_kind])[system.kind]
+        sizes = np.array([len(particles.mass) for particles in per_kind])[system.kind]
         body: Ints = np.repeat(np.arange(n), sizes)
         local, mass, radius = (
             np.concatenate([per_kind[k][column] for k in system.kind.tolist()])
@@ -146,18 +146,18 @@ class _Atoms:
 
     def molecules(self, chosen: Bools) -> str:
         """Numbers of bodies as ranges for the command `group`."""
-        found = np.flatnonzero(chosen) + 1
-        breaks = np.flatnonzero(np.diff(found) > 1)
-        firsts, lasts = found[np.append(0, breaks + 1)], found[np.append(breaks, found.size - 1)]
+        ids = np.flatnonzero(chosen) + 1
+        breaks = np.flatnonzero(np.diff(ids) > 1)
+        firsts, lasts = ids[np.append(0, breaks + 1)], ids[np.append(breaks, ids.size - 1)]
         return " ".join(f"{a}:{b}" for a, b in zip(firsts, lasts, strict=True))
 
 
 def _are_single(system: System, sizes: Ints, radius: Floats) -> Bools:
     """Which bodies are a ball or a point."""
-    own = 0.4 * system.bodies.mass * radius**2
-    is_ball = (np.abs(system.bodies.inertia - own) <= _ROUND * own).all(axis=0)
-    found: Bools = (sizes == 1) & (is_ball | (system.bodies.rotor_class == POINT))
-    return found
+    of_ball = 0.4 * system.bodies.mass * radius**2
+    is_ball = (np.abs(system.bodies.inertia - of_ball) <= _ROUND * of_ball).all(axis=0)
+    single: Bools = (sizes == 1) & (is_ball | (system.bodies.rotor_class == POINT))
+    return single
 
 
 def _infile(system: System, bodies: Ints) -> str:
@@ -183,7 +183,7 @@ def _input(
     """Commands of the run."""
     skin = _SKIN * float(atoms.diameter.max()) / 2.0
     reach = 2.0 * float(system.reach.max()) + skin
-    groups = {"rigid": atoms.is_rigid, "single": atoms.is_single, "held": atoms.is_held}
+    masks = {"rigid": atoms.is_rigid, "single": atoms.is_single, "held": atoms.is_held}
     excluded = ["molecule/intra all"] if len(atoms.body) > 1 else []
     excluded += ["group held held"] if atoms.is_held.any() else []
     lines = [
@@ -193,7 +193,7 @@ def _input(
         f"comm_modify vel yes cutoff {numbers(reach)}",
         "fix body all property/atom mol",
         f"read_data {stem}.data fix body NULL Molecules",
-        *(f"group {g} molecule {atoms.molecules(own)}" for g, own in groups.items() if own.any()),
+        *(f"group {g} molecule {atoms.molecules(mask)}" for g, mask in masks.items() if mask.any()),
         *_pairs(contact, atoms, skin),
         f"neighbor {numbers(skin)} bin",
         "neigh_modify delay 0 every 1 check yes",
@@ -212,12 +212,12 @@ def _law(contact: ContactSetup, a: int, b: int) -> str:
     """Arguments of a granular contact between two materials."""
     pairs = contact.pairs
     ratio = float(pairs.damping_ratio[a, b])
-    given = math.exp(-math.pi * ratio / math.sqrt(1.0 - ratio * ratio))
+    restitution = math.exp(-math.pi * ratio / math.sqrt(1.0 - ratio * ratio))
     if contact.record.law == "hertz":
-        normal = f"hertz {numbers(4.0 / 3.0 * pairs.modulus[a, b], given)}"
+        normal = f"hertz {numbers(4.0 / 3.0 * pairs.modulus[a, b], restitution)}"
         tangential = f"mindlin {numbers(8.0 * pairs.shear_modulus[a, b])}"
     else:
-        normal = f"hooke {numbers(pairs.stiffness[a, b], given)}"
+        normal = f"hooke {numbers(pairs.stiffness[a, b], restitution)}"
         tangential = f"linear_history {numbers(pairs.tangential_stiffness[a, b])}"
     friction = numbers(TANGENTIAL_DAMPING, pairs.friction[a, b])
     ends = "" if contact.record.attract else " limit_damping"
@@ -229,8 +229,8 @@ def _pairs(contact: ContactSetup | None, atoms: _Atoms, skin: float) -> Iterable
     if contact is None:
         return [f"pair_style zero {numbers(skin)} nocoeff", "pair_coeff * *"]
     apart = [t for t in range(1, atoms.n_types + 1) if t > atoms.n_materials]
-    own = contact.pairs.can_meet
-    met = [tuple(two) for two in np.argwhere(np.triu(own)).tolist()]
+    can_meet = contact.pairs.can_meet
+    met = [tuple(two) for two in np.argwhere(np.triu(can_meet)).tolist()]
     first = _law(contact, *met[0])
     return [
         "pair_style granular",
@@ -246,12 +246,12 @@ def _walls(system: System, contact: ContactSetup | None) -> Iterable[str]:
         return
     for code in sorted(set(contact.material[contact.material != NOTHING].tolist())):
         yield f"group material{code + 1} type {code + 1}"
-    for k, (wall, own) in enumerate(
+    for k, (wall, material) in enumerate(
         zip(system.wall, contact.wall_material.tolist(), strict=True), 1
     ):
         yield f"region wall{k} {_region(wall)}  # {wall.name}"
-        for code in np.flatnonzero(contact.pairs.can_meet[own]).tolist():
-            law = f"granular {_law(contact, code, own)} region wall{k}"
+        for code in np.flatnonzero(contact.pairs.can_meet[material]).tolist():
+            law = f"granular {_law(contact, code, material)} region wall{k}"
             if (contact.material[~contact.fixed] == code).any():
                 yield f"fix wall{k}_{code + 1} material{code + 1} wall/gran/region {law}"
 

@@ -180,10 +180,10 @@ class _Writer:
             if one.type in ("distance", *_OF_COORDINATES) or label[one.first] == label[one.second]:
                 continue
             old, new = label[one.first], label[one.second]
-            label = {b: new if own == old else own for b, own in label.items()}
+            label = {b: new if mark == old else mark for b, mark in label.items()}
             kept.setdefault(one.first, []).append((one.second, j))
             kept.setdefault(one.second, []).append((one.first, j))
-        found: dict[int, tuple[int, int]] = {}
+        tree: dict[int, tuple[int, int]] = {}
         seen: set[int] = set()
         for root in range(WORLD, self.system.n_bodies):
             if root in seen:
@@ -191,22 +191,22 @@ class _Writer:
             ahead = deque([root])
             seen.add(root)
             if root != WORLD:
-                found[root] = WORLD, _FREE
+                tree[root] = WORLD, _FREE
             while ahead:
                 b = ahead.popleft()
                 for other, j in kept.get(b, ()):
                     if other not in seen:
                         seen.add(other)
-                        found[other] = b, j
+                        tree[other] = b, j
                         ahead.append(other)
-        return found
+        return tree
 
     def add_body(self, b: int, parent: int, j: int) -> None:
         """Add a body to the one that it hangs from."""
-        own, other = self.bodies[b], self.bodies[parent]
-        place = numbers(other.local(own.position))
+        body, other = self.bodies[b], self.bodies[parent]
+        place = numbers(other.local(body.position))
         turn = other.orientation[:, None] * CONJUGATE
-        turned = numbers(quaternion_product(turn, own.orientation[:, None])[:, 0])
+        turned = numbers(quaternion_product(turn, body.orientation[:, None])[:, 0])
         name = self.system.names[b]
         element = ET.SubElement(self.elements[parent], "body", name=name, pos=place, quat=turned)
         self.elements[b] = element
@@ -219,7 +219,7 @@ class _Writer:
         ET.SubElement(element, "inertial", pos="0 0 0", mass=mass, fullinertia=inertia)
         if j == _FREE:
             ET.SubElement(element, "freejoint", name=name)
-            self.speeds[name] = [*own.velocity.tolist(), *own.turned_back(own.spin).tolist()]
+            self.speeds[name] = [*body.velocity.tolist(), *body.turned_back(body.spin).tolist()]
         else:
             self.speeds[name] = self.add_joints(element, b, parent, self.joints[j])
 
@@ -269,19 +269,19 @@ class _Writer:
 
     def add_joints(self, element: ET.Element, b: int, parent: int, joint: _Joint) -> list[float]:
         """Add what a joint of the tree leaves free; its speeds."""
-        own, other = self.bodies[b], self.bodies[parent]
+        body, other = self.bodies[b], self.bodies[parent]
         is_first = b == joint.first
         sign = 1.0 if is_first else -1.0
-        moved = own.speed_at(joint.at) - other.speed_at(joint.at)
-        spin = own.spin - other.spin
-        place = numbers(own.local(joint.at))
+        moved = body.speed_at(joint.at) - other.speed_at(joint.at)
+        spin = body.spin - other.spin
+        place = numbers(body.local(joint.at))
         if joint.type == "ball":
             ET.SubElement(element, "joint", name=joint.name, type="ball", pos=place)
-            return list(own.turned_back(spin).tolist())
+            return list(body.turned_back(spin).tolist())
         speeds = []
         for k, (kind, axis) in enumerate(_freedoms(joint)[:: 1 if is_first else -1]):
             along, name = sign * axis, joint.name + (f" {k}" if k else "")
-            text = numbers(own.turned_back(along))
+            text = numbers(body.turned_back(along))
             ET.SubElement(element, "joint", name=name, type=kind, pos=place, axis=text)
             self.coordinates[joint.name, kind] = name
             speeds.append(float(along @ (spin if kind == "hinge" else moved)))
@@ -294,9 +294,9 @@ class _Writer:
         for joint in joints:
             if joint.type in _OF_COORDINATES or (joint.name, "slide") in self.coordinates:
                 names, factor = self.coupled(joint)
-                own = dict(zip(("joint1", "joint2"), names, strict=True))
+                coordinates = dict(zip(("joint1", "joint2"), names, strict=True))
                 text = numbers(0.0, factor, 0.0, 0.0, 0.0)
-                ET.SubElement(equality, "joint", soft | own, name=joint.name, polycoef=text)
+                ET.SubElement(equality, "joint", soft | coordinates, name=joint.name, polycoef=text)
                 continue
             if joint.type in _ONLY_IN_TREES:
                 raise ExportError(
@@ -337,13 +337,13 @@ class _Writer:
 
     def movers(self, b: int, kind: str, way: Floats) -> dict[int, tuple[str, float]]:
         """Coordinates of joints of a body, by the body at the other end, and shares along a way."""
-        found = {}
-        for one in self.joints:
-            name = self.coordinates.get((one.name, kind))
-            if name and one.type in ("hinge", "slider") and b in (one.first, one.second):
-                sign = float(one.axis @ way) * (1.0 if b == one.first else -1.0)
-                found[one.second if b == one.first else one.first] = name, sign
-        return found
+        coordinates = {}
+        for joint in self.joints:
+            name = self.coordinates.get((joint.name, kind))
+            if name and joint.type in ("hinge", "slider") and b in (joint.first, joint.second):
+                sign = float(joint.axis @ way) * (1.0 if b == joint.first else -1.0)
+                coordinates[joint.second if b == joint.first else joint.first] = name, sign
+        return coordinates
 
     def add_springs(self) -> None:
         """Add a tendon for each spring."""
@@ -370,11 +370,11 @@ def _joint_of(system: System, setup: JointSetup, j: int) -> _Joint:
     ends: Ints = np.array([setup.first[j], setup.second[j]])
     points = []
     for b, k in zip(ends.tolist(), (0, 1), strict=True):
-        own = setup.places[j, [k, k + 2]].T
+        vectors = setup.places[j, [k, k + 2]].T
         if b != WORLD:
-            own = rotate(np.repeat(system.state.q[:, [b]], 2, axis=1), own)
-            own = own + system.state.com[:, [b]] * np.array([1.0, 0.0])
-        points.append(own.T)
+            vectors = rotate(np.repeat(system.state.q[:, [b]], 2, axis=1), vectors)
+            vectors = vectors + system.state.com[:, [b]] * np.array([1.0, 0.0])
+        points.append(vectors.T)
     wheel = setup.rows.wheel[setup.start[j] : setup.start[j + 1]]
     radius = wheel[np.abs(wheel[:, 9]).argmax(), 10 if setup.types[j] == "gear" else 9]
     (at, axis), (at_to, axis_to) = points

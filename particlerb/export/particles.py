@@ -49,8 +49,8 @@ def write(selection: Selection, path: Path) -> None:
         clockwork = make_clock(file, n_frames)
         times = trajectory.time[selection.frames]
         ids = {name: element(file, name, len(row), n_frames, clockwork) for name in names}
-        for place, own in topology_of(ids, len(row)).items():
-            put(file, place, own)
+        for place, data in topology_of(ids, len(row)).items():
+            put(file, place, data)
         create_vtkhdf(file, ids, shown, n_frames)
         numbers = {STEP: selection.frames, TIME: times, **steps_of(0, times, len(row))}
         for place, values in numbers.items():
@@ -60,8 +60,8 @@ def write(selection: Selection, path: Path) -> None:
         fields = {name: file[f"{TRAJECTORY}/{name}/value"] for name in names}
         column, local = np.searchsorted(selection.bodies, body), particles.position[row]
         done = 0
-        for part in selection.portions(max(len(row), trajectory.n_bodies)):
-            for state in states(selection, names, part):
+        for frames in selection.portions(max(len(row), trajectory.n_bodies)):
+            for state in states(selection, names, frames):
                 for name, values in placed(state, column, local).items():
                     fields[name][done] = values
                 done += 1
@@ -79,11 +79,11 @@ def placed(state: tuple[Floats, ...], column: Ints, local: Floats) -> dict[str, 
     """Particles of one frame in the world: x + R r, and v + ω × R r."""
     x, q, *motion = state
     arms = rotate(q[column].T, local.T).T
-    found = {"position": x[column] + arms}
+    fields = {"position": x[column] + arms}
     if motion:
         v, omega = motion
-        found["velocity"] = v[column] + np.cross(omega[column], arms)
-    return found
+        fields["velocity"] = v[column] + np.cross(omega[column], arms)
+    return fields
 
 
 def _chosen_particles(selection: Selection) -> tuple[Ints, Ints]:

@@ -90,15 +90,15 @@ class Surfaces:
         self.layers: list[_Layer] = []
         self.reach: Floats = np.zeros(system.n_bodies)  # radius of a ball that holds each [m]
         for i in range(len(system.body)):
-            own = np.flatnonzero(system.block == i)
-            kinds, of_body = np.unique(system.kind[own], return_inverse=True)
-            self.reach[own] = np.array([self.of_kind(kind).reach for kind in kinds])[of_body]
+            members = np.flatnonzero(system.block == i)
+            kinds, of_body = np.unique(system.kind[members], return_inverse=True)
+            self.reach[members] = np.array([self.of_kind(kind).reach for kind in kinds])[of_body]
             if kinds.size == 1:
-                self.layers.append(_Layer(self.of_kind(kinds[0]).mesh, own, None, None))
+                self.layers.append(_Layer(self.of_kind(kinds[0]).mesh, members, None, None))
             else:
-                axes = np.array([equal_ellipsoid(system, b) for b in own.tolist()])
-                frame = system.bodies.rotor_frame[:, own]
-                self.layers.append(_Layer(ball(1.0, own.size), own, frame, axes))
+                axes = np.array([equal_ellipsoid(system, b) for b in members.tolist()])
+                frame = system.bodies.rotor_frame[:, members]
+                self.layers.append(_Layer(ball(1.0, members.size), members, frame, axes))
 
     def of_kind(self, kind: int) -> _Surface:
         """Surface of a kind of body."""
@@ -138,17 +138,17 @@ class Surfaces:
             turn = q[b][:, None]
             start = rotate_back(turn, -away[b][:, None])[:, 0]
             way = rotate_back(turn, direction[:, None])[:, 0]
-            found = meet(self.of_kind(self.system.kind[b]), start, way)
-            if found is not None and (best is None or found[0] < best.distance):
-                best = Hit(b, start + found[0] * way, found[1], found[0])
+            crossing = meet(self.of_kind(self.system.kind[b]), start, way)
+            if crossing is not None and (best is None or crossing[0] < best.distance):
+                best = Hit(b, start + crossing[0] * way, crossing[1], crossing[0])
         return best
 
 
 def meet(surface: _Surface, start: Floats, way: Floats) -> tuple[float, Floats] | None:
     """Distance to the first point of a surface in front of a ray, and the outward normal there."""
-    found = [*_meet_triangles(surface.corners, start, way)]
-    found += _meet_ellipsoids(surface.centre, surface.semi_axes, start, way)
-    return min(found, key=lambda one: one[0], default=None)
+    crossings = [*_meet_triangles(surface.corners, start, way)]
+    crossings += _meet_ellipsoids(surface.centre, surface.semi_axes, start, way)
+    return min(crossings, key=lambda one: one[0], default=None)
 
 
 def _meet_triangles(corners: Floats, start: Floats, way: Floats) -> list[tuple[float, Floats]]:
@@ -202,19 +202,19 @@ def surface_of(system: System, body: Body, kind: int, copies: int) -> _Surface:
     for part in body.part:
         shapes.append((part.shape, turn_of(part), np.array(part.position)))
     surfaces = [solid(system.files, shape, R, place - com, copies) for shape, R, place in shapes]
-    known = [surface for surface in surfaces if surface is not None]
-    if len(known) < len(surfaces):
+    solids = [surface for surface in surfaces if surface is not None]
+    if len(solids) < len(surfaces):
         return _particles_surface(system, body, kind, copies)
-    return together(known)
+    return together(solids)
 
 
 def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _Surface | None:
     """Surface of a shape where it stands in its body; None for loose particles."""
-    kind, own = shape.type, shape
+    kind, record = shape.type, shape
     round_axes: dict[str, Callable[[], Floats]] = {
-        "ball": lambda: np.full(3, own.radius),
-        "shell": lambda: np.full(3, own.radius),
-        "ellipsoid": lambda: np.array(own.semi_axes),
+        "ball": lambda: np.full(3, record.radius),
+        "shell": lambda: np.full(3, record.radius),
+        "ellipsoid": lambda: np.array(record.semi_axes),
     }
     if kind in round_axes:
         axes = round_axes[kind]()
@@ -225,19 +225,19 @@ def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _S
             return _Surface(mesh, np.zeros((0, 3, 3)), shift[None], axes[None])
         return triangles(mesh)
     if kind == "mesh":
-        surface = read_mesh(files.read(own.file), own.scale)
+        surface = read_mesh(files.read(record.file), record.scale)
         return triangles(SurfaceMesh(surface.vertices, surface.faces).moved(R, shift))
-    if kind == "points" and own.radius is not None and all(own.radius):
-        return _balls_of(np.array(own.position) @ R.T + shift, np.array(own.radius), copies)
+    if kind == "points" and record.radius is not None and all(record.radius):
+        return _balls_of(np.array(record.position) @ R.T + shift, np.array(record.radius), copies)
     if kind == "box":
-        return triangles(box(np.array(own.size)).moved(R, shift))
+        return triangles(box(np.array(record.size)).moved(R, shift))
     made: dict[str, Callable[[], Any]] = {
-        "cylinder": lambda: _hollow(own.radius, own.inner_radius, own.height),
-        "cone": lambda: _trimesh().creation.cone(own.radius, own.height, sections=_ROUND),
-        "torus": lambda: _trimesh().creation.torus(own.major_radius, own.minor_radius),
-        "tetrahedron": lambda: _trimesh().convex.convex_hull(np.array(own.vertices)),
+        "cylinder": lambda: _hollow(record.radius, record.inner_radius, record.height),
+        "cone": lambda: _trimesh().creation.cone(record.radius, record.height, sections=_ROUND),
+        "torus": lambda: _trimesh().creation.torus(record.major_radius, record.minor_radius),
+        "tetrahedron": lambda: _trimesh().convex.convex_hull(np.array(record.vertices)),
         "rod": lambda: _trimesh().creation.cylinder(
-            _THICKNESS * own.length, own.length, sections=12
+            _THICKNESS * record.length, record.length, sections=12
         ),
     }
     return (
@@ -281,8 +281,8 @@ def ball(radius: float, copies: int) -> SurfaceMesh:
 
 def _particles_surface(system: System, body: Body, kind: int, copies: int) -> _Surface:
     """A body of loose particles: their balls; six particles with given moments as an octahedron."""
-    own = kind_of(system.particles, kind)
-    place, radius = own.position, own.radius.copy()
+    particles = kind_of(system.particles, kind)
+    place, radius = particles.position, particles.radius.copy()
     if radius.any():
         place, radius = place[radius > 0.0], radius[radius > 0.0]
     extent = float(np.linalg.norm(place, axis=1).max())
@@ -327,7 +327,7 @@ def _joined(meshes: Sequence[SurfaceMesh]) -> SurfaceMesh:
     """Several meshes as one."""
     vertices, faces, is_smooth = zip(*meshes, strict=True)
     first = np.cumsum([0, *map(len, vertices[:-1])])
-    shifted = [own + n for own, n in zip(faces, first, strict=True)]
+    shifted = [indices + n for indices, n in zip(faces, first, strict=True)]
     return SurfaceMesh(np.concatenate(vertices), np.concatenate(shifted), all(is_smooth))
 
 
