@@ -258,8 +258,8 @@ def pieces(layers: Iterable[Layer], grid: Lattice) -> Pieces:
         cells.append(np.column_stack([np.full(len(chosen), i), chosen]))
         centroids.append(grid.lower + (cells[-1] + mean) * grid.spacing)
     share = np.concatenate(shares)
-    own = symmetric(spread / share.sum()) * np.outer(grid.spacing, grid.spacing)
-    return Pieces(np.concatenate(cells), share, np.concatenate(centroids), own)
+    inner = symmetric(spread / share.sum()) * np.outer(grid.spacing, grid.spacing)
+    return Pieces(np.concatenate(cells), share, np.concatenate(centroids), inner)
 
 
 def cell_particles(layers: Iterable[Layer], grid: Lattice, mass: float) -> Particles:

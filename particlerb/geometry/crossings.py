@@ -36,10 +36,10 @@ def crossings(vertices: Floats, faces: Ints, nearness: float) -> tuple[Ints, Flo
     order = np.argsort(corner[:, :, axis].min(axis=1), kind="stable")
     boxes = np.stack([corner.min(axis=1), corner.max(axis=1)])[:, order]
     pairs, points = np.empty((_MOST, 2), dtype=np.int64), np.empty((_MOST, 3))
-    found = _sweep(vertices, faces[order], boxes, axis, nearness, pairs, points)
-    pairs = np.sort(order[pairs[:found]], axis=1)
+    count = _sweep(vertices, faces[order], boxes, axis, nearness, pairs, points)
+    pairs = np.sort(order[pairs[:count]], axis=1)
     by_face = np.lexsort((pairs[:, 1], pairs[:, 0]))
-    return pairs[by_face], points[:found][by_face]
+    return pairs[by_face], points[:count][by_face]
 
 
 @kernel
@@ -48,7 +48,7 @@ def _sweep(
     points: Floats,
 ) -> int:  # fmt: skip
     """Number of crossing pairs among faces in the order of their lowest coordinate on the axis."""
-    low, high, found = boxes[0], boxes[1], 0
+    low, high, count = boxes[0], boxes[1], 0
     polygon, clipped = np.empty((2, 9)), np.empty((2, 9))
     for i in range(len(faces)):
         for j in range(i + 1, len(faces)):
@@ -61,12 +61,12 @@ def _sweep(
                 continue
             meets, x, y, z = _cross_at(vertices, faces[i], faces[j], nearness, polygon, clipped)
             if meets:
-                pairs[found] = i, j
-                points[found] = x, y, z
-                found += 1
-                if found == len(pairs):
-                    return found
-    return found
+                pairs[count] = i, j
+                points[count] = x, y, z
+                count += 1
+                if count == len(pairs):
+                    return count
+    return count
 
 
 @inline

@@ -227,30 +227,30 @@ def _spheres_in(
     analytic = per_mass(solid)
 
     def trial(count: int) -> _Trial:
-        union = union_solid(found.centre[:count], found.radius[:count])
+        union = union_solid(balls.centre[:count], balls.radius[:count])
         off = differences(union.com, union.inertia / union.volume, analytic)
         return _Trial(count, count + 6, *off, union.volume / solid.volume - 1.0)
 
     def filled(count: int, trials: Sequence[_Trial]) -> FilledShape:
-        surface = one_kind(found.centre[:count], 0.0, found.radius[:count])
+        surface = one_kind(balls.centre[:count], 0.0, balls.radius[:count])
         made = united(concatenate([surface, equimomental_points(solid, mass)]))
         return FilledShape(made, tuple(trials))
 
-    found = packing(mesh, n if inertia_error is None else 16)
+    balls = packing(mesh, n if inertia_error is None else 16)
     if inertia_error is None:
-        if len(found.radius) < n:
+        if len(balls.radius) < n:
             raise ValueError(
-                f"only {len(found.radius)} of {n} spheres find space, as their centres are tried in"
+                f"only {len(balls.radius)} of {n} spheres find space, as their centres are tried in"
                 " some 40 000 cells: lower n"
             )
         return filled(n, ())
     trials: list[_Trial] = []
     count = 1
-    while count <= len(found.radius):
+    while count <= len(balls.radius):
         trials.append(trial(count))
         if trials[-1].error <= inertia_error:
             return filled(count, trials)
         count = max(count + 1, round(_MORE * count))
-        if count > len(found.radius) and len(found.radius) < _MOST_SPHERES:
-            found = packing(mesh, min(4 * count, _MOST_SPHERES))
+        if count > len(balls.radius) and len(balls.radius) < _MOST_SPHERES:
+            balls = packing(mesh, min(4 * count, _MOST_SPHERES))
     raise ValueError(_missed(inertia_error, trials))

@@ -68,12 +68,12 @@ def spheres(
     amount = mass if density is None else density
     if amount is None or (mass is not None and density is not None) or not 0 <= amount < math.inf:
         raise ValueError(f"mass {mass} and density {density}: one of them, positive, is needed")
-    found = overlaps(centre, R)
-    if found.pairs and overlap == "error":
-        raise ValueError(refusal(centre, R, found))
+    overlapping = overlaps(centre, R)
+    if overlapping.pairs and overlap == "error":
+        raise ValueError(refusal(centre, R, overlapping))
     if amount == 0.0:
         return one_kind(centre, 0.0, R)
-    if not found.pairs or overlap == "sum":
+    if not overlapping.pairs or overlap == "sum":
         volumes = 4.0 / 3.0 * math.pi * R**3
         share = volumes if mass is None else volumes / math.fsum(volumes)
         return one_kind(centre, amount * share, R)
@@ -85,17 +85,17 @@ def spheres(
 
 def _checked(position: ArrayLike, radius: ArrayLike) -> tuple[Floats, Floats]:
     """Centres (n, 3) and radii (n,) as float64; ValueError where they are no spheres."""
-    given = one_kind(position, 1.0, radius)
-    if not (given.radius > 0.0).all():
-        i = int(np.argmin(given.radius > 0.0))
-        raise ValueError(f"radius of sphere {i} is {given.radius[i]}: positive is needed")
-    largest = float(given.radius.max())
+    particles = one_kind(position, 1.0, radius)
+    if not (particles.radius > 0.0).all():
+        i = int(np.argmin(particles.radius > 0.0))
+        raise ValueError(f"radius of sphere {i} is {particles.radius[i]}: positive is needed")
+    largest = float(particles.radius.max())
     if not 1.0 / _HUGE < largest < _HUGE:
         raise ValueError(
             f"the largest radius is {largest} m: {1.0 / _HUGE:.0e} to {_HUGE:.0e} is needed, as its"
             " fifth power must be a number"
         )
-    return given.position, given.radius
+    return particles.position, particles.radius
 
 
 def union_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
@@ -120,13 +120,13 @@ def union_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
     weight = (R / unit) ** 3
     origin = weight @ centre / weight.sum()
     c = (centre - origin) / unit
-    found = union(c, R / unit)
-    com = found.first / found.volume
-    second = symmetric(found.second) - found.volume * np.outer(com, com)
+    integrals = union(c, R / unit)
+    com = integrals.first / integrals.volume
+    second = symmetric(integrals.second) - integrals.volume * np.outer(com, com)
     inertia = np.trace(second) * np.eye(3) - second
     extent = float((np.linalg.norm(c, axis=1) + R / unit).max())
-    error = (found.gap + _EPSILON * found.area) * extent / (3.0 * found.volume)
-    return UniformSolid(found.volume * unit**3, origin + com * unit, inertia * unit**5, error)
+    error = (integrals.gap + _EPSILON * integrals.area) * extent / (3.0 * integrals.volume)
+    return UniformSolid(integrals.volume * unit**3, origin + com * unit, inertia * unit**5, error)
 
 
 def plain_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
@@ -145,9 +145,9 @@ def overlaps(centre: Floats, radius: Floats) -> _Overlaps:
     cover = neighbours(centre, radius)
     hidden = np.flatnonzero(cover.hidden)
     pairs = np.stack([np.repeat(np.arange(len(radius)), np.diff(cover.start)), cover.other])
-    both = radius[pairs].sum(axis=0)
-    depth = both - np.linalg.norm(centre[pairs[0]] - centre[pairs[1]], axis=1)
-    is_deep = (pairs[0] < pairs[1]) & (depth > _TOUCHING * both)
+    reach = radius[pairs].sum(axis=0)
+    depth = reach - np.linalg.norm(centre[pairs[0]] - centre[pairs[1]], axis=1)
+    is_deep = (pairs[0] < pairs[1]) & (depth > _TOUCHING * reach)
     pairs, depth = pairs[:, is_deep], depth[is_deep]
     n_pairs = len(depth) + len(hidden)
     if len(hidden) or not n_pairs:
@@ -156,15 +156,15 @@ def overlaps(centre: Floats, radius: Floats) -> _Overlaps:
     return _Overlaps(n_pairs, (int(pairs[0, k]), int(pairs[1, k])), float(depth[k]), hidden)
 
 
-def refusal(centre: Floats, radius: Floats, found: _Overlaps) -> str:
+def refusal(centre: Floats, radius: Floats, check: _Overlaps) -> str:
     """What overlaps, for the message."""
-    if found.hidden.size:
-        i = int(found.hidden[0])
+    if check.hidden.size:
+        i = int(check.hidden[0])
         inside = np.linalg.norm(centre - centre[i], axis=1) + radius[i] - radius
         inside[i] = math.inf
         return f"sphere {i} lies inside sphere {int(np.argmin(inside))}: overlap is an error here"
-    i, j = found.pair
+    i, j = check.pair
     return (
-        f"{found.pairs} pairs of spheres overlap, most of all {i} and {j}, by {found.depth:.6g} m:"
+        f"{check.pairs} pairs of spheres overlap, most of all {i} and {j}, by {check.depth:.6g} m:"
         ' overlap is an error here; "exact" counts their matter once'
     )

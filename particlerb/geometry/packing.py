@@ -84,10 +84,10 @@ def packing(mesh: TriangleMesh, most: int) -> _Packing:
     centre, radius = np.empty((most, 3)), np.empty(most)
     point = np.ascontiguousarray(np.concatenate([held.centroid.T, held.share[None]]))
     step = float(grid.spacing.min())
-    found = cover(corner, point, cells.squared[cell], step, centre, radius)
-    if found == 0:
+    count = cover(corner, point, cells.squared[cell], step, centre, radius)
+    if count == 0:
         raise ValueError("no sphere fits into the mesh: it is thinner than a cell of the grid")
-    return _Packing(centre[:found].copy(), radius[:found].copy())
+    return _Packing(centre[:count].copy(), radius[:count].copy())
 
 
 # Distance from the surface
@@ -267,17 +267,17 @@ def cover(
         if math.isfinite(d) and d > (_SMALLEST * step) ** 2:
             queue.append((-5.0 * d * math.sqrt(d) / step**3 - 1.0, index, -1))
     heapq.heapify(queue)
-    found = 0
-    while found < len(radius) and len(queue) > 1:
-        gain, index, known = heapq.heappop(queue)
+    count = 0
+    while count < len(radius) and len(queue) > 1:
+        gain, index, counted = heapq.heappop(queue)
         if index < 0:
             break
         p = point[0, index], point[1, index], point[2, index]
         r = math.sqrt(squared[index])
-        if known != found:
+        if counted != count:
             held = _matter_within(p, r, free, n_free)
             if held > 0.0:
-                heapq.heappush(queue, (-held, index, found))
+                heapq.heappush(queue, (-held, index, count))
             continue
         exact = squared[index]
         for f in range(len(corner)):
@@ -291,7 +291,7 @@ def cover(
             continue
         p, r = _grown(p, r, step, corner, near)
         n_free = without(p, r, free, n_free)
-        centre[found, 0], centre[found, 1], centre[found, 2] = p
-        radius[found] = r
-        found += 1
-    return found
+        centre[count, 0], centre[count, 1], centre[count, 2] = p
+        radius[count] = r
+        count += 1
+    return count

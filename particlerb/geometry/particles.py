@@ -62,10 +62,10 @@ def one_kind(position: ArrayLike, mass: ArrayLike, radius: ArrayLike | None = No
 
 def _per_particle(name: str, value: ArrayLike, n: int) -> Floats:
     """Array of n finite values of 0 or more, from n values or one; ValueError names the first."""
-    given = np.asarray(value, dtype=np.float64)
-    if given.shape not in {(), (n,)}:
-        raise ValueError(f"{name} has shape {given.shape}, position has {n} particles")
-    array = np.array(np.broadcast_to(given, (n,)), order="C")
+    values = np.asarray(value, dtype=np.float64)
+    if values.shape not in {(), (n,)}:
+        raise ValueError(f"{name} has shape {values.shape}, position has {n} particles")
+    array = np.array(np.broadcast_to(values, (n,)), order="C")
     valid = np.isfinite(array) & (array >= 0.0)
     if not valid.all():
         i = int(np.argmin(valid))
@@ -118,8 +118,8 @@ def concatenate(sets: Sequence[Particles]) -> Particles:
 
 def kind_of(particles: Particles, k: int) -> Particles:
     """Particles of one kind."""
-    own = slice(particles.offset[k], particles.offset[k + 1])
-    position, mass, radius = (array[own] for array in particles[:3])
+    rows = slice(particles.offset[k], particles.offset[k + 1])
+    position, mass, radius = (array[rows] for array in particles[:3])
     return united(Particles(position, mass, radius, particles.offset))
 
 

@@ -95,10 +95,10 @@ def filled(
     return equal(position, mass)
 
 
-def one_of(arrangement: str, *known: str) -> None:
+def one_of(arrangement: str, *allowed: str) -> None:
     """ValueError for an arrangement that a shape has not."""
-    if arrangement not in known:
-        raise ValueError(f"arrangement is {arrangement!r}: {' or '.join(known)} is needed")
+    if arrangement not in allowed:
+        raise ValueError(f"arrangement is {arrangement!r}: {' or '.join(allowed)} is needed")
 
 
 # Solids
@@ -284,21 +284,21 @@ def moments(inertia: ArrayLike, mass: float) -> Particles:
     ValueError
         If one moment exceeds the sum of the others by more than rounding: no matter has these.
     """
-    given, m = np.asarray(inertia, dtype=np.float64), positive("mass", mass) / 6.0
-    if given.shape != (3,) or not np.isfinite(given).all():
-        raise ValueError(f"inertia is {given.tolist()}: three finite numbers are needed")
-    others = np.roll(given, -1) + np.roll(given, -2)
-    excess = others - given
-    if (excess < -_TRIANGLE_ROUNDING * given.max()).any():
+    array, m = np.asarray(inertia, dtype=np.float64), positive("mass", mass) / 6.0
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise ValueError(f"inertia is {array.tolist()}: three finite numbers are needed")
+    others = np.roll(array, -1) + np.roll(array, -2)
+    excess = others - array
+    if (excess < -_TRIANGLE_ROUNDING * array.max()).any():
         k = int(np.argmin(excess))
         raise ValueError(
-            f"inertia {given.tolist()}: moment {k + 1} = {float(given[k])!r} exceeds the sum of the"
+            f"inertia {array.tolist()}: moment {k + 1} = {float(array[k])!r} exceeds the sum of the"
             f" other two, {float(others[k])!r}, by {-float(excess[k])!r} kg m²: no body has these"
         )
     with np.errstate(over="ignore", invalid="ignore"):
         arms = AXES * (0.5 * np.sqrt(np.maximum(excess, 0.0) / m))
     if not np.isfinite(arms).all():
-        raise ValueError(f"inertia {given.tolist()} is too large for a mass of {mass!r} kg")
+        raise ValueError(f"inertia {array.tolist()} is too large for a mass of {mass!r} kg")
     return equal(arms, mass)
 
 

@@ -229,8 +229,8 @@ def _sum_chunks(
         units[1] = math.ldexp(1.0, -int(exponent[k, 1]))
         units[2], units[3], units[4] = origin[k, 0], origin[k, 1], origin[k, 2]
         lanes[:] = 0.0
-        whole = lo + (hi - lo) // _LANES * _LANES
-        for start in range(lo, whole, _LANES):
+        full = lo + (hi - lo) // _LANES * _LANES
+        for start in range(lo, full, _LANES):
             x = place[3 * start : 3 * (start + _LANES)]
             m, r = mass[start : start + _LANES], radius[start : start + _LANES]
             for lane in range(_LANES):
@@ -238,10 +238,10 @@ def _sum_chunks(
                 j = unsigned(lane)
                 load(lanes, lane, x[i], x[i + unsigned(1)], x[i + unsigned(2)], m[j], r[j], units)
             _add_group(lanes)
-        if whole < hi:
+        if full < hi:
             lanes[X * _LANES :] = 0.0
-            for lane in range(hi - whole):
-                i = whole + lane
+            for lane in range(hi - full):
+                i = full + lane
                 x0, y0, z0 = place[3 * i], place[3 * i + 1], place[3 * i + 2]
                 load(lanes, lane, x0, y0, z0, mass[i], radius[i], units)
             _add_group(lanes)
@@ -253,11 +253,11 @@ def _sum_chunks(
         for row in range(_EXTENT, _ROWS):
             value = 0.0
             for lane in range(_LANES):
-                found = lanes[row * _LANES + lane]
+                of_lane = lanes[row * _LANES + lane]
                 if row == _BAD:
-                    value += found
+                    value += of_lane
                 else:
-                    value = min(value, found) if row == LEAST else max(value, found)
+                    value = min(value, of_lane) if row == LEAST else max(value, of_lane)
             rows[c, row] = value
 
 

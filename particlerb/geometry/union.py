@@ -93,9 +93,9 @@ def neighbours(centre: Floats, radius: Floats) -> Cover:
     hidden = np.zeros(len(radius), dtype=np.bool_)
     hidden[small[distance <= (radius[large] - radius[small]) + SAME * radius[large]]] = True
     shown = ~(hidden[i] | hidden[j])
-    one, other = np.stack([i, j, j, i])[:, shown].reshape(2, -1)
-    order = np.lexsort((np.tile(np.arange(len(one) // 2), 2), one))
-    start = np.searchsorted(one[order], np.arange(len(radius) + 1))
+    ball, other = np.stack([i, j, j, i])[:, shown].reshape(2, -1)
+    order = np.lexsort((np.tile(np.arange(len(ball) // 2), 2), ball))
+    start = np.searchsorted(ball[order], np.arange(len(radius) + 1))
     return Cover(start, other[order], hidden)
 
 
@@ -118,7 +118,7 @@ def _overlapping_pairs(centre: Floats, radius: Floats) -> tuple[Ints, Floats]:
 @kernel
 def _sweep(centre: Floats, radius: Floats, along: int, pairs: Ints) -> int:
     """Write the pairs of balls in the order of their lowest points, or only count them."""
-    found = 0
+    count = 0
     for i in range(len(radius)):
         top = centre[i, along] + radius[i]
         for j in range(i + 1, len(radius)):
@@ -126,9 +126,9 @@ def _sweep(centre: Floats, radius: Floats, along: int, pairs: Ints) -> int:
                 break
             if norm(subtract(row3(centre, j), row3(centre, i))) < radius[i] + radius[j]:
                 if pairs.shape[1] > 0:
-                    pairs[0, found], pairs[1, found] = i, j
-                found += 1
-    return found
+                    pairs[0, count], pairs[1, count] = i, j
+                count += 1
+    return count
 
 
 # One sphere
@@ -193,15 +193,15 @@ def _add_patch(caps: Caps, arcs: Floats, c: Vec3, R: float, row: Floats) -> None
     cc = np.array(c)
     for m in range(len(arcs)):
         k = int(arcs[m, 0])
-        own = circle(caps, k)
+        edge = circle(caps, k)
         u, h = caps.axis[k], caps.height[k]
-        cu = dot(c, own[0])
+        cu = dot(c, edge[0])
         pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _PIECE))
         half = 0.5 * (arcs[m, 2] - arcs[m, 1]) / pieces
         for piece in range(pieces):
             middle = arcs[m, 1] + (2 * piece + 1) * half
             for g in range(len(_NODES)):
-                weight, n = half * _WEIGHTS[g], point(own, middle + half * _NODES[g])
+                weight, n = half * _WEIGHTS[g], point(edge, middle + half * _NODES[g])
                 cn = dot(c, n)
                 for a in range(3):
                     N[a] += weight * (u[a] - h * n[a])
@@ -256,10 +256,10 @@ def _solid_angle(caps: Caps, arcs: Floats) -> float:
             p, q = point(c, arcs[m, 1] + piece * step), point(c, arcs[m, 1] + (piece + 1) * step)
             chord = 2.0 * math.atan2(depth * math.sin(step), 1.0 + h + depth * math.cos(step))
             covered += _triangle(a, p, q) + depth * step - chord
-    whole = 4.0 * math.pi
-    A = -covered - whole * math.floor(-covered / whole)
-    if _NEARLY < A < whole - _NEARLY:
+    full = 4.0 * math.pi
+    A = -covered - full * math.floor(-covered / full)
+    if _NEARLY < A < full - _NEARLY:
         return A
-    rest = A - whole if A > _NEARLY else A  # from −NEARLY to NEARLY
+    rest = A - full if A > _NEARLY else A  # from −NEARLY to NEARLY
     is_bare = 2.0 * math.pi * caps.depth.max() <= 2.0 * _NEARLY
-    return whole + min(rest, 0.0) if is_bare else max(rest, 0.0)
+    return full + min(rest, 0.0) if is_bare else max(rest, 0.0)

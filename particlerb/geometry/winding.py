@@ -103,15 +103,15 @@ def windings(vertices: Floats, faces: Ints, part: Ints, signs: Ints) -> Ints:
     signs : ndarray, shape (n_parts,)
         +1 where a part's faces look away from what it bounds, -1 where towards it.
     """
-    own = [vertices[faces[part == p]] for p in range(len(signs))]
-    boxes = np.array([(c.min(axis=(0, 1)), c.max(axis=(0, 1))) for c in own])
+    corners = [vertices[faces[part == p]] for p in range(len(signs))]
+    boxes = np.array([(c.min(axis=(0, 1)), c.max(axis=(0, 1))) for c in corners])
     depth = np.zeros(len(signs), dtype=np.int64)
-    for p, corner in enumerate(own):
+    for p, corner in enumerate(corners):
         for q in range(len(signs)):
             if q == p or (boxes[p, 1] < boxes[q, 0]).any() or (boxes[p, 0] > boxes[q, 1]).any():
                 continue
             for point in corner.mean(axis=1):
-                angle = solid_angle(own[q], point)
+                angle = solid_angle(corners[q], point)
                 if math.isfinite(angle):  # else on the surface, where the parts touch
                     depth[p] += round(signs[q] * angle / (4.0 * math.pi))
                     break
