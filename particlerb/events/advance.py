@@ -51,8 +51,8 @@ def _hit(scene: EventScene, state: EventState, work: EventWork, b: int, c: int, 
     if state.sums[AT_ONCE] > _AT_ONCE * scene.n_moving:
         return ENDLESS
     first, second = (b, c) if c < 0 else (min(b, c), max(b, c))
-    own, other = int(np.int64(state.info[b, OWN])), int(np.int64(state.info[b, OTHER]))
-    return DONE if collide(scene, state, work, first, second, own, other, t) else OVERLAP
+    sphere, other = int(np.int64(state.info[b, OWN])), int(np.int64(state.info[b, OTHER]))
+    return DONE if collide(scene, state, work, first, second, sphere, other, t) else OVERLAP
 
 
 @inline
@@ -95,7 +95,7 @@ def advance(
             partner = c if c < scene.n_moving else -1
         else:
             state.tally[RENEWED] += 1.0
-        for one in (b, partner):
-            if one >= 0 and not predict(scene, state, work.centre, one, t, side):
+        for body in (b, partner):
+            if body >= 0 and not predict(scene, state, work.centre, body, t, side):
                 return UNFOUND, b
     return MORE, -1

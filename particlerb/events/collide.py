@@ -162,8 +162,8 @@ def _geometry(
     c, r = _sphere(scene.around, scene, state, a, i, x, t), scene.sphere[i, SPHERE_RADIUS]
     size = abs(c[0]) + abs(c[1]) + abs(c[2]) + r
     if b == WALL:
-        one = primitive_at(scene.wall_kind, scene.wall_parameter, j)
-        distance, n, _ = normal_to(one, c)
+        wall = primitive_at(scene.wall_kind, scene.wall_parameter, j)
+        distance, n, _ = normal_to(wall, c)
         return n, add_scaled(-distance, n, c), distance - r, size, ZERO
     y, _ = flight_at(scene, state, b, t)
     apart = subtract(c, _sphere(scene.around, scene, state, b, j, y, t))

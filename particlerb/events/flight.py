@@ -178,14 +178,14 @@ def states_at(
 
 
 @inline
-def set_off(scene: EventScene, state: EventState, b: int, given: State, i: int) -> None:
+def set_off(scene: EventScene, state: EventState, b: int, initial: State, i: int) -> None:
     """Let a body set off at time 0 from column i of the states given."""
-    x = (given.com[0, i], given.com[1, i], given.com[2, i])
-    p = (given.p[0, i], given.p[1, i], given.p[2, i])
-    spin = (given.L[0, i], given.L[1, i], given.L[2, i])
+    x = (initial.com[0, i], initial.com[1, i], initial.com[2, i])
+    p = (initial.p[0, i], initial.p[1, i], initial.p[2, i])
+    spin = (initial.L[0, i], initial.L[1, i], initial.L[2, i])
     put_row3_at(state.flight, b, FLIGHT_X, x)
     put_row3_at(state.flight, b, FLIGHT_V, scale(scene.body[b, BODY_INV_MASS], p))
-    q = (given.q[0, i], given.q[1, i], given.q[2, i], given.q[3, i])
+    q = (initial.q[0, i], initial.q[1, i], initial.q[2, i], initial.q[3, i])
     set_spin(scene, state, b, 0.0, q, spin)
 
 

@@ -134,32 +134,32 @@ def _note(state: EventState, b: int, t: float, s: float, hit: tuple[int, int, in
 
 @inline
 def _look(
-    around: Flag, scene: EventScene, state: EventState, work: Floats, one: Flying, c: int,
+    around: Flag, scene: EventScene, state: EventState, work: Floats, flying: Flying, c: int,
     stays: float,
 ) -> bool:  # fmt: skip
     """Note the impact of a body with body c, if it is the next; false: a search did not end."""
-    b = one.body
+    b = flying.body
     if around is None:
-        _note(state, b, one.t, balls_meet(scene, state, one, c), (c, min(b, c), max(b, c)))
+        _note(state, b, flying.t, balls_meet(scene, state, flying, c), (c, min(b, c), max(b, c)))
         return True
-    until = min(state.at[b, HIT] - one.t, stays)
-    s, own, other = bodies_meet(scene, state, work, one, c, until)
-    _note(state, b, one.t, s, (c, own, other))
+    until = min(state.at[b, HIT] - flying.t, stays)
+    s, sphere, other = bodies_meet(scene, state, work, flying, c, until)
+    _note(state, b, flying.t, s, (c, sphere, other))
     return s != LOST
 
 
 @inline
 def _look_at_walls(
-    scene: EventScene, state: EventState, work: Floats, one: Flying, home: int, stays: float
+    scene: EventScene, state: EventState, work: Floats, flying: Flying, home: int, stays: float
 ) -> bool:
     """`_look` at all walls near a cell."""
-    found, b = True, one.body
+    ended, b = True, flying.body
     for n in range(scene.wall_first[home], scene.wall_first[home + 1]):
         p = int(np.int64(scene.wall_near[n]))
-        s, own = wall_meets(scene, state, work, one, p, min(state.at[b, HIT] - one.t, stays))
-        found = found and s != LOST
-        _note(state, b, one.t, s, (WALL, own, p))
-    return found
+        s, i = wall_meets(scene, state, work, flying, p, min(state.at[b, HIT] - flying.t, stays))
+        ended = ended and s != LOST
+        _note(state, b, flying.t, s, (WALL, i, p))
+    return ended
 
 
 @inline
@@ -181,7 +181,7 @@ def predict(
     beyond are new. Balls in free flight are looked at for all time, all else until the body leaves.
     """
     x, v = flight_at(scene, state, b, t)
-    one, found = Flying(b, t, x, v), True
+    flying, ended = Flying(b, t, x, v), True
     stays, state.info[b, EXIT] = _until_crossing(scene, state, b, x, v)
     state.at[b, LEAVE] = t + stays
     if side < 0 or scene.around is not None:
@@ -198,22 +198,22 @@ def predict(
                 c = int(np.int64(state.head[at]))
                 while c >= 0:
                     if c != b:
-                        found = _look(scene.around, scene, state, work, one, c, stays) and found
+                        ended = _look(scene.around, scene, state, work, flying, c, stays) and ended
                     c = int(np.int64(state.next[c]))
     home = _cell(scene, i0, j0, k0)
     i, j, k = state.info[b, CELL], state.info[b, CELL + 1], state.info[b, CELL + 2]
     if i != i0 or j != j0 or k != k0:
         home = state.head.size
-    found = _look_at_walls(scene, state, work, one, home, stays) and found
+    ended = _look_at_walls(scene, state, work, flying, home, stays) and ended
     put(state, b, min(state.at[b, HIT], state.at[b, LEAVE]))
-    return found
+    return ended
 
 
 @kernel
-def set_all(scene: EventScene, state: EventState, which: Ints, given: State) -> None:
-    """Let all bodies set off at time 0, in their cells; body b is column which[b] of `given`."""
+def set_all(scene: EventScene, state: EventState, columns: Ints, initial: State) -> None:
+    """Let all bodies set off at time 0, in their cells; b from column columns[b] of `initial`."""
     for b in range(state.place.size - 1, -1, -1):
-        set_off(scene, state, b, given, which[b])
+        set_off(scene, state, b, initial, columns[b])
         for k in range(3):
             along = state.flight[b, k] - scene.origin[k]
             state.info[b, CELL + k] = math.floor(along / scene.cell_width[k])

@@ -161,13 +161,13 @@ def _rows(n: int, columns: int, dtype: Any, value: float) -> Any:
 
 def empty_state(n: int, n_moving: int, n_cells: int, columns: int) -> EventState:
     """State of n bodies at time 0: each that moves looks for its next event."""
-    which = np.arange(n, dtype=np.int32)
+    bodies = np.arange(n, dtype=np.int32)
     info = _rows(n, N_INFO, np.int32, 0)
-    info[:, PARTNER], info[:, STAMP] = which, AGAIN
+    info[:, PARTNER], info[:, STAMP] = bodies, AGAIN
     return EventState(
         _rows(n, N_FLIGHT, float, 0.0), np.zeros((n, N_SPIN)), np.zeros((n, columns)), info,
         _rows(n, 2, float, np.inf), np.full(n, -1, dtype=np.int32),
-        np.full(n_cells, -1, dtype=np.int32), which[:n_moving].copy(), np.zeros(n_moving), which,
+        np.full(n_cells, -1, dtype=np.int32), bodies[:n_moving].copy(), np.zeros(n_moving), bodies,
         np.full((n, REMEMBERED), -1), np.full((n, REMEMBERED), -np.inf), np.zeros(N_SUMS),
         np.zeros(TALLY),
     )  # fmt: skip

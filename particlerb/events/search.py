@@ -203,23 +203,23 @@ class Flying(NamedTuple):
 
 
 @inline
-def balls_meet(scene: EventScene, state: EventState, one: Flying, c: int) -> float:
+def balls_meet(scene: EventScene, state: EventState, flying: Flying, c: int) -> float:
     """Time [s] until a ball and ball c touch and approach, both in free flight; inf: never."""
-    xc, vc = flight_at(scene, state, c, one.t)
-    x, u = in_box(scene.box, subtract(xc, one.x)), subtract(vc, one.v)
-    R = state.flight[one.body, BOUND] + state.flight[c, BOUND]
-    return _balls_meet(x, u, R + rounding(one.x, R))
+    xc, vc = flight_at(scene, state, c, flying.t)
+    x, u = in_box(scene.box, subtract(xc, flying.x)), subtract(vc, flying.v)
+    R = state.flight[flying.body, BOUND] + state.flight[c, BOUND]
+    return _balls_meet(x, u, R + rounding(flying.x, R))
 
 
 @inline
 def bodies_meet(
-    scene: EventScene, state: EventState, work: Floats, one: Flying, c: int, until: float
+    scene: EventScene, state: EventState, work: Floats, flying: Flying, c: int, until: float
 ) -> tuple[float, int, int]:
     """Time until a body and body c touch and approach, before `until`; with which spheres.
 
     Parameters
     ----------
-    one : Flying
+    flying : Flying
     c : int
     until : float [s]
         For how long to look.
@@ -231,17 +231,17 @@ def bodies_meet(
     first, second : int
         Spheres, of the body with the lower number and of the other one.
     """
-    b, t = one.body, one.t
+    b, t = flying.body, flying.t
     fall = norm(pull(scene, b)) if c >= scene.n_moving else 0.0
     if fall == 0.0 and scene.body[b, BODY_REACH] == 0.0 and scene.body[c, BODY_REACH] == 0.0:
-        s, i, j = balls_meet(scene, state, one, c), min(b, c), max(b, c)
+        s, i, j = balls_meet(scene, state, flying, c), min(b, c), max(b, c)
         return (
             (s if s < until else math.inf),
             scene.kind[i, FIRST_SPHERE],
             scene.kind[j, FIRST_SPHERE],
         )
     xc, vc = flight_at(scene, state, c, t)
-    apart, u = subtract(xc, one.x), subtract(vc, one.v)
+    apart, u = subtract(xc, flying.x), subtract(vc, flying.v)
     x = in_box(scene.box, apart)
     shift = subtract(x, apart)
     R = state.flight[b, BOUND] + state.flight[c, BOUND]
@@ -262,48 +262,48 @@ def bodies_meet(
 
 
 @inline
-def _over(one: Primitive, x: Vec3) -> bool:
+def _over(wall: Primitive, x: Vec3) -> bool:
     """Whether the nearest point is inside a face or a disc, and not on its rim."""
-    if one.kind == FACE:
-        a, b, c, n = one.a, one.b, one.c, one.n
+    if wall.kind == FACE:
+        a, b, c, n = wall.a, wall.b, wall.c, wall.n
         return side(a, b, n, x) > 0.0 and side(b, c, n, x) > 0.0 and side(a, c, n, x) < 0.0
-    if one.kind == DISC:
-        _, rho, _ = radial(one.a, one.b, x)
-        return rho < one.c[0]
-    return one.kind == PLANE
+    if wall.kind == DISC:
+        _, rho, _ = radial(wall.a, wall.b, x)
+        return rho < wall.c[0]
+    return wall.kind == PLANE
 
 
 @inline
-def normal_to(one: Primitive, x: Vec3) -> tuple[float, Vec3, bool]:
+def normal_to(wall: Primitive, x: Vec3) -> tuple[float, Vec3, bool]:
     """Distance of x from a primitive [m], unit vector from there to x, whether that is a plane's.
 
     Behind a plane the distance is negative; all else is touched from both sides.
     """
-    if _over(one, x):
-        n = one.n if one.kind == FACE else one.b
-        away = dot(subtract(x, one.a), n)
-        if one.kind == PLANE or away >= 0.0:
+    if _over(wall, x):
+        n = wall.n if wall.kind == FACE else wall.b
+        away = dot(subtract(x, wall.a), n)
+        if wall.kind == PLANE or away >= 0.0:
             return away, n, True
         return -away, scale(-1.0, n), True
-    d = subtract(x, nearest(one, x))
+    d = subtract(x, nearest(wall, x))
     distance = length(d)
     return distance, scale(1.0 / max(distance, 1e-300), d), False
 
 
 @inline
 def _until_side(
-    one: Primitive, x: Vec3, v: Vec3, radius: float, bend: float, fastest: float
+    wall: Primitive, x: Vec3, v: Vec3, radius: float, bend: float, fastest: float
 ) -> float:
     """Time in which a sphere inside a tube does not touch its side or a rim of it [s].
 
     With R the radius of the tube less that of the sphere, ρ the distance from the axis, and w the
     velocity across, (R² - ρ²)/2R closes like the gap and has a second derivative >= -(w²/R + bend).
     """
-    z, rho, away = radial(one.a, one.b, x)
-    R = one.c[0] - radius
-    across = add_scaled(-dot(v, one.b), one.b, v)
-    if abs(z) > one.c[1] or R <= 0.0:
-        return (length(subtract(x, nearest(one, x))) - radius) / fastest
+    z, rho, away = radial(wall.a, wall.b, x)
+    R = wall.c[0] - radius
+    across = add_scaled(-dot(v, wall.b), wall.b, v)
+    if abs(z) > wall.c[1] or R <= 0.0:
+        return (length(subtract(x, nearest(wall, x))) - radius) / fastest
     speed = dot(across, across) if bend == 0.0 else fastest * fastest
     gap, rate = (R - rho) * (R + rho) / (2.0 * R), -rho * dot(away, across) / R
     return soonest(gap, rate, speed / R + bend, rounding(x, radius), radius)
@@ -311,19 +311,19 @@ def _until_side(
 
 @inline
 def _until_wall(
-    one: Primitive, x: Vec3, v: Vec3, g: Vec3, radius: float, bend: float, fastest: float
+    wall: Primitive, x: Vec3, v: Vec3, g: Vec3, radius: float, bend: float, fastest: float
 ) -> float:
     """Time in which a sphere does not touch a primitive [s]; 0: it touches, and approaches."""
-    distance, n, is_flat = normal_to(one, x)
+    distance, n, is_flat = normal_to(wall, x)
     gap, touch = distance - radius, rounding(x, radius)
     rate = dot(n, v)
-    if one.kind == SIDE and gap > touch:
-        _, rho, _ = radial(one.a, one.b, x)
-        if rho < one.c[0]:
-            return _until_side(one, x, v, radius, bend + norm(g), fastest)
+    if wall.kind == SIDE and gap > touch:
+        _, rho, _ = radial(wall.a, wall.b, x)
+        if rho < wall.c[0]:
+            return _until_side(wall, x, v, radius, bend + norm(g), fastest)
     curved = bend - dot(n, g) if is_flat else bend + norm(g)
-    if one.kind == SIDE and gap <= touch and rate >= 0.0:
-        curved += fastest * fastest / max(one.c[0] - radius, radius)
+    if wall.kind == SIDE and gap <= touch and rate >= 0.0:
+        curved += fastest * fastest / max(wall.c[0] - radius, radius)
     return soonest(gap, rate, curved, touch, radius)
 
 
@@ -347,7 +347,7 @@ def _wall_meets(
     until: float,
 ) -> tuple[float, int]:  # fmt: skip
     """`wall_meets` where the two come near each other."""
-    one, g = primitive_at(scene.wall_kind, scene.wall_parameter, p), pull(scene, a)
+    wall, g = primitive_at(scene.wall_kind, scene.wall_parameter, p), pull(scene, a)
     _, v = flight_at(scene, state, a, t)
     fastest = (
         norm(v) + norm(g) * until + state.spin[a, FASTEST] * scene.body[a, BODY_REACH] + 1e-300
@@ -362,7 +362,7 @@ def _wall_meets(
             c = row3(work, k - lo)
             u = work[k - lo, 3], work[k - lo, 4], work[k - lo, 5]
             wait = _until_wall(
-                one, c, u, g, scene.sphere[k, SPHERE_RADIUS], work[k - lo, 6], fastest
+                wall, c, u, g, scene.sphere[k, SPHERE_RADIUS], work[k - lo, 6], fastest
             )
             if wait < step:
                 step, best = wait, k
@@ -373,26 +373,26 @@ def _wall_meets(
 
 
 @inline
-def _at_least_away(one: Primitive, x: Vec3) -> float:
+def _at_least_away(wall: Primitive, x: Vec3) -> float:
     """Distance [m] that a primitive has from x, or less."""
-    if one.kind == SIDE:
-        _, rho, _ = radial(one.a, one.b, x)
-        return abs(rho - one.c[0])
-    away = dot(subtract(x, one.a), one.n if one.kind == FACE else one.b)
-    return away if one.kind == PLANE else abs(away)
+    if wall.kind == SIDE:
+        _, rho, _ = radial(wall.a, wall.b, x)
+        return abs(rho - wall.c[0])
+    away = dot(subtract(x, wall.a), wall.n if wall.kind == FACE else wall.b)
+    return away if wall.kind == PLANE else abs(away)
 
 
 @inline
 def wall_meets(
-    scene: EventScene, state: EventState, work: Floats, one: Flying, p: int, until: float
+    scene: EventScene, state: EventState, work: Floats, flying: Flying, p: int, until: float
 ) -> tuple[float, int]:
     """Time until a body touches a primitive and approaches it, before `until`; its sphere.
 
     As `bodies_meet`.
     """
     wall = primitive_at(scene.wall_kind, scene.wall_parameter, p)
-    reach = state.flight[one.body, BOUND]
-    reach += (norm(one.v) + norm(pull(scene, one.body)) * until) * until
-    if _at_least_away(wall, one.x) > reach:
+    reach = state.flight[flying.body, BOUND]
+    reach += (norm(flying.v) + norm(pull(scene, flying.body)) * until) * until
+    if _at_least_away(wall, flying.x) > reach:
         return math.inf, -1
-    return _wall_meets(scene, state, work, one.body, p, one.t, until)
+    return _wall_meets(scene, state, work, flying.body, p, flying.t, until)
