@@ -48,11 +48,11 @@ _ROUNDING: Final = 1e-12  # of the rate
 @inline
 def rate_along(bounded: Bounded, velocity: Floats, k: int) -> float:
     """Rate of the coordinate of row k with these velocities."""
-    found = 0.0
+    rate = 0.0
     for end, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
-        found += dot(row3_at(bounded.gradient, k, at), row3_at(velocity, end, 0))
-        found += dot(row3_at(bounded.gradient, k, at + 3), row3_at(velocity, end, 3))
-    return found
+        rate += dot(row3_at(bounded.gradient, k, at), row3_at(velocity, end, 0))
+        rate += dot(row3_at(bounded.gradient, k, at + 3), row3_at(velocity, end, 3))
+    return rate
 
 
 @inline
@@ -258,18 +258,18 @@ def push_by_bounded(bounded: Bounded, velocity: Floats) -> None:
 
 
 @inline
-def _give(bounded: Bounded, given: Floats, k: int, r: float) -> None:
+def _give(bounded: Bounded, momenta: Floats, k: int, r: float) -> None:
     """Give momenta: an impulse along row k."""
     for i in range(6):
-        given[bounded.first[k], i] += r * bounded.gradient[k, i]
-        given[bounded.second[k], i] += r * bounded.gradient[k, 6 + i]
+        momenta[bounded.first[k], i] += r * bounded.gradient[k, i]
+        momenta[bounded.second[k], i] += r * bounded.gradient[k, 6 + i]
 
 
 @inline
-def give_bounded(bounded: Bounded, given: Floats) -> None:
+def give_bounded(bounded: Bounded, momenta: Floats) -> None:
     """Give the momenta of all of these impulses."""
     for k in range(bounded.kind.size):
-        _give(bounded, given, k, bounded.values[k, B_IMPULSE])
+        _give(bounded, momenta, k, bounded.values[k, B_IMPULSE])
 
 
 @inline

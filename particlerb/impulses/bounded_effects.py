@@ -34,7 +34,7 @@ _FITS: Final = 1e-12  # [rad or m] what a stop may be overrun by
 @inline
 def find_overrun(bounded: Bounded, velocity: Floats, dt: float) -> bool:
     """Find by how much stops are overrun at the next middle of a step; whether any is."""
-    values, found = bounded.values, False
+    values, is_overrun = bounded.values, False
     for k in range(bounded.kind.size):
         u = rate_along(bounded, velocity, k)
         lower, upper = values[k, B_GAP] + dt * u, values[k, B_GAP + 1] - dt * u
@@ -45,8 +45,8 @@ def find_overrun(bounded: Bounded, velocity: Floats, dt: float) -> bool:
         gap = math.inf if is_left else min(lower, upper)
         values[k, B_OLD], values[k, B_SLOPE] = 0.0, gap
         values[k, B_CHANGE] = 1.0 if lower < upper else -1.0
-        found = found or gap < -_FITS
-    return found
+        is_overrun = is_overrun or gap < -_FITS
+    return is_overrun
 
 
 @inline

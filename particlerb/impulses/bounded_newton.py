@@ -48,9 +48,9 @@ def linearise_bounded(
         if r in (by_least, by_most) and abs(r) < values[k, B_LARGEST]:
             values[k, B_CHANGE] = miss / small
             values[k, B_SLOPE] = 1.0 / (small * values[k, B_INVERSE])
-        own = _cluster_of(bounded, newton, k)
+        cluster = _cluster_of(bounded, newton, k)
         square = values[k, B_WEIGHT] * miss * miss
-        newton.clusters[own, size] += square * (1.0 + (mass * inverse_of(values, k)) ** 2)
+        newton.clusters[cluster, size] += square * (1.0 + (mass * inverse_of(values, k)) ** 2)
 
 
 @inline

@@ -42,11 +42,11 @@ _ROUNDING: Final = 1e-14
 def _changed(frame: Floats, k: int, u: Vec3, r: Vec3) -> Vec3:
     """u + W r of contact k."""
     w, a1, a2 = frame[k, INVERSE], frame[k, COUPLING], frame[k, COUPLING + 1]
-    both = a1 * a2 / w
+    mixed = a1 * a2 / w
     return (
         u[0] + w * r[0] + a1 * r[1] + a2 * r[2],
-        u[1] + a1 * r[0] + (frame[k, SCHUR] + a1 * a1 / w) * r[1] + both * r[2],
-        u[2] + a2 * r[0] + both * r[1] + (frame[k, SCHUR + 1] + a2 * a2 / w) * r[2],
+        u[1] + a1 * r[0] + (frame[k, SCHUR] + a1 * a1 / w) * r[1] + mixed * r[2],
+        u[2] + a2 * r[0] + mixed * r[1] + (frame[k, SCHUR + 1] + a2 * a2 / w) * r[2],
     )
 
 
@@ -91,11 +91,11 @@ def _put_first_first(order: Floats, n: int) -> None:
     step = n // 2
     while step > 0:
         for i in range(step, n):
-            time, which, j = order[i, 0], order[i, 1], i
+            time, index, j = order[i, 0], order[i, 1], i
             while j >= step and order[j - step, 0] < time:
                 order[j, 0], order[j, 1] = order[j - step, 0], order[j - step, 1]
                 j -= step
-            order[j, 0], order[j, 1] = time, which
+            order[j, 0], order[j, 1] = time, index
         step //= 2
 
 

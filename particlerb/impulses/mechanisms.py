@@ -36,9 +36,9 @@ def push_mechanism(
     for k in range(first, last):
         other = mechanisms.member[k]
         for i in range(6):
-            given = p[0] * response[at] + p[1] * response[at + w] + p[2] * response[at + 2 * w]
-            given += m[0] * response[at + 3 * w] + m[1] * response[at + 4 * w]
-            velocity[other, i] += given + m[2] * response[at + 5 * w]
+            change = p[0] * response[at] + p[1] * response[at + w] + p[2] * response[at + 2 * w]
+            change += m[0] * response[at + 3 * w] + m[1] * response[at + 4 * w]
+            velocity[other, i] += change + m[2] * response[at + 5 * w]
             at += 1
     return True
 

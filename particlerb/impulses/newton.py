@@ -133,9 +133,9 @@ def _linearise(
     x, y = r[1] - share * u[1], r[2] - share * u[2]
     f, t = subtract(r, nearest_in_cone(n, x, y, mu)), max(math.sqrt(x * x + y * y), _TINY)
     up = mu / speed if speed > 0.0 else 0.0
-    lift, stiff, one = (1.0, up * u[1], up * u[2]), share / small, 1.0 + small
+    lift, stiff, full = (1.0, up * u[1], up * u[2]), share / small, 1.0 + small
     if mu * t <= -n:
-        _put_slopes(newton.slopes, k, scale(1.0 / one, f), ZERO, ZERO, ZERO)
+        _put_slopes(newton.slopes, k, scale(1.0 / full, f), ZERO, ZERO, ZERO)
     elif t <= mu * n and mu > 0.0:
         rest = (0.0, stiff, 0.0), (0.0, 0.0, stiff)
         _put_slopes(newton.slopes, k, scale(1.0 / small, f), scale(stiff, lift), *rest)
@@ -143,9 +143,9 @@ def _linearise(
         a1, a2, long = x / t, y / t, math.sqrt(1.0 + mu * mu)
         e, out = (1.0 / long, mu * a1 / long, mu * a2 / long), (-mu / long, a1 / long, a2 / long)
         g = mu * (n + mu * t) / ((1.0 + mu * mu) * t)
-        across, soft = (0.0, -a2, a1), share * g / (one - g)
+        across, soft = (0.0, -a2, a1), share * g / (full - g)
         c = scale(dot(e, f) / small, e)
-        c = add_scaled(dot(across, f) / (one - g), across, add_scaled(dot(out, f) / one, out, c))
+        c = add_scaled(dot(across, f) / (full - g), across, add_scaled(dot(out, f) / full, out, c))
         el = scale(stiff, (e[0], e[0] * lift[1] + e[1], e[0] * lift[2] + e[2]))
         k1, k2 = add_scaled(-soft * a2, across, scale(e[1], el)), scale(e[2], el)
         _put_slopes(newton.slopes, k, c, scale(e[0], el), k1, add_scaled(soft * a1, across, k2))
@@ -190,7 +190,7 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
     """Add Gᵀ K G M⁻¹ and -Gᵀ c of contact k."""
     frame, slopes, mechanisms = rows.frame, newton.slopes, partners.mechanisms
     a, b = rows.first[k], rows.second[k]
-    one, two = newton.place[a], newton.place[b]
+    row_a, row_b = newton.place[a], newton.place[b]
     for other in range(2):
         body, arm = (a, ARM) if other == 0 else (b, ARM + 3)
         if newton.place[body] < 0:
@@ -204,12 +204,12 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
                 r = _k_times(slopes, k, in_frame(frame, k, scale(sign, v)))
                 p, omega = in_world(frame, k, r), in_frame(frame, k, scale(sign, omega))
                 m = rolling_by(rows.rolling, rows, k, omega, -r[0])
-                if one >= 0:
+                if row_a >= 0:
                     turn = add(cross(row3_at(frame, k, ARM), p), m)
-                    _add_column(newton, one, column + i, p, turn)
-                if two >= 0:
+                    _add_column(newton, row_a, column + i, p, turn)
+                if row_b >= 0:
                     turn = add(cross(row3_at(frame, k, ARM + 3), p), m)
-                    _add_column(newton, two, column + i, scale(-1.0, p), scale(-1.0, turn))
+                    _add_column(newton, row_b, column + i, scale(-1.0, p), scale(-1.0, turn))
 
 
 @kernel
@@ -222,10 +222,10 @@ def _evaluate(
     for j in range(clusters.shape[0]):
         clusters[j, _SIZE] = 0.0
     for k in range(count):
-        own, inverse = _cluster_of(newton, rows, k), rows.frame[k, INVERSE]
-        clusters[own, _SIZE] += _linearise(partners, rows, newton, k, mass, small)
+        cluster, inverse = _cluster_of(newton, rows, k), rows.frame[k, INVERSE]
+        clusters[cluster, _SIZE] += _linearise(partners, rows, newton, k, mass, small)
         rolls = linearise_rolling(rows.rolling, partners, rows, k, small)
-        clusters[own, _SIZE] += rolls * measured(inverse, mass)
+        clusters[cluster, _SIZE] += rolls * measured(inverse, mass)
     if bounded is not None:
         linearise_bounded(bounded, newton, partners.velocity, (_SIZE, mass, small))
 

@@ -11,12 +11,12 @@ from particlerb.maths.vec3 import Bools, Ints
 
 def _layers(near: list[set[int]], first: int) -> list[int]:
     """All that can be reached from a body, the nearest first, few neighbours before many."""
-    found, seen = [first], {first}
-    for k in found:
+    reached, seen = [first], {first}
+    for k in reached:
         new = sorted(near[k] - seen, key=lambda other: (len(near[other]), other))
-        found += new
+        reached += new
         seen.update(new)
-    return found
+    return reached
 
 
 def room_for_newton(moves: Bools, a: Ints, b: Ints, rows: int) -> Newton:
@@ -41,10 +41,10 @@ def room_for_newton(moves: Bools, a: Ints, b: Ints, rows: int) -> Newton:
     n_clusters = 0
     for k in sorted(np.flatnonzero(moves).tolist(), key=lambda k: len(near[k])):
         if cluster[k] < 0:
-            own = _layers(near, _layers(near, k)[-1])
-            cluster[own] = n_clusters
+            members = _layers(near, _layers(near, k)[-1])
+            cluster[members] = n_clusters
             n_clusters += 1
-            order += own
+            order += members
     place[order] = 6 * np.arange(len(order))
     away = np.abs(place[a[inner]] - place[b[inner]]).max(initial=0)
     n, reach = 6 * len(order), int(away) + 5

@@ -40,7 +40,7 @@ def _find_overlaps(impulses: Impulses, dt: float) -> bool:
     One that is going to be too deep is told, whatever is done about it.
     """
     rules, partners, rows, count, _, _ = impulses
-    found, count[1] = False, -1
+    is_deep, count[1] = False, -1
     for k in range(count[0]):
         u = approach(partners, rows, k)
         gap = rows.limits[k, GAP] + dt * (u[0] + rows.limits[k, LEAN])
@@ -50,8 +50,8 @@ def _find_overlaps(impulses: Impulses, dt: float) -> bool:
         if parts or rows.frame[k, LEAST] == NEVER:
             gap = math.inf
         rows.old[k, 0], rows.old[k, 1] = 0.0, gap
-        found = found or gap < -rules.slop
-    return found
+        is_deep = is_deep or gap < -rules.slop
+    return is_deep
 
 
 @kernel
@@ -59,10 +59,10 @@ def push_out(impulses: Impulses, bounded: Bounded | None, dt: float) -> bool:
     """Find the moves of all partners; whether there are any."""
     rules, partners, rows, count, _, _ = impulses
     frame, move, has_moved = rows.frame, partners.move, partners.has_moved
-    found = _find_overlaps(impulses, dt)
+    is_deep = _find_overlaps(impulses, dt)
     if bounded is not None:
-        found |= find_overrun(bounded, partners.velocity, dt)
-    if not found or rules.push_out == 0.0:
+        is_deep |= find_overrun(bounded, partners.velocity, dt)
+    if not is_deep or rules.push_out == 0.0:
         return False
     for b in range(move.shape[0]):
         has_moved[b] = False

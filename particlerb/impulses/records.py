@@ -236,7 +236,7 @@ def room_for_rows(
 
 def room_for_bounded(kind: Ints, first: Ints, second: Ints, members: list[Ints]) -> Bounded:
     """Room for rows between two partners each, that move these."""
-    start = np.cumsum([0, *(own.size for own in members)])
+    start = np.cumsum([0, *(bodies.size for bodies in members)])
     response, k = np.zeros((start[-1], 6)), kind.size
     gradient, values = np.zeros((k, 12)), np.zeros((k, _N_BOUNDED))
     return Bounded(kind, first, second, start, np.concatenate(members), response, gradient, values)

@@ -50,9 +50,9 @@ def _turn(partners: Partners, velocity: Floats, rows: ImpulseRows, k: int, m: Ve
 @inline
 def _give(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> None:
     """Give angular momenta."""
-    along, given, a, b = in_world(rows.frame, k, m), partners.given, rows.first[k], rows.second[k]
-    put_row3_at(given, a, 3, add(row3_at(given, a, 3), along))
-    put_row3_at(given, b, 3, subtract(row3_at(given, b, 3), along))
+    along, momenta, a, b = in_world(rows.frame, k, m), partners.given, rows.first[k], rows.second[k]
+    put_row3_at(momenta, a, 3, add(row3_at(momenta, a, 3), along))
+    put_row3_at(momenta, b, 3, subtract(row3_at(momenta, b, 3), along))
 
 
 @inline
@@ -103,10 +103,10 @@ def write_rolling(
     for k in range(count):
         a, b, inverse, limit = rows.first[k], rows.second[k], partners.inverse, rolling.limit
         n = _turned_by(partners, rows, k, (1.0, 0.0, 0.0))
-        one = _turned_by(partners, rows, k, (0.0, 1.0, 0.0))
-        two = _turned_by(partners, rows, k, (0.0, 0.0, 1.0))
-        half = 0.5 * (one[1] - two[2])
-        largest = 0.5 * (one[1] + two[2]) + math.sqrt(half * half + one[2] * one[2])
+        t1 = _turned_by(partners, rows, k, (0.0, 1.0, 0.0))
+        t2 = _turned_by(partners, rows, k, (0.0, 0.0, 1.0))
+        half = 0.5 * (t1[1] - t2[2])
+        largest = 0.5 * (t1[1] + t2[2]) + math.sqrt(half * half + t1[2] * t1[2])
         free = inverse[a, 1] + inverse[a, 4] + inverse[a, 6]
         free += inverse[b, 1] + inverse[b, 4] + inverse[b, 6]
         limit[k, ACROSS + 1], limit[k, ABOUT + 1] = largest, n[0]

@@ -33,7 +33,7 @@ def linearise_rolling(
     if rolling is None:
         return 0.0
     slopes, m = rolling.slopes, row3_at(rolling.impulse, k, 0)
-    n, limit, one = max(rows.impulse[k, 0], 0.0), rolling.limit, 1.0 + small
+    n, limit, full = max(rows.impulse[k, 0], 0.0), rolling.limit, 1.0 + small
     z = add(m, step_against(rolling, k, turning(partners.velocity, rows, k)))
     f = subtract(m, on_the_disc(rolling, k, z, n))
     share, radius = 1.0 / limit[k, ACROSS + 1], limit[k, ACROSS] * n
@@ -41,18 +41,18 @@ def linearise_rolling(
     if abs(z[0]) <= limit[k, ABOUT] * n:
         c, slopes[k, _KN], q = f[0] / small, 1.0 / (small * limit[k, ABOUT + 1]), 0.0
     else:
-        c, slopes[k, _KN], q = f[0] / one, 0.0, math.copysign(limit[k, ABOUT] / one, z[0])
+        c, slopes[k, _KN], q = f[0] / full, 0.0, math.copysign(limit[k, ABOUT] / full, z[0])
     if size <= radius:
         put_row3_at(slopes, k, _C, (c, f[1] / small, f[2] / small))
         put_row3_at(slopes, k, _K, (share / small, 0.0, share / small))
         put_row3_at(slopes, k, _Q, (q, 0.0, 0.0))
     else:
         x, y, g = z[1] / size, z[2] / size, radius / size
-        along = (f[2] * x - f[1] * y) / (one - g)
-        out, stiff = (f[1] * x + f[2] * y) / one, share * g / (one - g)
+        along = (f[2] * x - f[1] * y) / (full - g)
+        out, stiff = (f[1] * x + f[2] * y) / full, share * g / (full - g)
         put_row3_at(slopes, k, _C, (c, out * x - along * y, out * y + along * x))
         put_row3_at(slopes, k, _K, (stiff * y * y, -stiff * x * y, stiff * x * x))
-        wider = limit[k, ACROSS] / one
+        wider = limit[k, ACROSS] / full
         put_row3_at(slopes, k, _Q, (q, wider * x, wider * y))
     return square_of(rolling, rows, k, f)
 

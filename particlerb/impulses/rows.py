@@ -44,10 +44,10 @@ def inverse_inertia_times(inverse: Floats, b: int, m: Vec3) -> Vec3:
 @inline
 def velocity_between(velocity: Floats, frame: Floats, c: int, a: int, b: int) -> Vec3:
     """Velocity [m/s] of the first partner of contact c relative to the second, at the point."""
-    one = cross(row3_at(velocity, a, 3), row3_at(frame, c, ARM))
-    two = cross(row3_at(velocity, b, 3), row3_at(frame, c, ARM + 3))
-    one, two = add(one, row3_at(velocity, a, 0)), add(two, row3_at(velocity, b, 0))
-    return subtract(one, two)
+    va = cross(row3_at(velocity, a, 3), row3_at(frame, c, ARM))
+    vb = cross(row3_at(velocity, b, 3), row3_at(frame, c, ARM + 3))
+    va, vb = add(va, row3_at(velocity, a, 0)), add(vb, row3_at(velocity, b, 0))
+    return subtract(va, vb)
 
 
 @inline
@@ -225,16 +225,16 @@ def lean(partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Ve
 @inline
 def give(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     """Give momenta: r [N s] along n, t₁, t₂ of contact c to the first partner, -r to the second."""
-    a, b, given = rows.first[c], rows.second[c], partners.given
+    a, b, momenta = rows.first[c], rows.second[c], partners.given
     p = in_world(rows.frame, c, r)
     turn_a, turn_b = (
         cross(row3_at(rows.frame, c, ARM), p),
         cross(row3_at(rows.frame, c, ARM + 3), p),
     )
-    put_row3_at(given, a, 0, add_scaled(1.0, p, row3_at(given, a, 0)))
-    put_row3_at(given, b, 0, add_scaled(-1.0, p, row3_at(given, b, 0)))
-    put_row3_at(given, a, 3, add_scaled(1.0, turn_a, row3_at(given, a, 3)))
-    put_row3_at(given, b, 3, add_scaled(-1.0, turn_b, row3_at(given, b, 3)))
+    put_row3_at(momenta, a, 0, add_scaled(1.0, p, row3_at(momenta, a, 0)))
+    put_row3_at(momenta, b, 0, add_scaled(-1.0, p, row3_at(momenta, b, 0)))
+    put_row3_at(momenta, a, 3, add_scaled(1.0, turn_a, row3_at(momenta, a, 3)))
+    put_row3_at(momenta, b, 3, add_scaled(-1.0, turn_b, row3_at(momenta, b, 3)))
 
 
 @inline

@@ -228,19 +228,19 @@ def _sweeps(
 ) -> float:  # fmt: skip
     """Sweep over all contacts until the residual is within the tolerance; the last one."""
     rules, partners, rows, count, tally, _ = impulses
-    m, sweeps, before, found = count[0], 0, 0.0, math.inf
-    while sweeps < most and found > rules.tolerance:
+    m, sweeps, before, defect = count[0], 0, 0.0, math.inf
+    while sweeps < most and defect > rules.tolerance:
         changed = _sweep(partners, rows, bounded, m)
         sweeps += 1
         if sweeps % _EVERY == 0 or sweeps == most or changed == 0.0:
-            found = residual(partners, rows, bounded, m, floor, speed)
+            defect = residual(partners, rows, bounded, m, floor, speed)
         if changed == 0.0:
             break
         beta = changed / before if 0.0 < changed < before else 0.0
         before = changed
-        _mix(partners, rows, bounded, m, beta, sweeps == most or found <= rules.tolerance)
+        _mix(partners, rows, bounded, m, beta, sweeps == most or defect <= rules.tolerance)
     tally[SWEEPS] += sweeps
-    return found
+    return defect
 
 
 @kernel
@@ -298,26 +298,26 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
     speed = _speed(partners, rows, bounded, m)
     _begin_where_it_ended(impulses, bounded)
     floor, most, is_done = _FLOOR * moved, rules.iterations, newton.change.size == 0
-    found = _sweeps(impulses, bounded, most, floor, speed)
+    defect = _sweeps(impulses, bounded, most, floor, speed)
     small, best = _SMALL, math.inf
     for _ in range(_ROUNDS):
-        if found <= rules.tolerance or is_done:
+        if defect <= rules.tolerance or is_done:
             break
-        if found < best:
-            best = found
+        if defect < best:
+            best = defect
             _keep_best(impulses, bounded, False)
         size = _size(rows, bounded, m, floor)
         is_done = take_newton_steps(
             impulses, bounded, _WITHIN * rules.tolerance, size, speed, small
         )
         small *= _SMALLER
-        found = residual(partners, rows, bounded, m, floor, speed)
-        if found > rules.tolerance and not is_done:
+        defect = residual(partners, rows, bounded, m, floor, speed)
+        if defect > rules.tolerance and not is_done:
             most *= _MORE
-            found = _sweeps(impulses, bounded, most, floor, speed)
-    if found > max(best, rules.tolerance):
+            defect = _sweeps(impulses, bounded, most, floor, speed)
+    if defect > max(best, rules.tolerance):
         _keep_best(impulses, bounded, True)
-        found = best
+        defect = best
     for k in range(m):
         give(partners, rows, k, row3_at(rows.impulse, k, 0))
     give_rolling(rows.rolling, partners, rows, m)
@@ -325,8 +325,8 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
         give_bounded(bounded, partners.given)
     tally[STEPS] += 1.0
     tally[CONTACTS] += m
-    tally[UNMET] += 1.0 if found > rules.tolerance else 0.0
-    tally[RESIDUAL] = found
-    tally[WORST] = max(tally[WORST], found)
-    if found > tally[WORST_EVER]:
-        tally[WORST_EVER], tally[WORST_TIME] = found, time
+    tally[UNMET] += 1.0 if defect > rules.tolerance else 0.0
+    tally[RESIDUAL] = defect
+    tally[WORST] = max(tally[WORST], defect)
+    if defect > tally[WORST_EVER]:
+        tally[WORST_EVER], tally[WORST_TIME] = defect, time
