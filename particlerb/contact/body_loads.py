@@ -56,9 +56,9 @@ def _add_contact(
     outside_force, outside_torque = load.outside_force, load.outside_torque
     boundary_power, gross_power = load.boundary_power, load.gross_power
     if is_outside:
-        both = add_scaled(1.0, elastic, other)
-        outside_force = add_scaled(sign, both, outside_force)
-        about_origin = add_scaled(1.0, resistance, cross(point, both))
+        total = add_scaled(1.0, elastic, other)
+        outside_force = add_scaled(sign, total, outside_force)
+        about_origin = add_scaled(1.0, resistance, cross(point, total))
         outside_torque = add_scaled(sign, about_origin, outside_torque)
         boundary_power += forces.boundary_power[c]
     if sign > 0.0:

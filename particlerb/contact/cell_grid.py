@@ -96,7 +96,7 @@ def _cell_at(d: Vec3, per_metre: float, stride: tuple[int, int], n: int, is_dens
 
 
 @kernel
-def find_bounds(points: Floats, which: Ints, bounds: Floats, first: int, last: int) -> None:
+def find_bounds(points: Floats, indices: Ints, bounds: Floats, first: int, last: int) -> None:
     """Write the smallest box around the spheres of each unit, (n_units, 6) [m].
 
     A position that is not finite makes a bound that is not.
@@ -105,8 +105,8 @@ def find_bounds(points: Floats, which: Ints, bounds: Floats, first: int, last: i
     for unit in range(first, last):
         for k in range(3):
             lo, hi, wrong = math.inf, -math.inf, 0
-            for at in range(unit * UNIT, min((unit + 1) * UNIT, which.size)):
-                x = rows[k][which[at]]
+            for at in range(unit * UNIT, min((unit + 1) * UNIT, indices.size)):
+                x = rows[k][indices[at]]
                 lo, hi = min(lo, x), max(hi, x)
                 wrong += 0 if abs(x) < math.inf else 1
             bounds[unit, k], bounds[unit, 3 + k] = lo, math.inf if wrong else hi
@@ -114,13 +114,13 @@ def find_bounds(points: Floats, which: Ints, bounds: Floats, first: int, last: i
 
 @kernel
 def number_cells(
-    points: Floats, which: Ints, level: Ints, grid: CellGrid, cell: Ints, first: int, last: int
+    points: Floats, indices: Ints, level: Ints, grid: CellGrid, cell: Ints, first: int, last: int
 ) -> None:
     """Write the number of the cell of each sphere of units first to last."""
     origin, per_metre, strides, cells, is_dense = grid
     rows, zero = rows3(points, 0, points.shape[1]), (origin[0], origin[1], origin[2])
-    for at in range(first * UNIT, min(last * UNIT, which.size)):
-        i = which[at]
+    for at in range(first * UNIT, min(last * UNIT, indices.size)):
+        i = indices[at]
         k = level[i]
         base, stride = cells[k], (strides[k, 0], strides[k, 1])
         d, n = subtract(load3(rows, i), zero), cells[k + 1] - base
@@ -128,17 +128,17 @@ def number_cells(
 
 
 @kernel
-def sort_by_cell(which: Ints, cell: Ints, begin: Ints, number: Ints) -> None:
+def sort_by_cell(indices: Ints, cell: Ints, begin: Ints, number: Ints) -> None:
     """Sort spheres by cell, keeping their order within: a counting sort."""
     begin[:] = 0
-    for at in range(which.size):
+    for at in range(indices.size):
         begin[cell[at] + 2] += 1
     for c in range(2, begin.size):
         begin[c] += begin[c - 1]
-    for at in range(which.size):
+    for at in range(indices.size):
         slot = begin[cell[at] + 1]  # walks from the first of the cell to the first after it
         begin[cell[at] + 1] = slot + 1
-        number[slot] = which[at]
+        number[slot] = indices[at]
 
 
 @kernel
@@ -174,7 +174,7 @@ def find_neighbours(
     spheres: SortedSpheres,
     owners: SphereBodies,
     skin: float,
-    found: FoundPairs,
+    pairs: FoundPairs,
     first: int,
     last: int,
 ) -> None:
@@ -186,7 +186,7 @@ def find_neighbours(
     """
     origin, per_metre, strides, cells, is_dense = grid
     (number, xyzr, begin), (_, levels, before, after) = spheres, owners
-    pair, count, missing = found
+    pair, count, missing = pairs
     x0, y0, z0 = origin[0], origin[1], origin[2]
     capacity, top = pair.size // missing.size, cells.size - 1
     for unit in range(first, last):
@@ -231,9 +231,9 @@ def find_neighbours(
 
 
 @kernel
-def sort_by_first(found: FoundPairs, start: Ints, second: Ints) -> None:
+def sort_by_first(pairs: FoundPairs, start: Ints, second: Ints) -> None:
     """Sort pairs by the first sphere: a counting sort."""
-    pair, count, missing = found
+    pair, count, missing = pairs
     capacity = pair.size // missing.size
     start[:] = 0
     for unit in range(count.size):

@@ -117,16 +117,16 @@ def contact_rows(
 
 def contact_numbers(contacts: ContactOutput, bodies: range) -> Ints:
     """Contacts of each body of a range, (n,), those with walls among them."""
-    both = contacts.body[(contacts.body >= bodies.start) & (contacts.body < bodies.stop)]
-    return np.bincount(both - bodies.start, minlength=len(bodies))
+    ends = contacts.body[(contacts.body >= bodies.start) & (contacts.body < bodies.stop)]
+    return np.bincount(ends - bodies.start, minlength=len(bodies))
 
 
 def largest_overlaps(contacts: ContactOutput, bodies: range) -> Floats:
     """Largest overlap of each body of a range, (n,) [m]; 0 where it contacts nothing."""
     largest = np.zeros(len(bodies))
     for side in contacts.body.T:
-        own = (side >= bodies.start) & (side < bodies.stop)
-        np.maximum.at(largest, side[own] - bodies.start, contacts.overlap[own])
+        mask = (side >= bodies.start) & (side < bodies.stop)
+        np.maximum.at(largest, side[mask] - bodies.start, contacts.overlap[mask])
     return largest
 
 

@@ -97,8 +97,8 @@ def _note_motors(partners: Partners, bounded: Bounded | None) -> None:
 def _by_turning(impulses: Impulses, a: int, arm: float) -> tuple[float, float]:
     """Speeds [m/s] of a body's points by turning, and by what half a kick gives in four."""
     speeds = impulses.partners.speeds
-    turning, given = arm * speeds[a, 1], speeds[a, 2] + arm * speeds[a, 3]
-    return turning, _KICKS * given + _ROUNDING * (speeds[a, 0] + turning)
+    turning, kick = arm * speeds[a, 1], speeds[a, 2] + arm * speeds[a, 3]
+    return turning, _KICKS * kick + _ROUNDING * (speeds[a, 0] + turning)
 
 
 @inline
@@ -137,9 +137,9 @@ def _take_in(
     c = entry if entry >= 0 else ~entry
     force = row3(contacts.history.force, c)
     put_row3_at(rows.impulse, k, 0, scale(dt, force))
-    one, two = row3_at(partners.before, near.first, 6), row3_at(partners.before, near.second, 6)
-    changes = add(near.changes, cross(one, row3_at(rows.frame, k, ARM)))
-    changes = subtract(changes, cross(two, row3_at(rows.frame, k, ARM + 3)))
+    acc_a, acc_b = row3_at(partners.before, near.first, 6), row3_at(partners.before, near.second, 6)
+    changes = add(near.changes, cross(acc_a, row3_at(rows.frame, k, ARM)))
+    changes = subtract(changes, cross(acc_b, row3_at(rows.frame, k, ARM + 3)))
     lean(partners, rows, k, scale(0.5 * dt, changes), force)
     put_row3_at(rows.impact, k, 0, ZERO)
     _take_in_rolling(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
@@ -202,9 +202,9 @@ def _change_between(
     Both bodies go on and turn as before the kick; `spheres` has centres and radii.
     """
     x, radius, y, other = spheres
-    (va, turning_a, one), (vb, turning_b, two) = _turning(partners, a, x), _turning(partners, b, y)
+    (va, turning_a, wa), (vb, turning_b, wb) = _turning(partners, a, x), _turning(partners, b, y)
     u = subtract(va, vb)
-    spin = add_scaled(radius, one, scale(other, two))
+    spin = add_scaled(radius, wa, scale(other, wb))
     distance = max(dot(subtract(x, y), normal), NEAR)
     turns = scale(1.0 / distance, add_scaled(-dot(u, normal), normal, u))
     changes = add_scaled(-1.0, cross(spin, turns), subtract(turning_a, turning_b))
@@ -213,7 +213,7 @@ def _change_between(
 
 @inline
 def _change_on_wall(
-    partners: Partners, a: int, b: int, sphere: tuple[Vec3, float], one: Primitive, y: Vec3,
+    partners: Partners, a: int, b: int, sphere: tuple[Vec3, float], primitive: Primitive, y: Vec3,
     away: Vec3, q: Quat,
 ) -> Vec3:  # fmt: skip
     """The same of a sphere on a wall, as seen from the wall.
@@ -221,15 +221,15 @@ def _change_on_wall(
     `y` is the centre in the frame of the wall, and `away` the normal; `q` turns both to the world.
     """
     x, radius = sphere
-    (va, turning_a, own), (vb, turning_b, other) = (
+    (va, turning_a, wa), (vb, turning_b, wb) = (
         _turning(partners, a, x),
         _turning(partners, b, x),
     )
-    u, spin, normal = subtract(va, vb), subtract(own, other), to_world(q, away)
-    turns = to_world(q, normal_rate(one, y, away, to_body(q, u)))
-    changes = add_scaled(-2.0, cross(other, u), subtract(turning_a, turning_b))
+    u, spin, normal = subtract(va, vb), subtract(wa, wb), to_world(q, away)
+    turns = to_world(q, normal_rate(primitive, y, away, to_body(q, u)))
+    changes = add_scaled(-2.0, cross(wb, u), subtract(turning_a, turning_b))
     # seen from the wall the spin of the body turns, which stays in space
-    changes = add_scaled(radius, cross(cross(other, spin), normal), changes)
+    changes = add_scaled(radius, cross(cross(wb, spin), normal), changes)
     changes = add_scaled(-radius, cross(spin, turns), changes)
     return _with_normal(add_scaled(-radius, cross(spin, normal), u), changes, normal, turns)
 
@@ -274,16 +274,16 @@ def _wall_contact(
 ) -> None:  # fmt: skip
     """Take in contact c of a sphere with a primitive of a wall if it is near."""
     model, walls, poses = setup.model, setup.model.walls, workspace.poses
-    i, primitive = contacts.first[c], contacts.second[c]
-    a, w, radius = model.spheres.body[i], walls.wall[primitive], workspace.xyzr[i, 3]
-    one = primitive_at(walls.kind, walls.parameter, primitive)
+    i, p = contacts.first[c], contacts.second[c]
+    a, w, radius = model.spheres.body[i], walls.wall[p], workspace.xyzr[i, 3]
+    primitive = primitive_at(walls.kind, walls.parameter, p)
     x, q = row3(workspace.xyzr, i), row4(poses.orientation, w)
     y = to_body(q, subtract(x, row3(poses.position, w)))
-    away = gap_vector(one, y)
-    _, is_nearest = euler_count(one, walls.around, y)
+    away = gap_vector(primitive, y)
+    _, is_nearest = euler_count(primitive, walls.around, y)
     distance = length(away)
-    if one.kind == PLANE:
-        distance, away = dot(subtract(y, one.a), one.b), one.b
+    if primitive.kind == PLANE:
+        distance, away = dot(subtract(y, primitive.a), primitive.b), primitive.b
     else:
         away = scale(1.0 / distance, away) if distance > 0.0 else (0.0, 0.0, 1.0)
     gap = distance - radius
@@ -299,8 +299,8 @@ def _wall_contact(
     if not is_near:
         _forget(contacts, c, impulses.rows.rolling)
         return
-    pair = model.pair_of[model.spheres.material[i], model.wall_material[primitive]]
-    changes = _change_on_wall(impulses.partners, a, b, (x, radius), one, y, away, q)
+    pair = model.pair_of[model.spheres.material[i], model.wall_material[p]]
+    changes = _change_on_wall(impulses.partners, a, b, (x, radius), primitive, y, away, q)
     near = _Near(a, b, pair, ~c, gap, radius, radius, slow, changes, normal, point)
     _take_in(setup, impulses, contacts, near, dt)
 

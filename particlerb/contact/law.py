@@ -171,8 +171,8 @@ def _hooke_force(
     force, slope = elastic + share * damped, c * share
     if clamps and low < 0.0:  # released within the step
         high = low + 2.0 * k * half
-        part = high / (2.0 * k * half) if high > 0.0 else 0.0
-        force, slope = 0.5 * part * high, c * part
+        fraction = high / (2.0 * k * half) if high > 0.0 else 0.0
+        force, slope = 0.5 * fraction * high, c * fraction
     return NormalForce(force, elastic, energy, slope, k * share)
 
 

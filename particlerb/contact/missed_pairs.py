@@ -60,10 +60,10 @@ class Missed(NamedTuple):
 @inline
 def _is_apart(spheres: ContactSpheres, a: int, b: int) -> bool:
     """Whether two bodies do not touch each other."""
-    found = False
+    is_apart = False
     for key in spheres.apart:
-        found = found or key == min(a, b) << KEY_BITS | max(a, b)
-    return found
+        is_apart = is_apart or key == min(a, b) << KEY_BITS | max(a, b)
+    return is_apart
 
 
 @inline
@@ -74,8 +74,8 @@ def _has_contact(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int)
     for k in range(offset[a], offset[a + 1]):
         c = entry[k]
         c = c if c >= 0 else ~c
-        one, two = contacts.first[c], contacts.second[c]
-        if (one == i and two == j) or (one == j and two == i):
+        first, second = contacts.first[c], contacts.second[c]
+        if (first == i and second == j) or (first == j and second == i):
             is_active = is_active or contacts.active[c]
     return is_active
 
@@ -100,7 +100,7 @@ def _missed_pairs(
     lists: NeighbourLists,
     bodies: WatchedBodies,
     dt: float,
-    which: Ints,
+    indices: Ints,
     worst: Missed,
 ) -> Missed:
     """Compare the spheres of some bodies with those of all others."""
@@ -110,7 +110,7 @@ def _missed_pairs(
     depth, body, other, compared = worst
     for b in range(n):
         x_b = load3(x, b)
-        for a in which:
+        for a in indices:
             apart = subtract(load3(x, a), x_b)
             most = bound[a] + bound[b]
             is_other = a == b or spheres.world[a] != spheres.world[b]
@@ -141,7 +141,7 @@ def _missed_walls(
     poses: Records,
     extra_speeds: Floats,
     dt: float,
-    which: Ints,
+    indices: Ints,
     worst: Missed,
 ) -> Missed:
     """Compare the spheres of some bodies with all walls; `extra_speeds` (n_walls,) of these."""
@@ -150,14 +150,14 @@ def _missed_walls(
     n, offset = bound.size, spheres.offset
     x, v = rows3(com, 0, n), rows3(velocity, 0, n)
     depth, body, other, compared = worst
-    for a in which:
+    for a in indices:
         if is_left_out[a]:
             continue
         x_a, v_a = load3(x, a), load3(v, a)
         for p in range(walls.kind.size):
             w = walls.wall[p]
-            one = primitive_at(walls.kind, walls.parameter, p)
-            if squared_distance(one, in_frame_of(poses, w, x_a)) >= bound[a] * bound[a]:
+            primitive = primitive_at(walls.kind, walls.parameter, p)
+            if squared_distance(primitive, in_frame_of(poses, w, x_a)) >= bound[a] * bound[a]:
                 continue
             for i in range(offset[a], offset[a + 1]):
                 compared += 1
@@ -204,10 +204,10 @@ class Watch:
     ) -> Missed:
         """The deepest overlap of the bodies whose turn it is at which nothing acts."""
         n, n_primitives = bodies.bounding_radius.size, model.walls.kind.size
-        which = (self.next + np.arange(min(n, _BODIES_PER_LOOK))) % n
-        self.next = (self.next + which.size) % n
-        missed = _missed_pairs(model, lists, bodies, dt, which, Missed(0.0, 0, 0, 0))
-        missed = _missed_walls(model, lists, bodies, poses, extra_speeds, dt, which, missed)
+        indices = (self.next + np.arange(min(n, _BODIES_PER_LOOK))) % n
+        self.next = (self.next + indices.size) % n
+        missed = _missed_pairs(model, lists, bodies, dt, indices, Missed(0.0, 0, 0, 0))
+        missed = _missed_walls(model, lists, bodies, poses, extra_speeds, dt, indices, missed)
         self.price = price_of(n, n_primitives, missed.compared)
         self.credit -= self.price
         return missed

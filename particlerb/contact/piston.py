@@ -87,17 +87,17 @@ def kick_pistons(
         low, high = pistons.limit[k, 0], pistons.limit[k, 1]
         middle, limited = u + closing * force / M, min(max(s, low), high)
         is_low, is_high = s <= low, s >= high
-        given = push * state.contact_velocity[k] + state.correction_power[k]
-        given *= closing + opening
-        given += closing * rest * 0.5 * (u + middle)
+        work = push * state.contact_velocity[k] + state.correction_power[k]
+        work *= closing + opening
+        work += closing * rest * 0.5 * (u + middle)
         if (is_high and u > 0.0) or (is_low and u < 0.0):
-            given -= 0.5 * M * middle * middle + (F + push) * (limited - s)
+            work -= 0.5 * M * middle * middle + (F + push) * (limited - s)
             state.displacement[k], middle = limited, 0.0
         is_held = (is_high and force >= 0.0) or (is_low and force <= 0.0)
         if is_held and u == 0.0:
             middle = 0.0
         after = middle if is_held and middle == 0.0 else middle + opening * force / M
-        state.booked_work[k] += given + opening * rest * 0.5 * (middle + after)
+        state.booked_work[k] += work + opening * rest * 0.5 * (middle + after)
         state.velocity[k] = after
         if is_step:
             state.previous_velocity[k] = u
@@ -128,17 +128,17 @@ def with_pistons(mechanisms: Mechanisms | None, pistons: Pistons, n_partners: in
     k, wall = pistons.wall.size, n_partners - pistons.of_wall.size + pistons.wall
     if mechanisms is None:
         number, none = np.full(n_partners, -1), np.zeros(0, dtype=np.int64)
-        known = np.zeros(n_partners, dtype=np.bool_)
+        is_known = np.zeros(n_partners, dtype=np.bool_)
         place, zero = np.zeros(n_partners, dtype=np.int64), np.zeros(1, dtype=np.int64)
-        mechanisms = Mechanisms(number, place, none, zero, none, np.zeros(0), known)
-    number, place, member, first, start, response, known = mechanisms
-    number[wall], known[wall] = first.size - 1 + np.arange(k), True
-    own = np.zeros((k, 6, 6))
-    own[:, :3, :3] = np.einsum("ki,kj->kij", pistons.axis, pistons.axis)
-    own /= pistons.mass[:, None, None]
+        mechanisms = Mechanisms(number, place, none, zero, none, np.zeros(0), is_known)
+    number, place, member, first, start, response, is_known = mechanisms
+    number[wall], is_known[wall] = first.size - 1 + np.arange(k), True
+    added = np.zeros((k, 6, 6))
+    added[:, :3, :3] = np.einsum("ki,kj->kij", pistons.axis, pistons.axis)
+    added /= pistons.mass[:, None, None]
     return Mechanisms(
         number, place, np.append(member, wall), np.append(first, first[-1] + 1 + np.arange(k)),
-        np.append(start, response.size + 36 * np.arange(k)), np.append(response, own), known,
+        np.append(start, response.size + 36 * np.arange(k)), np.append(response, added), is_known,
     )  # fmt: skip
 
 

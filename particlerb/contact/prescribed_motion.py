@@ -64,14 +64,14 @@ def prescribed_among(prescribed: PrescribedBodies | None, members: Ints) -> Pres
     """Those among the members of a group, with their numbers there; None where there are none."""
     if prescribed is None:
         return None
-    own = np.flatnonzero(np.isin(prescribed.which, members))
-    if not own.size:
+    rows = np.flatnonzero(np.isin(prescribed.which, members))
+    if not rows.size:
         return None
     order = np.argsort(members)
-    which = order[np.searchsorted(members[order], prescribed.which[own])]
+    numbers = order[np.searchsorted(members[order], prescribed.which[rows])]
     com, q, inertia = (
-        np.ascontiguousarray(values[:, own])
+        np.ascontiguousarray(values[:, rows])
         for values in (prescribed.com, prescribed.q, prescribed.inertia)
     )
-    motions = prescribed.motions[own].view(Records)
-    return PrescribedBodies(which, motions, com, q, prescribed.mass[own], inertia)
+    motions = prescribed.motions[rows].view(Records)
+    return PrescribedBodies(numbers, motions, com, q, prescribed.mass[rows], inertia)

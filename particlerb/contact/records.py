@@ -27,8 +27,8 @@ class Records(np.ndarray[Any, np.dtype[Any]]):
 
 def record(base: np.dtype[Any] | None = None, **sizes: int) -> np.dtype[Any]:
     """Type of a record: the fields of another one, and numbers (size 1) and vectors by name."""
-    own = [(name, _FLOAT) if n == 1 else (name, _FLOAT, n) for name, n in sizes.items()]
-    return np.dtype([*(base.descr if base is not None else ()), *own])
+    fields = [(name, _FLOAT) if n == 1 else (name, _FLOAT, n) for name, n in sizes.items()]
+    return np.dtype([*(base.descr if base is not None else ()), *fields])
 
 
 # A body at the instant of a kick, world axes

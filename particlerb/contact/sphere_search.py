@@ -71,7 +71,7 @@ class SphereSearch:
         self.xyzr = np.zeros((n, 4))
         self.is_odd = False
 
-    def pairs(self, points: Floats, skin: float, which: Ints | None = None) -> PairList:
+    def pairs(self, points: Floats, skin: float, indices: Ints | None = None) -> PairList:
         """Pairs of spheres of different bodies with |x_i - x_j| < r_i + r_j + skin, each once.
 
         Parameters
@@ -80,7 +80,7 @@ class SphereSearch:
             Centres.
         skin : float
             Not negative [m].
-        which : ndarray, shape (k,), optional
+        indices : ndarray, shape (k,), optional
             Spheres that take part, ascending; left out: all.
 
         Returns
@@ -94,23 +94,23 @@ class SphereSearch:
         FloatingPointError
             If a position is not finite.
         """
-        which = self.everyone if which is None else which
+        indices = self.everyone if indices is None else indices
         points, skin = self._side_by_side(points, skin)
-        n, owners = which.size, self.owners
+        n, owners = indices.size, self.owners
         if not n:
-            return PairList(which, which, np.zeros(self.everyone.size + 1, dtype=np.int64))
-        grid = self.grid(self.bounds(points, which), skin)
+            return PairList(indices, indices, np.zeros(self.everyone.size + 1, dtype=np.int64))
+        grid = self.grid(self.bounds(points, indices), skin)
         cell = self.ints("cell", n)
-        spread(lambda lo, hi: number_cells(points, which, owners.level, grid, cell, lo, hi), n)
+        spread(lambda lo, hi: number_cells(points, indices, owners.level, grid, cell, lo, hi), n)
         begin = self.ints("begin", int(grid.base[-1]) + 2)
         spheres = SortedSpheres(self.ints("number", n), self.xyzr[:n], begin)
-        THREADS.alone(sort_by_cell, which, cell, begin, spheres.number)
+        THREADS.alone(sort_by_cell, indices, cell, begin, spheres.number)
         spread(lambda lo, hi: place_sorted(points, owners.radius, spheres, lo, hi), n)
-        found = self.search(grid, spheres, skin)
-        while found.missing.any():
-            self.capacity += int(found.missing.max())
-            found = self.search(grid, spheres, skin)
-        return self._without_apart(self.sorted_pairs(found))
+        unsorted = self.search(grid, spheres, skin)
+        while unsorted.missing.any():
+            self.capacity += int(unsorted.missing.max())
+            unsorted = self.search(grid, spheres, skin)
+        return self._without_apart(self.sorted_pairs(unsorted))
 
     def _side_by_side(self, points: Floats, skin: float) -> tuple[Floats, float]:
         """Points with the worlds beside each other, and a skin that is wider by the rounding."""
@@ -135,26 +135,26 @@ class SphereSearch:
         n, owners = spheres.number.size, self.owners
         units = -(-n // UNIT)
         pair = self.ints("pair", units * self.capacity)
-        found = FoundPairs(pair, self.ints("n_found", units), self.ints("missing", units))
-        spread(lambda lo, hi: find_neighbours(grid, spheres, owners, skin, found, lo, hi), n, COST)
-        return found
+        pairs = FoundPairs(pair, self.ints("n_found", units), self.ints("missing", units))
+        spread(lambda lo, hi: find_neighbours(grid, spheres, owners, skin, pairs, lo, hi), n, COST)
+        return pairs
 
-    def sorted_pairs(self, found: FoundPairs) -> PairList:
+    def sorted_pairs(self, unsorted: FoundPairs) -> PairList:
         """Sort what was found."""
         self.is_odd = not self.is_odd
-        n, m = self.everyone.size, int(found.n_found.sum())
+        n, m = self.everyone.size, int(unsorted.n_found.sum())
         start = self.ints("start", n + 2, turns=True)
         first, second = (self.ints(name, m, turns=True) for name in ("first", "second"))
         pairs = PairList(first, second, start[:-1])
-        THREADS.alone(sort_by_first, found, start, second)
+        THREADS.alone(sort_by_first, unsorted, start, second)
         spread(lambda lo, hi: sort_by_second(pairs, lo, hi), n)
         return pairs
 
-    def bounds(self, points: Floats, which: Ints) -> Floats:
+    def bounds(self, points: Floats, indices: Ints) -> Floats:
         """Corners of the smallest box around the centres, (2, 3) [m]."""
-        n = which.size
+        n = indices.size
         bounds = np.empty((-(-n // UNIT), 6))
-        spread(lambda lo, hi: find_bounds(points, which, bounds, lo, hi), n)
+        spread(lambda lo, hi: find_bounds(points, indices, bounds, lo, hi), n)
         corners = np.stack([bounds[:, :3].min(axis=0), bounds[:, 3:].max(axis=0)])
         if not np.isfinite(corners).all():
             raise FloatingPointError("the place of a sphere is not finite")

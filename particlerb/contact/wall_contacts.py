@@ -77,13 +77,13 @@ from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, cross, dot, scale, sub
 
 
 @inline
-def _gap_rate(one: Primitive, y: Vec3, v: Vec3) -> Vec3:
+def _gap_rate(primitive: Primitive, y: Vec3, v: Vec3) -> Vec3:
     """How the gap to a primitive changes [m/s] where that may turn it; all in the wall's frame.
 
     The nearest point stays at a vertex, goes along an edge or the side of a cylinder, and round
     with its rim; above planes, faces and discs the gap keeps its direction.
     """
-    kind, a, b, c, _ = one
+    kind, a, b, c, _ = primitive
     if kind == VERTEX:
         return v
     if kind == EDGE:
@@ -110,9 +110,9 @@ def wall_normal_rate(
     distance = length(piece.gap)
     if piece.points > 1 or distance <= 0.0:
         return turning
-    one = primitive_at(walls.kind, walls.parameter, on.contacts.second[piece.nearest])
+    primitive = primitive_at(walls.kind, walls.parameter, on.contacts.second[piece.nearest])
     v = to_body(at.q, approach_velocity(on.workspace, at))
-    rate = to_world(at.q, _gap_rate(one, at.y, v))
+    rate = to_world(at.q, _gap_rate(primitive, at.y, v))
     across = add_scaled(-dot(rate, normal), normal, rate)
     return add_scaled(1.0, turning, scale(-1.0 / distance, across))
 

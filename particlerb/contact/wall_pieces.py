@@ -66,11 +66,11 @@ class WallPiece(NamedTuple):
 def point_in_reach(on: Evaluation, at: SphereAtWall, c: int) -> tuple[int, bool, Vec3]:
     """`euler_count` of the primitive of contact c, 0 out of reach; and the gap, wall's frame."""
     walls = on.model.walls
-    one = primitive_at(walls.kind, walls.parameter, on.contacts.second[c])
-    away, reach = gap_vector(one, at.y), at.radius + 0.5 * at.displacement
+    primitive = primitive_at(walls.kind, walls.parameter, on.contacts.second[c])
+    away, reach = gap_vector(primitive, at.y), at.radius + 0.5 * at.displacement
     if dot(away, away) >= reach * reach:
         return 0, False, away
-    count, is_nearest = euler_count(one, walls.around, at.y)
+    count, is_nearest = euler_count(primitive, walls.around, at.y)
     return count, is_nearest, away
 
 
@@ -208,8 +208,8 @@ def _belongs_to(on: Evaluation, at: SphereAtWall, c: int, root: int) -> bool:
     contacts, points, walls = on.contacts, on.contacts.forces, on.model.walls
     if points.count[c] != 0.0:
         return bool(points.piece[c] == root)
-    one = primitive_at(walls.kind, walls.parameter, contacts.second[c])
-    away, belongs = to_world(at.q, subtract(at.y, nearest(one, at.y))), False
+    primitive = primitive_at(walls.kind, walls.parameter, contacts.second[c])
+    away, belongs = to_world(at.q, subtract(at.y, nearest(primitive, at.y))), False
     for m in range(at.first, at.end):
         if points.is_nearest[m] > 0.0 and points.piece[m] == root:
             belongs = belongs or _outside_cap(contacts, at, m, away, at.displacement) <= 0.0

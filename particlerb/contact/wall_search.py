@@ -65,7 +65,7 @@ def _list_primitives(
     kind, rows, wall, _ = walls
     origin, per_metre, shape, first, begin, entry = lists
     for p in range(kind.size):
-        w, one = wall[p], primitive_at(kind, rows, p)
+        w, primitive = wall[p], primitive_at(kind, rows, p)
         zero, step = row3(origin, w), 1.0 / per_metre[w]
         far = cutoff + 0.5 * math.sqrt(3.0) * step * (1.0 + 1e-9)
         for i in range(corners[p, 0], corners[p, 3] + 1):
@@ -74,7 +74,7 @@ def _list_primitives(
                     middle = add_scaled(step, (i + 0.5, j + 0.5, k + 0.5), zero)
                     cell = first[w] + 1 + (i * shape[w, 1] + j) * shape[w, 2] + k
                     cell = first[w] if kind[p] == PLANE else cell
-                    if kind[p] != PLANE and squared_distance(one, middle) > far * far:
+                    if kind[p] != PLANE and squared_distance(primitive, middle) > far * far:
                         continue
                     if not is_counting:
                         entry[begin[cell + 1]] = p
@@ -98,7 +98,7 @@ def _find_candidates(
     poses: Records,
     points: Floats,
     cutoff: Floats,
-    which: Ints,
+    indices: Ints,
     pairs: PairList,
     is_counting: bool,
     first_unit: int,
@@ -112,8 +112,8 @@ def _find_candidates(
     origin, per_metre, shape, first, begin, entry = lists
     _, second, start = pairs
     centres = rows3(points, 0, points.shape[1])
-    for at in range(first_unit * UNIT, min(last_unit * UNIT, which.size)):
-        i = which[at]
+    for at in range(first_unit * UNIT, min(last_unit * UNIT, indices.size)):
+        i = indices[at]
         count, square = 0, cutoff[i] * cutoff[i]
         if not is_counting and start[i + 1] == start[i]:
             continue
@@ -121,8 +121,8 @@ def _find_candidates(
             x = in_frame_of(poses, w, load3(centres, i))
             shape_w = (shape[w, 0], shape[w, 1], shape[w, 2])
             cell = _list_of(x, row3(origin, w), per_metre[w], shape_w, first[w])
-            for one in (first[w], cell):
-                for k in range(begin[max(one, 0)], begin[one + 1]):
+            for index in (first[w], cell):
+                for k in range(begin[max(index, 0)], begin[index + 1]):
                     p = entry[k]
                     if squared_distance(primitive_at(kind, rows, p), x) < square:
                         if not is_counting:
@@ -174,7 +174,7 @@ class WallSearch:
         self.cutoff, self.lists = before.cutoff, before.lists
 
     def pairs(
-        self, points: Floats, poses: Records, skin: float, which: Ints | None = None
+        self, points: Floats, poses: Records, skin: float, indices: Ints | None = None
     ) -> PairList:
         """Pairs of a sphere and a primitive that is nearer to its centre than r + skin.
 
@@ -186,7 +186,7 @@ class WallSearch:
             Of the walls at the same time.
         skin : float
             Not negative [m].
-        which : ndarray, shape (k,), optional
+        indices : ndarray, shape (k,), optional
             Spheres that take part, ascending; left out: all.
 
         Returns
@@ -194,11 +194,11 @@ class WallSearch:
         PairList
             The sphere is the first, the primitive the second; sorted by both.
         """
-        which = self.everyone if which is None else which
+        indices = self.everyone if indices is None else indices
         n, walls = self.everyone.size, self.walls
         start = np.zeros(n + 1, dtype=np.int64)
         cutoff = self.radius + skin
-        if not which.size or not walls.kind.size:
+        if not indices.size or not walls.kind.size:
             return PairList(self.everyone[:0], self.everyone[:0], start)
         lists = self.lists
         if lists is None or not self.cutoff * _NARROWER <= cutoff.max() <= self.cutoff:
@@ -208,9 +208,9 @@ class WallSearch:
         def visit(pairs: PairList, is_counting: bool) -> None:
             spread(
                 lambda lo, hi: _find_candidates(
-                    walls, lists, poses, points, cutoff, which, pairs, is_counting, lo, hi
+                    walls, lists, poses, points, cutoff, indices, pairs, is_counting, lo, hi
                 ),
-                which.size,
+                indices.size,
                 COST,
             )
 
@@ -231,20 +231,20 @@ def lists_of(walls: Walls, cutoff: float, more: int = 0) -> _WallLists:
     width = np.ones(n_walls)
     corners = np.zeros((walls.kind.size, 6), dtype=np.int64)
     for w in range(n_walls):
-        which = np.flatnonzero((walls.wall == w) & (walls.kind != PLANE))
-        if not which.size:
+        indices = np.flatnonzero((walls.wall == w) & (walls.kind != PLANE))
+        if not indices.size:
             continue
-        low, high = lower[which] - cutoff, upper[which] + cutoff
+        low, high = lower[indices] - cutoff, upper[indices] + cutoff
         origin[w] = low.min(axis=0)
         extent = high.max(axis=0) - origin[w]
-        cells = _MAX_CELLS * which.size + _MIN_CELLS + more
+        cells = _MAX_CELLS * indices.size + _MIN_CELLS + more
         width[w] = max(np.cbrt(extent.prod() / cells), 2.0 * cutoff)
         while (np.floor(extent / width[w]) + 1.0).prod() > _MAX_SHARE * cells:  # a long thin wall
             width[w] *= 2.0
         shape[w] = np.floor(extent / width[w]) + 1
-        corners[which, :3] = (low - origin[w]) / width[w]
-        corners[which, 3:] = (high - origin[w]) / width[w]
-        corners[which, 3:] = np.minimum(corners[which, 3:], shape[w] - 1)
+        corners[indices, :3] = (low - origin[w]) / width[w]
+        corners[indices, 3:] = (high - origin[w]) / width[w]
+        corners[indices, 3:] = np.minimum(corners[indices, 3:], shape[w] - 1)
     first = np.concatenate([[0], np.cumsum(shape.prod(axis=1) + 1)])
     begin = np.zeros(first[-1] + 2, dtype=np.int64)
     lists = _WallLists(origin, 1.0 / width, shape, first, begin, np.zeros(0, dtype=np.int64))
@@ -261,12 +261,12 @@ def bounding_boxes(walls: Walls) -> tuple[Floats, Floats]:
     a, b, c = parameter[:, :3], parameter[:, 3:6], parameter[:, 6:9]
     lower, upper = a.copy(), a.copy()
     for kinds, others in (((FACE, EDGE), b), ((FACE,), c)):
-        which = np.isin(kind, kinds)
-        lower[which] = np.minimum(lower[which], others[which])
-        upper[which] = np.maximum(upper[which], others[which])
-    which = np.isin(kind, (SIDE, DISC, RIM))
+        mask = np.isin(kind, kinds)
+        lower[mask] = np.minimum(lower[mask], others[mask])
+        upper[mask] = np.maximum(upper[mask], others[mask])
+    mask = np.isin(kind, (SIDE, DISC, RIM))
     half = np.where(kind == SIDE, c[:, 1], 0.0)[:, None] * np.abs(b)
     half += c[:, :1] * np.sqrt(np.maximum(1.0 - b * b, 0.0))
-    lower[which] -= half[which]
-    upper[which] += half[which]
+    lower[mask] -= half[mask]
+    upper[mask] += half[mask]
     return lower, upper

@@ -201,12 +201,12 @@ def _edge_primitives(
     a, b = places[ends[edge_number, 0]], places[ends[edge_number, 1]]
     third = places[faces[face].sum(axis=1) - ends[edge_number].sum(axis=1)]
     turn = np.einsum("ij,ij->i", np.cross(b - a, third - a), normal[face])
-    which = np.flatnonzero(~is_smooth)
-    parameter = np.zeros((which.size, 12))
-    parameter[:, :6] = places[ends[which]].reshape(-1, 6)
-    parameter[:, 6] = np.searchsorted(edge_number, which, side="left")
-    parameter[:, 7] = np.searchsorted(edge_number, which, side="right")
-    kind = np.full(which.size, EDGE)
+    sharp = np.flatnonzero(~is_smooth)
+    parameter = np.zeros((sharp.size, 12))
+    parameter[:, :6] = places[ends[sharp]].reshape(-1, 6)
+    parameter[:, 6] = np.searchsorted(edge_number, sharp, side="left")
+    parameter[:, 7] = np.searchsorted(edge_number, sharp, side="right")
+    kind = np.full(sharp.size, EDGE)
     return Walls(kind, parameter, kind * 0, np.sign(turn)[:, None] * normal[face])
 
 
@@ -215,18 +215,18 @@ def _vertex_primitives(places: Floats, faces: Ints, ends: Ints, is_smooth: Bools
 
     A face is a row of two numbers: which of these ends are its other two vertices.
     """
-    which = np.unique(ends[~is_smooth])
+    sharp = np.unique(ends[~is_smooth])
     here, there = np.concatenate([ends, ends[:, ::-1]]).T
     corner, others = faces.reshape(-1), faces[:, [[1, 2], [0, 2], [0, 1]]].reshape(-1, 2)
     edges, corners = np.lexsort((there, here)), np.argsort(corner, kind="stable")
     begins = np.searchsorted(here[edges], np.arange(len(places) + 1))
     turns = np.searchsorted(corner[corners], np.arange(len(places) + 1))
-    parameter, rows, before = np.zeros((which.size, 12)), [np.zeros((0, 3))], 0
-    for row, v in zip(parameter, which.tolist(), strict=True):
+    parameter, rows, before = np.zeros((sharp.size, 12)), [np.zeros((0, 3))], 0
+    for row, v in zip(parameter, sharp.tolist(), strict=True):
         neighbours = there[edges[begins[v] : begins[v + 1]]]
         two = np.searchsorted(neighbours, others[corners[turns[v] : turns[v + 1]]])
         rows += [places[neighbours], np.column_stack([two, np.zeros(len(two))])]
         row[:3], row[6:9] = places[v], np.cumsum([before, len(neighbours), len(two)])
         before += len(neighbours) + len(two)
-    kind = np.full(which.size, VERTEX)
+    kind = np.full(sharp.size, VERTEX)
     return Walls(kind, parameter, kind * 0, np.concatenate(rows))

@@ -153,9 +153,9 @@ def length(v: Vec3) -> float:
 
 
 @inline
-def nearest(one: Primitive, x: Vec3) -> Vec3:  # noqa: PLR0911
+def nearest(primitive: Primitive, x: Vec3) -> Vec3:  # noqa: PLR0911
     """Point of a primitive nearest to x, whatever its neighbours are; wall's frame."""
-    kind, a, b, c, _ = one
+    kind, a, b, c, _ = primitive
     if kind == PLANE:
         return _nearest_on_plane(a, b, x)
     if kind == FACE:
@@ -172,11 +172,11 @@ def nearest(one: Primitive, x: Vec3) -> Vec3:  # noqa: PLR0911
 
 
 @inline
-def squared_distance(one: Primitive, x: Vec3) -> float:
+def squared_distance(primitive: Primitive, x: Vec3) -> float:
     """Square of the distance from a primitive [m²], behind a plane 0."""
-    if one.kind == PLANE and dot(subtract(x, one.a), one.b) < 0.0:
+    if primitive.kind == PLANE and dot(subtract(x, primitive.a), primitive.b) < 0.0:
         return 0.0
-    d = subtract(x, nearest(one, x))
+    d = subtract(x, nearest(primitive, x))
     return dot(d, d)
 
 
@@ -218,20 +218,20 @@ def _count_at_vertex(
     if nearer > 1:
         for k in range(middle, hi):
             one, other = lo + int(around[k, 0]), lo + int(around[k, 1])
-            both = dot(ax, subtract(row3(around, one), a)) > 0.0
-            both = both and dot(ax, subtract(row3(around, other), a)) > 0.0
-            count += 1 if both else 0
+            is_near = dot(ax, subtract(row3(around, one), a)) > 0.0
+            is_near = is_near and dot(ax, subtract(row3(around, other), a)) > 0.0
+            count += 1 if is_near else 0
     return count, nearer == 0
 
 
 @inline
-def euler_count(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
+def euler_count(primitive: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
     """How often a point of a primitive counts, and whether it is nearer to x than all around it.
 
     1 where a sphere around x that grows meets a new piece of the wall there, -1 where two of its
     pieces join or one closes to a ring, 1 where a ring is filled, 0 where nothing of that happens.
     """
-    kind, a, b, c, n = one
+    kind, a, b, c, n = primitive
     if kind == FACE:
         return (1, True) if _is_over_face(a, b, c, n, x) else (0, False)
     if kind == EDGE:
@@ -251,22 +251,22 @@ def euler_count(one: Primitive, around: Floats, x: Vec3) -> tuple[int, bool]:
 
 
 @inline
-def gap_vector(one: Primitive, x: Vec3) -> Vec3:
+def gap_vector(primitive: Primitive, x: Vec3) -> Vec3:
     """Vector to x from the nearest point of a primitive, of a face from that of its plane."""
-    if one.kind == PLANE:
-        return scale(max(dot(subtract(x, one.a), one.b), NEAR), one.b)
-    if one.kind == FACE:
-        return scale(dot(subtract(x, one.a), one.n), one.n)
-    return subtract(x, nearest(one, x))
+    if primitive.kind == PLANE:
+        return scale(max(dot(subtract(x, primitive.a), primitive.b), NEAR), primitive.b)
+    if primitive.kind == FACE:
+        return scale(dot(subtract(x, primitive.a), primitive.n), primitive.n)
+    return subtract(x, nearest(primitive, x))
 
 
 @inline
-def normal_rate(one: Primitive, x: Vec3, n: Vec3, u: Vec3) -> Vec3:
+def normal_rate(primitive: Primitive, x: Vec3, n: Vec3, u: Vec3) -> Vec3:
     """How the normal of a primitive turns [1/s] while a point x near it moves with u [m/s].
 
     Parameters
     ----------
-    one : Primitive
+    primitive : Primitive
         In whose frame all is.
     x, n : tuples of 3 floats
         Point [m], and the unit vector to it from the nearest point.
@@ -277,7 +277,7 @@ def normal_rate(one: Primitive, x: Vec3, n: Vec3, u: Vec3) -> Vec3:
     tuple of 3 floats [1/s]
         ṅ = K u, with the curvatures K of the surface at the distance of x.
     """
-    kind, a, b, _, _ = one
+    kind, a, b, _, _ = primitive
     if kind in (PLANE, FACE, DISC):
         return 0.0, 0.0, 0.0
     across = add_scaled(-dot(u, n), n, u)
@@ -291,8 +291,8 @@ def normal_rate(one: Primitive, x: Vec3, n: Vec3, u: Vec3) -> Vec3:
         if kind == SIDE:
             return bent
         across = add_scaled(-dot(u, around), around, across)
-        return add_scaled(1.0 / max(length(subtract(x, nearest(one, x))), NEAR), across, bent)
-    return scale(1.0 / max(length(subtract(x, nearest(one, x))), NEAR), across)
+        return add_scaled(1.0 / max(length(subtract(x, nearest(primitive, x))), NEAR), across, bent)
+    return scale(1.0 / max(length(subtract(x, nearest(primitive, x))), NEAR), across)
 
 
 @inline
@@ -330,28 +330,28 @@ def gap_and_velocity(walls: Walls, poses: Records, p: int, x: Vec3) -> tuple[Vec
         Of the wall's point, world axes.
     """
     kind, rows, wall, around = walls
-    w, one = wall[p], primitive_at(kind, rows, p)
+    w, primitive = wall[p], primitive_at(kind, rows, p)
     y = in_frame_of(poses, w, x)
-    _, is_nearest = euler_count(one, around, y)
-    away = gap_vector(one, y) if is_nearest else (FAR, 0.0, 0.0)
+    _, is_nearest = euler_count(primitive, around, y)
+    away = gap_vector(primitive, y) if is_nearest else (FAR, 0.0, 0.0)
     gap = to_world(row4(poses.orientation, w), away)
     arm = subtract(subtract(x, row3(poses.position, w)), gap)
     return gap, wall_velocity(poses, w, arm)
 
 
-def gaps(walls: Walls, poses: Records, points: Floats, which: Ints, primitive: Ints) -> Floats:
+def gaps(walls: Walls, poses: Records, points: Floats, indices: Ints, primitive: Ints) -> Floats:
     """Vectors from primitives of walls to some of the points (3, n), (3, m) [m]; FAR: has none."""
-    gap = np.empty((3, which.size))
-    _find_gaps(walls, poses, points, which, primitive, gap)
+    gap = np.empty((3, indices.size))
+    _find_gaps(walls, poses, points, indices, primitive, gap)
     return gap
 
 
 @kernel
 def _find_gaps(
-    walls: Walls, poses: Records, points: Floats, which: Ints, primitive: Ints, gap: Floats
+    walls: Walls, poses: Records, points: Floats, indices: Ints, primitive: Ints, gap: Floats
 ) -> None:
     """Write what `gaps` returns."""
     x = points[0], points[1], points[2]
-    for k in range(which.size):
-        away, _ = gap_and_velocity(walls, poses, primitive[k], load3(x, which[k]))
+    for k in range(indices.size):
+        away, _ = gap_and_velocity(walls, poses, primitive[k], load3(x, indices[k]))
         gap[0, k], gap[1, k], gap[2, k] = away
