@@ -235,9 +235,9 @@ class Helper(registry.CPUDispatcher):
 
     def compile(self, signature: Any) -> Any:
         """Code for a signature, from disk or from the compiler."""
-        known: Any = self.overloads.get(signature)
-        if known is not None:  # asked for some ten times
-            return known.entry_point
+        overload: Any = self.overloads.get(signature)
+        if overload is not None:  # asked for some ten times
+            return overload.entry_point
         if self.keep is not None:
             self.keep(self)
             self.keep = None

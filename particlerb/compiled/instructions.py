@@ -24,11 +24,11 @@ def instruction(plain: _Plain) -> Callable[[Callable[..., Any]], _Plain]:
         if config.DISABLE_JIT:
             return plain
 
-        def typed(typing: Any, *given: Any) -> Any:
+        def typed(typing: Any, *operands: Any) -> Any:
             def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
                 return build(builder, *arguments)
 
-            return types.float64(*(types.float64 for _ in given)), generate
+            return types.float64(*(types.float64 for _ in operands)), generate
 
         typed.__signature__ = inspect.signature(build)  # type: ignore[attr-defined]
         typed.__name__, typed.__doc__ = build.__name__, build.__doc__

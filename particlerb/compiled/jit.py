@@ -148,8 +148,8 @@ class _CheckedFiles(caching.IndexDataCacheFile):
 
     def load(self, key: Any) -> Any:
         """What is kept for a key; None where there is nothing, or nothing whole."""
-        found = super().load(key)
-        return found[1] if found is not None and found[0] == key else None
+        entry = super().load(key)
+        return entry[1] if entry is not None and entry[0] == key else None
 
     def save(self, key: Any, data: Any) -> None:
         """Keep something for a key."""
@@ -163,8 +163,8 @@ class _CheckedFiles(caching.IndexDataCacheFile):
     def _load_data(self, name: str) -> Any:
         return self.whole(self._data_path(name))
 
-    def _dump(self, found: Any) -> bytes:
-        data: bytes = super()._dump(found)
+    def _dump(self, entry: Any) -> bytes:
+        data: bytes = super()._dump(entry)
         return hashlib.sha256(data).digest() + data
 
     def whole(self, path: str, head: bytes = b"") -> Any:
@@ -198,8 +198,8 @@ class _KernelCache(caching.FunctionCache):
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Compiled code of a signature; None where there is none that can be used."""
         with contextlib.suppress(Exception):  # of unpickling and linking: it is compiled anew
-            if (found := super().load_overload(signature, context)) is not None:
-                return found
+            if (overload := super().load_overload(signature, context)) is not None:
+                return overload
         while WHEN_COMPILING:
             _LOG.info("compiling %s ...", WHEN_COMPILING.pop())
         return None

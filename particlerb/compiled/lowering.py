@@ -161,11 +161,11 @@ class _Lower(lowering.Lower):
 
     def storevar(self, value: Any, name: str, argidx: int | None = None) -> None:
         """Give a variable a value; what it was before is of no interest where it owned nothing."""
-        numbas, known = cast(Any, super()), cast(Any, self)
-        if name in known._singly_assigned_vars or self._owns(name):
+        numbas, lower = cast(Any, super()), cast(Any, self)
+        if name in lower._singly_assigned_vars or self._owns(name):
             numbas.storevar(value, name, argidx)
         else:
-            self.builder.store(value, known.getvar(name))
+            self.builder.store(value, lower.getvar(name))
 
     def delvar(self, name: str) -> None:
         """End a variable, of which nothing is to be done if it owned nothing."""

@@ -67,8 +67,8 @@ def twin(function: Any) -> FunctionType:
             made = _TWINS[plain] = in_python(plain)  # before what it calls, which may be itself
             names = set(_names(plain.__code__))
             values = made.__globals__ | made.__globals__.get("IN_PYTHON", {})
-            found = {name: _twin_of(values[name], names) for name in names & values.keys()}
-            made.__globals__.update(found)
+            twins = {name: _twin_of(values[name], names) for name in names & values.keys()}
+            made.__globals__.update(twins)
         return _TWINS[plain]
 
 

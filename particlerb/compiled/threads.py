@@ -132,7 +132,7 @@ class _Threads:
         size = -(-units // pieces)
         ranges = [(lo, min(lo + size, units)) for lo in range(0, units, size)]
         workers = self.workers
-        futures = [workers.submit(kernel, *own) for own in ranges]
+        futures = [workers.submit(kernel, *bounds) for bounds in ranges]
         try:
             for future in futures:
                 future.result()
