@@ -94,15 +94,15 @@ def summed(loads: list[Any]) -> tuple[Any, ...]:
 
     What is zero for every body is left out. Forces that users wrote come last, as they were given.
     """
-    found: list[Any] = []
+    sums: list[Any] = []
     for parameters, term in TERMS.items():
-        own = [load for load in loads if type(load) is parameters]
-        if term.kick.is_many or not own:
-            found += own
+        of_kind = [load for load in loads if type(load) is parameters]
+        if term.kick.is_many or not of_kind:
+            sums += of_kind
             continue
-        total = [sum(arrays, np.zeros(arrays[0].shape)) for arrays in zip(*own, strict=True)]
-        found += [parameters(*total)] if any(array.any() for array in total) else []
-    return (*found, *(load for load in loads if type(load) not in TERMS))
+        total = [sum(arrays, np.zeros(arrays[0].shape)) for arrays in zip(*of_kind, strict=True)]
+        sums += [parameters(*total)] if any(array.any() for array in total) else []
+    return (*sums, *(load for load in loads if type(load) not in TERMS))
 
 
 def _parts_of(terms: Terms) -> list[tuple[kinds.Kick, Floats]]:
@@ -133,8 +133,8 @@ def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
 def acting_of(terms: Terms) -> Acting:
     """What a kernel is to be compiled for."""
     parts = [kick for kick, _ in _parts_of(terms)]
-    names, own = [kick.name for kick in parts], tuple(kick for kick in parts if kick not in KICKS)
-    acting = [*(kick for kick in KICKS if kick.name in names), *own]
+    names, users = [kick.name for kick in parts], tuple(kick for kick in parts if kick not in KICKS)
+    acting = [*(kick for kick in KICKS if kick.name in names), *users]
 
     def tag(kick: kinds.Kick) -> int | tuple[int, ...] | None:
         if kick not in acting:
@@ -147,21 +147,21 @@ def acting_of(terms: Terms) -> Acting:
         PAIR + OTHER if terms.has_other_pair_loads else None,
         1 if any(kick.flow is not None for kick in acting) else None,
         1 if any(kick.at_time is not None for kick in acting) else None,
-        own_functions(own) if own else None,
-        1 if any(kick.load is not None for kick in own) else None,
+        own_functions(users) if users else None,
+        1 if any(kick.load is not None for kick in users) else None,
     )
 
 
-def terms_on(terms: Terms, which: Ints) -> Terms:
+def terms_on(terms: Terms, indices: Ints) -> Terms:
     """Terms of some of the bodies; of all of them, in order, where they act on each other."""
     gravity = terms.gravity
-    assert not terms.is_coupled or np.array_equal(which, np.arange(which.size))
+    assert not terms.is_coupled or np.array_equal(indices, np.arange(indices.size))
     return terms._replace(
         gravity=None
         if gravity is None
-        else UniformGravity(gravity.mass[which], gravity.acceleration),
-        loads=tuple(taken(load, which) for load in terms.loads),
-        axis=None if terms.axis is None else terms.axis[which],
+        else UniformGravity(gravity.mass[indices], gravity.acceleration),
+        loads=tuple(taken(load, indices) for load in terms.loads),
+        axis=None if terms.axis is None else terms.axis[indices],
     )
 
 
@@ -285,8 +285,8 @@ def works_of(terms: Terms, com: Floats, q: Floats, t: Floats) -> list[Floats]:
 
 def _in_states(loads: tuple[Any, ...], com: Floats, n_states: int) -> list[Any]:
     """Loads on the bodies of several states, one after the other."""
-    which = np.tile(np.arange(com.shape[1] // n_states), n_states)
-    return [taken(load, which) for load in loads]
+    columns = np.tile(np.arange(com.shape[1] // n_states), n_states)
+    return [taken(load, columns) for load in loads]
 
 
 def energies_of(load: Any, com: Floats, q: Floats) -> Floats | None:

@@ -153,12 +153,12 @@ def _place(attraction: Attraction, work: Fields, y: Floats, first: int, last: in
     first, last : int
         Bodies, last excluded.
     """
-    own, _, _, offset, _ = attraction
+    local, _, _, offset, _ = attraction
     arm, point = work.arm, work.point
     com, q = rows3(y, 0, y.shape[1]), rows4(y[3:7], 0, y.shape[1])
     for k in range(first, last):
         b, lo, hi = work.order[k], offset[k], offset[k + 1]
-        r, arms, points = rows3(own, lo, hi), rows3(arm, lo, hi), rows3(point, lo, hi)
+        r, arms, points = rows3(local, lo, hi), rows3(arm, lo, hi), rows3(point, lo, hi)
         x, R = load3(com, b), matrix(load4(q, b))
         for i in range(hi - lo):
             turned = turn(R, load3(r, i))
@@ -183,12 +183,12 @@ def _add_field(x: Vec3, gm: float, softening: float, targets: Rows3, fields: Row
 
 @inline
 def add_near_source(
-    x: Vec3, gm: float, own: float, softening: float, targets: Rows3, fields: Rows3,
+    x: Vec3, gm: float, owner: float, softening: float, targets: Rows3, fields: Rows3,
     bodies: Floats | Ints,
 ) -> None:  # fmt: skip
     """Add the field of a source at x to that at targets, except those of its own body."""
     for i in range(bodies.size):
-        is_own = bodies[i] == own
+        is_own = bodies[i] == owner
         d = subtract(x, load3(targets, i))
         w = inverse_cube(gm, 1.0 if is_own else squared(d, softening))
         store3(fields, i, add_scaled(0.0 if is_own else w, d, load3(fields, i)))
@@ -197,8 +197,8 @@ def add_near_source(
 @inline
 def _tile_of(work: Fields, tile: int) -> tuple[int, int, int, int]:
     """First target and last, first source and last of a tile."""
-    own = work.tile[tile]
-    return own[0], own[1], own[2], own[3]
+    bounds = work.tile[tile]
+    return bounds[0], bounds[1], bounds[2], bounds[3]
 
 
 def _find_fields(attraction: Attraction, work: Fields, first: int, last: int) -> None:
@@ -250,9 +250,9 @@ def _collect(attraction: Attraction, work: Fields, load: Floats, first: int, las
     for k in range(first, last):
         b, F, tau = work.order[k], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for i in range(offset[k], offset[k + 1]):
-            own = scale(mass[i], load3(fields, i))
-            F = add_scaled(1.0, own, F)
-            tau = add_scaled(1.0, cross(load3(arms, i), own), tau)
+            force = scale(mass[i], load3(fields, i))
+            F = add_scaled(1.0, force, F)
+            tau = add_scaled(1.0, cross(load3(arms, i), force), tau)
         store3(forces, b, add_scaled(1.0, F, load3(forces, b)))
         store3(torques, b, add_scaled(1.0, tau, load3(torques, b)))
 
@@ -288,20 +288,20 @@ def spread_loads(
 def _spread_tiles(part: Callable[[int, int], object], work: Fields, ranks: Ranks) -> Range:
     """Call part(first, last) for ranges of tiles that cover those of this rank; which these are."""
     n = len(work.tile)
-    own = Range(n * ranks.number // ranks.count, n * (ranks.number + 1) // ranks.count)
-    first, last, begin, end = work.tile[slice(*own)].T
+    tiles = Range(n * ranks.number // ranks.count, n * (ranks.number + 1) // ranks.count)
+    first, last, begin, end = work.tile[slice(*tiles)].T
     n_pairs = int((last - first) @ (end - begin))
-    shifted = (lambda lo, hi: part(own.first + lo, own.first + hi)) if own.first else part
-    THREADS.share(shifted, own.stop - own.first, n_pairs // _PAIRS)
-    return own
+    shifted = (lambda lo, hi: part(tiles.first + lo, tiles.first + hi)) if tiles.first else part
+    THREADS.share(shifted, tiles.stop - tiles.first, n_pairs // _PAIRS)
+    return tiles
 
 
 def _share(values: Floats, first: int, stop: int, ranks: Ranks) -> None:
     """Fill in the columns of other ranks, where this one has found those of a range."""
     if ranks.count > 1:
-        own = np.ascontiguousarray(values[..., first:stop].T)
-        found = np.concatenate(ranks.sent([own] * ranks.count))
-        values[..., : len(found)] = found.T
+        columns = np.ascontiguousarray(values[..., first:stop].T)
+        gathered = np.concatenate(ranks.sent([columns] * ranks.count))
+        values[..., : len(gathered)] = gathered.T
 
 
 # Energy
@@ -358,8 +358,8 @@ def potential_energy(
         def part(first: int, last: int) -> None:
             attraction_potential(attraction, work, first, last, sums)
 
-        own = _spread_tiles(part, work, ranks)
-        _share(sums, own.first, own.stop, ranks)
+        tiles = _spread_tiles(part, work, ranks)
+        _share(sums, tiles.first, tiles.stop, ranks)
     if worlds is None:
         return math.fsum(sums)
-    return np.array([math.fsum(own) for own in np.split(sums, work.first_tile[1:])])
+    return np.array([math.fsum(world) for world in np.split(sums, work.first_tile[1:])])

@@ -11,34 +11,34 @@ from particlerb.maths.vec3 import Floats, Ints, subtract
 
 @kernel
 def _raise_squared_rates(
-    gm_body: Floats, com: Floats, softening: float, which: Ints, chosen: Floats, squares: Floats
+    gm_body: Floats, com: Floats, softening: float, indices: Ints, chosen: Floats, squares: Floats
 ) -> None:
     """Raise `squares` to max_b (G M_a + G M_b)/(d² + ε²)^{3/2} [1/s²] of the chosen bodies a.
 
     Parameters
     ----------
-    gm_body, com, softening, which
+    gm_body, com, softening, indices
         As for `fastest_rates`.
     chosen : ndarray, shape (4, n) [m, m³/s²]
         Centre of mass and G times mass of the chosen bodies: they fill the lanes.
     squares : ndarray, shape (n,) [1/s²]
     """
     coms = rows3(com, 0, gm_body.size)
-    for lo in range(0, which.size, TILE):
-        hi = min(lo + TILE, which.size)
+    for lo in range(0, indices.size, TILE):
+        hi = min(lo + TILE, indices.size)
         targets, gms = rows3(chosen, lo, hi), chosen[3, lo:hi]
-        own, best = which[lo:hi], squares[lo:hi]
+        bodies, best = indices[lo:hi], squares[lo:hi]
         for b in range(gm_body.size):
             x, gm = load3(coms, b), gm_body[b]
             for i in range(hi - lo):
-                is_own = own[i] == b
+                is_own = bodies[i] == b
                 square = squared(subtract(x, load3(targets, i)), softening)
                 value = inverse_cube(gm + gms[i], 1.0 if is_own else square)
                 value = 0.0 if is_own else value
                 best[i] = value if value > best[i] else best[i]
 
 
-def fastest_rates(gm_body: Floats, com: Floats, softening: float, which: Ints) -> Floats:
+def fastest_rates(gm_body: Floats, com: Floats, softening: float, indices: Ints) -> Floats:
     """Fastest rate at which each chosen body would go round another one: an estimate.
 
     max_b √(G (M_a + M_b)/(d² + ε²)^{3/2}) with the distance d of the centres of mass; another one
@@ -52,7 +52,7 @@ def fastest_rates(gm_body: Floats, com: Floats, softening: float, which: Ints) -
         World frame.
     softening : float [m²]
         ε².
-    which : ndarray, shape (n,)
+    indices : ndarray, shape (n,)
         The chosen bodies.
 
     Returns
@@ -60,7 +60,7 @@ def fastest_rates(gm_body: Floats, com: Floats, softening: float, which: Ints) -
     ndarray, shape (n,) [rad/s]
         Zero where there is no other body.
     """
-    chosen = np.ascontiguousarray(np.vstack([com[:, which], gm_body[which]]))
-    squares = np.zeros(which.size)
-    THREADS.alone(_raise_squared_rates, gm_body, com, softening, which, chosen, squares)
+    chosen = np.ascontiguousarray(np.vstack([com[:, indices], gm_body[indices]]))
+    squares = np.zeros(indices.size)
+    THREADS.alone(_raise_squared_rates, gm_body, com, softening, indices, chosen, squares)
     return np.sqrt(squares)

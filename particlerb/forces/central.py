@@ -77,8 +77,8 @@ def _change_central(
     away = dot(n, v)
     dn = scale(inverse, add_scaled(-away, n, v))
     moved = turn(R, component_product(inertia, turn_back(R, n)))
-    own = turn_back(R, subtract(dn, cross(w, n)))
-    dmoved = add_scaled(1.0, cross(w, moved), turn(R, component_product(inertia, own)))
+    dn_body = turn_back(R, subtract(dn, cross(w, n)))
+    dmoved = add_scaled(1.0, cross(w, moved), turn(R, component_product(inertia, dn_body)))
     size, fall = get(rows, at + 3, b) * inverse * inverse, -inverse * away
     pull, near = size * get(rows, at + 4, b), 1.5 * size * inverse * inverse
     shape = 5.0 * dot(n, moved) - (inertia[0] + inertia[1] + inertia[2])

@@ -113,8 +113,8 @@ def resolve(
     kinds = system.kind[members]
     q = np.array(table.charge)
     for kind in np.unique(kinds).tolist():
-        own = slice(system.particles.offset[kind], system.particles.offset[kind + 1])
-        r = system.particles.position[own]  # with the rounding of places in the axes of the shape
+        rows = slice(system.particles.offset[kind], system.particles.offset[kind + 1])
+        r = system.particles.position[rows]  # with the rounding of places in the axes of the shape
         size = np.abs(q) @ (lengths(r.T) + lengths(system.properties.com[kind]))
         moment = q @ r
         if lengths(moment) <= _MOMENT_ROUNDING * size:

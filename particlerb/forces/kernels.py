@@ -110,19 +110,19 @@ def _source_of(family: _Family, kicks: Iterable[Kick]) -> str:
     """Source of a family: a function for each kick, left out if None, and one that calls all."""
     parts, calls, result = [], [], family.result
     for kick in kicks:
-        own, first = f"{family.name}_{kick.name}", f"at + k * {kick.rows}" if kick.is_many else "at"
-        step = family.step(f"{kick.name}_{family.hook}(rows, {first}")
+        name, row = f"{family.name}_{kick.name}", f"at + k * {kick.rows}" if kick.is_many else "at"
+        step = family.step(f"{kick.name}_{family.hook}(rows, {row}")
         if kick.is_many:  # the length is known while compiling: the loop is unrolled
             step = f"for k in range(len(tag)):\n        {step}"
-        head = f"@inline\ndef {own}(tag, rows, at, {family.given}):\n    if tag is None:\n"
+        head = f"@inline\ndef {name}(tag, rows, at, {family.given}):\n    if tag is None:\n"
         parts.append(f"{head}        {result}\n    {step}\n    {result}\n")
         tag = f"acting.loads[{KICKS.index(kick)}]"
-        calls.append(family.step(f"{own}({tag}, rows, {_first_row(kick)}"))
+        calls.append(family.step(f"{name}({tag}, rows, {_first_row(kick)}"))
     head = f"@inline\ndef {family.name}_own(own, rows, at, {family.given}):\n    if own is None:\n"
     call = f"own.{family.name}(rows, at, {family.given})"
     parts.append(f"{head}        {result}\n    return {call}\n")
-    own = family.step(f"{family.name}_own(acting.own, rows, {_after(MANY_KICKS)}")
-    calls = [own, *calls] if family.is_reversed else [*calls, own]
+    of_users = family.step(f"{family.name}_own(acting.own, rows, {_after(MANY_KICKS)}")
+    calls = [of_users, *calls] if family.is_reversed else [*calls, of_users]
     body = "\n    ".join([*calls, *([family.last] if family.last else []), result])
     return "\n\n".join([*parts, f"def {family.name}(acting, rows, {family.given}):\n    {body}\n"])
 
@@ -162,7 +162,7 @@ def own_functions(kicks: tuple[Kick, ...]) -> FunctionSet:
     For each family a function that calls those of the kicks.
     """
     key = "+".join(kick.name for kick in kicks)
-    found = {}
+    by_name = {}
     for family in _FAMILIES:
         hooks = [getattr(kick, family.hook) if family.has(kick) else None for kick in kicks]
         starts = accumulate((kick.rows for kick in kicks), initial=0)
@@ -171,8 +171,8 @@ def own_functions(kicks: tuple[Kick, ...]) -> FunctionSet:
         body = "\n    ".join([*(calls[::-1] if family.is_reversed else calls), family.result])
         source = f"def {family.name}(rows, at, {family.given}):\n    {body}\n"
         names = {f"hook{k}": hook for k, hook in enumerate(hooks)}
-        found[family.name] = inline_from(source, f"<{family.name} of {key}>", family.name, names)
-    return FunctionSet(key, found, all(kick.is_kept for kick in kicks))
+        by_name[family.name] = inline_from(source, f"<{family.name} of {key}>", family.name, names)
+    return FunctionSet(key, by_name, all(kick.is_kept for kick in kicks))
 
 
 _PAIR_KICK: Final = "p, L = add_pair_load(acting.{}, rows, {}, b, dt, p, L)"

@@ -186,8 +186,8 @@ def change_links(links: Links | None, y: Floats, change: Floats) -> None:
         force, bent = change_along(links.stiffness[s], links.rest_length[s], d, rate)
         for end, body, sign in ((0, a, 1.0), (1, b, -1.0)):
             if body != WORLD:
-                own = subtract(v[end], scale(links.inv_mass[body], column3(y, 7, body)))
-                turned = add_scaled(1.0, cross(own, force), cross(ends[end].arm, bent))
+                relative = subtract(v[end], scale(links.inv_mass[body], column3(y, 7, body)))
+                turned = add_scaled(1.0, cross(relative, force), cross(ends[end].arm, bent))
                 add_to_column3(change, FORCE, body, sign, bent)
                 add_to_column3(change, TORQUE, body, sign, turned)
         if b == WORLD:
@@ -217,9 +217,9 @@ def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backward
         v, w = rate(links, y, s, ends, n), _inverse_mass(links, s, ends, n)
         if not w > 0.0:
             continue
-        given = -math.expm1(-c * w * dt) * v / w
-        impulse = scale(given, n)
-        load[POWER, a] += given * (0.5 * given * w - v)
+        size = -math.expm1(-c * w * dt) * v / w
+        impulse = scale(size, n)
+        load[POWER, a] += size * (0.5 * size * w - v)
         add_to_column3(y, 7, a, 1.0, impulse)
         add_to_column3(y, 10, a, 1.0, cross(ends[0].arm, impulse))
         if b == WORLD:
@@ -258,12 +258,12 @@ def with_springs(links: Links | None, loads: tuple[Any, ...], bodies: Bodies) ->
         bodies.inv_inertia,
     )  # fmt: skip
     parts = [none if links is None else links]
-    for one in loads:
-        if not isinstance(one, Spring):
+    for load in loads:
+        if not isinstance(load, Spring):
             continue
         ends = np.arange(n), np.full(n, WORLD)
-        own = (one.at, one.anchor, one.stiffness, one.rest_length)
-        parts.append(none._replace(**dict(zip(none._fields, (*ends, *own), strict=False))))
+        spring = (load.at, load.anchor, load.stiffness, load.rest_length)
+        parts.append(none._replace(**dict(zip(none._fields, (*ends, *spring), strict=False))))
     joined = {
         name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
         for name in none._fields[:6]
@@ -299,13 +299,13 @@ def link_rates(links: Links) -> Floats:
     n = links.inv_mass.size
     softest = links.inv_inertia.max(axis=0)
     inside = links.second != WORLD
-    own = [
+    inverses = [
         links.inv_mass[body] + (at * at).sum(axis=0) * softest[body]
         for body, at in ((links.first, links.first_at), (links.second, links.second_at))
     ]
-    own[1] = np.where(inside, own[1], 0.0)
-    u = [np.sqrt(links.stiffness * softness) for softness in own]
-    damped = 0.0 if links.damping is None else links.damping * (own[0] + own[1])
+    inverses[1] = np.where(inside, inverses[1], 0.0)
+    u = [np.sqrt(links.stiffness * softness) for softness in inverses]
+    damped = 0.0 if links.damping is None else links.damping * (inverses[0] + inverses[1])
     return combined_rates(links.first, links.second, u, n, damped)
 
 

@@ -152,11 +152,11 @@ def _term_of(
             return constant_force(course.midway, arm)
         none = np.broadcast_to(0.0, arm.shape)
         return Ramp(course.midway, none, course.change, none, course.clock, arm)
-    own = course.turned(lambda vector: rotate_back(bodies.rotor_frame, vector))
-    turning = own.turned(lambda vector: np.cross(arm, vector, axis=0))
-    if own.is_constant:
-        return Follower(own.midway, turning.midway)
-    return FollowerRamp(own.midway, turning.midway, own.change, turning.change, own.clock)
+    local = course.turned(lambda vector: rotate_back(bodies.rotor_frame, vector))
+    turning = local.turned(lambda vector: np.cross(arm, vector, axis=0))
+    if local.is_constant:
+        return Follower(local.midway, turning.midway)
+    return FollowerRamp(local.midway, turning.midway, local.change, turning.change, local.clock)
 
 
 def refuse_large(table: "PushTable | ImpulseTable", numbers: Floats, com: Floats) -> None:

@@ -49,12 +49,12 @@ def with_code(force: Any, system: "System") -> Any:
         hint = "read it first; then --allow-code, or allow_code=True in Python"
         raise ForceError("function" if force.file is None else "file", reason, hint)
     try:
-        found = load_force(system.files.read(file), function)
+        loaded = load_force(system.files.read(file), function)
     except ValueError as error:
         raise ForceError("function" if force.file is None else "file", str(error)) from None
     except UserForceError as error:
         raise ForceError("function", str(error)) from None
-    return force.model_copy(update={"function": found})
+    return force.model_copy(update={"function": loaded})
 
 
 def parameters_of(
@@ -75,22 +75,22 @@ def parameters_of(
         If one is missing, unknown, or not as long as others are.
     """
     force: UserForce = table.function
-    known, where = force.parameters, place_of(force.function)
-    for kind, given in (("parameters", table.parameters), ("per_body", table.per_body)):
-        for key in given.keys() - known.keys():
+    defaults, where = force.parameters, place_of(force.function)
+    for kind, entries in (("parameters", table.parameters), ("per_body", table.per_body)):
+        for key in entries.keys() - defaults.keys():
             reason = f"{force.name} ({where}) has no parameter of this name"
-            raise ForceError(f"{kind}.{key}", reason, f"it has: {', '.join(known) or 'none'}")
-    found: dict[str, Floats] = {}
-    for name, default in known.items():
+            raise ForceError(f"{kind}.{key}", reason, f"it has: {', '.join(defaults) or 'none'}")
+    numbers: dict[str, Floats] = {}
+    for name, default in defaults.items():
         if name in table.per_body:
-            found[name] = per_body(name, table.per_body[name])
+            numbers[name] = per_body(name, table.per_body[name])
             continue
         value = table.parameters.get(name, default)
         if value is ...:
             reason = f"{force.name} ({where}) has a parameter {name}, which is missing"
             raise ForceError("parameters", reason, f"give parameters = {{ {name} = .. }}")
-        found[name] = np.asarray(value, dtype=np.float64)[None]
-    return found
+        numbers[name] = np.asarray(value, dtype=np.float64)[None]
+    return numbers
 
 
 def refuse_length(name: str, values: Floats, n: int) -> None:
@@ -197,8 +197,8 @@ def attempt(force: UserForce, evaluate: Callable[[], Floats]) -> Floats:
     finite = np.isfinite(values).all(axis=0)
     if not finite.all():
         b = int(np.argmin(finite))
-        given = values[:6, b].tolist()
-        reason = f"{where}: {force.name} gives {given} for {{name}} at its start"
+        load = values[:6, b].tolist()
+        reason = f"{where}: {force.name} gives {load} for {{name}} at its start"
         raise ForceError("function", reason, "force and torque must be finite", b)
     return values
 
@@ -212,27 +212,27 @@ def of_body(bodies: Bodies, state: State, b: int, end: str = "") -> dict[str, An
     """Place, axes, velocities of body b, which is the end 1 or 2 of a pair."""
     R = rotation_matrix(state.q[:, b]) @ rotation_matrix(bodies.rotor_frame[:, b]).T
     vectors = state.com[:, b], state.p[:, b] * bodies.inv_mass[b], omega_world(bodies, state)[:, b]
-    given: dict[str, Any] = {f"R{end}": tuple(tuple(line) for line in R.tolist())}
+    arguments: dict[str, Any] = {f"R{end}": tuple(tuple(line) for line in R.tolist())}
     named = zip(("x", "v", "omega"), vectors, strict=True)
-    return given | {f"{name}{end}": tuple(v.tolist()) for name, v in named}
+    return arguments | {f"{name}{end}": tuple(v.tolist()) for name, v in named}
 
 
 def numbers_in(of: user_kicks.Lengths, numbers: Floats) -> dict[str, Any]:
     """Parameters by their names, from a row of numbers."""
-    given, row = {}, 0
+    arguments, row = {}, 0
     for name, length in of:
         values = numbers[row : row + max(length, 1)].tolist()
-        given[name] = tuple(values) if length else values[0]
+        arguments[name] = tuple(values) if length else values[0]
         row += max(length, 1)
-    return given
+    return arguments
 
 
-def wrong_result(force: UserForce, given: dict[str, Any], t: float) -> str:
+def wrong_result(force: UserForce, arguments: dict[str, Any], t: float) -> str:
     """What is wrong with what the function returns at t [s]; empty: nothing."""
     where = place_of(force.function)
-    given = given | {"t": t}
+    arguments = arguments | {"t": t}
     try:
-        result = force.function(**{name: given[name] for name in force.signature})
+        result = force.function(**{name: arguments[name] for name in force.signature})
     except Exception as error:
         return told(error, where.rpartition(":")[0])
     try:
@@ -263,19 +263,19 @@ def compare(
     for now in (state, away._replace(q=quaternion_product(turn, state.q))):
         reach = lengths(now.com - centre)
         with np.errstate(all="ignore"):
-            given, potential = loads(now), energy(now)
-            found = -user_kicks.gradient(lambda s: energy(s)[None], bodies, now, reach)[:6, 0]
+            acting, potential = loads(now), energy(now)
+            derived = -user_kicks.gradient(lambda s: energy(s)[None], bodies, now, reach)[:6, 0]
             steps = np.where(
                 np.arange(6)[:, None] < 3, user_kicks.scales(bodies, reach), user_kicks.DIFFERENCE
             )
             noise = 1e-14 * np.abs(potential) / steps
-        for part, what in ((slice(0, 3), "force [N]"), (slice(3, 6), "torque [N m]")):
-            size = np.maximum(lengths(given[part]), lengths(found[part]))
-            error = lengths(given[part] - found[part])
-            wrong = np.flatnonzero(error > _TOLERANCE * size + lengths(noise[part]))
+        for rows, what in ((slice(0, 3), "force [N]"), (slice(3, 6), "torque [N m]")):
+            size = np.maximum(lengths(acting[rows]), lengths(derived[rows]))
+            error = lengths(acting[rows] - derived[rows])
+            wrong = np.flatnonzero(error > _TOLERANCE * size + lengths(noise[rows]))
             if wrong.size:
                 b = int(wrong[0])
-                numbers = [np.array2string(one[part, b], precision=6) for one in (given, found)]
+                numbers = [np.array2string(one[rows, b], precision=6) for one in (acting, derived)]
                 reason = (
                     f"{place_of(force.function)}: {force.name} gives the {what}"
                     f" {numbers[0]} for {{name}}{words}, and its potential {numbers[1]}"

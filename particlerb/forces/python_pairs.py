@@ -78,20 +78,20 @@ def try_pairs(
     """Let a force act on pairs, with parameters (r, s), as they begin; ForceError as `_try`."""
     functions = functions_of((table.function,), (lengths_of(table),))
     start = table.edges[0] if table.edges else 0.0
-    own = own_pairs(functions, (first, second), np.zeros_like(first), rows, system.bodies)
-    _try(own, system.bodies, system.state, start)
+    pairs = own_pairs(functions, (first, second), np.zeros_like(first), rows, system.bodies)
+    _try(pairs, system.bodies, system.state, start)
 
 
 class _Apart:
     """Pairs with bodies of their own, so that each end can move by itself."""
 
-    def __init__(self, own: OwnPairs, bodies: Bodies, state: State, t: float) -> None:
-        s, ends = own.first.size, (own.first, own.second)
-        both = np.concatenate(ends)
-        self.own = own._replace(
-            first=np.arange(s), second=s + np.arange(s), inv_mass=own.inv_mass[both],
-            inv_inertia=np.ascontiguousarray(own.inv_inertia[:, both]),
-            axes=np.ascontiguousarray(own.axes[:, both]), turns=own.turns[both],
+    def __init__(self, pairs: OwnPairs, bodies: Bodies, state: State, t: float) -> None:
+        s, ends = pairs.first.size, (pairs.first, pairs.second)
+        indices = np.concatenate(ends)
+        self.own = pairs._replace(
+            first=np.arange(s), second=s + np.arange(s), inv_mass=pairs.inv_mass[indices],
+            inv_inertia=np.ascontiguousarray(pairs.inv_inertia[:, indices]),
+            axes=np.ascontiguousarray(pairs.axes[:, indices]), turns=pairs.turns[indices],
         )  # fmt: skip
         self.bodies = [taken(bodies, end) for end in ends]
         self.states = [taken(state, end) for end in ends]
@@ -109,8 +109,8 @@ class _Apart:
 
     def loads(self, end: int, state: State) -> Floats:
         """Force and torque on one end of each pair, (6, s), its bodies being in another state."""
-        found = loads_between(self.own, self.with_end(end, state), self.t)
-        return found[:6] if end == 0 else np.concatenate([-found[:3], found[6:]])
+        loads = loads_between(self.own, self.with_end(end, state), self.t)
+        return loads[:6] if end == 0 else np.concatenate([-loads[:3], loads[6:]])
 
     def energies(self, end: int, state: State) -> Floats:
         """Potential energy of each pair, (s,) [J]."""
@@ -120,11 +120,11 @@ class _Apart:
     def rates(self, end: int) -> Rates:
         """What the force does to one end of each pair."""
         moves = bool(self.own.takes_velocities.any())
-        own = self.bodies[end], self.states[end], self.reach
-        return rates_by(lambda now: self.loads(end, now), *own, moves)
+        arguments = self.bodies[end], self.states[end], self.reach
+        return rates_by(lambda now: self.loads(end, now), *arguments, moves)
 
 
-def _try(own: OwnPairs, bodies: Bodies, state: State, start: float) -> None:
+def _try(pairs: OwnPairs, bodies: Bodies, state: State, start: float) -> None:
     """Let a force act on pairs as they begin.
 
     Raises
@@ -132,14 +132,14 @@ def _try(own: OwnPairs, bodies: Bodies, state: State, start: float) -> None:
     ForceError
         If it fails, is not a number, is not what its potential says, or turns points.
     """
-    force = own.functions.forces[0]
+    force = pairs.functions.forces[0]
     where = place_of(force.function)
-    if wrong := wrong_result(force, given_to_pair(own, bodies, state, 0), start):
+    if wrong := wrong_result(force, given_to_pair(pairs, bodies, state, 0), start):
         raise ForceError("function", wrong)
-    bare = own._replace(turns=np.ones_like(own.turns))
+    bare = pairs._replace(turns=np.ones_like(pairs.turns))
     values = attempt(force, lambda: loads_between(bare, state, start))
-    arm = lengths(state.com[:, own.second] - state.com[:, own.first]) * lengths(values[:3])
-    for ends, torque in ((own.first, values[3:6]), (own.second, values[6:])):
+    arm = lengths(state.com[:, pairs.second] - state.com[:, pairs.first]) * lengths(values[:3])
+    for ends, torque in ((pairs.first, values[3:6]), (pairs.second, values[6:])):
         turned = (bodies.rotor_class[ends] == POINT) & (lengths(torque) > _NO_TORQUE * arm)
         if turned.any():
             reason = f"{where}: {force.name} turns a point of {{name}}: nothing can turn it"
@@ -147,9 +147,9 @@ def _try(own: OwnPairs, bodies: Bodies, state: State, start: float) -> None:
             raise ForceError("function", reason, hint, int(np.argmax(turned)))
     if force.potential is None:
         return
-    few = np.arange(0, own.first.size, -(-own.first.size // LOOKED_AT))
-    some = {name: getattr(own, name)[few] for name in ("first", "second", "kind")}
-    apart = _Apart(own._replace(rows=own.rows[:, few], **some), bodies, state, start)
+    few = np.arange(0, pairs.first.size, -(-pairs.first.size // LOOKED_AT))
+    some = {name: getattr(pairs, name)[few] for name in ("first", "second", "kind")}
+    apart = _Apart(pairs._replace(rows=pairs.rows[:, few], **some), bodies, state, start)
     for end, words in ((0, ", on the first"), (1, ", on the second")):
         loads, energies = partial(apart.loads, end), partial(apart.energies, end)
         own_end, centre = (apart.bodies[end], apart.states[end]), apart.states[1 - end].com
@@ -160,36 +160,36 @@ def _try(own: OwnPairs, bodies: Bodies, state: State, start: float) -> None:
             raise
 
 
-def given_to_pair(own: OwnPairs, bodies: Bodies, state: State, s: int) -> dict[str, Any]:
+def given_to_pair(pairs: OwnPairs, bodies: Bodies, state: State, s: int) -> dict[str, Any]:
     """What the function is handed over for pair s, but for the time."""
-    given = numbers_in(own.functions.lengths[own.kind[s]], own.rows[:, s])
-    for end, b in (("1", int(own.first[s])), ("2", int(own.second[s]))):
-        given |= of_body(bodies, state, b, end)
-    return given
+    arguments = numbers_in(pairs.functions.lengths[pairs.kind[s]], pairs.rows[:, s])
+    for end, b in (("1", int(pairs.first[s])), ("2", int(pairs.second[s]))):
+        arguments |= of_body(bodies, state, b, end)
+    return arguments
 
 
 def wrong_pair(
-    own: OwnPairs, bodies: Bodies, state: State | None, b: int, t: float
+    pairs: OwnPairs, bodies: Bodies, state: State | None, b: int, t: float
 ) -> tuple[str, str]:
     """A force that acts on body b, and what is wrong with what it returns; empty: nothing."""
     words = ""
-    for s in np.flatnonzero((own.first == b) | (own.second == b)).tolist():
-        force = own.functions.forces[own.kind[s]]
+    for s in np.flatnonzero((pairs.first == b) | (pairs.second == b)).tolist():
+        force = pairs.functions.forces[pairs.kind[s]]
         words = f"; {place_of(force.function)}: {force.name} acts on it"
         if state is None:
             continue
-        if wrong := wrong_result(force, given_to_pair(own, bodies, state, s), t):
+        if wrong := wrong_result(force, given_to_pair(pairs, bodies, state, s), t):
             return words, wrong
     return words, ""
 
 
-def pair_rates(own: OwnPairs, bodies: Bodies, state: State, start: float) -> Floats:
+def pair_rates(pairs: OwnPairs, bodies: Bodies, state: State, start: float) -> Floats:
     """Rates at which each body swings, or slows down, by all its pairs, (n,) [rad/s]."""
-    apart = _Apart(own, bodies, state, start)
-    found = [apart.rates(end) for end in (0, 1)]
-    ends = own.first, own.second
-    rates = combined_rates(*ends, [np.sqrt(one.squared) for one in found], bodies.mass.size)
-    for end, one in zip(ends, found, strict=True):
-        turning = np.sqrt(one.turning * bodies.inv_inertia.max(axis=0)[end])
-        np.maximum.at(rates, end, np.maximum(turning, one.rate))
+    apart = _Apart(pairs, bodies, state, start)
+    by_end = [apart.rates(end) for end in (0, 1)]
+    ends = pairs.first, pairs.second
+    rates = combined_rates(*ends, [np.sqrt(of_end.squared) for of_end in by_end], bodies.mass.size)
+    for end, of_end in zip(ends, by_end, strict=True):
+        turning = np.sqrt(of_end.turning * bodies.inv_inertia.max(axis=0)[end])
+        np.maximum.at(rates, end, np.maximum(turning, of_end.rate))
     return rates

@@ -63,5 +63,5 @@ def force_of(table: Any) -> Force:
 
 def term_of(parameters: Any) -> Term:
     """What parameters of bodies are; those of a force that a user wrote know it themselves."""
-    own: Term | None = getattr(parameters, "term", None)
-    return own or TERMS[type(parameters)]
+    term: Term | None = getattr(parameters, "term", None)
+    return term or TERMS[type(parameters)]

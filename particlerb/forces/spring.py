@@ -110,10 +110,10 @@ def places(system: "System", bodies: Ints, at: Floats | tuple[float, float, floa
     at : tuple of 3 floats, or ndarray of shape (3, n) [m]
         Body frame, from the centre of mass; one point for all, or one for each.
     """
-    own = np.array(at, dtype=np.float64)
-    own = np.tile(own[:, None], bodies.size) if own.ndim == 1 else own
+    points = np.array(at, dtype=np.float64)
+    points = np.tile(points[:, None], bodies.size) if points.ndim == 1 else points
     q = body_orientation(system.state.q[:, bodies], system.bodies.rotor_frame[:, bodies])
-    return system.state.com[:, bodies] + rotate(q, own)
+    return system.state.com[:, bodies] + rotate(q, points)
 
 
 def _term_of(table: "SpringTable", numbers: Floats, bodies: Bodies, start: float) -> Spring:

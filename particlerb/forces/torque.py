@@ -48,10 +48,10 @@ def _term_of(
         if course.is_constant:
             return Torque(course.midway)
         return Ramp(none, course.midway, none, course.change, course.clock, none)
-    own = course.turned(lambda vector: rotate_back(bodies.rotor_frame, vector))
-    if own.is_constant:
-        return Follower(none, own.midway)
-    return FollowerRamp(none, own.midway, none, own.change, own.clock)
+    local = course.turned(lambda vector: rotate_back(bodies.rotor_frame, vector))
+    if local.is_constant:
+        return Follower(none, local.midway)
+    return FollowerRamp(none, local.midway, none, local.change, local.clock)
 
 
 def turning(table: "TorqueTable", is_point: bool) -> tuple[str, str]:

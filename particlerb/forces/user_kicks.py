@@ -112,19 +112,19 @@ _SOURCES: Final = {
 """Of the hooks of a kick, after their names: docs/theory.md."""
 
 
-def compiled(function: Any, known: dict[FunctionType, Any] | None = None) -> Any:
+def compiled(function: Any, cache: dict[FunctionType, Any] | None = None) -> Any:
     """A function of a user with all of his that it reaches, inlined."""
     plain = python_of(function)
-    known = {} if known is None else known
+    cache = {} if cache is None else cache
     if plain is None or config.DISABLE_JIT:
         return function
-    if plain in known:
-        return known[plain]
+    if plain in cache:
+        return cache[plain]
     cells = tuple(CellType(cell.cell_contents) for cell in plain.__closure__ or ())
     names = plain.__globals__ | {"__name__": __name__}  # a module that the cache finds again
     copy = FunctionType(plain.__code__, names, plain.__name__, plain.__defaults__, cells)
-    known[plain] = made = inline(copy)
-    others = {name: compiled(value, known) for name, value in reached(plain) if python_of(value)}
+    cache[plain] = made = inline(copy)
+    others = {name: compiled(value, cache) for name, value in reached(plain) if python_of(value)}
     names.update(others)
     for name, cell in zip(plain.__code__.co_freevars, cells, strict=True):
         cell.cell_contents = others.get(name, cell.cell_contents)
@@ -140,19 +140,19 @@ def _argument(name: str, at: int, length: int) -> str:
 
 def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> tuple[Kick, Any]:
     """Kick of a force, and its energy if it has a potential."""
-    rows, known = 1, {}
+    rows, sources = 1, {}
     for parameter, length in lengths_:
-        known[parameter] = _argument(parameter, rows, length)
+        sources[parameter] = _argument(parameter, rows, length)
         rows += max(length, 1)
     start = rows
     rows += 2 if "t" in force.signature else 0
-    known |= {"t": f"get(rows, at + {start + 1}, b)", "x": "x", "v": "v", "omega": "omega"}
+    sources |= {"t": f"get(rows, at + {start + 1}, b)", "x": "x", "v": "v", "omega": "omega"}
     columns = ", ".join(f"get3(rows, at + {rows + k}, b)" for k in (0, 3, 6))
-    known["R"] = f"body_axes(R, {columns})"
+    sources["R"] = f"body_axes(R, {columns})"
     rows += 9 if "R" in force.signature else 0
-    words = {"arguments": ", ".join(known[one] for one in force.signature), "of_potential": ""}
+    words = {"arguments": ", ".join(sources[one] for one in force.signature), "of_potential": ""}
     if force.potential is not None:
-        words["of_potential"] = ", ".join(known[one] for one in arguments_of(force.potential))
+        words["of_potential"] = ", ".join(sources[one] for one in arguments_of(force.potential))
     names: dict[str, Any] = {
         "get": get, "get3": get3, "put": put, "add_scaled": add_scaled, "scale": scale,
         "chosen": chosen, "body_axes": body_axes, "spin_of": angular_velocity,
@@ -160,9 +160,9 @@ def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> t
         "function": compiled(force.function), "potential": compiled(force.potential),
     }  # fmt: skip
 
-    def hook(which: str) -> Callable[..., Any]:
-        text = f"def {which}{_SOURCES[which].format(**words, start=start)}"
-        names[which] = made = inline_from(text, f"<{which} of {name}>", which, names)
+    def hook(hook_name: str) -> Callable[..., Any]:
+        text = f"def {hook_name}{_SOURCES[hook_name].format(**words, start=start)}"
+        names[hook_name] = made = inline_from(text, f"<{hook_name} of {name}>", hook_name, names)
         return made
 
     moves = force.depends_on_velocity
@@ -180,10 +180,10 @@ def sign_of(force: UserForce, lengths_: Lengths) -> tuple[str, bool]:
     if text:
         sign = digest_of(text)
     else:
-        known = len(_WITHOUT_TEXT)
-        number = _WITHOUT_TEXT.setdefault((force, repr([*reached(force.function)])), known)
+        count = len(_WITHOUT_TEXT)
+        number = _WITHOUT_TEXT.setdefault((force, repr([*reached(force.function)])), count)
         sign = f"without_text_{number}"
-        if number == known:
+        if number == count:
             warnings.warn(CacheWarning(_UNKEPT.format(force=force)), stacklevel=2)
     return "_".join([force.name, sign, *(str(length) for _, length in lengths_)]), bool(text)
 
@@ -210,31 +210,31 @@ def class_of(force: UserForce, lengths_: Lengths) -> type[Written]:
 
 
 @kernel
-def _sample_loads(own: FunctionSet, blocks: Floats, n: int, out: Floats) -> None:
+def _sample_loads(functions: FunctionSet, blocks: Floats, n: int, out: Floats) -> None:
     """Force and torque on n bodies, (6, n), when the segment begins."""
     zero = (0.0, 0.0, 0.0)
     for k in range(len(blocks)):
         rows = blocks[k]
         for b in range(min(BLOCK, n - k * BLOCK)):
             x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
-            own.at_time(rows, LOADS, b, 0.0)
-            F, tau = own.kick_potential(rows, LOADS, b, x, R, 1.0, zero, zero)
-            F, tau = own.kick_others(rows, LOADS, b, x, R, 1.0, F, tau)
+            functions.at_time(rows, LOADS, b, 0.0)
+            F, tau = functions.kick_potential(rows, LOADS, b, x, R, 1.0, zero, zero)
+            F, tau = functions.kick_others(rows, LOADS, b, x, R, 1.0, F, tau)
             p, spin = get3(rows, P, b), get3(rows, L, b)
-            F, tau = own.load_of_velocity(rows, LOADS, b, x, R, p, spin, F, tau)
+            F, tau = functions.load_of_velocity(rows, LOADS, b, x, R, p, spin, F, tau)
             for i in range(3):
                 out[i, k * BLOCK + b] = F[i]
                 out[3 + i, k * BLOCK + b] = tau[i]
 
 
 @kernel
-def _sample_energies(own: FunctionSet, blocks: Floats, n: int, out: Floats) -> None:
+def _sample_energies(functions: FunctionSet, blocks: Floats, n: int, out: Floats) -> None:
     """Potential energy of n bodies, (1, n)."""
     for k in range(len(blocks)):
         rows = blocks[k]
         for b in range(min(BLOCK, n - k * BLOCK)):
             x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
-            out[0, k * BLOCK + b] = own.energy(rows, LOADS, b, x, R)
+            out[0, k * BLOCK + b] = functions.energy(rows, LOADS, b, x, R)
 
 
 def _sampled(load: Written, com: Floats, q: Floats, more: Sequence[tuple[int, Floats]]) -> Floats:
@@ -275,7 +275,7 @@ def gradient(of: Callable[[State], Floats], bodies: Bodies, state: State, reach:
     turn, still = np.full(state.com.shape[1], DIFFERENCE), np.maximum(bodies.inertia.max(0), 1e-99)
     faster = DIFFERENCE * np.maximum(lengths(state.p), bodies.mass)
     steps = scales(bodies, reach), turn, faster, DIFFERENCE * np.maximum(lengths(state.L), still)
-    found = []
+    differences = []
     for k in range(12):
         step, unit = steps[k // 3], np.zeros((4, turn.size))
         unit[k % 3 + 1] = 1.0
@@ -284,8 +284,8 @@ def gradient(of: Callable[[State], Floats], bodies: Bodies, state: State, reach:
             turned = quaternion_product(0.5 * way + _NO_TURN, state.q)
             moved = State(state.com + way[1:], turned, state.p + way[1:], state.L + way[1:])
             ends.append(of(state._replace(**{State._fields[k // 3]: moved[k // 3]})))
-        found.append((ends[0] - ends[1]) / step)
-    return np.array(found)
+        differences.append((ends[0] - ends[1]) / step)
+    return np.array(differences)
 
 
 @np.errstate(all="ignore")

@@ -75,25 +75,25 @@ class OwnPairs(NamedTuple):
 
 
 @inline
-def _axes_of(own: OwnPairs, y: Floats, b: int) -> Any:
+def _axes_of(pairs: OwnPairs, y: Floats, b: int) -> Any:
     """Rotation matrix of the body frame of b."""
-    lines = column3(own.axes, 0, b), column3(own.axes, 3, b), column3(own.axes, 6, b)
+    lines = column3(pairs.axes, 0, b), column3(pairs.axes, 3, b), column3(pairs.axes, 6, b)
     return body_axes(rotation_of(y, b), *lines)
 
 
 @inline
-def _spin(own: OwnPairs, y: Floats, b: int) -> Vec3:
+def _spin(pairs: OwnPairs, y: Floats, b: int) -> Vec3:
     """Angular velocity of body b [rad/s], world axes."""
     R = rotation_of(y, b)
     return turn(
-        R, component_product(column3(own.inv_inertia, 0, b), turn_back(R, column3(y, _L, b)))
+        R, component_product(column3(pairs.inv_inertia, 0, b), turn_back(R, column3(y, _L, b)))
     )
 
 
 @inline
-def _speed(own: OwnPairs, y: Floats, b: int) -> Vec3:
+def _speed(pairs: OwnPairs, y: Floats, b: int) -> Vec3:
     """Velocity of the centre of mass of body b [m/s]."""
-    return scale(own.inv_mass[b], column3(y, _P, b))
+    return scale(pairs.inv_mass[b], column3(y, _P, b))
 
 
 _GIVEN: Final = {"x": "column3(y, 0, {})", "R": "axes_of(own, y, {})", "v": "speed(own, y, {})",
@@ -102,14 +102,14 @@ _GIVEN: Final = {"x": "column3(y, 0, {})", "R": "axes_of(own, y, {})", "v": "spe
 
 def _arguments(names: Any, lengths: Lengths) -> str:
     """Source of the arguments of a function."""
-    known, row = {"t": "t"}, 0
+    texts, row = {"t": "t"}, 0
     for name, code in _GIVEN.items():
-        known |= {name + "1": code.format("own.first[s]"), name + "2": code.format("own.second[s]")}
+        texts |= {name + "1": code.format("own.first[s]"), name + "2": code.format("own.second[s]")}
     for name, length in lengths:
         numbers = [f"own.rows[{row + k}, s]" for k in range(max(length, 1))]
-        known[name] = f"({', '.join(numbers)},)" if length else numbers[0]
+        texts[name] = f"({', '.join(numbers)},)" if length else numbers[0]
         row += len(numbers)
-    return ", ".join(known[name] for name in names)
+    return ", ".join(texts[name] for name in names)
 
 
 _SOURCES: Final = {
@@ -119,23 +119,23 @@ _SOURCES: Final = {
 """Arguments, and what is returned, of the functions of a set."""
 
 
-def _chain(which: str, functions: list[Any], arguments: list[str], key: str) -> Any:
+def _chain(kind: str, functions: list[Any], arguments: list[str], key: str) -> Any:
     """A function that calls those of force k, made of the functions of users."""
-    given, result = _SOURCES[which]
+    parameters, result = _SOURCES[kind]
     names: dict[str, Any] = {
         "column3": column3, "axes_of": _axes_of, "speed": _speed, "spin": _spin,
         "chosen": chosen,
     }  # fmt: skip
     calls = []
-    for k, (function, own) in enumerate(zip(functions, arguments, strict=True)):
-        code = "0.0" if function is None else result.format(own).replace("function", f"of_user{k}")
-        text = f"def {which}{k}({given}):\n    return {code}\n"
+    for k, (function, args) in enumerate(zip(functions, arguments, strict=True)):
+        code = "0.0" if function is None else result.format(args).replace("function", f"of_user{k}")
+        text = f"def {kind}{k}({parameters}):\n    return {code}\n"
         names[f"of_user{k}"] = compiled(function)
-        names[f"{which}{k}"] = inline_from(text, f"<{which} {k} of {key}>", f"{which}{k}", names)
-        calls.append(f"    if k == {k}:\n        return {which}{k}({given})\n")
-    last = f"    return {which}{len(calls) - 1}({given})\n"
-    text = "".join([f"def {which}({given}, k):\n", *calls[:-1], last])
-    return inline_from(text, f"<{which} of {key}>", which, names)
+        names[f"{kind}{k}"] = inline_from(text, f"<{kind} {k} of {key}>", f"{kind}{k}", names)
+        calls.append(f"    if k == {k}:\n        return {kind}{k}({parameters})\n")
+    last = f"    return {kind}{len(calls) - 1}({parameters})\n"
+    text = "".join([f"def {kind}({parameters}, k):\n", *calls[:-1], last])
+    return inline_from(text, f"<{kind} of {key}>", kind, names)
 
 
 @cache
@@ -144,13 +144,13 @@ def _made(
 ) -> PairFunctions:
     """Do the work of `functions_of`."""
     key = "pairs of " + "+".join(sign for sign, _ in signs)
-    both = list(zip(forces, lengths, strict=True))
-    loads = [_arguments(force.signature, of) for force, of in both]
+    with_lengths = list(zip(forces, lengths, strict=True))
+    loads = [_arguments(force.signature, of) for force, of in with_lengths]
     energies = [
         "" if force.potential is None else _arguments(arguments_of(force.potential), of)
-        for force, of in both
+        for force, of in with_lengths
     ]
-    found = PairFunctions(
+    functions = PairFunctions(
         key,
         {
             "load": _chain("load", [force.function for force in forces], loads, key),
@@ -158,13 +158,13 @@ def _made(
         },
         all(is_kept for _, is_kept in signs),
     )
-    found.forces, found.lengths = forces, lengths
-    return found
+    functions.forces, functions.lengths = forces, lengths
+    return functions
 
 
 def functions_of(forces: tuple[UserForce, ...], lengths: tuple[Lengths, ...]) -> PairFunctions:
     """Functions of forces with parameters of these lengths."""
-    signs = tuple(sign_of(*both) for both in zip(forces, lengths, strict=True))
+    signs = tuple(sign_of(*pair) for pair in zip(forces, lengths, strict=True))
     return _made(signs, forces, lengths)
 
 
@@ -186,18 +186,18 @@ def own_pairs(
 
 
 @inline
-def _load(own: OwnPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Vec3]:
+def _load(pairs: OwnPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Vec3]:
     """Force on the first body of pair s, and the torques on both."""
-    a, b = own.first[s], own.second[s]
-    F, tau = own.functions.load(own, y, t, s, own.kind[s])
+    a, b = pairs.first[s], pairs.second[s]
+    F, tau = pairs.functions.load(pairs, y, t, s, pairs.kind[s])
     other = subtract(cross(subtract(column3(y, 0, b), column3(y, 0, a)), F), tau)
-    return F, scale(own.turns[a], tau), scale(own.turns[b], other)
+    return F, scale(pairs.turns[a], tau), scale(pairs.turns[b], other)
 
 
 @inline
-def _add_load(own: OwnPairs, s: int, rows: Floats, at: int, h: float, load: Any) -> None:
+def _add_load(pairs: OwnPairs, s: int, rows: Floats, at: int, h: float, load: Any) -> None:
     """Add h times a load of pair s to the rows of both bodies, from `at` on."""
-    a, b, (F, tau, other) = own.first[s], own.second[s], load
+    a, b, (F, tau, other) = pairs.first[s], pairs.second[s], load
     add_to_column3(rows, at, a, h, F)
     add_to_column3(rows, at + TORQUE, a, h, tau)
     add_to_column3(rows, at, b, -h, F)
@@ -206,19 +206,19 @@ def _add_load(own: OwnPairs, s: int, rows: Floats, at: int, h: float, load: Any)
 
 @kernel
 def own_pair_loads(
-    own: OwnPairs | None, t: float, y: Floats, load: Floats, with_velocities: bool
+    pairs: OwnPairs | None, t: float, y: Floats, load: Floats, with_velocities: bool
 ) -> None:
     """Add the loads of all pairs in the state y (13, n) at t [s], one after the other.
 
     Those without a potential go to the rows OTHER, from which kicks and slopes book their work;
     what takes velocities is left out where it is a flow.
     """
-    if own is None:
+    if pairs is None:
         return
-    for s in range(own.first.size):
-        if with_velocities or not own.takes_velocities[own.kind[s]]:
-            at = FORCE if own.has_potential[own.kind[s]] else OTHER
-            _add_load(own, s, load, at, 1.0, _load(own, t, y, s))
+    for s in range(pairs.first.size):
+        if with_velocities or not pairs.takes_velocities[pairs.kind[s]]:
+            at = FORCE if pairs.has_potential[pairs.kind[s]] else OTHER
+            _add_load(pairs, s, load, at, 1.0, _load(pairs, t, y, s))
 
 
 @inline
@@ -228,18 +228,18 @@ def _sum3(a: Vec3) -> float:
 
 
 @inline
-def _flow_pair(own: OwnPairs, t: float, y: Floats, s: int, dt: float) -> float:
+def _flow_pair(pairs: OwnPairs, t: float, y: Floats, s: int, dt: float) -> float:
     """Flow of pair s over dt by the implicit midpoint rule, iterated to rounding; its work [J].
 
     Where it does not converge it is NaN, and so are the momenta.
     """
-    a, b = own.first[s], own.second[s]
+    a, b = pairs.first[s], pairs.second[s]
     p, spin = (column3(y, _P, a), column3(y, _P, b)), (column3(y, _L, a), column3(y, _L, b))
     sizes = _sum3(p[0]) + _sum3(p[1]), _sum3(spin[0]) + _sum3(spin[1])
     load, change = (ZERO, ZERO, ZERO), 1.0
     for _ in range(_MOST):
-        _add_load(own, s, y, _P, 0.5 * dt, load)
-        new = _load(own, t, y, s)
+        _add_load(pairs, s, y, _P, 0.5 * dt, load)
+        new = _load(pairs, t, y, s)
         for c in range(3):
             y[_P + c, a], y[_P + c, b] = p[0][c], p[1][c]
             y[_L + c, a], y[_L + c, b] = spin[0][c], spin[1][c]
@@ -252,56 +252,56 @@ def _flow_pair(own: OwnPairs, t: float, y: Floats, s: int, dt: float) -> float:
             break
     h = dt if change < _LARGEST_LEFT else np.nan
     F, tau, other = load
-    _add_load(own, s, y, _P, 0.5 * h, load)
-    work = dot(F, subtract(_speed(own, y, a), _speed(own, y, b)))
-    work += dot(tau, _spin(own, y, a)) + dot(other, _spin(own, y, b))
-    _add_load(own, s, y, _P, 0.5 * h, load)
+    _add_load(pairs, s, y, _P, 0.5 * h, load)
+    work = dot(F, subtract(_speed(pairs, y, a), _speed(pairs, y, b)))
+    work += dot(tau, _spin(pairs, y, a)) + dot(other, _spin(pairs, y, b))
+    _add_load(pairs, s, y, _P, 0.5 * h, load)
     return h * work
 
 
 @kernel
 def flow_own_pairs(
-    own: OwnPairs | None, t: float, y: Floats, load: Floats, dt: float, backwards: bool
+    pairs: OwnPairs | None, t: float, y: Floats, load: Floats, dt: float, backwards: bool
 ) -> None:
     """Flow over dt of each pair whose force takes velocities, on the momenta of y.
 
     Their work is booked in the rows POWER of `load`. Backwards it is the adjoint, as for dashpots.
     """
-    if own is None or dt == 0.0:
+    if pairs is None or dt == 0.0:
         return
-    for i in range(own.first.size):
-        s = own.first.size - 1 - i if backwards else i
-        if own.takes_velocities[own.kind[s]]:
-            load[POWER, own.first[s]] += _flow_pair(own, t, y, s, dt)
+    for i in range(pairs.first.size):
+        s = pairs.first.size - 1 - i if backwards else i
+        if pairs.takes_velocities[pairs.kind[s]]:
+            load[POWER, pairs.first[s]] += _flow_pair(pairs, t, y, s, dt)
 
 
 @kernel
-def _pair_energies(own: OwnPairs, y: Floats, out: Floats) -> None:
+def _pair_energies(pairs: OwnPairs, y: Floats, out: Floats) -> None:
     """Potential energy of each pair, (s,) [J]."""
     for s in range(out.size):
-        out[s] = own.functions.energy(own, y, s, own.kind[s])
+        out[s] = pairs.functions.energy(pairs, y, s, pairs.kind[s])
 
 
 @kernel
-def _sample_pairs(own: OwnPairs, y: Floats, t: float, out: Floats) -> None:
+def _sample_pairs(pairs: OwnPairs, y: Floats, t: float, out: Floats) -> None:
     """Force on the first body of each pair, and the torques on both, (9, s)."""
-    for s in range(own.first.size):
-        F, tau, other = _load(own, t, y, s)
+    for s in range(pairs.first.size):
+        F, tau, other = _load(pairs, t, y, s)
         for c in range(3):
             out[c, s], out[3 + c, s], out[6 + c, s] = F[c], tau[c], other[c]
 
 
-def pair_energies(own: OwnPairs, com: Floats, q: Floats) -> Floats:
+def pair_energies(pairs: OwnPairs, com: Floats, q: Floats) -> Floats:
     """Potential energy of each pair, (s,) [J]."""
-    y, out = np.zeros((STATE_ROWS, com.shape[1])), np.zeros(own.first.size)
+    y, out = np.zeros((STATE_ROWS, com.shape[1])), np.zeros(pairs.first.size)
     y[:3], y[3:7] = com, q
-    if own.has_potential.any():
-        _pair_energies(own, y, out)
+    if pairs.has_potential.any():
+        _pair_energies(pairs, y, out)
     return out
 
 
-def loads_between(own: OwnPairs, state: State, t: float) -> Floats:
+def loads_between(pairs: OwnPairs, state: State, t: float) -> Floats:
     """Force on the first body of each pair, torques on both, (9, s) [N, N m]."""
-    out = np.zeros((9, own.first.size))
-    _sample_pairs(own, np.vstack(state), t, out)
+    out = np.zeros((9, pairs.first.size))
+    _sample_pairs(pairs, np.vstack(state), t, out)
     return out

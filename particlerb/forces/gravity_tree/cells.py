@@ -341,9 +341,9 @@ def add_loads(
         for i in range(begin[k], begin[k + 1]):
             f = load3(fields, i)
             m = gravitation * points.mass[i]
-            own = (m * f[0], m * f[1], m * f[2])
+            force = (m * f[0], m * f[1], m * f[2])
             arm = add_scaled(-1.0, X, load3(places, i))
-            F, tau = add_scaled(1.0, own, F), add_scaled(1.0, cross(arm, own), tau)
+            F, tau = add_scaled(1.0, force, F), add_scaled(1.0, cross(arm, force), tau)
         for axis in range(3):
             load[axis, b] += F[axis]
             load[3 + axis, b] += tau[axis]

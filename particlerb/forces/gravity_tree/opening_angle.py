@@ -70,23 +70,23 @@ def sampled_error(tree: Tree) -> float:
     """
     points = tree.points
     n = points.mass.size
-    which = np.arange(min(n, SAMPLE)) * n // min(n, SAMPLE)
-    exact = np.zeros((3, which.size))
+    sample = np.arange(min(n, SAMPLE)) * n // min(n, SAMPLE)
+    exact = np.zeros((3, sample.size))
     THREADS.alone(
-        _direct_fields, points.place, points.mass, points.owner, which, tree.softening, exact
+        _direct_fields, points.place, points.mass, points.owner, sample, tree.softening, exact
     )
     squares = (exact * exact).sum(axis=0)
     usual = np.minimum(squares, np.percentile(squares, _CLOSE)).mean()
-    off = ((points.field[:, which] - exact) ** 2).sum(axis=0).mean()
+    off = ((points.field[:, sample] - exact) ** 2).sum(axis=0).mean()
     return float(np.sqrt(off / usual)) if usual > 0.0 else 0.0
 
 
 @kernel
 def _direct_fields(
-    place: Floats, mass: Floats, owner: Floats, which: Ints, eps2: float, field: Floats
+    place: Floats, mass: Floats, owner: Floats, sample: Ints, eps2: float, field: Floats
 ) -> None:
     """Add Σ m_j d/(d² + ε²)^{3/2} over the particles of other bodies, at chosen particles."""
-    chosen, n, bodies = place[:, which], which.size, owner[which]
+    chosen, n, bodies = place[:, sample], sample.size, owner[sample]
     sources, targets, fields = rows3(place, 0, mass.size), rows3(chosen, 0, n), rows3(field, 0, n)
     for j in range(mass.size):
         x = load3(sources, j)

@@ -54,11 +54,11 @@ def _tree_of_each(arm: Floats, offset: Ints) -> tuple[Ints, list[Nodes]]:
         if hi - lo <= LANES:
             trees.append(none)
             continue
-        own, ones = np.arange(hi - lo), np.ones(hi - lo, dtype=np.int64)
+        local, ones = np.arange(hi - lo), np.ones(hi - lo, dtype=np.int64)
         nodes = room_for_nodes(2 * (hi - lo))
-        items = (arm[:, lo:hi].copy(), own, ones)
+        items = (arm[:, lo:hi].copy(), local, ones)
         count = grow(items, none, np.zeros(1, dtype=np.int64), nodes, stack)
-        order[lo:hi] = lo + own
+        order[lo:hi] = lo + local
         trees.append(Nodes(*(row[:count].copy() for row in nodes)))
     return order, trees
 

@@ -148,9 +148,9 @@ def _pull_each_other(points: TreePoints, lo: int, hi: int, eps2: float, near: Fl
     """Add the field of a bucket's own particles, those of the same body left out."""
     for j in range(lo, hi):
         x = points.place[0, j], points.place[1, j], points.place[2, j]
-        own, m = points.owner[j], points.mass[j]
+        owner, m = points.owner[j], points.mass[j]
         for i in range(LANES):
-            _pull(near, i, x, m, eps2, near[at(OWNER, i)] == own)
+            _pull(near, i, x, m, eps2, near[at(OWNER, i)] == owner)
 
 
 @inline
