@@ -25,6 +25,6 @@ def nearest_names(name: str, more: tuple[str, ...] = ()) -> str:
     """Hint with the names of cases, or of something more, that may have been meant."""
     if Path(f"{name}.toml").exists():
         return f"did you mean {name}.toml?"
-    known = sorted({path.stem for folder in case_folders() for path in folder.glob("*.toml")})
-    near = difflib.get_close_matches(name, [*known, *more], 3)
+    cases = sorted({path.stem for folder in case_folders() for path in folder.glob("*.toml")})
+    near = difflib.get_close_matches(name, [*cases, *more], 3)
     return f"did you mean {' or '.join(near)}?" if near else "`cases` lists the examples"

@@ -247,19 +247,19 @@ class ListedTable(ShapeTable):
     @model_validator(mode="after")
     def has_one_source(self) -> Self:
         """Require either lists of equal length, or a file."""
-        given = {key: getattr(self, key) for key in ("position", *self.lists)}
+        columns = {key: getattr(self, key) for key in ("position", *self.lists)}
         if self.file is not None:
-            for key in (key for key, values in given.items() if values is not None):
+            for key in (key for key, values in columns.items() if values is not None):
                 raise broken("particles come from `file` or from lists, not both", key)
             return self
         first = self.lists[0]
         if not self.position:
             hint = f"give `position` and `{first}`, or a `file`"
             raise broken(f"has no {self.noun}", "position", hint)
-        if given[first] is None:
+        if columns[first] is None:
             raise broken(f"{self.noun} need a {first} each", first)
         n = len(self.position)
-        for key, values in given.items():
+        for key, values in columns.items():
             if values is not None and len(values) != n:
                 raise broken(f"must have {n} entries like position, has {len(values)}", key)
         self.check_lists()

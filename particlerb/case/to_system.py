@@ -48,13 +48,13 @@ _SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its r
 
 
 def to_system(
-    given: str | PathLike[str] | Mapping[str, Any] | Case, keeps_all: bool = False
+    source: str | PathLike[str] | Mapping[str, Any] | Case, keeps_all: bool = False
 ) -> System:
     """System of a case.
 
     Parameters
     ----------
-    given : str, path, Mapping or Case
+    source : str, path, Mapping or Case
         As `load` takes it.
     keeps_all : bool
         Whether to keep particles that nothing needs once they are summed.
@@ -65,7 +65,7 @@ def to_system(
         If a shape has no particles or moments that no body has, a CSV file is malformed, or a
         body spins where it cannot, or faster than its energy can tell; and as `load`.
     """
-    case = load(given)
+    case = load(source)
     placement = placement_of(case)
     notes: list[tuple[str, str]] = []
     particles, properties, first_kind = kinds(case, notes)

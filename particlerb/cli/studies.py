@@ -74,7 +74,7 @@ def _show(
 ) -> int:
     """Print the table of a study, write its rows and those pictures that are drawn of it.
 
-    `words` has `table` and `csv_rows` of what was found.
+    `words` has `table` and `csv_rows` of such results.
     """
     print(words.table(results))
     written = list(paths["csv"])

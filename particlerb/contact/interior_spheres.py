@@ -81,9 +81,9 @@ def _find_outer(
             if half < _SMALLEST_PATCH or cover < -0.5 * depth:
                 is_outer[i] = True
                 continue
-            for part in range(4):
+            for quarter in range(4):
                 stack[left, 0], stack[left, 3] = face, half
-                stack[left, 1], stack[left, 2] = u + half * (part // 2), v + half * (part % 2)
+                stack[left, 1], stack[left, 2] = u + half * (quarter // 2), v + half * (quarter % 2)
                 left += 1
 
 

@@ -14,12 +14,12 @@ _COPLANAR: Final = 1e-6  # sine of the angle between faces of one plane: STL has
 def joined(walls: Sequence[Walls]) -> Walls:
     """Several walls as one set, numbered in this order."""
     parts, before = [_wall_of([], [])], 0
-    for number, part in enumerate(walls):
-        parameter = part.parameter.copy()
-        parameter[(part.kind == EDGE) | (part.kind == VERTEX), 6:8] += before
-        parameter[part.kind == VERTEX, 8] += before
-        before += len(part.around)
-        parts.append(Walls(part.kind, parameter, np.full(part.kind.size, number), part.around))
+    for number, wall in enumerate(walls):
+        parameter = wall.parameter.copy()
+        parameter[(wall.kind == EDGE) | (wall.kind == VERTEX), 6:8] += before
+        parameter[wall.kind == VERTEX, 8] += before
+        before += len(wall.around)
+        parts.append(Walls(wall.kind, parameter, np.full(wall.kind.size, number), wall.around))
     return Walls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 

@@ -37,9 +37,9 @@ def write(selection: Selection, path: Path) -> None:
     if selection.has_contacts:
         header, rows = _OF_CONTACT, _of_contacts(selection)
     elif parts:
-        part = parts.pop()
-        labels = list(enumerate(trajectory.names_of(part)))
-        header = [part, "name", *columns(selection.observed)]
+        per = parts.pop()
+        labels = list(enumerate(trajectory.names_of(per)))
+        header = [per, "name", *columns(selection.observed)]
         portions = selection.portions(len(labels))
         rows = _labelled(trajectory, portions, labels, selection.observed, trajectory.observed)
     else:

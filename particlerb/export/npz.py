@@ -34,11 +34,11 @@ def write(selection: Selection, path: Path) -> None:
         for name in selection.fields:
             first = selection.values(name, slice(0, 1))
             shape = (len(selection.frames), *first.shape[1:])
-            pieces = (selection.values(name, part) for part in selection.portions())
+            pieces = (selection.values(name, frames) for frames in selection.portions())
             add(archive, name, shape, first.dtype, pieces)
-        for part in dict.fromkeys(OBSERVED[name].per for name in selection.observed):
-            names = np.array(trajectory.names_of(part))
-            add(archive, f"{part}_name", names.shape, names.dtype, [names])
+        for per in dict.fromkeys(OBSERVED[name].per for name in selection.observed):
+            names = np.array(trajectory.names_of(per))
+            add(archive, f"{per}_name", names.shape, names.dtype, [names])
         for name in selection.observed:
             values = trajectory.observed(name)[selection.frames]
             add(archive, name, values.shape, values.dtype, [values])
