@@ -1,13 +1,15 @@
-"""Runs of cases of cases/ as a user starts them."""
+"""Runs of cases of cases/ by the command line."""
 
+import contextlib
+import io
 import json
-import subprocess
-import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import particlerb
+from particlerb.cli import main
 
 TESTS = Path(__file__).parents[1]
 CASES = TESTS.parent / "cases"
@@ -15,13 +17,13 @@ CASES = TESTS.parent / "cases"
 
 def commanded(
     name: str, folder: Path, *overrides: str, more: Sequence[str] = ()
-) -> subprocess.CompletedProcess:
-    """What `python -m particlerb` leaves of a case, run into run.h5 of a folder."""
-    command = [sys.executable, "-m", "particlerb", f"cases/{name}.toml", "-o", folder / "run.h5"]
+) -> SimpleNamespace:
+    """What the command line leaves of a case, run into run.h5 of a folder: in this process."""
     sets = [word for change in overrides for word in ("--set", change)]
-    return subprocess.run(
-        [*command, *sets, *more], cwd=TESTS.parent, capture_output=True, text=True, check=False
-    )
+    words = [str(CASES / f"{name}.toml"), "-o", str(folder / "run.h5"), *sets, *more]
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        code = main(words)
+    return SimpleNamespace(code=code, out=out.getvalue())
 
 
 def has_met_its_checks(name: str, folder: Path, *overrides: str) -> None:
@@ -29,8 +31,8 @@ def has_met_its_checks(name: str, folder: Path, *overrides: str) -> None:
     data = tomllib.loads((CASES / f"{name}.toml").read_text())
     limits = sum(key != "value" for key in data["check"])
     done = commanded(name, folder, *overrides, more=("--json",))
-    assert done.returncode == 0, done.stdout + done.stderr
-    verdicts = [check["holds"] for check in json.loads(done.stdout)["checks"]]
+    assert done.code == 0, done.out
+    verdicts = [check["holds"] for check in json.loads(done.out)["checks"]]
     assert verdicts == [True] * (limits + len(data["check"]["value"]))
     with particlerb.open(folder / "run.h5") as trajectory:
         assert trajectory.time[-1] == data["run"]["t_end"]

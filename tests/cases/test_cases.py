@@ -151,8 +151,8 @@ def test_a_case_opens_with_what_it_shows_and_what_to_expect(name):
 
 def test_a_missed_check_ends_the_command_with_exit_code_3(tmp_path):
     done = commanded("mixed_classes", tmp_path, "check.value.0.value=[0.0, 0.0, 4.9]")
-    assert done.returncode == 3
-    assert "MISS position of grain at 1 s: error 0.005, allowed 1e-13" in done.stdout
+    assert done.code == 3
+    assert "MISS position of grain at 1 s: error 0.005, allowed 1e-13" in done.out
 
 
 def test_a_case_given_as_a_dict_gives_the_same_bits_as_its_file():
