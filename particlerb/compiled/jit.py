@@ -303,7 +303,14 @@ def kernel_from(template: Function, name: str, **names: Any) -> Function:
     A method brings its step, the loop around it is the same for all. Handed over as an argument,
     the step would be compiled and optimised once more on each level that it passes; as a closure
     it would never be found in the cache on disk. The kernel's name tells it there from the others.
+
+    Raises
+    ------
+    NameError
+        If the function has no global of such a name.
     """
+    if unknown := names.keys() - set(template.__code__.co_names):
+        raise NameError(f"{template.__qualname__} has no {', '.join(sorted(unknown))}")
     function = FunctionType(template.__code__, template.__globals__ | names, name)
     function.__qualname__ = f"{template.__qualname__}_{name}"
     function.__doc__ = template.__doc__

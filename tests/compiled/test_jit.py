@@ -356,3 +356,18 @@ def test_a_users_function_may_make_arrays_where_its_caller_makes_none():
         return of_a_user(x)
 
     assert caller(1.0) == 3.0
+
+
+def _sum_of_one(value):
+    return step(value) + 1.0  # noqa: F821  # a global that each kernel brings
+
+
+def test_a_kernel_from_a_template_takes_its_globals_alone():
+    made = _jit.kernel_from(_sum_of_one, "half", step=_jit.inline(_half))
+    assert made(3.0) == 2.5
+    with pytest.raises(NameError, match="_sum_of_one has no stop"):
+        _jit.kernel_from(_sum_of_one, "half", step=_half, stop=_half)
+
+
+def _half(value):
+    return 0.5 * value
