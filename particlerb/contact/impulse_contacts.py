@@ -181,10 +181,11 @@ def _forget(contacts: ContactList, c: int, rolling: Rolling | None) -> None:
 
 @inline
 def _turning(partners: Partners, a: int, x: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    """Velocity before the kick [m/s] of a point of partner a, its change by turning, and ω."""
+    """Velocity before the kick [m/s] of a point of partner a, its change without forces, and ω."""
     omega = row3_at(partners.before, a, 3)
     v = cross(omega, subtract(x, row3_at(partners.place, a, 0)))
-    return add(row3_at(partners.before, a, 0), v), cross(omega, v), omega
+    changes = add(row3_at(partners.before, a, 9), cross(omega, v))
+    return add(row3_at(partners.before, a, 0), v), changes, omega
 
 
 @inline

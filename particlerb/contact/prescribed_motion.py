@@ -4,16 +4,15 @@ A prescribed body has no inverse mass, so nothing pushes it. Where the states of
 momenta, its state has velocities while contacts are evaluated.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.contact.records import Records
-from particlerb.contact.wall_motion import motion_in, pose_at
+from particlerb.contact.wall_motion import acceleration_at, motion_in, pose_at
 from particlerb.maths.quaternion import Quat, multiply, to_body, to_world
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, component_product, cross, subtract
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, component_product, cross
 
 
 class PrescribedBodies(NamedTuple):
@@ -42,12 +41,8 @@ def prescribed_pose(
 @inline
 def prescribed_acceleration(prescribed: PrescribedBodies, k: int, t: float) -> Vec3:
     """Acceleration of the centre of mass of prescribed body k at a time [m/s²]."""
-    motion, com = motion_in(prescribed.motions, k), prescribed.com
-    _, turn, _, omega = pose_at(motion, t)
-    arm = to_world(turn, subtract((com[0, k], com[1, k], com[2, k]), motion.centre))
-    rate = 2.0 * math.pi * motion.frequency
-    swing = -rate * rate * math.sin(rate * t + motion.phase)
-    return add_scaled(swing, motion.amplitude, cross(omega, cross(omega, arm)))
+    com = prescribed.com
+    return acceleration_at(motion_in(prescribed.motions, k), (com[0, k], com[1, k], com[2, k]), t)
 
 
 @inline

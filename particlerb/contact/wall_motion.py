@@ -71,6 +71,16 @@ def pose_at(motion: PrescribedMotion, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]
 
 
 @inline
+def acceleration_at(motion: PrescribedMotion, p: Vec3, t: float) -> Vec3:
+    """Acceleration of a point p of a wall at a time [m/s²]."""
+    _, turn, _, omega = pose_at(motion, t)
+    arm = to_world(turn, subtract(p, motion.centre))
+    rate = 2.0 * math.pi * motion.frequency
+    swing = -rate * rate * math.sin(rate * t + motion.phase)
+    return add_scaled(swing, motion.amplitude, cross(omega, cross(omega, arm)))
+
+
+@inline
 def put_poses(motions: Records, t: float, poses: Records) -> None:
     """Write the poses of all walls at a time; `motions` from `motion_records`."""
     for w in range(motions.size):

@@ -130,7 +130,10 @@ class Partners(NamedTuple):
     """Bodies and walls, (n + n_walls, ..)."""
 
     velocity: Floats  # (.., 6) [m/s, rad/s] of the centre of mass, and angular; world axes
-    before: Floats  # (.., 9) before the kick, and how ω changes without torque [rad/s²]
+    before: (
+        Floats  # (.., 12) before the kick, and how ω [rad/s²] and `place` [m/s²] are accelerated
+    )
+    # without forces
     free: Floats  # (.., 6) after it, without impulses of the solve
     inverse: Floats  # (.., 7) [1/kg, 1/(kg m²)] mass; xx, xy, xz, yy, yz, zz of the inertia
     move: Floats  # (.., 6) [m, rad] by which they are pushed out
@@ -213,7 +216,7 @@ def room_for_partners(
     n: int, mechanisms: Mechanisms | None = None, keeps_kick: Flag = None
 ) -> Partners:
     """Room for n bodies and walls."""
-    velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 9, 6, 7, 6))
+    velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 12, 6, 7, 6))
     place, reach, speeds, given, booked = (np.zeros((n, width)) for width in (3, 1, 4, 6, 8))
     has_moved = np.zeros(n, dtype=np.bool_)
     arrays = velocity, before, free, inverse, move, has_moved, place, reach, speeds, given, booked

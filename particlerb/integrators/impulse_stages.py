@@ -11,6 +11,8 @@ from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.impulse_contacts import find_impulse_contacts, keep_impulses
 from particlerb.contact.piston import keep_pistons, move_pistons, push_pistons
+from particlerb.contact.prescribed_motion import PrescribedBodies, prescribed_acceleration
+from particlerb.contact.wall_motion import acceleration_at, motion_in
 from particlerb.forces.kernels import Acting, kick_potential, shift_time
 from particlerb.impulses.bookkeeping import book_impulses
 from particlerb.impulses.bounded import keep_bounded
@@ -146,10 +148,22 @@ def gather_velocities(
 
 
 @inline
+def _gather_prescribed(prescribed: PrescribedBodies | None, before: Floats, t: float) -> None:
+    """Write how bodies are accelerated that move as prescribed, if there are any."""
+    if prescribed is not None:
+        for k in range(prescribed.which.size):
+            put_row3_at(before, prescribed.which[k], 9, prescribed_acceleration(prescribed, k, t))
+
+
+@inline
 def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None:
     """The same of walls, which come behind the bodies, after a kick of dt [s] of pistons."""
     poses, n = contact.workspace.poses, contact.setup.max_arm.size
+    t = contact.memory.start + contact.workspace.step_start.time[0] + dt
+    _gather_prescribed(contact.setup.model.prescribed, partners.before, t)
     for w in range(poses.size):
+        by = acceleration_at(motion_in(contact.setup.motions, w), ZERO, t)
+        put_row3_at(partners.before, n + w, 9, by)
         for to in (partners.velocity, partners.before):
             put_row3_at(to, n + w, 0, row3(poses.velocity, w))
             put_row3_at(to, n + w, 3, row3(poses.angular_velocity, w))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from impulse_scenes import DOWN, G, case, impulse, plane
+from impulse_scenes import DOWN, G, R, case, errors, exact, go, impulse, plane, sphere
 
 import particlerb
 
@@ -107,3 +107,55 @@ def test_a_ball_with_unequal_moments_rolls_without_a_loss():
         lost.append(np.ptp(t.observable("kinetic_energy")) / t.observable("kinetic_energy")[0])
     assert lost[1] < 1e-5
     assert 1.8 < np.log2(lost[0] / lost[1]) < 2.2
+
+
+@plain
+def test_a_drum_that_turns_about_an_axis_aside_is_the_same_drum():
+    """The origin of its frame goes round the axis, and is accelerated; it was taken as free."""
+    ends = []
+    for aside in (0.0, 0.5):
+        ball = sphere(position=[aside + 0.6, 0.0, 0.0], velocity=[0.0, 1.0, 0.3])
+        drum = {"name": "drum", "type": "cylinder", "centre": [aside, 0.0, 0.0], "radius": 0.7,
+                "axis": [0, 0, 1], "length": 5.0,
+                "motion": {"angular_velocity": [0, 0, 2.0]}}  # fmt: skip
+        t = go(ball, contact=exact(), wall=[drum], dt=1e-2, t_end=0.2, every=0.1)
+        ends.append((t.position[-1, 0] - [aside, 0.0, 0.0], t.velocity[-1, 0]))
+    assert np.abs(np.subtract(*ends)).max() < 1e-14
+
+
+AMPLITUDE, RATE = 0.02, 4.0 * np.pi  # m, rad/s
+
+
+def shaken(along, h, under):
+    """Times, and displacement and velocity of a ball on what oscillates along an axis."""
+    amplitude = (AMPLITUDE * np.eye(3)[along]).tolist()
+    motion = {"motion": {"oscillation": {"amplitude": amplitude, "frequency": 0.5 * RATE / np.pi}}}
+    begin = RATE * np.array(amplitude)
+    ball = sphere(position=[0.0, 0.0, R], velocity=begin.tolist())
+    bodies = [ball, sphere("below", position=[0.0, 0.0, -R]) | motion] if under else [ball]
+    wall = [] if under else [plane() | motion]
+    t = go(*bodies, contact=exact(push_out=0.0), wall=wall, gravity=DOWN, dt=h, t_end=0.3,
+           every=0.05)  # fmt: skip
+    assert max(errors(t)) < 1e-13
+    return t.time, t.position[:, 0, along] - t.position[0, 0, along], t.velocity[:, 0, along]
+
+
+@plain
+def test_a_floor_that_shakes_turns_a_ball_to_second_order():
+    """v = 2/7 of the floor's, beside what it has at the start; it lagged half a step behind."""
+    off = []
+    for h in (1e-2, 5e-3):
+        t, x, v = shaken(0, h, False)
+        mean = 5.0 / 7.0 * AMPLITUDE * RATE
+        off.append(np.abs(v - mean - 2.0 / 7.0 * AMPLITUDE * RATE * np.cos(RATE * t)).max())
+        assert np.abs(x - mean * t - 2.0 / 7.0 * AMPLITUDE * np.sin(RATE * t)).max() < 7e-6
+    assert 1.8 < np.log2(off[0] / off[1]) < 2.2
+
+
+@plain
+@pytest.mark.parametrize("under", [False, True])
+def test_a_ball_rides_on_what_shakes(under):
+    """A floor, and a body with a motion; the ball was off by 2e-4 m at 10 ms, to order 1."""
+    for h, within in ((1e-2, 2e-5), (5e-3, 5e-6)):
+        t, x, _ = shaken(2, h, under)
+        assert np.abs(x - AMPLITUDE * np.sin(RATE * t)).max() < within
