@@ -1,6 +1,7 @@
 """Markers, the hypothesis profiles, small scenes and an independent integrator for all tests."""
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -280,6 +281,21 @@ def python(code: str, **environment: str) -> str:
     return done.stdout
 
 
+def assembly(kernel, signature: tuple) -> str:
+    """Machine code of a kernel: of what LLVM made of it, be that made now or kept on disk."""
+    library = kernel.overloads[signature].library
+    return str(library.codegen._tm.emit_assembly(library._get_module_for_linking()))
+
+
+def arithmetic(code: str) -> tuple[int, int]:
+    """Sums and products in x86-64 code: on packed numbers, and on single ones."""
+    packed, single = (
+        len(re.findall(rf"\bv?(?:fn?m(?:add|sub)\d+|mul|add|sub){kind}\b", code))
+        for kind in ("pd", "sd")
+    )
+    return packed, single
+
+
 @pytest.fixture(scope="session")
 def make() -> SimpleNamespace:
     """Makers of small cases, and what to judge them by."""
@@ -305,4 +321,6 @@ def make() -> SimpleNamespace:
         done=done,
         arrays=arrays,
         python=python,
+        assembly=assembly,
+        arithmetic=arithmetic,
     )

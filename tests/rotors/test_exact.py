@@ -6,9 +6,7 @@ EPS |ω| t (docs/free_rotation.md, section 7; measured: 0.65).
 """
 
 import json
-import os
-import subprocess
-import sys
+import re
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +17,7 @@ from hypothesis import strategies as st
 from particlerb.compiled.jit import config
 from particlerb.maths.quaternion import multiply, to_body, to_world
 from particlerb.maths.rows import rows4
-from particlerb.rotors import exact
+from particlerb.rotors import exact, exact_setup
 from particlerb.rotors.exact import HyperbolicTurn, SteadyTurn, ThetaTurn, orientation, turns_of
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
 from particlerb.rotors.theta import ThetaCoefficients, theta_local
@@ -374,66 +372,54 @@ def block(steady, theta, hyperbolic, t, lo, hi, q):
 
 
 SCRIPT = """
-import json, sys
+import json
 import numpy as np
 from particlerb.compiled.plain import all_compiled
-from particlerb.rotors import exact, exact_setup
-rng = np.random.default_rng(4)
-n = int(sys.argv[1])
-inertia = np.array([1.0, 2.0, 3.0])[:, np.newaxis] * rng.uniform(0.9, 1.1, (3, n))
-L = rng.normal(size=(3, n))
-L[:, ::2] = [[1e-3], [2.0], [1e-3]]
-q = np.zeros((4, n))
-q[0] = 1
-rows = np.empty((4, n))
-with all_compiled():
-    for which, turn in exact.turns_of(inertia, np.full(n, 4), q, L):
-        rows[:, which] = exact.orientation(turn, 9.0)
-print(json.dumps(rows.tolist()))
-if len(sys.argv) > 2:
-    import re
-    for kernel in (exact.turn_all, exact_setup.theta_table, exact_setup.near_table):
-        for code in kernel.inspect_asm().values():
-            packed = re.findall(r"v(?:mul|add|sub)pd\\s[^\\n]*%[yz]mm", code)
-            scalar = re.findall(r"vsqrtsd", code)
-            libm = re.findall(r"\\$(?:sincos|cos|sin|exp|log|pow|asinh|fma)\\b", code)
-            print(json.dumps([kernel.__name__, len(packed), len(scalar), len(libm)]))
+from particlerb.rotors import exact
+
+def turned(n):
+    rng = np.random.default_rng(4)
+    inertia = np.array([1.0, 2.0, 3.0])[:, np.newaxis] * rng.uniform(0.9, 1.1, (3, n))
+    L = rng.normal(size=(3, n))
+    L[:, ::2] = [[1e-3], [2.0], [1e-3]]
+    q = np.zeros((4, n))
+    q[0] = 1
+    rows = np.empty((4, n))
+    with all_compiled():
+        for which, turn in exact.turns_of(inertia, np.full(n, 4), q, L):
+            rows[:, which] = exact.orientation(turn, 9.0)
+    return rows.tolist()
 """
 
 
-def run(*arguments, **environment):
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, *arguments],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=300,
-    )
-    return [json.loads(line) for line in done.stdout.splitlines()]
+def turned(n):
+    """Orientations of n bodies."""
+    names: dict = {}
+    exec(SCRIPT, names)
+    return names["turned"](n)
 
 
 @pytest.mark.compiled
 @needs_compiler
-def test_plain_python_gives_the_same_orientations():
-    (plain,) = run("6", NUMBA_DISABLE_JIT="1")
-    (compiled,) = run("6")
-    assert plain == compiled
+def test_plain_python_gives_the_same_orientations(make):
+    plain = make.python(f"{SCRIPT}\nprint(json.dumps(turned(6)))", NUMBA_DISABLE_JIT="1")
+    assert json.loads(plain) == turned(6)
 
 
 @pytest.mark.compiled
-@pytest.mark.slow
 @needs_compiler
-def test_kernels_use_packed_instructions(tmp_path):
-    """Products and sums on whole registers; a warm cache would show no assembly."""
+def test_kernels_use_packed_instructions(make):
+    """Products and sums on whole registers."""
     if not has_avx2():
         pytest.skip("no AVX2")
-    _, *kernels = run("64", "assembly", NUMBA_CACHE_DIR=str(tmp_path))
-    assert len(kernels) == 4
-    for name, packed, scalar, libm in kernels:
-        assert packed >= 40, name
-        assert libm == 0, name
-        assert name == "turn_all" or scalar == 0, name
+    turned(64)
+    kernels = exact.turn_all, exact_setup.theta_table, exact_setup.near_table
+    codes = [(one.__name__, make.assembly(one, key)) for one in kernels for key in one.overloads]
+    assert len(codes) >= 4
+    for name, code in codes:
+        assert len(re.findall(r"v(?:mul|add|sub)pd\s[^\n]*%[yz]mm", code)) >= 40, name
+        assert not re.findall(r"\$(?:sincos|cos|sin|exp|log|pow|asinh|fma)\b", code), name
+        assert name == "turn_all" or not re.findall("vsqrtsd", code), name
 
 
 def has_avx2():
