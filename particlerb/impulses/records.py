@@ -130,10 +130,7 @@ class Partners(NamedTuple):
     """Bodies and walls, (n + n_walls, ..)."""
 
     velocity: Floats  # (.., 6) [m/s, rad/s] of the centre of mass, and angular; world axes
-    before: (
-        Floats  # (.., 12) before the kick, and how ω [rad/s²] and `place` [m/s²] are accelerated
-    )
-    # without forces
+    before: Floats  # (.., 12) before the kick; without forces ω̇ [rad/s²], v̇ of `place` [m/s²]
     free: Floats  # (.., 6) after it, without impulses of the solve
     inverse: Floats  # (.., 7) [1/kg, 1/(kg m²)] mass; xx, xy, xz, yy, yz, zz of the inertia
     move: Floats  # (.., 6) [m, rad] by which they are pushed out
