@@ -53,6 +53,7 @@ class _Flags(compiler.Flags):
 
 
 _COUNTS: Final = "counts owners"  # of what is known of a function, where Numba has asked for it
+_COUNTED: Final[dict[int, bool]] = {}  # by the number of a type
 _SIGNATURES: Final[dict[Any, Any]] = {}
 _signature: Any = types.BaseFunction.get_call_type
 
@@ -205,7 +206,10 @@ class _Lower(lowering.Lower):
 
     def _is_counted(self, kind: Any) -> bool:
         """Whether values of a type hold what Numba counts the owners of."""
-        return bool(self.context.data_model_manager[kind].contains_nrt_meminfo())
+        if kind._code not in _COUNTED:
+            model = self.context.data_model_manager[kind]
+            _COUNTED[kind._code] = bool(model.contains_nrt_meminfo())
+        return _COUNTED[kind._code]
 
 
 @compiler_machinery.register_pass(mutates_CFG=True, analysis_only=False)
@@ -243,6 +247,7 @@ class Compiler(compiler.CompilerBase):
         passes.passes = [
             (_Lowering if step is typed_passes.NativeLowering else step, said)
             for step, said in passes.passes
+            if step is not typed_passes.AnnotateTypes  # text for `inspect_types`
         ]
         passes.finalize()
         passes._ENFORCING = False
