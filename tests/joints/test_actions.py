@@ -81,10 +81,11 @@ def test_a_spring_swings_a_hinge_and_a_slider():
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.25)
     block = body("block", 2.0, [0.1, 0.2, 0.3], [1.0, 0, 0], [0.7, 0, 0])
     slider = joint("slider", "block", None, [0, 0, 0], X, spring={"stiffness": 50.0}) | GHOSTS
-    with moved(case([block], [slider], LIGHT), 1.0, 1e-3, every=0.1) as trajectory:
+    with moved(case([block], [slider], LIGHT), 1.0, 4e-3, every=0.1) as trajectory:
         x = np.array(trajectory.position)[:, 0, 0] - 1.0
-        assert x == pytest.approx(0.14 * np.sin(5.0 * trajectory.time), abs=1e-6)
-        assert np.abs(trajectory.ledger.energy_error).max() < 1e-5
+        phase = (5.0 * 4e-3) ** 2 / 24 * 5.0  # of order two
+        assert x == pytest.approx(0.14 * np.sin(5.0 * trajectory.time), abs=0.14 * phase)
+        assert np.abs(trajectory.ledger.energy_error).max() < 16e-5
         assert np.abs(trajectory.ledger.work).max() < 1e-290
 
 
@@ -121,7 +122,7 @@ def test_a_motor_gives_what_it_takes():
 
 def test_stops_turn_a_flap_back():
     limit = {"range": [-0.5, 0.2], "stiffness": 2e3}
-    with moved(hinged(1.0, limit=limit), 1.5, 5e-4, every=0.01) as trajectory:
+    with moved(hinged(1.0, limit=limit), 1.1, 5e-4, every=0.01) as trajectory:
         phi, w = angle(trajectory), np.array(trajectory.angular_velocity)[:, 0, 1]
         energy = trajectory.ledger.energy_error
     deepest = np.sqrt(MOMENT / 2e3)
