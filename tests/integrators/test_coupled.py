@@ -402,7 +402,7 @@ def test_copies_of_a_cluster_share_a_group_and_move_alike(make):
     assert apart == pytest.approx(np.tile([5.0, 1.0, 2.0], (21, 2, 1)), abs=1e-13)
 
 
-@pytest.mark.compiled
+@pytest.mark.plain
 def test_only_the_bodies_of_attraction_attract_each_other(make):
     """A body that is tied to one of them, but not named with them, neither pulls nor is pulled."""
     bodies, force = two_of(make, ["rod", "ball", "point"])
