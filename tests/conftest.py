@@ -22,8 +22,41 @@ PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 plain._Time.left = 0.0  # what is tested here is compiled, or plain Python throughout
 
 
+LONGEST = (
+    "impulses/test_going_on.py",
+    "contact/test_contact_motion.py",
+    "integrators/test_coupled.py",
+    "cases/test_cases.py",
+    "view/test_page.py",
+    "cases/test_contact_cases.py",
+    "ranks/test_bricks.py",
+    "cases/test_granular_cases.py",
+    "joints/test_cases_of_joints.py",
+    "joints/test_motion.py",
+    "test_docs.py",
+    "impulses/test_mechanisms.py",
+    "ranks/test_ranks.py",
+    "forces/test_user_forces.py",
+    "integrators/test_lanes.py",
+    "simulation/test_accuracy.py",
+    "studies/test_stability.py",
+    "joints/test_compiled_drives.py",
+    "view/test_page_access.py",
+)
+PLACE = {Path(__file__).parent / name: k for k, name in enumerate(LONGEST)}
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Hand files to workers in the order of the tests, and not those with few tests last."""
+    config.option.loadscopereorder = False
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs the compiler where it is switched off, and what does not where it is on."""
+    """Skip what needs the compiler where it is switched off, and what does not where it is on.
+
+    Files that take minutes come first: one that begins last would keep a single worker busy.
+    """
+    items.sort(key=lambda item: PLACE.get(item.path, len(PLACE)))
     marker = "compiled" if PLAIN else "plain"
     reason = "NUMBA_DISABLE_JIT is set" if PLAIN else "takes long to compile, and shows no more"
     for item in items:
