@@ -29,18 +29,28 @@ def _from_rest(actions: Actions, k: int, kind: int, x: float) -> float:
 
 
 @inline
+def unwound(kind: int, x: float, lower: float, upper: float) -> float:
+    """Coordinate x; an angle within half a turn of the middle between two stops."""
+    if kind < TURN or upper == inf:
+        return x
+    away = x - 0.5 * (lower + upper)
+    return x - copysign(2.0 * pi, away) if abs(away) > pi else x
+
+
+@inline
 def _beyond(actions: Actions, k: int, kind: int, x: float) -> float:
     """How far x is beyond the stops of action k; an angle beyond the nearer one."""
-    excess: float = max(x - actions.upper[k], 0.0) + min(x - actions.lower[k], 0.0)
-    other = excess - copysign(2.0 * pi - (actions.upper[k] - actions.lower[k]), excess)
-    return other if kind >= TURN and excess != 0.0 and abs(other) < abs(excess) else excess
+    lower, upper = actions.lower[k], actions.upper[k]
+    x = unwound(kind, x, lower, upper)
+    excess: float = max(x - upper, 0.0) + min(x - lower, 0.0)
+    return excess
 
 
 @inline
 def gives_way(rows: ConstraintRows, actions: Actions, r: int, before: Floats, y: Floats) -> bool:
     """Whether an angle has all but passed the middle between its stops, or does on the way to y."""
     k, kind = rows.action[r], rows.kind[r]
-    if k == HOLDS or kind < TURN or actions.stop[k] == 0.0:
+    if k == HOLDS or kind < TURN or actions.upper[k] == inf:
         return False
     x, last = coordinate(rows, y, r), coordinate(rows, before, r)
     on, beyond = shorter(kind, x - last), _beyond(actions, k, kind, x)

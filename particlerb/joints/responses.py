@@ -25,6 +25,7 @@ from particlerb.impulses.records import (
     room_for_bounded,
 )
 from particlerb.impulses.rows import inverse_inertia_times, write_through_joints
+from particlerb.joints.actions import unwound
 from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import Joints, JointWork
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals
@@ -157,6 +158,7 @@ def find_bounded(
             bounded, mechanisms, k, mass, free + dot(by_b, row3_at(work.gradient, r, 12))
         )
         values = bounded.values
+        x = unwound(joints.rows.kind[r], x, bounds.lower[k], bounds.upper[k])
         values[k, B_GAP], values[k, B_GAP + 1] = x - bounds.lower[k], bounds.upper[k] - x
         values[k, B_RESTITUTION], most = bounds.restitution[k], dt * bounds.largest[k]
         write_bounds(bounded, partners, k, bounds.speed[k], most, dt)

@@ -165,7 +165,7 @@ def constrained_drift(
         _factor(joints, work, c)
         _fly_to_joints(joints, work, c, t, dt)
     _see_teeth(joints.rolls, joints, work, c, dt)
-    if joints.acts:
+    if joints.acts or joints.bounds is not None:
         for r in range(lo, hi):
             if gives_way(joints.rows, joints.actions, r, work.pose, work.y):
                 work.lost[c] = 1 + r + 2 * joints.rows.kind.size

@@ -90,8 +90,8 @@ def actions_of(tables: Sequence[JointTable]) -> Actions:
 def _action_of(table: JointTable) -> Actions:
     """What acts along the coordinate of a joint."""
     spring, limit, stops = table.spring, table.limit, (-np.inf, np.inf, 0.0, 0.0)
-    if limit is not None and limit.stiffness is not None:
-        stops = (*limit.range, limit.stiffness, limit.damping)
+    if limit is not None:
+        stops = (*limit.range, limit.stiffness or 0.0, limit.damping)
     return action(
         *((spring.stiffness, spring.rest) if spring else (0.0, 0.0)),
         table.damper,

@@ -369,7 +369,7 @@ def lost(system: System, runs: Sequence[GroupRun]) -> str:
     if kind == 2:
         return (
             f"joint {setup.names[min(joints)]} has turned so far beyond its stop that the other end"
-            " of its limit is as near: take a larger limit.stiffness, or a shorter run.dt"
+            " of its limit is as near: take a shorter run.dt, or a larger limit.stiffness"
         )
     if setup.types[min(joints)] in ROLLING:
         why = "in a step teeth, or turns, were passed: take a shorter run.dt"

@@ -8,8 +8,6 @@ from particlerb.case.joints import ACTIONS, ALONG, JOINT_TYPES, WITHOUT_AXIS
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import Finding, bodies_named, entry_at, given, number, pair_rules
 
-_LARGEST_BOUNCE = 2.6  # rad: a step of a fast body may pass what is nearer to half a turn
-
 
 def joint_rules(
     path: Path, raw: dict[str, Any], blocks: dict[str, range], law: str
@@ -70,19 +68,13 @@ def within_bounds(raw: dict[str, Any]) -> dict[str, str]:
 
 def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]:
     """Hard stops, friction, and motors with a largest torque are impulses within bounds."""
-    limit, kind = raw.get("limit"), raw.get("type")
+    limit = raw.get("limit")
     if isinstance(limit, dict) and not given(limit, "stiffness"):
         ends = entry_at(limit, "range", list)
         is_range = len(ends) == 2 and all(isinstance(x, int | float) for x in ends)
         if is_range and ends[0] < ends[1] and not ends[0] <= 0.0 <= ends[1]:
             reason = "the bodies stand at 0 at the start, beyond a hard stop"
             yield (*path, "limit", "range"), reason, "let the range hold 0"
-        is_angle = kind in ("hinge", "universal") or raw.get("along") == "angle"
-        bounces = is_range and is_angle and bool(limit.get("restitution"))
-        if bounces and max(map(abs, ends)) > _LARGEST_BOUNCE:
-            reason = "a stop this near to half a turn may be passed before the bounce is seen"
-            hint = f"keep it within {_LARGEST_BOUNCE} rad, or leave `restitution` out"
-            yield (*path, "limit", "range"), reason, hint
         if limit.get("damping"):
             yield (*path, "limit", "damping"), "hard stops have none", "give `restitution`"
     elif isinstance(limit, dict) and limit.get("restitution"):
