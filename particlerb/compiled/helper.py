@@ -21,6 +21,7 @@ from llvmlite import binding
 from numba import types
 from numba.core import caching, codegen, compiler, registry
 
+from particlerb.compiled.beside import wait_for
 from particlerb.compiled.calls import insert_function
 from particlerb.compiled.lowering import Compiler
 
@@ -216,6 +217,12 @@ def no_collection() -> Iterator[None]:
             gc.enable()
 
 
+def _is_new(dispatcher: Any) -> bool:
+    """Whether nothing is compiled of what could be kept."""
+    is_empty = getattr(dispatcher._cache, "is_empty", None)
+    return not dispatcher.overloads and is_empty is not None and is_empty()
+
+
 class Helper(registry.CPUDispatcher):
     """A function that kernels copy.
 
@@ -251,11 +258,21 @@ class Helper(registry.CPUDispatcher):
         overload: Any = self.overloads.get(signature)
         if overload is not None:  # asked for some ten times
             return overload.entry_point
+        self._let_keep()
+        wait_for(self)
+        with no_collection():
+            return super().compile(signature)
+
+    def _let_keep(self) -> None:
+        """Let code be kept on disk from now on."""
         if self.keep is not None:
             self.keep(self)
             self.keep = None
-        with no_collection():
-            return super().compile(signature)
+
+    def is_new(self) -> bool:
+        """Whether nothing of it is compiled, here or on disk, where it could be kept."""
+        self._let_keep()
+        return _is_new(self)
 
     @cached_property
     def alone(self) -> Function:
@@ -300,8 +317,13 @@ class Kernel(registry.CPUDispatcher):
 
     def compile(self, signature: Any) -> Any:
         """Code for a signature, from disk or from the compiler."""
+        wait_for(self)
         with no_collection():
             return super().compile(signature)
+
+    def is_new(self) -> bool:
+        """Whether nothing of it is compiled, here or on disk, where it could be kept."""
+        return _is_new(self)
 
     @cached_property
     def copied(self) -> Function:

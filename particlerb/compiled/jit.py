@@ -209,6 +209,10 @@ class _KernelCache(caching.FunctionCache):
         files: Any = self
         return files._index_key(signature, context.codegen()) in self._cache_file._load_index()
 
+    def is_empty(self) -> bool:
+        """Whether no code is kept, of any signature."""
+        return not Path(self._cache_file._index_path).exists()
+
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep the compiled code of a signature, if that can be."""
         try:

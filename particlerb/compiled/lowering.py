@@ -85,7 +85,7 @@ def _processed_once(of: Any, emit_dels: bool = False, extend_lifetimes: bool = F
     function.generator_info = None
 
 
-postproc.PostProcessor.run = _processed_once  # type: ignore[method-assign]
+postproc.PostProcessor.run = _processed_once  # type: ignore[method-assign, assignment]
 
 
 class _Lower(lowering.Lower):

@@ -21,6 +21,7 @@ Clock: TypeAlias = Callable[[], float]
 
 BLOCK: Final = 256  # bodies a kernel takes at a time: its rows fit into the first levels of cache
 LEAST_WORK: Final = 20_000  # body-steps or body-frames below which a second thread does not pay
+POOL: Final = "particlerb"  # how names of its threads begin
 _SHARES: Final = 4  # ranges per thread at most, so that a slow thread is made up for
 _SHARE_WORK: Final = 50_000  # body-steps or body-frames of a range: well above what a call costs
 
@@ -77,7 +78,7 @@ class _Threads:
         """Threads that wait for work, as many as calls from this one use."""
         with self.lock:
             if self.count not in self.pools:
-                self.pools[self.count] = ThreadPoolExecutor(self.count, "particlerb")
+                self.pools[self.count] = ThreadPoolExecutor(self.count, POOL)
             return self.pools[self.count]
 
     def spread(self, kernel: Callable[[int, int], object], bodies: int, work: int) -> None:

@@ -12,6 +12,8 @@ import numpy as np
 from particlerb.case.contact import AnyWall, BoxWall, CylinderWall, PlaneWall
 from particlerb.case.placement import unit_vectors
 from particlerb.case.problems import Problem, problem_at, refuse
+from particlerb.compiled.beside import compile_beside
+from particlerb.contact.cell_grid import find_bounds
 from particlerb.contact.sphere_search import neighbours
 from particlerb.contact.wall_motion import PrescribedMotion, poses_at
 from particlerb.contact.wall_search import WallSearch
@@ -43,6 +45,8 @@ class _SetupSpheres(NamedTuple):
 def refuse_misplaced(system: System, contact: "ContactSetup") -> None:
     """Raise CaseError with all that overlaps or lies beyond a wall at t = 0."""
     spheres = spheres_of(system, contact)
+    if system.wall:
+        compile_beside([(find_bounds, lambda: list(_overlapping(system, contact, spheres)))])
     wrong = [*_beyond_walls(system, contact, spheres), *_overlapping(system, contact, spheres)]
     refuse(wrong)
 

@@ -38,6 +38,7 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import Frames, State, room_for
 from particlerb.model.superblocks import sum_by_number
 from particlerb.model.worlds import bins_of, shape_of
+from particlerb.stepping.beside_contact import compile_steps_beside
 from particlerb.stepping.contact_checks import ContactChecks, is_due
 from particlerb.stepping.contact_frames import ContactRows, output_of
 from particlerb.stepping.contact_lists import ContactLists, Histories, Lasted, WallsAhead
@@ -74,7 +75,6 @@ class ContactMotion(SteppedMotion):
 
     room_for_tally = 0  # numbers that are counted of impulses
     share = 1.0  # of the costs that are this process's own
-    entered: tuple[Schedule, Recording] | None = None  # no stops, and no room for frames
 
     def __init__(
         self,
@@ -97,6 +97,9 @@ class ContactMotion(SteppedMotion):
         self.grid_step, self.list_step = 0, 0  # on the grid: now, and when lists were made
         self.farthest = 0.0  # [m] path of a body so far, at new lists
         self.contacts: dict[int, ContactOutput] = {}  # in rows of the last `record`
+        nothing = Schedule(self.dt, np.zeros(0, int), np.zeros(0), np.zeros(0, int))
+        self.entered = nothing, self.recording(room_for(0, 0, np.empty((0, 4))))
+        compile_steps_beside(self, self.entered[1], self._copies())
         self.make_lists()
         self.initial_energies = self._elastic_energies()
 
@@ -215,9 +218,6 @@ class ContactMotion(SteppedMotion):
 
     def now_only(self, what: int, row: int = 0) -> None:
         """Do a part of a step at the time of now, with the momenta of now."""
-        if self.entered is None:
-            nothing = Schedule(self.dt, np.zeros(0, int), np.zeros(0), np.zeros(0, int))
-            self.entered = nothing, self.recording(room_for(0, 0, np.empty((0, 4))))
         moving = self.moving._replace(contact=self.contact, team=ONE_THREAD)
         position, n = Position(what, row, self.grid_step), len(self.blocks)
         self.loop_over_steps(True)(moving, *self.entered, self._copies(), position, n, 0, n)

@@ -286,8 +286,13 @@ def _looking(method: Method, touches: bool) -> dict[str, Any]:
     """How parts of a step are done for bodies that touch."""
     if not touches:
         return {}
-    growth = NO_GROWTH._replace(slope=Slope(0.0, 0.0, 0.0, True) if method.takes_slopes else None)
-    return {"look": _place_alone if method.takes_impulses else _look_at_contacts, "GROWTH": growth}
+    chosen = _place_alone if method.takes_impulses else _look_at_contacts
+    return {"look": chosen, "GROWTH": growth_at_rest(method)}
+
+
+def growth_at_rest(method: Method) -> Growth:
+    """How tangential springs grow where no step is made: not."""
+    return NO_GROWTH._replace(slope=Slope(0.0, 0.0, 0.0, True) if method.takes_slopes else None)
 
 
 @cache

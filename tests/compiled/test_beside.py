@@ -1,0 +1,75 @@
+"""A copy of the process compiles beside it: what it makes is found, and nothing hangs on it."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = [
+    pytest.mark.compiled,
+    pytest.mark.skipif(sys.platform != "linux", reason="a copy is made by fork"),
+]
+
+PROGRAM = """
+import os, sys
+import numpy as np
+from numba.core.event import Listener, register
+from particlerb.compiled import beside
+from particlerb.compiled.threads import THREADS
+from particlerb.stepping.loop import copy_blocks
+
+class Here(Listener):
+    def on_start(self, event):
+        print("here", event.data["dispatcher"].py_func.__name__)
+    def on_end(self, event):
+        pass
+
+THREADS.use(2)
+arguments = np.ones((1, 3000)), np.zeros((1, 3000)), np.ones(1, dtype=np.int64), 0, 1
+function, work = beside.job_of(copy_blocks, *arguments)
+register("numba:compile", Here())
+forks = []
+fork = os.fork
+os.fork = lambda: forks.append(fork()) or forks[-1]
+{jobs}
+beside.wait_for(function)
+work()
+print("forks", len(forks), "compiled", len(function.overloads))
+try:
+    os.waitpid(-1, 0)
+except ChildProcessError:
+    print("none left")
+"""
+ONE = "beside.compile_beside([(function, work)])"
+DIES = "beside.compile_beside([(function, lambda: os._exit(1))])"
+FAILS = "beside.compile_beside([(function, lambda: 1 / 0)])"
+ALONE = "THREADS.use(1)\n" + ONE
+
+
+def said(jobs, cache):
+    """Lines of the program with these jobs."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
+    environment |= {"NUMBA_CACHE_DIR": str(cache)}
+    words = [sys.executable, "-c", PROGRAM.replace("{jobs}", jobs)]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    assert not done.stderr
+    return done.stdout.splitlines()
+
+
+def test_what_the_copy_compiles_is_found_and_not_made_again(tmp_path):
+    assert said(ONE, tmp_path) == ["forks 1 compiled 1", "none left"]
+    assert said(ONE, tmp_path) == ["forks 0 compiled 1", "none left"]  # it is on disk
+
+
+@pytest.mark.parametrize("jobs", [DIES, FAILS])
+def test_where_the_copy_ends_early_the_process_compiles_itself(jobs, tmp_path):
+    lines = said(jobs, tmp_path)
+    assert "here copy_blocks" in lines
+    assert lines[-2:] == ["forks 1 compiled 1", "none left"]
+
+
+def test_one_thread_makes_no_copy(tmp_path):
+    lines = said(ALONE, tmp_path)
+    assert "here copy_blocks" in lines
+    assert lines[-2:] == ["forks 0 compiled 1", "none left"]
