@@ -147,9 +147,9 @@ def run(scene: Scene, variant: str, step: float) -> Result:
             run 0
         """)
         before = bodies(lmp)
-        started = THREADS.own.clock()
+        started = THREADS.local.clock()
         lmp.command(f"run {number} pre no post no")
-        seconds = THREADS.own.clock() - started
+        seconds = THREADS.local.clock() - started
         after = bodies(lmp)
     finally:
         lmp.close()
@@ -175,9 +175,9 @@ def course(scene: Scene, variant: str, step: float) -> Course:
             read_in(lmp, scene, str(Path(folder) / "scene"), step)
         first, seconds, rows = touching(lmp, n), 0.0, []
         for _ in scene.times:
-            started = THREADS.own.clock()
+            started = THREADS.local.clock()
             lmp.command(f"run {number} pre no post no")
-            seconds += THREADS.own.clock() - started
+            seconds += THREADS.local.clock() - started
             rows.append(touching(lmp, n))
     finally:
         lmp.close()

@@ -164,9 +164,9 @@ def course(scene: Scene, variant: str, step: float) -> Course:
         mujoco.mj_step(model, data, 3)  # touches all memory once
         mujoco.mj_resetDataKeyframe(model, data, 0)
         for _ in scene.times:
-            started = THREADS.own.clock()
+            started = THREADS.local.clock()
             mujoco.mj_step(model, data, number)
-            seconds += THREADS.own.clock() - started
+            seconds += THREADS.local.clock() - started
             rows.append(pose_and_speed(model, data, own))
     finally:
         mujoco.set_mju_user_warning(warn)
@@ -227,9 +227,9 @@ def run(scene: Scene, variant: str, step: float) -> Result:
         mujoco.mj_step(model, data, 3)  # touches all memory once
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = start
-        started = THREADS.own.clock()
+        started = THREADS.local.clock()
         mujoco.mj_step(model, data, number)
-        seconds = THREADS.own.clock() - started
+        seconds = THREADS.local.clock() - started
     finally:
         mujoco.set_mju_user_warning(warn)
         mujoco.set_mjcb_control(None)

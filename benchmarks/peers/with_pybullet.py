@@ -85,9 +85,9 @@ def run(scene: Scene, variant: str, step: float) -> Result:
         pybullet.setGravity(*scene.gravity, physicsClientId=world)
         for body, v, w in zip(bodies, scene.velocity, scene.angular_velocity, strict=True):
             pybullet.resetBaseVelocity(body, v.tolist(), w.tolist(), physicsClientId=world)
-        started = THREADS.own.clock()
+        started = THREADS.local.clock()
         advance(pushes, step, number, world)
-        seconds = THREADS.own.clock() - started
+        seconds = THREADS.local.clock() - started
         pose = [pybullet.getBasePositionAndOrientation(b, physicsClientId=world) for b in bodies]
         speed = [pybullet.getBaseVelocity(b, physicsClientId=world) for b in bodies]
     finally:
@@ -126,10 +126,10 @@ def course(scene: Scene, variant: str, step: float) -> Course:
         for body in (*planes, *bodies):
             pybullet.changeDynamics(body, -1, contactProcessingThreshold=0.0, **surface, **here)
         for _ in scene.times:
-            started = THREADS.own.clock()
+            started = THREADS.local.clock()
             for _ in range(number):
                 pybullet.stepSimulation(world)
-            seconds += THREADS.own.clock() - started
+            seconds += THREADS.local.clock() - started
             rows.append(
                 [
                     (

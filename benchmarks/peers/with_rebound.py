@@ -98,9 +98,9 @@ def run(scene: Scene, variant: str, step: float) -> Result:
     sim, ode = simulation()
     sim.steps(1)
     sim, ode = simulation()
-    started = THREADS.own.clock()
+    started = THREADS.local.clock()
     sim.integrate(scene.t_end)
-    seconds = THREADS.own.clock() - started
+    seconds = THREADS.local.clock() - started
     state = np.ctypeslib.as_array(ode.y, state.shape).copy()
     return gathered(scene, seconds, state, constants, unit, world)
 
@@ -122,9 +122,9 @@ def run_attraction(scene: Scene, variant: str, step: float) -> Result:
     else:
         sim.integrator.eps_rel = sim.integrator.eps_abs = step
     sim.dt = 1e-3 * scene.t_end
-    started = THREADS.own.clock()
+    started = THREADS.local.clock()
     sim.integrate(scene.t_end)
-    seconds = THREADS.own.clock() - started
+    seconds = THREADS.local.clock() - started
     position = np.array([p.xyz for p in sim.particles])
     velocity = np.array([p.vxyz for p in sim.particles])
     still = np.zeros_like(position)

@@ -142,9 +142,9 @@ def run(scene: Scene, variant: str, step: float) -> Result:
 
     slope(0.0, state)
     with one_thread():
-        started = THREADS.own.clock()
+        started = THREADS.local.clock()
         state = SOLVERS[method](integrate, slope, state, scene.t_end, step)
-        seconds = THREADS.own.clock() - started
+        seconds = THREADS.local.clock() - started
     return gathered(scene, seconds, state, constants, unit, bool(world))
 
 
@@ -164,9 +164,9 @@ def run_springs(scene: Scene, step: float) -> Result:
     start = (state / size).ravel()
     slope(0.0, start)
     with one_thread():
-        started = THREADS.own.clock()
+        started = THREADS.local.clock()
         end = dop853(integrate, slope, start, scene.t_end, step)
-        seconds = THREADS.own.clock() - started
+        seconds = THREADS.local.clock() - started
     end = size * end.reshape(state.shape)
     q = end[6:10].T / np.linalg.norm(end[6:10].T, axis=1, keepdims=True)
     return result(scene, seconds, end[:3].T, q, end[3:6].T, to_world(q, end[10:].T))

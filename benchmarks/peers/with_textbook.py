@@ -253,12 +253,12 @@ def run(scene: Scene, variant: str, step: float) -> Result:
     y, data = start_of(scene, list(VARIANTS).index(variant), h)
     steps = compiled()[1]
     steps(y.copy(), data, 0, h)  # compile
-    started = THREADS.own.clock()
+    started = THREADS.local.clock()
     try:
         steps(y, data, number, h)
     except np.linalg.LinAlgError:  # rows of joints that have drifted apart
         y[:] = np.nan
-    seconds = THREADS.own.clock() - started
+    seconds = THREADS.local.clock() - started
     y = y[:-1]
     return result(scene, seconds, y[:, :3], y[:, Q : Q + 4], y[:, V : V + 3], y[:, L : L + 3])
 

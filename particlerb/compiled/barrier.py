@@ -151,11 +151,11 @@ def together(kernel: Callable[[Team], Result], most: int) -> Result:
     THREADS.heed()
     size = 1 if config.DISABLE_JIT else min(THREADS.count, most)
     has_lock = size > 1 and TOGETHER.acquire(blocking=False)
-    start = THREADS.own.clock()
+    start = THREADS.local.clock()
     try:
         return _enter_all(kernel, size) if has_lock else kernel(ONE_THREAD)
     finally:
-        THREADS.own.busy += THREADS.own.clock() - start
+        THREADS.local.busy += THREADS.local.clock() - start
         if has_lock:
             TOGETHER.release()
 

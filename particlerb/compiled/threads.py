@@ -26,7 +26,7 @@ _SHARES: Final = 4  # ranges per thread at most, so that a slow thread is made u
 _SHARE_WORK: Final = 50_000  # body-steps or body-frames of a range: well above what a call costs
 
 
-class _Own(threading.local):
+class _ThreadState(threading.local):
     """What is a matter of one Python thread."""
 
     count: int | None = None  # threads that it uses; None: all cores
@@ -38,7 +38,7 @@ class _Threads:
     """The threads of this process."""
 
     def __init__(self) -> None:
-        self.own = _Own()
+        self.local = _ThreadState()
         self.cores = _available()
         self.is_ending = False  # set by a signal: the run ends behind the frame it is at
         self.is_stopping = False  # set by a second one: the next call raises KeyboardInterrupt
@@ -52,26 +52,26 @@ class _Threads:
     @property
     def count(self) -> int:
         """Threads that calls from this one use."""
-        return self.own.count or self.cores
+        return self.local.count or self.cores
 
     @property
     def busy(self) -> float:
         """Time [s] in kernels that this thread has called."""
-        return self.own.busy
+        return self.local.busy
 
     def use(self, count: int | None) -> None:
         """Let calls from this thread use so many from now on; None for all cores."""
-        self.own.count = count
+        self.local.count = count
 
     @contextmanager
     def using(self, count: int | None, clock: Clock = time.perf_counter) -> Iterator[None]:
         """Let calls from this thread use so many meanwhile, None for all cores, timed so."""
-        before = self.own.count, self.own.clock
-        self.own.count, self.own.clock = count, clock
+        before = self.local.count, self.local.clock
+        self.local.count, self.local.clock = count, clock
         try:
             yield
         finally:
-            self.own.count, self.own.clock = before
+            self.local.count, self.local.clock = before
 
     @property
     def workers(self) -> ThreadPoolExecutor:
@@ -118,11 +118,11 @@ class _Threads:
     def timed(self, kernel: Callable[..., Result], *arguments: object) -> Result:
         """Call a kernel on this thread for what it returns; KeyboardInterrupt as in `share`."""
         self.heed()
-        start = self.own.clock()
+        start = self.local.clock()
         try:
             return kernel(*arguments)
         finally:
-            self.own.busy += self.own.clock() - start
+            self.local.busy += self.local.clock() - start
 
     def share_out(self, kernel: Callable[[int, int], object], units: int, work: int) -> None:
         """Do the work of `share`."""

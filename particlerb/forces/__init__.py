@@ -15,7 +15,7 @@ from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.forces import kinds
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
-from particlerb.forces.kernels import Acting, own_functions
+from particlerb.forces.kernels import Acting, user_functions
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import FIRST, KICKS, MANY, MANY_KICKS, PAIR, TERMS, term_of
 from particlerb.forces.user_pairs import OwnPairs
@@ -147,7 +147,7 @@ def acting_of(terms: Terms) -> Acting:
         PAIR + OTHER if terms.has_other_pair_loads else None,
         1 if any(kick.flow is not None for kick in acting) else None,
         1 if any(kick.at_time is not None for kick in acting) else None,
-        own_functions(users) if users else None,
+        user_functions(users) if users else None,
         1 if any(kick.load is not None for kick in users) else None,
     )
 

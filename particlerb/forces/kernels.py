@@ -35,8 +35,8 @@ class Acting(NamedTuple):
     contact: int | None  # and of that what has no potential: of contacts, of users
     flow: int | None  # whether something turns or slows momenta by a flow of its own
     clock: int | None  # whether something depends on time
-    own: FunctionSet | None = None  # functions of forces that users wrote: see `own_functions`
-    own_flow: int | None = None  # whether one of these depends on velocities
+    user_functions: FunctionSet | None = None  # of forces that users wrote
+    user_flow: int | None = None  # whether one of these depends on velocities
 
 
 @inline
@@ -118,10 +118,10 @@ def _source_of(family: _Family, kicks: Iterable[Kick]) -> str:
         parts.append(f"{head}        {result}\n    {step}\n    {result}\n")
         tag = f"acting.loads[{KICKS.index(kick)}]"
         calls.append(family.step(f"{name}({tag}, rows, {_first_row(kick)}"))
-    head = f"@inline\ndef {family.name}_own(own, rows, at, {family.given}):\n    if own is None:\n"
-    call = f"own.{family.name}(rows, at, {family.given})"
-    parts.append(f"{head}        {result}\n    return {call}\n")
-    of_users = family.step(f"{family.name}_own(acting.own, rows, {_after(MANY_KICKS)}")
+    head = f"@inline\ndef {family.name}_users(functions, rows, at, {family.given}):\n"
+    call = f"functions.{family.name}(rows, at, {family.given})"
+    parts.append(f"{head}    if functions is None:\n        {result}\n    return {call}\n")
+    of_users = family.step(f"{family.name}_users(acting.user_functions, rows, {_after(MANY_KICKS)}")
     calls = [of_users, *calls] if family.is_reversed else [*calls, of_users]
     body = "\n    ".join([*calls, *([family.last] if family.last else []), result])
     return "\n\n".join([*parts, f"def {family.name}(acting, rows, {family.given}):\n    {body}\n"])
@@ -156,7 +156,7 @@ def made(family: _Family) -> Callable[..., Any]:
 
 
 @cache
-def own_functions(kicks: tuple[Kick, ...]) -> FunctionSet:
+def user_functions(kicks: tuple[Kick, ...]) -> FunctionSet:
     """What kernels call for forces that users wrote, their rows one after the other from `at` on.
 
     For each family a function that calls those of the kicks.

@@ -88,7 +88,7 @@ class _Apart:
     def __init__(self, pairs: OwnPairs, bodies: Bodies, state: State, t: float) -> None:
         s, ends = pairs.first.size, (pairs.first, pairs.second)
         indices = np.concatenate(ends)
-        self.own = pairs._replace(
+        self.pairs = pairs._replace(
             first=np.arange(s), second=s + np.arange(s), inv_mass=pairs.inv_mass[indices],
             inv_inertia=np.ascontiguousarray(pairs.inv_inertia[:, indices]),
             axes=np.ascontiguousarray(pairs.axes[:, indices]), turns=pairs.turns[indices],
@@ -109,17 +109,17 @@ class _Apart:
 
     def loads(self, end: int, state: State) -> Floats:
         """Force and torque on one end of each pair, (6, s), its bodies being in another state."""
-        loads = loads_between(self.own, self.with_end(end, state), self.t)
+        loads = loads_between(self.pairs, self.with_end(end, state), self.t)
         return loads[:6] if end == 0 else np.concatenate([-loads[:3], loads[6:]])
 
     def energies(self, end: int, state: State) -> Floats:
         """Potential energy of each pair, (s,) [J]."""
         now = self.with_end(end, state)
-        return pair_energies(self.own, now.com, now.q)
+        return pair_energies(self.pairs, now.com, now.q)
 
     def rates(self, end: int) -> Rates:
         """What the force does to one end of each pair."""
-        moves = bool(self.own.takes_velocities.any())
+        moves = bool(self.pairs.takes_velocities.any())
         arguments = self.bodies[end], self.states[end], self.reach
         return rates_by(lambda now: self.loads(end, now), *arguments, moves)
 

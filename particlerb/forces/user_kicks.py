@@ -61,7 +61,7 @@ class Written(_Parameters):
     term: ClassVar[Term]
     force: ClassVar[UserForce]
     lengths: ClassVar[Lengths]
-    own: ClassVar[FunctionSet]
+    functions: ClassVar[FunctionSet]
     energy: ClassVar[FunctionSet]
 
 
@@ -190,7 +190,7 @@ def sign_of(force: UserForce, lengths_: Lengths) -> tuple[str, bool]:
 
 def class_of(force: UserForce, lengths_: Lengths) -> type[Written]:
     """Class of the parameters of a force; the same one for all functions of the same text."""
-    from particlerb.forces.kernels import own_functions  # which are made of all kicks
+    from particlerb.forces.kernels import user_functions  # which are made of all kicks
 
     name, is_kept = sign_of(force, lengths_)
     made: Any = _CLASSES.get(name)
@@ -198,7 +198,7 @@ def class_of(force: UserForce, lengths_: Lengths) -> type[Written]:
         made = _CLASSES[name] = type(force.name, (Written,), {})
         kick, energy = _kick_of(force, lengths_, name, is_kept)
         made.force, made.lengths = force, lengths_
-        made.own = own_functions((kick,))
+        made.functions = user_functions((kick,))
         made.energy = FunctionSet(f"energy of {name}", {"energy": energy}, kick.is_kept)
         words = f"{force.name} of {place_of(force.function).rpartition(':')[0]}"
         of_energy = None if energy is None else energies
@@ -243,7 +243,8 @@ def _sampled(load: Written, com: Floats, q: Floats, more: Sequence[tuple[int, Fl
     parts = [(COM, com), (Q, q), (LOADS, load.rows), *more]
     blocks = in_blocks(n, LOADS + len(load.rows), parts)
     out = np.zeros((6 if more else 1, n))
-    (_sample_loads if more else _sample_energies)(load.own if more else load.energy, blocks, n, out)
+    sample, functions = (_sample_loads, load.functions) if more else (_sample_energies, load.energy)
+    sample(functions, blocks, n, out)
     return out
 
 

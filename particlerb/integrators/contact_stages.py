@@ -43,7 +43,7 @@ from particlerb.contact.wall_contacts import wall_contact_forces
 from particlerb.contact.wall_motion import put_poses
 from particlerb.forces.registry import PAIR, STEADY
 from particlerb.impulses.records import ImpulseRules
-from particlerb.integrators.pair_stages import OwnBlocks, PairTerms
+from particlerb.integrators.pair_stages import BlockShare, PairTerms
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import (
     COM,
@@ -73,7 +73,7 @@ def place_contacts(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
-    share: OwnBlocks,
+    share: BlockShare,
     instant: Instant,
 ) -> bool:
     """Place bodies and walls at an instant; whether the lists hold for the step that follows.
@@ -82,7 +82,7 @@ def place_contacts(
     ----------
     contact, team, pairs : MovingContact, Team, PairTerms
         None where there are none.
-    share : OwnBlocks
+    share : BlockShare
     instant : Instant
     """
     if contact is None or team is None:
@@ -127,7 +127,7 @@ def place_within_step(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
-    share: OwnBlocks,
+    share: BlockShare,
     later: float,
 ) -> None:
     """Place them anew, so many seconds after the step began."""
@@ -141,7 +141,7 @@ def place_within_step(
 
 @kernel
 def place_bodies_and_walls(
-    contact: MovingContact, team: Team, pairs: PairTerms | None, share: OwnBlocks, instant: Instant
+    contact: MovingContact, team: Team, pairs: PairTerms | None, share: BlockShare, instant: Instant
 ) -> tuple[float, float, float]:
     """Place bodies and walls at an instant.
 
@@ -251,7 +251,7 @@ def farthest(listed_pose: Floats, rows: Floats, reach: Floats, lo: int, n: int) 
 
 
 @kernel
-def close_prescribed(contact: MovingContact | None, share: OwnBlocks, time: float) -> None:
+def close_prescribed(contact: MovingContact | None, share: BlockShare, time: float) -> None:
     """Write prescribed bodies with their momenta, as frames show them."""
     if contact is None:
         return
@@ -297,7 +297,7 @@ def contact_loads(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
-    share: OwnBlocks,
+    share: BlockShare,
     times: LoadTimes,
 ) -> None:
     """Evaluate contacts where bodies are placed, and write all loads of other bodies.
@@ -327,7 +327,7 @@ def contact_loads(
 
 
 @kernel
-def put_loads_of_pairs(team: Team | None, pairs: PairTerms | None, share: OwnBlocks) -> None:
+def put_loads_of_pairs(team: Team | None, pairs: PairTerms | None, share: BlockShare) -> None:
     """Write forces without touching alone, once the first thread of a team has found them."""
     if team is None or pairs is None:
         return
@@ -345,7 +345,7 @@ def _scatter_loads(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> No
 
 
 @kernel
-def keep_momenta(contact: MovingContact | None, share: OwnBlocks) -> None:
+def keep_momenta(contact: MovingContact | None, share: BlockShare) -> None:
     """Keep the momenta of the drift before this kick."""
     if contact is None:
         return

@@ -38,7 +38,7 @@ from particlerb.integrators.impulse_booking import (
     book_kick,
     keep_momenta,
 )
-from particlerb.integrators.pair_stages import Layout, OwnBlocks, PairTerms, shift_pair_time
+from particlerb.integrators.pair_stages import BlockShare, Layout, PairTerms, shift_pair_time
 from particlerb.joints.records import Jointed
 from particlerb.joints.responses import find_bounded, find_responses, move_to_joints
 from particlerb.joints.rows import put_pose
@@ -76,7 +76,7 @@ def place_in_the_middle(
     team: Team | None,
     pairs: PairTerms | None,
     acting: Acting,
-    share: OwnBlocks,
+    share: BlockShare,
     dt: float,
 ) -> None:
     """Place bodies and walls, and take loads that depend on time, in the middle of a step."""

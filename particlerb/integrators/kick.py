@@ -92,13 +92,13 @@ def begin_kick(acting: Acting, rows: Floats, n: int, dt: float) -> None:
     Where one does not converge it is lost: NaN.
     """
     prepare_kick(acting, rows, n, dt)
-    _solve_kicks(acting.own_flow, acting, rows, n, dt)
+    _solve_kicks(acting.user_flow, acting, rows, n, dt)
 
 
 @inline
-def _solve_kicks(own_flow: Flag, acting: Acting, rows: Floats, n: int, dt: float) -> None:
+def _solve_kicks(user_flow: Flag, acting: Acting, rows: Floats, n: int, dt: float) -> None:
     """The same, where there are any, of as many at a time as the first level of the cache has."""
-    if own_flow is None:
+    if user_flow is None:
         return
     for first in range(0, n, _TOGETHER):
         _solve_some_kicks(acting, rows, first, min(first + _TOGETHER, n), dt)
@@ -190,8 +190,8 @@ def kick_body(
     acting: Acting, books: Flag, rows: Floats, b: int, dt: float
 ) -> tuple[Vec3, Vec3, Matrix]:
     """Kick body b over dt after `begin_kick`; its new momenta, stored, and its rotation matrix."""
-    kick = _kick_of(acting, rows, b, dt, _old(acting.own_flow, rows, b))
-    last = _momenta_before_flows(acting.own_flow, acting, rows, b, kick)
+    kick = _kick_of(acting, rows, b, dt, _old(acting.user_flow, rows, b))
+    last = _momenta_before_flows(acting.user_flow, acting, rows, b, kick)
     p, spin = flow_out(acting, rows, b, kick.R, 0.5 * dt, last[0], last[1])
     put3(rows, P, b, p)
     put3(rows, L, b, spin)
@@ -200,19 +200,19 @@ def kick_body(
 
 
 @inline
-def _old(own_flow: Flag, rows: Floats, b: int) -> Momenta:
+def _old(user_flow: Flag, rows: Floats, b: int) -> Momenta:
     """Momenta before a kick."""
-    if own_flow is None:
+    if user_flow is None:
         return get3(rows, P, b), get3(rows, L, b)
     return get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)
 
 
 @inline
 def _momenta_before_flows(
-    own_flow: Flag, acting: Acting, rows: Floats, b: int, kick: _Kick
+    user_flow: Flag, acting: Acting, rows: Floats, b: int, kick: _Kick
 ) -> Momenta:
     """Momenta before the second half of the flows: with drag, or as `begin_kick` found them."""
-    if own_flow is None:
+    if user_flow is None:
         return damp(
             acting, rows, b, kick.R, kick.first[0], kick.first[1], kick.last[0], kick.last[1]
         )

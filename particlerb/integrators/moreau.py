@@ -25,7 +25,7 @@ from particlerb.integrators.impulse_stages import (
 )
 from particlerb.integrators.joint_stages import count_drift, count_projection, let_joints_break
 from particlerb.integrators.method import Method
-from particlerb.integrators.pair_stages import OwnBlocks
+from particlerb.integrators.pair_stages import BlockShare
 from particlerb.integrators.stages import (
     MovingBodies,
     constrained_drift,
@@ -62,7 +62,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     shift_clock(jointed, team, 0.5 * dt)
     project(moving, 0.0, 0.5 * dt)
     count_projection(jointed, team)
-    share = OwnBlocks(blocks, layout, first, last)
+    share = BlockShare(blocks, layout, first, last)
     place_in_the_middle(contact, team, moving.pairs, moving.acting, share, dt)
     loads_of_pairs(moving, first, last)
     flow_dashpots(moving, 0.5 * dt, False)

@@ -31,7 +31,7 @@ class Layout(NamedTuple):
     asymmetric: int  # blocks
 
 
-class OwnBlocks(NamedTuple):
+class BlockShare(NamedTuple):
     """Blocks of bodies that a thread works on."""
 
     blocks: Floats  # all of the group
@@ -44,7 +44,7 @@ class PairTerms(NamedTuple):
     """Forces between the bodies of a group, and room to evaluate them."""
 
     links: Links | None
-    own: OwnPairs | None
+    own_pairs: OwnPairs | None
     attraction: Attraction | None
     work: Fields | None
     with_dashpots: bool  # whether they are among the loads, and not flows

@@ -14,7 +14,7 @@ from particlerb.forces.kinds import BODIES, CONTACT, JOINTS, PISTONS, POSE, TIME
 from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
 from particlerb.integrators.method import Method
-from particlerb.integrators.pair_stages import OwnBlocks
+from particlerb.integrators.pair_stages import BlockShare
 from particlerb.integrators.stages import (
     MovingBodies,
     constrained_drift,
@@ -29,7 +29,7 @@ from particlerb.integrators.strang import CLOSING_KICK
 def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Kick, constrained drift; the kick of dt/2 that belongs to the end stays open."""
     kick_dt = CLOSING_KICK * dt + open_kick
-    keep_momenta(moving.contact, OwnBlocks(moving.blocks, moving.layout, first, last))
+    keep_momenta(moving.contact, BlockShare(moving.blocks, moving.layout, first, last))
     loads(moving, first, last, LoadTimes(dt, kick_dt, LEAPFROG, None))
     kick_walls(moving.contact, moving.team, open_kick, CLOSING_KICK * dt, True)
     kick_jointed(moving, first, last, open_kick, CLOSING_KICK * dt)

@@ -30,8 +30,8 @@ from particlerb.integrators.joint_stages import (
 )
 from particlerb.integrators.kick import begin_kick, kick_body
 from particlerb.integrators.pair_stages import (
+    BlockShare,
     Layout,
-    OwnBlocks,
     PairTerms,
     flow_pairs,
     put_pair_loads,
@@ -127,14 +127,14 @@ def _spread_stage(
 @stages
 def place(moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
     """Bring bodies to where contacts are evaluated; False where new lists have to be made first."""
-    share = OwnBlocks(moving.blocks, moving.layout, first, last)
+    share = BlockShare(moving.blocks, moving.layout, first, last)
     return place_contacts(moving.contact, moving.team, moving.pairs, share, instant)
 
 
 @stages
 def loads(moving: MovingBodies, first: int, last: int, times: LoadTimes) -> None:
     """Write what bodies do to each other into their rows PAIR."""
-    share = OwnBlocks(moving.blocks, moving.layout, first, last)
+    share = BlockShare(moving.blocks, moving.layout, first, last)
     put_pair_loads(moving.team, moving.pairs, moving.blocks, moving.layout)
     contact_loads(moving.contact, moving.team, moving.pairs, share, times)
 
@@ -142,7 +142,7 @@ def loads(moving: MovingBodies, first: int, last: int, times: LoadTimes) -> None
 @stages
 def loads_of_pairs(moving: MovingBodies, first: int, last: int) -> None:
     """Write what bodies do to each other without touching into their rows PAIR."""
-    share = OwnBlocks(moving.blocks, moving.layout, first, last)
+    share = BlockShare(moving.blocks, moving.layout, first, last)
     put_pair_loads(moving.team, moving.pairs, moving.blocks, moving.layout)
     put_loads_of_pairs(moving.team, moving.pairs, share)
 
@@ -150,7 +150,7 @@ def loads_of_pairs(moving: MovingBodies, first: int, last: int) -> None:
 @stages
 def place_later(moving: MovingBodies, first: int, last: int, later: float) -> None:
     """Bring bodies to where they are so many seconds after the step began, and the time."""
-    share = OwnBlocks(moving.blocks, moving.layout, first, last)
+    share = BlockShare(moving.blocks, moving.layout, first, last)
     shift_pairs(moving, first, later)
     place_within_step(moving.contact, moving.team, moving.pairs, share, later)
 

@@ -15,7 +15,7 @@ from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
 from particlerb.integrators.kick import begin_kick, kick_body
 from particlerb.integrators.method import Method
-from particlerb.integrators.pair_stages import OwnBlocks
+from particlerb.integrators.pair_stages import BlockShare
 from particlerb.integrators.stages import MovingBodies, flow_dashpots, kick, loads, stage, stages
 from particlerb.maths.quaternion import matrix, turn_back
 from particlerb.maths.vec3 import add_scaled
@@ -68,7 +68,7 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
     """
     kick_dt = CLOSING_KICK * dt + open_kick
     contact, team = moving.contact, moving.team
-    keep_momenta(contact, OwnBlocks(moving.blocks, moving.layout, first, last))
+    keep_momenta(contact, BlockShare(moving.blocks, moving.layout, first, last))
     flow_dashpots(moving, open_kick, True)
     loads(moving, first, last, LoadTimes(dt, kick_dt, LEAPFROG, None))
     kick_walls(contact, team, open_kick, CLOSING_KICK * dt, True)

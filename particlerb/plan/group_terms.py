@@ -27,7 +27,7 @@ from particlerb.model.system import System
 from particlerb.plan.contact_rules import events_of, refuse_too_many, rules_of
 from particlerb.plan.contact_setup import ContactSetup
 from particlerb.plan.groups import GroupSetup
-from particlerb.plan.links import AnyLink, Link, OwnLink, attracted, particles_of, tree_accuracy
+from particlerb.plan.links import AnyLink, Link, UserLink, attracted, particles_of, tree_accuracy
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
 _DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
@@ -46,7 +46,7 @@ def terms_between(
     springs = [link for link in links if isinstance(link, Link)]
     if springs:
         terms = terms._replace(links=_links_among(group.members, bodies, springs))
-    user_links = [link for link in links if isinstance(link, OwnLink)]
+    user_links = [link for link in links if isinstance(link, UserLink)]
     if user_links:
         terms = terms._replace(own_pairs=_own_pairs_among(group.members, bodies, user_links))
     if group.attracts:
@@ -65,7 +65,7 @@ def terms_between(
     return terms
 
 
-def _own_pairs_among(members: Ints, bodies: Bodies, links: list[OwnLink]) -> OwnPairs:
+def _own_pairs_among(members: Ints, bodies: Bodies, links: list[UserLink]) -> OwnPairs:
     """Pairs of a group between which functions of users act, with its own numbers."""
     place = np.argsort(members)
     ends = (np.concatenate([link[k] for link in links]) for k in (2, 3))

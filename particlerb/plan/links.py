@@ -44,7 +44,7 @@ class Link(NamedTuple):
     rest_length: Floats  # (s,) [m]
 
 
-class OwnLink(NamedTuple):
+class UserLink(NamedTuple):
     """Pairs of bodies between which a function of a user acts, by one [[force]]."""
 
     number: int  # index of [[force]]
@@ -54,7 +54,7 @@ class OwnLink(NamedTuple):
     numbers: Floats  # (r, s) parameters
 
 
-AnyLink: TypeAlias = Link | OwnLink
+AnyLink: TypeAlias = Link | UserLink
 
 
 # Springs and forces between bodies
@@ -84,8 +84,8 @@ def links_of(system: System) -> list[AnyLink]:
             continue
         try:
             if isinstance(force, PythonTable):
-                user_links = in_worlds(unmerged, number, force, _own_link_of)
-                _try_own(unmerged, number, user_links)
+                user_links = in_worlds(unmerged, number, force, _user_link_of)
+                _try_user_links(unmerged, number, user_links)
                 links += user_links
             else:
                 springs = in_worlds(unmerged, number, force, link_of)
@@ -124,7 +124,7 @@ def link_of(system: System, number: int, force: SpringTable) -> Link:
     return Link(number, force, first, second, first_at, second_at, rest_length)
 
 
-def _own_link_of(system: System, number: int, force: PythonTable) -> OwnLink:
+def _user_link_of(system: System, number: int, force: PythonTable) -> UserLink:
     """Pairs of one [[force]] that a user wrote.
 
     Raises
@@ -136,12 +136,13 @@ def _own_link_of(system: System, number: int, force: PythonTable) -> OwnLink:
         force = with_code(force, system)
         find_pairs = _pairs_in_reach if force.reach is not None else _pairs_as_named
         first, second = find_pairs(system, number, force)
-        return OwnLink(number, force, first, second, numbers_of_pairs(force, first, second, system))
+        numbers = numbers_of_pairs(force, first, second, system)
+        return UserLink(number, force, first, second, numbers)
     except ForceError as error:
         raise CaseError([force_problem(system, number, error)]) from None
 
 
-def _try_own(system: System, number: int, links: Sequence[OwnLink]) -> None:
+def _try_user_links(system: System, number: int, links: Sequence[UserLink]) -> None:
     """Let a function of a user act on all its pairs, with the parameters of each world.
 
     Raises

@@ -45,7 +45,7 @@ class PartRecorder:
         self.system, self.ranks, self.parts = system, ranks, parts
         self.numbers = own_parts(len(parts.ranges), ranks)
         self.first = system.names.part.start
-        self.own: list[tuple[Range, Recorder]] = []
+        self.in_parts: list[tuple[Range, Recorder]] = []
         self.master: Recorder | None = None
         self.last_commit = self.last_checkpoint = time.monotonic()
         self.seconds_for_checkpoint = 0.0
@@ -115,7 +115,7 @@ class PartRecorder:
         folder = folder_beside(path)
         for k in self.numbers:
             of = self.parts.ranges[k]
-            self.own.append((of, opened(folder / self.parts.names[k], self.system, of)))
+            self.in_parts.append((of, opened(folder / self.parts.names[k], self.system, of)))
 
     def make_master(self, path: Path, content: Mapping[str, Any], overwrite: bool) -> None:
         """Make the master, on the first rank, and its folder, without any parts in it.
@@ -129,7 +129,7 @@ class PartRecorder:
     @property
     def recorders(self) -> list[Recorder]:
         """All files of this rank, the master last."""
-        return [recorder for _, recorder in self.own] + ([self.master] if self.master else [])
+        return [recorder for _, recorder in self.in_parts] + ([self.master] if self.master else [])
 
     @property
     def file(self) -> Any:
@@ -147,7 +147,7 @@ class PartRecorder:
         values = values_of(self.system, frames)
         total = np.zeros(len(frames.times), dtype=np.uint64)
         lists_contacts = schema.CONTACTS in self.system.output.fields
-        for (first, stop), recorder in self.own:
+        for (first, stop), recorder in self.in_parts:
             in_part = {
                 path: v[:, first - self.first : stop - self.first] if _is_of_bodies(path) else v
                 for path, v in values.items()
@@ -173,7 +173,7 @@ class PartRecorder:
 
         def save() -> None:
             checkpoint = checkpoints()
-            for of, recorder in self.own:
+            for of, recorder in self.in_parts:
                 recorder.save_checkpoint(partial(checkpoint, of))
 
         self.ranks.together(save)
@@ -209,7 +209,7 @@ class PartRecorder:
             return
         for recorder in self.recorders:
             recorder.leave()
-        for _, recorder in self.own if each[0][1] else ():  # the master has committed nothing
+        for _, recorder in self.in_parts if each[0][1] else ():  # the master has committed nothing
             with suppress(OSError):
                 recorder.output.path.unlink(missing_ok=True)
                 recorder.output.path.parent.rmdir()  # if it is empty
@@ -217,7 +217,7 @@ class PartRecorder:
     def in_order(self, action: Callable[[Recorder], None]) -> None:
         """Do something with all parts, and with the master when all ranks are done."""
         masters = [self.master] if self.master else []
-        for recorders in ([recorder for _, recorder in self.own], masters):
+        for recorders in ([recorder for _, recorder in self.in_parts], masters):
             self.ranks.together(partial(list, map(action, recorders)))
 
 

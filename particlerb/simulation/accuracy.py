@@ -189,7 +189,7 @@ def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:
         if not best.cost <= _A_LITTLE * least.cost:
             best = least
         if best.is_verified:
-            return best.found(best.setting, best.error)
+            return best.chosen_step(best.setting, best.error)
         if best.cost == math.inf:
             closest = [one.closest() for one in ladders if one.tried]
             met = [step for step in closest if step.error <= pilot.wanted]

@@ -90,14 +90,14 @@ class Pilot:
         members = self.group.members[indices]
         self.which, self.state = indices, taken(self.system.state, members)
         self.bodies = taken(self.group.bodies, indices)
-        vars(self).pop("own", None)
+        vars(self).pop("subgroup", None)
         if self.rehearsal is not None:
             self.rehearsal = self.rehearsal.of(indices, self.bodies)
         self.begun: dict[str, Any] = {}  # motions of these bodies, by their methods
         self.size = self.system.reach[self.system.kind[members]]
 
     @cached_property
-    def own(self) -> GroupPlan:
+    def subgroup(self) -> GroupPlan:
         """The group of these bodies alone, numbered from 0."""
         members = np.arange(self.which.size)
         if self.which.size == self.group.members.size:
@@ -148,7 +148,7 @@ class Pilot:
             frames = self.rehearsal.poses(stepping, times)
         else:
             again = self.begun if self.sets_off_again else None
-            frames, steps = poses(stepped_by(self.own, stepping), self.state, times, again)
+            frames, steps = poses(stepped_by(self.subgroup, stepping), self.state, times, again)
         looks = 0 if is_adaptive(stepping.method) else times.size
         self.spent += self.cost(stepping, steps + looks, self.which.size) + SET_UP
         return frames, steps

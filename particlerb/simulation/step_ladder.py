@@ -310,13 +310,13 @@ class Ladder:
     def closest(self) -> ChosenStep:
         """The coarsest setting that meets the accuracy all the same, or that with least error."""
         if not self.errors:
-            return self.found(self.tried[-1].setting, math.inf)
+            return self.chosen_step(self.tried[-1].setting, math.inf)
         bounds = [max(self.errors[k:][:2]) for k in range(len(self.errors))]
         met = [k for k, bound in enumerate(bounds) if bound <= self.pilot.wanted]
         k = met[0] if met else int(np.argmin(bounds))
-        return self.found(self.tried[k].setting, bounds[k])
+        return self.chosen_step(self.tried[k].setting, bounds[k])
 
-    def found(self, setting: float, error: float) -> ChosenStep:
+    def chosen_step(self, setting: float, error: float) -> ChosenStep:
         """What is known of a setting."""
         pilot, stepping = self.pilot, self.stepping(setting)
         cost, until = self.cost_of(setting, pilot.group.members.size), pilot.system.run.t_end

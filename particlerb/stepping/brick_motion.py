@@ -21,7 +21,7 @@ from particlerb.contact.contact_model import ContactFrames, Instant, NeighbourLi
 from particlerb.contact.records import PISTON, zero_records
 from particlerb.integrators.contact_stages import begin_step, keep_extremes, place_bodies_and_walls
 from particlerb.integrators.method import Method
-from particlerb.integrators.pair_stages import Layout, OwnBlocks
+from particlerb.integrators.pair_stages import BlockShare, Layout
 from particlerb.integrators.stages import MovingBodies
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import CHANGING, in_blocks, into_blocks
@@ -186,7 +186,7 @@ class BrickMotion(SharedMotion):
         begin_step(contact, instant)
 
         def here(moving: MovingBodies, lo: int, hi: int) -> tuple[float, float, float]:
-            own_blocks = OwnBlocks(moving.blocks, moving.layout, lo, hi)
+            own_blocks = BlockShare(moving.blocks, moving.layout, lo, hi)
             assert moving.team is not None
             return place_bodies_and_walls(contact, moving.team, None, own_blocks, instant)
 

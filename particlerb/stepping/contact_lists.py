@@ -91,7 +91,7 @@ class ContactLists:
         self.contact, self.dt, self.with_stages = contact, dt, with_stages
         self.skin = self.least_skin = contact.skin
         self.count, self.n_pairs = 0, 0  # lists so far; pairs in the last of them
-        self.own = is_own
+        self.is_own = is_own
         self.count_cost(n_spheres)
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
@@ -180,19 +180,19 @@ class ContactLists:
 
     def _own_pairs(self, first: Ints, second: Ints) -> tuple[Ints, Ints]:
         """Those of pairs of spheres that a body has whose contacts are asked for."""
-        if self.own is None:
+        if self.is_own is None:
             return first, second
         body = self.contact.model.spheres.body
-        kept = np.flatnonzero(self.own[body[first]] | self.own[body[second]])
+        kept = np.flatnonzero(self.is_own[body[first]] | self.is_own[body[second]])
         return first[kept], second[kept]
 
     def _counted(self, first: Ints, second: Ints) -> int:
         """How many pairs of spheres; of those that others have too only the own."""
-        if self.own is None:
+        if self.is_own is None:
             return first.size
         model = self.contact.model
         a, b = model.spheres.body[first], model.spheres.body[second]
-        return int(self.own[np.where(model.inv_mass[a] > 0.0, a, b)].sum())
+        return int(self.is_own[np.where(model.inv_mass[a] > 0.0, a, b)].sum())
 
     def _fit_skin(
         self, corners: Floats, poses: records.Records, reach: Sequence[float], lasted: Lasted

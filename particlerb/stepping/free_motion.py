@@ -232,9 +232,9 @@ class FreeMotion(Motion):
         self.orbit = orbits_of(group, state)
         self.is_pair = self.orbit is not None and group.terms.is_coupled
         self.is_pair |= moves.drift is not None
-        self.own = state  # relative to what carries pairs
+        self.relative_state = state  # relative to what carries pairs
         if moves.drift is not None:
-            self.own = state._replace(p=state.p - group.bodies.mass * moves.drift)
+            self.relative_state = state._replace(p=state.p - group.bodies.mass * moves.drift)
         is_constant = group.terms.gravity is not None or bool(group.terms.loads)
         no_parabola = moves.drag, moves.spring, moves.braked, self.orbit
         is_constant &= self.is_pair or all(one is None for one in no_parabola)
@@ -304,7 +304,7 @@ class FreeMotion(Motion):
         gravity = self.group.terms.gravity
         drift = None if moves.drift is None else np.ascontiguousarray(moves.drift[:, index])
         return _Part(
-            self.own,
+            self.relative_state,
             self.force,
             bodies.mass,
             bodies.inv_mass,

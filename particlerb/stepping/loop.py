@@ -20,8 +20,8 @@ from particlerb.integrators.contact_stages import close_prescribed, find_contact
 from particlerb.integrators.external_work import store_sums
 from particlerb.integrators.method import Method, Step
 from particlerb.integrators.pair_stages import (
+    BlockShare,
     Layout,
-    OwnBlocks,
     PairTerms,
     gather_states,
     scatter_loads,
@@ -257,7 +257,7 @@ def advance(
             if frame[s] != PAUSE:
                 instant = Instant(last_step, 0.0, time, _ratio(open_kick, last_kick))
                 finish(moving, lo, hi, open_kick, instant)
-                own_blocks = OwnBlocks(moving.blocks, moving.layout, lo, hi)
+                own_blocks = BlockShare(moving.blocks, moving.layout, lo, hi)
                 close_prescribed(moving.contact, own_blocks, time)
             if frame[s] >= 0:
                 _store(moving, lo, hi, recording, frame[s])

@@ -102,9 +102,9 @@ class PairForces:
         energy: Floats | float = 0.0
         if self.pairs.links is not None:
             energy = energy + link_energy(self.pairs.links, com, q, self.worlds)
-        if self.pairs.own is not None:
-            energies = pair_energies(self.pairs.own, com, q)
-            energy = energy + over_pairs(energies, self.pairs.own.first, self.worlds)
+        if self.pairs.own_pairs is not None:
+            energies = pair_energies(self.pairs.own_pairs, com, q)
+            energy = energy + over_pairs(energies, self.pairs.own_pairs.first, self.worlds)
         y = np.zeros((STATE_ROWS, com.shape[1]))
         y[:3], y[3:7] = com, q
         if self.pairs.attraction is not None and self.pairs.work is not None:

@@ -179,9 +179,9 @@ class Study:
             oracle = self.states("dop853", _FINEST_TOLERANCE)
         step = self.first_step()
         self.states(second, step)  # compile
-        start = THREADS.own.clock()
+        start = THREADS.local.clock()
         gaps, stays = [np.inf, np.inf], 0
-        while THREADS.own.clock() - start < budget and stays < 2:
+        while THREADS.local.clock() - start < budget and stays < 2:
             step *= 0.5
             gaps.append(self.difference(self.states(second, step), oracle))
             stays = stays + 1 if gaps[-1] > 0.5 * min(gaps[:-1]) and gaps[-1] < 1e-6 else 0
@@ -193,8 +193,8 @@ class Study:
         """Find the energy by ever shorter steps: what it is, and their last change."""
         method, step, floor = self.contacts[0][0], self.first_step(), np.inf
         self.expected, self.scale = self.energies_by(method, step)  # compile
-        start = THREADS.own.clock()
-        while THREADS.own.clock() - start < budget and not floor < 1e-12:
+        start = THREADS.local.clock()
+        while THREADS.local.clock() - start < budget and not floor < 1e-12:
             step *= 0.5
             before = self.expected
             self.expected, self.scale = self.energies_by(method, step)
@@ -268,11 +268,11 @@ class Study:
             yield self.measured(method, None)
             return
         self.measured(method, next(self.ladder(method)), repeats=1)  # compile
-        start, best, stays = THREADS.own.clock(), np.inf, 0
+        start, best, stays = THREADS.local.clock(), np.inf, 0
         for n_points, step in enumerate(self.ladder(method), 1):
             point = self.measured(method, step)
             yield point
-            spent = THREADS.own.clock() - start
+            spent = THREADS.local.clock() - start
             if not point.failure:
                 stays = stays + 1 if point.size > 0.7 * best else 0
                 best = min(best, point.size)
@@ -318,10 +318,10 @@ class Study:
             yield from self.peer_course(engine, variant, steps, budget)
             return
         engine.run(self.peer_scene, variant, steps[0])  # load
-        start = THREADS.own.clock()
+        start = THREADS.local.clock()
         for step in steps:
             results = [engine.run(self.peer_scene, variant, step)]
-            while len(results) < REPEATS and THREADS.own.clock() - start < budget:
+            while len(results) < REPEATS and THREADS.local.clock() - start < budget:
                 results.append(engine.run(self.peer_scene, variant, step))
             spent = float(np.median([result.seconds for result in results]))
             error, energy, spin = peer_errors(
@@ -329,7 +329,7 @@ class Study:
             )
             to_point = partial(Point, variant, engine.NAME, step, engine.ADAPTIVE, spent)
             yield to_point(error, energy, spin, failure(error))
-            if THREADS.own.clock() - start > budget:
+            if THREADS.local.clock() - start > budget:
                 return
 
     def unit(self) -> float:
@@ -343,9 +343,9 @@ class Study:
         scene, bodies = self.peer_scene, self.system.bodies
         short = scene._replace(times=self.times[:1], t_end=float(self.times[0]))
         course_of(engine, short, variant, steps[0], bodies)  # load
-        start = THREADS.own.clock()
+        start = THREADS.local.clock()
         for step in steps:
-            ahead = THREADS.own.clock()
+            ahead = THREADS.local.clock()
             frames, spent = course_of(engine, scene, variant, step, bodies)
             if self.is_compared:
                 off = self.energy_error(energies_at(self.judged, frames, engine.STORES))
@@ -354,6 +354,6 @@ class Study:
                 error = errors(self.judged, self.times, frames, self.reference.frames)[-1]
             to_point = partial(Point, variant, engine.NAME, step, False, spent)
             yield to_point(error, np.nan, np.nan, self.failure_of(error))
-            now = THREADS.own.clock()
+            now = THREADS.local.clock()
             if now - start + 2.2 * (now - ahead) > budget:
                 return

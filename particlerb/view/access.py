@@ -132,9 +132,9 @@ class Access:
         self.token = secrets.token_hex(24) if with_token else ""
         self.port = 0  # once it listens
         self.named = {self.read(name) for name in names}
-        self.own = {"localhost", host.lower()}
+        self.host_names = {"localhost", host.lower()}
         if not self.is_local:
-            self.own.add(socket.gethostname().lower())
+            self.host_names.add(socket.gethostname().lower())
 
     @staticmethod
     def read(name: str) -> str:
@@ -199,7 +199,7 @@ class Access:
 
     def is_ours(self, host: _Authority) -> bool:
         """Whether a host is this one. An address is: no name server turns it to another."""
-        if host.name in self.own or host.name in self.named:
+        if host.name in self.host_names or host.name in self.named:
             return True
         return host.address is not None and (host.address.is_loopback or not self.is_local)
 

@@ -372,7 +372,7 @@ def test_bodies_rehearse_as_they_move(make, moments):
                 stepping = Stepping(method, dt, 0.0, "")
                 assert pilot.rehearsal.serves(stepping, 10)
                 found, steps = pilot.poses(stepping, times)
-                expected, as_many = poses(stepped_by(pilot.own, stepping), pilot.state, times)
+                expected, as_many = poses(stepped_by(pilot.subgroup, stepping), pilot.state, times)
                 assert steps == as_many
                 for one, other in zip(found[:4], expected[:4], strict=True):
                     assert one.tobytes() == other.tobytes()
@@ -394,7 +394,7 @@ def test_bodies_of_two_kinds_of_rotors_rehearse_as_they_move(make):
         for method, dt in {"strang": 0.1, "rkn6": 0.3, "force_gradient": 0.2}.items():
             stepping = Stepping(method, dt, 0.0, "")
             found, _ = pilot.poses(stepping, times)
-            expected, _ = poses(stepped_by(pilot.own, stepping), pilot.state, times)
+            expected, _ = poses(stepped_by(pilot.subgroup, stepping), pilot.state, times)
             for one, other in zip(found[:4], expected[:4], strict=True):
                 assert one.tobytes() == other.tobytes()
 
