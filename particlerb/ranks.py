@@ -21,7 +21,7 @@ Rows: TypeAlias = NDArray[Any]
 
 _SIZES: Final = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 
-_AGREED: Final = "is_raised_by_all_ranks"
+_AGREED_ATTRIBUTE: Final = "is_raised_by_all_ranks"
 
 
 class NoRanksError(Exception):
@@ -118,7 +118,7 @@ class _RanksOfMPI(Ranks):
 
     def agreed(self, error: BaseException) -> bool:
         """Whether all ranks raise an error: what they do together may still be done."""
-        return self.count == 1 or getattr(error, _AGREED, False)
+        return self.count == 1 or getattr(error, _AGREED_ATTRIBUTE, False)
 
     def named(self, number: int, words: str) -> str:
         """Words about a rank, which say which one."""
@@ -161,7 +161,7 @@ class _RanksOfMPI(Ranks):
 
 def as_agreed(error: BaseException) -> BaseException:
     """An error that all ranks are about to raise."""
-    setattr(error, _AGREED, True)
+    setattr(error, _AGREED_ATTRIBUTE, True)
     return error
 
 

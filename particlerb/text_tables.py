@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from particlerb.files import File
 
 _COMMENT: Final = re.compile(r"[#%].*")
-_NUMBER: Final = re.compile(r"[+-]?\.?\d")
+_NUMBER_START: Final = re.compile(r"[+-]?\.?\d")
 _OTHER_NAMES: Final = {"mass": "m", "radius": "r", "time": "t"}
 _NOT_NEGATIVE: Final = ("m", "r", "t")
 
@@ -77,7 +77,7 @@ def _split(content: str) -> list[str]:
 def is_header(cells: Sequence[str]) -> bool:
     """Whether a first line names columns: it has x, y or z, and no number."""
     return bool({"x", "y", "z"} & {cell.lower() for cell in cells}) and not any(
-        _NUMBER.match(cell) for cell in cells
+        _NUMBER_START.match(cell) for cell in cells
     )
 
 

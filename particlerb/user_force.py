@@ -20,9 +20,9 @@ import numpy as np
 
 from particlerb.files import File
 
-_POSE: Final = ("x", "R")
-_MOVING: Final = ("v", "omega")
-_GIVEN: Final = (*_POSE, *_MOVING)
+_POSE_ARGUMENTS: Final = ("x", "R")
+_RATE_ARGUMENTS: Final = ("v", "omega")
+_OF_STATE: Final = (*_POSE_ARGUMENTS, *_RATE_ARGUMENTS)
 """Arguments that have a meaning: place [m], rotation matrix, velocities [m/s, rad/s]."""
 _LIBRARIES: Final = ("math", "numpy", "numba", "particlerb")  # whose functions have no text here
 
@@ -46,8 +46,8 @@ class UserForce:
         self.function, self.potential, self.__doc__ = function, potential, function.__doc__
         self.name = function.__name__
         self.signature = arguments_of(function)
-        alone = [name for name in _GIVEN if name in self.signature]
-        pair = [name for name in self.signature if name[:-1] in _GIVEN and name[-1] in "12"]
+        alone = [name for name in _OF_STATE if name in self.signature]
+        pair = [name for name in self.signature if name[:-1] in _OF_STATE and name[-1] in "12"]
         if pair and alone:
             x = alone[0]
             reason = f"{x} is of one body, and {pair[0]} of two: take {x}1 or {x}2 in its place"
@@ -59,12 +59,12 @@ class UserForce:
     def _refuse_potential(self, potential: Callable[..., Any]) -> None:
         """Raise TypeError where a potential cannot belong to the force."""
         where = f"{place_of(potential)}: the potential of {self.name}"
-        changing = [name for name in ("t", *self._all(_MOVING)) if name in self.signature]
+        changing = [name for name in ("t", *self._all(_RATE_ARGUMENTS)) if name in self.signature]
         if changing:
             raise TypeError(f"{where}: a force of {', '.join(changing)} has none; leave it out")
-        others = arguments_of(potential).keys() - {*self._all(_POSE), *self.signature}
+        others = arguments_of(potential).keys() - {*self._all(_POSE_ARGUMENTS), *self.signature}
         if others:
-            allowed = ", ".join(dict.fromkeys((*self._all(_POSE), *self.signature)))
+            allowed = ", ".join(dict.fromkeys((*self._all(_POSE_ARGUMENTS), *self.signature)))
             raise TypeError(f"{where} takes {', '.join(sorted(others))}; it may take {allowed}")
 
     def __call__(self, *args: Any, **keys: Any) -> Any:
@@ -88,13 +88,13 @@ class UserForce:
     @property
     def parameters(self) -> dict[str, Any]:
         """Its arguments that have no meaning of their own, with their defaults; `...`: none."""
-        reserved = ("t", *self._all(_GIVEN))
+        reserved = ("t", *self._all(_OF_STATE))
         return {name: value for name, value in self.signature.items() if name not in reserved}
 
     @property
     def depends_on_velocity(self) -> bool:
         """Whether it takes one of the velocities."""
-        return any(name in self.signature for name in self._all(_MOVING))
+        return any(name in self.signature for name in self._all(_RATE_ARGUMENTS))
 
     @cached_property
     def file(self) -> str:

@@ -15,15 +15,15 @@ from particlerb.case.overrides import with_value
 from particlerb.case.problems import Path
 from particlerb.case.schema import Case
 
-_OF_BODIES: Final = frozenset(
+_BODY_KEYS: Final = frozenset(
     ("shape", "mass", "density", "position", "orientation", "velocity", "angular_velocity")
 )
-_OF_TIME: Final = frozenset(("during", "time", "times", "table", "file", "body", "to", "type"))
-_OF_CONTACT: Final = frozenset(
+_TIME_KEYS: Final = frozenset(("during", "time", "times", "table", "file", "body", "to", "type"))
+_CONTACT_KEYS: Final = frozenset(
     ("friction", "restitution", "rolling_friction", "stiffness", "torsional_friction")
 )
-_SEED: Final = ("run", "seed")
-_OF_PAIR: Final = 4  # parts of a key like contact.pair.0.friction
+_SEED_PATH: Final = ("run", "seed")
+_PAIR_PATH_LENGTH: Final = 4  # parts of a key like contact.pair.0.friction
 
 
 def likeness(paths: Sequence[Path], values: Sequence[Any]) -> tuple[object, ...]:
@@ -36,20 +36,20 @@ def likeness(paths: Sequence[Path], values: Sequence[Any]) -> tuple[object, ...]
 
 def _likeness(path: Path, value: Any) -> object:
     """The same of one value that is no float."""
-    return repr(value) if not _is_number(path) else "" if path == _SEED else _pattern(value)
+    return repr(value) if not _is_number(path) else "" if path == _SEED_PATH else _pattern(value)
 
 
 @cache
 def _is_number(path: Path) -> bool:
     """Whether no rule compares the numbers at a key with other keys."""
     if path[0] == "contact":
-        is_own = len(path) == 2 or (path[1] == "pair" and len(path) == _OF_PAIR)
-        return is_own and path[-1] in _OF_CONTACT
-    if path == _SEED:
+        is_own = len(path) == 2 or (path[1] == "pair" and len(path) == _PAIR_PATH_LENGTH)
+        return is_own and path[-1] in _CONTACT_KEYS
+    if path == _SEED_PATH:
         return True
     if len(path) < 3 or path[0] not in ("body", "force"):
         return False
-    return path[2] in _OF_BODIES if path[0] == "body" else _OF_TIME.isdisjoint(path)
+    return path[2] in _BODY_KEYS if path[0] == "body" else _TIME_KEYS.isdisjoint(path)
 
 
 def _pattern(value: Any) -> object:

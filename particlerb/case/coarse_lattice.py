@@ -23,12 +23,12 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
-_TOLERATED: Final = 0.01  # of a principal moment
-_ROUNDING: Final = 1e-9  # a lattice of 10 cells in a row is off by 1 % to rounding
+_MAX_MOMENT_ERROR: Final = 0.01  # of a principal moment, relative
+_ERROR_ROUNDING: Final = 1e-9  # a lattice of 10 cells in a row is off by 1 % to rounding
 MOST_PARTICLES: Final = 100_000  # of a lattice that is tried for advice,
-_MOST_CELLS: Final = 200  # and along its largest extent
-_FINER: Final = 1.1  # ratio of the numbers of cells that are tried
-_EXACT: Final = {  # arrangement with exactly the tensor of the solid
+_MAX_CELLS_ALONG: Final = 200  # the largest extent
+_CELLS_RATIO: Final = 1.1  # of the numbers of cells that are tried one after the other
+_ARRANGEMENTS: Final = {  # with exactly the tensor of the solid
     **dict.fromkeys(("box", "ball", "ellipsoid", "rod", "tetrahedron"), "exact"),
     **dict.fromkeys(("shell", "cylinder", "cone", "torus"), "cells"),
 }
@@ -54,9 +54,9 @@ def coarse(system: System) -> Iterator[Problem]:
         off[ideal == 0.0] = 0.0
         worst = int(np.argmax(np.abs(off)))
         code = int(system.properties.rotor_class[k])
-        is_changed = code == POINT or (code == ROD and ideal[0] > _TOLERATED * moments[0])
+        is_changed = code == POINT or (code == ROD and ideal[0] > _MAX_MOMENT_ERROR * moments[0])
         is_asked = all(getattr(shape, "inertia_error", None) is not None for shape in filled)
-        is_off = abs(off[worst]) > _TOLERATED * (1.0 + _ROUNDING)
+        is_off = abs(off[worst]) > _MAX_MOMENT_ERROR * (1.0 + _ERROR_ROUNDING)
         if not is_changed and (is_asked or not is_off):
             continue
         count = int(system.summed[k])
@@ -135,15 +135,15 @@ def _error_of(shape: AnyShape, particles: Particles) -> float:
 def _advice(shape: AnyShape) -> str:
     """What would do: a finer lattice if there is one that is not too large, and the exact set."""
     n, finer = int(np.max(_cells_of(shape))), ""
-    while not finer and n < _MOST_CELLS:
-        n = max(n + 1, round(_FINER * n))
+    while not finer and n < _MAX_CELLS_ALONG:
+        n = max(n + 1, round(_CELLS_RATIO * n))
         try:
             particles = _particles_of(shape, n)
         except ValueError:  # no cell is inside
             continue
         if len(particles.mass) > MOST_PARTICLES:
             break
-        if _error_of(shape, particles) <= _TOLERATED * (1.0 + _ROUNDING):
-            finer = f"n = {n} is within {100 * _TOLERATED:g} %; "
-    exact = f'arrangement = "{_EXACT[shape.type]}" has exactly the moments of the solid'
+        if _error_of(shape, particles) <= _MAX_MOMENT_ERROR * (1.0 + _ERROR_ROUNDING):
+            finer = f"n = {n} is within {100 * _MAX_MOMENT_ERROR:g} %; "
+    exact = f'arrangement = "{_ARRANGEMENTS[shape.type]}" has exactly the moments of the solid'
     return f"{finer}{exact}"

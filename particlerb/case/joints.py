@@ -76,8 +76,8 @@ def _is_not_zero(value: float) -> float:
 
 
 _Number = Annotated[int, Strict()]
-_TEETH = "give those of `body` and of the other side: teeth = [20, 40]"
-_Teeth = Annotated[tuple[_Number, _Number], entries(2, hint=_TEETH), AfterValidator(_mesh)]
+_TEETH_HINT = "give those of `body` and of the other side: teeth = [20, 40]"
+_Teeth = Annotated[tuple[_Number, _Number], entries(2, hint=_TEETH_HINT), AfterValidator(_mesh)]
 _Lead = Annotated[Real, AfterValidator(_is_not_zero)]
 
 

@@ -13,7 +13,7 @@ from particlerb.case.problems import CaseError, Locator, Path, Source, nearest, 
 from particlerb.case.schema import Case
 from particlerb.case.values import Table, plain
 
-_KINDS = {
+_WORDS_OF_KINDS = {
     "bool_type": "must be true or false",
     "float_type": "must be a number",
     "int_type": "must be a whole number",
@@ -24,10 +24,10 @@ _KINDS = {
     "model_attributes_type": "must be a table",
 }
 _GUESS = r'did you mean "(.*?)"|\S+ is a key of (\w+)$'
-_EMPTY = ("string_too_short", "too_short")
-_BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"),
+_EMPTY_KINDS = ("string_too_short", "too_short")
+_BOUND_KINDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"),
           "less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}  # fmt: skip
-_WORDS: dict[type, str] = {
+_WORDS_OF_TYPES: dict[type, str] = {
     bool: "true or false", str: "a text", list: "a list", tuple: "a list", dict: "a table",
     int: "a whole number", float: "a number", type(None): "nothing",
 }  # fmt: skip
@@ -173,20 +173,20 @@ def _type_message(path: Path, context: dict[str, Any], keys: Sequence[str]) -> M
 
 def _reason_of(kind: str, context: dict[str, Any], value: Any) -> str:
     """Reason for the kinds of error that numbers and texts have."""
-    if kind in _BOUNDS:
-        sign, bound = _BOUNDS[kind]
+    if kind in _BOUND_KINDS:
+        sign, bound = _BOUND_KINDS[kind]
         limit = f"{context[bound]:g}" if isinstance(context[bound], float) else context[bound]
         return f"must be {sign} {limit}, got {shown(value)}"
     if kind == "finite_number":
         return f"must be finite, got {shown(value)}"
-    if kind in _EMPTY:
+    if kind in _EMPTY_KINDS:
         return "must not be empty"
-    return f"{_KINDS[kind]}, got {_described(value)}" if kind in _KINDS else ""
+    return f"{_WORDS_OF_KINDS[kind]}, got {_described(value)}" if kind in _WORDS_OF_KINDS else ""
 
 
 def _described(value: Any) -> str:
     """Kind of a value, and the value itself where it is short."""
-    word = _WORDS.get(type(value), type(value).__name__)
+    word = _WORDS_OF_TYPES.get(type(value), type(value).__name__)
     return word if isinstance(value, (list, tuple, dict, type(None))) else f"{word}: {shown(value)}"
 
 

@@ -19,8 +19,8 @@ from particlerb.case.values import (
 )
 from particlerb.model.fields import names_of
 
-_OF_BODIES = names_of("body")
-FIELDS = _OF_BODIES[:4]  # a state, which is recorded unasked
+_BODY_FIELDS = names_of("body")
+FIELDS = _BODY_FIELDS[:4]  # a state, which is recorded unasked
 FIELDS_OF_WALLS = names_of("wall")
 FIELDS_OF_JOINTS = names_of("joint", "coordinate")
 FIELDS_OF_LAWS = {  # what contacts without stiffness show, by their law
@@ -29,12 +29,12 @@ FIELDS_OF_LAWS = {  # what contacts without stiffness show, by their law
 }
 FIELDS_OF_IMPULSES = names_of("impulse", "event")
 FIELDS_OF_CONTACT = ("contacts", *names_of("touching body"), *FIELDS_OF_WALLS)
-_NAMES = (*_OF_BODIES, *FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS, *FIELDS_OF_IMPULSES)
-_FieldName = Annotated[str, one_of(*_NAMES)]
+_FIELD_NAMES = (*_BODY_FIELDS, *FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS, *FIELDS_OF_IMPULSES)
+_FieldName = Annotated[str, one_of(*_FIELD_NAMES)]
 _FieldNames = Annotated[tuple[_FieldName, ...], Field(min_length=1), distinct("name")]
-_OF_JOINTS = tuple(name for name in FIELDS_OF_JOINTS if not name.endswith("_determined"))
-_OTHERS = ("kinetic_energy", "inertia", *_OF_JOINTS, *FIELDS_OF_IMPULSES)
-_Quantity = Annotated[str, one_of(*_OF_BODIES, *_OTHERS)]
+_JOINT_QUANTITIES = tuple(name for name in FIELDS_OF_JOINTS if not name.endswith("_determined"))
+_OTHER_QUANTITIES = ("kinetic_energy", "inertia", *_JOINT_QUANTITIES, *FIELDS_OF_IMPULSES)
+_Quantity = Annotated[str, one_of(*_BODY_FIELDS, *_OTHER_QUANTITIES)]
 
 
 class Output(Table):
@@ -86,7 +86,7 @@ class Asked(Table):
     @model_validator(mode="after")
     def has_an_owner(self) -> Self:
         """Require whom the quantity is of, and a frame that it can have."""
-        owner = "joint" if self.quantity in _OF_JOINTS else "body"
+        owner = "joint" if self.quantity in _JOINT_QUANTITIES else "body"
         of, hint = f"{self.quantity} is of a {owner}", f"give `{owner}` alone"
         if self.quantity in FIELDS_OF_IMPULSES:
             owner, of, hint = "", f"{self.quantity} is of all contacts", "leave it out"

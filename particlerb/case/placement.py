@@ -14,7 +14,7 @@ from particlerb.case.schema import Case
 from particlerb.case.values import Euler, FloatArray, IntArray
 from particlerb.model.names import BodyNames
 
-_PURPOSES = {"place": 0, "orientation": 1, "velocity": 2, "angular_velocity": 3, "shape": 4}
+_SEED_OF_PURPOSE = {"place": 0, "orientation": 1, "velocity": 2, "angular_velocity": 3, "shape": 4}
 
 
 class Placement(NamedTuple):
@@ -66,9 +66,9 @@ def random_stream(seed: int, block: int, purpose: str) -> np.random.Generator:
     block : int
         Index of the [[body]] table.
     purpose : str
-        A key of `_PURPOSES`; "shape" is for particles drawn at random.
+        A key of `_SEED_OF_PURPOSE`; "shape" is for particles drawn at random.
     """
-    entropy = np.random.SeedSequence([seed, block, _PURPOSES[purpose]])
+    entropy = np.random.SeedSequence([seed, block, _SEED_OF_PURPOSE[purpose]])
     return np.random.default_rng(entropy)
 
 

@@ -21,7 +21,7 @@ _TOKEN = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 _AFTER_VALUE = {",", "]", "}"}
-_CLOSING = {"[": "]", "{": "}"}
+_BRACKETS = {"[": "]", "{": "}"}
 
 
 class _Token(NamedTuple):
@@ -130,7 +130,7 @@ class _Scanner:
     def value(self, path: Path) -> _Range:
         """Extent of a value; those inside it are noted on the way."""
         token = self.peek()
-        if token.text in _CLOSING:
+        if token.text in _BRACKETS:
             return self.container(path)
         end = token.end
         while self.peek().kind not in {"end", "newline"} and self.peek().text not in _AFTER_VALUE:
@@ -140,7 +140,7 @@ class _Scanner:
     def container(self, path: Path) -> _Range:
         """`[a, b, ...]`, each entry noted with its index, or `{ key = value, ... }`."""
         opening, index = self.take(), 0
-        while (token := self.peek()).text != _CLOSING[opening.text] and token.kind != "end":
+        while (token := self.peek()).text != _BRACKETS[opening.text] and token.kind != "end":
             if token.text == "," or token.kind == "newline":
                 self.take()
             elif opening.text == "{":

@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 Path: TypeAlias = tuple[str | int, ...]
 """Keys and indices from the root of the case, e.g. ("body", 0, "shape", "radius")."""
 
-_LONGEST_VALUE = 60
-_LONGEST_LINE = 96
-_LONGEST_MESSAGE = 1000
-_MOST_LISTED = 20  # names in a hint
-_MOST_COMPARED = 1000
-_MEANT = {
+_MAX_VALUE_LENGTH = 60
+_MAX_LINE_LENGTH = 96
+_MAX_MESSAGE_LENGTH = 1000
+_MAX_NAMES_LISTED = 20  # in a hint
+_MAX_NAMES_COMPARED = 1000
+_SYNONYMS = {
     "box": ("cube", "cuboid", "brick", "block", "plate"),
     "drag": ("wind", "friction", "damping"),
     "hinge": ("pin", "revolute"),
@@ -66,8 +66,8 @@ class Problem(NamedTuple):
     def excerpt(self) -> list[str]:
         """Source line with an underline, cut to a window where it is long."""
         start = (self.column or 1) - 1
-        first = max(0, start - _LONGEST_LINE // 2) if len(self.source) > _LONGEST_LINE else 0
-        shown = self.source[first : first + _LONGEST_LINE]
+        first = max(0, start - _MAX_LINE_LENGTH // 2) if len(self.source) > _MAX_LINE_LENGTH else 0
+        shown = self.source[first : first + _MAX_LINE_LENGTH]
         shown = "".join(c if c.isprintable() else " " for c in shown).rstrip()
         width = max(1, min(self.length, len(shown) - (start - first)))
         return [f"{self.line:>5} | {shown}", f"      | {' ' * (start - first)}{'^' * width}"]
@@ -95,7 +95,7 @@ def refuse(problems: Collection[Problem]) -> None:
 
 def _printable(text: str) -> str:
     """Text that a terminal can show as it is: control characters and the like escaped, and cut."""
-    cut = text if len(text) <= _LONGEST_MESSAGE else f"{text[:_LONGEST_MESSAGE]}..."
+    cut = text if len(text) <= _MAX_MESSAGE_LENGTH else f"{text[:_MAX_MESSAGE_LENGTH]}..."
     return "".join(
         c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in cut
     )
@@ -118,24 +118,24 @@ def path_of(key: str) -> Path:
 
 def shown(value: Any) -> str:
     """Value for a message, shortened."""
-    if isinstance(value, list) and len(value) > _LONGEST_VALUE:
-        value = value[:_LONGEST_VALUE]
+    if isinstance(value, list) and len(value) > _MAX_VALUE_LENGTH:
+        value = value[:_MAX_VALUE_LENGTH]
     try:
         text = repr(value).replace("\n", " ")
     except (ValueError, RecursionError):  # an integer of more than 4300 digits
         text = "..."
-    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
+    return text if len(text) <= _MAX_VALUE_LENGTH else text[: _MAX_VALUE_LENGTH - 3] + "..."
 
 
 def nearest(word: str, names: Sequence[str], label: str = "known") -> str:
     """Hint with the known word that is meant, in double quotes, and all that are known."""
     if not names:
         return ""
-    meant = [name for name, others in _MEANT.items() if word.lower() in others and name in names]
-    close = meant or difflib.get_close_matches(word[:100], names[:_MOST_COMPARED], 1, 0.5)
+    meant = [name for name, others in _SYNONYMS.items() if word.lower() in others and name in names]
+    close = meant or difflib.get_close_matches(word[:100], names[:_MAX_NAMES_COMPARED], 1, 0.5)
     guess = f'did you mean "{close[0]}"? ' if close else ""
-    rest = f", ... ({len(names)} in all)" if len(names) > _MOST_LISTED else ""
-    return f"{guess}{label}: {', '.join(names[:_MOST_LISTED])}{rest}"
+    rest = f", ... ({len(names)} in all)" if len(names) > _MAX_NAMES_LISTED else ""
+    return f"{guess}{label}: {', '.join(names[:_MAX_NAMES_LISTED])}{rest}"
 
 
 class Source(NamedTuple):

@@ -32,8 +32,8 @@ from particlerb.files import Files
 
 __all__ = ["CaseError", "Problem", "load", "parse"]
 
-_LARGEST_FILE = 64 * 2**20
-_MOST_PROBLEMS = 100
+_MAX_FILE_BYTES = 64 * 2**20
+_MAX_PROBLEMS_LISTED = 100
 _PLAIN_WORDS = {
     "Invalid value": "this is not a TOML value: text needs quotes, numbers none",
     "Expected '=' after a key": "a key needs a `=` and a value",
@@ -144,7 +144,7 @@ def read_text(path: FilePath) -> str:
             raise CaseError([file_problem(path, "is a folder, not a case file")])
         if not path.is_file():
             raise CaseError([_missing_file(path)])
-        if path.stat().st_size > _LARGEST_FILE:
+        if path.stat().st_size > _MAX_FILE_BYTES:
             raise CaseError([file_problem(path, "is larger than 64 MiB", "put particles in CSV")])
         raw = path.read_bytes()
     except (OSError, ValueError) as error:
@@ -206,8 +206,8 @@ def _located(source: Source, messages: Sequence[Message]) -> list[Problem]:
     """Messages with their places in the file, each once, and not more than can be read."""
     distinct = list({(key_of(m.path), m.reason): m for m in messages}.values())
     locator = Locator(source)
-    problems = [locator.problem(*m) for m in distinct[:_MOST_PROBLEMS]]
-    if len(distinct) > _MOST_PROBLEMS:
-        reason = f"{len(distinct) - _MOST_PROBLEMS} more problems are not shown"
+    problems = [locator.problem(*m) for m in distinct[:_MAX_PROBLEMS_LISTED]]
+    if len(distinct) > _MAX_PROBLEMS_LISTED:
+        reason = f"{len(distinct) - _MAX_PROBLEMS_LISTED} more problems are not shown"
         problems.append(file_problem(source.path, reason))
     return problems

@@ -24,7 +24,7 @@ from particlerb.files import Files
 
 _Keys = ParamSpec("_Keys")
 _Record = TypeVar("_Record", bound=Table)
-_LISTS = ("body", "force", "joint", "material", "wall")
+_LIST_KEYS = ("body", "force", "joint", "material", "wall")
 
 
 def _adds(
@@ -168,7 +168,7 @@ class Scene(Mapping[str, Any]):
         self = cls(case.run)
         for key in case.model_fields_set:
             value = getattr(case, key)
-            setattr(self, key, list(value) if key in _LISTS else value)
+            setattr(self, key, list(value) if key in _LIST_KEYS else value)
         self.files = case.source.files
         return self
 
@@ -179,7 +179,7 @@ class Scene(Mapping[str, Any]):
     def __getitem__(self, key: str) -> Any:
         """Table, or list of tables, of this name."""
         value = getattr(self, key) if key in Case.model_fields else None
-        if value is None or (key in _LISTS and not value) or value == "":
+        if value is None or (key in _LIST_KEYS and not value) or value == "":
             raise KeyError(key)
         return value
 
@@ -193,5 +193,5 @@ class Scene(Mapping[str, Any]):
 
     def __repr__(self) -> str:
         """What it holds, in a line."""
-        counts = [f"{len(getattr(self, key))} {key}" for key in _LISTS if getattr(self, key)]
+        counts = [f"{len(getattr(self, key))} {key}" for key in _LIST_KEYS if getattr(self, key)]
         return f"<Scene {self.title!r}: {', '.join(counts) or 'empty'}>"

@@ -31,8 +31,8 @@ from particlerb.model.state import initial_state
 from particlerb.model.system import System
 from particlerb.model.worlds import WorldsDifferError
 
-_MATTER = ("shape", "mass", "density")
-_DRAWN = (NormalDistribution, RandomBox, str)
+_MATTER_KEYS = ("shape", "mass", "density")
+_RANDOM_TYPES = (NormalDistribution, RandomBox, str)
 _Changes = Mapping[Path, Sequence[Any]]
 
 
@@ -88,7 +88,7 @@ def _kinds(case: Case, changes: _Changes, first: System, n_worlds: int) -> dict[
     kind, n, records = np.tile(first.kind, (n_worlds, 1)), len(case.body), list(case.body)
     owners = []
     for i, body in enumerate(case.body):
-        new = {key: changes["body", i, key] for key in _MATTER if ("body", i, key) in changes}
+        new = {key: changes["body", i, key] for key in _MATTER_KEYS if ("body", i, key) in changes}
         if new:
             owners.append(i)
             each = zip(*new.values(), strict=True)
@@ -119,7 +119,7 @@ def _placement(case: Case, changes: _Changes, n_worlds: int) -> Placement:
     for i, body in enumerate(case.body):
 
         def differs(key: str, i: int = i, body: Any = body) -> bool:
-            is_drawn = ("run",) in changes and isinstance(getattr(body, key), _DRAWN)
+            is_drawn = ("run",) in changes and isinstance(getattr(body, key), _RANDOM_TYPES)
             return is_drawn or ("body", i, key) in changes
 
         members = slice(base.names.first[i], base.names.first[i + 1])

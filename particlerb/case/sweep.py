@@ -9,7 +9,7 @@ from particlerb.case.output import Asked
 from particlerb.case.problems import path_of
 from particlerb.case.values import Count, Forms, Name, Real, Table, Yes, broken
 
-_RANDOM = ("latin", "random")
+_RANDOM_DESIGNS = ("latin", "random")
 SEED = "run.seed"
 
 
@@ -83,7 +83,7 @@ class SweepTable(Table):
     @model_validator(mode="after")
     def says_how_many(self) -> Self:
         """Require a number of runs where they are drawn, else of values on each axis."""
-        is_drawn = self.design in _RANDOM
+        is_drawn = self.design in _RANDOM_DESIGNS
         if is_drawn and self.runs is None:
             raise broken(f"missing: how many a {self.design} design has", "runs")
         if not is_drawn and self.runs is not None:

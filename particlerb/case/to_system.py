@@ -42,7 +42,7 @@ from particlerb.model.state import initial_state, kinetic_energy, rotate, rotati
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import POINT, ROD
 
-_SMALLEST = 1e-307  # mass [kg] or moment of inertia [kg m²]
+_MIN_INERTIA = 1e-307  # [kg] of a mass, [kg m²] of a moment of inertia
 _OUT_OF_RANGE = "its volume or moment of inertia is out of the range of float64"
 _SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
 
@@ -195,7 +195,7 @@ def _refuse_underflow(properties: MassProperties) -> None:
     """Raise ValueError where 1 / M or 1 / I would overflow."""
     sizes = np.append(properties.mass, properties.moments)
     sizes = sizes[sizes > 0.0]
-    if sizes.min(initial=1.0) < _SMALLEST:
+    if sizes.min(initial=1.0) < _MIN_INERTIA:
         raise ValueError(
             f"mass or moment of inertia {float(sizes.min())!r} is too small: its inverse is too"
             " large for float64"

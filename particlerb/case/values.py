@@ -34,8 +34,8 @@ from particlerb.case.problems import shown
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 LARGEST_COUNT = 2**31 - 1
-_PLAIN: Final = frozenset((float, int, str, bool))  # what is as a case has it
-_SHORTEST = 1e-300  # [s] between two knots: its inverse is finite
+_PLAIN_TYPES: Final = frozenset((float, int, str, bool))  # what is as a case has it
+_MIN_KNOT_INTERVAL = 1e-300  # [s]: its inverse is finite
 
 
 class Table(BaseModel):
@@ -219,7 +219,7 @@ def _ascending(value: tuple[float, ...]) -> tuple[float, ...]:
 def first_out_of_order(times: Sequence[float]) -> int | None:
     """Number of the first time that is not later than the one before it; None: there is none."""
     pairs = enumerate(pairwise(times), 1)
-    return next((k for k, (before, after) in pairs if after - before <= _SHORTEST), None)
+    return next((k for k, (before, after) in pairs if after - before <= _MIN_KNOT_INTERVAL), None)
 
 
 def _nested_numbers(value: Any) -> Any:
@@ -244,7 +244,7 @@ def plain(value: Any, keeps_rows: bool = False, keeps_tables: bool = False) -> A
 
     Two-dimensional arrays stay where they may be rows for many bodies: in tables without `type`.
     """
-    if type(value) in _PLAIN:
+    if type(value) in _PLAIN_TYPES:
         return value
     if isinstance(value, BaseModel):
         return value if keeps_tables else plain(value.model_dump(exclude_unset=True))

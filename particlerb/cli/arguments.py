@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final, NamedTuple
 
-_BODY_FILE: Final = "a case; a table x y z m [r] of points, x y z r of spheres; STL, OBJ, PLY"
+_BODY_FILE_HELP: Final = "a case; a table x y z m [r] of points, x y z r of spheres; STL, OBJ, PLY"
 
 _Parser = argparse.ArgumentParser
 _Option = Callable[[_Parser], object]
@@ -166,7 +166,7 @@ COMMANDS: Final = {
         *_output("FILE.csv", "the table; rows already in it are not run again", "the table"),
     )),
     "mass": Command("bodies", "print the mass properties of bodies", (
-        _option("file", metavar="FILE", help=_BODY_FILE),
+        _option("file", metavar="FILE", help=_BODY_FILE_HELP),
         _option("body", nargs="?", metavar="BODY", help="body of a case; default: all"),
         _SET, _matter,
         _option("--spin", type=_positive, metavar="RAD/S",
@@ -189,7 +189,7 @@ COMMANDS: Final = {
               help="draw the force chains of the last frame; contacts must have been recorded"),
     )),
     "export": Command("export", "write files for other programs", (
-        _option("file", metavar="FILE", help=f"a trajectory; or bodies: {_BODY_FILE}"),
+        _option("file", metavar="FILE", help=f"a trajectory; or bodies: {_BODY_FILE_HELP}"),
         _option("--to", required=True, metavar="FORMAT",
                 help="a trajectory: gsd, csv, particles, contacts, lammps, npz, h5; bodies: lammps,"
                 " mjcf, yade, gsd"),

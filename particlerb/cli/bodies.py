@@ -16,7 +16,7 @@ from particlerb.cli.common import find_case, read_case
 from particlerb.cli.exit_codes import DONE, Ending, ending
 from particlerb.geometry.fill import mesh_particles
 from particlerb.geometry.mass_properties import MassProperties, mass_properties, of_kind
-from particlerb.geometry.mesh import read_mesh
+from particlerb.geometry.mesh import MESH_SUFFIXES, read_mesh
 from particlerb.geometry.overlapping_spheres import spheres
 from particlerb.geometry.particle_files import POINTS, columns_of, read_points, read_spheres
 from particlerb.geometry.particles import Particles, kind_of, scaled_to_mass
@@ -24,10 +24,9 @@ from particlerb.model.state import omega_world
 from particlerb.plan.time_step import RADIANS_PER_STEP
 from particlerb.studies.mass_report import record_of, text_of
 
-_TABLES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
-_MESHES: Final = (".stl", ".obj", ".ply")
-_HDF5: Final = b"\x89HDF\r\n\x1a\n"
-_UNWEIGHED: Final = 1.0  # [kg/m³] density of a file that says none, and no option either
+_TABLE_SUFFIXES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
+_HDF5_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+_DEFAULT_DENSITY: Final = 1.0  # [kg/m³] where neither the file nor an option says one
 
 
 class _Named(NamedTuple):
@@ -53,7 +52,7 @@ def is_hdf5(path: Path) -> bool:
     """Whether a file says that it is HDF5."""
     try:
         with path.open("rb") as file:
-            return file.read(len(_HDF5)) == _HDF5
+            return file.read(len(_HDF5_SIGNATURE)) == _HDF5_SIGNATURE
     except OSError:
         return False
 
@@ -145,7 +144,7 @@ def _table_body(path: Path, options: argparse.Namespace) -> tuple[Particles, Mat
 def _amount(options: argparse.Namespace) -> tuple[float | None, float | None]:
     """Mass and density of uniform matter, one of them given."""
     if options.mass is None and options.density is None:
-        return None, _UNWEIGHED
+        return None, _DEFAULT_DENSITY
     return options.mass, options.density
 
 
@@ -156,8 +155,8 @@ def mesh_body(path: Path, options: argparse.Namespace) -> tuple[Particles, Matte
 
 
 _READERS: Final[dict[str, Callable[[Path, argparse.Namespace], tuple[Particles, Matter]]]] = {
-    **dict.fromkeys(_TABLES, _table_body),
-    **dict.fromkeys(_MESHES, mesh_body),
+    **dict.fromkeys(_TABLE_SUFFIXES, _table_body),
+    **dict.fromkeys(MESH_SUFFIXES, mesh_body),
 }
 
 

@@ -8,23 +8,23 @@ from typing import Final
 
 DONE: Final = 0
 FAILED: Final = 1
-_WRONG: Final = 2
+_WRONG_INPUT: Final = 2
 MISSED: Final = 3
 INTERRUPTED: Final = 130
-_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # what a full disk says
-_CONTROLS: Final = dict.fromkeys((*range(32), *range(127, 160)), "�")
+_DISK_FULL_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_CONTROL_CHARACTERS: Final = dict.fromkeys((*range(32), *range(127, 160)), "�")
 
 
 class Ending(Exception):  # noqa: N818
     """One message with which a command ends, and its exit code; by default wrong usage."""
 
-    def __init__(self, message: str, code: int = _WRONG) -> None:
+    def __init__(self, message: str, code: int = _WRONG_INPUT) -> None:
         super().__init__(message)
         self.code = code
 
 
 @contextlib.contextmanager
-def ending(*errors: type[Exception], code: int = _WRONG) -> Iterator[None]:
+def ending(*errors: type[Exception], code: int = _WRONG_INPUT) -> Iterator[None]:
     """End the command with the message of an error of these kinds; by default wrong usage."""
     try:
         yield
@@ -34,7 +34,7 @@ def ending(*errors: type[Exception], code: int = _WRONG) -> Iterator[None]:
 
 def tamed(text: str) -> str:
     """Text of a file that no terminal takes for an order: lines and tabs stay."""
-    return text.translate(_CONTROLS | {ord(c): c for c in "\n\t"})
+    return text.translate(_CONTROL_CHARACTERS | {ord(c): c for c in "\n\t"})
 
 
 def fault_text(error: OSError) -> str:
@@ -46,7 +46,7 @@ def fault_text(error: OSError) -> str:
         os.getcwd()
     except OSError:
         return "the current folder is gone: change to one that is there"
-    if error.errno in _ROOM:
+    if error.errno in _DISK_FULL_ERRORS:
         try:
             print(flush=True)
         except OSError:

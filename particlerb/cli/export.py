@@ -17,7 +17,7 @@ from particlerb.export import FORMATS, ExportError, export
 from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
 from particlerb.studies.text import count_of
 
-_SCENES: Final = {"mjcf": ".xml", "lammps": ".in"}  # formats that hold a whole case, and suffixes
+_SCENE_SUFFIXES: Final = {"mjcf": ".xml", "lammps": ".in"}  # of formats that hold a whole case
 
 
 def export_command(options: argparse.Namespace) -> int:
@@ -40,7 +40,7 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
         )
     if options.frames != slice(None) or options.fields:
         raise Ending("--frames and --fields are for trajectories")
-    if options.to in _SCENES and not options.bodies and (case := case_of(options)):
+    if options.to in _SCENE_SUFFIXES and not options.bodies and (case := case_of(options)):
         return _export_scene(options, case)
     bodies = [
         Exported(body.name, body.particles, body.properties)
@@ -65,7 +65,7 @@ def _export_scene(options: argparse.Namespace, case: Case) -> int:
     from particlerb.simulation.run import prepare
 
     source = Path(options.file)
-    path = output_of(options, source.with_suffix(_SCENES[options.to]), source)
+    path = output_of(options, source.with_suffix(_SCENE_SUFFIXES[options.to]), source)
     with ending(CaseError, ExportError), writing(path):
         prepared = prepare(to_system(case))
         system, step = prepared.system, step_of(prepared)

@@ -15,24 +15,24 @@ from particlerb.cli.exit_codes import Ending
 from particlerb.files import Closing
 from particlerb.simulation.outcome import Reached
 
-_HEAD: Final = (
+_LOG_HEAD: Final = (
     f"{'time [s]':>14} {'frames':>14} {'energy [J]':>18} {'error [J]':>11}"
     f" {'elapsed [s]':>12} {'left [s]':>10}"
 )
-_UNTIMED: Final = 2  # reports of the start, and of a first frame, before which kernels compile
-_SECONDS: Final = {"lines": 10.0, "log": 1.0}  # between lines
+_UNTIMED_REPORTS: Final = 2  # of the start, and of a first frame, before which kernels compile
+_SECONDS_BETWEEN: Final = {"lines": 10.0, "log": 1.0}  # lines
 
 
 def _new_log(path: Path) -> TextIO:
     """File for lines, with its head; what is there may only be another log."""
     try:
         data = path.read_bytes() if path.exists() else b""
-        if data and not data.startswith(_HEAD.encode()):
+        if data and not data.startswith(_LOG_HEAD.encode()):
             raise Ending(f"--log {path} exists and is not a log: give another name")
         file = path.open("w", encoding="utf-8")
     except OSError as error:
         raise Ending(f"--log {path} cannot be written: {error.strerror}") from None
-    print(_HEAD, file=file, flush=True)
+    print(_LOG_HEAD, file=file, flush=True)
     return file
 
 
@@ -77,14 +77,14 @@ class Report(Closing):
         self.bar.set_postfix_str(f"t = {reached.time:.6g} s", refresh=False)
         self.bar.update(reached.frames)
         now = time.monotonic()
-        if self.taken < _UNTIMED:
+        if self.taken < _UNTIMED_REPORTS:
             self.start, self.first = now, self.done
             if "lines" in self.said:
                 self.said["lines"] = now
         self.taken += 1
         self.last = reached
         for name, output in self.outputs.items():
-            if now - self.said[name] >= _SECONDS[name]:
+            if now - self.said[name] >= _SECONDS_BETWEEN[name]:
                 self.said[name] = now
                 self._write(name, output)
 
@@ -93,7 +93,7 @@ class Report(Closing):
         assert self.last is not None
         if name == "lines":
             if not self.lines:
-                print(_HEAD, file=output)
+                print(_LOG_HEAD, file=output)
             self.lines += 1
         elapsed, done = time.monotonic() - self.start, self.done - self.first
         left = f"{elapsed * (self.total - self.done) / done:10.0f}" if done else f"{'':>10}"

@@ -46,13 +46,13 @@ from particlerb.simulation.run import run_prepared
 from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, RunError
 
-_LONGEST_ENDING: Final = 10  # lines that a run ends with
-_OTHERS: Final = (
+_MAX_ENDING_LINES: Final = 10  # that a run ends with
+_OTHER_SUFFIXES: Final = (
     ".png", ".svg", ".pdf", ".csv", ".txt", ".toml", ".json", ".gsd", ".npz", ".xml", ".stl",
     ".log",
 )  # fmt: skip
-_BROKEN: Final = 3  # joints that are named
-_UNSOLVED: Final = 1.0  # residual of impulses that are no better than none
+_BROKEN_NAMED: Final = 3  # joints at most
+_UNSOLVED_RESIDUAL: Final = 1.0  # of impulses that are no better than none
 
 
 def prepared_case(options: argparse.Namespace) -> Prepared:
@@ -128,7 +128,7 @@ def _conclude(
     else:
         lines = [] if options.quiet else [*_notes(outcome), f"written: {path}"]
         if checks:
-            lines.insert(0, f"checks\n{table(checks, _LONGEST_ENDING - len(lines) - 1)}")
+            lines.insert(0, f"checks\n{table(checks, _MAX_ENDING_LINES - len(lines) - 1)}")
         if lines:
             print("\n".join(lines))
     _warn(options, run_warnings(prepared, outcome))
@@ -140,7 +140,7 @@ def _output_path(options: argparse.Namespace, system: System) -> Path:
     source = system.source.path
     stem = source.stem if source else "run"
     named = Path(options.output or stem)
-    if named != source and named.suffix.lower() in _OTHERS:
+    if named != source and named.suffix.lower() in _OTHER_SUFFIXES:
         raise Ending(f"{named}: a trajectory is an HDF5 file, as {named.with_suffix('.h5')}")
     return output_of(options, Path("output") / f"{stem}.h5", source)
 
@@ -269,7 +269,7 @@ def _notes(outcome: Outcome) -> list[str]:
         share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
         lines.append(f"{share} were taken in closed form: no contact in reach")
     if outcome.broken:
-        broken = [f"{name} at t = {time:.6g} s" for name, time in outcome.broken[:_BROKEN]]
+        broken = [f"{name} at t = {time:.6g} s" for name, time in outcome.broken[:_BROKEN_NAMED]]
         n = len(outcome.broken) - len(broken)
         others = f", and {n} more: the field joint_break_time has all" if n else ""
         lines.append(f"joints broke: {', '.join(broken)}{others}")
@@ -340,7 +340,7 @@ def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
             f" above the requested {tree.asked:.2g}: the scene has changed since its opening angle"
             f" was chosen; set attraction.opening_angle = {angle:.2g}"
         )
-    if tally is not None and tally[records.WORST_EVER] >= _UNSOLVED:
+    if tally is not None and tally[records.WORST_EVER] >= _UNSOLVED_RESIDUAL:
         warnings.append(
             "particlerb: warning: impulses of contacts were not found: the residual reached"
             f" {tally[records.WORST_EVER]:.2g} at t = {tally[records.WORST_TIME]:.6g} s, and where"

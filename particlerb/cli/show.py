@@ -16,8 +16,8 @@ from particlerb.record.schema import CONTACTS
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.verify import verify
 
-_LONGEST_TEXT: Final = 10_000
-_CHAINS: Final = ("position", "orientation", "contacts")
+_MAX_TEXT_LENGTH: Final = 10_000
+_CHAIN_FIELDS: Final = ("position", "orientation", "contacts")
 
 
 def info_command(options: argparse.Namespace) -> int:
@@ -81,9 +81,9 @@ def _size_of(trajectory: Trajectory) -> int:
 
 def _shortened(words: str) -> str:
     """A text that may be long, as far as one reads it."""
-    if len(words) <= _LONGEST_TEXT:
+    if len(words) <= _MAX_TEXT_LENGTH:
         return words
-    return f"{words[:_LONGEST_TEXT]}\n... ({len(words)} characters; --json prints all)"
+    return f"{words[:_MAX_TEXT_LENGTH]}\n... ({len(words)} characters; --json prints all)"
 
 
 def _text_of(name: str, value: Any) -> str:
@@ -104,7 +104,7 @@ def plot_command(options: argparse.Namespace) -> int:
         path = output_of(options, source.with_suffix(".png"), source)
         names = list(trajectory.names)
         recorded = [*trajectory.fields, *trajectory.other_fields]
-        wanted = _CHAINS if options.contacts else STATE_FIELDS
+        wanted = _CHAIN_FIELDS if options.contacts else STATE_FIELDS
         lacking = [field for field in wanted if field not in recorded]
         if lacking:
             raise Ending(f"{options.file} lacks {', '.join(lacking)}: see [output] fields")

@@ -26,7 +26,7 @@ SCENES: Final = {
     "cradle": "newtons_cradle", "linkage": "four_bar", "heap": "heap",
 }  # fmt: skip
 """Examples that may be chosen on the page, by what they are called there."""
-_MISSING: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
+_VISER_HINT: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
 
 
 def view_command(options: argparse.Namespace) -> int:
@@ -40,7 +40,7 @@ def view_command(options: argparse.Namespace) -> int:
         from particlerb.view.access import Access, AccessError
         from particlerb.view.server import listening
     except ImportError:
-        raise Ending(_MISSING, FAILED) from None
+        raise Ending(_VISER_HINT, FAILED) from None
     try:
         access = Access(options.host, options.hosts, not options.no_token)
     except ValueError as error:

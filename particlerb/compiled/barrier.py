@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 from particlerb.compiled.jit import config, inline, kernel
 from particlerb.compiled.threads import THREADS
 
-_LINE: Final = 16  # numbers of two lines of the cache: nobody writes beside what others look at
-_ARRIVED: Final = 0  # how often somebody has come to a meeting
-_OVER: Final = _LINE  # whether nobody waits any more
-_TURN: Final = 6  # 1 in every other call of `largest`, behind two places of three numbers
-_PATIENCE: Final = 1000  # times to ask before others are let run
+_TWO_LINES: Final = 16  # numbers of the cache: nobody writes beside what others look at
+_ARRIVED: Final = 0  # place of how often somebody has come to a meeting
+_OVER: Final = _TWO_LINES  # place of whether nobody waits any more
+_TURN_AT: Final = 6  # 1 in every other call of `largest`, behind two places of three numbers
+_SPINS_BEFORE_YIELD: Final = 1000
 Result = TypeVar("Result")
 
 
@@ -95,7 +95,7 @@ def meet(team: Team) -> None:
     due, asked = (_add_atomically(arrivals, _ARRIVED, 1) // size + 1) * size, 0
     while _read_atomically(arrivals, _ARRIVED) < due and _read_atomically(arrivals, _OVER) == 0:
         asked += 1
-        if asked > _PATIENCE:
+        if asked > _SPINS_BEFORE_YIELD:
             _give_way()
 
 
@@ -109,8 +109,8 @@ def largest(team: Team, x: float, y: float, z: float) -> tuple[float, float, flo
     wishes, rank = team.wishes, team.rank
     if team.size == 1:
         return x, y, z
-    at = 0 if wishes[rank, _TURN] == 0.0 else 3
-    wishes[rank, _TURN] = 1.0 - wishes[rank, _TURN]
+    at = 0 if wishes[rank, _TURN_AT] == 0.0 else 3
+    wishes[rank, _TURN_AT] = 1.0 - wishes[rank, _TURN_AT]
     wishes[rank, at], wishes[rank, at + 1], wishes[rank, at + 2] = x, y, z
     meet(team)
     if _read_atomically(team.arrivals, _OVER) != 0:
@@ -134,7 +134,7 @@ def share_of(team: Team, first: int, end: int) -> tuple[int, int]:
 # Who runs
 
 
-ONE_THREAD: Final = Team(1, 0, np.zeros(2 * _LINE, dtype=np.int64), np.zeros((1, _LINE)))
+ONE_THREAD: Final = Team(1, 0, np.zeros(2 * _TWO_LINES, dtype=np.int64), np.zeros((1, _TWO_LINES)))
 TOGETHER: Final = threading.Lock()
 
 
@@ -162,7 +162,7 @@ def together(kernel: Callable[[Team], Result], most: int) -> Result:
 
 def _enter_all(kernel: Callable[[Team], Result], size: int) -> Result:
     """Do the work of `together`."""
-    arrivals, wishes = np.zeros(2 * _LINE, dtype=np.int64), np.zeros((size, _LINE))
+    arrivals, wishes = np.zeros(2 * _TWO_LINES, dtype=np.int64), np.zeros((size, _TWO_LINES))
 
     def enter(rank: int) -> Result:
         try:

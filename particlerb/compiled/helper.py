@@ -29,8 +29,8 @@ Function: TypeAlias = Callable[..., Any]
 Options: TypeAlias = Mapping[str, Any]
 Compile: TypeAlias = Callable[[Function], Function]
 Keep: TypeAlias = Callable[[Any], None] | None
-_LARGE: Final = 100  # instructions
-_ONLY_COPIED: Final = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_MIN_LARGE_INSTRUCTIONS: Final = 100
+_COPIED_OPTIONS: Final = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 class _Code(codegen.JITCodeLibrary):
@@ -72,7 +72,7 @@ class _Code(codegen.JITCodeLibrary):
             return False
         blocks = self._final_module.get_function(self.entry).blocks
         steps = (step for block in blocks for step in block.instructions)
-        return next(islice(steps, _LARGE, None), None) is not None
+        return next(islice(steps, _MIN_LARGE_INSTRUCTIONS, None), None) is not None
 
     def link_small(self) -> None:
         """Bring in what is optimised with this code."""
@@ -250,7 +250,7 @@ class Helper(registry.CPUDispatcher):
     ) -> None:
         stops_early = _Copying if is_fused else _UnfusedCopying
         self.kept_as = ".copied" if is_fused else ".copied.unfused"
-        super().__init__(function, {}, {**options, **_ONLY_COPIED}, stops_early)
+        super().__init__(function, {}, {**options, **_COPIED_OPTIONS}, stops_early)
         self.compiled, self.keep = compiled, keep
 
     def compile(self, signature: Any) -> Any:

@@ -52,7 +52,7 @@ class _Flags(compiler.Flags):
         return isinstance(other, _Flags) and self.text == other.text
 
 
-_COUNTS: Final = "counts owners"  # of what is known of a function, where Numba has asked for it
+_OWNERS_KEY: Final = "counts owners"  # of what is known of a function, where Numba has asked for it
 _COUNTED: Final[dict[int, bool]] = {}  # by the number of a type
 _SIGNATURES: Final[dict[Any, Any]] = {}
 _signature: Any = types.BaseFunction.get_call_type
@@ -93,7 +93,7 @@ class _Lower(lowering.Lower):
 
     def __init__(self, *args: Any, **keys: Any) -> None:
         super().__init__(*args, **keys)
-        if not keys["metadata"].get(_COUNTS) and not self._can_own():
+        if not keys["metadata"].get(_OWNERS_KEY) and not self._can_own():
             self.context.enable_nrt = False
             vars(self.context).pop("nrt", None)  # that of the context that this one is a copy of
 
@@ -225,7 +225,7 @@ class _Lowering(typed_passes.NativeLowering):
         except errors.NumbaError as error:
             if "NRT required" not in str(error):
                 raise
-        state.metadata[_COUNTS] = True
+        state.metadata[_OWNERS_KEY] = True
         return super().run_pass(state)
 
     @property

@@ -21,12 +21,12 @@ from particlerb.compiled.helper import Kernel, UnfusedCompiler
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 BUDGET: Final = 0.4  # [s] of a process in Python: each run of a scene spends them again
-_LONGEST: Final = 0.2  # [s] of one call
-_LOADING: Final = 0.02  # [s] that a kernel on disk takes to be loaded
-_RATE: Final = 1e-5  # [s] for a number of the arguments, before a kernel has run
+_MAX_CALL_SECONDS: Final = 0.2
+_LOAD_SECONDS: Final = 0.02  # that a kernel on disk takes to be loaded
+_SECONDS_PER_NUMBER: Final = 1e-5  # of the arguments, before a kernel has run
 _PACKAGE: Final = __name__.partition(".")[0]
 _TWINS: Final[dict[FunctionType, FunctionType]] = {}
-_MAKING: Final = threading.RLock()
+_MAKING_LOCK: Final = threading.RLock()
 
 
 class _Time:
@@ -62,7 +62,7 @@ def twin(function: Any) -> FunctionType:
     A module whose names mean something else in Python says so in a dict IN_PYTHON.
     """
     plain: FunctionType = function.py_func
-    with _MAKING:
+    with _MAKING_LOCK:
         if plain not in _TWINS:
             made = _TWINS[plain] = in_python(plain)  # before what it calls, which may be itself
             names = set(_names(plain.__code__))
@@ -111,7 +111,7 @@ class UnfusedKernel(Kernel):
     kept_as = ".unfused"
     spent = 0.0  # [s] in Python so far, for
     numbers = 0  # of the arguments
-    looks_after = _LOADING  # [s] spent so, before it looks for code on disk again
+    looks_after = _LOAD_SECONDS  # [s] spent so, before it looks for code on disk again
 
     def _compile_for_args(self, *args: Any, **keys: Any) -> Any:
         """What is called where nothing is compiled for arguments of these types."""
@@ -124,9 +124,9 @@ class UnfusedKernel(Kernel):
         """Whether Python may do this call."""
         if any(isinstance(one, FunctionSet) for one in _leaves(args)):
             return False
-        rate = self.spent / self.numbers if self.numbers else _RATE
+        rate = self.spent / self.numbers if self.numbers else _SECONDS_PER_NUMBER
         expected = rate * sum(array.size for array in _arrays(args))
-        if expected > min(_Time.left, _LONGEST):
+        if expected > min(_Time.left, _MAX_CALL_SECONDS):
             return False
         if self.spent + expected < self.looks_after:
             return True

@@ -22,8 +22,8 @@ Clock: TypeAlias = Callable[[], float]
 BLOCK: Final = 256  # bodies a kernel takes at a time: its rows fit into the first levels of cache
 LEAST_WORK: Final = 20_000  # body-steps or body-frames below which a second thread does not pay
 POOL: Final = "particlerb"  # how names of its threads begin
-_SHARES: Final = 4  # ranges per thread at most, so that a slow thread is made up for
-_SHARE_WORK: Final = 50_000  # body-steps or body-frames of a range: well above what a call costs
+_MAX_RANGES_PER_THREAD: Final = 4  # so that a slow thread is made up for
+_MIN_RANGE_WORK: Final = 50_000  # body-steps or body-frames: well above what a call costs
 
 
 class _ThreadState(threading.local):
@@ -129,7 +129,7 @@ class _Threads:
         if self.count == 1 or units == 1 or work < LEAST_WORK:
             kernel(0, units)
             return
-        pieces = min(_SHARES * self.count, max(self.count, work // _SHARE_WORK))
+        pieces = min(_MAX_RANGES_PER_THREAD * self.count, max(self.count, work // _MIN_RANGE_WORK))
         size = -(-units // pieces)
         ranges = [(lo, min(lo + size, units)) for lo in range(0, units, size)]
         workers = self.workers

@@ -19,7 +19,7 @@ from particlerb.model.power_method import fastest_frequency
 from particlerb.model.state import rotate
 
 _ITERATIONS: Final = 20  # of the power method: within a few per cent
-_TOUCHING: Final = 1e-6  # share of the smallest radius by which two that touch may be apart
+_TOUCH_GAP: Final = 1e-6  # of two that touch, share of the smallest radius
 
 
 class _Springs(NamedTuple):
@@ -75,7 +75,7 @@ def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, dep
         Overlap that decides how stiff `hertz` is, if two do not overlap by more.
     """
     model = contact.model
-    spheres, near = model.spheres, _TOUCHING * float(model.spheres.radius.min(initial=np.inf))
+    spheres, near = model.spheres, _TOUCH_GAP * float(model.spheres.radius.min(initial=np.inf))
     x = np.ascontiguousarray(com[:, spheres.body] + rotate(q[:, spheres.body], spheres.arm))
     first, second, _ = neighbours(
         x, spheres.radius, spheres.body, near, spheres.apart, spheres.world
@@ -101,7 +101,7 @@ def _initial_springs(
     """Springs between spheres at x and what lies `away` from their centres."""
     radius, distance = model.spheres.radius, np.sqrt((away**2).sum(axis=0))
     touching = radius[pairs[0]] + (0.0 if are_walls else radius[pairs[1]])
-    touches = distance <= (1.0 + _TOUCHING) * touching  # of an edge nothing may face the sphere
+    touches = distance <= (1.0 + _TOUCH_GAP) * touching  # of an edge nothing may face the sphere
     pairs = pairs[0][touches], pairs[1][touches]
     away, distance, touching = away[:, touches], distance[touches], touching[touches]
     normal = away / np.where(distance > 0.0, distance, 1.0)

@@ -35,6 +35,7 @@ from particlerb.impulses.records import (
     MOTOR,
     NORMAL,
     RADIUS,
+    REST_KICKS,
     RESTITUTION,
     SLOW,
     Bounded,
@@ -48,8 +49,7 @@ from particlerb.maths.quaternion import Quat, to_body, to_world
 from particlerb.maths.rows import put_row3, put_row3_at, row3, row3_at, row4
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
-_ROUNDING: Final = 1e-12  # of the speeds: what approaches no faster is at rest
-_KICKS: Final = 4.0  # half kicks: what approaches no faster than two whole ones does not bounce
+_REST_SPEED_SHARE: Final = 1e-12  # of the speeds: what approaches no faster is at rest
 
 
 class _Near(NamedTuple):
@@ -98,7 +98,7 @@ def _by_turning(impulses: Impulses, a: int, arm: float) -> tuple[float, float]:
     """Speeds [m/s] of a body's points by turning, and by what half a kick gives in four."""
     speeds = impulses.partners.speeds
     turning, kick = arm * speeds[a, 1], speeds[a, 2] + arm * speeds[a, 3]
-    return turning, _KICKS * kick + _ROUNDING * (speeds[a, 0] + turning)
+    return turning, REST_KICKS * kick + _REST_SPEED_SHARE * (speeds[a, 0] + turning)
 
 
 @inline
@@ -115,7 +115,7 @@ def _is_near(
         turning_b, slow_b = _by_turning(impulses, b, setup.max_arm[b] + radii)
         turning, slow = turning + turning_b, max(slow, slow_b)
     else:
-        slow = max(slow, _KICKS * impulses.partners.speeds[b, 2])
+        slow = max(slow, REST_KICKS * impulses.partners.speeds[b, 2])
     return gap <= impulses.rules.slop + dt * (length(between) + turning + slow), slow
 
 

@@ -10,7 +10,7 @@ from particlerb.contact.neighbour_list import incidence
 from particlerb.contact.sphere_search import SphereSearch
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, add_scaled, subtract
 
-_SMALLEST_PATCH: Final = 1.0 / 64  # half of the side, on a cube of side 2
+_MIN_PATCH_HALF_SIDE: Final = 1.0 / 64  # on a cube of side 2
 
 
 @inline
@@ -78,7 +78,7 @@ def _find_outer(
             cover = _largest_cover(at, spheres, near, lo, hi, depth)
             if cover >= R * size + 0.5 * depth:
                 continue
-            if half < _SMALLEST_PATCH or cover < -0.5 * depth:
+            if half < _MIN_PATCH_HALF_SIDE or cover < -0.5 * depth:
                 is_outer[i] = True
                 continue
             for quarter in range(4):

@@ -38,8 +38,8 @@ from particlerb.compiled.jit import Flag, inline
 from particlerb.maths.vec3 import Floats, Vec3
 
 TANGENTIAL_DAMPING: Final = 0.5  # χ unless said otherwise, as in LAMMPS
-_ROOT5: Final = math.sqrt(5.0)
-_SERIES_FROM: Final = 8.0  # half steps inside the contact: a series gives the mean
+_SQRT5: Final = math.sqrt(5.0)
+_SERIES_MIN_RATIO: Final = 8.0  # half steps inside the contact: a series gives the mean
 
 
 class Law(NamedTuple):
@@ -150,7 +150,7 @@ def damping_coefficient(law: Law, pair: int, inv_effective_mass: float, r_eff: f
     if law.hertz is None:
         return 2.0 * ratio * math.sqrt(stiffness / inv_effective_mass)
     K = (4.0 / 3.0) * stiffness * math.sqrt(r_eff)
-    return _ROOT5 * ratio * math.sqrt(K / inv_effective_mass)
+    return _SQRT5 * ratio * math.sqrt(K / inv_effective_mass)
 
 
 @inline
@@ -186,7 +186,7 @@ def _hertz_force(
     K = (4.0 / 3.0) * law.stiffness[pair] * math.sqrt(state.r_eff)
     c = state.damping
     above, below = middle + half, max(middle - half, 0.0)
-    if middle >= _SERIES_FROM * half:
+    if middle >= _SERIES_MIN_RATIO * half:
         root = math.sqrt(middle)
         square = half / middle * (half / middle)
         elastic = K * middle * root * (1.0 + square * (0.125 + 0.0046875 * square))

@@ -52,7 +52,7 @@ from particlerb.maths.vec3 import (
 )
 from particlerb.model.block import COM, L, P, Q, get3, get4
 
-_NOWHERE: Final = 1e100  # [m] where contacts act that have ended
+_POINT_FAR_AWAY: Final = 1e100  # [m] where contacts act that have ended
 _MAX_SPHERE_OVERLAP: Final = 1.0  # of two spheres, in the smaller radius: more is an error
 
 
@@ -199,7 +199,7 @@ def end_contact(rolling: Floats | None, contacts: ContactList, c: int) -> None:
     if rolling is not None:
         put_row3(history.rolling_spring, c, ZERO)
     put_row3(forces.elastic, c, ZERO)
-    put_row3(forces.point, c, (_NOWHERE, 0.0, 0.0))
+    put_row3(forces.point, c, (_POINT_FAR_AWAY, 0.0, 0.0))
     contacts.active[c] = False
 
 

@@ -26,14 +26,14 @@ from particlerb.contact.cell_grid import (
 from particlerb.maths.vec3 import Floats, Ints
 
 COST: Final = 15  # body-steps that finding the neighbours of a sphere takes
-_MAX_CELLS: Final = 4  # per sphere: beyond, cells are numbered modulo a prime
+_MAX_CELLS_PER_SPHERE: Final = 4  # beyond, cells are numbered modulo a prime
 _MIN_CELLS: Final = 64
 _INITIAL_CAPACITY: Final = 8  # neighbours per sphere that fit at first
 _MAX_LEVELS: Final = 40  # anything smaller than the largest sphere by 2^40 is as good as a point
 KEY_BITS: Final = 32  # bits of a number of a body in a key of a pair
 LARGEST_NUMBER: Final = 2**31 - 1  # of a body, a sphere, a contact in lists
 _NO_PAIRS: Final = np.zeros(0, dtype=np.int64)
-_ROUNDING: Final = 2.0**-50  # of a place far from the origin, relative
+_PLACE_ROUNDING: Final = 2.0**-50  # of a place far from the origin, relative
 _CELL_ROUNDING: Final = 2.0**-50  # of the number of a cell, relative
 
 
@@ -119,7 +119,7 @@ class SphereSearch:
         x, points = points[0], points.copy()
         room = x.max() - x.min() + 2.0 * (self.widest.max() + skin)
         points[0] += room * self.world
-        return points, skin + _ROUNDING * (np.abs(x).max() + room * self.world.max())
+        return points, skin + _PLACE_ROUNDING * (np.abs(x).max() + room * self.world.max())
 
     def _without_apart(self, pairs: PairList) -> PairList:
         """Pairs whose bodies may touch each other."""
@@ -170,7 +170,7 @@ class SphereSearch:
         strides, cells = np.zeros((self.n_levels, 2), dtype=np.int64), [0]
         is_dense = np.zeros(self.n_levels, dtype=np.bool_)
         for level, population in enumerate(self.population):
-            most = _MAX_CELLS * int(population) + _MIN_CELLS
+            most = _MAX_CELLS_PER_SPHERE * int(population) + _MIN_CELLS
             shape = np.floor(extent / width[level]) + 3.0  # one more on each side
             if shape.prod() <= most:
                 _, b, c = shape.astype(np.int64)

@@ -31,7 +31,7 @@ from particlerb.maths.quaternion import Quat, to_world
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, dot, scale, subtract
 
-_HANDLED: Final = -1.0  # piece of points that have been dealt with
+_HANDLED_PIECE: Final = -1.0  # of points that have been dealt with
 _MIN_RING_SHARE: Final = 0.25  # of its hardest part, that a ring has to press with
 
 
@@ -199,7 +199,7 @@ def hand_over_history(on: Evaluation, at: SphereAtWall, root: int, to: int) -> N
             end_contact(rolling, contacts, c)
     for c in range(at.first, at.end):
         if pieces[c] == root:
-            pieces[c] = _HANDLED
+            pieces[c] = _HANDLED_PIECE
 
 
 @inline

@@ -25,9 +25,9 @@ from particlerb.maths.rows import load3, row3, rows3
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, subtract
 
 COST: Final = 4  # body-steps that finding what is near a sphere takes
-_MAX_SHARE: Final = 64  # largest number of cells of a flat or thin wall, over that of a compact one
-_MAX_CELLS: Final = 8  # per primitive
-_NARROWER: Final = 0.5  # share of the reach of lists below which narrower ones are made
+_MAX_RATIO: Final = 64  # number of cells of a flat or thin wall, over that of a compact one
+_MAX_CELLS_PER_PRIMITIVE: Final = 8
+_MIN_REACH_SHARE: Final = 0.5  # share of the reach of lists below which narrower ones are made
 _CELLS_PER_SPHERE: Final = 0.25  # more: most of a wide heap is far from all walls
 _MIN_CELLS: Final = 512
 
@@ -201,7 +201,7 @@ class WallSearch:
         if not indices.size or not walls.kind.size:
             return PairList(self.everyone[:0], self.everyone[:0], start)
         lists = self.lists
-        if lists is None or not self.cutoff * _NARROWER <= cutoff.max() <= self.cutoff:
+        if lists is None or not self.cutoff * _MIN_REACH_SHARE <= cutoff.max() <= self.cutoff:
             self.cutoff = float(cutoff.max())
             self.lists = lists = lists_of(walls, self.cutoff, int(_CELLS_PER_SPHERE * n))
 
@@ -237,9 +237,9 @@ def lists_of(walls: Walls, cutoff: float, more: int = 0) -> _WallLists:
         low, high = lower[indices] - cutoff, upper[indices] + cutoff
         origin[w] = low.min(axis=0)
         extent = high.max(axis=0) - origin[w]
-        cells = _MAX_CELLS * indices.size + _MIN_CELLS + more
+        cells = _MAX_CELLS_PER_PRIMITIVE * indices.size + _MIN_CELLS + more
         width[w] = max(np.cbrt(extent.prod() / cells), 2.0 * cutoff)
-        while (np.floor(extent / width[w]) + 1.0).prod() > _MAX_SHARE * cells:  # a long thin wall
+        while (np.floor(extent / width[w]) + 1.0).prod() > _MAX_RATIO * cells:  # a long thin wall
             width[w] *= 2.0
         shape[w] = np.floor(extent / width[w]) + 1
         corners[indices, :3] = (low - origin[w]) / width[w]

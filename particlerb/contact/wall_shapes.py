@@ -8,7 +8,7 @@ import numpy as np
 from particlerb.contact.walls import DISC, EDGE, FACE, PLANE, RIM, SIDE, VERTEX, Walls
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
-_COPLANAR: Final = 1e-6  # sine of the angle between faces of one plane: STL has single precision
+_COPLANAR_SINE: Final = 1e-6  # of the angle between faces of one plane: STL has single precision
 
 
 def joined(walls: Sequence[Walls]) -> Walls:
@@ -99,13 +99,13 @@ def box(lower: Sequence[float], upper: Sequence[float], open_faces: Sequence[str
         Of "-x", "+x", "-y", "+y", "-z", "+z".
     """
     corners = np.array([lower, upper], dtype=np.float64)
-    vertices = np.array([[corners[i, 0], corners[j, 1], corners[k, 2]] for i, j, k in _BITS])
+    vertices = np.array([[corners[i, 0], corners[j, 1], corners[k, 2]] for i, j, k in _CORNERS])
     faces = [face for name, face in _FACES_OF_BOX.items() if name not in open_faces]
     triangles = [three for a, b, c, d in faces for three in ((a, b, c), (a, c, d))]
     return surface(vertices, np.array(triangles))
 
 
-_BITS: Final = tuple(np.ndindex(2, 2, 2))
+_CORNERS: Final = tuple(np.ndindex(2, 2, 2))
 
 
 def surface(vertices: Floats, triangles: Ints) -> Walls:
@@ -160,7 +160,7 @@ def _smoothed(
     pairs = np.flatnonzero(count == 2)
     one, other = order[at[pairs]], order[at[pairs] + 1]
     left, right = one // 3, other // 3
-    is_flat = np.linalg.norm(np.cross(normal[left], normal[right]), axis=1) < _COPLANAR
+    is_flat = np.linalg.norm(np.cross(normal[left], normal[right]), axis=1) < _COPLANAR_SINE
     third = [faces[f].sum(axis=1) - ends[pairs].sum(axis=1) for f in (left, right)]
     along = places[ends[pairs, 1]] - places[ends[pairs, 0]]
     turn = [

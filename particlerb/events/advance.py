@@ -37,18 +37,18 @@ from particlerb.events.records import (
 )
 from particlerb.impulses.records import RENEWED
 
-_AT_ONCE: Final = 1000  # impacts of a body in an instant, on average, that are taken for endless
-_INSTANT: Final = 1e-5  # share of the period
+_MAX_IMPACTS: Final = 1000  # of a body in an instant, on average: more are taken for endless
+_INSTANT_SHARE: Final = 1e-5  # of the period
 
 
 @inline
 def _hit(scene: EventScene, state: EventState, work: EventWork, b: int, c: int, t: float) -> int:
     """Let the impact of body b with c happen; how that ends."""
-    instant = _INSTANT * scene.period if scene.period < np.inf else 0.0
+    instant = _INSTANT_SHARE * scene.period if scene.period < np.inf else 0.0
     if t - state.sums[INSTANT] > instant:
         state.sums[INSTANT], state.sums[AT_ONCE] = t, 0.0
     state.sums[AT_ONCE] += 1.0
-    if state.sums[AT_ONCE] > _AT_ONCE * scene.n_moving:
+    if state.sums[AT_ONCE] > _MAX_IMPACTS * scene.n_moving:
         return ENDLESS
     first, second = (b, c) if c < 0 else (min(b, c), max(b, c))
     sphere, other = int(np.int64(state.info[b, OWN])), int(np.int64(state.info[b, OTHER]))

@@ -68,9 +68,9 @@ from particlerb.maths.vec3 import (
     subtract,
 )
 
-_GRAZES: Final = 1e-7  # of the speed: an approach as slow as this is ill-conditioned
-_MOST_OVERLAP: Final = 1e-14  # of the largest length that enters a gap
-_MOST_LATE: Final = 1e-15  # of the time
+_GRAZING_SHARE: Final = 1e-7  # of the speed: an approach as slow as this is ill-conditioned
+_GAP_ROUNDING: Final = 1e-14  # of the largest length that enters a gap
+_TIME_ROUNDING: Final = 1e-15  # of the time
 
 
 @inline
@@ -239,7 +239,7 @@ def _hit_of_balls(scene: EventScene, state: EventState, a: int, b: int, n: Vec3,
         put_row3_at(state.flight, b, FLIGHT_V, other)
         after = subtract(after, other)
     work = 0.5 * p * (before + dot(after, n))
-    _count(state, b == WALL, work, 0.0, abs(before) < _GRAZES * norm(u))
+    _count(state, b == WALL, work, 0.0, abs(before) < _GRAZING_SHARE * norm(u))
     return scale(p, n)
 
 
@@ -274,7 +274,7 @@ def _hit(scene: EventScene, state: EventState, work: EventWork, of: Impact) -> V
     after = in_frame(frame, 0, velocity_between(work.velocity, frame, 0, 0, 1))
     normal = 0.5 * r[0] * (u[0] + after[0])
     rubbed = 0.5 * (r[1] * (u[1] + after[1]) + r[2] * (u[2] + after[2]))
-    _count(state, b == WALL, normal, rubbed, abs(u[0]) < _GRAZES * norm(u))
+    _count(state, b == WALL, normal, rubbed, abs(u[0]) < _GRAZING_SHARE * norm(u))
     _given(scene, state, work, a, 0, p, t)
     if b != WALL:
         _given(scene, state, work, b, 1, scale(-1.0, p), t)
@@ -311,7 +311,7 @@ def collide(
     n, point, gap, size, shift = _geometry(scene, state, a, b, i, j, t)
     _watch(scene, state, i, b, j, gap)
     speed = _fastest(state, a) + (_fastest(state, b) if b != WALL else 0.0)
-    if gap < -_MOST_OVERLAP * size - _MOST_LATE * t * speed:
+    if gap < -_GAP_ROUNDING * size - _TIME_ROUNDING * t * speed:
         return False
     material = scene.wall_material[j] if b == WALL else scene.kind[b, MATERIAL]
     pair = scene.pair_of[scene.kind[a, MATERIAL], material]

@@ -7,7 +7,7 @@ import numpy as np
 from particlerb.compiled.jit import inline
 from particlerb.events.records import EventState
 
-_BRANCHES: Final = 4
+_HEAP_BRANCHES: Final = 4
 
 
 @inline
@@ -15,7 +15,7 @@ def _sift_up(state: EventState, k: int, t: float, b: int) -> int:
     """Let the free place at k rise until body b belongs there; where that is."""
     heap, time = state.heap, state.heap_time
     while k > 0:
-        parent = (k - 1) // _BRANCHES
+        parent = (k - 1) // _HEAP_BRANCHES
         if t > time[parent] or (t == time[parent] and b > heap[parent]):
             break
         time[k], heap[k], state.place[heap[parent]] = time[parent], heap[parent], k
@@ -29,11 +29,11 @@ def _sift_down(state: EventState, k: int, t: float, b: int) -> int:
     heap, time = state.heap, state.heap_time
     n = heap.size
     while True:
-        low = _BRANCHES * k + 1
+        low = _HEAP_BRANCHES * k + 1
         if low >= n:
             break
         best = low
-        for child in range(low + 1, min(low + _BRANCHES, n)):
+        for child in range(low + 1, min(low + _HEAP_BRANCHES, n)):
             s, least = time[child], time[best]
             if s < least or (s == least and heap[child] < heap[best]):
                 best = child

@@ -82,7 +82,7 @@ OVERLAP: Final = 3  # spheres overlap by more than rounding
 UNFOUND: Final = 4  # a search took too many steps
 FAR: Final = 5  # a body is in the last cell that has a number
 
-_LINE: Final = 64  # bytes of a line of the cache
+_CACHE_LINE_BYTES: Final = 64
 
 
 class EventScene(NamedTuple):
@@ -152,8 +152,8 @@ def empty_workspace(most: int) -> EventWork:
 def _rows(n: int, columns: int, dtype: Any, value: float) -> Any:
     """Array (n, columns) of a value that begins with a line of the cache."""
     size = n * columns * np.dtype(dtype).itemsize
-    space = np.zeros(size + _LINE, dtype=np.uint8)
-    start = -space.ctypes.data % _LINE
+    space = np.zeros(size + _CACHE_LINE_BYTES, dtype=np.uint8)
+    start = -space.ctypes.data % _CACHE_LINE_BYTES
     rows = space[start : start + size].view(dtype).reshape(n, columns)
     rows[:] = value
     return rows

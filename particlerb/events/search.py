@@ -41,10 +41,10 @@ from particlerb.maths.quaternion import turn
 from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, norm, scale, subtract
 
-_MOST: Final = 100_000  # steps of a search
-_EPS: Final = 5e-16
-_NOWHERE: Final = (0.0, 0.0, 0.0)
-_AWAY: Final = 1e-8  # least step from a contact that opens, over √(size/bend)
+_MAX_SEARCH_STEPS: Final = 100_000
+_GAP_ROUNDING: Final = 5e-16
+_NO_SHIFT: Final = (0.0, 0.0, 0.0)
+_MIN_STEP_AWAY: Final = 1e-8  # from a contact that opens, over √(size/bend)
 LOST: Final = -1.0  # time of a search without an end
 
 
@@ -60,7 +60,7 @@ def soonest(gap: float, rate: float, bend: float, touch: float, size: float) -> 
             return 0.0
         if bend <= 0.0:
             return math.inf
-        return max(2.0 * rate / bend, _AWAY * math.sqrt(size / bend))
+        return max(2.0 * rate / bend, _MIN_STEP_AWAY * math.sqrt(size / bend))
     gap -= 0.5 * touch
     root = rate * rate + 2.0 * bend * gap
     if root < 0.0 or (rate >= 0.0 and bend <= 0.0):
@@ -72,7 +72,7 @@ def soonest(gap: float, rate: float, bend: float, touch: float, size: float) -> 
 @inline
 def rounding(x: Vec3, size: float) -> float:
     """Error of a gap [m] at a place."""
-    return _EPS * (abs(x[0]) + abs(x[1]) + abs(x[2]) + 4.0 * size)
+    return _GAP_ROUNDING * (abs(x[0]) + abs(x[1]) + abs(x[2]) + 4.0 * size)
 
 
 # Two bodies
@@ -183,7 +183,7 @@ def _spheres_meet(
 ) -> tuple[float, int, int]:  # fmt: skip
     """When spheres of two bodies touch and approach, within a span of time after t; which."""
     s, last = span
-    for _ in range(_MOST):
+    for _ in range(_MAX_SEARCH_STEPS):
         if s >= last:
             return math.inf, -1, -1
         step, i, j, touches = _nearest_spheres(scene, state, work, pair, shift, t + s, fall)
@@ -333,7 +333,7 @@ def _ready_for_wall(
 ) -> None:
     """`_ready`, of balls without how they turn."""
     if around is not None and scene.body[b, BODY_REACH] != 0.0:
-        _ready(scene, state, work, b, _NOWHERE, t)
+        _ready(scene, state, work, b, _NO_SHIFT, t)
         return
     x, v = flight_at(scene, state, b, t)
     for i in range(3):
@@ -353,7 +353,7 @@ def _wall_meets(
         norm(v) + norm(g) * until + state.spin[a, FASTEST] * scene.body[a, BODY_REACH] + 1e-300
     )
     s, lo = 0.0, scene.kind[a, FIRST_SPHERE]
-    for _ in range(_MOST):
+    for _ in range(_MAX_SEARCH_STEPS):
         if s >= until:
             return math.inf, -1
         _ready_for_wall(scene.around, scene, state, work, a, t + s)

@@ -31,7 +31,7 @@ FORMATS: Final = {  # name: suffix of its files, and what it is, in words
     "npz": (".npz", "NumPy arrays"),
     "h5": (".h5", "the whole trajectory as one plain file, where its bodies lie in parts"),
 }
-_DERIVED: Final = {
+_DERIVED_FROM: Final = {
     "velocity": ("linear_momentum",),
     "angular_velocity": ("orientation", "angular_momentum"),
 }
@@ -187,7 +187,7 @@ def _chosen_fields(
 def is_known(trajectory: Trajectory, name: str) -> bool:
     """Whether a field was recorded or follows from what was."""
     recorded = trajectory.fields
-    return name in recorded or all(part in recorded for part in _DERIVED.get(name, (name,)))
+    return name in recorded or all(part in recorded for part in _DERIVED_FROM.get(name, (name,)))
 
 
 def _chosen_frames(trajectory: Trajectory, frames: slice) -> range:

@@ -18,8 +18,8 @@ from particlerb.record.trajectory import Contacts
 
 NEEDS: Final = ("position",)
 HOLDS: Final = (CONTACTS,)
-_OTHERS: Final = ("Vertices", "Polygons", "Strips")
-_LINES: Final = 1  # place of lines among the kinds of cells
+_EMPTY_CELL_KINDS: Final = ("Vertices", "Polygons", "Strips")
+_LINES_AT: Final = 1  # place of lines among the kinds of cells
 
 
 def write(selection: Selection, path: Path) -> None:
@@ -43,7 +43,7 @@ def write(selection: Selection, path: Path) -> None:
         root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
         root.attrs.create("Type", np.bytes_("PolyData"))
         root["Points"], root["NumberOfPoints"] = np.concatenate(points), 2 * counts
-        for name in _OTHERS:
+        for name in _EMPTY_CELL_KINDS:
             _put_cells(root, name, np.zeros_like(counts), 1)
         _put_cells(root, "Lines", counts, 2)
         for name, values in data.items():
@@ -72,8 +72,8 @@ def _put_steps(root: h5py.Group, times: Floats, counts: Ints, names: list[str]) 
     n, first = len(counts), np.cumsum(counts) - counts
     steps = root.create_group("Steps")
     steps.attrs["NSteps"] = np.int64(n)
-    offsets = np.zeros((n, len(_OTHERS) + 1), dtype=np.int64)
-    offsets[:, _LINES] = first
+    offsets = np.zeros((n, len(_EMPTY_CELL_KINDS) + 1), dtype=np.int64)
+    offsets[:, _LINES_AT] = first
     steps["Values"], steps["PartOffsets"] = times, np.arange(n)
     steps["NumberOfParts"], steps["PointOffsets"] = np.ones(n, dtype=np.int64), 2 * first
     steps["CellOffsets"], steps["ConnectivityIdOffsets"] = offsets, 2 * offsets

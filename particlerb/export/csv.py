@@ -16,7 +16,7 @@ HOLDS: Final = (*FIELDS, *CONTACT_FIELDS, *OBSERVED, CONTACTS)
 _COMPONENTS: Final = {
     name: element.components for name, element in (FIELDS | CONTACT_FIELDS | OBSERVED).items()
 }
-_OF_CONTACT: Final = ["body", "other", "wall", *(
+_CONTACT_HEADER: Final = ["body", "other", "wall", *(
     f"{name}_{letter}" for name in ("point", "force") for letter in "xyz"
 ), "overlap"]  # fmt: skip
 
@@ -35,7 +35,7 @@ def write(selection: Selection, path: Path) -> None:
         raise ExportError(f"csv has rows of {sorts}: ask for one sort")
     trajectory = selection.trajectory
     if selection.has_contacts:
-        header, rows = _OF_CONTACT, _of_contacts(selection)
+        header, rows = _CONTACT_HEADER, _of_contacts(selection)
     elif parts:
         per = parts.pop()
         labels = list(enumerate(trajectory.names_of(per)))

@@ -24,9 +24,9 @@ from particlerb.record.trajectory import Trajectory
 
 NEEDS: Final = ("position", "orientation")
 HOLDS: Final = tuple(FIELDS)
-_MOST_SPHERES: Final = 1000  # of one shape
-_THINNEST: Final = 0.02  # axis of an ellipsoid, of its longest: rods and points are to be seen
-_ROOM: Final = 1.01  # of the box, times the positions
+_MAX_SPHERES_OF_SHAPE: Final = 1000
+_MIN_AXIS_SHARE: Final = 0.02  # of the longest axis of an ellipsoid: rods and points are to be seen
+_BOX_MARGIN: Final = 1.01  # times the positions
 
 
 def write(selection: Selection, path: Path) -> None:
@@ -86,7 +86,7 @@ def _box_edges(selection: Selection) -> list[float]:
     for frames in selection.portions():
         reach = np.maximum(reach, np.abs(selection.values("position", frames)).max(axis=(0, 1)))
     reach = np.where(reach > 0.0, reach, max(float(reach.max()), 1.0))
-    return (2.0 * _ROOM * reach).tolist()
+    return (2.0 * _BOX_MARGIN * reach).tolist()
 
 
 def _type_name(trajectory: Trajectory, kind: int) -> str:
@@ -102,7 +102,7 @@ def _type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
     particles, body = kind_of(trajectory.particles, kind), int(np.argmax(trajectory.kind == kind))
     is_sphere = particles.radius > 0.0  # beside these, points without a radius carry matter
     radius = particles.radius[is_sphere]
-    if 0 < radius.size <= _MOST_SPHERES:
+    if 0 < radius.size <= _MAX_SPHERES_OF_SHAPE:
         frame = np.tile(trajectory.bodies.rotor_frame[:, body : body + 1], radius.size)
         centres = rotate_back(frame, particles.position[is_sphere].T).T
         return sphere_union(centres, radius)
@@ -114,4 +114,4 @@ def ellipsoid(moments: Floats, mass: float) -> list[float]:
     """Semi-axes [m] of the solid ellipsoid with these principal moments: I1 = m (b² + c²) / 5."""
     squares = 2.5 / mass * (moments.sum() - 2.0 * moments)
     axes = np.sqrt(np.maximum(squares, 0.0))
-    return np.maximum(axes, _THINNEST * (axes.max() or 1.0)).tolist()
+    return np.maximum(axes, _MIN_AXIS_SHARE * (axes.max() or 1.0)).tolist()

@@ -29,8 +29,8 @@ from particlerb.plan.contact_setup import NOTHING, ContactSetup, contact_of
 from particlerb.rotors.rotor_class import POINT
 
 _FACES: Final = {"-x": 1, "+x": 2, "-y": 3, "+y": 4, "-z": 5, "+z": 6, "-": 1, "+": 2}
-_SKIN: Final = 0.3  # of the lists of neighbours, in the largest radius
-_ROUND: Final = 1e-12  # how well 2/5 m R² is met by a ball, relative
+_SKIN_SHARE: Final = 0.3  # of the largest radius: skin of the lists of neighbours
+_BALL_TOLERANCE: Final = 1e-12  # how well 2/5 m R² is met by a ball, relative
 
 
 def lammps_scene(system: System, step: float, stem: str) -> dict[str, str]:
@@ -155,7 +155,7 @@ class _Atoms:
 def _are_single(system: System, sizes: Ints, radius: Floats) -> Bools:
     """Which bodies are a ball or a point."""
     of_ball = 0.4 * system.bodies.mass * radius**2
-    is_ball = (np.abs(system.bodies.inertia - of_ball) <= _ROUND * of_ball).all(axis=0)
+    is_ball = (np.abs(system.bodies.inertia - of_ball) <= _BALL_TOLERANCE * of_ball).all(axis=0)
     single: Bools = (sizes == 1) & (is_ball | (system.bodies.rotor_class == POINT))
     return single
 
@@ -181,7 +181,7 @@ def _input(
     system: System, contact: ContactSetup | None, atoms: _Atoms, step: float, stem: str
 ) -> str:
     """Commands of the run."""
-    skin = _SKIN * float(atoms.diameter.max()) / 2.0
+    skin = _SKIN_SHARE * float(atoms.diameter.max()) / 2.0
     reach = 2.0 * float(system.reach.max()) + skin
     masks = {"rigid": atoms.is_rigid, "single": atoms.is_single, "held": atoms.is_held}
     excluded = ["molecule/intra all"] if len(atoms.body) > 1 else []

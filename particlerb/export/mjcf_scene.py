@@ -44,14 +44,14 @@ from particlerb.plan.contact_setup import NOTHING, ContactSetup, contact_of
 from particlerb.plan.joints import JointSetup, joints_of
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
-_ONLY_IN_TREES: Final = ("slider", "cylindrical", "universal", "planar", "screw")
-_OF_COORDINATES: Final = ("gear", "rack")
-_STIFF: Final = 2.0  # time constant of what is kept softly, in steps: the least MuJoCo takes
-_HELD: Final = -2  # in place of a joint, of bodies that stay where they are,
-_FREE: Final = -1  # and of those that nothing holds
-_RIGID: Final = "0.9999 0.9999 0.001 0.5 2"  # solimp of contacts that hold what presses them,
-_SPRING: Final = "0.01 0.01 0.001 0.5 2"  # and of springs, within 1 %, whose friction holds
-_IMPRATIO: Final = 100.0  # against creeping where contacts are springs
+_TREE_ONLY_TYPES: Final = ("slider", "cylindrical", "universal", "planar", "screw")
+_RATIO_TYPES: Final = ("gear", "rack")
+_SOFT_TIME_STEPS: Final = 2.0  # time constant of what is kept softly: the least MuJoCo takes
+_HELD_BODY: Final = -2  # in place of a joint, of bodies that stay where they are
+_FREE_BODY: Final = -1  # in place of a joint, of bodies that nothing holds
+_RIGID_SOLIMP: Final = "0.9999 0.9999 0.001 0.5 2"  # of contacts that hold what presses them
+_SPRING_SOLIMP: Final = "0.01 0.01 0.001 0.5 2"  # of springs, within 1 %, whose friction holds
+_SPRING_IMPRATIO: Final = 100.0  # against creeping where contacts are springs
 
 
 class _Body(NamedTuple):
@@ -173,11 +173,11 @@ class _Writer:
         label = {b: b for b in range(WORLD, self.system.n_bodies)}
         for b in np.flatnonzero(self.system.is_held).tolist():
             label[b] = WORLD
-            kept.setdefault(WORLD, []).append((b, _HELD))
-        ranks = [0 if joint.type in _ONLY_IN_TREES else 1 for joint in self.joints]
+            kept.setdefault(WORLD, []).append((b, _HELD_BODY))
+        ranks = [0 if joint.type in _TREE_ONLY_TYPES else 1 for joint in self.joints]
         for j in np.argsort(ranks, kind="stable").tolist():
             one = self.joints[j]
-            if one.type in ("distance", *_OF_COORDINATES) or label[one.first] == label[one.second]:
+            if one.type in ("distance", *_RATIO_TYPES) or label[one.first] == label[one.second]:
                 continue
             old, new = label[one.first], label[one.second]
             label = {b: new if mark == old else mark for b, mark in label.items()}
@@ -191,7 +191,7 @@ class _Writer:
             ahead = deque([root])
             seen.add(root)
             if root != WORLD:
-                tree[root] = WORLD, _FREE
+                tree[root] = WORLD, _FREE_BODY
             while ahead:
                 b = ahead.popleft()
                 for other, j in kept.get(b, ()):
@@ -211,13 +211,13 @@ class _Writer:
         element = ET.SubElement(self.elements[parent], "body", name=name, pos=place, quat=turned)
         self.elements[b] = element
         self.add_particles(element, b)
-        if j == _HELD:
+        if j == _HELD_BODY:
             self.speeds[name] = []
             return
         inertia = numbers(six(inertia_in_body(self.system.bodies, b)))
         mass = numbers(self.system.bodies.mass[b])
         ET.SubElement(element, "inertial", pos="0 0 0", mass=mass, fullinertia=inertia)
-        if j == _FREE:
+        if j == _FREE_BODY:
             ET.SubElement(element, "freejoint", name=name)
             self.speeds[name] = [*body.velocity.tolist(), *body.turned_back(body.spin).tolist()]
         else:
@@ -251,11 +251,11 @@ class _Writer:
             if name != "can_meet" and np.unique(values[pairs.can_meet]).size > 1:
                 raise ExportError(f"{name} differs from pair to pair: MuJoCo has one for a body")
         self.geoms.set("friction", numbers(pairs.friction.max(), 0.0, 0.0))
-        self.geoms.set("solref", numbers(_STIFF * self.step, 1.0))
+        self.geoms.set("solref", numbers(_SOFT_TIME_STEPS * self.step, 1.0))
         is_spring = contact.record.law == "hooke"
-        self.geoms.set("solimp", _SPRING if is_spring else _RIGID)
+        self.geoms.set("solimp", _SPRING_SOLIMP if is_spring else _RIGID_SOLIMP)
         if is_spring:
-            self.option.set("impratio", numbers(_IMPRATIO))
+            self.option.set("impratio", numbers(_SPRING_IMPRATIO))
         for wall in self.system.wall:
             for k, text in enumerate(geoms_of(wall)):
                 name = wall.name + (f" {k}" if k else "")
@@ -290,15 +290,15 @@ class _Writer:
     def add_equalities(self, joints: Sequence[_Joint]) -> None:
         """Constraints that close loops, and distances."""
         equality = ET.SubElement(self.root, "equality")
-        soft = {"solref": numbers(_STIFF * self.step, 1.0)}
+        soft = {"solref": numbers(_SOFT_TIME_STEPS * self.step, 1.0)}
         for joint in joints:
-            if joint.type in _OF_COORDINATES or (joint.name, "slide") in self.coordinates:
+            if joint.type in _RATIO_TYPES or (joint.name, "slide") in self.coordinates:
                 names, factor = self.coupled(joint)
                 coordinates = dict(zip(("joint1", "joint2"), names, strict=True))
                 text = numbers(0.0, factor, 0.0, 0.0, 0.0)
                 ET.SubElement(equality, "joint", soft | coordinates, name=joint.name, polycoef=text)
                 continue
-            if joint.type in _ONLY_IN_TREES:
+            if joint.type in _TREE_ONLY_TYPES:
                 raise ExportError(
                     f"{joint.name} closes a loop: MuJoCo has no {joint.type} for that"
                 )

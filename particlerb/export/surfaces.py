@@ -22,13 +22,13 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import rotate_back, rotation_matrix
 from particlerb.model.system import System
 
-_MARKER: Final = 0.08  # radius of a particle without one, in units of the body's extent
-_THICKNESS: Final = 0.02  # of a rod, in units of its length
-_PLANE: Final = 2.0  # size of a plane that is shown, in units of the scene
-_MANY: Final = 10_000  # copies of which each is coarse
-_ROUND: Final = 48  # facets around a cylinder
+_MARKER_RADIUS: Final = 0.08  # of a particle without one, in units of the body's extent
+_ROD_THICKNESS: Final = 0.02  # in units of its length
+_PLANE_SIZE: Final = 2.0  # in units of the scene
+_MANY_COPIES: Final = 10_000  # of which each is coarse
+_FACETS: Final = 48  # around a cylinder
 _PARALLEL: Final = 1e-14  # |det| of a ray beside a triangle, relative
-_BOX: Final = (
+_BOX_FACES: Final = (
     (1, 3, 0), (4, 1, 0), (0, 3, 2), (2, 4, 0), (1, 7, 3), (5, 1, 4),
     (5, 7, 1), (3, 7, 2), (6, 4, 2), (2, 7, 6), (6, 5, 4), (7, 5, 6),
 )  # fmt: skip
@@ -233,11 +233,11 @@ def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _S
         return triangles(box(np.array(record.size)).moved(R, shift))
     made: dict[str, Callable[[], Any]] = {
         "cylinder": lambda: _hollow(record.radius, record.inner_radius, record.height),
-        "cone": lambda: _trimesh().creation.cone(record.radius, record.height, sections=_ROUND),
+        "cone": lambda: _trimesh().creation.cone(record.radius, record.height, sections=_FACETS),
         "torus": lambda: _trimesh().creation.torus(record.major_radius, record.minor_radius),
         "tetrahedron": lambda: _trimesh().convex.convex_hull(np.array(record.vertices)),
         "rod": lambda: _trimesh().creation.cylinder(
-            _THICKNESS * record.length, record.length, sections=12
+            _ROD_THICKNESS * record.length, record.length, sections=12
         ),
     }
     return (
@@ -252,14 +252,14 @@ def _trimesh() -> Any:
 
 def box(size: Floats) -> SurfaceMesh:
     """Box about the origin."""
-    return SurfaceMesh((np.array([*np.ndindex(2, 2, 2)]) - 0.5) * size, np.array(_BOX))
+    return SurfaceMesh((np.array([*np.ndindex(2, 2, 2)]) - 0.5) * size, np.array(_BOX_FACES))
 
 
 def _hollow(radius: float, inner: float, height: float) -> Any:
     """Cylinder about z, with or without a bore."""
     if inner > 0.0:
-        return _trimesh().creation.annulus(inner, radius, height, sections=_ROUND)
-    return _trimesh().creation.cylinder(radius, height, sections=_ROUND)
+        return _trimesh().creation.annulus(inner, radius, height, sections=_FACETS)
+    return _trimesh().creation.cylinder(radius, height, sections=_FACETS)
 
 
 def _as_mesh(made: Any, is_smooth: bool = False) -> SurfaceMesh:
@@ -286,7 +286,7 @@ def _particles_surface(system: System, body: Body, kind: int, copies: int) -> _S
     if radius.any():
         place, radius = place[radius > 0.0], radius[radius > 0.0]
     extent = float(np.linalg.norm(place, axis=1).max())
-    radius[radius == 0.0] = _MARKER * extent if extent > 0.0 else 1.0
+    radius[radius == 0.0] = _MARKER_RADIUS * extent if extent > 0.0 else 1.0
     surface = _balls_of(place, radius, copies)
     if body.shape is not None and body.shape.type == "moments":
         axes = np.abs(place).max(axis=0) * 0.999
@@ -307,7 +307,7 @@ def equal_ellipsoid(system: System, b: int) -> Floats:
 
 def _ellipsoid_surface(system: System, b: int) -> _Surface:
     """A body that shares its shape with no other, as the ellipsoid with its mass and moments."""
-    unit = ball(1.0, _MANY)
+    unit = ball(1.0, _MANY_COPIES)
     R = rotation_matrix(system.bodies.rotor_frame[:, b])
     mesh = unit._replace(vertices=unit.vertices * equal_ellipsoid(system, b))
     return triangles(mesh.moved(R, np.zeros(3)))
@@ -350,7 +350,7 @@ def surface_of_wall(files: Files, wall: Any, size: float) -> SurfaceMesh:
         z = np.array(wall.normal) / np.linalg.norm(wall.normal)
         x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
         x = x / np.linalg.norm(x)
-        y, half = np.cross(z, x), 0.5 * _PLANE * size
+        y, half = np.cross(z, x), 0.5 * _PLANE_SIZE * size
         corners = [a * half * x + b * half * y for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         return SurfaceMesh(np.array(corners) + wall.point, np.array([[0, 1, 2], [0, 2, 3]]))
     if wall.type == "box":
@@ -359,7 +359,7 @@ def surface_of_wall(files: Files, wall: Any, size: float) -> SurfaceMesh:
     if wall.type == "cylinder":
         axis = np.array(wall.axis) / np.linalg.norm(wall.axis)
         R = _trimesh().geometry.align_vectors([0.0, 0.0, 1.0], axis)[:3, :3]
-        made = _trimesh().creation.cylinder(wall.radius, wall.length, sections=_ROUND)
+        made = _trimesh().creation.cylinder(wall.radius, wall.length, sections=_FACETS)
         return _as_mesh(made).moved(R, np.array(wall.centre))
     vertices, faces = triangles_of(files.read(wall.file))
     turn = rotation_matrix(quaternion_of(wall.orientation))

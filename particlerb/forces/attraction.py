@@ -33,8 +33,8 @@ from particlerb.model.worlds import Worlds
 from particlerb.ranks import ALONE, Ranks, ending_all
 
 TILE: Final = 256  # targets at a time: their places and fields stay in the first level of cache
-_PAIRS: Final = 64  # take as long as a step of a body, the unit of work in `threads`
-_SEED: Final = 0x5FE2220000000000  # less half the bits of x: those of about x^{-1/2}
+_PAIRS_PER_BODY_STEP: Final = 64  # of work, the unit of it in `threads`
+_INVERSE_ROOT_MAGIC: Final = 0x5FE2220000000000  # less half the bits of x: those of about x^{-1/2}
 
 
 class Attraction(NamedTuple):
@@ -88,7 +88,7 @@ def work_of(attraction: Attraction, worlds: Worlds | None = None) -> Fields:
 
 def _plain_seed(x: float) -> float:
     """About x^{-1/2}."""
-    bits = _SEED - (struct.unpack("<q", struct.pack("<d", x))[0] >> 1)
+    bits = _INVERSE_ROOT_MAGIC - (struct.unpack("<q", struct.pack("<d", x))[0] >> 1)
     return cast(float, struct.unpack("<d", struct.pack("<q", bits))[0])
 
 
@@ -96,7 +96,7 @@ def _plain_seed(x: float) -> float:
 def seed(builder: Any, x: Any) -> Any:
     """About x^{-1/2} of a normal x > 0: the bits of a double are, roughly, its logarithm."""
     bits = builder.lshr(builder.bitcast(x, BITS), BITS(1))
-    return builder.bitcast(builder.sub(BITS(_SEED), bits), x.type)
+    return builder.bitcast(builder.sub(BITS(_INVERSE_ROOT_MAGIC), bits), x.type)
 
 
 @inline
@@ -292,7 +292,7 @@ def _spread_tiles(part: Callable[[int, int], object], work: Fields, ranks: Ranks
     first, last, begin, end = work.tile[slice(*tiles)].T
     n_pairs = int((last - first) @ (end - begin))
     shifted = (lambda lo, hi: part(tiles.first + lo, tiles.first + hi)) if tiles.first else part
-    THREADS.share(shifted, tiles.stop - tiles.first, n_pairs // _PAIRS)
+    THREADS.share(shifted, tiles.stop - tiles.first, n_pairs // _PAIRS_PER_BODY_STEP)
     return tiles
 
 

@@ -95,7 +95,7 @@ def _change_central(
 KICK: Final = Kick(
     "central", 8, _kick_central, has_potential=True, is_many=True, change=_change_central
 )
-_FAR: Final = 1e30  # [m] where a centre is for bodies on which it does not act
+_CENTRE_FAR_AWAY: Final = 1e30  # [m] where a centre is for bodies on which it does not act
 
 
 def central_work(central: Central, com: Floats, q: Floats, *_: object) -> Floats:
@@ -124,7 +124,7 @@ def _refuse_centre(table: "CentralTable", numbers: Floats, com: Floats) -> None:
 FORCE: Final = Force(
     same_for_all(lambda table: (*table.centre, table.mu)),
     lambda _, numbers, bodies, start: Central(numbers[:3], numbers[3], bodies.mass, bodies.inertia),
-    nowhere=_FAR, check=_refuse_centre,
+    nowhere=_CENTRE_FAR_AWAY, check=_refuse_centre,
 )  # fmt: skip
 KICKS: Final = (KICK,)
 TERMS: Final = (Term(Central, "central field", KICK, _central_rates, central_work),)

@@ -46,8 +46,8 @@ class RotatingField(NamedTuple):
     charge: Floats  # (n,)
 
 
-_FIELD: Final = 14  # first row after the parameters: E now, and its rate of change
-_CHANGE: Final = 17
+_FIELD_ROW: Final = 14  # first row after the parameters: E now, and its rate of change
+_RATE_ROW: Final = 17
 
 
 @inline
@@ -57,8 +57,8 @@ def _turn_field(rows: Floats, at: int, b: int, t: float) -> None:
     cos, sin, sign = cos_sin_half_turns(rate * t)
     across, ahead = scale(sign, get3(rows, at + 3, b)), scale(sign, get3(rows, at + 6, b))
     now = add_scaled(sin, ahead, add_scaled(cos, across, get3(rows, at, b)))
-    put3(rows, at + _FIELD, b, now)
-    put3(rows, at + _CHANGE, b, scale(rate, add_scaled(cos, ahead, scale(-sin, across))))
+    put3(rows, at + _FIELD_ROW, b, now)
+    put3(rows, at + _RATE_ROW, b, scale(rate, add_scaled(cos, ahead, scale(-sin, across))))
 
 
 @inline
@@ -66,7 +66,7 @@ def _kick_field(
     rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + q E dt,  L + (R m) × E dt."""
-    E, moment = get3(rows, at + _FIELD, b), turn(R, get3(rows, at + 10, b))
+    E, moment = get3(rows, at + _FIELD_ROW, b), turn(R, get3(rows, at + 10, b))
     return add_scaled(dt * get(rows, at + 13, b), E, p), add_scaled(dt, cross(moment, E), L)
 
 
@@ -74,7 +74,7 @@ def _kick_field(
 def _field_power(rows: Floats, at: int, b: int, x: Vec3, R: Matrix, power: float) -> float:
     """∂U/∂t = -(q x + R m)·(Ω × E)."""
     moment = turn(R, get3(rows, at + 10, b))
-    return power - dot(add_scaled(get(rows, at + 13, b), x, moment), get3(rows, at + _CHANGE, b))
+    return power - dot(add_scaled(get(rows, at + 13, b), x, moment), get3(rows, at + _RATE_ROW, b))
 
 
 KICK: Final = Kick(

@@ -21,7 +21,7 @@ from particlerb.model.block import get, get3, put
 from particlerb.model.load import OTHER, OUTSIDE, POWER
 from particlerb.model.load import TORQUE as PAIR_TORQUE
 
-_POSE: Final = "b, x, R, dt, p, L"  # arguments of a kick
+_ARGUMENTS: Final = "b, x, R, dt, p, L"  # of a kick
 Entry: TypeAlias = tuple[
     float, Vec3, Vec3
 ]  # work, impulse, angular impulse: integrators/external_work.py
@@ -177,12 +177,12 @@ def user_functions(kicks: tuple[Kick, ...]) -> FunctionSet:
 
 _PAIR_KICK: Final = "p, L = add_pair_load(acting.{}, rows, {}, b, dt, p, L)"
 kick_potential: Callable[..., Momenta] = made(
-    _Family("kick_potential", "push", _POSE, "p, L", _PAIR_KICK.format("pair", "PAIR"),
+    _Family("kick_potential", "push", _ARGUMENTS, "p, L", _PAIR_KICK.format("pair", "PAIR"),
             has_potential=True)
 )  # fmt: skip
 """(acting, rows, b, x, R, dt, p, L): momenta after dt of the forces that have a potential."""
 kick_others: Callable[..., Momenta] = made(
-    _Family("kick_others", "push", _POSE, "p, L", _PAIR_KICK.format("contact", "PAIR + OTHER"),
+    _Family("kick_others", "push", _ARGUMENTS, "p, L", _PAIR_KICK.format("contact", "PAIR + OTHER"),
             has_potential=False)
 )  # fmt: skip
 """(acting, rows, b, x, R, dt, p, L): momenta after dt of those without, that know no velocities."""

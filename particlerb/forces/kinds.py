@@ -28,8 +28,8 @@ IMPULSES: Final = "impulses"  # the same without stiffness,
 EVENTS: Final = "events"  # or at the instants of impacts,
 JOINTS: Final = "joints"  # or what holds them together,
 FLOWS: Final = "flows among joints"  # and slows, or turns, what they hold
-_LARGEST: Final = float(np.finfo(np.float64).max)
-_NOTHING: Final = np.zeros(())
+_MAX_FLOAT: Final = float(np.finfo(np.float64).max)
+_NO_TORQUE: Final = np.zeros(())
 Momenta: TypeAlias = tuple[Vec3, Vec3]
 
 
@@ -92,10 +92,10 @@ class Kick(NamedTuple):
 class Rates(NamedTuple):
     """What a term does to the default step; arrays (n,)."""
 
-    spinning: Floats = _NOTHING  # [N m] torque without a potential: it spins a body up
-    turning: Floats = _NOTHING  # [N m] torque of another kind, about which a body swings
-    squared: Floats = _NOTHING  # [1/s²] ω² of an oscillation; those of all terms add up
-    rate: Floats = _NOTHING  # [rad/s] of anything else
+    spinning: Floats = _NO_TORQUE  # [N m] torque without a potential: it spins a body up
+    turning: Floats = _NO_TORQUE  # [N m] torque of another kind, about which a body swings
+    squared: Floats = _NO_TORQUE  # [1/s²] ω² of an oscillation; those of all terms add up
+    rate: Floats = _NO_TORQUE  # [rad/s] of anything else
 
 
 class Term(NamedTuple):
@@ -163,5 +163,5 @@ def same_for_all(numbers: Callable[[Any], tuple[float, ...]]) -> Callable[..., A
 
 def refuse_overflow(what: str, key: str, arm: float, size: float, load: str = "torque") -> None:
     """Raise ForceError where the product of an arm and a size is beyond float64."""
-    if not 2.0 * arm * size < _LARGEST:
+    if not 2.0 * arm * size < _MAX_FLOAT:
         raise ForceError(key, f"{what} {size!r} give a {load} beyond the range of float64")

@@ -32,8 +32,8 @@ from particlerb.model.power_method import fastest_frequency
 from particlerb.model.state import rotate
 from particlerb.model.worlds import Worlds, over_pairs
 
-_ITERATIONS: Final = 60  # of the power method
-_TINY: Final = 1e-300  # keeps 1/l finite where a link has no length
+_POWER_ITERATIONS: Final = 60
+_LENGTH_FLOOR_SQUARED: Final = 1e-300  # [m²] keeps 1/l finite where a link has no length
 WORLD: Final = -1  # stands for the second body of a link to a point of the world
 
 
@@ -150,7 +150,7 @@ def link_loads(links: Links | None, y: Floats, load: Floats, with_dashpots: bool
         a, b = links.first[s], links.second[s]
         ends = _first_end(links, y, s), _second_end(links, y, s)
         d = subtract(ends[1].point, ends[0].point)
-        inverse = 1.0 / math.sqrt(dot(d, d) + _TINY)
+        inverse = 1.0 / math.sqrt(dot(d, d) + _LENGTH_FLOOR_SQUARED)
         size = links.stiffness[s] * (1.0 - links.rest_length[s] * inverse)
         c = coefficient(links.damping, s)
         if with_dashpots and c > 0.0:
@@ -213,7 +213,7 @@ def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backward
         a, b = links.first[s], links.second[s]
         ends = _first_end(links, y, s), _second_end(links, y, s)
         d = subtract(ends[1].point, ends[0].point)
-        n = scale(1.0 / math.sqrt(dot(d, d) + _TINY), d)
+        n = scale(1.0 / math.sqrt(dot(d, d) + _LENGTH_FLOOR_SQUARED), d)
         v, w = rate(links, y, s, ends, n), _inverse_mass(links, s, ends, n)
         if not w > 0.0:
             continue
@@ -287,7 +287,7 @@ def fastest_oscillation(links: Links, bodies: Bodies, com: Floats, q: Floats) ->
     world = np.where(links.second == WORLD, com.shape[1], links.second)
     ends = (links.first, first), (world, second)
     springs, inverse = (n, links.stiffness, across), (bodies.inv_mass, bodies.inv_inertia)
-    return fastest_frequency(inverse, q, ends, springs, _ITERATIONS)
+    return fastest_frequency(inverse, q, ends, springs, _POWER_ITERATIONS)
 
 
 def link_rates(links: Links) -> Floats:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from particlerb.case.forces import PythonTable
     from particlerb.model.system import System
 
-_TOLERANCE: Final = 1e-4  # share of a force by which that of its potential may be another
+_POTENTIAL_TOLERANCE: Final = 1e-4  # share of a force by which that of its potential may be another
 LOOKED_AT: Final = 64  # bodies on which a potential is compared,
 _ASIDE: Final = np.array([[0.31], [-0.23], [0.17]])  # and where, beside their places
 _BOILERPLATE: Final = ("Failed in", "During:", "File ", "[1", "[2", "- Resolution", "<source")
@@ -272,7 +272,7 @@ def compare(
         for rows, what in ((slice(0, 3), "force [N]"), (slice(3, 6), "torque [N m]")):
             size = np.maximum(lengths(acting[rows]), lengths(derived[rows]))
             error = lengths(acting[rows] - derived[rows])
-            wrong = np.flatnonzero(error > _TOLERANCE * size + lengths(noise[rows]))
+            wrong = np.flatnonzero(error > _POTENTIAL_TOLERANCE * size + lengths(noise[rows]))
             if wrong.size:
                 b = int(wrong[0])
                 numbers = [np.array2string(one[rows, b], precision=6) for one in (acting, derived)]

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from particlerb.case.forces import PythonTable
     from particlerb.model.system import System
 
-_NO_TORQUE: Final = 1e-12  # share of a lever times the force that is rounding
+_TORQUE_ROUNDING: Final = 1e-12  # share of a lever times the force that is rounding
 
 
 def numbers_of_pairs(table: "PythonTable", first: Ints, second: Ints, system: "System") -> Floats:
@@ -140,7 +140,7 @@ def _try(pairs: OwnPairs, bodies: Bodies, state: State, start: float) -> None:
     values = attempt(force, lambda: loads_between(bare, state, start))
     arm = lengths(state.com[:, pairs.second] - state.com[:, pairs.first]) * lengths(values[:3])
     for ends, torque in ((pairs.first, values[3:6]), (pairs.second, values[6:])):
-        turned = (bodies.rotor_class[ends] == POINT) & (lengths(torque) > _NO_TORQUE * arm)
+        turned = (bodies.rotor_class[ends] == POINT) & (lengths(torque) > _TORQUE_ROUNDING * arm)
         if turned.any():
             reason = f"{where}: {force.name} turns a point of {{name}}: nothing can turn it"
             hint = "return a force along x2 - x1, and a torque of zeros"

@@ -39,20 +39,20 @@ class FollowerRamp(NamedTuple):
     clock: Floats
 
 
-_CHANGE: Final = 6  # first row of the changes, after force and torque
-_CLOCK: Final = 12
-_ARM: Final = 14
-_NOW: Final = 17  # force and torque at the time of the kick
+_CHANGE_ROW: Final = 6  # first row of the changes, after force and torque
+_CLOCK_ROW: Final = 12
+_ARM_ROW: Final = 14
+_NOW_ROW: Final = 17  # force and torque at the time of the kick
 _ROWS: Final = 23
 
 
 @inline
 def _set_load(rows: Floats, at: int, b: int, t: float) -> None:
     """Force and torque at the time t."""
-    s = (t - get(rows, at + _CLOCK, b)) * get(rows, at + _CLOCK + 1, b)
+    s = (t - get(rows, at + _CLOCK_ROW, b)) * get(rows, at + _CLOCK_ROW + 1, b)
     for k in (0, 3):
-        now = add_scaled(s, get3(rows, at + _CHANGE + k, b), get3(rows, at + k, b))
-        put3(rows, at + _NOW + k, b, now)
+        now = add_scaled(s, get3(rows, at + _CHANGE_ROW + k, b), get3(rows, at + k, b))
+        put3(rows, at + _NOW_ROW + k, b, now)
 
 
 @inline
@@ -60,8 +60,8 @@ def _kick_ramp(
     rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + F dt,  L + (τ + (R r) × F) dt."""
-    force, arm = get3(rows, at + _NOW, b), turn(R, get3(rows, at + _ARM, b))
-    torque = add_scaled(1.0, cross(arm, force), get3(rows, at + _NOW + 3, b))
+    force, arm = get3(rows, at + _NOW_ROW, b), turn(R, get3(rows, at + _ARM_ROW, b))
+    torque = add_scaled(1.0, cross(arm, force), get3(rows, at + _NOW_ROW + 3, b))
     return add_scaled(dt, force, p), add_scaled(dt, torque, L)
 
 
@@ -70,11 +70,11 @@ def _kick_follower_ramp(
     rows: Floats, at: int, b: int, x: Vec3, R: Matrix, dt: float, p: Vec3, L: Vec3
 ) -> Momenta:
     """p + R F dt,  L + R τ dt."""
-    force, torque = turn(R, get3(rows, at + _NOW, b)), turn(R, get3(rows, at + _NOW + 3, b))
+    force, torque = turn(R, get3(rows, at + _NOW_ROW, b)), turn(R, get3(rows, at + _NOW_ROW + 3, b))
     return add_scaled(dt, force, p), add_scaled(dt, torque, L)
 
 
-_KICK: Final = Kick("ramp", _ROWS, _kick_ramp, is_many=True, at_time=_set_load)
+_RAMP_KICK: Final = Kick("ramp", _ROWS, _kick_ramp, is_many=True, at_time=_set_load)
 _FOLLOWER_KICK: Final = Kick(
     "follower_ramp", _ROWS, _kick_follower_ramp, is_many=True, at_time=_set_load
 )
@@ -88,9 +88,9 @@ def _ramp_rates(ramp: Ramp | FollowerRamp, bodies: Bodies, state: State) -> Rate
     return Rates(spinning=lengths(ramp.torque), turning=swinging)
 
 
-RAMP_KICKS: Final = (_KICK, _FOLLOWER_KICK)
+RAMP_KICKS: Final = (_RAMP_KICK, _FOLLOWER_KICK)
 RAMP_TERMS: Final = (
-    Term(Ramp, "load that changes with time", _KICK, _ramp_rates),
+    Term(Ramp, "load that changes with time", _RAMP_KICK, _ramp_rates),
     Term(
         FollowerRamp, "load fixed in the body that changes with time", _FOLLOWER_KICK, _ramp_rates
     ),

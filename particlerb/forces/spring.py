@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from particlerb.case.forces import SpringTable
     from particlerb.model.system import System
 
-_TINY: Final = 1e-300  # keeps 1/l finite where the spring has no length
+_LENGTH_FLOOR_SQUARED: Final = 1e-300  # [m²] keeps 1/l finite where the spring has no length
 
 
 class Spring(NamedTuple):
@@ -40,14 +40,14 @@ def _kick_spring(
     arm = turn(R, get3(rows, at, b))
     d = subtract(subtract(get3(rows, at + 3, b), x), arm)
     stiffness, rest = get(rows, at + 6, b), get(rows, at + 7, b)
-    force = scale(stiffness * (1.0 - rest / np.sqrt(dot(d, d) + _TINY)), d)
+    force = scale(stiffness * (1.0 - rest / np.sqrt(dot(d, d) + _LENGTH_FLOOR_SQUARED)), d)
     return add_scaled(dt, force, p), add_scaled(dt, cross(arm, force), L)
 
 
 @inline
 def change_along(stiffness: float, rest: float, d: Vec3, rate: Vec3) -> tuple[Vec3, Vec3]:
     """Force of a spring along d, and its rate of change where d changes at a rate [m/s]."""
-    squared = dot(d, d) + _TINY
+    squared = dot(d, d) + _LENGTH_FLOOR_SQUARED
     share = rest / np.sqrt(squared)
     bent = add_scaled(share * dot(d, rate) / squared, d, scale(1.0 - share, rate))
     return scale(stiffness * (1.0 - share), d), scale(stiffness, bent)

@@ -39,11 +39,11 @@ from particlerb.user_force import UserForce, arguments_of, digest_of, place_of, 
 
 DIFFERENCE: Final = 1e-5  # step of differences, in units of the place or the size of a body
 _NO_TURN: Final = np.array([[1.0], [0.0], [0.0], [0.0]])
-_UNKEPT: Final = (
+_UNCACHED_WARNING: Final = (
     "{force} has no source that stands alone, as in a console: it is compiled anew at every start"
 )
-_CLASSES: Final[dict[str, Any]] = {}  # by their signs
-_WITHOUT_TEXT: Final[dict[Any, int]] = {}  # numbers of functions, by what they are and reach
+_CLASS_OF_SIGN: Final[dict[str, Any]] = {}
+_NUMBER_WITHOUT_TEXT: Final[dict[Any, int]] = {}  # numbers of functions, by what they are and reach
 Lengths = tuple[tuple[str, int], ...]  # of parameters: 0 for a number
 
 
@@ -89,7 +89,7 @@ def chosen(acts: float, load: Any) -> Momenta:
     return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
-_SOURCES: Final = {
+_HOOK_SOURCES: Final = {
     "by_rates": """(rows, at, b, x, R, v, omega, F, tau):
     dF, dtau = chosen(get(rows, at, b), function({arguments}))
     return add_scaled(1.0, dF, F), add_scaled(1.0, dtau, tau)
@@ -161,7 +161,7 @@ def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> t
     }  # fmt: skip
 
     def hook(hook_name: str) -> Callable[..., Any]:
-        text = f"def {hook_name}{_SOURCES[hook_name].format(**words, start=start)}"
+        text = f"def {hook_name}{_HOOK_SOURCES[hook_name].format(**words, start=start)}"
         names[hook_name] = made = inline_from(text, f"<{hook_name} of {name}>", hook_name, names)
         return made
 
@@ -180,11 +180,11 @@ def sign_of(force: UserForce, lengths_: Lengths) -> tuple[str, bool]:
     if text:
         sign = digest_of(text)
     else:
-        count = len(_WITHOUT_TEXT)
-        number = _WITHOUT_TEXT.setdefault((force, repr([*reached(force.function)])), count)
+        count = len(_NUMBER_WITHOUT_TEXT)
+        number = _NUMBER_WITHOUT_TEXT.setdefault((force, repr([*reached(force.function)])), count)
         sign = f"without_text_{number}"
         if number == count:
-            warnings.warn(CacheWarning(_UNKEPT.format(force=force)), stacklevel=2)
+            warnings.warn(CacheWarning(_UNCACHED_WARNING.format(force=force)), stacklevel=2)
     return "_".join([force.name, sign, *(str(length) for _, length in lengths_)]), bool(text)
 
 
@@ -193,9 +193,9 @@ def class_of(force: UserForce, lengths_: Lengths) -> type[Written]:
     from particlerb.forces.kernels import user_functions  # which are made of all kicks
 
     name, is_kept = sign_of(force, lengths_)
-    made: Any = _CLASSES.get(name)
+    made: Any = _CLASS_OF_SIGN.get(name)
     if made is None:
-        made = _CLASSES[name] = type(force.name, (Written,), {})
+        made = _CLASS_OF_SIGN[name] = type(force.name, (Written,), {})
         kick, energy = _kick_of(force, lengths_, name, is_kept)
         made.force, made.lengths = force, lengths_
         made.functions = user_functions((kick,))

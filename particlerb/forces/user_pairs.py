@@ -34,10 +34,10 @@ from particlerb.model.state import State
 from particlerb.rotors.rotor_class import POINT
 from particlerb.user_force import UserForce, arguments_of
 
-_MOST: Final = 200  # iterations of a flow,
-_ROUNDING: Final = 4e-16  # until another one would change momenta by such a share
-_LARGEST_LEFT: Final = 1e-12  # such a share that is left: it does not converge
-_TINY: Final = 1e-300
+_MAX_FLOW_ITERATIONS: Final = 200
+_LEAST_CHANGE: Final = 4e-16  # share of momenta: iterations end before one that changes less
+_MAX_CHANGE_LEFT: Final = 1e-12  # share of momenta: with more a flow does not converge
+_MOMENTUM_FLOOR: Final = 1e-300
 _P, _L = 7, 10  # rows of a state
 
 
@@ -96,14 +96,14 @@ def _speed(pairs: OwnPairs, y: Floats, b: int) -> Vec3:
     return scale(pairs.inv_mass[b], column3(y, _P, b))
 
 
-_GIVEN: Final = {"x": "column3(y, 0, {})", "R": "axes_of(own, y, {})", "v": "speed(own, y, {})",
+_ARGUMENTS: Final = {"x": "column3(y, 0, {})", "R": "axes_of(own, y, {})", "v": "speed(own, y, {})",
                  "omega": "spin(own, y, {})"}  # fmt: skip
 
 
 def _arguments(names: Any, lengths: Lengths) -> str:
     """Source of the arguments of a function."""
     texts, row = {"t": "t"}, 0
-    for name, code in _GIVEN.items():
+    for name, code in _ARGUMENTS.items():
         texts |= {name + "1": code.format("own.first[s]"), name + "2": code.format("own.second[s]")}
     for name, length in lengths:
         numbers = [f"own.rows[{row + k}, s]" for k in range(max(length, 1))]
@@ -112,7 +112,7 @@ def _arguments(names: Any, lengths: Lengths) -> str:
     return ", ".join(texts[name] for name in names)
 
 
-_SOURCES: Final = {
+_FUNCTION_SOURCES: Final = {
     "load": ("own, y, t, s", "chosen(1.0, function({}))"),
     "energy": ("own, y, s", "float(function({}))"),
 }
@@ -121,7 +121,7 @@ _SOURCES: Final = {
 
 def _chain(kind: str, functions: list[Any], arguments: list[str], key: str) -> Any:
     """A function that calls those of force k, made of the functions of users."""
-    parameters, result = _SOURCES[kind]
+    parameters, result = _FUNCTION_SOURCES[kind]
     names: dict[str, Any] = {
         "column3": column3, "axes_of": _axes_of, "speed": _speed, "spin": _spin,
         "chosen": chosen,
@@ -237,20 +237,20 @@ def _flow_pair(pairs: OwnPairs, t: float, y: Floats, s: int, dt: float) -> float
     p, spin = (column3(y, _P, a), column3(y, _P, b)), (column3(y, _L, a), column3(y, _L, b))
     sizes = _sum3(p[0]) + _sum3(p[1]), _sum3(spin[0]) + _sum3(spin[1])
     load, change = (ZERO, ZERO, ZERO), 1.0
-    for _ in range(_MOST):
+    for _ in range(_MAX_FLOW_ITERATIONS):
         _add_load(pairs, s, y, _P, 0.5 * dt, load)
         new = _load(pairs, t, y, s)
         for c in range(3):
             y[_P + c, a], y[_P + c, b] = p[0][c], p[1][c]
             y[_L + c, a], y[_L + c, b] = spin[0][c], spin[1][c]
         before, change = change, dt * _sum3(subtract(new[0], load[0]))
-        change /= max(sizes[0] + dt * _sum3(new[0]), _TINY)
+        change /= max(sizes[0] + dt * _sum3(new[0]), _MOMENTUM_FLOOR)
         turned = _sum3(subtract(new[1], load[1])) + _sum3(subtract(new[2], load[2]))
-        turned *= dt / max(sizes[1] + dt * (_sum3(new[1]) + _sum3(new[2])), _TINY)
+        turned *= dt / max(sizes[1] + dt * (_sum3(new[1]) + _sum3(new[2])), _MOMENTUM_FLOOR)
         load, change = new, max(change, turned)
-        if change <= _ROUNDING or change * change <= _ROUNDING * before:
+        if change <= _LEAST_CHANGE or change * change <= _LEAST_CHANGE * before:
             break
-    h = dt if change < _LARGEST_LEFT else np.nan
+    h = dt if change < _MAX_CHANGE_LEFT else np.nan
     F, tau, other = load
     _add_load(pairs, s, y, _P, 0.5 * h, load)
     work = dot(F, subtract(_speed(pairs, y, a), _speed(pairs, y, b)))

@@ -28,7 +28,7 @@ from particlerb.maths.vec3 import (
 )
 
 SAME: Final = 1e-14  # caps this close are one; circles that overlap by so little only touch
-_TURN: Final = 2.0 * math.pi
+_WHOLE_TURN: Final = 2.0 * math.pi
 
 _Circle: TypeAlias = tuple[Vec3, Vec3, Vec3, float, float, float]  # u, e1, e2, h, 1 − h, radius
 
@@ -116,7 +116,7 @@ def _meeting(caps: Caps, a: int, b: int, same: float) -> tuple[int, Vec3, Vec3]:
 def _azimuth(caps: Caps, k: int, p: Vec3) -> float:
     """Angle of a point on circle k, from 0 to 2π."""
     t = math.atan2(dot(row3(caps.e2, k), p), dot(row3(caps.e1, k), p))
-    return t if t >= 0.0 else t + _TURN
+    return t if t >= 0.0 else t + _WHOLE_TURN
 
 
 @kernel
@@ -139,7 +139,7 @@ def _covered(caps: Caps, k: int, begin: Floats, end: Floats, same: float) -> int
         t0, t1 = _azimuth(caps, k, p), _azimuth(caps, k, q)
         begin[count], end[count] = t0, t1
         if t0 > t1:
-            end[count] = _TURN
+            end[count] = _WHOLE_TURN
             count += 1
             begin[count], end[count] = 0.0, t1
         count += 1
@@ -158,7 +158,7 @@ def exposed_arcs(caps: Caps, same: float) -> Floats:
             continue
         order, reached = np.argsort(begin[:count]), 0.0
         for at in range(count + 1):
-            stop = begin[order[at]] if at < count else _TURN
+            stop = begin[order[at]] if at < count else _WHOLE_TURN
             if stop > reached:
                 if m == len(arcs):
                     arcs = np.concatenate((arcs, np.empty_like(arcs)))

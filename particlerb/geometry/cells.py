@@ -20,11 +20,11 @@ from particlerb.geometry.particles import Particles, one_kind
 from particlerb.geometry.solid import symmetric
 from particlerb.maths.vec3 import Floats, Ints
 
-_EMPTY: Final = 1e-10  # share of a cell below which it holds nothing but rounding
+_EMPTY_CELL_SHARE: Final = 1e-10  # below which it holds nothing but rounding
 _COLUMN_OF: Final = (0, 1, 2, 0, 3, 4, 0, 5, 1, 2)  # 1, u, v, uu, vv, uv of a column of full height
 _COLUMN_SHARE: Final = np.array([1, 1, 1, 1 / 2, 1, 1, 1 / 3, 1, 1 / 2, 1 / 2])  # and ∫ of w in it
 CORNERS: Final = 12  # of a triangle cut by six planes: nine at most
-_THIN: Final = 1e-9
+_MIN_THICKNESS_SHARE: Final = 1e-9
 """Variance of particles over that of the matter, below which they lie in a plane."""
 
 Layer = tuple[int, Floats]
@@ -247,7 +247,7 @@ def pieces(layers: Iterable[Layer], grid: Lattice) -> Pieces:
     """Shares and centroids of the cells that are not empty."""
     cells, shares, centroids, spread = [], [], [], np.zeros(6)
     for i, sums in layers:
-        chosen = np.argwhere(sums[:, :, 0] > _EMPTY)
+        chosen = np.argwhere(sums[:, :, 0] > _EMPTY_CELL_SHARE)
         held = sums[chosen[:, 0], chosen[:, 1]]
         share = held[:, 0]
         mean = np.clip(held[:, 1:4] / share[:, None], 0.0, 1.0)
@@ -293,7 +293,7 @@ def cell_particles(layers: Iterable[Layer], grid: Lattice, mass: float) -> Parti
     com += weight @ r  # what rounding has left
     r -= weight @ r
     second = (weight[:, None] * r).T @ r
-    if np.linalg.eigvalsh(second)[0] <= _THIN * np.trace(second + lacking):
+    if np.linalg.eigvalsh(second)[0] <= _MIN_THICKNESS_SHARE * np.trace(second + lacking):
         raise ValueError("the cells lie in a plane: raise n")
     return one_kind(com + r @ _least_move(second, second + lacking), weight * mass)
 

@@ -26,9 +26,9 @@ from particlerb.geometry.solid import UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Floats
 
 MOST_PARTICLES: Final = 1_000_000
-_MOST_SPHERES: Final = 1000
-_FINER: Final = 1.2  # ratio of the numbers of cells that are tried one after the other
-_MORE: Final = 1.5  # and of the numbers of spheres
+_MAX_SPHERES: Final = 1000
+_CELLS_RATIO: Final = 1.2  # of the numbers of cells that are tried one after the other
+_SPHERES_RATIO: Final = 1.5  # of the numbers of spheres that are tried one after the other
 
 
 class _Trial(NamedTuple):
@@ -133,15 +133,15 @@ def coarsest_within(
             if trials:
                 raise
             refusal = error
-            if n > _FINER**20:
+            if n > _CELLS_RATIO**20:
                 raise refusal from None
         else:
             trials.append(made)
             if made.error <= wanted:
                 return FilledShape(particles, tuple(trials))
-            if made.particles * _FINER**3 > MOST_PARTICLES:
+            if made.particles * _CELLS_RATIO**3 > MOST_PARTICLES:
                 raise ValueError(_missed(wanted, trials))
-        n = max(n + 1, round(_FINER * n))
+        n = max(n + 1, round(_CELLS_RATIO * n))
 
 
 def _missed(wanted: float, trials: Sequence[_Trial]) -> str:
@@ -250,7 +250,7 @@ def _spheres_in(
         trials.append(trial(count))
         if trials[-1].error <= inertia_error:
             return filled(count, trials)
-        count = max(count + 1, round(_MORE * count))
-        if count > len(balls.radius) and len(balls.radius) < _MOST_SPHERES:
-            balls = packing(mesh, min(4 * count, _MOST_SPHERES))
+        count = max(count + 1, round(_SPHERES_RATIO * count))
+        if count > len(balls.radius) and len(balls.radius) < _MAX_SPHERES:
+            balls = packing(mesh, min(4 * count, _MAX_SPHERES))
     raise ValueError(_missed(inertia_error, trials))

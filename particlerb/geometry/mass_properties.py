@@ -18,7 +18,7 @@ from particlerb.geometry.sums import sums_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
 
-_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # 1.8e-15: sums, coordinates, eigenvalues
+_SUM_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # 1.8e-15: sums, coordinates, eigenvalues
 _TIE = 0.999  # components this close to the largest count as equal when an axis takes its sign
 
 
@@ -131,8 +131,8 @@ def ratios(mass: Floats, com: Floats, tensor: Floats, moments: Floats) -> Ratios
         moments[:, 0] / largest,
         (moments[:, 1] - moments[:, 0]) / largest,
         (largest - moments[:, 1]) / largest,
-        _ROUNDING + (_ROUNDING * offset) ** 2,
-        _ROUNDING * (1.0 + offset),
+        _SUM_ROUNDING + (_SUM_ROUNDING * offset) ** 2,
+        _SUM_ROUNDING * (1.0 + offset),
     )
 
 
@@ -141,7 +141,7 @@ def _rotor_classes(ratio: Ratios) -> Ints:
     gap = np.minimum(ratio.lower_gap, ratio.upper_gap)
     return np.select(
         [
-            _ROUNDING * ratio.offset >= 1.0,  # g <= ε |com|: the particles coincide
+            _SUM_ROUNDING * ratio.offset >= 1.0,  # g <= ε |com|: the particles coincide
             ratio.smallest <= ratio.zero_below,
             ratio.lower_gap + ratio.upper_gap <= ratio.equal_below,
             gap <= ratio.equal_below,
@@ -204,7 +204,7 @@ def eigen_systems(tensor: Floats) -> tuple[Floats, Floats]:
     """
     diagonal = np.diagonal(tensor, axis1=1, axis2=2)
     off_diagonal = np.abs(tensor[:, [0, 0, 1], [1, 2, 2]]).max(axis=1)
-    oblique = off_diagonal > _ROUNDING * diagonal.max(axis=1)
+    oblique = off_diagonal > _SUM_ROUNDING * diagonal.max(axis=1)
     order = np.argsort(diagonal, axis=1, kind="stable")
     values = np.take_along_axis(diagonal, order, axis=1)
     vectors = np.swapaxes(np.eye(3)[order], 1, 2).copy()

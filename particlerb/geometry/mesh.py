@@ -25,16 +25,16 @@ from particlerb.geometry.solid import UniformSolid
 from particlerb.geometry.winding import oriented, windings
 from particlerb.maths.vec3 import Floats, Ints
 
-_SUFFIXES: Final = (".stl", ".obj", ".ply")
-_FLAT: Final = 1e-12  # height over longest side of a face whose corners lie on one line
-_TOUCHING: Final = 1e-12  # of the size: as near as this, faces touch and do not cross
-_ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)
-_COARSE: Final = 8  # cells along the largest extent, to find matter that counts twice
-_MISCOUNTED: Final = 1e-6  # of a cell
-_MOST_NAMED: Final = 3  # places in a message
-_MOST_COMPARED: Final = 500  # vertices of open edges, to find two that were meant to be one
-_NEARLY_ONE: Final = 1e-3  # of the size
-_PIP: Final = 'pip install "particlerb[mesh]"'
+MESH_SUFFIXES: Final = (".stl", ".obj", ".ply")
+_MIN_FACE_HEIGHT: Final = 1e-12  # over the longest side: below it the corners lie on one line
+_TOUCH_SHARE: Final = 1e-12  # of the size: as near as this, faces touch and do not cross
+_VOLUME_ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)
+_COARSE_CELLS: Final = 8  # along the largest extent, to find matter that counts twice
+_MAX_CELL_ERROR: Final = 1e-6  # of matter, in cells
+_MAX_PLACES_NAMED: Final = 3  # in a message
+_MAX_COMPARED: Final = 500  # vertices of open edges, to find two that were meant to be one
+_MAX_RIM_GAP: Final = 1e-3  # of the size
+_INSTALL_COMMAND: Final = 'pip install "particlerb[mesh]"'
 
 
 class TriangleMesh(NamedTuple):
@@ -68,8 +68,8 @@ def read_mesh(file: str | Path | File, scale: float = 1.0) -> TriangleMesh:
         As `triangles_of`, `checked`.
     """
     name = file.name if isinstance(file, File) else str(file)
-    if PurePath(name).suffix.lower() not in _SUFFIXES:
-        raise ValueError(f"{name} is not a mesh: its name must end with {', '.join(_SUFFIXES)}")
+    if PurePath(name).suffix.lower() not in MESH_SUFFIXES:
+        raise ValueError(f"{name} is not a mesh: its name must end with {', '.join(MESH_SUFFIXES)}")
     try:
         vertices, faces = triangles_of(content(file))
         return checked(scale * vertices, faces)
@@ -90,7 +90,7 @@ def triangles_of(file: File) -> tuple[Floats, Ints]:
     try:
         trimesh: Any = import_module("trimesh")
     except ImportError:
-        raise ValueError(f"reading it needs trimesh: {_PIP}") from None
+        raise ValueError(f"reading it needs trimesh: {_INSTALL_COMMAND}") from None
     kind = PurePath(file.name).suffix.lower().removeprefix(".")
     try:
         loaded = trimesh.load_mesh(
@@ -154,8 +154,8 @@ def checked(vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
 
 def _faces_text(numbers: Ints) -> str:
     """`face 3`, `faces 3, 4`, `faces 3, 4, 5, ... (12 in all)`."""
-    listed = ", ".join(str(number) for number in numbers[:_MOST_NAMED].tolist())
-    rest = f", ... ({len(numbers)} in all)" if len(numbers) > _MOST_NAMED else ""
+    listed = ", ".join(str(number) for number in numbers[:_MAX_PLACES_NAMED].tolist())
+    rest = f", ... ({len(numbers)} in all)" if len(numbers) > _MAX_PLACES_NAMED else ""
     return f"face{'s' if len(numbers) > 1 else ''} {listed}{rest}"
 
 
@@ -170,7 +170,7 @@ def _refuse_flat(vertices: Floats, faces: Ints, number: Ints) -> None:
     sides = corner - np.roll(corner, 1, axis=1)
     longest = (sides**2).sum(axis=2).max(axis=1)
     area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    flat = np.flatnonzero(area <= _FLAT * longest)
+    flat = np.flatnonzero(area <= _MIN_FACE_HEIGHT * longest)
     if len(flat):
         raise ValueError(
             f"{_faces_text(number[flat])}: the corners lie on one line, the first at "
@@ -188,9 +188,9 @@ def _refuse_open(vertices: Floats, faces: Ints, number: Ints) -> None:
     places = [
         f"edge {_point_text(vertices[unique[e, 0]])} to {_point_text(vertices[unique[e, 1]])}"
         f" of face {number[first[e] // 3]} has {count[e]} face{'s' if count[e] > 1 else ''}"
-        for e in odd[:_MOST_NAMED]
+        for e in odd[:_MAX_PLACES_NAMED]
     ]
-    rest = f"; ... {len(odd)} edges in all" if len(odd) > _MOST_NAMED else ""
+    rest = f"; ... {len(odd)} edges in all" if len(odd) > _MAX_PLACES_NAMED else ""
     raise ValueError(
         f"it is open: {'; '.join(places)}{rest}; two faces are needed at each: "
         + _remedy(vertices, np.unique(unique[odd]))
@@ -199,11 +199,11 @@ def _refuse_open(vertices: Floats, faces: Ints, number: Ints) -> None:
 
 def _remedy(vertices: Floats, rim: Ints) -> str:
     """What closes a mesh whose open edges end at these vertices: joining them, or more faces."""
-    some = vertices[rim[:_MOST_COMPARED]]
+    some = vertices[rim[:_MAX_COMPARED]]
     apart = np.linalg.norm(some[:, None] - some, axis=2)
     np.fill_diagonal(apart, np.inf)
     i, j = np.unravel_index(int(np.argmin(apart)), apart.shape)
-    if apart[i, j] > _NEARLY_ONE * np.ptp(vertices, axis=0).max():
+    if apart[i, j] > _MAX_RIM_GAP * np.ptp(vertices, axis=0).max():
         return "close the hole where the mesh was made, or try trimesh.repair.fill_holes"
     return (
         f"vertices {_point_text(some[i])} and {_point_text(some[j])} are {apart[i, j]:.3g} m apart,"
@@ -215,14 +215,14 @@ def _remedy(vertices: Floats, rim: Ints) -> str:
 def _refuse_crossings(vertices: Floats, faces: Ints, number: Ints) -> None:
     """Refuse faces that cross each other, or that cover each other and face the same way."""
     size = np.ptp(vertices, axis=0).max()
-    nearness = max(_TOUCHING * size, 16 * np.finfo(np.float64).eps * np.abs(vertices).max())
+    nearness = max(_TOUCH_SHARE * size, 16 * np.finfo(np.float64).eps * np.abs(vertices).max())
     pairs, points = crossings(vertices, faces, nearness)
     if len(pairs):
         places = [
             f"face {number[i]} and face {number[j]} at {_point_text(point)}"
-            for (i, j), point in zip(pairs[:_MOST_NAMED], points, strict=False)
+            for (i, j), point in zip(pairs[:_MAX_PLACES_NAMED], points, strict=False)
         ]
-        rest = f"; ... {len(pairs)} pairs in all" if len(pairs) > _MOST_NAMED else ""
+        rest = f"; ... {len(pairs)} pairs in all" if len(pairs) > _MAX_PLACES_NAMED else ""
         raise ValueError(f"it intersects itself: {'; '.join(places)}{rest}")
 
 
@@ -266,12 +266,12 @@ def refuse_miscounted(vertices: Floats, faces: Ints) -> None:
     Parts that touch along edges are one here, so that `_outward` cannot tell them apart: a few
     cells must be empty, full, or between.
     """
-    grid = grid_over(vertices.min(axis=0), vertices.max(axis=0), _COARSE)
+    grid = grid_over(vertices.min(axis=0), vertices.max(axis=0), _COARSE_CELLS)
     for i, sums in cut_mesh(vertices, faces, grid):
         share = sums[:, :, 0]
         off = np.maximum(share - 1.0, -share)
         j, k = np.unravel_index(int(np.argmax(off)), off.shape)
-        if off[j, k] > _MISCOUNTED:
+        if off[j, k] > _MAX_CELL_ERROR:
             centre = grid.lower + (np.array([i, j, k]) + 0.5) * grid.spacing
             raise ValueError(
                 f"matter near {_point_text(centre)} counts {share[j, k]:.3g} times: parts that"
@@ -283,7 +283,7 @@ def sign(vertices: Floats, faces: Ints) -> int:
     """+1 for faces that look outward, -1 inward, 0 for what has no volume but rounding."""
     volume = _tetrahedra(vertices[faces] - vertices[faces[0, 0]])
     total = math.fsum(volume)
-    is_zero = abs(total) <= _ROUNDING * math.fsum(np.abs(volume))
+    is_zero = abs(total) <= _VOLUME_ROUNDING * math.fsum(np.abs(volume))
     return 0 if is_zero else int(math.copysign(1.0, total))
 
 
@@ -320,5 +320,5 @@ def mesh_solid(mesh: TriangleMesh) -> UniformSolid:
             mean = math.fsum(weight * products) / (20.0 * volume)
             second[i, j] = second[j, i] = mean - com[i] * com[j]
     inertia = (np.trace(second) * np.eye(3) - second) * volume
-    lost = _ROUNDING * math.fsum(np.abs(weight)) / volume
+    lost = _VOLUME_ROUNDING * math.fsum(np.abs(weight)) / volume
     return UniformSolid(volume * unit**3, origin + com * unit, inertia * unit**5, lost)

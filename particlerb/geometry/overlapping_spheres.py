@@ -18,7 +18,7 @@ from particlerb.geometry.union import neighbours, union
 from particlerb.maths.vec3 import Floats, Ints
 
 _Overlap: TypeAlias = Literal["exact", "sum", "error"]
-_TOUCHING: Final = 1e-12  # overlap, of the sum of the radii, that is rounding of a touch
+_TOUCH_ROUNDING: Final = 1e-12  # overlap, of the sum of the radii, that is rounding of a touch
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 _HUGE: Final = 1e50  # [m] the largest radius lies between this and its inverse
 
@@ -147,7 +147,7 @@ def overlaps(centre: Floats, radius: Floats) -> _Overlaps:
     pairs = np.stack([np.repeat(np.arange(len(radius)), np.diff(cover.start)), cover.other])
     reach = radius[pairs].sum(axis=0)
     depth = reach - np.linalg.norm(centre[pairs[0]] - centre[pairs[1]], axis=1)
-    is_deep = (pairs[0] < pairs[1]) & (depth > _TOUCHING * reach)
+    is_deep = (pairs[0] < pairs[1]) & (depth > _TOUCH_ROUNDING * reach)
     pairs, depth = pairs[:, is_deep], depth[is_deep]
     n_pairs = len(depth) + len(hidden)
     if len(hidden) or not n_pairs:

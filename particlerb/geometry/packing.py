@@ -22,12 +22,12 @@ from particlerb.geometry.winding import solid_angle
 from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, corner3, dot, subtract
 
-_HOLDING: Final = 40_000  # cells that hold matter, about: how finely centres are tried
-_CELLS: Final = 4_000_000  # of the whole grid at most: a thin body that lies askew has many empty
-_SMALLEST: Final = 0.25  # radius in units of a cell, below which spheres are of no use
-_SWEEPS: Final = 2  # in each of the eight directions
-_GROWTH: Final = 5  # halvings of the step by which a sphere is moved to grow
-_GAIN: Final = 0.55  # of a step that a radius must grow by; towards the ridge of a corner, 1/√3
+_MATTER_CELLS: Final = 40_000  # about: how finely centres are tried
+_MAX_CELLS: Final = 4_000_000  # of the whole grid: a thin body that lies askew has many empty
+_MIN_RADIUS_CELLS: Final = 0.25  # below which spheres are of no use
+_SWEEPS_PER_DIRECTION: Final = 2  # of eight
+_MAX_HALVINGS: Final = 5  # of the step by which a sphere is moved to grow
+_MIN_GROWTH: Final = 0.55  # of a radius, in steps; towards the ridge of a corner, 1/√3
 
 
 class _Cells(NamedTuple):
@@ -68,7 +68,7 @@ def packing(mesh: TriangleMesh, most: int) -> _Packing:
     """
     lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     extent = upper - lower
-    finest = max(mesh_solid(mesh).volume / _HOLDING, math.prod(extent) / _CELLS)
+    finest = max(mesh_solid(mesh).volume / _MATTER_CELLS, math.prod(extent) / _MAX_CELLS)
     grid = grid_over(lower, upper, math.ceil(extent.max() / math.cbrt(finest)))
     held = pieces(cut_mesh(mesh.vertices, mesh.faces, grid), grid)
     cell = tuple(held.cell.T)
@@ -78,7 +78,7 @@ def packing(mesh: TriangleMesh, most: int) -> _Packing:
     cells = _Cells(share, centroid, nearest, np.full(grid.counts, np.inf))
     corner = np.ascontiguousarray(mesh.vertices[mesh.faces])
     _near_faces(corner, cells, grid.lower, grid.spacing)
-    for turn in range(8 * _SWEEPS):
+    for turn in range(8 * _SWEEPS_PER_DIRECTION):
         signs = 1 - 2 * (turn & 1), 1 - (turn & 2), 1 - (turn & 4) // 2
         _sweep_distance(corner, cells, signs)
     centre, radius = np.empty((most, 3)), np.empty(most)
@@ -219,7 +219,7 @@ def _grown(p: Vec3, r: float, step: float, corner: Floats, near: Ints) -> tuple[
         if _off_triangle(p, corner, f) <= reach * reach:
             near[n_near] = f
             n_near += 1
-    for _ in range(_GROWTH):
+    for _ in range(_MAX_HALVINGS):
         for a in range(-1, 2):
             for b in range(-1, 2):
                 for c in range(-1, 2):
@@ -232,7 +232,7 @@ def _grown(p: Vec3, r: float, step: float, corner: Floats, near: Ints) -> tuple[
                     if dot(d, d) > 0.75 * step * step:
                         continue
                     wider = _clearance(q, corner, near, n_near)
-                    if wider >= r + _GAIN * size:
+                    if wider >= r + _MIN_GROWTH * size:
                         p, r = q, wider
         size *= 0.5
     return p, r
@@ -264,7 +264,7 @@ def cover(
     queue = [(0.0, -1, 0)]
     for index in range(len(squared)):
         d = squared[index]
-        if math.isfinite(d) and d > (_SMALLEST * step) ** 2:
+        if math.isfinite(d) and d > (_MIN_RADIUS_CELLS * step) ** 2:
             queue.append((-5.0 * d * math.sqrt(d) / step**3 - 1.0, index, -1))
     heapq.heapify(queue)
     count = 0
@@ -284,7 +284,7 @@ def cover(
             exact = min(exact, _off_triangle(p, corner, f))
         if exact < squared[index]:
             squared[index] = exact
-            if exact > (_SMALLEST * step) ** 2:
+            if exact > (_MIN_RADIUS_CELLS * step) ** 2:
                 heapq.heappush(queue, (gain, index, -1))
             continue
         if not solid_angle(corner, point[:3, index].copy()) > 2.0 * math.pi:

@@ -21,21 +21,21 @@ from particlerb.maths.vec3 import Bools, Floats, Ints, add_scaled, dot
 _Sum: TypeAlias = tuple[float, float]
 
 _LANES: Final = 16
-_CHUNK: Final = 16384  # particles that are summed by one thread without a stop
-_SAMPLE: Final = 128  # particles of a kind from which origin and scale are guessed
-_NEAR: Final = 1 / 4  # |com|² over the square of the size up to which the origin stays where it is
-_GOLDEN: Final = 0.6180339887498949
-_PASSES: Final = 3  # readings of a kind at most
+_CHUNK_PARTICLES: Final = 16384  # that are summed by one thread without a stop
+_SAMPLE_PARTICLES: Final = 128  # of a kind from which origin and scale are guessed
+_MAX_OFFSET: Final = 1 / 4  # |com|² over the square of the size, to which the origin stays
+_GOLDEN_RATIO_INVERSE: Final = 0.6180339887498949
+_MAX_PASSES: Final = 3  # readings of a kind
 _SPARE: Final = 200  # powers of two that the guessed scale may be off the largest value
-_SUMS: Final = 11  # M, Σ m r (3), Σ m r rᵀ (xx yy zz xy xz yz), Σ (2/5) m radius²
-_LOW: Final = _SUMS  # rows of rounding errors
-_EXTENT: Final = 2 * _SUMS  # largest coordinate or radius of what has mass
-_HEAVIEST: Final = _EXTENT + 1
-LEAST: Final = _EXTENT + 2  # smallest mass or radius: below 0 is an error
-_BAD: Final = _EXTENT + 3  # 0, or NaN where a number is not finite
-_ROWS: Final = _EXTENT + 4
-X: Final = _ROWS  # rows of the group at hand: r, mass, radius
-_BUFFER: Final = (_ROWS + 5) * _LANES
+_N_SUMS: Final = 11  # M, Σ m r (3), Σ m r rᵀ (xx yy zz xy xz yz), Σ (2/5) m radius²
+_LOW: Final = _N_SUMS  # rows of rounding errors
+_EXTENT_ROW: Final = 2 * _N_SUMS  # largest coordinate or radius of what has mass
+_HEAVIEST_ROW: Final = _EXTENT_ROW + 1
+LEAST: Final = _EXTENT_ROW + 2  # smallest mass or radius: below 0 is an error
+_BAD: Final = _EXTENT_ROW + 3  # 0, or NaN where a number is not finite
+_N_ROWS: Final = _EXTENT_ROW + 4
+X: Final = _N_ROWS  # rows of the group at hand: r, mass, radius
+_BUFFER_SIZE: Final = (_N_ROWS + 5) * _LANES
 
 
 class _Sums(NamedTuple):
@@ -61,16 +61,16 @@ def sums_of(particles: Particles) -> _Sums:
     origin, exponent = np.empty((n, 3)), np.empty((n, 2), dtype=np.int64)
     arrays = (np.ascontiguousarray(position).reshape(-1), mass, radius)
     _guess(*arrays, offset, origin, exponent)
-    moments, kinds = np.empty((n, _SUMS)), np.arange(n)
-    for remaining in range(_PASSES - 1, -1, -1):
+    moments, kinds = np.empty((n, _N_SUMS)), np.arange(n)
+    for remaining in range(_MAX_PASSES - 1, -1, -1):
         chunks = _chunks_of(offset, kinds)
-        rows = np.empty((len(chunks), _ROWS))
+        rows = np.empty((len(chunks), _N_ROWS))
 
         def work(first: int, last: int, chunks: Ints = chunks, rows: Floats = rows) -> None:
             _sum_chunks(*arrays, chunks, origin, exponent, rows, first, last)
 
         THREADS.share(work, len(chunks), int(count[kinds].sum()) // 16)
-        has_mass = np.bincount(chunks[:, 0], rows[:, _HEAVIEST], n)[kinds] > 0.0
+        has_mass = np.bincount(chunks[:, 0], rows[:, _HEAVIEST_ROW], n)[kinds] > 0.0
         if not (has_mass.all() and (rows[:, LEAST] >= 0.0).all() and (rows[:, _BAD] == 0.0).all()):
             check(particles)
         again = np.zeros(n, dtype=np.bool_)
@@ -83,19 +83,19 @@ def sums_of(particles: Particles) -> _Sums:
 
 def _chunks_of(offset: Ints, kinds: Ints) -> Ints:
     """Kind, first and last particle (excluded) of chunks of the given kinds, (n, 3)."""
-    count = -(-(offset[kinds + 1] - offset[kinds]) // _CHUNK)
+    count = -(-(offset[kinds + 1] - offset[kinds]) // _CHUNK_PARTICLES)
     kind = np.repeat(kinds, count)
     first = np.arange(len(kind)) - np.repeat(np.cumsum(count) - count, count)
-    low = offset[kind] + first * _CHUNK
-    return np.stack([kind, low, np.minimum(low + _CHUNK, offset[kind + 1])], axis=1)
+    low = offset[kind] + first * _CHUNK_PARTICLES
+    return np.stack([kind, low, np.minimum(low + _CHUNK_PARTICLES, offset[kind + 1])], axis=1)
 
 
 @inline
 def _sampled(lo: int, n: int, s: int) -> int:
     """Number s of a sample that follows no period of the list; all of a short list, in order."""
-    if n <= _SAMPLE:
+    if n <= _SAMPLE_PARTICLES:
         return lo + s
-    return lo + int(n * ((s * _GOLDEN) % 1.0))
+    return lo + int(n * ((s * _GOLDEN_RATIO_INVERSE) % 1.0))
 
 
 @unfused_kernel
@@ -109,7 +109,7 @@ def _guess(
     """
     for k in range(len(offset) - 1):
         lo, n = offset[k], offset[k + 1] - offset[k]
-        taken = min(n, _SAMPLE)
+        taken = min(n, _SAMPLE_PARTICLES)
         extent = heaviest = 0.0
         for s in range(taken):
             i = _sampled(lo, n, s)
@@ -133,7 +133,7 @@ def _guess(
         per_mass = 1.0 / M if M > 0.0 else 0.0
         c = (c[0] * per_mass, c[1] * per_mass, c[2] * per_mass)
         offset_squared = dot(c, c)
-        is_off = offset_squared > _NEAR * (far * per_mass - offset_squared)
+        is_off = offset_squared > _MAX_OFFSET * (far * per_mass - offset_squared)
         for axis in range(3):
             origin[k, axis] = c[axis] if is_off and offset_squared < math.inf else 0.0
 
@@ -179,9 +179,9 @@ def load(
     """Write one particle into its lane: scaled, from the origin; note its size and faults."""
     lanes[at(_BAD, lane)] += ((x - x) + (y - y)) + ((z - z) + (m - m)) + (r - r)
     lanes[at(LEAST, lane)] = min(lanes[at(LEAST, lane)], m, r)
-    lanes[at(_HEAVIEST, lane)] = max(lanes[at(_HEAVIEST, lane)], m)
+    lanes[at(_HEAVIEST_ROW, lane)] = max(lanes[at(_HEAVIEST_ROW, lane)], m)
     size = max(abs(x), abs(y), abs(z), r) if m > 0.0 else 0.0
-    lanes[at(_EXTENT, lane)] = max(lanes[at(_EXTENT, lane)], size)
+    lanes[at(_EXTENT_ROW, lane)] = max(lanes[at(_EXTENT_ROW, lane)], size)
     lanes[at(X, lane)] = x * units[0] - units[2]
     lanes[at(X + 1, lane)] = y * units[0] - units[3]
     lanes[at(X + 2, lane)] = z * units[0] - units[4]
@@ -222,7 +222,7 @@ def _sum_chunks(
     last: int,
 ) -> None:
     """Sums of the chunks first to last, high parts, then low parts, and what was noted."""
-    lanes, units = np.empty(_BUFFER), np.empty(5)
+    lanes, units = np.empty(_BUFFER_SIZE), np.empty(5)
     for c in range(first, last):
         k, lo, hi = chunks[c]
         units[0] = math.ldexp(1.0, -int(exponent[k, 0]))
@@ -245,12 +245,12 @@ def _sum_chunks(
                 x0, y0, z0 = place[3 * i], place[3 * i + 1], place[3 * i + 2]
                 load(lanes, lane, x0, y0, z0, mass[i], radius[i], units)
             _add_group(lanes)
-        rows[c, :_EXTENT] = 0.0
+        rows[c, :_EXTENT_ROW] = 0.0
         for lane in range(_LANES):  # rows inside: additions that need not wait for each other
-            for row in range(_SUMS):
+            for row in range(_N_SUMS):
                 total = add((rows[c, row], rows[c, _LOW + row]), lanes[row * _LANES + lane])
                 rows[c, row], rows[c, _LOW + row] = add(total, lanes[(_LOW + row) * _LANES + lane])
-        for row in range(_EXTENT, _ROWS):
+        for row in range(_EXTENT_ROW, _N_ROWS):
             value = 0.0
             for lane in range(_LANES):
                 of_lane = lanes[row * _LANES + lane]
@@ -272,13 +272,13 @@ def join(
     """
     c = 0
     while c < len(chunks):
-        k, total, extent, heaviest = chunks[c, 0], np.zeros((_SUMS, 2)), 0.0, 0.0
+        k, total, extent, heaviest = chunks[c, 0], np.zeros((_N_SUMS, 2)), 0.0, 0.0
         while c < len(chunks) and chunks[c, 0] == k:
-            for row in range(_SUMS):
+            for row in range(_N_SUMS):
                 high, low = add((total[row, 0], total[row, 1]), rows[c, row])
                 total[row, 0], total[row, 1] = add((high, low), rows[c, _LOW + row])
-            extent = max(extent, rows[c, _EXTENT])
-            heaviest = max(heaviest, rows[c, _HEAVIEST])
+            extent = max(extent, rows[c, _EXTENT_ROW])
+            heaviest = max(heaviest, rows[c, _HEAVIEST_ROW])
             c += 1
         M = total[0, 0] + total[0, 1]
         x, y, z = total[1, 0] + total[1, 1], total[2, 0] + total[2, 1], total[3, 0] + total[3, 1]

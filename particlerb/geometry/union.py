@@ -22,11 +22,11 @@ from particlerb.geometry.caps import SAME, Caps, caps_of, circle, exposed_arcs, 
 from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, cross, dot, norm, subtract
 
-_PIECE: Final = 0.5 * math.pi  # [rad] an arc is integrated in pieces of at most this
+_MAX_ARC_PIECE: Final = 0.5 * math.pi  # [rad]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)  # of cubic trigonometric terms: 3e-17
-_COARSEST: Final = 1e-9  # as far as this is raised where the edge of a patch does not close
-_GAP: Final = 1e-12  # length [of the radius] that counts as no gap in the edge of a patch
-_NEARLY: Final = 1e-6  # solid angle below which all or nothing of a sphere may be exposed
+_MAX_TOLERANCE: Final = 1e-9  # as far as this is raised where the edge of a patch does not close
+_MAX_EDGE_GAP: Final = 1e-12  # [of the radius] that counts as none in the edge of a patch
+_SOLID_ANGLE_ROUNDING: Final = 1e-6  # below which all or nothing of a sphere may be exposed
 _WORK_PER_SPHERE: Final = 200  # in the units of threads.LEAST_WORK
 COLUMNS: Final = 15  # volume, first (3), second (6) moments, vector area (3), area, gap
 
@@ -147,12 +147,12 @@ def patches(
             caps = caps_of(centre, radius, others, i, same)
             arcs = exposed_arcs(caps, same)
             gap = open_by(caps, arcs)
-            if gap <= _GAP or same >= _COARSEST:
+            if gap <= _MAX_EDGE_GAP or same >= _MAX_TOLERANCE:
                 break
             same *= 10.0
         c = (centre[i, 0], centre[i, 1], centre[i, 2])
         _add_patch(caps, arcs, c, radius[i], rows[i])
-        rows[i, 14] = gap * radius[i] * radius[i] if gap > _GAP else 0.0
+        rows[i, 14] = gap * radius[i] * radius[i] if gap > _MAX_EDGE_GAP else 0.0
 
 
 @kernel
@@ -163,7 +163,7 @@ def _best_apex(caps: Caps, arcs: Floats) -> int:
         nearest = 2.0
         for m in range(len(arcs)):
             c = circle(caps, int(arcs[m, 0]))
-            pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _PIECE))
+            pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _MAX_ARC_PIECE))
             for piece in range(pieces + 1):
                 t = arcs[m, 1] + (arcs[m, 2] - arcs[m, 1]) * piece / pieces
                 nearest = min(nearest, 1.0 + dot(row3(_APEXES, a), point(c, t)))
@@ -196,7 +196,7 @@ def _add_patch(caps: Caps, arcs: Floats, c: Vec3, R: float, row: Floats) -> None
         edge = circle(caps, k)
         u, h = caps.axis[k], caps.height[k]
         cu = dot(c, edge[0])
-        pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _PIECE))
+        pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _MAX_ARC_PIECE))
         half = 0.5 * (arcs[m, 2] - arcs[m, 1]) / pieces
         for piece in range(pieces):
             middle = arcs[m, 1] + (2 * piece + 1) * half
@@ -250,7 +250,7 @@ def _solid_angle(caps: Caps, arcs: Floats) -> float:
     for m in range(len(arcs)):
         c = circle(caps, int(arcs[m, 0]))
         h, depth = c[3], c[4]
-        pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _PIECE))
+        pieces = max(1, math.ceil((arcs[m, 2] - arcs[m, 1]) / _MAX_ARC_PIECE))
         step = (arcs[m, 2] - arcs[m, 1]) / pieces
         for piece in range(pieces):
             p, q = point(c, arcs[m, 1] + piece * step), point(c, arcs[m, 1] + (piece + 1) * step)
@@ -258,8 +258,8 @@ def _solid_angle(caps: Caps, arcs: Floats) -> float:
             covered += _triangle(a, p, q) + depth * step - chord
     full = 4.0 * math.pi
     A = -covered - full * math.floor(-covered / full)
-    if _NEARLY < A < full - _NEARLY:
+    if _SOLID_ANGLE_ROUNDING < A < full - _SOLID_ANGLE_ROUNDING:
         return A
-    rest = A - full if A > _NEARLY else A  # from −NEARLY to NEARLY
-    is_bare = 2.0 * math.pi * caps.depth.max() <= 2.0 * _NEARLY
+    rest = A - full if A > _SOLID_ANGLE_ROUNDING else A  # about 0
+    is_bare = 2.0 * math.pi * caps.depth.max() <= 2.0 * _SOLID_ANGLE_ROUNDING
     return full + min(rest, 0.0) if is_bare else max(rest, 0.0)

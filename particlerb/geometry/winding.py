@@ -10,7 +10,7 @@ import numpy as np
 from particlerb.compiled.jit import kernel
 from particlerb.maths.vec3 import Bools, Floats, Ints, corner3, cross, dot, norm, subtract
 
-_ON_FACE = 1e-9  # height of a point over a face, relative: it has no winding number there
+_MIN_FACE_DISTANCE = 1e-9  # height of a point over a face, relative: it has no winding number there
 
 
 def oriented(faces: Ints) -> tuple[Ints, Bools, int]:
@@ -131,7 +131,7 @@ def solid_angle(corner: Floats, point: Floats) -> float:
         a, b, c = norm(r0), norm(r1), norm(r2)
         triple = dot(r0, cross(r1, r2))
         below = a * b * c + dot(r0, r1) * c + dot(r1, r2) * a + dot(r2, r0) * b
-        if below <= 0.0 and abs(triple) <= _ON_FACE * a * b * c:
+        if below <= 0.0 and abs(triple) <= _MIN_FACE_DISTANCE * a * b * c:
             return math.nan
         total += 2.0 * math.atan2(triple, below)
     return total

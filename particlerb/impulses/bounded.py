@@ -32,6 +32,8 @@ from particlerb.impulses.records import (
     B_RESTITUTION,
     B_SLOW,
     B_WEIGHT,
+    LOCKED_SHARE,
+    REST_KICKS,
     STOP,
     Bounded,
     Mechanisms,
@@ -40,9 +42,7 @@ from particlerb.impulses.records import (
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Floats, Vec3, dot
 
-_LOCKED: Final = 1e-9  # of the inverse mass without joints: below it these hold the coordinate
-_KICKS: Final = 4.0  # half kicks: what comes no faster to a stop does not bounce, as in contacts
-_ROUNDING: Final = 1e-12  # of the rate
+_REST_RATE_SHARE: Final = 1e-12  # of the rate
 
 
 @inline
@@ -137,7 +137,7 @@ def write_response(
     for b, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
         for i in range(6):
             inverse += bounded.gradient[k, at + i] * response[first + mechanisms.place[b], i]
-    is_free = inverse > _LOCKED * free
+    is_free = inverse > LOCKED_SHARE * free
     values[k, B_INVERSE], values[k, B_WEIGHT] = 1.0, 0.0
     if is_free:
         values[k, B_INVERSE], values[k, B_WEIGHT] = inverse, inverse / mass
@@ -168,7 +168,7 @@ def write_bounds(
     values[k, B_LARGEST] = largest
     if values[k, B_WEIGHT] == 0.0:
         values[k, B_LARGEST] = values[k, B_RESTITUTION] = 0.0
-    values[k, B_SLOW] = _KICKS * abs(after - before) + _ROUNDING * abs(after)
+    values[k, B_SLOW] = REST_KICKS * abs(after - before) + _REST_RATE_SHARE * abs(after)
     values[k, B_IMPULSE], values[k, B_IMPACT] = dt * values[k, B_FORCE], 0.0
 
 

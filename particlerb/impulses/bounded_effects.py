@@ -28,7 +28,7 @@ from particlerb.impulses.records import (
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Bools, Floats, add_scaled, cross, dot, scale
 
-_FITS: Final = 1e-12  # [rad or m] what a stop may be overrun by
+_MAX_OVERRUN: Final = 1e-12  # [rad or m] what a stop may be overrun by
 
 
 @inline
@@ -45,7 +45,7 @@ def find_overrun(bounded: Bounded, velocity: Floats, dt: float) -> bool:
         gap = math.inf if is_left else min(lower, upper)
         values[k, B_OLD], values[k, B_SLOPE] = 0.0, gap
         values[k, B_CHANGE] = 1.0 if lower < upper else -1.0
-        is_overrun = is_overrun or gap < -_FITS
+        is_overrun = is_overrun or gap < -_MAX_OVERRUN
     return is_overrun
 
 
@@ -55,7 +55,7 @@ def push_back_from_stops(bounded: Bounded, move: Floats, has_moved: Bools, share
     values = bounded.values
     for k in range(bounded.kind.size):
         gap, sign = values[k, B_SLOPE], values[k, B_CHANGE]
-        if gap == math.inf or (gap >= -_FITS and not has_moved[bounded.first[k]]):
+        if gap == math.inf or (gap >= -_MAX_OVERRUN and not has_moved[bounded.first[k]]):
             continue
         comes = sign * rate_along(bounded, move, k)
         push = values[k, B_OLD] - (share * gap + comes) / values[k, B_INVERSE]

@@ -12,8 +12,8 @@ from particlerb.compiled.jit import inline
 from particlerb.impulses.records import COUPLING, FRICTION, INVERSE, SCHUR
 from particlerb.maths.vec3 import ZERO, Floats, Vec3
 
-_MOST: Final = 40  # steps of Newton and of halving
-_EXACT: Final = 1e-14  # relative change of s at which the equation is solved
+_MAX_ITERATIONS: Final = 40  # of Newton's method and of halving
+_SCALE_TOLERANCE: Final = 1e-14  # relative change of s at which the equation is solved
 
 
 @inline
@@ -58,7 +58,7 @@ def _slide(frame: Floats, k: int, b: float, c1: float, c2: float) -> float:
     mean, c = 0.5 * (s1 + s2), math.sqrt(c1 * c1 + c2 * c2)
     s: float
     s, low, high = max(-c * w / (mu * b) - mean, 0.0), 0.0, math.inf
-    for _ in range(_MOST):
+    for _ in range(_MAX_ITERATIONS):
         d1, d2 = 1.0 / (s1 + s), 1.0 / (s2 + s)
         x1, x2 = -c1 * d1, -c2 * d2
         n = -(b + a1 * x1 + a2 * x2) / w
@@ -74,7 +74,7 @@ def _slide(frame: Floats, k: int, b: float, c1: float, c2: float) -> float:
             nearer = s - (1.0 / t - 1.0 / (mu * n)) / slope
         if not low < nearer < high:
             nearer = 2.0 * s + mean if high == math.inf else 0.5 * (low + high)
-        if abs(nearer - s) <= _EXACT * (s + mean):
+        if abs(nearer - s) <= _SCALE_TOLERANCE * (s + mean):
             break
         s = nearer
     return s

@@ -32,10 +32,10 @@ from particlerb.impulses.rolling import bounce_rolling
 from particlerb.impulses.rows import approach, change_by, give
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
 
-_PASSES: Final = 20  # over all contacts, at most,
-_FEW: Final = 1000  # or as many visits as of so many contacts
-_HALVINGS: Final = 6  # of a restitution that would gain energy; then it is 0
-_ROUNDING: Final = 1e-14
+_MAX_PASSES: Final = 20  # over all contacts
+_MIN_CONTACTS_COUNTED: Final = 1000  # with fewer there are as many visits as of so many
+_MAX_HALVINGS: Final = 6  # of a restitution that would gain energy; then it is 0
+_WORK_ROUNDING: Final = 1e-14
 
 
 @inline
@@ -54,10 +54,10 @@ def _changed(frame: Floats, k: int, u: Vec3, r: Vec3) -> Vec3:
 def impact(frame: Floats, k: int, u: Vec3, restitution: float) -> Vec3:
     """Impulse [N s] along n, t₁, t₂ of an impact of contact k that approaches with u [m/s]."""
     e = restitution
-    for left in range(_HALVINGS, -1, -1):
+    for left in range(_MAX_HALVINGS, -1, -1):
         r = impulse_alone(frame, k, u, -e * u[0])
         work = dot(r, add_scaled(1.0, u, _changed(frame, k, u, r)))
-        if work <= _ROUNDING * abs(r[0] * u[0]):
+        if work <= _WORK_ROUNDING * abs(r[0] * u[0]):
             break
         e = 0.5 * e if left > 1 else 0.0
     return r
@@ -119,7 +119,7 @@ def _bounce(impulses: Impulses, k: int) -> bool:
 def take_impacts(impulses: Impulses, bounded: Bounded | None) -> None:
     """Let contacts bounce, and give momenta."""
     tally, order, m = impulses.tally, impulses.rows.order, impulses.filled[0]
-    for _ in range(max(_PASSES, _PASSES * _FEW // max(m, 1))):
+    for _ in range(max(_MAX_PASSES, _MAX_PASSES * _MIN_CONTACTS_COUNTED // max(m, 1))):
         n = _find_impacts(impulses, bounded)
         if n == 0:
             return

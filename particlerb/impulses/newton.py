@@ -65,12 +65,12 @@ from particlerb.impulses.rows import (
 from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
-_MOST: Final = 40  # evaluations of F
-_ROUNDING: Final = 1e-13  # of all impulses: where |F| may stop to fall
-_GAIN: Final = 0.5  # of |F|, by which it falls else
-_TINY: Final = 1e-300  # [N s]
-_LEAST_SHARE: Final = 0.02  # of a step; what is not better then is taken nevertheless
-_UNITS: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_MAX_EVALUATIONS: Final = 40  # of F
+_RESIDUAL_ROUNDING: Final = 1e-13  # of all impulses: where |F| may stop to fall
+_STALLED_RATIO: Final = 0.5  # of |F| by that before: above it, and at rounding, the method ends
+_FRICTION_FLOOR: Final = 1e-300  # [N s]
+_MIN_STEP_SHARE: Final = 0.02  # what is not better then is taken nevertheless
+_UNIT_VECTORS: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 # Columns of `Newton.clusters`
 _SIZE, _BEST, _SHARE, _STATE = 0, 1, 2, 3
 _DONE, _HALVED, _TO_SOLVE = 0.0, 1.0, 2.0
@@ -131,7 +131,7 @@ def _linearise(
     speed = math.sqrt(u[1] * u[1] + u[2] * u[2])
     n = r[0] - share * (u[0] - frame[k, LEAST] + mu * speed)
     x, y = r[1] - share * u[1], r[2] - share * u[2]
-    f, t = subtract(r, nearest_in_cone(n, x, y, mu)), max(math.sqrt(x * x + y * y), _TINY)
+    f, t = subtract(r, nearest_in_cone(n, x, y, mu)), max(math.sqrt(x * x + y * y), _FRICTION_FLOOR)
     up = mu / speed if speed > 0.0 else 0.0
     lift, stiff, full = (1.0, up * u[1], up * u[2]), share / small, 1.0 + small
     if mu * t <= -n:
@@ -176,7 +176,7 @@ def _velocities_by(
     partners: Partners, body: int, source: int, i: int, arm: Vec3
 ) -> tuple[Vec3, Vec3]:
     """Velocity of a point of a body, and ω, by unit i of what an impulse has six of on another."""
-    unit, v, omega = _UNITS[i % 3], ZERO, ZERO
+    unit, v, omega = _UNIT_VECTORS[i % 3], ZERO, ZERO
     if i < 3:
         v = scale(partners.inverse[body, 0], unit)
     else:
@@ -238,11 +238,11 @@ def _decide(newton: Newton, enough: float, rounding: float) -> bool:
         off = math.sqrt(clusters[j, _SIZE])
         if clusters[j, _STATE] == _DONE:
             continue
-        if off <= enough or (off <= rounding and off > _GAIN * clusters[j, _BEST]):
+        if off <= enough or (off <= rounding and off > _STALLED_RATIO * clusters[j, _BEST]):
             clusters[j, _STATE] = _DONE
             continue
         goes_on = True
-        if off < clusters[j, _BEST] or clusters[j, _SHARE] <= _LEAST_SHARE:
+        if off < clusters[j, _BEST] or clusters[j, _SHARE] <= _MIN_STEP_SHARE:
             clusters[j, _BEST], clusters[j, _SHARE], clusters[j, _STATE] = off, 1.0, _TO_SOLVE
         else:
             clusters[j, _SHARE] *= 0.5
@@ -352,10 +352,10 @@ def take_newton_steps(
     clusters, count, goes_on = newton.clusters, filled[0], True
     for j in range(clusters.shape[0]):
         clusters[j, _BEST], clusters[j, _SHARE], clusters[j, _STATE] = math.inf, 1.0, _TO_SOLVE
-    for _ in range(_MOST):
+    for _ in range(_MAX_EVALUATIONS):
         tally[NEWTON_STEPS] += 1.0
         _evaluate(partners, rows, bounded, newton, count, size / speed, small)
-        goes_on = _decide(newton, tolerance * size, _ROUNDING * size)
+        goes_on = _decide(newton, tolerance * size, _RESIDUAL_ROUNDING * size)
         if not goes_on:
             break
         _solve_for_bodies(partners, rows, bounded, newton, count)

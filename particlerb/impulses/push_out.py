@@ -28,9 +28,9 @@ from particlerb.impulses.rows import approach, in_frame, push_apart, velocity_be
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import scale
 
-_SWEEPS: Final = 5  # at most
-_TOO_DEEP: Final = 0.5  # of the smaller radius: no contact keeps what overlaps by more
-_ENOUGH: Final = 0.1  # of the slop: moves smaller than this end the sweeps
+_MAX_SWEEPS: Final = 5
+_MAX_OVERLAP_SHARE: Final = 0.5  # of the smaller radius: no contact keeps what overlaps by more
+_MIN_MOVE_SHARE: Final = 0.1  # of the slop: moves smaller than this end the sweeps
 
 
 @inline
@@ -44,7 +44,7 @@ def _find_overlaps(impulses: Impulses, dt: float) -> bool:
     for k in range(count[0]):
         u = approach(partners, rows, k)
         gap = rows.limits[k, GAP] + dt * (u[0] + rows.limits[k, LEAN])
-        if gap < -max(_TOO_DEEP * rows.limits[k, RADIUS], rules.allowed):
+        if gap < -max(_MAX_OVERLAP_SHARE * rows.limits[k, RADIUS], rules.allowed):
             count[1] = k
         parts = u[0] > rows.limits[k, SLOW] and rows.impulse[k, 0] == 0.0
         if parts or rows.frame[k, LEAST] == NEVER:
@@ -68,7 +68,7 @@ def push_out(impulses: Impulses, bounded: Bounded | None, dt: float) -> bool:
         has_moved[b] = False
         for i in range(6):
             move[b, i] = 0.0
-    for _ in range(_SWEEPS):
+    for _ in range(_MAX_SWEEPS):
         largest = 0.0
         for k in range(count[0]):
             a, b, gap = rows.first[k], rows.second[k], rows.old[k, 1]
@@ -88,6 +88,6 @@ def push_out(impulses: Impulses, bounded: Bounded | None, dt: float) -> bool:
                 largest = max(largest, abs(more) * frame[k, INVERSE])
         if bounded is not None:
             push_back_from_stops(bounded, move, has_moved, rules.push_out)
-        if largest <= _ENOUGH * rules.slop:
+        if largest <= _MIN_MOVE_SHARE * rules.slop:
             break
     return True

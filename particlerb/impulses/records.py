@@ -35,6 +35,9 @@ LEAN: Final = (
 )
 _N_LIMITS: Final = 7
 
+LOCKED_SHARE: Final = 1e-9  # of an inverse mass or inertia without joints: below it these hold all
+REST_KICKS: Final = 4.0  # half kicks: what comes no faster than two whole ones does not bounce
+
 STOP, MOTOR, RUBS = 0, 1, 2  # kinds of rows of `Bounded`
 # Columns of `Bounded.values`; impulses, and so what they belong to, along the coordinate
 B_INVERSE: Final = 0  # W of the mechanism

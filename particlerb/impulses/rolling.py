@@ -19,7 +19,7 @@ from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.impulses.cone import on_disc
-from particlerb.impulses.records import INVERSE, ImpulseRows, Partners, Rolling
+from particlerb.impulses.records import INVERSE, LOCKED_SHARE, ImpulseRows, Partners, Rolling
 from particlerb.impulses.rows import clear_moves, in_frame, in_world, push
 from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, dot, scale, subtract
@@ -27,9 +27,8 @@ from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, dot, scale, subtract
 ACROSS: Final = 0  # columns of `Rolling.limit`: μ_r R* and λ across the normal
 ABOUT: Final = 2  # the same about it
 
-_LOCKED: Final = 1e-9  # of the inverse inertia without joints: below it these hold all
-_MOST: Final = 200  # steps of an impact, and
-_EXACT: Final = 1e-14  # relative change at which there is one no more
+_MAX_ITERATIONS: Final = 200  # of an impact
+_CHANGE_TOLERANCE: Final = 1e-14  # relative change at which an impact is solved
 
 
 @inline
@@ -111,7 +110,7 @@ def write_rolling(
         free += inverse[b, 1] + inverse[b, 4] + inverse[b, 6]
         limit[k, ACROSS + 1], limit[k, ABOUT + 1] = largest, n[0]
         for at in (ACROSS, ABOUT):
-            if limit[k, at + 1] <= _LOCKED * free:
+            if limit[k, at + 1] <= LOCKED_SHARE * free:
                 limit[k, at], limit[k, at + 1] = 0.0, 1.0
         across, about = limit[k, ACROSS + 1], limit[k, ABOUT + 1]
         if limit[k, ACROSS] > 0.0 and limit[k, ABOUT] > 0.0:
@@ -132,11 +131,11 @@ def bounce_rolling(
     if rolling is None:
         return
     m = ZERO
-    for _ in range(_MOST):
+    for _ in range(_MAX_ITERATIONS):
         step = step_against(rolling, k, turning(partners.velocity, rows, k))
         nearer = on_the_disc(rolling, k, add(m, step), n)
         change = subtract(nearer, m)
-        if dot(change, change) <= _EXACT * _EXACT * dot(nearer, nearer):
+        if dot(change, change) <= _CHANGE_TOLERANCE * _CHANGE_TOLERANCE * dot(nearer, nearer):
             break
         m = nearer
         _turn(partners, partners.velocity, rows, k, change)

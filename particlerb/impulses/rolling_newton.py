@@ -19,7 +19,7 @@ from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Vec3, add, add_scaled, scale, subtract
 
 _C, _K, _Q, _KN = 0, 3, 6, 9  # columns of `Rolling.slopes`: c; K_11, K_12, K_22; q; K_nn
-_TINY: Final = 1e-300
+_TORQUE_FLOOR: Final = 1e-300
 
 
 @inline
@@ -37,7 +37,7 @@ def linearise_rolling(
     z = add(m, step_against(rolling, k, turning(partners.velocity, rows, k)))
     f = subtract(m, on_the_disc(rolling, k, z, n))
     share, radius = 1.0 / limit[k, ACROSS + 1], limit[k, ACROSS] * n
-    size = max(math.sqrt(z[1] * z[1] + z[2] * z[2]), _TINY)
+    size = max(math.sqrt(z[1] * z[1] + z[2] * z[2]), _TORQUE_FLOOR)
     if abs(z[0]) <= limit[k, ABOUT] * n:
         c, slopes[k, _KN], q = f[0] / small, 1.0 / (small * limit[k, ABOUT + 1]), 0.0
     else:

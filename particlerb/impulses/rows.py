@@ -12,6 +12,7 @@ from particlerb.impulses.records import (
     INVERSE,
     LEAN,
     LEAST,
+    LOCKED_SHARE,
     NEVER,
     NORMAL,
     RESTITUTION,
@@ -27,9 +28,8 @@ from particlerb.impulses.records import (
 from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
-_LOCKED: Final = 1e-9  # of the inverse mass without joints: below it these hold all
-_STICKS: Final = 1.0 - 1e-6  # of μ times the normal force: a contact with less friction sticks
-_LEAST_SCHUR: Final = 1e-6  # of the same: friction along what joints hold is nothing
+_STICKING_SHARE: Final = 1.0 - 1e-6  # of μ times the normal force: with less friction it sticks
+_MIN_SCHUR_SHARE: Final = 1e-6  # of an inverse mass without joints: with less, friction is nothing
 
 
 @inline
@@ -216,7 +216,7 @@ def lean(partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Ve
     n = min(max(came, min(n, 0.0)), max(n, 0.0))
     rows.frame[c, LEAST] -= n
     rows.limits[c, LEAN] = n
-    if math.sqrt(f * f + g * g) < _STICKS * rows.frame[c, FRICTION] * pressed:
+    if math.sqrt(f * f + g * g) < _STICKING_SHARE * rows.frame[c, FRICTION] * pressed:
         size, most = math.sqrt(x * x + y * y), math.sqrt(u * u + v * v)
         share = most / size if size > most else 1.0
         put_row3_at(rows.limits, c, LEAN, (n, share * x, share * y))
@@ -279,12 +279,12 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
         _moved_along(partners, frame, c, a, b, t1),
     )
     by_2, free = _moved_along(partners, frame, c, a, b, t2), frame[c, INVERSE]
-    if by_n[0] <= _LOCKED * free:
+    if by_n[0] <= LOCKED_SHARE * free:
         frame[c, LEAST], rows.limits[c, RESTITUTION] = NEVER, 0.0
         return
     put_matrix(frame, c, (t1, t2), by_n, (by_1[1], by_1[2], by_2[2]))
     for i in range(2):
-        frame[c, SCHUR + i] = max(frame[c, SCHUR + i], _LEAST_SCHUR * free)
+        frame[c, SCHUR + i] = max(frame[c, SCHUR + i], _MIN_SCHUR_SHARE * free)
     _put_shares(frame, c)
 
 

@@ -68,13 +68,13 @@ from particlerb.impulses.rows import approach, approach_at_end, change_by, give,
 from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Vec3, dot, subtract
 
-_EVERY: Final = 5  # sweeps from residual to residual
-_ROUNDS: Final = 4  # of Newton's method
-_MORE: Final = 4  # times as many sweeps after one that has not come to an end
-_SMALL: Final = 1e-9  # part of the unit matrix in Newton's method; in each round
-_SMALLER: Final = 0.01  # times as much
-_WITHIN: Final = 0.1  # of the tolerance, for Newton's method
-_FLOOR: Final = 1e-6  # of all impulses of the kick: what contacts carry less than this is nothing
+_SWEEPS_PER_RESIDUAL: Final = 5
+_NEWTON_ROUNDS: Final = 4
+_SWEEPS_RATIO: Final = 4  # times as many after sweeps that have not come to an end
+_REGULARISATION: Final = 1e-9  # part of the unit matrix in Newton's method, in the first round
+_REGULARISATION_RATIO: Final = 0.01  # from round to round
+_NEWTON_TOLERANCE_SHARE: Final = 0.1  # of the tolerance
+_FLOOR_SHARE: Final = 1e-6  # of all impulses of the kick: contacts that carry less carry nothing
 
 
 @kernel
@@ -168,10 +168,10 @@ def _speed(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
     """Size of the velocities that the law misses without impulses, or a floor [m/s]."""
     size = 0.0
     for k in range(count):
-        miss, least = _miss(partners, rows, k, ZERO), _FLOOR * rows.limits[k, SLOW]
+        miss, least = _miss(partners, rows, k, ZERO), _FLOOR_SHARE * rows.limits[k, SLOW]
         size += rows.frame[k, INVERSE] ** 2 * dot(miss, miss) + least * least
     if bounded is not None:
-        size += speed_of_bounded(bounded, partners.velocity, _FLOOR)
+        size += speed_of_bounded(bounded, partners.velocity, _FLOOR_SHARE)
     return max(math.sqrt(size), 1e-300)
 
 
@@ -232,7 +232,7 @@ def _sweeps(
     while sweeps < most and defect > rules.tolerance:
         changed = _sweep(partners, rows, bounded, m)
         sweeps += 1
-        if sweeps % _EVERY == 0 or sweeps == most or changed == 0.0:
+        if sweeps % _SWEEPS_PER_RESIDUAL == 0 or sweeps == most or changed == 0.0:
             defect = residual(partners, rows, bounded, m, floor, speed)
         if changed == 0.0:
             break
@@ -297,10 +297,10 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
         return
     speed = _speed(partners, rows, bounded, m)
     _begin_where_it_ended(impulses, bounded)
-    floor, most, is_done = _FLOOR * moved, rules.iterations, newton.change.size == 0
+    floor, most, is_done = _FLOOR_SHARE * moved, rules.iterations, newton.change.size == 0
     defect = _sweeps(impulses, bounded, most, floor, speed)
-    small, best = _SMALL, math.inf
-    for _ in range(_ROUNDS):
+    small, best = _REGULARISATION, math.inf
+    for _ in range(_NEWTON_ROUNDS):
         if defect <= rules.tolerance or is_done:
             break
         if defect < best:
@@ -308,12 +308,12 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
             _keep_best(impulses, bounded, False)
         size = _size(rows, bounded, m, floor)
         is_done = take_newton_steps(
-            impulses, bounded, _WITHIN * rules.tolerance, size, speed, small
+            impulses, bounded, _NEWTON_TOLERANCE_SHARE * rules.tolerance, size, speed, small
         )
-        small *= _SMALLER
+        small *= _REGULARISATION_RATIO
         defect = residual(partners, rows, bounded, m, floor, speed)
         if defect > rules.tolerance and not is_done:
-            most *= _MORE
+            most *= _SWEEPS_RATIO
             defect = _sweeps(impulses, bounded, most, floor, speed)
     if defect > max(best, rules.tolerance):
         _keep_best(impulses, bounded, True)

@@ -7,7 +7,7 @@ at 2ζ, four contacts, where they are smaller there.
 import math
 from typing import Final
 
-_LEAST_RK4: Final = 2.61  # |hλ| on the boundary of the stability region, where Re λ < 0
+_MIN_RK4_LIMIT: Final = 2.61  # |hλ| on the boundary of the stability region, where Re λ < 0
 
 
 def old_velocity(zeta: float) -> float:
@@ -22,7 +22,7 @@ def explicit(zeta: float) -> float:
 
 def four_slopes(zeta: float) -> float:
     """√8 without damping; with it no root leaves the stability region below 2.61, at any ζ."""
-    return _LEAST_RK4 / _faster_rate(2.0 * zeta) if zeta > 0.0 else math.sqrt(8.0)
+    return _MIN_RK4_LIMIT / _faster_rate(2.0 * zeta) if zeta > 0.0 else math.sqrt(8.0)
 
 
 def _faster_rate(zeta: float) -> float:

@@ -61,8 +61,8 @@ from particlerb.model.block import (
 )
 from particlerb.model.load import CONTACT_ROWS
 
-_PART_FOR_IMPULSES: Final = 0.45  # of the skin, and of what the step after it brings
-_PART_OF_SKIN: Final = 0.4  # that bodies may use up before a step: a frame may lie ahead
+_IMPULSE_SKIN_SHARE: Final = 0.45  # of the skin, and of what the step after it brings
+_SKIN_SHARE: Final = 0.4  # that bodies may use up before a step: a frame may lie ahead
 
 
 # Bodies and walls at the instant of an evaluation
@@ -110,7 +110,7 @@ def keep_extremes(
     """
     setup, _, lists, memory, _ = contact
     before, after, time, _ = instant
-    reached, allowance = path, _PART_OF_SKIN * setup.skin
+    reached, allowance = path, _SKIN_SHARE * setup.skin
     if setup.rules is None:
         reached += max(before, after) * (v + 4.0 * w * lists.max_contact_arm)
     extremes = memory.extremes
@@ -153,7 +153,7 @@ def place_bodies_and_walls(
     setup, workspace, lists, memory, _ = contact
     time, ahead = instant.time, instant.ahead
     model, t, path, v, w = setup.model, memory.start + time, 0.0, 0.0, 0.0
-    allowance = _PART_OF_SKIN * setup.skin
+    allowance = _SKIN_SHARE * setup.skin
     blocks, layout, first, last = share
     for k in range(first, last):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
@@ -206,7 +206,7 @@ def _used_up(stages: Records | None, path: float, reached: float) -> float:
 @inline
 def _comes_too_far(rules: ImpulseRules | None, path: float, skin: float) -> bool:
     """Whether contacts that close within the step after the next drift may not be listed."""
-    return rules is not None and path > _PART_FOR_IMPULSES * skin
+    return rules is not None and path > _IMPULSE_SKIN_SHARE * skin
 
 
 @inline

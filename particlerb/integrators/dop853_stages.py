@@ -33,8 +33,8 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.block import Q, assign, get, put
 from particlerb.model.load import STATE_ROWS
 
-_LOOKS: Final = 8  # in a step, for loads under which joints break,
-_HALVINGS: Final = 50  # and between two of them, for the instant
+_LOOKS_PER_STEP: Final = 8  # for loads under which joints break
+_MAX_HALVINGS: Final = 50  # between two of them, for the instant
 
 
 class CommonVectors(NamedTuple):
@@ -251,13 +251,13 @@ def _up_to_a_break(breaks: Breaks | None, bodies: CommonSteps, t: float, h: floa
     if not may_break(breaks, common.broken):
         return h
     take_last_stages(bodies, t, h)
-    for k in range(1, _LOOKS + 1):
+    for k in range(1, _LOOKS_PER_STEP + 1):
         if _breaks_at(breaks, bodies, t, h, after):
             break
-        before, after = after, k / _LOOKS
+        before, after = after, k / _LOOKS_PER_STEP
     if not _breaks_at(breaks, bodies, t, h, after):
         return h
-    for _ in range(_HALVINGS if before > 0.0 else 0):
+    for _ in range(_MAX_HALVINGS if before > 0.0 else 0):
         middle = 0.5 * (before + after)
         if _breaks_at(breaks, bodies, t, h, middle):
             after = middle

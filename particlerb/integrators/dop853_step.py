@@ -33,10 +33,10 @@ from particlerb.model.block import (
 )
 from particlerb.model.load import STATE_ROWS
 
-_SHRINK: Final = 0.2  # of a step at most, growth at most, and prudence: as the authors take them
-_GROW: Final = 5.0
-_SAFETY: Final = 0.9
-_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
+_MIN_STEP_FACTOR: Final = 0.2  # as the authors take it, like the next two
+_MAX_STEP_FACTOR: Final = 5.0
+_SAFETY_FACTOR: Final = 0.9
+_STEP_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
 LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any more
 
 
@@ -143,7 +143,7 @@ def _scales_of(pack: Pack, b: int, h: float, tolerance: float) -> tuple[float, f
     comes to rest all of these are rounding, of positions and so of the forces that hold it: none
     is taken for smaller than what rounding makes of it in a step.
     """
-    noise = _ROUNDING / tolerance
+    noise = _STEP_ROUNDING / tolerance
     mass, moment = 1.0 / get(pack.rows, INV_MASS, b), _largest_moment(pack.rows, b)
     size, distance = math.sqrt(moment / mass), _larger(pack, 0, 3, b)
     x = max(_displacement(pack, b), size, noise * distance)
@@ -200,12 +200,12 @@ def normalise(values: Floats, n: int, w: int) -> None:
 def factor_of(error: float) -> float:
     """By how much the next step is longer than the one with this error over the tolerance."""
     if error == 0.0:
-        return _GROW
+        return _MAX_STEP_FACTOR
     if not error < np.inf:
-        return _SHRINK
-    most = _GROW if error < 1.0 else 1.0
-    factor: float = _SAFETY * error ** (-1.0 / 8.0)
-    return max(_SHRINK, min(most, factor))
+        return _MIN_STEP_FACTOR
+    most = _MAX_STEP_FACTOR if error < 1.0 else 1.0
+    factor: float = _SAFETY_FACTOR * error ** (-1.0 / 8.0)
+    return max(_MIN_STEP_FACTOR, min(most, factor))
 
 
 @kernel

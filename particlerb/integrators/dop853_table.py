@@ -22,13 +22,13 @@ END: Final = 12  # the stage at the end of a step, where the next one begins
 def _table(name: str, n_rows: int) -> Floats:
     """Array (n_rows, STAGES) of one of the tables."""
     values = np.zeros((n_rows, STAGES))
-    for table, i, j, value in _ROWS:
+    for table, i, j, value in _TABLE_ROWS:
         if table == name:
             values[int(i), int(j)] = float(value)
     return values
 
 
-_ROWS: Final = table_beside(__file__, "dop853.txt")
+_TABLE_ROWS: Final = table_beside(__file__, "dop853.txt")
 A: Final = _table("A", STAGES)
 NODES: Final = A.sum(axis=1)  # where in a step the slopes are taken
 E: Final = _table("E", 2)

@@ -34,15 +34,15 @@ DRIFTS: Final = (A, 1.0 - 2.0 * A, A)
 _S: Final = 0.5 - A
 CLOSING_KICK: Final = (1.0 / 12.0 - _S * _S) / (0.5 - 2.0 * _S * _S)
 KICKS: Final = (CLOSING_KICK, 0.5 - CLOSING_KICK, 0.5 - CLOSING_KICK)  # and the first, left open
-_TIMES: Final = (0.0, A, 1.0 - A, 1.0)  # of the kicks
-_ALL: Final = (*KICKS, CLOSING_KICK)
+_KICK_TIMES: Final = (0.0, A, 1.0 - A, 1.0)
+_ALL_KICKS: Final = (*KICKS, CLOSING_KICK)
 _SPREAD: Final = sum(
     one * other * abs(t - s)
-    for one, t in zip(_ALL, _TIMES, strict=True)
-    for other, s in zip(_ALL, _TIMES, strict=True)
+    for one, t in zip(_ALL_KICKS, _KICK_TIMES, strict=True)
+    for other, s in zip(_ALL_KICKS, _KICK_TIMES, strict=True)
 )
 GRADIENT: Final = 0.25 * (1.0 / 3.0 - _SPREAD)  # 2κ of the second and the third kick
-_ASYMMETRIC: Final = 1.35  # costs of a body with one map per drift, over that of others
+_ASYMMETRIC_COST: Final = 1.35  # of a body with one map per drift, over that of others
 _NO_SHARE: Final = 0.0  # no drift is cut for its share of the step: maps of order 8 are good enough
 
 
@@ -50,7 +50,7 @@ _NO_SHARE: Final = 0.0  # no drift is cut for its share of the step: maps of ord
 def _asymmetric_cost(turn: float) -> float:
     """Of the Moser-Veselov maps per drift of a step in which a body turns so far [rad], about."""
     maps = sum(max(1.0, share * turn / LONGEST_PIECE) for share in DRIFTS) / len(DRIFTS)
-    return _ASYMMETRIC * maps
+    return _ASYMMETRIC_COST * maps
 
 
 @kernel
@@ -86,7 +86,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
         loads(moving, first, last, NOW)
         _change_pairs(moving.acting, moving.pairs, moving.blocks, moving.layout)
         weight, drift_dt = GRADIENT * (dt * dt * dt), DRIFTS[k] * dt
-        move = KickAndDrift(KICKS[k] * dt, weight, _TIMES[k] * dt, drift_dt, _NO_SHARE, False)
+        move = KickAndDrift(KICKS[k] * dt, weight, _KICK_TIMES[k] * dt, drift_dt, _NO_SHARE, False)
         kick_and_rotor_drift(moving, first, last, 1, move)
 
 

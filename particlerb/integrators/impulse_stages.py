@@ -66,8 +66,8 @@ from particlerb.maths.vec3 import (
 )
 from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
 
-_MOVES: Final = 4  # of a push-out, and back to where joints hold
-_NONE: Final = 1e-9  # of momenta, beside impulses of a kick
+_MAX_MOVES: Final = 4  # of a push-out, and back to where joints hold
+_MOMENTUM_ROUNDING: Final = 1e-9  # of momenta, beside impulses of a kick
 
 
 @kernel
@@ -181,7 +181,7 @@ def _size_of_kick(contact: MovingContact, partners: Partners) -> float:
     for b in range(contact.setup.max_arm.size):
         by = subtract(row3_at(partners.velocity, b, 0), row3_at(partners.before, b, 0))
         mass = partners.inverse[b, 0]
-        size = 2.0 * norm(by) + _NONE * norm(row3_at(partners.velocity, b, 0))
+        size = 2.0 * norm(by) + _MOMENTUM_ROUNDING * norm(row3_at(partners.velocity, b, 0))
         moved += size / mass if mass > 0.0 else 0.0
     return moved
 
@@ -383,7 +383,7 @@ def press(
         _keep_among_joints(jointed, bounded, dt)
         moves = push_out(impulses, bounded, dt)
         _note_overlap(contact, impulses, dt)
-        for _ in range(_MOVES):
+        for _ in range(_MAX_MOVES):
             if not moves:
                 break
             _move_bodies(contact, jointed, impulses, acting, books, blocks, layout)

@@ -26,8 +26,8 @@ from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, cross, dot, scale, subtract
 from particlerb.model.block import BOOKED
 
-_COUNTED = 2.0  # rad of two bodies against each other in a step, by their rates at its start
-_WORK, _IMPULSE, _ANGULAR = BOOKED, BOOKED + 1, BOOKED + 4
+_MAX_TURN = 2.0  # rad of two bodies against each other in a step, by their rates at its start
+_WORK_ROW, _IMPULSE_ROW, _ANGULAR_ROW = BOOKED, BOOKED + 1, BOOKED + 4
 
 
 @inline
@@ -72,10 +72,10 @@ def _book(
     if books is None:
         return
     row, lane = slope[jointed.block[k]], jointed.lane[k]
-    row[_WORK * w + lane] += power
+    row[_WORK_ROW * w + lane] += power
     for i in range(3):
-        row[(_IMPULSE + i) * w + lane] += F[i]
-        row[(_ANGULAR + i) * w + lane] += tau[i]
+        row[(_IMPULSE_ROW + i) * w + lane] += F[i]
+        row[(_ANGULAR_ROW + i) * w + lane] += tau[i]
 
 
 @inline
@@ -242,7 +242,7 @@ def count_on(jointed: Jointed | None, states: Floats, w: int, h: float) -> float
     rows, fastest = jointed.joints.rows, 0.0
     for r in range(rows.kind.size):
         fastest = max(fastest, _spin(jointed, rows.a[r]) + _spin(jointed, rows.b[r]))
-    return min(h, _COUNTED / fastest) if fastest > 0.0 else h
+    return min(h, _MAX_TURN / fastest) if fastest > 0.0 else h
 
 
 @kernel

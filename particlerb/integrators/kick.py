@@ -54,10 +54,10 @@ from particlerb.model.block import (
 )
 from particlerb.model.load import OUTSIDE, TORQUE
 
-_TOGETHER: Final = 64  # bodies that iterate together,
-_MOST: Final = 100  # two times at most, beside the first four,
-_ROUNDING: Final = 4e-16  # until another one would change momenta by such a share
-_CHANGES: Final = SCRATCH + 6  # row: 1 until then; before it old momenta
+_BODIES_TOGETHER: Final = 64  # that iterate
+_MAX_ITERATION_PAIRS: Final = 100  # beside the first four
+_LEAST_CHANGE: Final = 4e-16  # share of momenta: iterations end before one that changes less
+_CHANGES_ROW: Final = SCRATCH + 6  # 1 until momenta change no more; before it old momenta
 
 
 @inline
@@ -100,8 +100,8 @@ def _solve_kicks(user_flow: Flag, acting: Acting, rows: Floats, n: int, dt: floa
     """The same, where there are any, of as many at a time as the first level of the cache has."""
     if user_flow is None:
         return
-    for first in range(0, n, _TOGETHER):
-        _solve_some_kicks(acting, rows, first, min(first + _TOGETHER, n), dt)
+    for first in range(0, n, _BODIES_TOGETHER):
+        _solve_some_kicks(acting, rows, first, min(first + _BODIES_TOGETHER, n), dt)
 
 
 @inline
@@ -117,16 +117,16 @@ def _solve_some_kicks(acting: Acting, rows: Floats, first: int, last: int, dt: f
             acting, rows, b, kick, dt, _iterated(acting, rows, b, kick, dt, kick.last)
         )
         many += _iterate(acting, rows, b, kick, dt, guess, True)
-    for _ in range(_MOST):
+    for _ in range(_MAX_ITERATION_PAIRS):
         if many == 0:
             return
         many = 0
         for b in range(first, last):
             old = get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)
             kick, guess = _kick_of(acting, rows, b, dt, old), (get3(rows, P, b), get3(rows, L, b))
-            many += _iterate(acting, rows, b, kick, dt, guess, get(rows, _CHANGES, b) > 0.0)
+            many += _iterate(acting, rows, b, kick, dt, guess, get(rows, _CHANGES_ROW, b) > 0.0)
     for b in range(first, last):
-        if get(rows, _CHANGES, b) > 0.0:
+        if get(rows, _CHANGES_ROW, b) > 0.0:
             put3(rows, P, b, (np.nan, np.nan, np.nan))
 
 
@@ -143,7 +143,7 @@ def _iterate(
     more = _differs(guess[0], second[0], third[0], kick.first[0], kick.last[0])
     more = more | _differs(guess[1], second[1], third[1], kick.first[1], kick.last[1])
     more = more & changes
-    put(rows, _CHANGES, b, 1.0 if more else 0.0)
+    put(rows, _CHANGES_ROW, b, 1.0 if more else 0.0)
     return 1 if more else 0
 
 
@@ -172,7 +172,7 @@ def _differs(a: Vec3, b: Vec3, c: Vec3, first: Vec3, last: Vec3) -> bool:
     size = abs(c[0]) + abs(c[1]) + abs(c[2])
     size += abs(first[0]) + abs(first[1]) + abs(first[2])
     size += abs(last[0]) + abs(last[1]) + abs(last[2])
-    return (change > _ROUNDING * size) & (change * change > _ROUNDING * size * before)
+    return (change > _LEAST_CHANGE * size) & (change * change > _LEAST_CHANGE * size * before)
 
 
 @inline

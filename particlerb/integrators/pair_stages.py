@@ -16,7 +16,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import BOOKED, P, gather_block, get, put, scatter_block
 from particlerb.model.load import LOAD_ROWS, POWER
 
-_MOMENTA: Final = 7  # row of a state from which on p and L are
+_MOMENTA_ROW: Final = 7  # of a state, from which on p and L are
 
 
 class Layout(NamedTuple):
@@ -181,7 +181,7 @@ def flow_pairs(
         damp_links(links, y, booked, dt, backwards)
         if not backwards:
             flow_own_pairs(own_pairs, clock[0], y, booked, dt, backwards)
-        scatter(y, blocks, layout, P, _MOMENTA)
+        scatter(y, blocks, layout, P, _MOMENTA_ROW)
         for k in range(layout.first.size):
             rows, lo = blocks[k], layout.first[k]
             for c in range(LOAD_ROWS - POWER):

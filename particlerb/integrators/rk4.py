@@ -31,10 +31,10 @@ from particlerb.model.block import SCRATCH, get, put
 from particlerb.model.load import STATE_ROWS
 
 _WEIGHTS: Final = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)  # of the slopes
-_NEXT: Final = (0.5, 0.5, 1.0, 0.0)  # where the next slope is taken, in steps
-_WHERE: Final = (0.0, 0.5, 0.5, 1.0)  # each slope is taken, in steps
-_LENGTH: Final = SCRATCH  # row of |q| there
-_TOTAL: Final = STAGE + STATE_ROWS  # row of the sum so far; the state at the beginning is at STAGE
+_NEXT_SLOPE_TIMES: Final = (0.5, 0.5, 1.0, 0.0)  # in steps
+_SLOPE_TIMES: Final = (0.0, 0.5, 0.5, 1.0)  # in steps
+_LENGTH_ROW: Final = SCRATCH  # of |q| where a slope is taken
+_SUM_ROW: Final = STAGE + STATE_ROWS  # of the slopes so far; the state at the beginning is at STAGE
 
 
 @stage
@@ -79,18 +79,18 @@ def _one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) -
             y = pose(rows, b)
             R = matrix(y.q)
             if k > 0:
-                stretch = get(rows, _LENGTH, b) - 1.0
+                stretch = get(rows, _LENGTH_ROW, b) - 1.0
                 y = Pose(y.x, add_scaled4(stretch, y.q, y.q), y.p, y.L)
-            shift_time(acting, rows, b, _WHERE[k] * dt)
+            shift_time(acting, rows, b, _SLOPE_TIMES[k] * dt)
             slope, entry = slopes(acting, rows, b, y, R)
             if k == 0:
                 put_pose(rows, b, y, STAGE)
-                put_pose(rows, b, y, _TOTAL)
+                put_pose(rows, b, y, _SUM_ROW)
             start = pose(rows, b, STAGE)
-            total = add_pose(_WEIGHTS[k] * dt, slope, pose(rows, b, _TOTAL))
-            put_pose(rows, b, total, _TOTAL)
-            after = total if k == 3 else add_pose(_NEXT[k] * dt, slope, start)
-            put(rows, _LENGTH, b, length(after.q))
+            total = add_pose(_WEIGHTS[k] * dt, slope, pose(rows, b, _SUM_ROW))
+            put_pose(rows, b, total, _SUM_ROW)
+            after = total if k == 3 else add_pose(_NEXT_SLOPE_TIMES[k] * dt, slope, start)
+            put(rows, _LENGTH_ROW, b, length(after.q))
             put_pose(rows, b, on_sphere(after))
             book(books, rows, b, _WEIGHTS[k] * dt, entry)
 
@@ -106,8 +106,8 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
     """One slope of all bodies after the other, and of the tangential springs of contacts."""
     for k in range(len(_WEIGHTS)):
         if k > 0:
-            place_later(moving, first, last, _WHERE[k] * dt)
-        slope = Slope(dt, _WEIGHTS[k], _NEXT[k], k == 0)
+            place_later(moving, first, last, _SLOPE_TIMES[k] * dt)
+        slope = Slope(dt, _WEIGHTS[k], _NEXT_SLOPE_TIMES[k], k == 0)
         loads(moving, first, last, LoadTimes(dt, _WEIGHTS[k] * dt, BY_SLOPES, slope))
         _one_slope(moving, first, last, k, dt)
 

@@ -47,9 +47,9 @@ DRIFTS: Final = (
     0.290553797799558,
     0.123229775946271,
 )
-_BEFORE: Final = tuple(sum(DRIFTS[:k], 0.0) for k in range(len(DRIFTS)))  # where each kick is made
+_KICK_TIMES: Final = tuple(sum(DRIFTS[:k], 0.0) for k in range(len(DRIFTS)))  # in steps
 CLOSING_KICK: Final = KICKS[0]
-_ASYMMETRIC: Final = 1.55  # costs of a body with one map per drift, over that of others
+_ASYMMETRIC_COST: Final = 1.55  # of a body with one map per drift, over that of others
 
 
 @lru_cache
@@ -57,18 +57,18 @@ def _asymmetric_cost(turn: float) -> float:
     """Of the Moser-Veselov maps per drift of a step in which a body turns so far [rad], about."""
     largest = max(turn / LONGEST_PIECE, 1.0 / LARGEST_SHARE)
     maps = sum(max(1.0, abs(share) * largest) for share in DRIFTS) / len(DRIFTS)
-    return _ASYMMETRIC * maps
+    return _ASYMMETRIC_COST * maps
 
 
 @stages
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Eleven kicks and drifts; the last kick stays open."""
     for k in range(len(DRIFTS)):
-        shift_pairs(moving, first, _BEFORE[k] * dt)
+        shift_pairs(moving, first, _KICK_TIMES[k] * dt)
         loads(moving, first, last, NOW)
         kick_dt = KICKS[k] * dt if k > 0 else CLOSING_KICK * dt + open_kick
         drift_dt, share = DRIFTS[k] * dt, abs(DRIFTS[k])
-        move = KickAndDrift(kick_dt, 0.0, _BEFORE[k] * dt, drift_dt, share, k == 0)
+        move = KickAndDrift(kick_dt, 0.0, _KICK_TIMES[k] * dt, drift_dt, share, k == 0)
         kick_and_rotor_drift(moving, first, last, None, move)
 
 

@@ -38,7 +38,7 @@ from particlerb.rotors.symmetric_split import symmetric_split
 _U = SCRATCH  # of the Moser-Veselov map: u, f, and the solution
 _F = SCRATCH + 3
 _V = SCRATCH + 6
-_RATE = SCRATCH + 9
+_RATE_ROW = SCRATCH + 9
 
 
 @inline
@@ -59,10 +59,10 @@ def _fastest_turn(rows: Floats, n: int) -> float:
     """Largest |ω| of a block at the beginning of a step [rad/s]; 0 where it is not finite."""
     for b in range(n):
         w = component_product(get3(rows, INV_INERTIA, b), _body_momentum(rows, b))
-        put(rows, _RATE, b, dot(w, w))
+        put(rows, _RATE_ROW, b, dot(w, w))
     largest = 0.0
     for b in range(n):
-        largest = max(largest, get(rows, _RATE, b))
+        largest = max(largest, get(rows, _RATE_ROW, b))
     return math.sqrt(largest) if largest < np.inf else 0.0
 
 
@@ -70,8 +70,8 @@ def _fastest_turn(rows: Floats, n: int) -> float:
 def _turn_rate(rows: Floats, n: int, is_first: bool) -> float:
     """The same, found at the first drift of a step and kept for the others."""
     if is_first:
-        put(rows, _RATE, 0, _fastest_turn(rows, n))
-    return get(rows, _RATE, 0)
+        put(rows, _RATE_ROW, 0, _fastest_turn(rows, n))
+    return get(rows, _RATE_ROW, 0)
 
 
 @inline

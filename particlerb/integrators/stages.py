@@ -44,7 +44,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.block import COM, L, P, Q, get3, get4
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-_STAGES: Final[dict[int, Callable[..., None]]] = {}  # kernels that are spread, by id of the stage
+_KERNELS: Final[dict[int, Callable[..., None]]] = {}  # that are spread, by id of the stage
 _LISTS: Final[dict[int, Callable[..., Any]]] = {}  # functions made of stages, by id of the spliced
 
 
@@ -74,7 +74,7 @@ class MovingBodies(NamedTuple):
 def stage(function: Function) -> Function:
     """Compile a stage `(moving, first, last, ...)` whose blocks have nothing to do with others."""
     inlined = inline(function)
-    _STAGES[id(inlined)] = kernel(function)
+    _KERNELS[id(inlined)] = kernel(function)
     return inlined
 
 
@@ -105,8 +105,8 @@ def over_threads(function: Function, **names: Any) -> Function:
     plain: Any = getattr(function, "py_func", function)
     for name in plain.__code__.co_names:
         value = plain.__globals__.get(name)
-        if id(value) in _STAGES:
-            names.setdefault(name, partial(_spread_stage, _STAGES[id(value)]))
+        if id(value) in _KERNELS:
+            names.setdefault(name, partial(_spread_stage, _KERNELS[id(value)]))
         elif id(value) in _LISTS and name not in names:
             names[name] = over_threads(_LISTS[id(value)], **names)
     return in_python(function, **names)

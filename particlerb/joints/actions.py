@@ -19,7 +19,7 @@ from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.rows import row3, row3_at
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add, component_product, cross, dot, scale
 
-_MOST_BEYOND: Final = 0.9  # of the way from a stop to the middle between it and the other
+_MAX_BEYOND_SHARE: Final = 0.9  # of the way from a stop to the middle between it and the other
 
 
 @inline
@@ -56,7 +56,7 @@ def gives_way(rows: ConstraintRows, actions: Actions, r: int, before: Floats, y:
     on, beyond = shorter(kind, x - last), _beyond(actions, k, kind, x)
     has_passed = beyond * on < 0.0 and _beyond(actions, k, kind, last) * on >= 0.0
     middle = pi - 0.5 * (actions.upper[k] - actions.lower[k])
-    return has_passed or abs(beyond) > _MOST_BEYOND * middle
+    return has_passed or abs(beyond) > _MAX_BEYOND_SHARE * middle
 
 
 @inline

@@ -24,7 +24,7 @@ from particlerb.maths.quaternion import to_world
 from particlerb.maths.rows import row3, row3_at
 from particlerb.maths.vec3 import Floats, add_scaled, cross, norm, subtract
 
-_SAME: Final = 1e-9  # over a step: instants as near as this are one
+_SAME_INSTANT: Final = 1e-9  # over a step: instants as near as this are one
 
 
 @inline
@@ -32,7 +32,7 @@ def leave_out(breaks: Breaks | None, joints: Joints, work: JointWork, c: int, t:
     """Leave out the rows of joints of cluster c that have broken before t, and no others."""
     if breaks is None:
         return
-    now = work.clock[2] + t - _SAME * work.clock[1]
+    now = work.clock[2] + t - _SAME_INSTANT * work.clock[1]
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
         _set_held(joints, work, j, work.broken[j] >= now)
 
@@ -63,7 +63,7 @@ def let_break(
     """
     if breaks is None:
         return False
-    start, begin, least = joints.program.start, work.clock[2] + t, _SAME * work.clock[1]
+    start, begin, least = joints.program.start, work.clock[2] + t, _SAME_INSTANT * work.clock[1]
     lo, hi = joints.clusters.joint[c], joints.clusters.joint[c + 1]
     any_breaks = False
     for j in range(lo, hi):

@@ -18,8 +18,8 @@ from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.state import rotate, rotate_back
 from particlerb.model.worlds import Worlds
 
-_DEPENDENT: Final = 1e-10  # singular values over the largest
-_OPEN: Final = 1e-8  # share of the largest component of a null vector that is not its rounding
+_MAX_SINGULAR: Final = 1e-10  # over the largest singular value: of null vectors
+_NULL_ROUNDING: Final = 1e-8  # share of the largest component of a null vector
 
 
 @unfused_kernel
@@ -65,7 +65,7 @@ def dependent_rows(weighted: Floats) -> Floats:
     U, singular_values, _ = np.linalg.svd(weighted)
     size = np.zeros(len(U))
     size[: singular_values.size] = singular_values
-    null: Floats = U[:, size <= _DEPENDENT * singular_values[0]].T
+    null: Floats = U[:, size <= _MAX_SINGULAR * singular_values[0]].T
     return null
 
 
@@ -104,7 +104,7 @@ def make_least(joints: Joints, work: JointWork) -> Bools:
             z[lo:hi] = vector
             reactions = np.abs(forces_of_joints(joints, work, z))
             reactions[:, 3:] /= _joint_sizes(joints)[joints.program.start[:-1], None]
-            is_open |= reactions > _OPEN * reactions.max()
+            is_open |= reactions > _NULL_ROUNDING * reactions.max()
     return is_open
 
 

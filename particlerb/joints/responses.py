@@ -33,7 +33,7 @@ from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Ints, dot, scale
 
-_ROUNDING: Final = 1e-14  # residuals, over their size, that are as good as none
+_RESIDUAL_ROUNDING: Final = 1e-14  # residuals, over their size, that are as good as none
 
 
 def mechanisms_of(joints: Joints, n_partners: int) -> Mechanisms:
@@ -199,7 +199,7 @@ def move_to_joints(
             continue
         factorise_cluster(joints, work, c, 0.0, work.clock[0])
         worst, _ = residuals(joints, work, lo, hi, work.clock[0])
-        if worst <= _ROUNDING:
+        if worst <= _RESIDUAL_ROUNDING:
             continue
         any_moved = True
         _clear(work, first, last)

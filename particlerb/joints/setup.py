@@ -27,9 +27,9 @@ from particlerb.model.bodies import Bodies
 _LOOP_PIVOT = 1e-8  # over its diagonal: below it a row of a closed loop depends on those before
 
 NO_ACTIONS: Final = Actions(*np.zeros((8, 0)))
-_NONE: Final = np.zeros(0, dtype=np.int64)
+_NO_INDEX: Final = np.zeros(0, dtype=np.int64)
 _NO_COORDINATES: Final = Coordinates(
-    _NONE, _NONE, _NONE, _NONE, np.zeros(0, dtype=np.bool_), np.zeros((0, 4, 3))
+    _NO_INDEX, _NO_INDEX, _NO_INDEX, _NO_INDEX, np.zeros(0, dtype=np.bool_), np.zeros((0, 4, 3))
 )
 _NO_DRIVES: Final = Drives(np.zeros((0, 4)), np.zeros((0, 3)))
 

@@ -43,14 +43,14 @@ from particlerb.maths.vec3 import Vec3, add, dot, scale
 from particlerb.rotors.symmetric_split import symmetric_split, symmetric_top
 
 MOST_ITERATIONS: Final = 60
-_ROUNDING: Final = 1e-15  # residuals, over their size, that are as good as none
-_NEAR: Final = 1e-10  # below it an iteration that gains little is the last
-_GAIN: Final = 0.5
-_MIXED: Final = 1e-2  # farther off, iterations are not mixed: they might end in another branch
-_STRAYED: Final = 100.0  # times the least residual so far: a loop leaves for another branch
-_MOST_PASSES: Final = 4  # of a projection of momenta
-_TENFOLD: Final = 7  # times at most that the pivot below which rows rest grows, from 1e-8 on,
-_MOST_OPEN: Final = 1e-4  # and what the residual of a row that rests may be, over its size
+_RESIDUAL_ROUNDING: Final = 1e-15  # residuals, over their size, that are as good as none
+_LAST_RESIDUAL: Final = 1e-10  # below it an iteration that gains little is the last
+_GAIN_RATIO: Final = 0.5  # of a residual by that before: with more an iteration gains little
+_MAX_MIXED: Final = 1e-2  # residual: farther off, mixed iterations might end in another branch
+_STRAYED_RATIO: Final = 100.0  # times the least residual so far: a loop leaves for another branch
+_MAX_PASSES: Final = 4  # of a projection of momenta
+_MAX_PIVOT_DECADES: Final = 7  # by which the pivot below which rows rest grows, from 1e-8 on
+_MAX_RESTING: Final = 1e-4  # residual of a row that rests, over its size
 
 
 @inline
@@ -209,7 +209,7 @@ def _pass_singular_pose(joints: Joints, work: JointWork, c: int, t: float, dt: f
     clusters, start, share = joints.clusters, joints.program.start, joints.clusters.smallest_pivot
     first, last, usual = clusters.joint[c], clusters.joint[c + 1], share[c]
     lo, hi = start[first], start[last]
-    for _ in range(_TENFOLD):
+    for _ in range(_MAX_PIVOT_DECADES):
         share[c] *= 10.0
         for k in range(clusters.body[c], clusters.body[c + 1]):
             for i in range(P, STATE):
@@ -229,7 +229,7 @@ def _pass_singular_pose(joints: Joints, work: JointWork, c: int, t: float, dt: f
                 work.compliance[r] = 0.0
         leave_out(joints.breaks, joints, work, c, t)
         worst, where = residuals(joints, work, lo, hi, t + dt)
-        if work.lost[c] == 0 and worst <= _MOST_OPEN and _is_weak(joints, work, c, lo, hi):
+        if work.lost[c] == 0 and worst <= _MAX_RESTING and _is_weak(joints, work, c, lo, hi):
             break
         work.lost[c] = 1 + where
     share[c] = usual
@@ -291,12 +291,12 @@ def _fly_to_joints(joints: Joints, work: JointWork, c: int, t: float, dt: float)
         worst, where = residuals(joints, work, lo, hi, t + dt)
         if before == 1e300:
             worst = _count_teeth(joints.rolls, joints, work, lo, hi, dt, worst)
-        if worst <= _ROUNDING or (worst < _NEAR and worst > _GAIN * before):
+        if worst <= _RESIDUAL_ROUNDING or (worst < _LAST_RESIDUAL and worst > _GAIN_RATIO * before):
             return
-        if not mixes and worst > _STRAYED * least:
+        if not mixes and worst > _STRAYED_RATIO * least:
             break
         least = min(least, worst)
-        share = _share_of_last(joints, work, lo, hi) if mixes and before < _MIXED else 0.0
+        share = _share_of_last(joints, work, lo, hi) if mixes and before < _MAX_MIXED else 0.0
         before = worst
         for r in range(lo, hi):
             work.z[r] = (share * (work.g[r] - work.last_g[r]) - work.g[r]) / dt
@@ -331,9 +331,9 @@ def project_momenta(
 def keep_rates(joints: Joints, work: JointWork, c: int, lo: int, hi: int) -> None:
     """Take from the momenta what breaks rows lo to hi, those of cluster c, by the factor of A."""
     before = 1e300
-    for _ in range(_MOST_PASSES):
+    for _ in range(_MAX_PASSES):
         worst = rates(joints, work, lo, hi)
-        if not 0.0 < worst < _GAIN * before:
+        if not 0.0 < worst < _GAIN_RATIO * before:
             return
         before = worst
         _solve_and_add(joints, work, c, lo, hi)

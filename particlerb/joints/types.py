@@ -55,22 +55,22 @@ TYPES: Final[Mapping[str, tuple[_Constraint, ...]]] = {
     "gear": (_Constraint(GEAR, "n"),),
 }
 
-_ANGLE: Final = (_Constraint(TURN, "n", "e"),)
-_SHIFT: Final = (_Constraint(ALONG, "n"),)
+_ANGLE_CONSTRAINTS: Final = (_Constraint(TURN, "n", "e"),)
+_SHIFT_CONSTRAINTS: Final = (_Constraint(ALONG, "n"),)
 COORDINATES: Final[Mapping[str, Mapping[str, tuple[_Constraint, ...]]]] = {
     "ball": {"turn": tuple(_Constraint(ROTATION, axis) for axis in "xyz")},
-    "hinge": {"angle": _ANGLE},
+    "hinge": {"angle": _ANGLE_CONSTRAINTS},
     "universal": {
         "angle about axis": (_Constraint(OWN_TURN, "n", "m"),),
         "angle about axis_to": (_Constraint(TURN, "m", "n"),),
     },
-    "slider": {"displacement": _SHIFT},
-    "cylindrical": {"displacement": _SHIFT, "angle": _ANGLE},
-    "screw": {"displacement": _SHIFT, "angle": _ANGLE},
+    "slider": {"displacement": _SHIFT_CONSTRAINTS},
+    "cylindrical": {"displacement": _SHIFT_CONSTRAINTS, "angle": _ANGLE_CONSTRAINTS},
+    "screw": {"displacement": _SHIFT_CONSTRAINTS, "angle": _ANGLE_CONSTRAINTS},
     "planar": {
         "first displacement": (_Constraint(ALONG, "e"),),
         "second displacement": (_Constraint(ALONG, "f"),),
-        "angle": _ANGLE,
+        "angle": _ANGLE_CONSTRAINTS,
     },
 }
 """Free coordinates, along which springs, stops, motors, dampers and drives act; in their order."""

@@ -25,7 +25,7 @@ from particlerb.joints.records import GEAR, RACK, ConstraintRows
 from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Vec3, add_scaled, cross, dot, norm, scale
 
-_MOST_ASKEW: Final = 1e-4  # rad, or over the radius: what holds the axes leaves less
+_MAX_ASKEW: Final = 1e-4  # rad, or over the radius: what holds the axes leaves less
 
 
 @inline
@@ -95,7 +95,7 @@ def out_of_mesh(
         rolled(True, rows, r, before, *arms_before) + s + k * nearest(angle, far, 2.0 * np.pi)
     )
     askew: float = max(abs(off), abs(dot(n, a)))
-    return 2 if askew > _MOST_ASKEW else int(abs(on) > 0.5 * pitch)
+    return 2 if askew > _MAX_ASKEW else int(abs(on) > 0.5 * pitch)
 
 
 @inline

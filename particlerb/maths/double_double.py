@@ -17,12 +17,12 @@ from particlerb.maths.vec3 import Vec3
 
 _DoubleDouble: TypeAlias = tuple[float, float]
 Wide3: TypeAlias = tuple[_DoubleDouble, _DoubleDouble, _DoubleDouble]
-_SPLIT = 134217729.0  # 2²⁷ + 1
+_SPLIT_FACTOR = 134217729.0  # 2²⁷ + 1
 
 
 def split(a: float) -> _DoubleDouble:
     """Two halves of 26 bits with a = high + low (Veltkamp)."""
-    scaled = _SPLIT * a
+    scaled = _SPLIT_FACTOR * a
     high = scaled - (scaled - a)
     return high, a - high
 

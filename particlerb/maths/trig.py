@@ -19,8 +19,8 @@ _INV_LOG2 = 1.4426950408889634
 _SQRT2 = 1.4142135623730951
 _LOG2_HIGH = 0.6931471787393093  # log 2 to 29 bits, and the rest
 _LOG2_LOW = 1.8206359985041462e-09
-_LOWEST = -700.0  # exp(LOWEST) is 1e-304
-_ROUNDING = 6755399441055744.0  # 1.5 · 2⁵²: adding and subtracting it rounds to an integer
+_MIN_EXPONENT = -700.0  # exp of it is 1e-304
+_INTEGER_SHIFT = 6755399441055744.0  # 1.5 · 2⁵²: adding and subtracting it rounds to an integer
 _TWO_52_BITS = 0x4330000000000000  # bits of 2⁵²: an integer below 2⁵² added to them gives that sum
 
 
@@ -30,7 +30,7 @@ def reduce_modulo_pi(x: float) -> tuple[float, float]:
 
     The error of r is that of one rounding of r for |x| < 2²⁴ π; beyond, it grows like x's own.
     """
-    n = (x * _INV_PI + _ROUNDING) - _ROUNDING
+    n = (x * _INV_PI + _INTEGER_SHIFT) - _INTEGER_SHIFT
     return (x - n * _PI_HIGH) - n * _PI_LOW, n
 
 
@@ -72,7 +72,7 @@ def half_turns(x: float) -> tuple[float, float]:
     """
     r, n = reduce_modulo_pi(x)
     r = max(-_HALF_PI, min(_HALF_PI, r))  # in this order: a NaN turns into a number
-    odd = n - 2.0 * ((0.5 * n + _ROUNDING) - _ROUNDING)
+    odd = n - 2.0 * ((0.5 * n + _INTEGER_SHIFT) - _INTEGER_SHIFT)
     return r, 1.0 if odd * odd < 0.5 else -1.0
 
 
@@ -111,7 +111,7 @@ def angle_of(cos: float, sin: float) -> float:
 
 def _plain_power_of_two(rounded: float) -> float:
     """2ⁿ of n + ROUNDING."""
-    return math.ldexp(1.0, int(rounded - _ROUNDING))
+    return math.ldexp(1.0, int(rounded - _INTEGER_SHIFT))
 
 
 @instruction(_plain_power_of_two)
@@ -124,9 +124,9 @@ def _power_of_two(builder: Any, rounded: Any) -> Any:
 @inline
 def decay(x: float) -> float:
     """Return exp x for x <= 0; below LOWEST it is exp(LOWEST), that is as good as zero."""
-    x = x if x > _LOWEST else _LOWEST
-    rounded = x * _INV_LOG2 + _ROUNDING
-    n = rounded - _ROUNDING
+    x = x if x > _MIN_EXPONENT else _MIN_EXPONENT
+    rounded = x * _INV_LOG2 + _INTEGER_SHIFT
+    n = rounded - _INTEGER_SHIFT
     y = (x - n * _LOG2_HIGH) - n * _LOG2_LOW
     exp = 2.09215799649503e-09
     exp = exp * y + 2.5114869528657765e-08
@@ -160,14 +160,14 @@ def exponent(builder: Any, x: Any) -> Any:
 @inline
 def scale_of(x: float) -> float:
     """2⁻ⁿ of a normal x > 0 with x = m 2ⁿ, 1 <= m < 2; n is 1022 at most."""
-    return _power_of_two(_ROUNDING - min(exponent(x), 1022.0))
+    return _power_of_two(_INTEGER_SHIFT - min(exponent(x), 1022.0))
 
 
 @inline
 def logarithm(x: float) -> float:
     """Return log x for a normal x > 0: n log 2 + 2 artanh s with |s| <= 0.1716."""
     n = exponent(x)
-    mantissa = x * _power_of_two(_ROUNDING - n)
+    mantissa = x * _power_of_two(_INTEGER_SHIFT - n)
     large = mantissa > _SQRT2
     n = n + 1.0 if large else n
     mantissa = 0.5 * mantissa if large else mantissa

@@ -19,9 +19,9 @@ from particlerb.model.superblocks import Range, summed, superblocks
 from particlerb.model.totals import N_TOTALS, Totals, far_norm
 from particlerb.ranks import ALONE, Ranks
 
-_STILL = 1e-20  # share of the energy of a motion that is seen; below it there is none
-_BORNE = 1e-6  # share of what weights give to momenta; below it something bears them
-_HELD = 1e-8  # share of weights times distances, to rounding of which sums are known
+_STILL_ENERGY_SHARE = 1e-20  # share of the energy of a motion that is seen; below it there is none
+_BORNE_SHARE = 1e-6  # share of what weights give to momenta; below it something bears them
+_WEIGHT_ROUNDING = 1e-8  # share of weights times distances, to rounding of which sums are known
 
 
 class Entries(NamedTuple):
@@ -166,12 +166,12 @@ class EnergyBalance:
         momentum = mass * R / duration
         seen = np.stack([momentum * R / duration, momentum, momentum * R])
         seen[0] += np.abs(self.initial[:, 0])
-        is_still = self.scales[0] < _STILL * seen[0]
+        is_still = self.scales[0] < _STILL_ENERGY_SHARE * seen[0]
         scales = np.where(is_still, np.maximum(self.scales, seen), self.scales)
         weight = mass * g * duration
-        scales[1] = np.where(scales[1] < _BORNE * weight, weight, scales[1])
-        scales[0] = np.maximum(scales[0], _HELD * mass * g * R)
-        scales[2] = np.maximum(scales[2], _HELD * weight * R)
+        scales[1] = np.where(scales[1] < _BORNE_SHARE * weight, weight, scales[1])
+        scales[0] = np.maximum(scales[0], _WEIGHT_ROUNDING * mass * g * R)
+        scales[2] = np.maximum(scales[2], _WEIGHT_ROUNDING * weight * R)
         safe: Floats = np.where(scales > 0.0, scales, 1.0)
         relative = self.errors / safe
         return ConservationError(*(relative if self.shape else relative[:, 0]).tolist())

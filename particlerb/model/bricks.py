@@ -12,10 +12,10 @@ import numpy as np
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.ranks import Ranks
 
-_BINS: Final = 1024  # places where space may be cut, and then where the bin of the cut may
-_REFINEMENTS: Final = 6  # at most: beyond them places differ by rounding
-_NEAR_ENOUGH: Final = 0.01  # bodies by which a cut may miss, in those of a brick
-_UNEVEN: Final = 1.2  # bodies of the fullest brick, over the mean, from which on edges move
+_N_BINS: Final = 1024  # places where space may be cut, and then where the bin of the cut may
+_MAX_REFINEMENTS: Final = 6  # beyond them places differ by rounding
+_MAX_CUT_ERROR: Final = 0.01  # bodies by which a cut may miss, in those of a brick
+_MAX_IMBALANCE: Final = 1.2  # bodies of the fullest brick, over the mean, from which on edges move
 
 
 class _Node(NamedTuple):
@@ -81,7 +81,7 @@ class Bricks:
         ends = np.stack([corner[np.arange(len(level)), axes] for corner in (low, high)], axis=1)
         for node, axis in zip(level, axes.tolist(), strict=True):
             self.axis[node.number] = axis
-        for _ in range(_REFINEMENTS):
+        for _ in range(_MAX_REFINEMENTS):
             if self._refine(points, level, ends, ranks):
                 break
 
@@ -90,11 +90,11 @@ class Bricks:
 
         The ends become those of the bin in which the right place is.
         """
-        counts = np.zeros((len(level), _BINS + 2), dtype=np.int64)
-        edges = np.linspace(ends[:, 0], ends[:, 1], _BINS + 1, axis=1)
+        counts = np.zeros((len(level), _N_BINS + 2), dtype=np.int64)
+        edges = np.linspace(ends[:, 0], ends[:, 1], _N_BINS + 1, axis=1)
         for k, (number, _, _, index) in enumerate(level):
             place = np.searchsorted(edges[k], points[self.axis[number], index], side="right")
-            counts[k] = np.bincount(place, minlength=_BINS + 2)
+            counts[k] = np.bincount(place, minlength=_N_BINS + 2)
         below: Ints = np.cumsum(ranks.added(counts), axis=1)  # each edge, all at the end
         is_near = True
         for k, node in enumerate(level):
@@ -102,8 +102,8 @@ class Bricks:
             edge = int(np.argmin(np.abs(below[k, :-1] - target)))
             self.place[node.number] = edges[k, edge]
             missed = below[k, edge] - target
-            is_near &= bool(abs(missed) <= max(1.0, _NEAR_ENOUGH * target / node.lower))
-            at = min(max(edge - (missed > 0), 0), _BINS - 1)
+            is_near &= bool(abs(missed) <= max(1.0, _MAX_CUT_ERROR * target / node.lower))
+            at = min(max(edge - (missed > 0), 0), _N_BINS - 1)
             ends[k] = edges[k, at : at + 2]
         return is_near
 
@@ -139,7 +139,7 @@ class Bricks:
 
     def fitted(self, points: Floats, counts: Ints, ranks: Ranks) -> Self:
         """These bricks, or new ones where bodies, so many in each, are shared too unevenly."""
-        is_even = counts.max() <= _UNEVEN * counts.mean() and counts.min() > 0
+        is_even = counts.max() <= _MAX_IMBALANCE * counts.mean() and counts.min() > 0
         return self if is_even else type(self)(points, ranks)
 
 

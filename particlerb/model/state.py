@@ -48,7 +48,7 @@ class Frames(NamedTuple):
 
 
 STATE_FIELDS: Final = Frames._fields[:4]  # what the state of a body is, in a file and elsewhere
-_ROUNDING: Final = 1e-15  # share of an angular velocity that is its rounding
+_SPIN_ROUNDING: Final = 1e-15  # share of an angular velocity that is its rounding
 CONJUGATE: Final = np.array([[1.0], [-1.0], [-1.0], [-1.0]])  # quaternions (4, n) times it
 
 
@@ -174,7 +174,7 @@ def rotate_back(q: Floats, v: Floats) -> Floats:
 def in_rotor_frame(rotor_frame: Floats, v: Floats) -> Floats:
     """Vectors (3, n) of the body frame in the rotor frame: zero where they are a rounding."""
     rotated, is_turned = rotate_back(rotor_frame, v), rotor_frame[1:].any(axis=0)
-    noise = _ROUNDING * is_turned * np.abs(rotated).max(axis=0)
+    noise = _SPIN_ROUNDING * is_turned * np.abs(rotated).max(axis=0)
     return np.where(np.abs(rotated) <= noise, 0.0, rotated)
 
 
@@ -231,7 +231,7 @@ def initial_state(
     omega = rotate_back(q, spin)
     L, size = rotate(q, bodies.inertia * omega), np.abs(omega)
     largest = size.max(axis=0)
-    near = np.flatnonzero(size.sum(axis=0) - largest <= _ROUNDING * largest)
+    near = np.flatnonzero(size.sum(axis=0) - largest <= _SPIN_ROUNDING * largest)
     if near.size:  # about a principal axis, exactly: no rounding aside, which might grow
         components = np.abs(np.einsum("ijn,in->jn", exact_matrix(q[:, near]), spin[:, near]))
         is_principal = (components > 0.0).sum(axis=0) == 1

@@ -14,7 +14,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.ranks import ALONE, Ranks
 
 SUPERBLOCK = 256 * BLOCK
-_MOST_PARTS: Final = 1024
+_MAX_PARTS: Final = 1024
 
 
 class Range(NamedTuple):
@@ -37,7 +37,7 @@ def superblock_of(first: int, last: int) -> int:
 
 def parts_of(n: int) -> list[Range]:
     """Ranges of n bodies that are files of their own: whole superblocks, as many in each."""
-    size = SUPERBLOCK * -(-n // (SUPERBLOCK * _MOST_PARTS))
+    size = SUPERBLOCK * -(-n // (SUPERBLOCK * _MAX_PARTS))
     return [Range(first, min(first + size, n)) for first in range(0, n, size)]
 
 

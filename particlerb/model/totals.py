@@ -22,8 +22,8 @@ from particlerb.model.superblocks import Range, summed, superblocks
 from particlerb.ranks import ALONE, Ranks
 
 N_TOTALS: Final = 10
-_NEAR = 1e-6  # share of |x| |p| that an angular momentum is never judged below: x × p rounds
-_HUGE, _FAR = 2.0**1000, 2.0**-520  # square of what is far, and by what it is made smaller
+_REACH_SHARE = 1e-6  # of |x| |p| that angular momenta are never judged below: x × p rounds
+_HUGE_SQUARE, _HUGE_SCALE = 2.0**1000, 2.0**-520  # of what is far, and what makes it smaller
 
 
 class Totals(NamedTuple):
@@ -82,7 +82,7 @@ def _load_rows(frames: Frames, f: int, lo: int, mass: Floats, local: Floats, n: 
 @inline
 def far_norm(v: Vec3) -> float:
     """|v|, also where its square is too large for float64."""
-    small, large = (_FAR, 1.0 / _FAR) if dot(v, v) > _HUGE else (1.0, 1.0)
+    small, large = (_HUGE_SCALE, 1.0 / _HUGE_SCALE) if dot(v, v) > _HUGE_SQUARE else (1.0, 1.0)
     near = scale(small, v)
     return large * np.sqrt(dot(near, near))
 
@@ -102,7 +102,7 @@ def _momenta_rows(
         potential[b] = -mass[b] * dot(g, x_b)
         store3(H, b, add_scaled(1.0, orbit, L_b))
         size[b] = far_norm(p_b)
-        reach = _NEAR * far_norm(x_b) * size[b]  # straight through the origin
+        reach = _REACH_SHARE * far_norm(x_b) * size[b]  # straight through the origin
         spin[b] = far_norm(L_b) + far_norm(orbit) + reach
 
 

@@ -24,7 +24,7 @@ from particlerb.plan.joint_ends import bodies_apart
 from particlerb.plan.joint_rows import bounds_of
 from particlerb.plan.obstacles import driven_bodies, middle, motion_of, pistons_of, wall_of
 
-_TANGENTIAL: Final = 2.0 / 7.0  # default tangential over normal stiffness
+_TANGENTIAL_RATIO: Final = 2.0 / 7.0  # default tangential over normal stiffness
 NOTHING: Final = -1  # material of a body that touches nothing
 
 
@@ -205,7 +205,7 @@ def pairs_of(
             continue
         tangential = _number_of(table, pair, "tangential_stiffness")
         if tangential is None:
-            tangential = _TANGENTIAL * float(pairs.stiffness[a, b])
+            tangential = _TANGENTIAL_RATIO * float(pairs.stiffness[a, b])
         _both(pairs.tangential_stiffness, a, b, tangential)
     if is_hertz and not problems:
         _add_moduli(system, pairs)

@@ -23,10 +23,10 @@ from particlerb.plan.time_step import cheaper_law, expected_overlap
 from particlerb.stepping.closed_forms import words_of_forms
 from particlerb.stepping.sparse_contact import can_fly
 
-_GROUPS_SHOWN = 20
-_SEGMENTS_SHOWN = 12
-_RUNS_SHOWN = 4
-_CLASSES = ("point", "rod", "spherical top", "symmetric top", "asymmetric top")
+_MAX_GROUPS_SHOWN = 20
+_MAX_SEGMENTS_SHOWN = 12
+_MAX_RUNS_SHOWN = 4
+_CLASS_WORDS = ("point", "rod", "spherical top", "symmetric top", "asymmetric top")
 
 
 def describe(system: System, plan: Plan, accuracy: str = "") -> str:
@@ -41,18 +41,18 @@ def describe(system: System, plan: Plan, accuracy: str = "") -> str:
         *([("accuracy", accuracy)] if accuracy else []),
         ("energy balance", _balance_line(plan)),
     ]
-    for group in plan.groups[:_GROUPS_SHOWN]:
+    for group in plan.groups[:_MAX_GROUPS_SHOWN]:
         lines += [(group_name(system, group.members), text) for text in _segment_lines(group)]
-    if len(plan.groups) > _GROUPS_SHOWN:
-        lines.append(("...", f"and {len(plan.groups) - _GROUPS_SHOWN} more groups of bodies"))
+    if len(plan.groups) > _MAX_GROUPS_SHOWN:
+        lines.append(("...", f"and {len(plan.groups) - _MAX_GROUPS_SHOWN} more groups of bodies"))
     width = min(44, max(len(name) for name, _ in lines))
     return "\n".join(f"  {name:<{width}}  {text}" for name, text in lines)
 
 
 def _bodies_line(system: System) -> str:
     """How many bodies of which rotor class."""
-    counts = np.bincount(system.bodies.rotor_class, minlength=len(_CLASSES))
-    counted = zip(counts.tolist(), _CLASSES, strict=True)
+    counts = np.bincount(system.bodies.rotor_class, minlength=len(_CLASS_WORDS))
+    counted = zip(counts.tolist(), _CLASS_WORDS, strict=True)
     return ", ".join(_counted(n, name) for n, name in counted if n)
 
 
@@ -202,15 +202,15 @@ def group_name(system: System, index: Ints) -> str:
     breaks = np.flatnonzero(np.diff(index) > 1)
     first, last = index[np.r_[0, breaks + 1]], index[np.r_[breaks, index.size - 1]]
     runs = [f"{a}-{b}" if a < b else f"{a}" for a, b in zip(first, last, strict=True)]
-    more = f", ... ({index.size})" if len(runs) > _RUNS_SHOWN else ""
-    return "bodies " + ", ".join(runs[:_RUNS_SHOWN]) + more
+    more = f", ... ({index.size})" if len(runs) > _MAX_RUNS_SHOWN else ""
+    return "bodies " + ", ".join(runs[:_MAX_RUNS_SHOWN]) + more
 
 
 def _segment_lines(group: GroupPlan) -> list[str]:
     """One line per segment, of the first ones and the last."""
-    shown, bodies = group.segments[:_SEGMENTS_SHOWN], group.bodies
+    shown, bodies = group.segments[:_MAX_SEGMENTS_SHOWN], group.bodies
     lines = [_segment_line(bodies, segment) for segment in shown]
-    left = len(group.segments) - _SEGMENTS_SHOWN
+    left = len(group.segments) - _MAX_SEGMENTS_SHOWN
     if left > 1:
         lines.append(f"and {left - 1} more segments")
     if left > 0:

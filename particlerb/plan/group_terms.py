@@ -30,7 +30,7 @@ from particlerb.plan.groups import GroupSetup
 from particlerb.plan.links import AnyLink, Link, UserLink, attracted, particles_of, tree_accuracy
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
-_DEEPEST: Final = 0.1  # of the smallest radius: overlaps at which nothing inside is touched yet
+_INTERIOR_DEPTH: Final = 0.1  # overlap at which nothing inside is touched, in smallest radii
 
 
 def terms_between(
@@ -195,7 +195,7 @@ def _reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
         solid = offset[kind] + np.flatnonzero(reachable[offset[kind] : offset[kind + 1]])
         if solid.size > 1:
             place = np.ascontiguousarray(system.particles.position[solid].T)
-            depth = _DEEPEST * float(radius[solid].min())
+            depth = _INTERIOR_DEPTH * float(radius[solid].min())
             reachable[solid] = outer_spheres(place, radius[solid], smallest, depth)
     return reachable
 

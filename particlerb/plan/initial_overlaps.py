@@ -28,10 +28,10 @@ from particlerb.plan.obstacles import middle
 if TYPE_CHECKING:
     from particlerb.plan.contact_setup import ContactSetup
 
-_ROUNDING: Final = 1e-9  # share of a radius, or of a coordinate, by which rounding may overlap
-_MOST_NAMED: Final = 3  # overlaps that a message names
-_APART: Final = "move them apart"
-_OR_ALLOW: Final = f"{_APART}, say contact.relax = true, or allow it by contact.overlap"
+_OVERLAP_ROUNDING: Final = 1e-9  # share of a radius, or of a coordinate
+_MAX_OVERLAPS_NAMED: Final = 3  # in a message
+_APART_HINT: Final = "move them apart"
+_ALLOW_HINT: Final = f"{_APART_HINT}, say contact.relax = true, or allow it by contact.overlap"
 
 
 class _SetupSpheres(NamedTuple):
@@ -63,12 +63,12 @@ def spheres_of(system: System, contact: "ContactSetup") -> _SetupSpheres:
 def _allowed(contact: "ContactSetup", spheres: _SetupSpheres) -> float:
     """Overlap that is no mistake [m]: what is allowed, or rounding."""
     size = max(float(spheres.radius.max()), float(np.abs(spheres.place).max()))
-    return max(contact.record.overlap, _ROUNDING * size)
+    return max(contact.record.overlap, _OVERLAP_ROUNDING * size)
 
 
 def _hint(contact: "ContactSetup") -> str:
     """What to do about an overlap; impacts at instants cannot begin with one."""
-    return _APART if contact.record.law == "events" else _OR_ALLOW
+    return _APART_HINT if contact.record.law == "events" else _ALLOW_HINT
 
 
 def _with_images(spheres: _SetupSpheres, contact: "ContactSetup") -> _SetupSpheres:
@@ -109,7 +109,7 @@ def _overlapping(
     a, b, depth = a[order], b[order], depth[order]
     first = np.concatenate([[True], (np.diff(a) != 0) | (np.diff(b) != 0)])
     a, b, depth = a[first], b[first], depth[first]
-    named = np.argsort(-depth, kind="stable")[:_MOST_NAMED]
+    named = np.argsort(-depth, kind="stable")[:_MAX_OVERLAPS_NAMED]
     listed = ", ".join(
         f"{system.names[int(a[k])]} and {system.names[int(b[k])]} by {depth[k]:.3g} m"
         for k in named
@@ -143,7 +143,7 @@ def _beyond_walls(
             np.maximum.at(depth[number], spheres.body[beyond], further)
         wrong = np.flatnonzero((depth[number] > _allowed(contact, spheres)) & ~outside)
         if wrong.size:
-            named = wrong[np.argsort(-depth[number, wrong], kind="stable")[:_MOST_NAMED]]
+            named = wrong[np.argsort(-depth[number, wrong], kind="stable")[:_MAX_OVERLAPS_NAMED]]
             listed = ", ".join(f"{system.names[int(b)]} by {depth[number, b]:.3g} m" for b in named)
             more = and_more(wrong.size - named.size)
             reason = f"overlaps bodies at t = 0: {listed}{more}"
@@ -177,8 +177,8 @@ def _room_in(table: AnyWall, motion: PrescribedMotion, points: Floats) -> Floats
 
 def _outside_problem(system: System, number: int, bodies: Ints) -> Problem:
     """Bodies on the wrong side of a wall."""
-    listed = ", ".join(system.names[int(b)] for b in bodies[:_MOST_NAMED])
-    more = and_more(max(bodies.size - _MOST_NAMED, 0))
+    listed = ", ".join(system.names[int(b)] for b in bodies[:_MAX_OVERLAPS_NAMED])
+    more = and_more(max(bodies.size - _MAX_OVERLAPS_NAMED, 0))
     table, verb = system.wall[number], "is" if bodies.size == 1 else "are"
     where, hint = f"outside the {table.type}", "move the wall or the body, or say inside = false"
     if isinstance(table, PlaneWall):

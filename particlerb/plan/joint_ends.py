@@ -14,9 +14,9 @@ from particlerb.model.merging import Merging
 from particlerb.model.state import body_orientation, lengths, rotate, rotate_back
 from particlerb.model.system import System
 
-_FARTHEST: Final = 1e100  # [m] of its bodies that a joint may be: squares of it are numbers
-_LEAST_RADIUS: Final = 1e-9  # of what rolls, over the size of its joint
-_ACROSS: Final = 1e-6  # cosine between the axis of a pinion and its rack, at most
+_MAX_DISTANCE: Final = 1e100  # [m] of its bodies that a joint may be: squares of it are numbers
+_MIN_ROLLING_RADIUS: Final = 1e-9  # over the size of its joint
+_MAX_RACK_COSINE: Final = 1e-6  # of the angle between the axis of a pinion and its rack
 Given: TypeAlias = tuple[float, float, float] | InFrame
 
 
@@ -144,18 +144,18 @@ def wrong_place(system: System, number: int, ends: Ends) -> Problem | None:
         return problem_at(system, key, f"{name} has no length", "give points apart")
     if (
         table.type in ("rack", "gear")
-        and (np.abs(ends.roll[:, 0]) < _LEAST_RADIUS * ends.size).any()
+        and (np.abs(ends.roll[:, 0]) < _MIN_ROLLING_RADIUS * ends.size).any()
     ):
         hint = "give `at` and `at_to` apart, across the axis"
         return problem_at(system, key, f"{name} has no pitch radius", hint)
     if table.type == "rack":
         across = np.abs((ends.second["n"] * ends.second["m"]).sum(axis=1)).max()
-        if across > _ACROSS:
+        if across > _MAX_RACK_COSINE:
             reason = f"{name} is not across `axis`: it would not roll"
             return problem_at(system, f"{key}.axis_to", reason, "let it stand across")
-    if (ends.size < _FARTHEST).all():
+    if (ends.size < _MAX_DISTANCE).all():
         return None
-    reason = f"acts too far from its bodies: squares overflow beyond {_FARTHEST:g} m"
+    reason = f"acts too far from its bodies: squares overflow beyond {_MAX_DISTANCE:g} m"
     return problem_at(system, f"{key}.at", reason, "place it nearer")
 
 

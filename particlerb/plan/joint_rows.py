@@ -38,7 +38,7 @@ from particlerb.model.system import System
 from particlerb.plan.joint_ends import in_hosts, joint_name
 from particlerb.plan.merging import merges
 
-_LOOSE: Final = 1e-6  # of a rate: what holds leaves less
+_LOOSE_RATE_SHARE: Final = 1e-6  # what holds leaves less
 
 
 class TableJoints(NamedTuple):
@@ -139,7 +139,7 @@ def loose_wheels(joints: Joints, work: JointWork) -> dict[int, str]:
                     y[k, P:] += gradient * (joints.inv_mass[k] > 0.0)
                 before = _along(joints, y, r, way)
                 keep_rates(joints, work, c, lo, hi)
-                if _along(joints, y, r, way) > _LOOSE * before:
+                if _along(joints, y, r, way) > _LOOSE_RATE_SHARE * before:
                     loose.setdefault(r, words)
     return loose
 

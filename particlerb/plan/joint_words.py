@@ -23,9 +23,9 @@ from particlerb.plan.merging import why_rows
 from particlerb.plan.segments import GroupPlan, Plan
 from particlerb.rotors.rotor_class import POINT, ROD
 
-_MOST_ROWS: Final = 1500  # of a cluster whose redundant rows are looked for
-_IN_SET: Final = 1e-6  # share of a null vector of Gᵀ from which on a row is in it
-_MOST_NAMED: Final = 8
+_MAX_CLUSTER_ROWS: Final = 1500  # of a cluster whose redundant rows are looked for
+_MIN_NULL_COMPONENT: Final = 1e-6  # share of a null vector of Gᵀ from which on a row is in it
+_MAX_ROWS_NAMED: Final = 8
 
 
 def work_at(joints: Joints, state: State) -> JointWork:
@@ -117,8 +117,8 @@ def joint_line(system: System, plan: Plan) -> str:
     held = f"{bodies} bod{'ies' if bodies > 1 else 'y'} in {clusters} cluster{'s' * (clusters > 1)}"
     line = f"{counts}; {held}, {rows} row{'s' * (rows != 1)}"
     if n_dependent:
-        names = ", ".join(dependent[:_MOST_NAMED])
-        more = ", ..." if len(dependent) > _MOST_NAMED else ""
+        names = ", ".join(dependent[:_MAX_ROWS_NAMED])
+        more = ", ..." if len(dependent) > _MAX_ROWS_NAMED else ""
         line += f", {n_dependent} of them redundant among those of {names}{more}"
         line += " (only sums of their reactions are determined)"
     line = f"{line}; {free} degree{'s' * (free != 1)} of freedom" if bodies else counts
@@ -136,8 +136,8 @@ def _merged_words(system: System) -> str:
     if system.merging is None:
         return ""
     bodies = np.flatnonzero(system.merging.is_merged)
-    names = ", ".join(system.names[b] for b in bodies[:_MOST_NAMED].tolist())
-    more = ", ..." if bodies.size > _MOST_NAMED else ""
+    names = ", ".join(system.names[b] for b in bodies[:_MAX_ROWS_NAMED].tolist())
+    more = ", ..." if bodies.size > _MAX_ROWS_NAMED else ""
     parts = np.unique(system.merging.host[bodies]).size
     return f"; {bodies.size} bodies are merged into {parts}: {names}{more}"
 
@@ -163,13 +163,13 @@ class _Count:
             null = np.zeros((0, rows))
             if not rows:
                 continue
-            if clusters.smallest_pivot[c] > 0.0 and rows <= _MOST_ROWS:
+            if clusters.smallest_pivot[c] > 0.0 and rows <= _MAX_CLUSTER_ROWS:
                 null = null_vectors(joints, work, c)
             self.clusters += 1
             self.bodies += freedoms.size
             self.free += int(freedoms.sum()) - rows + len(null)
             self.n_dependent += len(null)
             if len(null):
-                hit = np.flatnonzero(np.abs(null).max(axis=0) > _IN_SET) + start[lo]
+                hit = np.flatnonzero(np.abs(null).max(axis=0) > _MIN_NULL_COMPONENT) + start[lo]
                 dependent = np.unique(np.searchsorted(start, hit, side="right") - 1)
                 self.dependent += joints.number[dependent].tolist()

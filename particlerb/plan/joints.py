@@ -46,8 +46,8 @@ from particlerb.plan.joint_ends import Ties, ends_of, pairs_of, unique, wrong_pl
 from particlerb.plan.obstacles import driven_bodies
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
-_ALLOWED: Final = 1e-6  # of its size that a joint may not fit at the start
-_FITS: Final = 1e-9  # of its size, once assembled
+_MAX_START_MISFIT: Final = 1e-6  # of its size that a joint may not fit at the start
+_MAX_ASSEMBLED_MISFIT: Final = 1e-9  # of its size, once assembled
 _AXIAL_ROUNDING: Final = 1e-12
 
 
@@ -325,7 +325,7 @@ def assembled(system: System) -> System:
     state[:, joints.order] = work.y[:n].T
     _refuse_loose(system, setup, joints, work)
     fitted = system._replace(state=state_of(state), placed=system.state)
-    if moved <= _ALLOWED * float(joints.rows.size.max()):
+    if moved <= _MAX_START_MISFIT * float(joints.rows.size.max()):
         return fitted
     line = f"bodies moved by up to {moved:.3g} m at the start, until all joints fit"
     return fitted._replace(notes=(*system.notes, ("joints", line)))
@@ -339,7 +339,7 @@ def _refuse_misfits(
     for row in np.argsort(-off).tolist():
         joint = joint_of_row(joints, row)
         number = int(setup.record[joint])
-        if not off[row] > _ALLOWED or system.joint[number].assemble or number in problems:
+        if not off[row] > _MAX_START_MISFIT or system.joint[number].assemble or number in problems:
             continue
         reason = f"{what.format(name=setup.names[joint])} off by {off[row]:.3g} of its size"
         hint = "correct it, or give assemble = true, which moves bodies until it fits"
@@ -364,7 +364,7 @@ def _refuse_apart(
     """Raise CaseError where the joints of a cluster have not come together."""
     residuals(joints, work, rows.start, rows.stop, 0.0)
     off = np.abs(work.g[rows]) / joints.rows.size[rows]
-    if (off <= _FITS).all():  # of NaN it is not
+    if (off <= _MAX_ASSEMBLED_MISFIT).all():  # of NaN it is not
         return
     joint = joint_of_row(joints, rows.start + int(np.argmax(np.nan_to_num(off, nan=np.inf))))
     reason = f"no pose near the start meets {setup.names[joint]} and the joints about it"

@@ -29,7 +29,7 @@ from particlerb.rotors.rotor_class import ROD, SPHERE, SYMMETRIC
 from particlerb.stepping.closed_forms import has_closed_form, lever_of, torques_on
 
 _AT_REST, _LOST = -2, -1
-_ROUNDING: Final = 4e-15  # share of a vector that is its rounding, where it cannot grow
+_VECTOR_ROUNDING: Final = 4e-15  # share of a vector that is its rounding, where it cannot grow
 
 
 class Stretch(NamedTuple):
@@ -166,10 +166,10 @@ class _Turning:
         k = turned.argmax(axis=0)
         size, across = turned.max(axis=0), np.sort(turned, axis=0)[1]
         code = self.bodies.rotor_class
-        is_along = (code == SYMMETRIC) & (k == 2) & (across <= _ROUNDING * size)
+        is_along = (code == SYMMETRIC) & (k == 2) & (across <= _VECTOR_ROUNDING * size)
         aside = lengths(cross_columns(v, self.line))
         is_along |= np.isin(code, (SPHERE, ROD)) & (
-            aside <= _ROUNDING * lengths(v) * lengths(self.line)
+            aside <= _VECTOR_ROUNDING * lengths(v) * lengths(self.line)
         )
         is_first = old == _AT_REST
         is_exact = self.is_exact & (across == 0.0) & (is_first | (old == k))

@@ -28,8 +28,8 @@ _REACH_ROUNDING: Final = 1e-9  # share by which a pair may be further apart than
 AXIAL_ROUNDING: Final = 1e-12  # share of an arm across a rod that is its rounding
 MOST_SPRINGS: Final = 10_000_000  # of one [[force]]
 _SHARE_OF_RUN: Final = 0.1  # of run.accuracy that a tree may take
-_TREE_ACCURACY: Final = 1e-4  # of a tree where the case asks for none
-_NOBODY: Final = np.zeros(0, dtype=np.int64)
+_TREE_ACCURACY: Final = 1e-4  # where the case asks for none
+_NO_BODIES: Final = np.zeros(0, dtype=np.int64)
 
 
 class Link(NamedTuple):
@@ -347,7 +347,7 @@ def particles_of(system: System, bodies: Ints) -> tuple[Ints, Ints]:
 
 
 def components(
-    n_bodies: int, links: Sequence[Any], attracted: Ints, touching: Ints = _NOBODY
+    n_bodies: int, links: Sequence[Any], attracted: Ints, touching: Ints = _NO_BODIES
 ) -> Ints:
     """Label of each body, (n_bodies,): the first body of all those that forces between tie to it.
 

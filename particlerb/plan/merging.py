@@ -31,7 +31,7 @@ from particlerb.model.system import System
 from particlerb.plan.joint_ends import pairs_of
 from particlerb.plan.links import Link, attracted, components
 
-_KNOWN: Final = ("push", "torque", "spring")  # forces that act on merged bodies
+_KNOWN_FORCES: Final = ("push", "torque", "spring")  # forces that act on merged bodies
 
 
 def merges(table: JointTable) -> bool:
@@ -118,7 +118,7 @@ def _kept_apart(system: System) -> dict[str, Ints]:
     reasons = {"a body with `motion`": np.flatnonzero(moves)}
     for force in system.force:
         turns = getattr(force, "frame", "world") == "body" and force.timed is not None
-        if force.type not in _KNOWN or turns or getattr(force, "reach", None) is not None:
+        if force.type not in _KNOWN_FORCES or turns or getattr(force, "reach", None) is not None:
             reason = f"a force of type {force.type}"
             for key in force.names_bodies:
                 if (names := getattr(force, key)) is not None:

@@ -12,7 +12,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import lengths
 
 MOST_AT_ONCE: Final = 1_000_000  # pairs that are looked at together
-_MOST_SOUGHT: Final = 30_000_000  # pairs that are looked at for the distance in a message
+_MAX_PAIRS_SOUGHT: Final = 30_000_000  # pairs that are looked at for the distance in a message
 
 
 @np.errstate(over="ignore", under="ignore")
@@ -83,6 +83,6 @@ def nearest_distance(first: Ints, second: Ints, here: Floats, there: Floats, rea
             between_bodies = distance[first[i] != second[j]]
             nearest = min(nearest, float(between_bodies.min(initial=np.inf)))
             sought += i.size
-            if sought > _MOST_SOUGHT and np.isfinite(nearest):
+            if sought > _MAX_PAIRS_SOUGHT and np.isfinite(nearest):
                 break
     return nearest

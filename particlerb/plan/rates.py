@@ -20,7 +20,7 @@ from particlerb.plan.joint_words import joint_rates
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.stepping.motion import force_of
 
-_MOST_LOOKED_AT: Final = 2000  # bodies whose nearest neighbours are looked for
+_MAX_BODIES_SAMPLED: Final = 2000  # whose nearest neighbours are looked for
 
 
 @np.errstate(over="ignore", divide="ignore")
@@ -86,7 +86,7 @@ def _attraction_rates(attraction: Attraction, com: Floats) -> Floats:
     Of very many bodies some are looked at, and all others get the largest of these.
     """
     n = com.shape[1]
-    sample = np.unique(np.linspace(0, n - 1, min(n, _MOST_LOOKED_AT)).astype(np.int64))
+    sample = np.unique(np.linspace(0, n - 1, min(n, _MAX_BODIES_SAMPLED)).astype(np.int64))
     owner = np.repeat(np.arange(n), np.diff(attraction.offset))
     gm: Floats = np.bincount(owner, attraction.gm, n).astype(np.float64)
     fastest = fastest_rates(gm, com, attraction.softening, sample)

@@ -20,8 +20,8 @@ from particlerb.plan.contact_setup import ContactSetup, contact_of
 from particlerb.plan.initial_overlaps import spheres_of
 
 ROUNDS: Final = 2000  # at most
-_LENGTHENED: Final = 1.5  # times the mean of all pushes on a body
-_LEFT: Final = 1e-3  # overlap that may be left, in units of the smallest radius
+_OVERRELAXATION: Final = 1.5  # times the mean of all pushes on a body
+_MAX_OVERLAP_LEFT: Final = 1e-3  # in units of the smallest radius
 
 
 def remove_overlaps(system: System) -> System:
@@ -55,7 +55,7 @@ def _pushed_apart(system: System, contact: ContactSetup) -> Floats:
     com, moves = system.state.com.copy(), ~contact.fixed
     search, walls = SphereSearch(radius, body), WallSearch(contact.walls, radius)
     poses = poses_at(contact.motions, 0.0)
-    enough = max(_LEFT * float(radius.min()), contact.record.overlap)
+    enough = max(_MAX_OVERLAP_LEFT * float(radius.min()), contact.record.overlap)
     deepest = np.inf
     for _ in range(ROUNDS):
         points = np.ascontiguousarray(place + (com - system.state.com)[:, body])
@@ -79,6 +79,6 @@ def _pushed_apart(system: System, contact: ContactSetup) -> Floats:
         counts = np.maximum(np.bincount(bodies, minlength=moves.size), 1)
         for c in range(3):
             total = np.bincount(bodies, pushes[c], moves.size)
-            com[c] += _LENGTHENED * total / counts * moves
+            com[c] += _OVERRELAXATION * total / counts * moves
     reason = f"bodies still overlap by {deepest:.3g} m after {ROUNDS} rounds of pushing them apart"
     raise CaseError([problem_at(system, "contact.relax", reason, "give them more space")])

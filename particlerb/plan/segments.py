@@ -45,7 +45,7 @@ from particlerb.rotors.rotor_class import POINT
 from particlerb.stepping.closed_forms import has_closed_form
 from particlerb.stepping.motion import SegmentGroup, Shared
 
-_ALWAYS: Final = (-np.inf, np.inf)
+_ALL_TIME: Final = (-np.inf, np.inf)
 Needs: TypeAlias = dict[str, frozenset[str]]
 _NEEDS: Final = {
     POSE: "it depends on the pose",
@@ -134,8 +134,8 @@ def cut_into_segments(
     members = group.members
     if group.behind is not None:
         begin, is_first = group.behind.begin, True
-    spans = [force.form.edges or _ALWAYS for force in group.forces]  # of an impulse: its instant
-    spans_of_links = [link.force.edges or _ALWAYS for link in group.links]
+    spans = [force.form.edges or _ALL_TIME for force in group.forces]  # of an impulse: its instant
+    spans_of_links = [link.force.edges or _ALL_TIME for link in group.links]
     edges = {begin}.union(*spans, *spans_of_links)
     if group.joints is not None:
         edges.update(group.joints.until[np.isin(group.joints.first, group.members)].tolist())

@@ -122,10 +122,10 @@ def stable_step(system: System, group: GroupPlan, segment: Segment) -> float:
     return float(METHODS[segment.method].stability_limit / rate) if rate > 0.0 else np.inf
 
 
-_OF_RADIUS: Final = 0.1  # that the fastest point moves in a step, at most
-_OF_FALL: Final = 0.05  # of √(r/g), in which a body falls by half a radius
-IMPULSE_RULE: Final = f"{_OF_RADIUS} r/v, {_OF_FALL} √(r/g)"
-_OF_PATH: Final = 0.5  # of the path of a step: the mean overlap of what lands in its middle
+_MAX_PATH_RADII: Final = 0.1  # of the fastest point in a step
+_MAX_FALL_SHARE: Final = 0.05  # of √(r/g), in which a body falls by half a radius
+IMPULSE_RULE: Final = f"{_MAX_PATH_RADII} r/v, {_MAX_FALL_SHARE} √(r/g)"
+_OVERLAP_SHARE: Final = 0.5  # of the path of a step: the mean overlap of what lands in its middle
 
 
 def _speed(system: System, group: GroupPlan, segment: Segment) -> float:
@@ -156,8 +156,8 @@ def _longest_step(system: System, segment: Segment, speed: float) -> float:
     assert segment.terms.contact is not None
     radius = float(segment.terms.contact.model.spheres.radius.min(initial=math.inf))
     g = float(np.linalg.norm(system.acceleration))
-    step = _OF_RADIUS * radius / speed if speed > 0.0 else math.inf
-    return min(step, _OF_FALL * math.sqrt(radius / g) if g > 0.0 else math.inf)
+    step = _MAX_PATH_RADII * radius / speed if speed > 0.0 else math.inf
+    return min(step, _MAX_FALL_SHARE * math.sqrt(radius / g) if g > 0.0 else math.inf)
 
 
 def expected_overlap(system: System, group: GroupPlan, segment: Segment) -> float:
@@ -168,7 +168,7 @@ def expected_overlap(system: System, group: GroupPlan, segment: Segment) -> floa
     """
     contact, speed = segment.terms.contact, _speed(system, group, segment)
     if segment.terms.touches_by_impulses:
-        return _OF_PATH * speed * segment.dt
+        return _OVERLAP_SHARE * speed * segment.dt
     assert contact is not None
     if contact.model.law.hertz is not None:
         state = taken(system.state, group.members)
@@ -179,23 +179,23 @@ def expected_overlap(system: System, group: GroupPlan, segment: Segment) -> floa
 
 
 # Impulses over springs: a step of five sweeps costs 6.6 of springs (benchmarks/impulses.py)
-_IMPULSES: Final = 5.5  # steps of springs that a step of impulses costs without its sweeps,
-_SWEEP: Final = 0.2  # and for each sweep, as of trial code
-_ALIKE: Final = 1.5  # times the work, below which neither law is cheaper
+_IMPULSE_COST: Final = 5.5  # steps of springs that a step of impulses costs without its sweeps
+_SWEEP_COST: Final = 0.2  # for each sweep, as of trial code
+_ALIKE_RATIO: Final = 1.5  # times the work, below which neither law is cheaper
 
 
 def cheaper_law(system: System, group: GroupPlan, segment: Segment, overlap: float) -> str:
     """Which of both laws takes less work where this overlap [m] is to be expected, in words."""
     assert system.contact is not None
     speed, laws = _speed(system, group, segment), ("springs", "impulses")
-    impulse = _IMPULSES + _SWEEP * system.contact.iterations
+    impulse = _IMPULSE_COST + _SWEEP_COST * system.contact.iterations
     if segment.terms.touches_by_impulses:
         laws = laws[::-1]
         ratio = segment.dt * speed * STEPS_PER_CONTACT / (math.pi * overlap * impulse)
     else:
         longest = _longest_step(system, segment, speed)
-        ratio = segment.dt * impulse / min(overlap / (_OF_PATH * speed), longest)
-    if max(ratio, 1.0 / ratio) < _ALIKE:
+        ratio = segment.dt * impulse / min(overlap / (_OVERLAP_SHARE * speed), longest)
+    if max(ratio, 1.0 / ratio) < _ALIKE_RATIO:
         return "for which springs and impulses cost about the same"
     cheap, dear = laws if ratio > 1.0 else laws[::-1]
     times = max(ratio, 1.0 / ratio)
@@ -203,7 +203,7 @@ def cheaper_law(system: System, group: GroupPlan, segment: Segment, overlap: flo
 
 
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
-_MOST_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
+_MAX_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
 
 
 class Stepping(NamedTuple):
@@ -291,7 +291,7 @@ def refuse_endless(system: System, groups: tuple[GroupPlan, ...]) -> None:
             if is_adaptive(segment.method):  # it will find a step of about a radian
                 rate = max(fastest_rate(system, group, system.run.t_end), 1.0 / length)
             steps = length * rate
-            if steps > _MOST_STEPS:
+            if steps > _MAX_STEPS:
                 key = step_key(system)
                 reason = f"the step of {1.0 / rate:.3g} s would be taken {steps:.3g}"
                 hint = "give a longer run.dt, or a smaller force"

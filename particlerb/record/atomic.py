@@ -29,10 +29,10 @@ import numpy as np
 from particlerb.record.writer_lock import InUseError, WriterLock
 
 PAGE: Final = 4096  # bytes that a disk writes as one
-_MOST_NEW: Final = 2048  # new pages that wait in memory
+_MAX_NEW_PAGES: Final = 2048  # new pages that wait in memory
 _FOOTER: Final = struct.Struct("<16sQ32s")  # of a record: mark, number of pages, SHA-256
 MARK: Final = b"particlerb pages"
-_NUMBER: Final = 8  # bytes of the number of a page
+_PAGE_NUMBER_BYTES: Final = 8
 VERSION_0: Final = b"\x89HDF\r\n\x1a\n\0"  # how a superblock of version 0 begins, as h5py has it,
 SUPERBLOCK: Final = 96  # bytes of it,
 END: Final = 40  # and where in it the end of the file stands, as a plain number
@@ -134,7 +134,7 @@ class AtomicFile:
                 if number in self.new:
                     self.put_new(number * PAGE, self.new.pop(number))
             self.put_new(start, view)
-        if len(self.new) > _MOST_NEW:
+        if len(self.new) > _MAX_NEW_PAGES:
             self.put_all_new()
         return len(view)
 
@@ -338,10 +338,10 @@ def left_over(descriptor: int) -> dict[int, _Buffer]:
     if len(footer) < _FOOTER.size or not footer.startswith(MARK):
         return {}
     _, n, digest = _FOOTER.unpack(footer)
-    place = size - _FOOTER.size - n * (PAGE + _NUMBER)
+    place = size - _FOOTER.size - n * (PAGE + _PAGE_NUMBER_BYTES)
     if place < 0:
         return {}
-    content = memoryview(bytearray(n * (PAGE + _NUMBER)))
+    content = memoryview(bytearray(n * (PAGE + _PAGE_NUMBER_BYTES)))
     fill(descriptor, place, content)
     numbers = np.frombuffer(content[n * PAGE :], dtype=np.uint64).tolist()
     if _hash_of(place, content) != digest or max(numbers, default=0) * PAGE >= place:

@@ -24,7 +24,7 @@ from particlerb.record.schema import CHECKPOINT, COMMITTED, TIME
 
 _FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
 _LAYOUTS: Final = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
-_BEST_DEFLATE: Final = 1032  # bytes that one byte can become at most
+_MAX_DEFLATE_RATIO: Final = 1032  # bytes that one byte can become at most
 SECONDS_OF_PATIENCE: Final = 2.0
 _SECONDS_AT_REST: Final = 0.5  # without a write: what fails now fails for good
 PAUSE: Final = 0.01
@@ -186,7 +186,7 @@ def require_own_storage(file: h5py.File, dataset: h5py.Dataset, path: str) -> No
     filters = [properties.get_filter(k)[0] for k in range(properties.get_nfilters())]
     if any(code not in _FILTERS for code in filters):
         raise ValueError(f"{path} is packed by a filter that is not known here")
-    room = file.id.get_filesize() * (_BEST_DEFLATE if filters else 1)
+    room = file.id.get_filesize() * (_MAX_DEFLATE_RATIO if filters else 1)
     if dataset.size * dataset.dtype.itemsize > room:
         raise ValueError(f"{path} is larger than the file")
 

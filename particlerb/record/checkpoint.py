@@ -30,8 +30,8 @@ from particlerb.record.checked_reading import (
 )
 from particlerb.record.hdf5 import change, group, growing, note, opened
 
-_LARGEST_CHUNK = 2**20  # bytes of a slot that lie together
-_SMALLEST_CHUNK = 2**9
+_MAX_CHUNK_BYTES = 2**20  # of a slot that lie together
+_MIN_CHUNK_BYTES = 2**9
 
 
 class CheckpointError(Exception):
@@ -60,7 +60,7 @@ def _make_slots(file: h5py.File, size: int) -> None:
     """Make both slots, empty, for contents of about so many bytes."""
     note(group(file, schema.CHECKPOINT), **{schema.CURRENT: np.int64(1)})
     size = 2 ** (size - 1).bit_length()
-    rows = min(max(size, _SMALLEST_CHUNK), _LARGEST_CHUNK)
+    rows = min(max(size, _MIN_CHUNK_BYTES), _MAX_CHUNK_BYTES)
     empty = {schema.SLOT_FRAMES: np.int64(0), schema.SLOT_DIGEST: np.bytes_(_digest_of(b""))}
     for name in schema.SLOTS:
         note(growing(file, f"{schema.CHECKPOINT}/{name}", "u1", rows=rows), **empty)

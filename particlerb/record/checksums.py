@@ -19,13 +19,13 @@ from particlerb.record.vtkhdf import TOPOLOGY
 
 Words = NDArray[np.uint64]
 
-_ODD: Final = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio
+_MULTIPLIER: Final = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio
 
 
 @lru_cache(maxsize=16)
 def factors(n: int) -> Words:
     """(2 k + 1) ODD mod 2^64 for k < n: all odd, so that no changed bit cancels."""
-    return (2 * np.arange(n, dtype=np.uint64) + np.uint64(1)) * np.uint64(_ODD)
+    return (2 * np.arange(n, dtype=np.uint64) + np.uint64(1)) * np.uint64(_MULTIPLIER)
 
 
 def frame_checksums(
@@ -51,9 +51,9 @@ def frame_checksums(
     for values in elements:
         word = np.uint32 if values.itemsize == 4 else np.uint64
         words: Any = np.ascontiguousarray(values).reshape(n_frames, -1).view(word)
-        total = total * np.uint64(_ODD) + words @ factors(words.shape[1])
+        total = total * np.uint64(_MULTIPLIER) + words @ factors(words.shape[1])
         if first and values.size:
-            shift = 2 * first * math.prod(values.shape[2:]) * _ODD % 2**64
+            shift = 2 * first * math.prod(values.shape[2:]) * _MULTIPLIER % 2**64
             total += np.uint64(shift) * words.sum(axis=1, dtype=np.uint64)
     return total
 
@@ -76,9 +76,9 @@ def list_checksums(columns: Iterable[NDArray[np.generic]], ends: NDArray[np.int6
         width = math.prod(values.shape[1:])
         words: Any = np.ascontiguousarray(values).reshape(len(row), width).view(word)
         k = row[:, None] * np.uint64(width) + np.arange(width, dtype=np.uint64)
-        weight = (np.uint64(2) * k + np.uint64(1)) * np.uint64(_ODD)
+        weight = (np.uint64(2) * k + np.uint64(1)) * np.uint64(_MULTIPLIER)
         sums = np.concatenate([np.zeros(1, np.uint64), np.cumsum((words * weight).sum(axis=1))])
-        total = total * np.uint64(_ODD) + sums[ends] - sums[ends - counts]
+        total = total * np.uint64(_MULTIPLIER) + sums[ends] - sums[ends - counts]
     return total
 
 

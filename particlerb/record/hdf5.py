@@ -14,8 +14,8 @@ from h5py import h5a, h5d, h5ds, h5o, h5p, h5s, h5t
 WITH_GROUPS: Final = h5p.create(h5p.LINK_CREATE)
 WITH_GROUPS.set_create_intermediate_group(True)
 Form: TypeAlias = tuple["np.dtype[Any]", tuple[int, ...]]  # type of the numbers, and shape
-_LARGE: Final = 2**20  # bytes
-_LARGEST_ATTRIBUTE: Final = 65536  # bytes
+_MIN_LARGE_BYTES: Final = 2**20
+_MAX_ATTRIBUTE_BYTES: Final = 65536
 _ANY_TEXT: Final = h5t.py_create(h5py.string_dtype(), logical=True)
 
 
@@ -43,7 +43,7 @@ def form_of(values: Any) -> Form:
 
 def is_large(form: Form) -> bool:
     """Whether an array is given its place when it is written, and not before."""
-    return form[0].itemsize * math.prod(form[1]) > _LARGE
+    return form[0].itemsize * math.prod(form[1]) > _MIN_LARGE_BYTES
 
 
 def reserve(file: h5py.File, path: str, form: Form) -> h5d.DatasetID:
@@ -125,7 +125,7 @@ def header_attribute(place: Any, name: str, kinds: str) -> Any:
     dtype = held.dtype
     if dtype.kind not in kinds or dtype.hasobject or len(held.shape) > 1:
         raise ValueError(f"{name} has the type {dtype}")
-    if int(np.prod(held.shape)) * dtype.itemsize > _LARGEST_ATTRIBUTE:
+    if int(np.prod(held.shape)) * dtype.itemsize > _MAX_ATTRIBUTE_BYTES:
         raise ValueError(f"{name} is too large")
     values = np.empty(held.shape, dtype)
     held.read(values)

@@ -20,9 +20,9 @@ from particlerb.record.checksums import digest_of
 from particlerb.record.parts import Parts, growing_over, note_master, note_part
 from particlerb.record.vtkhdf import create_vtkhdf
 
-_THINNEST: Final = 0.02  # edge of a glyph, of the longest one: rods and points are to be seen
+_MIN_EDGE_SHARE: Final = 0.02  # of the longest edge of a glyph: rods and points are to be seen
 _CONTACTS_PER_CHUNK: Final = 64, 8192  # at least, at most
-_SHOWN: Final = {  # what VTK shows of each body beside the recorded fields
+_SHOWN_BY_VTK: Final = {  # what VTK shows of each body beside the recorded fields
     "id": f"{schema.TRAJECTORY}/id",
     "mass": f"{schema.TRAJECTORY}/mass",
     "extent": f"{schema.TRAJECTORY}/extent",
@@ -146,7 +146,7 @@ def _lay_out(file: h5py.File, of: _FileLayout) -> Made:
                 shown[path.split("/")[-2]] = value
     if schema.CONTACTS in of.fields:
         _make_contacts(file, of, made)
-    views = {name: made[path] for name, path in _SHOWN.items()}
+    views = {name: made[path] for name, path in _SHOWN_BY_VTK.items()}
     n_frames = of.n_frames if of.parts is None else 0  # parts have no frames yet
     create_vtkhdf(file, shown, views, n_frames, of.parts)
     place = _make_checksums(file, of.n_frames, made[schema.TIME])
@@ -230,7 +230,7 @@ def extents(scene: System) -> Floats:
     edges = 2.0 * np.maximum.reduceat(reach, particles.offset[:-1], axis=0)
     longest = edges.max(axis=1, keepdims=True)
     longest[longest == 0.0] = longest.max() or 1.0
-    return np.maximum(edges, _THINNEST * longest)[scene.kind]
+    return np.maximum(edges, _MIN_EDGE_SHARE * longest)[scene.kind]
 
 
 def make_clock(file: h5py.File, n_frames: int) -> dict[str, h5d.DatasetID]:

@@ -25,7 +25,7 @@ from particlerb.record.parts import Parts, folder_beside, folder_of
 from particlerb.record.writer import SECONDS_BETWEEN_COMMITS, SHARE_OF_CHECKPOINTS, Recorder
 
 _Checkpoints = Callable[[], Callable[[Range], Mapping[str, Any]]]
-_ANY_PART: Final = "[0-9][0-9][0-9][0-9].h5"
+_PART_PATTERN: Final = "[0-9][0-9][0-9][0-9].h5"
 
 
 class PartRecorder:
@@ -245,13 +245,13 @@ def _folder(path: Path, overwrite: bool, ranks: Ranks) -> str:
     name = folder_of(place)
     folder = place.parent / name
     is_left_over = waiting_in(folder, place).exists()  # of a run that was killed
-    if any(folder.glob(_ANY_PART)) and not (overwrite or is_left_over):
+    if any(folder.glob(_PART_PATTERN)) and not (overwrite or is_left_over):
         raise FileExistsError(f"{folder} exists: give another name with -o, or --overwrite")
     return name
 
 
 def _clear(folder: Path) -> None:
     """Remove all parts from a folder."""
-    for pattern in (_ANY_PART, f"{_ANY_PART}.new"):
+    for pattern in (_PART_PATTERN, f"{_PART_PATTERN}.new"):
         for old in folder.glob(pattern):
             old.unlink()

@@ -24,11 +24,11 @@ from particlerb.record.hdf5 import WITH_GROUPS, header_attribute, note
 Found = TypeVar("Found")
 
 _LOG: Final = logging.getLogger(__name__)
-_FOLDER: Final = "parts_folder"  # root attributes of a master: name of the folder,
-_EDGES: Final = "parts"  # first body of each part, and how many bodies there are
+_FOLDER: Final = "parts_folder"  # root attribute of a master: name of the folder
+_EDGES: Final = "parts"  # of a master: first body of each part, and how many bodies there are
 _RANGE: Final = "bodies"  # of a part: first body, and the one behind the last
 _RUN: Final = "run"  # of both: what decides the motion
-_NAME: Final = re.compile(r"[^/\\\0]+\.parts")
+_FOLDER_NAME: Final = re.compile(r"[^/\\\0]+\.parts")
 
 
 class Parts(NamedTuple):
@@ -122,7 +122,7 @@ def parts_in(file: Any) -> Parts | None:
     folder = bytes(header_attribute(file, _FOLDER, "S")).decode(errors="replace")
     if edges.size < 2 or edges[0] != 0 or (np.diff(edges) <= 0).any():
         raise ValueError("its parts do not follow each other")
-    if not _NAME.fullmatch(folder):
+    if not _FOLDER_NAME.fullmatch(folder):
         raise ValueError(f"its parts lie in {folder!r}, not in a folder beside it")
     ranges = [Range(*ends) for ends in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)]
     return Parts(folder, tuple(ranges), bytes(header_attribute(file, _RUN, "S")).decode())

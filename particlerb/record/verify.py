@@ -20,12 +20,12 @@ from particlerb.record.parts import part_paths
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.vtkhdf import STEP_STARTS, STEP_TIMES
 
-_SUMMED: Final = {  # what is summed again, and the size of what is summed
+_SIZE_OF_SUM: Final = {  # what is summed again, and the size of what is summed
     "kinetic_energy": "kinetic_energy",
     "linear_momentum": "momentum_size",
     "angular_momentum": "spin_size",
 }
-_ROUNDING: Final = {"f8": 1e-11, "f4": 1e-5}  # of sums, relative to the size of what is summed
+_SUM_ROUNDING: Final = {"f8": 1e-11, "f4": 1e-5}  # of sums, relative to the size of what is summed
 
 
 class Finding(NamedTuple):
@@ -140,10 +140,10 @@ def _balance(trajectory: Trajectory) -> None:
         for name in ("kinetic_energy", "potential_energy", "energy", "work", "energy_error")
     )
     size = sum(float(np.abs(values).max(initial=0.0)) for values in (kinetic, potential, work))
-    if (np.abs(energy - kinetic - potential) > _ROUNDING["f8"] * size).any():
+    if (np.abs(energy - kinetic - potential) > _SUM_ROUNDING["f8"] * size).any():
         raise _Flaw("energy is not the sum of its parts")
     initial = energy - work - error
-    if initial.size and np.ptp(initial) > _ROUNDING["f8"] * size:
+    if initial.size and np.ptp(initial) > _SUM_ROUNDING["f8"] * size:
         raise _Flaw("energy, work and energy_error do not balance")
 
 
@@ -157,14 +157,14 @@ def _summed_again(trajectory: Trajectory, span: slice) -> float:
     frames = Frames(x, q, p, L, q[-1].copy(), np.ones(n_frames, dtype=np.bool_))
     now = totals(frames, counted(trajectory), np.zeros(3))
     worst = 0.0
-    for name, size in _SUMMED.items():
+    for name, size in _SIZE_OF_SUM.items():
         difference = trajectory.observable(name, span) - getattr(now, name)
         if name == "kinetic_energy" and _has_pistons(trajectory):  # theirs is in the balance too
             difference = np.minimum(difference, 0.0)
         difference = np.abs(difference).reshape(n_frames, -1).max(axis=1)
         largest = getattr(now, size).max(initial=0.0)
         share = float(difference.max(initial=0.0)) / (largest or 1.0)
-        if not share <= _ROUNDING["f8" if precise else "f4"]:
+        if not share <= _SUM_ROUNDING["f8" if precise else "f4"]:
             frame = int(np.argmax(difference)) + (span.start or 0)
             raise _Flaw(f"{name} of frame {frame} is not the sum over its bodies")
         worst = max(worst, share)
@@ -198,7 +198,7 @@ def _verify_frames(trajectory: Trajectory) -> str:
     for span in trajectory.portions():
         size = np.linalg.norm(trajectory.read("orientation", span), axis=2)
         worst = max(worst, float(np.abs(size - 1.0).max(initial=0.0)))
-    if worst > _ROUNDING["f4"]:
+    if worst > _SUM_ROUNDING["f4"]:
         raise _Flaw(f"an orientation is not a rotation: |q| - 1 = {worst:.1g}")
     return f"all orientations are rotations, |q| - 1 = {worst:.1g} at most"
 

@@ -20,26 +20,26 @@ from particlerb.record.hdf5 import WITH_GROUPS, change, growing, note
 from particlerb.record.parts import Parts, rows_over
 from particlerb.record.schema import SERIES, VTKHDF, rows_per_chunk
 
-_CELLS: Final = ("Vertices", "Lines", "Polygons", "Strips")
+_CELL_KINDS: Final = ("Vertices", "Lines", "Polygons", "Strips")
 TOPOLOGY: Final = (
     f"{VTKHDF}/NumberOfPoints",
     *(
         f"{VTKHDF}/{cells}/{name}"
-        for cells in _CELLS
+        for cells in _CELL_KINDS
         for name in ("NumberOfCells", "NumberOfConnectivityIds", "Offsets", "Connectivity")
     ),
 )  # what is written once
-_DATA: Final = f"{VTKHDF}/PointData"
-_STEPS: Final = f"{VTKHDF}/Steps"
-STEP_TIMES: Final = f"{_STEPS}/Values"
-STEP_STARTS: Final = f"{_STEPS}/PointOffsets"
+_DATA_GROUP: Final = f"{VTKHDF}/PointData"
+_STEPS_GROUP: Final = f"{VTKHDF}/Steps"
+STEP_TIMES: Final = f"{_STEPS_GROUP}/Values"
+STEP_STARTS: Final = f"{_STEPS_GROUP}/PointOffsets"
 _CONSTANTS: Final = {  # of each step: value, and width
     "PartOffsets": (0,),
     "NumberOfParts": (1,),
-    "CellOffsets": (0, len(_CELLS)),
-    "ConnectivityIdOffsets": (0, len(_CELLS)),
+    "CellOffsets": (0, len(_CELL_KINDS)),
+    "ConnectivityIdOffsets": (0, len(_CELL_KINDS)),
 }
-_POINTS: Final = "position"  # the field that says where the points are
+_POINTS_FIELD: Final = "position"  # the field that says where the points are
 
 
 def create_vtkhdf(
@@ -64,30 +64,30 @@ def create_vtkhdf(
     parts : Parts, optional
         Files where the numbers of bodies lie.
     """
-    if _POINTS not in fields:
+    if _POINTS_FIELD not in fields:
         return
     root = h5py.h5g.open(file.id, VTKHDF.encode())
     note(root, Version=np.array([2, 0], dtype=np.int64), Type=np.bytes_("PolyData"))
     for name, values in static.items():
-        view(file, f"{_DATA}/{name}", values)
-        _constant(file, f"{_STEPS}/PointDataOffsets/{name}", 0, n_frames)
+        view(file, f"{_DATA_GROUP}/{name}", values)
+        _constant(file, f"{_STEPS_GROUP}/PointDataOffsets/{name}", 0, n_frames)
     for name, values in fields.items():
         _show(file, name, values, n_frames, parts)
     rows = rows_per_chunk(n_frames)
     growing(file, STEP_TIMES, "f8", rows=rows)
     growing(file, STEP_STARTS, "i8", rows=rows)
     for name, (value, *width) in _CONSTANTS.items():
-        _constant(file, f"{_STEPS}/{name}", value, n_frames, *width)
-    note(h5py.h5g.open(file.id, _STEPS.encode()), NSteps=np.int64(0))
+        _constant(file, f"{_STEPS_GROUP}/{name}", value, n_frames, *width)
+    note(h5py.h5g.open(file.id, _STEPS_GROUP.encode()), NSteps=np.int64(0))
 
 
 def topology_of(fields: Container[str], n: int) -> dict[str, Ints]:
     """What VTK is told once of n bodies, by paths: each is a vertex, if its place is recorded."""
-    if _POINTS not in fields:
+    if _POINTS_FIELD not in fields:
         return {}
     counts = [np.array([n])]
-    for name in _CELLS:
-        count = n if name == _CELLS[0] else 0
+    for name in _CELL_KINDS:
+        count = n if name == _CELL_KINDS[0] else 0
         counts += [np.array([count])] * 2 + [np.arange(count + 1), np.arange(count)]
     return dict(zip(TOPOLOGY, counts, strict=True))
 
@@ -99,7 +99,7 @@ def _constant(file: h5py.File, path: str, value: int, n_frames: int, *width: int
 
 def _place_of(name: str) -> str:
     """Path where VTK looks for a field."""
-    return f"{VTKHDF}/Points" if name == _POINTS else f"{_DATA}/{name}"
+    return f"{VTKHDF}/Points" if name == _POINTS_FIELD else f"{_DATA_GROUP}/{name}"
 
 
 def resize_vtkhdf(
@@ -111,7 +111,7 @@ def resize_vtkhdf(
     """
     if is_finished(file, n_frames):
         return
-    steps = file[_STEPS]
+    steps = file[_STEPS_GROUP]
     for dataset in (*(steps[name] for name in _CONSTANTS), *steps["PointDataOffsets"].values()):
         dataset.resize(n_frames, axis=0)
     for name, values in fields.items():
@@ -133,7 +133,7 @@ def _show(
 
 def is_finished(file: h5py.File, n_frames: int) -> bool:
     """Whether /VTKHDF, where there is one, has room for these frames and no more."""
-    return VTKHDF not in file or len(file[f"{_STEPS}/PartOffsets"]) == n_frames
+    return VTKHDF not in file or len(file[f"{_STEPS_GROUP}/PartOffsets"]) == n_frames
 
 
 def view(file: h5py.File, path: str, values: h5d.DatasetID, n_frames: int | None = None) -> None:
@@ -162,4 +162,4 @@ def steps_of(first: int, times: Floats, n_points: int) -> dict[str, Floats | Int
 def count_steps(file: h5py.File, n_frames: int) -> None:
     """Say how many steps there are, where VTK counts some."""
     if VTKHDF in file:
-        change(h5py.h5g.open(file.id, _STEPS.encode()), "NSteps", np.int64(n_frames))
+        change(h5py.h5g.open(file.id, _STEPS_GROUP.encode()), "NSteps", np.int64(n_frames))

@@ -40,7 +40,7 @@ SECONDS_BETWEEN_COMMITS = 1.0
 SHARE_OF_CHECKPOINTS = 0.02  # of the time of a run that may go into them
 MOST_WAITING = 4_000_000  # bytes of small arrays in memory
 
-_OF_BODIES = {path for path, element in schema.SERIES.items() if element.per == "body"}
+_BODY_SERIES = {path for path, element in schema.SERIES.items() if element.per == "body"}
 
 _Rows = Floats | Ints | Words
 
@@ -152,7 +152,7 @@ class Recorder:
         paths = [p for p in schema.series_of(fields) if not is_part or p in self.file]
         paths += [schema.STEP, schema.CHECKSUMS]
         # Those that are large, and where they lie in parts:
-        of_bodies = {p: opened(self.file, p) for p in paths if p in _OF_BODIES}
+        of_bodies = {p: opened(self.file, p) for p in paths if p in _BODY_SERIES}
         self.shown = {p.split("/")[-2]: values for p, values in of_bodies.items()}
         self.of_bodies = {} if self.parts else of_bodies
         paths = [p for p in paths if p not in of_bodies or not self.parts]

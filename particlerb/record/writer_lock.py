@@ -16,8 +16,8 @@ try:
 except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]
 
-_FAR = 2**62  # byte that is locked
-_BUSY = (errno.EACCES, errno.EAGAIN)
+_LOCKED_BYTE = 2**62
+_BUSY_ERRORS = (errno.EACCES, errno.EAGAIN)
 
 
 class InUseError(OSError):
@@ -58,11 +58,11 @@ class WriterLock:
         command = getattr(fcntl, "F_OFD_SETLK", None)
         if command is None:
             return False
-        request = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, _FAR, 1, 0)
+        request = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, _LOCKED_BYTE, 1, 0)
         try:
             fcntl.fcntl(self.descriptor, command, request)
         except OSError as error:
-            if error.errno in _BUSY:
+            if error.errno in _BUSY_ERRORS:
                 raise
             return False  # a file system without locks
         return True

@@ -39,7 +39,7 @@ from particlerb.rotors.theta import (
     theta_local,
 )
 
-_BLOCK = 256
+_BODIES_PER_BLOCK = 256
 CROSSOVER = 0.02943725152285942  # k′² = 17 - 12 √2, where K′ = K/2
 
 
@@ -182,8 +182,8 @@ def turn_all(
 ) -> None:
     """`turn_block` for every block."""
     n = q.shape[1]
-    for lo in range(0, n, _BLOCK):
-        hi = min(lo + _BLOCK, n)
+    for lo in range(0, n, _BODIES_PER_BLOCK):
+        hi = min(lo + _BODIES_PER_BLOCK, n)
         turn_block(steady, theta, hyperbolic, t, lo, hi, rows4(q, lo, hi))
 
 

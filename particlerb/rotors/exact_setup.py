@@ -33,10 +33,10 @@ from particlerb.rotors.theta import (
     twist,
 )
 
-_BLOCK = 1 if config.DISABLE_JIT else 32
-IN_PYTHON: Final = {"_BLOCK": 1}
-_SMALLEST = 1e-290
-_INPUTS = 14  # rows: I (3), q (4), L in the rotor frame (6), rate
+_BODIES_PER_BLOCK = 1 if config.DISABLE_JIT else 32
+IN_PYTHON: Final = {"_BODIES_PER_BLOCK": 1}
+_MIN_SCALE = 1e-290
+_N_INPUTS = 14  # rows: I (3), q (4), L in the rotor frame (6), rate
 MOMENTUM_ROWS = 6  # L in the rotor frame in 32 digits: high and low of each component
 STEADY_ROWS, THETA_ROWS, NEAR_ROWS = 9, 10, 24
 Pair: TypeAlias = tuple[float, float]
@@ -83,7 +83,7 @@ def complementary_modulus(inertia: Vec3, m: Vec3) -> float:
 @inline
 def _unit(vectors: Floats, b: int) -> float:
     """1 / the largest power of two in the largest component of a column."""
-    return scale_of(max(abs(vectors[0, b]), abs(vectors[1, b]), abs(vectors[2, b]), _SMALLEST))
+    return scale_of(max(abs(vectors[0, b]), abs(vectors[1, b]), abs(vectors[2, b]), _MIN_SCALE))
 
 
 @unfused_kernel
@@ -95,11 +95,11 @@ def moduli(
     How many are asymmetric in their motion, and how many of these are beyond the crossover.
     """
     inertia, q, momentum, units = bodies
-    s = np.empty((_INPUTS + 1, _BLOCK))
+    s = np.empty((_N_INPUTS + 1, _BODIES_PER_BLOCK))
     n_turning, n_theta = 0, 0
-    for lo in range(0, indices.size, _BLOCK):
-        hi = min(lo + _BLOCK, indices.size)
-        for b in range(_BLOCK):
+    for lo in range(0, indices.size, _BODIES_PER_BLOCK):
+        hi = min(lo + _BODIES_PER_BLOCK, indices.size)
+        for b in range(_BODIES_PER_BLOCK):
             j = indices[min(lo + b, hi - 1)]
             unit, unit_L = _unit(inertia, j), _unit(L, j)
             units[0, j], units[1, j] = unit, unit_L
@@ -107,9 +107,9 @@ def moduli(
                 s[i, b], s[7 + i, b] = inertia[i, j] * unit, L[i, j] * unit_L
             for i in range(4):
                 s[3 + i, b] = q[i, j]
-        moment, turn, spin, result = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[_INPUTS]
+        moment, turn, spin, result = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[_N_INPUTS]
         high, low = _rows_3(s, 7), _rows_3(s, 10)
-        for b in range(_BLOCK):
+        for b in range(_BODIES_PER_BLOCK):
             m = dd.to_body(load4(turn, b), load3(spin, b))
             store3(high, b, (m[0][0], m[1][0], m[2][0]))
             store3(low, b, (m[0][1], m[1][1], m[2][1]))
@@ -128,7 +128,7 @@ def moduli(
 def _fill(bodies: Tumblers, indices: Ints, lo: int, hi: int, s: Floats) -> None:
     """Copy bodies indices[lo:hi] into the first rows of a scratch block; the last one fills it."""
     inertia, q, momentum, units = bodies
-    for b in range(_BLOCK):
+    for b in range(_BODIES_PER_BLOCK):
         j = indices[min(lo + b, hi - 1)]
         for i in range(3):
             s[i, b] = inertia[i, j] * units[0, j]
@@ -144,10 +144,10 @@ def _drain(s: Floats, lo: int, hi: int, table: Floats, frame: Bytes) -> None:
     """Copy the results of a block into their places."""
     for i in range(table.shape[0]):
         for b in range(hi - lo):
-            table[i, lo + b] = s[_INPUTS + 4 + i, b]
+            table[i, lo + b] = s[_N_INPUTS + 4 + i, b]
     for i in range(4):
         for b in range(hi - lo):
-            frame[i, lo + b] = s[_INPUTS + i, b]
+            frame[i, lo + b] = s[_N_INPUTS + i, b]
 
 
 @inline
@@ -214,13 +214,13 @@ def near_turn(
 @unfused_kernel
 def theta_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) -> None:
     """Constants of ThetaTurn: right, and in one table clock, left, series."""
-    s = np.empty((_INPUTS + 4 + THETA_ROWS, _BLOCK))
-    for lo in range(0, indices.size, _BLOCK):
-        hi = min(lo + _BLOCK, indices.size)
+    s = np.empty((_N_INPUTS + 4 + THETA_ROWS, _BODIES_PER_BLOCK))
+    for lo in range(0, indices.size, _BODIES_PER_BLOCK):
+        hi = min(lo + _BODIES_PER_BLOCK, indices.size)
         _fill(bodies, indices, lo, hi, s)
         moment, turn, rate, high, low = _inputs(s)
         (clock, left, right_of), series = _results(s), _rows_3(s, 25)
-        for b in range(_BLOCK):
+        for b in range(_BODIES_PER_BLOCK):
             m = _pairs(load3(high, b), load3(low, b))
             constants = theta_turn(load3(moment, b), m, load4(turn, b), rate[b])
             store3(clock, b, constants[0])
@@ -233,15 +233,15 @@ def theta_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) ->
 @unfused_kernel
 def near_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) -> None:
     """Constants of HyperbolicTurn: right, and in one table clock, left, scale, cosines, sines."""
-    s = np.empty((_INPUTS + 4 + NEAR_ROWS, _BLOCK))
-    for lo in range(0, indices.size, _BLOCK):
-        hi = min(lo + _BLOCK, indices.size)
+    s = np.empty((_N_INPUTS + 4 + NEAR_ROWS, _BODIES_PER_BLOCK))
+    for lo in range(0, indices.size, _BODIES_PER_BLOCK):
+        hi = min(lo + _BODIES_PER_BLOCK, indices.size)
         _fill(bodies, indices, lo, hi, s)
         moment, turn, rate, high, low = _inputs(s)
         clock, left, right_of = _results(s)
         scale, phase = _rows_4(s, 25), s[29]
         cosines, sines = (_rows_3(s, 30), _rows_3(s, 33)), (_rows_3(s, 36), _rows_3(s, 39))
-        for b in range(_BLOCK):
+        for b in range(_BODIES_PER_BLOCK):
             m = _pairs(load3(high, b), load3(low, b))
             constants = near_turn(load3(moment, b), m, load4(turn, b), rate[b])
             of = constants[3]

@@ -18,7 +18,7 @@ from particlerb.maths.trig import angle_of
 from particlerb.maths.vec3 import Vec3
 
 TINY: Final = 1e-150  # added to positive denominators that can be zero
-_SMALLEST: Final = 1e-200  # of what is divided by, or has a root taken
+_MIN_DIVISOR: Final = 1e-200  # of what is divided by, or has a root taken
 Pair: TypeAlias = tuple[float, float]  # also the real and the imaginary part of a number
 
 
@@ -73,7 +73,7 @@ def _lone_root(beta: float, axial: float, less: float, offset: float) -> tuple[f
     """
     g2, g1 = 2.0 * beta - offset - axial * axial, 2.0 * beta * (axial * less - offset)
     centre = -g2 / 3.0
-    radius = math.sqrt(max(centre * centre - g1 / 3.0, _SMALLEST))
+    radius = math.sqrt(max(centre * centre - g1 / 3.0, _MIN_DIVISOR))
     value = ((centre + g2) * centre + g1) * centre - (beta * less) * (beta * less)
     c = min(abs(value) / (2.0 * (radius * radius) * radius), 1.0)
     tau = 1.7320508075688772 + c * (0.3333333 + c * (-0.0962250 + 0.0308992 * c))
@@ -147,7 +147,7 @@ def reduced(g: Quat, omega: Vec3, beta: float) -> Reduced:
     if of.from1 + of.to2 <= TINY:
         sn, cn = 0.0, 1.0
     n = 1.0 / math.sqrt(sn * sn + cn * cn)
-    kc = math.sqrt(max((of.third + beta * of.below2) / full, _SMALLEST))
+    kc = math.sqrt(max((of.third + beta * of.below2) / full, _MIN_DIVISOR))
     return Reduced(
         0.5 * math.sqrt(full),
         math.sqrt(beta * d / full),
@@ -155,7 +155,7 @@ def reduced(g: Quat, omega: Vec3, beta: float) -> Reduced:
         (sn * n, cn * n),
         (math.sqrt(of.above1 / d), math.sqrt(of.below2 / d) * math.sqrt(full / (of.third + TINY))),
         (more / (2.0 * of.above2 + TINY), less / (2.0 * of.below1 + TINY)),
-        math.sqrt(of.above2 / max(of.below1, _SMALLEST)),
+        math.sqrt(of.above2 / max(of.below1, _MIN_DIVISOR)),
         (sign_of(more), sign_of(less)),
         axial,
         ((w, z), (x, y)),

@@ -14,7 +14,7 @@ from particlerb.maths.elliptic import Landen, imaginary_phase, landen, nome, pha
 from particlerb.maths.trig import PI, angle_of, decay, half_turns, logarithm
 from particlerb.rotors.lagrange import Pair, Reduced, phases, sign_of
 
-_LEAST_KC: Final = 0.17
+_MIN_KC: Final = 0.17
 Five: TypeAlias = tuple[float, float, float, float, float]
 Local: TypeAlias = tuple[Pair, Pair]  # the functions of α and β
 
@@ -154,7 +154,7 @@ def _rates(local: Local, rate: float) -> Local:
 @inline
 def theta_constants(of: Reduced) -> tuple[Clock, ThetaTop]:
     """Constants for K′ >= K/2: five terms of the thetas, (T5) to (T7); else without a meaning."""
-    chain = landen(of.k, max(of.kc, _LEAST_KC))
+    chain = landen(of.k, max(of.kc, _MIN_KC))
     q = max(math.sqrt(chain.nome_squared), 0.25 * chain.k1)  # k₁/4 where the square underflows
     sin, cos = phase(chain, of.argument[0], of.argument[1])
     rate = of.lam / chain.period

@@ -25,14 +25,14 @@ from particlerb.rotors.theta import (
 
 STEADY_COLUMNS: Final = 10
 COLUMNS: Final = 29  # where bodies may be asymmetric
-_STEADY, _THETA, _NEAR = 0.0, 1.0, 2.0
-_SMALLEST: Final = 1e-290
+_STEADY_TURN, _THETA_TURN, _NEAR_TURN = 0.0, 1.0, 2.0
+_MIN_SCALE: Final = 1e-290
 
 
 @inline
 def _unit(v: Vec3) -> float:
     """1 / the largest power of two in the largest component."""
-    largest = max(abs(v[0]), abs(v[1]), abs(v[2]), _SMALLEST)
+    largest = max(abs(v[0]), abs(v[1]), abs(v[2]), _MIN_SCALE)
     return math.ldexp(1.0, 1 - math.frexp(largest)[1])
 
 
@@ -52,7 +52,7 @@ def _quat(turn: Floats, b: int, at: int) -> Quat:
 def _set_steady(turn: Floats, b: int, q: Quat, L: Vec3, about: float, along: float) -> None:
     """Write a turn at the rate `about` [rad/s] about L, and at `along` about rotor axis 3."""
     inverse = 1.0 / max(norm(L), TINY)
-    _put(turn, b, 0, (_STEADY, L[0] * inverse, L[1] * inverse, L[2] * inverse))
+    _put(turn, b, 0, (_STEADY_TURN, L[0] * inverse, L[1] * inverse, L[2] * inverse))
     turn[b, 4], turn[b, 5] = 0.5 * about, 0.5 * along
     _put(turn, b, 6, q)
 
@@ -61,7 +61,7 @@ def _set_steady(turn: Floats, b: int, q: Quat, L: Vec3, about: float, along: flo
 def _set_theta(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
     """Write a turn of `exact.ThetaTurn`; moments and L in units whose ratio is `rate`."""
     clock, left, right, of = theta_turn(inertia, dd.to_body(q, L), q, rate)
-    _put(turn, b, 0, (_THETA, clock[0], clock[1], clock[2]))
+    _put(turn, b, 0, (_THETA_TURN, clock[0], clock[1], clock[2]))
     _put(turn, b, 4, left)
     _put(turn, b, 8, right)
     turn[b, 12], turn[b, 13], turn[b, 14] = of.cosh, of.sinh, of.kappa
@@ -71,7 +71,7 @@ def _set_theta(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: floa
 def _set_near(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
     """Write a turn of `exact.HyperbolicTurn`."""
     clock, left, right, of = near_turn(inertia, dd.to_body(q, L), q, rate)
-    _put(turn, b, 0, (_NEAR, clock[0], clock[1], clock[2]))
+    _put(turn, b, 0, (_NEAR_TURN, clock[0], clock[1], clock[2]))
     _put(turn, b, 4, left)
     _put(turn, b, 8, right)
     _put(turn, b, 12, (of.fall, of.r, of.s, of.kappa))
@@ -134,11 +134,11 @@ def steadily_turned(turn: Floats, b: int, t: float) -> Quat:
 @kernel
 def turned(turn: Floats, b: int, t: float) -> Quat:
     """Orientation of body b after t [s]."""
-    if turn[b, 0] == _STEADY:
+    if turn[b, 0] == _STEADY_TURN:
         return steadily_turned(turn, b, t)
     x, phase = turn[b, 1] + turn[b, 2] * t, turn[b, 3] * t
     left, right = _quat(turn, b, 4), _quat(turn, b, 8)
-    if turn[b, 0] == _THETA:
+    if turn[b, 0] == _THETA_TURN:
         of = ThetaCoefficients(turn[b, 12], turn[b, 13], turn[b, 14])
         return oriented(left, phase, theta_local(x, of), right)
     c, s = _quat(turn, b, 17), _quat(turn, b, 23)

@@ -17,14 +17,14 @@ from particlerb.rotors.exact import CROSSOVER
 from particlerb.rotors.lagrange import Pair, Reduced, reduced
 from particlerb.rotors.lagrange_forms import Clock, near_constants, theta_constants
 
-_SMALLEST: Final = 1e-290
+_MIN_RATE_UNIT: Final = 1e-290
 
 # Rows of both tables: x = start + rate t; ν and φ of α, of β; frame of z (4); ν of β less that of
 # α, A, L·z, c = |a F|; L·e₃; then the polynomials of `ThetaTop`, or the numbers of `NearTop`.
 LEFT, DELTA, AXIAL, OWN = 6, 10, 14, 15
 N_THETA: Final = OWN + 20
 N_NEAR: Final = OWN + 15
-_TIMED: Final = [1, 2, 4, DELTA]  # rows in units of a rate
+_RATE_ROWS: Final = [1, 2, 4, DELTA]  # rows in units of a rate
 
 
 class Tops(NamedTuple):
@@ -126,7 +126,7 @@ def prepare_tops(tops: Tops, q: Floats, L: Floats) -> list[tuple[Ints, Floats]]:
     """
     omega, pull = L / tops.moment, tops.lever / tops.moment
     unit = np.maximum(np.abs(omega).max(axis=0), np.sqrt(np.abs(pull).max(axis=0)))
-    unit = np.exp2(np.round(np.log2(np.maximum(unit, _SMALLEST))))
+    unit = np.exp2(np.round(np.log2(np.maximum(unit, _MIN_RATE_UNIT))))
     omega, pull, modulus = omega / unit, pull / unit / unit, np.empty(unit.size)
     table = np.empty((N_THETA, unit.size))
     THREADS.alone(_theta_table, omega, pull, np.ascontiguousarray(q), tops.stretch, table, modulus)
@@ -143,7 +143,7 @@ def prepare_tops(tops: Tops, q: Floats, L: Floats) -> list[tuple[Ints, Floats]]:
 
 def _in_units(table: Floats, tops: Tops, unit: Floats, indices: Ints) -> Floats:
     """Table with rates in rad/s, the moments, and the sizes of the levers."""
-    table[_TIMED] *= unit[indices]
+    table[_RATE_ROWS] *= unit[indices]
     moment, size = tops.moment[indices], np.sqrt((tops.lever * tops.lever).sum(axis=0))[indices]
     table[DELTA + 1], table[DELTA + 3] = moment, size
     table[DELTA + 2] *= moment * unit[indices]

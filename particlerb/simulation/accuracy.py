@@ -33,15 +33,15 @@ from particlerb.simulation.step_ladder import DEAREST, ENOUGH, MORE_TIMES, RATIO
 from particlerb.simulation.trials import drifts, part, states_at
 from particlerb.simulation.whole_run import Prepared
 
-_FINER: Final = frozenset({"rkn6", "force_gradient"})  # which beat rk4 wherever they serve
-_CRUDE: Final = 1e-5  # accuracy below which a method of order 2 is no rival
-_JOINTED: Final = {  # down to these,
+_HIGH_ORDER: Final = frozenset({"rkn6", "force_gradient"})  # which beat rk4 wherever they serve
+_MIN_ORDER_2_ACCURACY: Final = 1e-5  # accuracy below which a method of order 2 is no rival
+_JOINTED: Final = {  # methods for joints, down to these accuracies
     1e-4: ("rattle", "rattle4"), 1e-7: ("rattle4", "rattle6", "dop853"),
 }  # fmt: skip
-_FINE: Final = ("rattle6", "rattle8", "dop853")  # and below
-_A_LITTLE: Final = 1.4  # times as dear as the cheapest a method may be that is tried
-_HOPELESS: Final = 3.0  # times as dear as the finest run of a method that was lost in noise
-_SHARE: Final = 0.3  # of the wanted error of the energy that a step is chosen for
+_FINE: Final = ("rattle6", "rattle8", "dop853")  # and below them
+_MAX_COST_RATIO: Final = 1.4  # times as dear as the cheapest a method may be that is tried
+_HOPELESS_RATIO: Final = 3.0  # of costs, over the finest run of a method that was lost in noise
+_ENERGY_SHARE: Final = 0.3  # of the wanted error of the energy that a step is chosen for
 
 
 class _Estimate(NamedTuple):
@@ -169,8 +169,8 @@ def candidates(pilot: Pilot, able: list[str]) -> list[str]:
     if pilot.group.segments[0].terms.joints is not None:
         serving = next((names for least, names in _JOINTED.items() if pilot.wanted >= least), _FINE)
         return [name for name in able if name in serving] or able
-    outdone = {"rk4"} if _FINER & set(able) else set()
-    if pilot.wanted < _CRUDE and ({"rk4"} | _FINER) & set(able):
+    outdone = {"rk4"} if _HIGH_ORDER & set(able) else set()
+    if pilot.wanted < _MIN_ORDER_2_ACCURACY and ({"rk4"} | _HIGH_ORDER) & set(able):
         outdone.add("strang")
     return [name for name in RATIO if name in able and name not in outdone]
 
@@ -186,7 +186,7 @@ def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:
     best.climb()
     while True:
         least = min(ladders, key=lambda ladder: ladder.cost)
-        if not best.cost <= _A_LITTLE * least.cost:
+        if not best.cost <= _MAX_COST_RATIO * least.cost:
             best = least
         if best.is_verified:
             return best.chosen_step(best.setting, best.error)
@@ -196,7 +196,7 @@ def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:
             if met:
                 return min(met, key=lambda step: step.cost)
             return min(closest, key=lambda step: step.error)
-        if best.cost > _HOPELESS * min(ladder.lost_at for ladder in ladders):
+        if best.cost > _HOPELESS_RATIO * min(ladder.lost_at for ladder in ladders):
             best.cost = math.inf
         else:
             best.climb()
@@ -226,5 +226,5 @@ def by_energy(pilot: Pilot, method: str) -> ChosenStep:
         if met or cost * share > DEAREST:
             until = system.run.t_end if met else 0.0
             return ChosenStep(stepping, float(error), until, n, cost, pilot.spent)
-        promised = (_SHARE * pilot.wanted / error) ** 0.5 if np.isfinite(error) else 0.1
+        promised = (_ENERGY_SHARE * pilot.wanted / error) ** 0.5 if np.isfinite(error) else 0.1
         stepping = stepping._replace(dt=stepping.dt * min(max(promised, 0.1), 0.5))

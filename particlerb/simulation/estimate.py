@@ -15,9 +15,9 @@ from particlerb.record.file_size import estimated_size
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.whole_run import Prepared, Run
 
-_ENOUGH: Final = 0.3  # s, that the last piece of a trial takes
-_FIRST_PIECE: Final = 2.0**-24  # of the run; it compiles
-_WRITING: Final = 2e8  # bytes a second, to a file
+_LAST_PIECE_SECONDS: Final = 0.3  # of a trial, at least
+_FIRST_SHARE: Final = 2.0**-24  # of the run; it compiles
+_WRITE_BYTES_PER_SECOND: Final = 2e8  # to a file
 
 
 def estimated_seconds(prepared: Prepared) -> float:
@@ -32,7 +32,7 @@ def estimated_seconds(prepared: Prepared) -> float:
         If one of these pieces fails, as the run would.
     """
     run, end = Run(prepared), prepared.system.run.t_end
-    spent, reached, length = 0.0, 0.0, end * _FIRST_PIECE
+    spent, reached, length = 0.0, 0.0, end * _FIRST_SHARE
     with THREADS.using(prepared.system.run.threads), all_compiled():
         while reached < end:
             until = min(reached + length, end)
@@ -45,11 +45,11 @@ def estimated_seconds(prepared: Prepared) -> float:
             piece = time.perf_counter() - start - sum(compiled)
             spent += piece if reached else 0.0
             length, last, reached = 2.0 * length, until - reached, until
-            if piece >= _ENOUGH and not compiled and last > end * _FIRST_PIECE:
+            if piece >= _LAST_PIECE_SECONDS and not compiled and last > end * _FIRST_SHARE:
                 spent += piece * (end - reached) / last
                 break
     n_bytes = estimated_size(prepared.system, frame_count(prepared.system.run))
-    return spent + n_bytes / _WRITING
+    return spent + n_bytes / _WRITE_BYTES_PER_SECOND
 
 
 def _frames_between(system: System, reached: float, until: float) -> Floats:

@@ -16,8 +16,8 @@ _BATCH_BYTES = 32_000_000  # of frames that are held before they are written
 BATCH_FRAMES = 1024
 BATCH_SECONDS = 0.5  # that a batch should take
 FIRST_BATCH = 1  # frames, before it is known how long one takes
-_FEWEST_EVEN = 64  # frames of a batch from which on it ends at a multiple of its size
-_EXACT_INTEGERS = 2**53  # integers up to this are doubles: their ratio is rounded once
+_MIN_ALIGNED_FRAMES = 64  # frames of a batch from which on it ends at a multiple of its size
+_MAX_EXACT_INTEGER = 2**53  # integers up to this are doubles: their ratio is rounded once
 
 
 def frame_times(run: RunTable, first: int = 0, stop: int | None = None) -> Floats:
@@ -38,9 +38,9 @@ def multiples(every: float, first: int, stop: int) -> Floats:
     k = np.arange(first, stop, dtype=np.float64)
     decimal = Fraction(repr(every))
     above, below = decimal.numerator, decimal.denominator
-    if max(above, below) > _EXACT_INTEGERS:
+    if max(above, below) > _MAX_EXACT_INTEGER:
         return np.float64(every) * k
-    return np.where(k * above <= _EXACT_INTEGERS, k * above / below, every * k)
+    return np.where(k * above <= _MAX_EXACT_INTEGER, k * above / below, every * k)
 
 
 def _whole_frames(run: RunTable) -> int:
@@ -76,7 +76,7 @@ def batches(system: System, done: int = 0, ranks: Ranks = ALONE) -> Iterator[Bat
     size = min(FIRST_BATCH, most)
     while done < n:
         stop = whole_frames if done < whole_frames else n
-        over = (done + size) % size if size >= _FEWEST_EVEN else 0
+        over = (done + size) % size if size >= _MIN_ALIGNED_FRAMES else 0
         frames = frame_times(system.run, done, min(done + size - over, stop))
         due, probes = probes[probes <= frames[-1]], probes[probes > frames[-1]]
         times = np.union1d(frames, due) if due.size else frames

@@ -9,7 +9,7 @@ from particlerb.case.output import Asked
 from particlerb.impulses import records
 from particlerb.maths.vec3 import Floats
 
-_COLUMNS: Final = {  # of a tally: since the last frame, and since t = 0
+_TALLY_COLUMNS: Final = {  # since the last frame, and since t = 0
     "impulse_residual": (records.WORST, records.WORST_EVER),
     "impulse_overlap": (records.DEEPEST_NOW, records.DEEPEST),
     "push_out_work": (records.PUSH_OUT_WORK, records.PUSH_OUT_WORK),
@@ -25,9 +25,9 @@ def impulse_fields(tallies: Mapping[int, Floats], rows: list[int]) -> dict[str, 
     """What some frames show, (T,) each; 0 where nothing can touch."""
     nothing = np.zeros(records.TALLY)
     shown = np.array([tallies.get(row, nothing) for row in rows])
-    return {name: shown[:, now] for name, (now, _) in _COLUMNS.items()}
+    return {name: shown[:, now] for name, (now, _) in _TALLY_COLUMNS.items()}
 
 
 def impulse_quantity(asked: Asked, tally: Floats | None) -> Floats:
     """The largest residual or overlap until a time, or the work until then, (1,)."""
-    return np.zeros(1) if tally is None else tally[[_COLUMNS[asked.quantity][1]]]
+    return np.zeros(1) if tally is None else tally[[_TALLY_COLUMNS[asked.quantity][1]]]

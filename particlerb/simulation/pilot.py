@@ -34,20 +34,20 @@ from particlerb.stepping.pair_forces import cost_of
 
 _LOG: Final = logging.getLogger(__name__)
 
-_PILOT: Final = 32  # bodies that are looked at, at most,
-_ONE_OF: Final = 16  # so many, in lines:
-_FASTEST: Final = 4  # one of so many by its rate at t = 0, the others by their errors at
-_COARSE: Final = 1.0, 3.0  # rad of a step of strang; the second is for many,
-_COMPARED: Final = 0.7  # and of the step that it is compared with, of the first
-_FINER: Final = 0.125  # of these steps, where forces change along the motion
+_MAX_PILOT_BODIES: Final = 32  # that are looked at
+_BODIES_PER_PILOT: Final = 16  # one of so many is looked at, in lines
+_BODIES_PER_FASTEST: Final = 4  # one of so many by its rate at t = 0, others by their errors
+_COARSE_TURNS: Final = 1.0, 3.0  # rad of a step of strang by which they err; the second is for many
+_COMPARED_STEP_SHARE: Final = 0.7  # of the first step, of the one that it is compared with
+_CHANGING_STEP_SHARE: Final = 0.125  # of these steps, where forces change along the motion
 REGULAR: Final = 0.1  # errors below it follow the order of a method
 SET_UP: Final = 1.7e5  # ns of a trial beside its steps, roughly,
 BEGIN: Final = 3e5  # and of a search beside its trials
-_ALONE: Final = 6  # bodies in the lanes of a register that one without a full register costs
-_A_LOAD: Final = 1.2  # ns of a body for each evaluation of a force that changes
-_IN_TREES: Final = 8000.0  # ns of a step of an adaptive method for a body that joints hold,
-_BY_ROWS: Final = 16000.0  # and where these are no trees
-_SAY_SO: Final = 2.0  # s after which a search says what it does
+_LANES_ALONE: Final = 6  # bodies in the lanes of a register that one without a full register costs
+_NS_PER_LOAD: Final = 1.2  # of a body for each evaluation of a force that changes
+_NS_PER_TREE_STEP: Final = 8000.0  # of an adaptive method for a body that joints hold
+_NS_PER_LOOP_STEP: Final = 16000.0  # and where these joints are no trees
+_SECONDS_BEFORE_NOTICE: Final = 2.0  # after which a search says what it does
 
 
 class Pilot:
@@ -64,14 +64,14 @@ class Pilot:
             reason = "no step can be chosen: a torque over a moment of inertia overflows"
             raise CaseError([problem_at(system, "run.accuracy", reason, "give run.dt")])
         self.lengths = [min(s.stop, t_end) - s.start for s in group.stepped if s.start < t_end]
-        self.cost_of_loads = _A_LOAD * max(_changing_loads(s.terms) for s in group.segments)
+        self.cost_of_loads = _NS_PER_LOAD * max(_changing_loads(s.terms) for s in group.segments)
         self.cost_between = max(cost_of(segment.terms) for segment in group.segments)
         self.is_coupled = any(segment.terms.is_coupled for segment in group.segments)
         self.has_changing_forces = self.is_coupled or self.cost_of_loads > 0.0
         self.sets_off_again = not any(_remembers(segment.terms) for segment in group.segments)
         joints = [s.terms.joints for s in group.segments if s.terms.joints is not None]
         has_rows = any(tree_of(of_segment) is None for of_segment in joints)
-        self.held = (_BY_ROWS if has_rows else _IN_TREES) if joints else 0.0
+        self.held = (_NS_PER_LOOP_STEP if has_rows else _NS_PER_TREE_STEP) if joints else 0.0
         self.asymmetric = float(np.mean(group.bodies.rotor_class == ASYMMETRIC))
         self.gone: tuple[Frames | None, Floats] = (None, np.empty(0))  # ways of the last reference
         self.stands_for = 1.0  # bodies, of which each is one, where the worst cannot be told
@@ -80,7 +80,7 @@ class Pilot:
         if can_rehearse(group, t_end):
             self.rehearsal = Rehearsal(group, self.state)
         self.calm = 1.0  # steps that the whole group takes beside the pilot, where it adapts them
-        enough = min(_PILOT, LINE * -(-self.which.size // (LINE * _ONE_OF)))
+        enough = min(_MAX_PILOT_BODIES, LINE * -(-self.which.size // (LINE * _BODIES_PER_PILOT)))
         if self.which.size > enough and not self.is_coupled:
             self.take(self.worst(enough))
             self.calm = _per_pack(self.rates) / _per_pack(self.rates[self.which])
@@ -114,14 +114,14 @@ class Pilot:
         Where not even so few err regularly, more are taken. Steps are finer where forces change
         along the motion, if that is cheap.
         """
-        turn = _COARSE[0 if self.is_short(_COARSE[0]) else 1]
-        if self.has_changing_forces and self.is_short(_FINER * turn, 10.0):
-            turn *= _FINER
+        turn = _COARSE_TURNS[0 if self.is_short(_COARSE_TURNS[0]) else 1]
+        if self.has_changing_forces and self.is_short(_CHANGING_STEP_SHARE * turn, 10.0):
+            turn *= _CHANGING_STEP_SHARE
         error = self.coarse_errors(turn)
         if np.partition(error, -count)[-count] > REGULAR:
-            count = min(_PILOT, error.size)
+            count = min(_MAX_PILOT_BODIES, error.size)
             self.stands_for = error.size / count
-        fastest = np.argsort(-self.rates, kind="stable")[: count // _FASTEST]
+        fastest = np.argsort(-self.rates, kind="stable")[: count // _BODIES_PER_FASTEST]
         error[fastest] = np.inf
         return np.sort(np.argsort(-error, kind="stable")[:count])
 
@@ -136,7 +136,7 @@ class Pilot:
         times = np.array([self.system.run.t_end])
         coarse, fine = (
             self.poses(Stepping("strang", self.longest(share * turn), 0.0, ""), times)[0]
-            for share in (1.0, _COMPARED)
+            for share in (1.0, _COMPARED_STEP_SHARE)
         )
         return np.asarray(self.errors(times, coarse, fine)[0])
 
@@ -155,7 +155,7 @@ class Pilot:
 
     def say_so(self, method: str) -> None:
         """Tell, once, what takes so long."""
-        if not self.has_said and time.monotonic() - self.start > _SAY_SO:
+        if not self.has_said and time.monotonic() - self.start > _SECONDS_BEFORE_NOTICE:
             self.has_said = True
             name = group_name(self.system, self.group.members)
             text = "%s: looking for method and step for run.accuracy, now with %s ..."
@@ -181,7 +181,7 @@ class Pilot:
     def cost(self, stepping: Stepping, steps: float, n: int) -> float:
         """Time that n bodies of the group take for so many steps, by the table [ns]."""
         method = METHODS[stepping.method]
-        lanes = n + (_ALONE - 1) * (n % LINE)
+        lanes = n + (_LANES_ALONE - 1) * (n % LINE)
         if method.is_adaptive:
             lanes = 2 * lanes if self.is_coupled else LINE * -(-n // LINE)
         each = method.cost

@@ -35,7 +35,7 @@ from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.loop import Copies, Position, Recording, Schedule, compiled_loop, grid_stop
 from particlerb.stepping.stepped_motion import NANOSECONDS_PER_CALL
 
-_JOINTS: Final = np.zeros((0, 0, 3))  # there are none
+_NO_JOINTS: Final = np.zeros((0, 0, 3))
 
 
 def can_rehearse(group: GroupPlan, t_end: float) -> bool:
@@ -127,7 +127,7 @@ class Rehearsal:
         )
         changing(self.blocks)[:] = self.first
         sums = np.zeros((times.size, len(self.blocks), 7))
-        places = self.bodies.rotor_frame, columns, frames, sums, self.block, _JOINTS
+        places = self.bodies.rotor_frame, columns, frames, sums, self.block, _NO_JOINTS
         arguments = schedule, Recording(*places), Copies(self.saved), Position(0, 0, 0)
         through = partial(self.loop(stepping.method), *arguments, 1)
         THREADS.share(through, len(self.blocks), columns.size * int(steps[-1] + times.size))

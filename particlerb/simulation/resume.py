@@ -39,11 +39,11 @@ from particlerb.simulation.run import advance, identity
 from particlerb.simulation.shares import attraction_of, part_of
 from particlerb.simulation.whole_run import SHARED, Prepared
 
-_UNVERIFIED = (
+_UNVERIFIED_WARNING = (
     "particlerb: warning: run.accuracy was verified until the earlier t_end only; method and step"
     " stay as they were chosen"
 )
-_DECIDES = ("particlerb", "sources", "python", "numpy", "numba")  # what may change the bits
+_DECISIVE = ("particlerb", "sources", "python", "numpy", "numba")  # what may change the bits
 
 
 class ResumeError(Exception):
@@ -139,7 +139,7 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
     is_prolonged = source.raw["run"]["t_end"] != system.run.t_end
     warnings = prepared.plan.warnings
     if is_prolonged and system.run.accuracy is not None:
-        warnings = (*warnings, _UNVERIFIED)
+        warnings = (*warnings, _UNVERIFIED_WARNING)
     return _Pending(path, prepared, checkpoint, start, n_kept, total, is_prolonged, warnings, parts)
 
 
@@ -215,7 +215,7 @@ def _refuse_other_version(path: Path, stored: str | None, revision: str | None) 
     if not isinstance(made, dict):
         raise ResumeError(f"{path} does not say which versions made it, so it cannot be continued")
     now = versions()
-    for name in _DECIDES:
+    for name in _DECISIVE:
         if name in made and name in now and made[name] == now[name]:
             continue
         if name == "sources":

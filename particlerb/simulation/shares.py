@@ -30,7 +30,7 @@ BYTES_SAVED: Final = 200  # of a checkpoint for each body, likewise
 BYTES_TOUCHING: Final = 2500  # for each sphere of a clump of four that touches, of a small gas
 SENSIBLE_BODIES: Final = 2000  # that touch, of a rank at least: see docs/scale.md
 MOST_ATTRACTED: Final = 1_000_000  # particles: 1e12 pairs are some minutes of one core
-_COUPLING: Final = {
+_COUPLING_WORDS: Final = {
     "links": "springs between bodies",
     "own_pairs": "forces between bodies",
     "attraction": "attraction",
@@ -76,7 +76,7 @@ def _coupling(system: System, all_terms: Sequence[Terms]) -> list[str]:
     """What bodies do to each other without touching."""
     names = [
         name
-        for key, name in _COUPLING.items()
+        for key, name in _COUPLING_WORDS.items()
         if any(getattr(terms, key) is not None for terms in all_terms)
     ]
     return names + ["joints"] * bool(system.joint and "joints" not in names)

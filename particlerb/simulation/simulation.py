@@ -37,7 +37,7 @@ from particlerb.simulation.frame_times import frame_times as frames_of
 from particlerb.simulation.joint_values import labels_of
 from particlerb.simulation.whole_run import Run, RunError
 
-_CHANGEABLE = ("force", "gravity", "attraction", "contact", "wall", "run")
+_CHANGEABLE_TABLES = ("force", "gravity", "attraction", "contact", "wall", "run")
 
 
 class BodyStates(NamedTuple):
@@ -222,8 +222,8 @@ class Simulation(Closing):
             If the scene is wrong with it; nothing has changed then.
         """
         path, system = path_of(str(key)), self.system
-        if not path or path[0] not in _CHANGEABLE or key in ("run.t_end", "run.every"):
-            hint = f"what may: {', '.join(_CHANGEABLE)}"
+        if not path or path[0] not in _CHANGEABLE_TABLES or key in ("run.t_end", "run.every"):
+            hint = f"what may: {', '.join(_CHANGEABLE_TABLES)}"
             raise CaseError([problem_at(system, str(key), "cannot change in a simulation", hint)])
         if system.run.accuracy is not None:
             hint = "give run.method and run.dt in its place"

@@ -15,7 +15,7 @@ from particlerb.rotors.rotor_class import ROD
 from particlerb.simulation.group_run import GroupRun, lost, own_forces_on
 
 _ROD_ROUNDING: Final = 1e-9  # share of L along a rod that exact drifts may leave
-_ROD_ERROR: Final = 0.2  # that others may leave: more is a torque about the axis, or no result
+_MAX_ROD_ERROR: Final = 0.2  # that others may leave: more is a torque about the axis, or no result
 
 
 class StateChecks:
@@ -85,5 +85,5 @@ def _rod_limits(plan: Plan, n_bodies: int) -> Floats:
     limits = np.full(n_bodies, _ROD_ROUNDING)
     for group in plan.groups:
         if not all(METHODS[segment.method].keeps_rods for segment in group.segments):
-            limits[group.members] = _ROD_ERROR
+            limits[group.members] = _MAX_ROD_ERROR
     return limits

@@ -20,35 +20,35 @@ from particlerb.simulation.pilot import REGULAR, SET_UP, Pilot
 FIRST_TURN: Final = {  # rad of a step that errs by FIRST_WANTED: under steady forces, and others
     "strang": (0.2, 0.03), "force_gradient": (3.0, 0.6), "rkn6": (4.0, 1.5), "rk4": (0.4, 0.3),
 }  # fmt: skip
-_FIRST_TURN: Final = 0.5, 0.5  # of others
-_FIRST_WANTED: Final = 1e-3
-_SHARE: Final = 0.5  # of the order by which the first step is shorter for other accuracies
-_FIRST_TOLERANCE: Final = 0.01  # that is tried, in units of the accuracy,
-_COARSEST, _FINEST = 1e-3, 1e-14  # and its limits
-_ADAPTED: Final = 4.0  # rad of a step with a tolerance of 1, about,
-_LONGER: Final = 4.0  # and how many times longer steps may be later than at t = 0
+_FIRST_TURN: Final = 0.5, 0.5  # of other methods
+_FIRST_ACCURACY: Final = 1e-3
+_ORDER_SHARE: Final = 0.5  # of the order by which the first step is shorter for other accuracies
+_TOLERANCE_SHARE: Final = 0.01  # of the accuracy, of the first that is tried
+_MAX_TOLERANCE, _MIN_TOLERANCE = 1e-3, 1e-14
+_ADAPTED_TURN: Final = 4.0  # rad of a step with a tolerance of 1, about
+_LONGER_RATIO: Final = 4.0  # how many times longer steps may be later than at t = 0
 RATIO: Final = {
     "strang": 2.0, "force_gradient": 1.7, "rkn6": 1.6, "rk4": 1.8, "dop853": 30.0,
     "rattle": 2.0, "rattle4": 1.7, "rattle6": 1.5, "rattle8": 1.4,
 }  # of settings compared  # fmt: skip
-_DEARER: Final = 1.25  # a run may be than one whose error on the pilot is just what is wanted
+_MAX_COST_RATIO: Final = 1.25  # of a run to one whose error on the pilot is just what is wanted
 TIMES: Final = 8  # that are looked at; the largest error counts
-_LAST: Final = 3  # at so many of them: at a single one it may pass through 0
+_LAST_TIMES: Final = 3  # that errors are compared at: at a single one it may pass through 0
 MORE_TIMES: Final = 32  # that are looked at where an accuracy is not met
 LEAST: Final = 1e6  # ns that may be spent on a search, whatever the run takes
 DEAREST: Final = 5e9  # ns that a trial may take
-_MOST_TRIALS: Final = 24  # of a method
-_PRUDENT: Final = 2  # order by which the finest of two runs is better, at most
-_ORDERLY: Final = (0.75, 1.75)  # shares of the order of a method that errors may follow
-_NEAR: Final = 1.5  # ratio of costs between which nothing else is looked for
-_NOISE: Final = 1e-13  # no error below it is foretold
+_MAX_TRIALS: Final = 24  # of a method
+_MAX_TRUSTED_ORDER: Final = 2  # by which the finest of two runs is better
+_ORDERLY_SHARES: Final = (0.75, 1.75)  # of the order of a method that errors may follow
+_NEAR_COST_RATIO: Final = 1.5  # ratio of costs between which nothing else is looked for
+_NOISE_ERROR: Final = 1e-13  # no error below it is foretold
 ENOUGH: Final = 0.6  # of what is wanted, where errors are seen and not foretold
-_AGREED: Final = 0.1  # of the error aimed at, by which two runs may differ that both are right
-_CLOSE: Final = 0.02  # of the difference of two runs that a third may lie from one of them
-_ASTRAY: Final = 4.0  # times the difference of two runs, that from a much finer one tells noise
-_MOST_GROWTH: Final = 5  # of the setting, in powers of it
-_FURTHER: Final = 300.0  # ratio of errors beyond what was tried, where a run would be too dear
-_TINY: Final = 1e-300  # in place of errors of 0
+_AGREED_SHARE: Final = 0.1  # of the error aimed at, by which two runs differ that are both right
+_CLOSE_SHARE: Final = 0.02  # of the difference of two runs that a third may lie from one of them
+_ASTRAY_RATIO: Final = 4.0  # of the difference of two runs: that from a much finer one tells noise
+_MAX_GROWTH_POWER: Final = 5  # of the setting
+_MAX_EXTRAPOLATION: Final = 300.0  # ratio of errors beyond what was tried, for a run
+_ERROR_FLOOR: Final = 1e-300  # in place of errors of 0
 
 
 class ChosenStep(NamedTuple):
@@ -76,7 +76,7 @@ class Ladder:
     def __init__(self, pilot: Pilot, name: str) -> None:
         self.pilot, self.name, self.method = pilot, name, METHODS[name]
         self.order = 1 if self.method.is_adaptive else self.method.order  # of the error
-        self.goal = pilot.wanted * _DEARER**-self.method.order
+        self.goal = pilot.wanted * _MAX_COST_RATIO**-self.method.order
         self.tried: list[_Tried] = []  # the coarsest first
         self.errors: list[float] = []  # of all but the finest, which stands for the truth
         self.apart: dict[tuple[float, float], float] = {}  # largest error between two settings
@@ -103,17 +103,17 @@ class Ladder:
         """What a run takes in most scenes [ns]: in few do steps grow much longer than at first."""
         step = self.pilot.longest(self.first_turn(1.0))
         n = self.pilot.group.members.size
-        return self.cost_of(step, n) if self.is_stepped else _LONGER * self.cost
+        return self.cost_of(step, n) if self.is_stepped else _LONGER_RATIO * self.cost
 
     def least_cost(self) -> float:
         """What an adaptive method costs at least, by the rate at t = 0; never too little [ns].
 
         Where that is dearer than another method it is not even compiled.
         """
-        turn = _LONGER * _ADAPTED * self.pilot.wanted ** (1.0 / self.method.order)
+        turn = _LONGER_RATIO * _ADAPTED_TURN * self.pilot.wanted ** (1.0 / self.method.order)
         steps = self.pilot.rate * sum(self.pilot.lengths) / turn
         run_cost, trial_cost = (
-            self.pilot.cost(self.stepping(_COARSEST), steps, group.size)
+            self.pilot.cost(self.stepping(_MAX_TOLERANCE), steps, group.size)
             for group in (self.pilot.group.members, self.pilot.which)
         )
         return max(run_cost, LEAST) + 3.0 * (trial_cost + SET_UP)
@@ -150,7 +150,7 @@ class Ladder:
 
     def look(self) -> None:
         """Compare all that was tried with the finest: which setting would do, and is it sure."""
-        finest, order = self.tried[-1], min(self.order, _PRUDENT)
+        finest, order = self.tried[-1], min(self.order, _MAX_TRUSTED_ORDER)
         self.errors = [
             self.between(one, finest) / (1.0 - (finest.setting / one.setting) ** order)
             for one in self.tried[:-1]
@@ -165,13 +165,13 @@ class Ladder:
             is_lost
             or following in [one.setting for one in self.tried]
             or self.cost_of(following, self.pilot.which.size) > DEAREST
-            or len(self.tried) == _MOST_TRIALS
+            or len(self.tried) == _MAX_TRIALS
         ):
             self.cost = math.inf
 
     def between(self, one: _Tried, other: _Tried) -> float:
         """Largest error of a run beside another, at the last times."""
-        key, last = (one.setting, other.setting), slice(TIMES - _LAST, TIMES)
+        key, last = (one.setting, other.setting), slice(TIMES - _LAST_TIMES, TIMES)
         if key not in self.apart and self.hardly_moved(one, other):
             return self.apart[one.setting, self.tried[-2].setting]
         if key not in self.apart:
@@ -185,7 +185,7 @@ class Ladder:
         if finest is not self.tried[-1] or run is before:
             return False
         far = self.apart.get((run.setting, before.setting), 0.0)
-        return self.between(before, finest) < _CLOSE * far
+        return self.between(before, finest) < _CLOSE_SHARE * far
 
     def content(self) -> None:
         """Take what is seen to meet the accuracy, where nothing longer is promised."""
@@ -203,7 +203,7 @@ class Ladder:
         """
         (*_, last, finest), ratio = [one.setting for one in self.tried], RATIO[self.name]
         is_fine = len(self.tried) > 2 and last >= 0.99 * ratio**2 * finest
-        if is_fine and _ASTRAY * self.between(*self.tried[-3:-1]) < self.errors[-1] < REGULAR:
+        if is_fine and _ASTRAY_RATIO * self.between(*self.tried[-3:-1]) < self.errors[-1] < REGULAR:
             return True
         before = [e for e, t in zip(self.errors, self.tried, strict=False) if t.setting > last]
         far = [t.setting for t in self.tried if t.setting >= 0.99 * ratio**2 * last]
@@ -220,14 +220,14 @@ class Ladder:
                 return settings[-1] / ratio, False
             best = setting * (self.goal / error) ** (1.0 / self.order)
             is_near = best > setting / self.near and best >= settings[-1]
-            if best > setting * _FURTHER ** (-1.0 / self.order):
+            if best > setting * _MAX_EXTRAPOLATION ** (-1.0 / self.order):
                 is_near |= not self.affords(best / ratio, best)
-            is_near &= self.goal > _NOISE and len(errors) > 1
+            is_near &= self.goal > _NOISE_ERROR and len(errors) > 1
             return best, is_near and self.is_orderly(len(errors) - 2)
-        setting, error = settings[met], max(errors[met], _TINY)
+        setting, error = settings[met], max(errors[met], _ERROR_FLOOR)
         if met == 0:
-            longest = self.pilot.longest(math.inf) if self.is_stepped else _COARSEST
-            growth = min((self.goal / error) ** (1.0 / self.order), self.near**_MOST_GROWTH)
+            longest = self.pilot.longest(math.inf) if self.is_stepped else _MAX_TOLERANCE
+            growth = min((self.goal / error) ** (1.0 / self.order), self.near**_MAX_GROWTH_POWER)
             longer = min(setting * growth, longest)
             is_sure = longer <= self.near**0.5 * setting
             return setting if is_sure else longer, is_sure
@@ -238,7 +238,7 @@ class Ladder:
         if coarser > self.near * setting:
             return math.sqrt(setting * coarser), False
         is_sure = settings[-1] * ratio < 1.01 * setting  # else the finest may err as much
-        is_sure |= error <= _AGREED * self.goal
+        is_sure |= error <= _AGREED_SHARE * self.goal
         return setting if is_sure else settings[-1] / ratio, is_sure
 
     @property
@@ -249,7 +249,7 @@ class Ladder:
     @property
     def near(self) -> float:
         """Ratio of settings whose costs are as 1 to NEAR."""
-        return float(_NEAR ** (self.method.order / self.order))
+        return float(_NEAR_COST_RATIO ** (self.method.order / self.order))
 
     @property
     def error(self) -> float:
@@ -261,9 +261,9 @@ class Ladder:
         """Whether the error falls from run k to the next as the order of the method says."""
         if not self.errors[k] < REGULAR:
             return False
-        fallen = math.log(max(self.errors[k], _TINY) / max(self.errors[k + 1], _TINY))
+        fallen = math.log(max(self.errors[k], _ERROR_FLOOR) / max(self.errors[k + 1], _ERROR_FLOOR))
         order = fallen / math.log(self.tried[k].setting / self.tried[k + 1].setting)
-        return _ORDERLY[0] * self.order <= order <= _ORDERLY[1] * self.order
+        return _ORDERLY_SHARES[0] * self.order <= order <= _ORDERLY_SHARES[1] * self.order
 
     def affords(self, setting: float, best: float) -> bool:
         """Whether a run with a setting leaves the search shorter than the run with the best."""
@@ -281,7 +281,7 @@ class Ladder:
         if not self.affords(wanted, self.setting):
             wanted = max(self.setting * ratio, finest / ratio**1.5)
         wanted = min(wanted, finest / ratio)
-        return wanted if self.is_stepped else max(wanted, _FINEST)
+        return wanted if self.is_stepped else max(wanted, _MIN_TOLERANCE)
 
     def first_setting(self) -> float:
         """Setting to begin with: coarser than what most scenes need, since such runs are short.
@@ -289,12 +289,13 @@ class Ladder:
         Steps longer than from one look to the next would save nothing.
         """
         if not self.is_stepped:
-            return min(max(_FIRST_TOLERANCE * self.pilot.wanted, _FINEST), _COARSEST)
-        return min(self.pilot.longest(self.first_turn(_SHARE)), sum(self.pilot.lengths) / TIMES)
+            return min(max(_TOLERANCE_SHARE * self.pilot.wanted, _MIN_TOLERANCE), _MAX_TOLERANCE)
+        longest = self.pilot.longest(self.first_turn(_ORDER_SHARE))
+        return min(longest, sum(self.pilot.lengths) / TIMES)
 
     def first_turn(self, share: float) -> float:
         """Turn in a step for the wanted accuracy by a share of the order [rad]."""
-        ratio = float((self.pilot.wanted / _FIRST_WANTED) ** (share / self.order))
+        ratio = float((self.pilot.wanted / _FIRST_ACCURACY) ** (share / self.order))
         return ratio * FIRST_TURN.get(self.name, _FIRST_TURN)[self.pilot.has_changing_forces]
 
     def cost_of(self, setting: float, n: int) -> float:

@@ -44,7 +44,7 @@ from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 from particlerb.stepping.stepped_motion import NANOSECONDS_PER_CALL
 
-_ROWS: Final = STAGE + 2 * CHANGING  # of blocks in which slopes are taken
+_BLOCK_ROWS: Final = STAGE + 2 * CHANGING  # of blocks in which slopes are taken
 
 
 @kernel
@@ -54,7 +54,7 @@ def _advance_packs(
 ) -> None:  # fmt: skip
     """Advance the packs of some blocks; the clock is (packs, 3)."""
     size, n = STATE_ROWS if equations.books is None else CHANGING, recording.members.size
-    rows = np.zeros((1, _ROWS * STRIDE))
+    rows = np.zeros((1, _BLOCK_ROWS * STRIDE))
     layout = Layout(np.zeros(1, np.int64), np.zeros(1, np.int64), 0)
     width = min(n, PACK)  # a body that is alone pays for itself only
     vectors = room_for_vectors(1, size, width, np.zeros(0))
@@ -90,7 +90,7 @@ class AdaptiveMotion(JointedMotion):
         self.forces = PairForces(terms, n, True, start) if terms.is_coupled else None
         assert row_count(terms) <= STAGE
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
-        self.blocks = in_blocks(n, _ROWS if terms.is_coupled else row_count(terms), parts)
+        self.blocks = in_blocks(n, _BLOCK_ROWS if terms.is_coupled else row_count(terms), parts)
         first = np.arange(0, n, BLOCK)
         self.layout = Layout(first, np.minimum(BLOCK, n - first), 0)
         self.jointed = jointed_in(group, state, np.arange(n), start, 0.0)

@@ -27,7 +27,7 @@ from particlerb.stepping.damped_oscillators import DampedOscillator
 from particlerb.stepping.motion import SegmentGroup, force_of
 from particlerb.stepping.translations import Damping, Oscillator
 
-_ROUNDING: Final = 1e-14  # share of a lever tensor that is its rounding
+_LEVER_ROUNDING: Final = 1e-14  # share of a lever tensor that is its rounding
 
 
 class Levers(NamedTuple):
@@ -64,7 +64,7 @@ def levers_on(bodies: Bodies, lever: Floats) -> Levers:
     about = np.where(bodies.rotor_class == SYMMETRIC, bodies.inertia[2], moment)
     return Levers(
         size == 0.0,
-        (size > 0.0) & np.isfinite(size) & has_axis & (rest <= _ROUNDING * size),
+        (size > 0.0) & np.isfinite(size) & has_axis & (rest <= _LEVER_ROUNDING * size),
         Tops(moment, 0.5 * (moment - about) / about, g, 1.0 * (bodies.rotor_class != ROD)),
         _up_frames(axis),
     )

@@ -16,12 +16,12 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.stepping.motion import MotionError, SegmentGroup
 
 STABLE: Final = 2.0  # largest ω dt of a piston, and of contacts where no step is stable
-_LOOKS: Final = 256  # lists from look to look at how fast the bodies swing
+_LISTS_PER_LOOK: Final = 256  # at how fast the bodies swing
 
 
 def is_due(count: int) -> bool:
     """Whether to look at the frequency of contacts: often at first, then now and then."""
-    return count % _LOOKS == 0 or count & (count - 1) == 0
+    return count % _LISTS_PER_LOOK == 0 or count & (count - 1) == 0
 
 
 def lost_pair(missed: Missed, members: Ints, time: float, skin: float) -> str:

@@ -33,14 +33,14 @@ from particlerb.maths.vec3 import Bools, Floats, Indices, Ints
 from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved
 
-_FEW_STEPS: Final = 64  # for which lists are made at least where walls move slowly,
-_MOST_STEPS: Final = 4096  # and at most: the stability of contacts is looked at when they are made
-_TO_MAKE: Final = 4e5  # ns of new lists, roughly,
-_TO_MAKE_SPHERE: Final = 150.0  # and for each sphere;
-_TO_USE: Final = 6.0  # of a pair in a step
+_MIN_STEPS: Final = 64  # for which lists are made where walls move slowly
+_MAX_STEPS: Final = 4096  # of lists: the stability of contacts is looked at when they are made
+_NS_PER_LIST: Final = 4e5  # of making lists, roughly
+_NS_PER_LISTED_SPHERE: Final = 150.0  # of making lists
+_NS_PER_PAIR_STEP: Final = 6.0
 _SKIN_FACTOR: Final = 1.25  # by which the skin grows or shrinks
-_CHEAP_LISTS: Final = 0.02  # share of the steps' time below which new lists need not be fewer
-_LARGEST_SKIN: Final = 4.0  # in sizes of the scene: all pairs are in the lists long before
+_CHEAP_LIST_SHARE: Final = 0.02  # share of the steps' time below which new lists need not be fewer
+_MAX_SKIN: Final = 4.0  # in sizes of the scene: all pairs are in the lists long before
 
 Histories = tuple[ContactHistory, ContactHistory]  # of contacts between spheres, and with walls
 
@@ -110,7 +110,7 @@ class ContactLists:
 
     def count_cost(self, n_spheres: int) -> None:
         """Reckon with lists of so many spheres [ns]."""
-        self.cost = _TO_MAKE + _TO_MAKE_SPHERE * n_spheres
+        self.cost = _NS_PER_LIST + _NS_PER_LISTED_SPHERE * n_spheres
 
     def go_on(self, before: Self) -> None:
         """Go on from lists of other bodies of the same scene."""
@@ -207,27 +207,27 @@ class ContactLists:
             have_moved = lasted.have_moved or (
                 wall_displacement(self.motions, 2 * steps * self.dt, reach) > skin
             )
-            if self.cost <= _TO_USE * self.n_pairs * steps:
+            if self.cost <= _NS_PER_PAIR_STEP * self.n_pairs * steps:
                 skin = max(skin / _SKIN_FACTOR, self.least_skin)
             elif (
                 have_moved
-                and self.cost > _CHEAP_LISTS * steps * lasted.step_cost
-                and steps < _MOST_STEPS
+                and self.cost > _CHEAP_LIST_SHARE * steps * lasted.step_cost
+                and steps < _MAX_STEPS
             ):
                 skin *= _SKIN_FACTOR
         places = corners, poses.position
         farthest = sum(float(np.abs(x).max(initial=0.0)) for x in places)
-        self.skin = min(skin, _LARGEST_SKIN * 2.0 * (math.sqrt(3.0) * farthest + self._extent))
+        self.skin = min(skin, _MAX_SKIN * 2.0 * (math.sqrt(3.0) * farthest + self._extent))
 
     def walls_ahead(self, lasted: int, reach: Sequence[float]) -> WallsAhead:
         """How long lists hold as walls move [s], and how far these may move until then [m].
 
         Up to twice the steps that the last ones have lasted, and no farther than the skin.
         """
-        steps, skin = min(max(_FEW_STEPS, 2 * lasted), _MOST_STEPS), self.skin
+        steps, skin = min(max(_MIN_STEPS, 2 * lasted), _MAX_STEPS), self.skin
         sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
         if not records.to_floats(self.contact.motions)[:, 3:].any():
-            return WallsAhead(_MOST_STEPS * self.dt, sliding)
+            return WallsAhead(_MAX_STEPS * self.dt, sliding)
         reach = [far + skin for far in reach]  # as bodies move
         while steps > 1 and wall_displacement(self.motions, steps * self.dt, reach) > skin:
             steps //= 2

@@ -15,8 +15,8 @@ from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, add, add_scaled, cross, dot, scale, subtract
 from particlerb.stepping.translations import Centres, Given, add_given, decays
 
-_TINY: Final = 1e-150  # in place of ω² - γ² = 0
-_SHORT: Final = 0.25  # of the larger of γt and ωt: below, integrals are series
+_RATE_FLOOR: Final = 1e-150  # in place of ω² - γ² = 0
+_MAX_SERIES_ARGUMENT: Final = 0.25  # the larger of γt and ωt: below, integrals are series
 _INVERSE: Final = tuple(1.0 / n for n in range(1, 21))
 
 
@@ -68,7 +68,7 @@ def oscillation(rate: float, squared: float, t: float) -> _Oscillation:
     E_slow = t * first
     step, first, _, _ = decays(2.0 * kappa * t)
     E_step = t * first
-    omega = math.sqrt(max(-apart, 0.0)) + _TINY
+    omega = math.sqrt(max(-apart, 0.0)) + _RATE_FLOOR
     cos, sin, _ = cos_sin_half_turns(0.5 * omega * t)
     S = exp * E_step if is_over else exp * (2.0 * sin * cos / omega)
     C = 0.5 * exp * (1.0 + step) if is_over else exp * (1.0 - 2.0 * sin * sin)
@@ -86,7 +86,7 @@ def oscillation(rate: float, squared: float, t: float) -> _Oscillation:
     if kappa > 0.5 * gamma:
         SS = SS_over
         V, B = exp * (fast * step - slow) / (2.0 * kappa), (E_slow - E_fast) / (2.0 * kappa)
-    if max(gamma * gamma, squared) * t * t < _SHORT * _SHORT:
+    if max(gamma * gamma, squared) * t * t < _MAX_SERIES_ARGUMENT * _MAX_SERIES_ARGUMENT:
         one, two = _short(rate * t, squared * t * t)
         B, SS = t * t * one, t * t * t * two
     return _Oscillation(S, V, B, A, SS, S * C + squared * SS)

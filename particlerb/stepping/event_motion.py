@@ -32,7 +32,7 @@ from particlerb.stepping.motion import Motion, MotionError, SegmentGroup
 from particlerb.stepping.saved_arrays import Saved, to_arrays
 
 _PER_CALL: Final = 100_000  # events: progress and Ctrl-C in between
-_WHY: Final = {
+_REASONS: Final = {
     ENDLESS: "impacts follow each other ever faster: give a longer contact.contact_time",
     FAR: "it has flown through as many cells as 32 bits number: begin nearer, or end earlier",
     OVERLAP: "it overlaps what it hits by more than rounding: an impact was missed",
@@ -74,7 +74,7 @@ class EventMotion(Motion):
         if ends != DONE:
             now = self.start + float(self.state.sums[EPOCH] + self.state.heap_time[0])
             what = f"at t = {now:.9g} s body {self.group.members[self.order[b]]} cannot continue"
-            raise MotionError(f"{what}: {_WHY.get(ends, _SEARCH)}")
+            raise MotionError(f"{what}: {_REASONS.get(ends, _SEARCH)}")
 
     def state_at(self, time: float) -> tuple[State, Floats]:
         """State of all bodies at a time [s], and (7,) booked until then."""

@@ -27,12 +27,12 @@ from particlerb.model.state import State
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.motion import MotionError, SegmentGroup
 
-_ROUNDING: Final = 1e-15  # of a radius: a centre nearer to the centre of mass is there
-_WIDER: Final = 1.0 + 1e-9
+_CENTRE_ROUNDING: Final = 1e-15  # of a radius: a centre nearer to the centre of mass is there
+_WIDTH_MARGIN: Final = 1.0 + 1e-9
 _CELLS: Final = 8.0  # that are passed until times are counted anew
-_PER_BODY: Final = 3.0  # cells: a body meets few others in each that it enters
-_MOST_CELLS: Final = 8  # for each body, roughly
-_SOLID: Final = (PLANE, FACE, SIDE, DISC)  # edges, vertices and rims are of these
+_CELLS_PER_BODY: Final = 3.0  # a body meets few others in each that it enters
+_MAX_CELLS_PER_BODY: Final = 8  # roughly
+_SOLID_KINDS: Final = (PLANE, FACE, SIDE, DISC)  # edges, vertices and rims are of these
 
 
 def _rules_of(group: SegmentGroup) -> EventRules:
@@ -49,7 +49,7 @@ def bounds_of(group: SegmentGroup) -> tuple[Floats, Floats]:
     reach, bound = np.zeros(n), np.zeros(n)
     np.maximum.at(reach, spheres.body, distance)
     np.maximum.at(bound, spheres.body, distance + spheres.radius)
-    is_ball = (np.diff(spheres.offset) == 1) & (reach <= _ROUNDING * bound)
+    is_ball = (np.diff(spheres.offset) == 1) & (reach <= _CENTRE_ROUNDING * bound)
     return np.where(is_ball, 0.0, np.maximum(reach, np.finfo(float).tiny)), bound
 
 
@@ -81,16 +81,16 @@ def _grid(group: SegmentGroup, com: Floats) -> _Grid:
     bound, box = bounds_of(group)[1], _rules_of(group).box
     points = np.concatenate([com, _points_of(contact.model.walls)], axis=1)
     low, high = points.min(axis=1), points.max(axis=1)
-    least = 2.0 * _WIDER * float(bound.max())
+    least = 2.0 * _WIDTH_MARGIN * float(bound.max())
     size = np.where(np.isfinite(box), box, np.maximum(high - low, least))
-    width = max(least, float((size.prod() / (_PER_BODY * bound.size)) ** (1.0 / 3.0)))
+    width = max(least, float((size.prod() / (_CELLS_PER_BODY * bound.size)) ** (1.0 / 3.0)))
     if (size / width).max() > LARGEST_NUMBER:
         raise MotionError(
             f"bodies lie within {size.max():.3g} m, in cells of {width:.3g} m: their numbers end at"
             f" {LARGEST_NUMBER}; take bodies that are nearer to each other"
         )
     count = np.maximum(np.ceil(size / width).astype(np.int64), 3)
-    while count.prod() > _MOST_CELLS * bound.size + 27:
+    while count.prod() > _MAX_CELLS_PER_BODY * bound.size + 27:
         count = np.maximum(count // 2, 3)
         if (count == 3).all():
             break
@@ -138,7 +138,7 @@ def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> E
         rules=np.stack([rules.restitution, friction], axis=1),
         wall_kind=walls.kind,
         wall_parameter=walls.parameter,
-        wall_material=model.wall_material[np.isin(model.walls.kind, _SOLID)],
+        wall_material=model.wall_material[np.isin(model.walls.kind, _SOLID_KINDS)],
         wall_first=near_first,
         wall_near=near,
         contact_time=rules.contact_time,
@@ -168,7 +168,7 @@ def _box(box: Floats) -> tuple[Vec3, Vec3] | None:
 def _solid(group: SegmentGroup) -> Walls:
     """Primitives with a surface."""
     walls = group.terms.known_contact.model.walls
-    solid = np.isin(walls.kind, _SOLID)
+    solid = np.isin(walls.kind, _SOLID_KINDS)
     parameter = np.ascontiguousarray(walls.parameter[solid])
     return walls._replace(kind=walls.kind[solid], parameter=parameter)
 
@@ -195,7 +195,7 @@ def _walls_near(walls: Walls, grid: _Grid, bound: float) -> tuple[Indices, Indic
     """
     numbers = np.indices(tuple(grid.cells)).reshape(3, -1)
     middle = grid.origin[:, None] + grid.width[:, None] * (numbers + 0.5)
-    far = _WIDER * (0.5 * float(np.linalg.norm(grid.width)) + bound)
+    far = _WIDTH_MARGIN * (0.5 * float(np.linalg.norm(grid.width)) + bound)
     near = np.ones((walls.kind.size, middle.shape[1] + 1), dtype=bool)
     for p, (kind, row) in enumerate(zip(walls.kind.tolist(), walls.parameter, strict=True)):
         along = row[9:12] if kind == FACE else row[3:6]

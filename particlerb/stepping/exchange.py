@@ -23,7 +23,7 @@ from particlerb.ranks import Rows
 from particlerb.stepping.contact_lists import Histories
 from particlerb.stepping.motion import SegmentGroup, Shared
 
-_MARGIN: Final = 1.0 + 1e-6  # of a distance that decides who is a copy: it rounds
+_DISTANCE_MARGIN: Final = 1.0 + 1e-6  # of a distance that decides who is a copy: it rounds
 
 
 class Exchange:
@@ -133,7 +133,7 @@ class Territory:
         ranks, free = self.ranks, self.exchange.is_free[bodies]
         counts = ranks.gathered(int(free.sum()))
         com = np.ascontiguousarray(rows[:, :3].T)
-        far = _MARGIN * (self.bound[bodies] + self.reach + skin)
+        far = _DISTANCE_MARGIN * (self.bound[bodies] + self.reach + skin)
         leaders = [k for k, count in enumerate(counts) if count]
         out, self.given = [], {}
         for k, count in enumerate(counts):

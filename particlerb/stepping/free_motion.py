@@ -59,7 +59,7 @@ from particlerb.stepping.translations import (
     spun,
 )
 
-_OWN: Final = 21  # rows of what a block starts from, and of its constants
+_INPUT_ROWS: Final = 21  # rows of what a block starts from, and of its constants
 _WEIGHTLESS: Final = np.zeros(3)
 _AXIS_3: Final = np.array([[0.0], [0.0], [1.0]])
 
@@ -170,7 +170,7 @@ def _fly_blocks(
     one.
     """
     g, room = (part.gravity[0], part.gravity[1], part.gravity[2]), np.empty((N_TOTALS, STRIDE))
-    out, inputs = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, STRIDE))
+    out, inputs = np.empty((BOOKED + 1) * STRIDE), np.empty((_INPUT_ROWS, STRIDE))
     local, place = out.reshape((BOOKED + 1, STRIDE)), np.empty(BLOCK, np.int64)
     for k in range(first, last):
         lo = k * BLOCK
@@ -197,7 +197,7 @@ def _fly_blocks(
 @unfused_kernel
 def _end_blocks(part: _Part, t: float, end: State, given: Given | None) -> None:
     """State of the bodies of a part at one time; L only where it changes."""
-    out, inputs = np.empty((BOOKED + 1) * STRIDE), np.empty((_OWN, STRIDE))
+    out, inputs = np.empty((BOOKED + 1) * STRIDE), np.empty((_INPUT_ROWS, STRIDE))
     local = out.reshape((BOOKED + 1, STRIDE))
     for k in range(-(-part.which.size // BLOCK)):
         lo = k * BLOCK

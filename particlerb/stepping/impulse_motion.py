@@ -18,9 +18,9 @@ from particlerb.stepping.loop import PLACE
 from particlerb.stepping.motion import Energies, MotionError
 from particlerb.stepping.saved_arrays import Saved
 
-_REACH: Final = 5.0  # steps of the fastest body for which a skin is wide enough, at least
-_LEAST_REACH: Final = 4.0  # of a skin that the case gives
-_GROWTH: Final = 1.25  # of room for contacts
+_SKIN_STEPS: Final = 5.0  # steps of the fastest body for which a skin is wide enough, at least
+_MIN_SKIN_STEPS: Final = 4.0  # of a skin that the case gives
+_ROOM_FACTOR: Final = 1.25  # for contacts
 
 
 class ImpulseMotion(ContactMotion):
@@ -60,14 +60,14 @@ class ImpulseMotion(ContactMotion):
         bodies, arm = self.contact.workspace.bodies, self.contact.lists.max_contact_arm
         path = self.dt * max_point_speed(bodies, arm, 0, bodies.size)
         path = max(path, self.dt * np.abs(self.contact.memory.pistons.velocity).max(initial=0.0))
-        if self.contact.setup.is_skin_fixed and self.contact.setup.skin < _LEAST_REACH * path:
+        if self.contact.setup.is_skin_fixed and self.contact.setup.skin < _MIN_SKIN_STEPS * path:
             raise MotionError(
                 f"at t = {self.now:.6g} s a body moves by {path:.3g} m in a step of"
                 f" {self.dt:.3g} s, and contact.skin = {self.contact.setup.skin:.3g} m does not"
                 f" hold what it may meet: leave out contact.skin, or take a shorter run.dt"
             )
         if not self.contact.setup.is_skin_fixed:
-            self.lists.least_skin = max(self.group.terms.known_contact.skin, _REACH * path)
+            self.lists.least_skin = max(self.group.terms.known_contact.skin, _SKIN_STEPS * path)
             self.lists.skin = max(self.lists.skin, self.lists.least_skin)
         super().make_lists()
         self._make_room()
@@ -79,7 +79,7 @@ class ImpulseMotion(ContactMotion):
         assert impulses is not None
         if n > impulses.rows.first.size:
             bounded, with_rolling = impulses.rows.bounded, impulses.rows.rolling is not None
-            rows = room_for_rows(int(_GROWTH * n), bounded, with_rolling)
+            rows = room_for_rows(int(_ROOM_FACTOR * n), bounded, with_rolling)
             impulses = impulses._replace(rows=rows)
         if impulses.rules.newton:
             owner, (first, second, *_) = setup.model.spheres.body, lists.spheres

@@ -27,7 +27,7 @@ from particlerb.model.worlds import Worlds, over_all, over_bodies, part_of_world
 from particlerb.ranks import ALONE, Ranks
 from particlerb.stepping.saved_arrays import Saved, under, within
 
-_AT_ONCE: Final = 4096  # bodies in states whose work is found at once: so far NumPy gains by it
+_BODIES_AT_ONCE: Final = 4096  # in states whose work is found at once: so far NumPy gains by it
 
 
 class MotionError(Exception):
@@ -271,7 +271,7 @@ class ForceAccount:
 
 def few_at_once(n_states: int, n_bodies: int) -> Iterator[slice]:
     """Ranges of states of so many bodies that are looked at together."""
-    size = max(1, _AT_ONCE // max(n_bodies, 1))
+    size = max(1, _BODIES_AT_ONCE // max(n_bodies, 1))
     return (slice(k, k + size) for k in range(0, n_states, size))
 
 

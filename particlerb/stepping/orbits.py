@@ -25,13 +25,13 @@ from particlerb.model.state import State, cross_columns
 from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.translations import Centres, add_given
 
-_ROUND: Final = 0.25  # eccentricity below which an orbit is seen from its start
-_FALLEN: Final = 1e-14  # share of the distance from the centre at which a body passes through it
-_SMALL: Final = 0.5  # argument below which Stumpff's series are summed
-_EVEN: Final = tuple(1.0 / math.factorial(2 * k + 2) for k in range(9, -1, -1))
-_ODD: Final = tuple(1.0 / math.factorial(2 * k + 3) for k in range(9, -1, -1))
-_MOST: Final = 100  # corrections of s
-_SURE: Final = 1e-7  # relative correction after which one more reaches rounding
+_MAX_ROUND_ECCENTRICITY: Final = 0.25  # eccentricity below which an orbit is seen from its start
+_FALLEN_SHARE: Final = 1e-14  # of the distance at which a body passes through the centre
+_MAX_SERIES_ARGUMENT: Final = 0.5  # below it Stumpff's series are summed
+_EVEN_SERIES: Final = tuple(1.0 / math.factorial(2 * k + 2) for k in range(9, -1, -1))
+_ODD_SERIES: Final = tuple(1.0 / math.factorial(2 * k + 3) for k in range(9, -1, -1))
+_MAX_CORRECTIONS: Final = 100  # corrections of s
+_SURE_CHANGE: Final = 1e-7  # relative correction after which one more reaches rounding
 
 
 class Orbit(NamedTuple):
@@ -55,11 +55,11 @@ class Orbit(NamedTuple):
 def _stumpff(z: float) -> Quat:
     """c₀ to c₃ of z: c_k = Σ (-z)ⁿ/(2n + k)!, by halving s until the series is short."""
     halved = 0
-    while abs(z) > _SMALL:
+    while abs(z) > _MAX_SERIES_ARGUMENT:
         z, halved = 0.25 * z, halved + 1
     c2 = c3 = 0.0
-    for k in range(len(_EVEN)):
-        c2, c3 = _EVEN[k] - z * c2, _ODD[k] - z * c3
+    for k in range(len(_EVEN_SERIES)):
+        c2, c3 = _EVEN_SERIES[k] - z * c2, _ODD_SERIES[k] - z * c3
     c0, c1 = 1.0 - z * c2, 1.0 - z * c3
     for _ in range(halved):
         c3 = 0.25 * (c2 + c0 * c3)
@@ -83,7 +83,7 @@ def _anomaly(tau: float, r0: float, eta: float, mu: float, beta: float) -> float
         low, high = high, 2.0 * high
         _, G1, G2, G3 = _powers(high, beta)
     s, is_sure = 0.5 * (low + high), False
-    for _ in range(_MOST):
+    for _ in range(_MAX_CORRECTIONS):
         G0, G1, G2, G3 = _powers(s, beta)
         excess = r0 * G1 + eta * G2 + mu * G3 - tau
         slope, curve = r0 * G0 + eta * G1 + mu * G2, eta * G0 + (mu - beta * r0) * G1
@@ -99,7 +99,7 @@ def _anomaly(tau: float, r0: float, eta: float, mu: float, beta: float) -> float
             return s - excess / slope
         if not low < new < high:
             new = 0.5 * (low + high)
-        is_sure = abs(new - s) <= _SURE * new
+        is_sure = abs(new - s) <= _SURE_CHANGE * new
         s = new
     return s
 
@@ -161,7 +161,7 @@ def _orbits(frame: tuple[Floats, Floats], x: Floats, v: Floats, mu: Floats, shar
     e = np.sqrt(np.maximum(1.0 - beta * h2 / (mu * mu), 0.0))
     to_pericentre = (square - mu / r) * x - eta * v
     to_pericentre /= np.sqrt((to_pericentre * to_pericentre).sum(axis=0))
-    k, is_seen = np.sqrt(np.abs(beta)), e > _ROUND
+    k, is_seen = np.sqrt(np.abs(beta)), e > _MAX_ROUND_ECCENTRICITY
     turned = np.where(beta > 0.0, np.arctan2(k * eta, mu - beta * r), np.arcsinh(k * eta / mu / e))
     s = np.where(is_seen, np.where(k > 0.0, turned / k, eta / (mu * e)), 0.0)
     nearest = np.where(is_seen, h2 / (mu * (1.0 + e)), r)
@@ -176,7 +176,7 @@ def _orbits(frame: tuple[Floats, Floats], x: Floats, v: Floats, mu: Floats, shar
     _times_since(s, orbit, orbit.since)
     later = np.where(period > 0.0, period, np.inf) - orbit.since
     until = np.where(orbit.since < 0.0, -orbit.since, later)
-    return orbit._replace(until=np.where(nearest <= _FALLEN * r, until, np.inf))
+    return orbit._replace(until=np.where(nearest <= _FALLEN_SHARE * r, until, np.inf))
 
 
 def orbits_of(group: SegmentGroup, state: State) -> Orbit | None:

@@ -26,8 +26,8 @@ from particlerb.stepping.saved_arrays import OF_BODIES, Saved, under, within
 
 MOMENTA: Final = CHANGING  # column of a body from which on those of the drift before the last are,
 GROSS: Final = MOMENTA + 6  # its gross work,
-_LISTED: Final = GROSS + 1  # and its pose when lists were made
-_POSE: Final = 7  # columns
+_LISTED_COLUMN: Final = GROSS + 1  # and its pose when lists were made
+_POSE_COLUMNS: Final = 7
 
 
 class SharedMotion(ContactMotion):
@@ -126,7 +126,7 @@ class SharedMotion(ContactMotion):
         bodies = within(OF_BODIES, saved)
         saved_rows = bodies["rows"][np.argsort(bodies["rows"][:, 0])]
         rows, skin = saved_rows.copy(), float(saved["skin"])
-        pose, listed = slice(1, 1 + _POSE), slice(1 + _LISTED, None)
+        pose, listed = slice(1, 1 + _POSE_COLUMNS), slice(1 + _LISTED_COLUMN, None)
         rows[:, pose], rows[:, listed] = saved_rows[:, listed], saved_rows[:, pose]
         contacts = [(bodies[f"keys.{kind}"], bodies[f"values.{kind}"]) for kind in (0, 1)]
         self.steps_done = self.grid_step = int(saved["list_step"])
@@ -135,7 +135,7 @@ class SharedMotion(ContactMotion):
         self.now_only(PLACE)
         self.list_pairs(WallsAhead(*saved["ahead"].tolist()))
         values = self.values(0, CHANGING)
-        values[:_POSE, self.is_own] = now.T
+        values[:_POSE_COLUMNS, self.is_own] = now.T
         into_blocks(self.blocks, 0, self.spaced(values))
         memory = self.contact.memory
         extremes = from_floats(saved["extremes"], memory.extremes.dtype)
@@ -152,7 +152,7 @@ class SharedMotion(ContactMotion):
         del skin
         self.put(rows[:, 1 : 2 + GROSS])
         self.lists.histories = histories_of(contacts)
-        return rows[:, 1 + _LISTED :]
+        return rows[:, 1 + _LISTED_COLUMN :]
 
     def put(self, rows: Floats) -> None:
         """Let the bodies here have what `travelling` gives."""
@@ -166,5 +166,5 @@ def initial_rows(state: Floats) -> Floats:
     """Rows of bodies that set off from states (13, n)."""
     rows = np.zeros((state.shape[1], GROSS + 1))
     rows[:, :STATE_ROWS] = state.T
-    rows[:, MOMENTA:GROSS] = state[_POSE:].T
+    rows[:, MOMENTA:GROSS] = state[_POSE_COLUMNS:].T
     return rows

@@ -54,12 +54,12 @@ from particlerb.stepping.motion import (
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 
 LEAST_BODIES: Final = 300  # below, to begin an interval costs more than to step all
-_MOST_STEPS: Final = 2048  # of an interval
-_TO_BEGIN: Final = 15.0  # steps of a body that beginning an interval costs, for every body
-_GROW: Final = 1.3  # of the skin, or its shrinking
-_PRUDENCE: Final = 0.5  # of half the skin that bodies may use up if nothing accelerates them
-_DENSE: Final = 0.6  # share of active bodies from which on all are stepped,
-_DENSE_STEPS: Final = 512  # for so many steps
+_MAX_INTERVAL_STEPS: Final = 2048
+_INTERVAL_COST: Final = 15.0  # steps of a body that beginning an interval costs, for every body
+_SKIN_FACTOR: Final = 1.3  # by which the skin grows or shrinks
+_SKIN_USE_SHARE: Final = 0.5  # of half the skin that bodies may use up if nothing accelerates them
+_DENSE_SHARE: Final = 0.6  # of active bodies from which on all are stepped
+_DENSE_INTERVAL_STEPS: Final = 512
 
 
 def can_fly(method: Method, terms: Terms, n: int) -> bool:
@@ -185,9 +185,9 @@ class DiluteMotion(Motion):
         speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * contact.model.inv_mass
         v = float(speed.max())
         g = 0.0 if gravity is None else float(np.linalg.norm(gravity.acceleration))
-        way = _PRUDENCE * 0.5 * self.skin
+        way = _SKIN_USE_SHARE * 0.5 * self.skin
         longest = 2.0 * way / (v + np.sqrt(v * v + 2.0 * g * way)) if v + g > 0.0 else np.inf
-        return int(np.clip(longest / self.dt, 1, _MOST_STEPS))
+        return int(np.clip(longest / self.dt, 1, _MAX_INTERVAL_STEPS))
 
     def plan(self) -> None:
         """Find the next interval: how long, who is stepped, and, if some fly, where it ends."""
@@ -196,9 +196,9 @@ class DiluteMotion(Motion):
         y = np.vstack(self.state)
         while True:
             self.active = self.within_skin(y, steps)
-            if steps == 1 or self.active.mean() > _DENSE:
+            if steps == 1 or self.active.mean() > _DENSE_SHARE:
                 self.active[:] = True
-                steps = _DENSE_STEPS
+                steps = _DENSE_INTERVAL_STEPS
                 self.shown = self.interval()
                 break
             interval = self.interval()
@@ -216,10 +216,10 @@ class DiluteMotion(Motion):
         """Skin of the next interval, by what this one costs."""
         n, active = self.active.size, int(self.active.sum())
         if active < n:
-            is_short = self.steps < _MOST_STEPS and _TO_BEGIN * n > self.steps * active
-            self.skin *= _GROW if is_short else 1.0 / _GROW
+            is_short = self.steps < _MAX_INTERVAL_STEPS and _INTERVAL_COST * n > self.steps * active
+            self.skin *= _SKIN_FACTOR if is_short else 1.0 / _SKIN_FACTOR
         else:
-            self.skin /= _GROW
+            self.skin /= _SKIN_FACTOR
         self.skin = max(self.skin, 2.0 * self.contact.skin)
         saved, all_steps = self.flown
         self.flown = saved + self.steps * (n - active), all_steps + self.steps * n
@@ -262,7 +262,7 @@ class DiluteMotion(Motion):
     def keep_watch(self) -> None:
         """Raise MotionError where one that has flown overlaps something; now and then."""
         model, n, now = self.contact.model, self.active.size, self.time(self.done)
-        cost = self.method.cost * (_TO_BEGIN * n + self.steps * float(self.active.sum()))
+        cost = self.method.cost * (_INTERVAL_COST * n + self.steps * float(self.active.sum()))
         if not self.watch_of_flights.is_due(n, model.walls.kind.size, cost):
             return
         (com, q, p, L), spheres = self.state, model.spheres

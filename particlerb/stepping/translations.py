@@ -26,8 +26,8 @@ from particlerb.maths.vec3 import (
 )
 from particlerb.model.block import L, Q, put3, put4
 
-_TINY: Final = 1e-300  # in place of |L| = 0
-_SERIES: Final = tuple(1.0 / math.factorial(n) for n in range(20, 2, -1))  # of φ₃, the last first
+_SPIN_FLOOR: Final = 1e-300  # in place of |L| = 0
+_PHI3_TERMS: Final = tuple(1.0 / math.factorial(n) for n in range(20, 2, -1))  # the last first
 GIVEN: Final = 7  # work, impulse, angular impulse
 
 
@@ -79,7 +79,7 @@ def decays(x: float) -> Quat:
     """e^{-x} and φ₁, φ₂, φ₃ of x >= 0, φ_k(x) = Σ (-x)ⁿ/(n + k)!, to a few roundings."""
     small = min(x, 1.0)
     third = 0.0
-    for c in _SERIES:
+    for c in _PHI3_TERMS:
         third = c - small * third
     second = 0.5 - small * third
     first = 1.0 - small * second
@@ -201,7 +201,7 @@ def spun(of: Spinning, lo: int, hi: int, t: float, out: Floats, given: Given) ->
         J = add_scaled(E1, L_b, scale(E2, tau))
         size = math.sqrt(dot(J, J))
         cos, sin, _ = cos_sin_half_turns(0.5 * inverse * size)
-        axis = scale(sin / max(size, _TINY), J)
+        axis = scale(sin / max(size, _SPIN_FLOOR), J)
         put4(out, Q, b, multiply((cos, axis[0], axis[1], axis[2]), load4(q0, b)))
         put3(out, L, b, add_scaled(exp, L_b, scale(E1, tau)))
         work = inverse * (dot(tau, J) - rate * _squared(exp, E1, G, L_b, tau))

@@ -18,9 +18,9 @@ from particlerb.studies.points import Point, Reference
 from particlerb.studies.text import PENALTY, nice_steps
 from particlerb.studies.work_precision import REPEATS, Study
 
-_LONGEST: Final = 4.0  # times the default step: the longest that is tried
-_DEPTH: Final = 0.1  # of the smallest radius: what the softest springs give way, about
-_STIFFER: Final = 10.0  # from spring to spring
+_MAX_STEP_RATIO: Final = 4.0  # of the longest that is tried, over the default step
+_SOFTEST_DEPTH: Final = 0.1  # share of the smallest radius that the softest springs give way, about
+_STIFFNESS_RATIO: Final = 10.0  # from spring to spring
 
 
 class LawStudy(Study):
@@ -40,12 +40,12 @@ class LawStudy(Study):
         speed = float(lengths(system.state.p * system.bodies.inv_mass).max())
         pull = float(np.linalg.norm(system.acceleration))
         energy = mass * (speed * speed + pull * least)
-        return float(f"{max(energy, mass) / (_DEPTH * least) ** 2:.0e}")
+        return float(f"{max(energy, mass) / (_SOFTEST_DEPTH * least) ** 2:.0e}")
 
     def first_step(self) -> float:
         """Longest step of impulses that is worth a trial [s]."""
         segments = [s for group in self.plan("auto").groups for s in group.segments]
-        return min(_LONGEST * min(s.dt for s in segments if s.dt > 0.0), 0.5 * self.t_end)
+        return min(_MAX_STEP_RATIO * min(s.dt for s in segments if s.dt > 0.0), 0.5 * self.t_end)
 
     def unit(self) -> float:
         """Unit of the steps of other engines [s]."""
@@ -65,7 +65,7 @@ class LawStudy(Study):
         """Ever shorter steps [s], or stiffer springs [N/m]."""
         if method != PENALTY:
             return nice_steps(self.first_step())
-        return (self.softest() * _STIFFER**k for k in range(16))
+        return (self.softest() * _STIFFNESS_RATIO**k for k in range(16))
 
     def measured(self, method: str, step: float | None, repeats: int = REPEATS) -> Point:
         """One point; springs are told by their default step."""

@@ -26,14 +26,14 @@ from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.studies.text import aligned, chosen_names
 
-_MOST: Final = 1_000_000  # particles of the finest lattice
-_FEWEST: Final = 1000  # with fewer, some curves have too few n to say anything
+_MAX_PARTICLES: Final = 1_000_000  # of the finest lattice
+_MIN_PARTICLES: Final = 1000  # with fewer, some curves have too few n to say anything
 WANTED: Final = (1e-2, 1e-3, 1e-4)  # errors that the table asks for
-_FINEST_CELLS: Final = 32  # as every n is exact
-_NEAR: Final = 1.25  # n and m are neighbours if neither exceeds the other by this factor
-_CLEAN: Final = 1.02  # largest factor between the errors and a power of n that is called an order
-_ROUNDING: Final = 1e-13  # of sums and of integrals over cells
-_ENOUGH: Final = 8  # errors, over a factor of 4 in n, before anything is called an order
+_MAX_CELLS: Final = 32  # as every n is exact
+_NEIGHBOUR_RATIO: Final = 1.25  # n and m are neighbours if neither exceeds the other by this factor
+_MAX_SCATTER: Final = 1.02  # ratio of errors to a power of n that is called an order
+_ERROR_ROUNDING: Final = 1e-13  # of sums and of integrals over cells
+_MIN_ERRORS: Final = 8  # over a factor of 4 in n, before anything is called an order
 _EXPLANATION: Final = """\
 tried: every n whose set has at most {most} particles, of cells up to n = {cells}
 error: of the tensor, spectral norm, relative; of the com in radii of gyration if larger
@@ -123,7 +123,7 @@ class Convergence(NamedTuple):
 
 def converge(
     shapes: Sequence[str] = (),
-    most: int = _MOST,
+    most: int = _MAX_PARTICLES,
     progress: Callable[[int], object] = lambda _: None,
 ) -> Convergence:
     """Errors of the summed mass properties for every n, from the coarsest lattice on.
@@ -142,8 +142,8 @@ def converge(
     ValueError
         If a shape has no analytic tensor here, or `most` is below 1000.
     """
-    if most < _FEWEST:
-        raise ValueError(f"most is {most}: {_FEWEST} particles or more are needed")
+    if most < _MIN_PARTICLES:
+        raise ValueError(f"most is {most}: {_MIN_PARTICLES} particles or more are needed")
     curves = []
     for name, arrangement in arrangements(shapes):
         curves.append(curve_of(name, arrangement, most))
@@ -177,7 +177,7 @@ def _sets(solid: _ReferenceSolid, arrangement: str, most: int) -> Iterator[tuple
     if arrangement == "exact":
         yield 0, solid.filled(arrangement="exact")
         return
-    limit = _FINEST_CELLS if arrangement == "cells" else solid.finest
+    limit = _MAX_CELLS if arrangement == "cells" else solid.finest
     finest = int(min(limit, 2.0 * math.cbrt(most)))
     for n in range(solid.coarsest, finest + 1):
         particles = solid.filled(n=n, arrangement=arrangement)
@@ -210,7 +210,7 @@ class _Need(NamedTuple):
 
 def is_exact(curve: Curve) -> bool:
     """Whether nothing is left but rounding, for every n."""
-    return bool((curve.error <= _ROUNDING).all())
+    return bool((curve.error <= _ERROR_ROUNDING).all())
 
 
 def order(curve: Curve) -> float:
@@ -219,11 +219,11 @@ def order(curve: Curve) -> float:
     A straight line through log errors, by least squares; 8 errors over a factor of 4 in n at least.
     """
     n, error = curve.n, curve.error
-    if len(n) < _ENOUGH or n[-1] < 4 * n[0] or not (error > _ROUNDING).all():
+    if len(n) < _MIN_ERRORS or n[-1] < 4 * n[0] or not (error > _ERROR_ROUNDING).all():
         return math.nan
     slope, height = np.polyfit(np.log(n), np.log(error), 1)
     distance = np.abs(np.log(error) - (slope * np.log(n) + height)).max()
-    return -float(slope) if distance <= math.log(_CLEAN) else math.nan
+    return -float(slope) if distance <= math.log(_MAX_SCATTER) else math.nan
 
 
 def spread(curve: Curve) -> _ErrorSpread:
@@ -233,7 +233,7 @@ def spread(curve: Curve) -> _ErrorSpread:
     the centre of one: the two places that a centred lattice can have.
     """
     n, error = curve.n, curve.error
-    near = [error[(n >= m / _NEAR) & (n <= _NEAR * m)] for m in n]
+    near = [error[(n >= m / _NEIGHBOUR_RATIO) & (n <= _NEIGHBOUR_RATIO * m)] for m in n]
     return _ErrorSpread(*(np.array([f(e) for e in near]) for f in (np.min, np.median, np.max)))
 
 
@@ -249,12 +249,12 @@ def is_confirmed(curve: Curve) -> Bools:
     """
     if is_exact(curve) or math.isfinite(order(curve)):
         return np.ones(len(curve.n), dtype=np.bool_)
-    return np.asarray(_NEAR * curve.n <= curve.n[-1])
+    return np.asarray(_NEIGHBOUR_RATIO * curve.n <= curve.n[-1])
 
 
 def needed(curve: Curve, wanted: float) -> _Need:
     """Smallest n from which on every n that was tried has at most the wanted error."""
-    below = settled(curve) <= wanted + _ROUNDING
+    below = settled(curve) <= wanted + _ERROR_ROUNDING
     holds = np.flatnonzero(below & is_confirmed(curve))
     if len(holds):
         return _Need(int(curve.n[holds[0]]), int(curve.particles[holds[0]]), True)
@@ -278,7 +278,7 @@ def table(convergence: Convergence) -> str:
         for c in convergence.curves
     ]
     return f"{aligned([head, *rows])}\n\n" + _EXPLANATION.format(
-        most=convergence.most, cells=_FINEST_CELLS
+        most=convergence.most, cells=_MAX_CELLS
     )
 
 
@@ -290,9 +290,9 @@ def _law_text(curve: Curve) -> str:
     p = order(curve)
     if math.isfinite(p):
         return f"1/n^{p:.2f}"
-    k = int(np.searchsorted(_NEAR * curve.n, curve.n[-1], side="right")) - 1
+    k = int(np.searchsorted(_NEIGHBOUR_RATIO * curve.n, curve.n[-1], side="right")) - 1
     numbers = " ".join(f"{values[k]:.0e}" for values in spread(curve))
-    return f"no order: {numbers} for n {math.ceil(curve.n[k] / _NEAR)}-{curve.n[-1]}"
+    return f"no order: {numbers} for n {math.ceil(curve.n[k] / _NEIGHBOUR_RATIO)}-{curve.n[-1]}"
 
 
 def _need_text(need: _Need) -> str:

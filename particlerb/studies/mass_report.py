@@ -26,7 +26,7 @@ from particlerb.rotors.rotor_class import NAMES, POINT
 from particlerb.studies.text import count_of
 
 _UNIT_ROUNDOFF: Final = 2.0**-53
-_LARGEST_DEFICIT: Final = 64 * _UNIT_ROUNDOFF  # of I3: below 0 by so much is rounding
+_MAX_DEFICIT: Final = 64 * _UNIT_ROUNDOFF  # of I3: below 0 by so much is rounding
 _PER_CENT: Final = 100.0
 
 
@@ -64,7 +64,7 @@ def record_of(
     """
     mass, com, tensor, moments, axes, code = (array[k] for array in properties)
     excess = float(moments[0] + moments[1] - moments[2])
-    if moments[0] < 0.0 or excess < -_LARGEST_DEFICIT * moments[2]:
+    if moments[0] < 0.0 or excess < -_MAX_DEFICIT * moments[2]:
         raise ValueError(f"{name}: {impossible(moments)}")
     ratio = {key: float(value[0]) for key, value in _ratios_of(properties, k)._asdict().items()}
     rounding = _rounding_error(0.0 if code == POINT else ratio["offset"])

@@ -104,20 +104,20 @@ def variants_of(engine: Engine, system: System) -> dict[str, Sequence[float]]:
     return dict(getattr(engine, "SPRINGS", engine.VARIANTS) if has_springs else engine.VARIANTS)
 
 
-_GIVEN: Final = "other engines take gravity, springs and constant pushes in the world frame only"
-_NONE: Final = "other engines, and what charts are measured against, have no {}"
-_ALONE: Final = "other engines are given attraction of points alone, of one particle each"
+_FORCES: Final = "other engines take gravity, springs and constant pushes in the world frame only"
+_NONE_REASON: Final = "other engines, and what charts are measured against, have no {}"
+_ATTRACTION: Final = "other engines are given attraction of points alone, of one particle each"
 
 
 def _refuse_what_they_lack(system: System) -> None:
     """Raise a ValueError where joints or bodies are or do what the adapters have no word for."""
     acting = *ACTIONS, "drive", "during", "breaks_at"
     if any(getattr(t, k) for t in system.joint for k in acting):
-        raise ValueError(_GIVEN)
+        raise ValueError(_FORCES)
     if any(table.type in ROLLING for table in system.joint):
-        raise ValueError(_NONE.format("gears, racks or screws"))
+        raise ValueError(_NONE_REASON.format("gears, racks or screws"))
     if any(body.fixed or body.motion is not None for body in system.body):
-        raise ValueError(_NONE.format("bodies that are fixed or have a motion"))
+        raise ValueError(_NONE_REASON.format("bodies that are fixed or have a motion"))
 
 
 def peer_scene(system: System) -> PeerScene:
@@ -142,9 +142,9 @@ def peer_scene(system: System) -> PeerScene:
         if number in {link.number for link in links}:
             continue
         if not isinstance(force, PushTable) or force.frame != "world":
-            raise ValueError(_GIVEN)
+            raise ValueError(_FORCES)
         if force.timed is not None or force.during is not None:
-            raise ValueError(_GIVEN)
+            raise ValueError(_FORCES)
         for b in system.names.find(force.body).tolist():
             at = _to_rotor(bodies.rotor_frame[:, b], force.at)
             pushes.append(types.Push(b, at, np.array(force.force)))
@@ -184,7 +184,7 @@ def _attracting(system: System, types: ModuleType) -> PeerScene:
     assert table is not None
     acts = system.force or system.joint or system.acceleration.any() or table.body is not None
     if acts or (np.diff(system.particles.offset)[system.kind] > 1).any():
-        raise ValueError(_ALONE)
+        raise ValueError(_ATTRACTION)
     return _bodies_of(system, types)._replace(attraction=(table.G, table.softening))
 
 

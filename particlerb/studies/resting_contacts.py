@@ -24,9 +24,9 @@ from particlerb.studies.stability_runs import StabilityScene, history, scene
 RATIOS: Final = (0.0, 0.2, 0.5, 1.0)  # ζ
 _RADIUS: Final = 100.0  # [m] far more than the overlap of the weight, 1 m or less
 _TOUCH: Final = 1e-6  # of that overlap: what the ball is off at first
-_STEPS: Final = 240
-_LOOKED_AT: Final = 30  # steps at half the time, and at the end
-_HALVINGS: Final = 16  # of steps hω up to 8
+_N_STEPS: Final = 240
+_STEPS_SAMPLED: Final = 30  # at half the time, and at the end
+_MAX_HALVINGS: Final = 16  # of steps hω up to 8
 
 
 def resting(z: float, zeta: float) -> tuple[StabilityScene, float]:
@@ -56,16 +56,16 @@ def resting(z: float, zeta: float) -> tuple[StabilityScene, float]:
 def grows(method: str, z: float, zeta: float) -> bool:
     """Whether the ball oscillates more and more: at the end more than at half the time."""
     moved, deep = resting(z, zeta)
-    looked_at = np.arange(_LOOKED_AT)
+    looked_at = np.arange(_STEPS_SAMPLED)
     times = 1.0 + np.concatenate(
-        [_STEPS // 2 - _LOOKED_AT + looked_at, _STEPS - _LOOKED_AT + looked_at]
+        [_N_STEPS // 2 - _STEPS_SAMPLED + looked_at, _N_STEPS - _STEPS_SAMPLED + looked_at]
     )
     try:
         frames = history(moved, method, 1.0, times.astype(np.float64))
     except MotionError:
         return True
     off = np.abs(frames.position[:, 0, 2] - (_RADIUS - deep)) / (_TOUCH * deep)
-    first, last = off[:_LOOKED_AT].max(), off[_LOOKED_AT:].max()
+    first, last = off[:_STEPS_SAMPLED].max(), off[_STEPS_SAMPLED:].max()
     beats = 1.0 if zeta > 0.0 else 1.1  # undamped ones near the limit
     return not last < 1e3 or bool(last > beats * first and last > 1e-2)
 
@@ -73,7 +73,7 @@ def grows(method: str, z: float, zeta: float) -> bool:
 def measured(method: str, zeta: float) -> float:
     """Largest hω at which the ball stays at rest, by bisection."""
     low, high = 0.0, 8.0
-    for _ in range(_HALVINGS):
+    for _ in range(_MAX_HALVINGS):
         z = 0.5 * (low + high)
         low, high = (low, z) if grows(method, z, zeta) else (z, high)
     return low

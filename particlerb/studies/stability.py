@@ -28,19 +28,19 @@ from particlerb.studies.stability_limits import LIMITS, Limit, limits_of, tops
 from particlerb.studies.tension_modes import tension_limits
 from particlerb.studies.text import chosen_names
 
-_BUDGET: Final = 240.0  # [s] of two cores for all methods, without compilation
-_LONGER: Final = 100  # a drift has so many times the turns of a map
+_BUDGET_SECONDS: Final = 240.0  # of two cores for all methods, without compilation
+_DRIFT_TURNS_RATIO: Final = 100  # a drift has so many times the turns of a map
 PACES: Final = np.geomspace(0.02, 4.0, 40)  # h|ω| of the rows of a map
 _TOLERANCES: Final = np.geomspace(1e-12, 1e-2, 11)  # in their place for adaptive methods
 COLUMNS: Final = 33  # of a map, with the default budget
 _ADAPTIVE_COLUMNS: Final = 13
-_MOST_COLUMNS: Final = 99  # two families are one block of bodies
-_LEAST_PACE: Final = {"rkn6": 0.1, "force_gradient": 0.1}
+_MAX_COLUMNS: Final = 99  # two families are one block of bodies
+_MIN_PACE: Final = {"rkn6": 0.1, "force_gradient": 0.1}
 """Below, a row costs as much as all others."""
 _DRIFT_PACE: Final = 0.25  # h|ω| of a drift
 _DRIFT_PACES: Final = {"rkn6": 0.5, "force_gradient": 0.5}
 """Where it is another: many kicks, and errors above rounding."""
-_FOR_JOINTS: Final = tuple(name for name, method in METHODS.items() if method.holds_joints)
+_JOINT_METHODS: Final = tuple(name for name, method in METHODS.items() if method.holds_joints)
 FREE: Final = "free body"
 
 
@@ -71,13 +71,13 @@ def _paces(method: str) -> Floats:
         return _TOLERANCES
     if not METHODS[method].order:
         return np.zeros(1)
-    return PACES[_LEAST_PACE.get(method, 0.0) <= PACES]
+    return PACES[_MIN_PACE.get(method, 0.0) <= PACES]
 
 
 def _columns_of(method: str, budget: float) -> int:
     """Columns of the maps of a method: an odd number, so that one is on the separatrix."""
     most = _ADAPTIVE_COLUMNS if METHODS[method].is_adaptive else COLUMNS
-    return min(max(int(most * budget / _BUDGET) // 2 * 2 + 1, 5), _MOST_COLUMNS)
+    return min(max(int(most * budget / _BUDGET_SECONDS) // 2 * 2 + 1, 5), _MAX_COLUMNS)
 
 
 def _maps_of(
@@ -187,7 +187,7 @@ _Key = tuple[str, ...]
 
 def stability(
     methods: Sequence[str] = (),
-    budget: float = _BUDGET,
+    budget: float = _BUDGET_SECONDS,
     progress: Callable[[int], object] = lambda _: None,
     turns: float = stability_runs.TURNS,
 ) -> Stability:
@@ -216,7 +216,7 @@ def stability(
     done = dict(zip(tasks, _in_parallel(list(tasks.values()), progress), strict=True))
     maps: list[Map] = []
     for method in _chosen(methods):
-        if method in _FOR_JOINTS:
+        if method in _JOINT_METHODS:
             continue
         rows = [value for key, value in done.items() if key[:2] == ("row", method)]
         maps += _maps_of(method, _columns_of(method, budget), rows)
@@ -227,18 +227,18 @@ def stability(
 
 def _chosen(methods: Sequence[str]) -> list[str]:
     """Names of methods; none were asked for: all but those for joints."""
-    return chosen_names(methods or UNJOINTED, (*UNJOINTED, *_FOR_JOINTS), "method")
+    return chosen_names(methods or UNJOINTED, (*UNJOINTED, *_JOINT_METHODS), "method")
 
 
 def _tasks_of(
-    methods: Sequence[str], budget: float = _BUDGET, turns: float = stability_runs.TURNS
+    methods: Sequence[str], budget: float = _BUDGET_SECONDS, turns: float = stability_runs.TURNS
 ) -> dict[_Key, Callable[[], Any]]:
     """What there is to do, the longest first."""
-    for_joints = [name for name in _chosen(methods) if name in _FOR_JOINTS]
-    names = [name for name in _chosen(methods) if name not in _FOR_JOINTS]
+    for_joints = [name for name in _chosen(methods) if name in _JOINT_METHODS]
+    names = [name for name in _chosen(methods) if name not in _JOINT_METHODS]
     stepped = [name for name in names if name in LIMITS]
     tasks: dict[_Key, Callable[[], Any]] = {
-        ("drift", name, motion): partial(drift_of, name, motion, _LONGER * turns)
+        ("drift", name, motion): partial(drift_of, name, motion, _DRIFT_TURNS_RATIO * turns)
         for motion in reversed(MOTIONS)
         for name in stepped
     }

@@ -35,7 +35,7 @@ from particlerb.studies.stability_runs import (
     unit_vectors,
 )
 
-_LINGERING: Final = 100_000  # steps where growth sets in slowly beyond the limit
+_LINGERING_STEPS: Final = 100_000  # where growth sets in slowly beyond the limit
 
 
 # Measured
@@ -303,7 +303,7 @@ def undamped(theory: float, **libration: Any) -> Iterator[_LimitCase]:
 def damped(theory: Callable[[float], float], *zetas: float) -> Iterator[_LimitCase]:
     """Oscillators with drag."""
     for zeta in zetas:
-        measure = partial(limit, make=partial(_oscillators, zeta=zeta), steps=_LINGERING)
+        measure = partial(limit, make=partial(_oscillators, zeta=zeta), steps=_LINGERING_STEPS)
         yield _LimitCase(f"damped, ζ = {zeta}: largest hω", theory(zeta), measure)
 
 
@@ -325,7 +325,7 @@ def _symmetric_top(theory: float) -> _LimitCase:
     return _LimitCase(name, theory, partial(_top_gain, z=0.2))
 
 
-_QUATERNION: Final = _LimitCase(
+_QUATERNION_LIMIT: Final = _LimitCase(
     "turn of a step with hω = 1", 2.0 * math.atan(0.5), partial(_turn_in_a_step, z=1.0)
 )
 """A step q + ½ h q ω, normalised, turns by 2 atan(hω/2)."""
@@ -358,24 +358,24 @@ def rk4() -> Iterator[_LimitCase]:
     """The imaginary and the real axis of the stability region."""
     yield from undamped(math.sqrt(8.0), steps=300)
     yield from _energy_factors(lambda z: -(z**6) / 72.0 + z**8 / 576.0, 0.5, 1.0, 2.0)
-    yield _drag_alone(root(lambda z: rk4_factor(-z).real - 1.0, 1.0, 4.0), steps=_LINGERING)
+    yield _drag_alone(root(lambda z: rk4_factor(-z).real - 1.0, 1.0, 4.0), steps=_LINGERING_STEPS)
 
 
 def semi_implicit_euler() -> Iterator[_LimitCase]:
     """Velocities first, drag at the old velocity; backward Euler for the gyroscopic term."""
     yield from undamped(2.0)
     yield from damped(damped_semi_implicit, 0.2, 0.5, 1.0)
-    yield _drag_alone(2.0, steps=_LINGERING)
+    yield _drag_alone(2.0, steps=_LINGERING_STEPS)
     yield _symmetric_top(1.0 / (1.0 + 0.1**2) - 1.0)
-    yield _QUATERNION
+    yield _QUATERNION_LIMIT
 
 
 def explicit_euler(top: float = 0.1**2) -> Iterator[_LimitCase]:
     """Rates at the old state: those of the body."""
     yield from _energy_factors(lambda z: z**2, 0.1, 1.0)
     yield from damped(lambda zeta: 2.0 * zeta, 0.2, 0.5)
-    yield _drag_alone(2.0, steps=_LINGERING)
-    yield _QUATERNION
+    yield _drag_alone(2.0, steps=_LINGERING_STEPS)
+    yield _QUATERNION_LIMIT
     yield _symmetric_top(top)
 
 
@@ -384,11 +384,11 @@ def momentum_euler() -> Iterator[_LimitCase]:
     return explicit_euler(1.5 * (1.5 - 1.0) * 0.2**2 / (1.0 + 0.1**2))
 
 
-_BY_NAME: Final = (
+_NAMED_LIMITS: Final = (
     strang, force_gradient_limits, rkn6, rk4, semi_implicit_euler, explicit_euler, momentum_euler,
 )  # fmt: skip
 LIMITS: Final[dict[str, Callable[[], Iterator[_LimitCase]]]] = {
-    case.__name__.removesuffix("_limits"): case for case in _BY_NAME
+    case.__name__.removesuffix("_limits"): case for case in _NAMED_LIMITS
 }
 
 

@@ -28,13 +28,13 @@ from particlerb.stepping.begin import begin
 from particlerb.stepping.motion import SegmentGroup
 
 TURNS: Final = 1e4  # of each body of a map
-_EVERY: Final = 0.25  # [s] grid of the times of methods without a step of their own
+_GRID_STEP: Final = 0.25  # [s] grid of the times of methods without a step of their own
 SMALL: Final = 1e-3  # relative error of the energy up to which a run is called accurate
 LARGE: Final = 0.1
-_GROWTH: Final = 1.5  # of the worst error from the first half of a run to the second
-_ROUNDING: Final = 1e-10  # a worst error below is not called growing: sums of rounding errors grow
+_MIN_GROWTH_RATIO: Final = 1.5  # of the worst error from the first half of a run to the second
+_MIN_ERROR: Final = 1e-10  # a worst error below is not growing: sums of rounding errors grow
 MOMENTS: Final = np.array([1.0, 2.0, 3.0])  # [kg m²] of bodies where the shape does not matter
-_NEEDLE: Final = 0.05  # side ratio of the thinnest plate, and thickness of the needle
+_NEEDLE_RATIO: Final = 0.05  # of sides of the thinnest plate, and thickness of the needle
 
 _UPRIGHT: Final = (1.0, 0.0, 0.0, 0.0)
 VERDICTS: Final = (
@@ -191,7 +191,7 @@ def outcome(times: Floats, errors: Floats) -> StabilityOutcome:
     errors = np.where(np.isfinite(errors), errors, np.inf)
     first = errors[times <= 0.5 * times[-1]].max(axis=0)
     worst = errors.max(axis=0)
-    grows = (worst > _GROWTH * first) & (worst > _ROUNDING)
+    grows = (worst > _MIN_GROWTH_RATIO * first) & (worst > _MIN_ERROR)
     small = worst <= SMALL
     verdict = np.select(
         [np.isinf(worst), grows & small, grows, small],
@@ -211,9 +211,9 @@ def plates(columns: int) -> tuple[Floats, Floats, Floats]:
 
     Side ratio b/a (0: the needle), moments (r², 1, 1 + r²), and a spin with equal components.
     """
-    ratio = np.linspace(_NEEDLE, 1.0, columns - 1)
+    ratio = np.linspace(_NEEDLE_RATIO, 1.0, columns - 1)
     flat = np.stack([ratio**2, np.ones(columns - 1), 1.0 + ratio**2], axis=1)
-    inertia = np.vstack([[_NEEDLE**2, 1.0, 1.0], flat])
+    inertia = np.vstack([[_NEEDLE_RATIO**2, 1.0, 1.0], flat])
     omega = np.full((columns, 3), 1.0 / math.sqrt(3.0))
     return np.append(0.0, ratio), inertia, omega
 
@@ -244,7 +244,7 @@ def row_of(method: str, pace: float, columns: int, turns: float) -> StabilityOut
     )
     free = scene(inertia, omega)
     is_stepped = METHODS[method].order and not METHODS[method].is_adaptive
-    dt = pace if is_stepped else _EVERY
+    dt = pace if is_stepped else _GRID_STEP
     times = sampling(dt, turns)
     frames = history(free, method, dt, times, pace, chunks=20)
     return outcome(times, energy_errors(free, frames))

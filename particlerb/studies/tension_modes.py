@@ -20,10 +20,10 @@ from particlerb.studies.stability_limits import Limit, limit, splitting_limit
 from particlerb.studies.stability_runs import StabilityScene, bodies_of, history, scene
 
 _GRAVITY: Final = 1e-5  # [m/s²] so that in a step of 1 s the heavy point falls far less than 1 m
-_PUSHED: Final = 1e-10  # [m] across the rods at first,
-_LARGE: Final = 1e-6  # and what no bounded motion reaches; far more changes the tension
-_STEPS: Final = 1000
-_RANGE: Final = 1.9, 3.4  # of hω: the first resonances are narrow
+_FIRST_DISPLACEMENT: Final = 1e-10  # [m] across the rods
+_MAX_BOUNDED_DISPLACEMENT: Final = 1e-6  # [m]; far more changes the tension
+_N_STEPS: Final = 1000
+_LIMIT_RANGE: Final = 1.9, 3.4  # of hω: the first resonances are narrow
 
 
 def tense(z: Floats) -> StabilityScene:
@@ -40,7 +40,7 @@ def tense(z: Floats) -> StabilityScene:
     joints = joints_among(np.arange(2 * n), np.arange(2 * n + 1), rows, bodies, NO_ACTIONS)
     gravity = UniformGravity(bodies.mass, np.array([0.0, 0.0, -_GRAVITY]))
     moved = scene(np.zeros(3), np.zeros((2 * n, 3)), Terms(gravity=gravity, joints=joints))
-    moved.state.com[0, :n], moved.state.com[2] = _PUSHED, np.repeat([-1.0, -2.0], n)
+    moved.state.com[0, :n], moved.state.com[2] = _FIRST_DISPLACEMENT, np.repeat([-1.0, -2.0], n)
     return moved._replace(bodies=bodies)
 
 
@@ -48,12 +48,12 @@ def stays_across(method: str, moved: StabilityScene, steps: int) -> Bools:
     """Whether so many steps of 1 s leave the points near the line of the rods."""
     frames = history(moved, method, 1.0, np.rint(steps * np.linspace(0.125, 1.0, 8)))
     with np.errstate(invalid="ignore"):
-        return np.asarray((np.abs(frames.position[..., 0]) < _LARGE).all(axis=0))
+        return np.asarray((np.abs(frames.position[..., 0]) < _MAX_BOUNDED_DISPLACEMENT).all(axis=0))
 
 
 def tension_limits(method: str) -> tuple[Limit]:
     """Largest hω of `rattle` or a composition of it."""
-    largest = limit(method, tense, *_RANGE, steps=_STEPS, is_bounded=stays_across)
+    largest = limit(method, tense, *_LIMIT_RANGE, steps=_N_STEPS, is_bounded=stays_across)
     return (Limit(method, "tension in rods: largest hω", theory_of(method), largest),)
 
 

@@ -8,7 +8,7 @@ from particlerb.integrators import JOINTED, UNJOINTED
 from particlerb.model.system import System
 
 PENALTY: Final = "strang"  # with springs, on a chart of contact by impulses
-_NICE: Final = (5.0, 2.0, 1.0)
+_NICE_DIGITS: Final = (5.0, 2.0, 1.0)
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:
@@ -44,7 +44,7 @@ def nice_steps(longest: float) -> Iterator[float]:
     """Steps 5, 2, 1 times a power of ten, descending from the longest."""
     exponent = math.floor(math.log10(longest))
     for power in range(exponent, exponent - 16, -1):
-        for digit in _NICE:
+        for digit in _NICE_DIGITS:
             step = float(f"{digit:.0f}e{power}")
             if step <= longest:
                 yield step

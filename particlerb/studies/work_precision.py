@@ -57,23 +57,23 @@ from particlerb.studies.points import LOST, Point, Reference, failure
 from particlerb.studies.text import nice_steps
 
 REPEATS: Final = 5  # at least,
-_LEAST_POINTS: Final = 3  # of a curve, unless the next takes twice the time that there is
-_LONG: Final = 0.5  # s; but none of a run that takes longer, which is disturbed less
-_MOST_REPEATS: Final = 41
-_FILLED: Final = 0.02  # s that the repeats of a short run should fill: longer than a time slice
+_MIN_POINTS: Final = 3  # of a curve, unless the next takes twice the time that there is
+_LONG_RUN_SECONDS: Final = 0.5  # a run that takes longer is not repeated: it is disturbed less
+_MAX_REPEATS: Final = 41
+_REPEATED_SECONDS: Final = 0.02  # that repeats of a short run fill: longer than a time slice
 FIRST_TURN: Final = 20.0  # rad of the longest step that is tried: a drift in closed form bears it
-_FIRST_JOINTED: Final = 2.0  # rad of a link against its tension
-_FIRST_CONTACT: Final = 0.5  # of the stability limit of contacts, for the longest step
+_FIRST_JOINTED_TURN: Final = 2.0  # rad of a link against its tension
+_FIRST_CONTACT_SHARE: Final = 0.5  # of the stability limit of contacts, for the longest step
 _USUAL_ERROR: Final = 1e-6
-_USUAL_ENERGY: Final = 1e-3  # beside other engines
-_MOST_FRAMES: Final = 2000  # at which the energy of contact is looked at
-_SAMPLED: Final = 8  # packs of sixteen bodies that are judged
+_USUAL_ENERGY_ERROR: Final = 1e-3  # beside other engines
+_MAX_ENERGY_FRAMES: Final = 2000  # at which the energy of contact is looked at
+_PACKS_SAMPLED: Final = 8  # of sixteen bodies that are judged
 _WAYPOINTS: Final = 32  # times at which the path of a body is summed up
-_COMPARED: Final = 64  # times at which the energy of contact is set beside that of other engines
+_TIMES_COMPARED: Final = 64  # at which the energy of contact is set beside that of other engines
 _COARSEST_TOLERANCE: Final = 1e-3
 _FINEST_TOLERANCE: Final = 1e-14
 _REFERENCE_SHARE: Final = 0.25  # of the time that may be spent
-_ROUNDING: Final = float(np.finfo(np.float64).eps)
+_UNIT_ROUNDING: Final = float(np.finfo(np.float64).eps)
 
 Progress = Callable[[int], object]
 
@@ -86,7 +86,7 @@ class Study:
         self.t_end = system.run.t_end
         auto = self.plan("auto")
         segments = [segment for group in auto.groups for segment in group.segments]
-        self.which: Ints = sample(self.system, auto, self.t_end, _SAMPLED)
+        self.which: Ints = sample(self.system, auto, self.t_end, _PACKS_SAMPLED)
         self.rate = max(fastest_rate(self.system, g, self.t_end) for g in auto.groups)
         self.is_free = not any(has_step(s.method) for s in segments)
         self.contacts = [(s.method, c) for s in segments if (c := s.terms.contact) is not None]
@@ -100,10 +100,10 @@ class Study:
     def way_points(self) -> Floats:
         """Times at which runs are looked at [s]; where bodies touch, those of the case's frames."""
         if self.is_compared:
-            return np.linspace(0.0, self.t_end, _COMPARED + 1)[1:]
-        if self.by_energy and frame_count(self.system.run) - 1 <= _MOST_FRAMES:
+            return np.linspace(0.0, self.t_end, _TIMES_COMPARED + 1)[1:]
+        if self.by_energy and frame_count(self.system.run) - 1 <= _MAX_ENERGY_FRAMES:
             return frame_times(self.system.run, 1)
-        n = _MOST_FRAMES if self.by_energy else _WAYPOINTS
+        n = _MAX_ENERGY_FRAMES if self.by_energy else _WAYPOINTS
         return np.linspace(0.0, self.t_end, n + 1)[1:]
 
     def plan(self, method: str, step: float | None = None) -> Plan:
@@ -130,7 +130,7 @@ class Study:
     def usual_target(self) -> float:
         """Error for which advice is given unasked."""
         if self.is_compared:
-            return _USUAL_ENERGY
+            return _USUAL_ENERGY_ERROR
         return (self.by_energy and self.system.check.energy_drift) or _USUAL_ERROR
 
     def words_of(self, engine: Engine) -> str:
@@ -162,11 +162,11 @@ class Study:
         """Closed form, or two methods that agree."""
         if self.is_free:
             spin = np.linalg.norm(omega_world(self.system.bodies, self.system.state), axis=0).max()
-            floor = _ROUNDING * max(1.0, float(spin) * self.t_end)
+            floor = _UNIT_ROUNDING * max(1.0, float(spin) * self.t_end)
             return Reference(self.states("auto", None), "the closed form", floor)
         if self.by_energy:
             frames = as_frame(self.system.bodies, self.system.state)  # nothing is compared with it
-            what, floor = "the energy balance", _ROUNDING
+            what, floor = "the energy balance", _UNIT_ROUNDING
             if self.is_compared:
                 what, floor = self.converge(budget)
             return Reference(frames, what, floor)
@@ -222,8 +222,8 @@ class Study:
 
     def first_step(self) -> float:
         """Longest step that is worth a trial [s]."""
-        first = _FIRST_CONTACT * self.contact_limit() if self.by_energy else FIRST_TURN
-        first = _FIRST_JOINTED if self.system.joint and not self.by_energy else first
+        first = _FIRST_CONTACT_SHARE * self.contact_limit() if self.by_energy else FIRST_TURN
+        first = _FIRST_JOINTED_TURN if self.system.joint and not self.by_energy else first
         return min(first / self.rate, 0.5 * self.t_end) if self.rate > 0.0 else 0.5 * self.t_end
 
     def contact_limit(self) -> float:
@@ -277,8 +277,8 @@ class Study:
                 stays = stays + 1 if point.size > 0.7 * best else 0
                 best = min(best, point.size)
             is_done = best < 3.0 * self.reference.floor or (stays > 1 and best < 1e-3)
-            ahead = 2.2 * (1 if point.seconds > _LONG else 1 + REPEATS) * point.seconds
-            is_curve = n_points >= _LEAST_POINTS or ahead > 2.0 * budget
+            ahead = 2.2 * (1 if point.seconds > _LONG_RUN_SECONDS else 1 + REPEATS) * point.seconds
+            is_curve = n_points >= _MIN_POINTS or ahead > 2.0 * budget
             if is_done or (is_curve and spent + ahead > budget):
                 return
 
@@ -302,10 +302,10 @@ class Study:
             error = Error(off, off, 0.0)
         if not self.by_energy:
             error = errors(judged, self.times, frames, self.reference.frames)[-1]
-        if spent < _LONG or self.which.size < self.system.n_bodies:
+        if spent < _LONG_RUN_SECONDS or self.which.size < self.system.n_bodies:
             all_bodies = part(self.system, plan, np.arange(self.system.n_bodies))
             times = [seconds(all_bodies, self.t_end) for _ in range(repeats)]
-            while repeats > 1 and sum(times) < _FILLED and len(times) < _MOST_REPEATS:
+            while repeats > 1 and sum(times) < _REPEATED_SECONDS and len(times) < _MAX_REPEATS:
                 times.append(seconds(all_bodies, self.t_end))
             spent = float(np.median(times))
         return to_point(spent, error, energy, spin, self.failure_of(error))

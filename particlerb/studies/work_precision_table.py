@@ -7,7 +7,7 @@ from typing import Final
 from particlerb.studies.points import BESIDE, POSE, Point, WorkPrecision
 from particlerb.studies.text import count_of
 
-_POSES: Final = ("worst rad", "rms rad", "position", "energy")
+_ERROR_HEADS: Final = ("worst rad", "rms rad", "position", "energy")
 
 
 def frontier(points: Sequence[Point]) -> list[Point]:
@@ -70,7 +70,7 @@ def table(chart: WorkPrecision) -> str:
     bodies = count_of(chart.n_bodies, "body", "bodies")
     sampled = f"; errors of {chart.n_sampled} sampled bodies"
     front = {id(point) for point in frontier(chart.points)}
-    first = ("error", "", "", "balance") if chart.measure == BESIDE else _POSES
+    first = ("error", "", "", "balance") if chart.measure == BESIDE else _ERROR_HEADS
     heads = columns(chart, (*first, "|L|"))
     return "\n".join(
         [

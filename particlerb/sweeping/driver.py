@@ -29,15 +29,15 @@ from particlerb.sweeping.together import may_share
 from particlerb.sweeping.variants import Variant, built, label, variants
 from particlerb.sweeping.worker import Task, work
 
-_HOW: Final = "give it a table [sweep], or --axis 'run.t_end=[1, 2]', in Python axes"
-_ATTEMPTS: Final = 3  # of a task whose worker dies
-_STARTS: Final = 20  # of workers that die before they do anything
+_AXIS_HINT: Final = "give it a table [sweep], or --axis 'run.t_end=[1, 2]', in Python axes"
+_MAX_ATTEMPTS: Final = 3  # of a task whose worker dies
+_MAX_STARTS: Final = 20  # of workers that die before they do anything
 _DIED: Final = "the worker died"
-_MOST_IN_TASK: Final = 16  # variants that run one after the other,
-_MOST_IN_BATCH: Final = 1024  # or together
-_SECONDS_IN_BATCH: Final = 1e-4  # of a variant beside its motion, about,
-_SECONDS_PER_STEP: Final = 2e-8  # and of a step of one of its bodies,
-_SECONDS_PER_TOUCH: Final = 4e-7  # or of one that may touch
+_MAX_VARIANTS_IN_TASK: Final = 16  # that run one after the other
+_MAX_VARIANTS_IN_BATCH: Final = 1024  # that run together
+_SECONDS_PER_VARIANT: Final = 1e-4  # beside its motion, about
+_SECONDS_PER_BODY_STEP: Final = 2e-8
+_SECONDS_PER_CONTACT_STEP: Final = 4e-7  # of a body that may touch
 
 Progress = Callable[[int], object]
 Pool = Callable[[], AbstractContextManager[Executor]]
@@ -108,7 +108,7 @@ def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
     """The table [sweep], with other axes in place of what it says if they are given."""
     if axes is None:
         if base.sweep is None:
-            wrong = file_problem(base.path, "says not what to vary", _HOW)
+            wrong = file_problem(base.path, "says not what to vary", _AXIS_HINT)
             raise CaseError([wrong])
         return base.sweep
     kept = base.sweep or SweepTable(axes=plain(axes))
@@ -125,12 +125,12 @@ def _tasks(
     alike: dict[Any, list[Variant]] = {}
     for variant in left[1:]:
         alike.setdefault(variant.like if share else None, []).append(variant)
-    fewest, most = 1, _MOST_IN_TASK
+    fewest, most = 1, _MAX_VARIANTS_IN_TASK
     if share:  # as much work as it takes to start another worker, at least
         steps = 0.0 if base.run.dt is None else base.run.t_end / base.run.dt
-        each = _SECONDS_PER_STEP if system.contact is None else _SECONDS_PER_TOUCH
-        seconds = _SECONDS_IN_BATCH + each * steps * system.n_bodies
-        most = _MOST_IN_BATCH
+        each = _SECONDS_PER_BODY_STEP if system.contact is None else _SECONDS_PER_CONTACT_STEP
+        seconds = _SECONDS_PER_VARIANT + each * steps * system.n_bodies
+        most = _MAX_VARIANTS_IN_BATCH
         fewest = min(most, int(1.0 / seconds) + 1)
     for group in ([left[0]], *alike.values()):
         size = min(most, max(fewest, len(group) // (8 * n)))
@@ -190,7 +190,7 @@ def _drive(
 
 def _awake(stack: contextlib.ExitStack, pool: Pool) -> Executor:
     """An executor with a worker that has started: who dies before costs no task an attempt."""
-    for _ in range(_STARTS):
+    for _ in range(_MAX_STARTS):
         executor = stack.enter_context(pool())
         try:
             executor.submit(os.getpid).result()
@@ -208,7 +208,7 @@ def _room(task: Task, running: Mapping[Any, Task], at_once: int) -> int:
 
 def _again(task: Task, why: str, take: Callable[[list[Row]], None]) -> list[Task]:
     """Tasks of a task that was lost: each variant alone; none after the last attempt."""
-    if task.attempt + 1 == _ATTEMPTS:
+    if task.attempt + 1 == _MAX_ATTEMPTS:
         take([failed(number, why) for number in task.numbers])
         return []
     return [

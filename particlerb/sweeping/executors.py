@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from particlerb.sweeping.worker import start_worker
 
-_PATIENCE: Final = 60.0  # [s] for the first worker of dask
+_WORKER_TIMEOUT: Final = 60.0  # [s] for the first worker of dask
 
 
 class Workers(NamedTuple):
@@ -75,7 +75,7 @@ def cluster(name: str, workers: int | None = None, address: str = "") -> Iterato
                 dask.LocalCluster(workers, threads_per_worker=1, dashboard_address=None)
             )
             client = stack.enter_context(dask.Client(where))
-            client.wait_for_workers(1, timeout=_PATIENCE)
+            client.wait_for_workers(1, timeout=_WORKER_TIMEOUT)
         except OSError as error:
             raise NoExecutorError(f"no dask scheduler at {address}: {error}") from None
         yield Workers(client.get_executor(), len(client.scheduler_info(-1)["workers"]))

@@ -8,7 +8,7 @@ from particlerb.case.output import Asked, CheckValue
 from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
 
-_LETTERS: dict[int, Iterable[str | int]] = {3: "xyz", 4: "wxyz"}
+_COMPONENT_NAMES: dict[int, Iterable[str | int]] = {3: "xyz", 4: "wxyz"}
 
 
 class Row(NamedTuple):
@@ -48,5 +48,5 @@ def columns(asked: Asked, system: System) -> list[str]:
         size = {"joint_force": 3, "joint_torque": 3}.get(asked.quantity, 1)
         if asked.quantity == "joint_coordinate":
             size = int((setup.coordinates.joint == setup.names.index(owners[0])).sum())
-    parts = [""] if size == 1 else [f".{one}" for one in _LETTERS.get(size, range(size))]
+    parts = [""] if size == 1 else [f".{one}" for one in _COMPONENT_NAMES.get(size, range(size))]
     return [f"{owner}.{asked.quantity}{part}{when}" for owner in owners for part in parts]

@@ -16,7 +16,7 @@ from particlerb.record.writer_lock import WriterLock
 from particlerb.sweeping.rows import Row
 from particlerb.sweeping.variants import Variant
 
-_FIRST = ("run", "hash", "status", "energy_drift", "checks_missed")
+_FIRST_COLUMNS = ("run", "hash", "status", "energy_drift", "checks_missed")
 
 
 class SweepRows(NamedTuple):
@@ -33,12 +33,12 @@ class SweepRows(NamedTuple):
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the columns of the axes."""
-        return self.columns[len(_FIRST) : len(_FIRST) + self.n_axes]
+        return self.columns[len(_FIRST_COLUMNS) : len(_FIRST_COLUMNS) + self.n_axes]
 
     @property
     def values(self) -> tuple[str, ...]:
         """Names of the columns of values."""
-        return self.columns[len(_FIRST) + self.n_axes :]
+        return self.columns[len(_FIRST_COLUMNS) + self.n_axes :]
 
     def column(self, name: str) -> list[Any]:
         """One of the columns; NaN where a run that failed has no value."""
@@ -113,7 +113,7 @@ class TableFile(Closing):
     """
 
     def __init__(self, path: Path | None, axes: Sequence[str], values: Sequence[str]) -> None:
-        self.path, self.columns, self.n_axes = path, (*_FIRST, *axes, *values), len(axes)
+        self.path, self.columns, self.n_axes = path, (*_FIRST_COLUMNS, *axes, *values), len(axes)
         self.known: dict[str, tuple[Any, ...]] = {}  # rows that are done, by their hash
         self._order: list[str] = []  # hashes in the file
         self._lock: WriterLock | None = None

@@ -18,7 +18,7 @@ from particlerb.compiled.helper import no_collection
 from particlerb.compiled.jit import source_hash
 from particlerb.sweeping.designs import rows_of
 
-_MOST_PROBLEMS = 20
+_MAX_PROBLEMS = 20
 _encoded = json.JSONEncoder(default=np.ndarray.tolist).encode
 
 
@@ -57,7 +57,7 @@ def variants(case: Case, sweep: SweepTable) -> list[Variant]:
                     variant = built(case, paths, rows[number])
                 except CaseError as error:
                     _tell(error, sweep, rows[number], problems)
-                    if len(problems) >= _MOST_PROBLEMS:
+                    if len(problems) >= _MAX_PROBLEMS:
                         raise CaseError(problems.values()) from None
                     continue
                 if start is None:

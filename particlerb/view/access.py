@@ -25,11 +25,11 @@ import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-_LOCAL: Final = "127.0.0.1"
-_EVERYWHERE: Final = ("0.0.0.0", "::", "")
+_LOCAL_HOST: Final = "127.0.0.1"
+_EVERYWHERE_HOSTS: Final = ("0.0.0.0", "::", "")
 _AUTHORITY: Final = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(?::([0-9]{1,5}))?")
-_LARGEST_MESSAGE: Final = 8 * 2**20  # bytes: a picture of a frame
-_PATIENCE: Final = 5.0  # [s] that an answer to ourselves may take
+_MAX_MESSAGE_BYTES: Final = 8 * 2**20  # a picture of a frame
+_PROBE_TIMEOUT: Final = 5.0  # [s] that an answer to ourselves may take
 POLICY: Final = "; ".join([
     "default-src 'none'",
     "script-src 'unsafe-inline' 'unsafe-eval'",  # viser's page unpacks itself
@@ -51,12 +51,12 @@ HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-_FOREIGN: Final = "particlerb.invalid"  # no machine has this name: RFC 2606
+_FOREIGN_HOST: Final = "particlerb.invalid"  # no machine has this name: RFC 2606
 
 _Hook = Callable[[ServerConnection, Request], Awaitable[Response | None] | Response | None]
 _Handler = Callable[[ServerConnection], Awaitable[None]]
 Message = str | bytes
-_START: Final = threading.Lock()  # one server at a time passes through here
+_START_LOCK: Final = threading.Lock()  # one server at a time passes through here
 
 
 class AccessError(Exception):
@@ -126,7 +126,7 @@ class Access:
     """
 
     def __init__(
-        self, host: str = _LOCAL, names: Iterable[str] = (), with_token: bool = True
+        self, host: str = _LOCAL_HOST, names: Iterable[str] = (), with_token: bool = True
     ) -> None:
         self.host = host
         self.token = secrets.token_hex(24) if with_token else ""
@@ -155,14 +155,14 @@ class Access:
     @property
     def is_everywhere(self) -> bool:
         """Whether it is served on all addresses of this machine."""
-        return self.host in _EVERYWHERE
+        return self.host in _EVERYWHERE_HOSTS
 
     @property
     def probe(self) -> str:
         """An address by which this machine reaches the page."""
         if not self.is_everywhere:
             return self.host
-        return "::1" if self.host == "::" else _LOCAL
+        return "::1" if self.host == "::" else _LOCAL_HOST
 
     def addresses(self) -> list[str]:
         """Where a browser finds the page: on this machine, and from others if they reach it."""
@@ -282,14 +282,14 @@ class Access:
 
         def guarded(handler: _Handler, *arguments: Any, **options: Any) -> Any:
             options["process_request"] = self.answer(options.get("process_request"))
-            options["max_size"] = _LARGEST_MESSAGE
+            options["max_size"] = _MAX_MESSAGE_BYTES
 
             async def heard(connection: ServerConnection) -> None:
                 await handler(_Sifting(connection, sifted))  # type: ignore[arg-type]
 
             return serve(heard, *arguments, **options)
 
-        with _START:
+        with _START_LOCK:
             websockets.asyncio.server.serve = guarded  # type: ignore[assignment, misc]
             try:
                 yield
@@ -306,7 +306,7 @@ class Access:
         """
         ours = urlsplit(self.address_at(self.probe)).netloc
         query = f"?token={self.token}" if self.token else ""
-        foreign = {"Origin": f"http://{_FOREIGN}"}, {"Host": f"{_FOREIGN}:{self.port}"}
+        foreign = {"Origin": f"http://{_FOREIGN_HOST}"}, {"Host": f"{_FOREIGN_HOST}:{self.port}"}
         refused = [({"Host": ours, **headers}, query) for headers in foreign]
         if self.token:
             refused.append(({"Host": ours}, ""))
@@ -322,7 +322,7 @@ class Access:
 
     def status(self, headers: dict[str, str], target: str) -> int:
         """Code with which a request is answered."""
-        line = http.client.HTTPConnection(self.probe, self.port, timeout=_PATIENCE)
+        line = http.client.HTTPConnection(self.probe, self.port, timeout=_PROBE_TIMEOUT)
         try:
             line.putrequest("GET", f"/{target}", skip_host=True, skip_accept_encoding=True)
             for name, value in headers.items():

@@ -11,9 +11,9 @@ from particlerb.view.number_tables import BodyMotion
 from particlerb.view.session import Session
 from particlerb.view.stage import Stage
 
-_MOST_POINTS: Final = 200  # of a trail
-_COARSEST: Final = 0.5  # way between two points of a trail, of the lever arm
-_NONE: Final = np.zeros((0, 3))
+_MAX_TRAIL_POINTS: Final = 200
+_TRAIL_SPACING: Final = 0.5  # of the lever arm
+_NO_ARROWS: Final = np.zeros((0, 3))
 
 
 class Arrows:
@@ -31,7 +31,7 @@ class Arrows:
 
     def __init__(self, stage: Stage, shown: dict[str, Any]) -> None:
         self.stage, self.shown = stage, shown
-        self.trail: deque[Floats] = deque(maxlen=_MOST_POINTS)
+        self.trail: deque[Floats] = deque(maxlen=_MAX_TRAIL_POINTS)
         self.forget()
 
     def forget(self) -> None:
@@ -48,9 +48,9 @@ class Arrows:
         self.draw_rate("L", motion.angular_momentum, 1.5, motion.position)
         stage = self.stage
         axes = (R @ rotation_matrix(rotor_frame)).T * 0.85 * stage.size
-        stage.point("axes", motion.position, axes if self.shown["axes"].value else _NONE, 0.5)
-        self.extend_trail(place, _COARSEST * float(np.linalg.norm(arm)))
-        stage.draw_trail(np.array(self.trail) if self.shown["trail"].value else _NONE)
+        stage.point("axes", motion.position, axes if self.shown["axes"].value else _NO_ARROWS, 0.5)
+        self.extend_trail(place, _TRAIL_SPACING * float(np.linalg.norm(arm)))
+        stage.draw_trail(np.array(self.trail) if self.shown["trail"].value else _NO_ARROWS)
 
     def extend_trail(self, place: Floats, longest: float) -> None:
         """Add a place [m]; begin anew where chords would be longer, and show no path any more."""
@@ -66,7 +66,7 @@ class Arrows:
         stage = self.stage
         applied = next(reversed(session.last.values()), None)
         if applied is None or not self.shown["force"].value:
-            stage.point("force", place, _NONE)
+            stage.point("force", place, _NO_ARROWS)
         elif session.time <= applied.stop or "force" not in stage.arrows or not self.trail:
             F = np.array(applied.push.vector)
             length = 0.8 * stage.size * F / np.linalg.norm(F)
@@ -78,4 +78,4 @@ class Arrows:
         largest = self.largest[name] = max(self.largest[name], size)
         arrow = reach * self.stage.size * value / max(largest, 1e-300)
         is_shown = self.shown[name].value and size > 1e-12 * largest
-        self.stage.point(name, place, arrow[None] if is_shown else _NONE, 1.3 - 0.4 * reach)
+        self.stage.point(name, place, arrow[None] if is_shown else _NO_ARROWS, 1.3 - 0.4 * reach)

@@ -18,8 +18,8 @@ AXES: Final = {
     for sign in "+-"
     for k, axis in enumerate("xyz")
 }
-_COLOURS: Final = ("#d1495b", "#2e8b57", "#1f6fb5")
-_SHOWN: Final = {"force": "last force", "omega": "ω", "L": "L", "axes": "principal axes",
+_LABEL_COLOURS: Final = ("#d1495b", "#2e8b57", "#1f6fb5")
+_LABELS: Final = {"force": "last force", "omega": "ω", "L": "L", "axes": "principal axes",
                 "trail": "trail of the point"}  # fmt: skip
 
 
@@ -81,14 +81,14 @@ class Controls:
             self.energy = chart(gui, "energy of the scene  J", ("kinetic", "total"))
         with charts.add_tab("show"):
             gui.add_html(legend())
-            self.shown = {key: gui.add_checkbox(label, True) for key, label in _SHOWN.items()}
+            self.shown = {key: gui.add_checkbox(label, True) for key, label in _LABELS.items()}
             self.shown["follow"] = gui.add_checkbox("camera stays on the body", False)
         charts.dock_below(gui.main_panel)
 
 
 def legend() -> str:
     """HTML: what the colours of arrows and lines mean."""
-    named = {_SHOWN[key]: colour for key, colour in ARROWS.items()}
+    named = {_LABELS[key]: colour for key, colour in ARROWS.items()}
     named |= {
         f"{axis} of the world": colour for axis, colour in zip("xyz", AXIS_COLOURS, strict=True)
     }
@@ -102,7 +102,7 @@ def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
     empty = tuple(np.zeros(1) for _ in range(len(labels) + 1))
     lines = [
         {"label": label, "stroke": colour, "width": 1.5}
-        for label, colour in zip(labels, _COLOURS, strict=False)
+        for label, colour in zip(labels, _LABEL_COLOURS, strict=False)
     ]
     return gui.add_uplot(
         empty,

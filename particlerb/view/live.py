@@ -33,11 +33,11 @@ from particlerb.view.session import (
     decimals,
 )
 
-_CHARTS: Final = 0.25  # [s] between two charts
-_BUSY: Final = 0.05  # [s] that one update may compute
-_MOST_POINTS: Final = 600  # of a chart
-_COMFORTABLE: Final = (1.0, 60.0)  # [s] that a case lasts whose clock runs as ours does
-_WATCHED: Final = 20.0  # [s] in which any other case is over
+_SECONDS_BETWEEN_CHARTS: Final = 0.25
+_MAX_UPDATE_SECONDS: Final = 0.05  # that one update may compute
+_MAX_CHART_POINTS: Final = 600
+_REAL_TIME_SECONDS: Final = (1.0, 60.0)  # that a case lasts whose clock runs as ours does
+_WATCHED_SECONDS: Final = 20.0  # in which any other case is over
 _PUSH_PER_MASS: Final = 25.0  # N/kg, of the force that stands in its field at first
 _TO_POINT: Final = np.array([0.4, 0.4, -1.0])  # from the centre, to a point that a push turns about
 MOST_SAVED: Final = 100  # sessions that are written before a new start
@@ -69,8 +69,8 @@ class Live(Page):
         self.chosen: str | None = None  # the scene that shall take its place
         super().__init__(server, system, path)
         length = system.run.t_end
-        is_ours = _COMFORTABLE[0] <= length <= _COMFORTABLE[1]
-        self.speed = 1.0 if is_ours else float(f"{length / _WATCHED:.1g}")
+        is_ours = _REAL_TIME_SECONDS[0] <= length <= _REAL_TIME_SECONDS[1]
+        self.speed = 1.0 if is_ours else float(f"{length / _WATCHED_SECONDS:.1g}")
         self.controls = Controls(self, scenes)
         self.arrows = Arrows(self.stage, self.controls.shown)
         self.controls.gravity.value = self.session.has_gravity
@@ -91,7 +91,7 @@ class Live(Page):
         self.saved = self.session.raw["force"]  # what need not be saved
         self.arm = self.corner()
         self.arrows.forget()
-        self.history: deque[tuple[float, ...]] = deque(maxlen=_MOST_POINTS)
+        self.history: deque[tuple[float, ...]] = deque(maxlen=_MAX_CHART_POINTS)
         self.reference: tuple[float, float] | None = None  # energy error, |L| after the push
         self.next_numbers = self.next_charts = 0.0
 
@@ -292,8 +292,8 @@ class Live(Page):
         """Let the motion go on for some seconds of the clock on the wall."""
         wanted = elapsed * self.speed
         least = self.session.every / LEAST_STEPS_PER_FRAME  # a step, which costs as much if cut
-        if self.cost * wanted > _BUSY:
-            wanted = min(wanted, max(_BUSY / self.cost, least))
+        if self.cost * wanted > _MAX_UPDATE_SECONDS:
+            wanted = min(wanted, max(_MAX_UPDATE_SECONDS / self.cost, least))
         self.clock += wanted
         places = decimals(min(0.02 * self.session.every, wanted))
         target = round(self.clock, places)
@@ -326,7 +326,7 @@ class Live(Page):
             self.next_numbers = now + NUMBERS_EVERY
             self.write(motion)
         if now >= self.next_charts and len(self.history) > 1:
-            self.next_charts = now + _CHARTS
+            self.next_charts = now + _SECONDS_BETWEEN_CHARTS
             columns = np.array(self.history).T.copy()
             self.controls.rates.data = tuple(columns[:4])
             self.controls.energy.data = (columns[0], columns[4], columns[5])

@@ -12,10 +12,10 @@ from typing import Annotated, Any, Final
 import msgspec
 import viser
 
-_LONGEST_TEXT: Final = 300  # characters of a field
-_LARGEST_NUMBER: Final = 1e30  # of a camera or a ray, in units of the page
-_MOST_PIXELS: Final = 4_000_000  # of a picture
-_MOST_BYTES: Final = 10_000  # of a message that is no picture
+_MAX_TEXT_LENGTH: Final = 300  # characters of a field
+_MAX_NUMBER: Final = 1e30  # of a camera or a ray, in units of the page
+_MAX_PIXELS: Final = 4_000_000  # of a picture
+_MAX_MESSAGE_BYTES: Final = 10_000  # of a message that is no picture
 
 Pair = tuple[float, float]
 _Triple = tuple[float, float, float]
@@ -63,7 +63,7 @@ class _Picture(msgspec.Struct, forbid_unknown_fields=True, tag="GetRenderRespons
     render_uuid: _Word
 
 
-_MESSAGES: Final = msgspec.msgpack.Decoder(_Camera | _Click | Update | _Picture)
+_MESSAGE_DECODER: Final = msgspec.msgpack.Decoder(_Camera | _Click | Update | _Picture)
 
 
 class Sieve:
@@ -77,8 +77,8 @@ class Sieve:
         if self.server is None or isinstance(raw, str):
             return None
         try:
-            message = _MESSAGES.decode(raw)
-            if not (isinstance(message, _Picture) or len(raw) <= _MOST_BYTES):
+            message = _MESSAGE_DECODER.decode(raw)
+            if not (isinstance(message, _Picture) or len(raw) <= _MAX_MESSAGE_BYTES):
                 return None
             return msgspec.msgpack.encode(message) if self.takes(message) else None
         except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError):
@@ -111,7 +111,7 @@ class Sieve:
         value = message.updates["value"]
         match field:
             case viser.GuiTextHandle():
-                return isinstance(value, str) and len(value) <= _LONGEST_TEXT
+                return isinstance(value, str) and len(value) <= _MAX_TEXT_LENGTH
             case viser.GuiCheckboxHandle() | viser.GuiButtonHandle():
                 return isinstance(value, bool)
             case viser.GuiDropdownHandle() | viser.GuiButtonGroupHandle():
@@ -127,7 +127,7 @@ class Sieve:
 
 def _are_numbers(values: tuple[float, ...]) -> bool:
     """Whether all are finite and of a size that a screen can have to do with."""
-    return all(math.isfinite(value) and abs(value) <= _LARGEST_NUMBER for value in values)
+    return all(math.isfinite(value) and abs(value) <= _MAX_NUMBER for value in values)
 
 
 def _is_picture(data: bytes) -> bool:
@@ -136,6 +136,6 @@ def _is_picture(data: bytes) -> bool:
 
     try:
         with Image.open(io.BytesIO(data), formats=("JPEG",)) as image:
-            return 0 < image.width * image.height <= _MOST_PIXELS
+            return 0 < image.width * image.height <= _MAX_PIXELS
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         return False

@@ -19,10 +19,10 @@ from particlerb.model.system import System
 from particlerb.view.session import AppliedPush
 
 MOST_DIGITS: Final = 17  # that a float64 needs to be told from all others
-_NOISE: Final = 13  # digits of the largest number of a quantity behind which rounding begins
-_DIFFERENCE: Final = 2  # digits of a difference
-_NARROW: Final = 6  # digits up to which three numbers stand side by side
-_MORE: Final = "…"
+_NOISE_DIGITS: Final = 13  # digits of the largest number of a quantity behind which rounding begins
+_DIFFERENCE_DIGITS: Final = 2
+_MAX_NARROW_DIGITS: Final = 6  # up to which three numbers stand side by side
+_ELLIPSIS: Final = "…"
 _STYLE: Final = """<style>
 .pb{font:11.5px/1.5 ui-monospace,SFMono-Regular,Menlo,Consolas,monospace}
 .pb{color:#1b1f24;padding:0 14px 8px 8px}
@@ -84,7 +84,7 @@ def shown(value: float, digits: int) -> str:
     if value == 0.0:
         return "0"  # of either sign
     rounded = f"{value:#.{digits}g}"  # with the zeros that are digits too
-    return repr(value) if float(rounded) == value else f"{rounded}{_MORE}"
+    return repr(value) if float(rounded) == value else f"{rounded}{_ELLIPSIS}"
 
 
 def _texts(quantity: NumberRow, digits: int) -> list[str]:
@@ -92,11 +92,11 @@ def _texts(quantity: NumberRow, digits: int) -> list[str]:
 
     With all 17 digits that is shown as well.
     """
-    n_digits = _DIFFERENCE if quantity.key.startswith("difference_") else digits
-    least = 0.0 if digits == MOST_DIGITS else quantity.scale * 10.0 ** -max(digits, _NOISE)
+    n_digits = _DIFFERENCE_DIGITS if quantity.key.startswith("difference_") else digits
+    least = 0.0 if digits == MOST_DIGITS else quantity.scale * 10.0 ** -max(digits, _NOISE_DIGITS)
     is_noise = [0.0 < abs(value) < least for value in quantity.values]
     return [
-        f"0{_MORE}" if small else shown(value, n_digits)
+        f"0{_ELLIPSIS}" if small else shown(value, n_digits)
         for value, small in zip(quantity.values, is_noise, strict=True)
     ]
 
@@ -249,12 +249,12 @@ def table(title: str, parts: Iterable[NumberGroup], digits: int) -> str:
 
 def _html_row(quantity: NumberRow, digits: int) -> str:
     """One quantity: side by side while there is room, else one below the other."""
-    texts = [text.replace(_MORE, f"<i>{_MORE}</i>") for text in _texts(quantity, digits)]
-    if digits > _NARROW:
+    texts = [text.replace(_ELLIPSIS, f"<i>{_ELLIPSIS}</i>") for text in _texts(quantity, digits)]
+    if digits > _MAX_NARROW_DIGITS:
         texts = ["<br>".join(texts)]
     begins = ' class="t"' if quantity.key.startswith("hand_") else ""
     is_long = len(texts) > 3
     label = f"<u{' class=s' if is_long else ''}>{html.escape(quantity.label)}</u>"
     cells = "".join(f'<span data-key="{quantity.key}">{text}</span>' for text in texts)
-    empty = "<span></span>" * (3 - len(texts)) if digits <= _NARROW else ""
+    empty = "<span></span>" * (3 - len(texts)) if digits <= _MAX_NARROW_DIGITS else ""
     return f"<div{begins}>{label}{cells}{empty}</div>"

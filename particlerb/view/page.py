@@ -23,10 +23,10 @@ from particlerb.view.stage import Stage
 
 UPDATES: Final = 60.0  # per second
 NUMBERS_EVERY: Final = 0.1  # [s] between two tables of numbers
-_LONGEST_UPDATE: Final = 0.1  # [s] that an update goes on at most
-_MOST_WAITING: Final = 1000  # clicks and changes that wait to be dealt with
-_MOST_LISTED: Final = 60  # bodies among which one chooses from a list
-_FASTEST: Final = 1e15  # simulated seconds per second, not reached
+_MAX_UPDATE_SECONDS: Final = 0.1  # that an update goes on
+_MAX_COMMANDS_WAITING: Final = 1000  # clicks and changes that wait to be dealt with
+_MAX_BODIES_LISTED: Final = 60  # among which one chooses from a list
+_MAX_SPEED: Final = 1e15  # simulated seconds per second, not reached
 
 _Action = Callable[[Any], object]
 
@@ -71,7 +71,7 @@ class Page:
     def add_body_field(self, **keys: Any) -> None:
         """The field that says which body is looked at."""
         gui: Any = self.server.gui
-        if len(self.names) <= _MOST_LISTED:
+        if len(self.names) <= _MAX_BODIES_LISTED:
             self.body_field = gui.add_dropdown("body", self.names, **keys)
         else:
             self.body_field = gui.add_text("body", self.names[0], hint="name, as clump[3]")
@@ -88,7 +88,7 @@ class Page:
         """A callback that leaves an action to the thread that computes."""
 
         async def put(event: Any) -> None:
-            if self.commands.qsize() < _MOST_WAITING:
+            if self.commands.qsize() < _MAX_COMMANDS_WAITING:
                 self.commands.put((action, event))
 
         return put
@@ -124,7 +124,7 @@ class Page:
             self.clear()
             self.attempt(action, event)
         if self.is_running:
-            self.attempt(self.advance, min(elapsed, _LONGEST_UPDATE))
+            self.attempt(self.advance, min(elapsed, _MAX_UPDATE_SECONDS))
         self.show(time.monotonic())
 
     def attempt(self, action: _Action, argument: Any) -> None:
@@ -159,7 +159,7 @@ class Page:
     def change_speed(self, _: Any) -> None:
         """Take the speed of the field, if it is one."""
         speed = finite(self.speed_field.value, "speed")
-        if not 0.0 < speed < _FASTEST:
+        if not 0.0 < speed < _MAX_SPEED:
             raise ValueError(f"speed must be positive, got {speed!r}")
         self.speed = speed
         self.say("")

@@ -7,7 +7,7 @@ import particlerb
 from particlerb.case.toml_writer import toml_text
 from particlerb.view.session import Session
 
-_NEAREST: Final = 80  # characters of a title that is quoted
+_MAX_TITLE_LENGTH: Final = 80
 
 
 def recorded(session: Session) -> str:
@@ -33,7 +33,7 @@ def recorded(session: Session) -> str:
     if not raw["force"]:
         del raw["force"]
     title = raw.pop("title", "") or "a case without a title"
-    raw["title"] = f"Session: {title[:_NEAREST]}"
+    raw["title"] = f"Session: {title[:_MAX_TITLE_LENGTH]}"
     return toml_text(raw, header(session, t_end))
 
 

@@ -25,13 +25,13 @@ from particlerb.view.page import NUMBERS_EVERY, Page, note, write
 from particlerb.view.stage import COLOURS
 
 _COLOURED_BY: Final = ("body", "speed", "energy")
-_WATCHED: Final = 15.0  # [s] in which a file is played
+_WATCHED_SECONDS: Final = 15.0  # in which a file is played
 PICTURE: Final = (1280, 720)  # width and height of pictures
-_MOST_PICTURES: Final = 300  # of a film
+_MAX_PICTURES: Final = 300  # of a film
 _FILM_RATE: Final = 25  # pictures per second
-_PATIENCE: Final = 60.0  # [s] that a browser may take for a picture
-_NEEDED: Final = ("position", "orientation")
-_MOMENTA: Final = ("linear_momentum", "angular_momentum")
+_PICTURE_TIMEOUT: Final = 60.0  # [s] that a browser may take for a picture
+_NEEDED_FIELDS: Final = ("position", "orientation")
+_MOMENTUM_FIELDS: Final = ("linear_momentum", "angular_momentum")
 
 
 class ReplayError(Exception):
@@ -46,7 +46,7 @@ def system_of(trajectory: Trajectory) -> System:
     ReplayError
         If fields or files are missing.
     """
-    lacking = [name for name in _NEEDED if name not in trajectory.fields]
+    lacking = [name for name in _NEEDED_FIELDS if name not in trajectory.fields]
     if lacking:
         raise ReplayError(f"the file lacks {', '.join(lacking)}: see [output] fields")
     if not trajectory.n_frames:
@@ -86,8 +86,8 @@ class Replay(Page):
         self.is_new = True
         self.followed: int | None = None
         length = float(self.times[-1] - self.times[0])
-        self.speed = float(f"{max(length, 1e-300) / _WATCHED:.2g}") or 1.0
-        self.has_momenta = set(_MOMENTA) <= set(trajectory.fields)
+        self.speed = float(f"{max(length, 1e-300) / _WATCHED_SECONDS:.2g}") or 1.0
+        self.has_momenta = set(_MOMENTUM_FIELDS) <= set(trajectory.fields)
         self.range: dict[str, tuple[float, float]] = {}
         self.make_controls()
         self.look_at_frame(0)
@@ -164,7 +164,7 @@ class Replay(Page):
         if form not in film_forms():
             raise ValueError(f"a film is one of {', '.join(film_forms())}")
         was, self.is_running = self.frame, False
-        n = min(len(self.times), _MOST_PICTURES)
+        n = min(len(self.times), _MAX_PICTURES)
         frames = np.unique(np.linspace(0, len(self.times) - 1, n).astype(int))
         room = io.BytesIO()
         how: dict[str, Any] = {"format": form}
@@ -207,7 +207,7 @@ class Replay(Page):
 
     def state_at(self, k: int) -> list[Floats]:
         """Position and orientation of all bodies in a frame, and both momenta if recorded."""
-        names = (*_NEEDED, *_MOMENTA) if self.has_momenta else _NEEDED
+        names = (*_NEEDED_FIELDS, *_MOMENTUM_FIELDS) if self.has_momenta else _NEEDED_FIELDS
         rows = [self.trajectory.read(name, slice(k, k + 1))[0] for name in names]
         return [np.asarray(row, dtype=np.float64) for row in rows]
 
@@ -293,6 +293,6 @@ def _rendered(event: Any) -> Any:
         raise ValueError("the browser that asked is gone")
     width, height = PICTURE
     try:
-        return client.get_render(height, width, transport_format="jpeg", timeout=_PATIENCE)
+        return client.get_render(height, width, transport_format="jpeg", timeout=_PICTURE_TIMEOUT)
     except (TimeoutError, RuntimeError) as error:
         raise ValueError(f"the browser sent no picture: {error}") from None

@@ -37,8 +37,8 @@ from particlerb.view.catch_up import CHUNK, catch_up, followed, left_by
 _Force: TypeAlias = dict[str, Any]
 _STEPS_PER_FRAME: Final = 5000  # of a push on bodies that are free otherwise, per run.every
 LEAST_STEPS_PER_FRAME: Final = 32  # of bodies that are stepped all the time
-_LONGEST: Final = 1000.0  # length of a session over t_end of its case, at least
-_TRIES: Final = 64  # steps of the grid on which a push might start
+_MIN_LENGTH_RATIO: Final = 1000.0  # of a session over t_end of its case
+_MAX_GRID_STEPS: Final = 64  # steps of the grid on which a push might start
 G: Final = (0.0, 0.0, -9.81)  # [m/s²] that is switched on where a case has no gravity
 
 
@@ -89,7 +89,7 @@ class Session:
     def __init__(self, system: System) -> None:
         prepared = prepare_accurately(system)
         self.system = prepared.system
-        self.longest = 2.0 ** math.ceil(math.log2(_LONGEST * system.run.t_end))
+        self.longest = 2.0 ** math.ceil(math.log2(_MIN_LENGTH_RATIO * system.run.t_end))
         self.every = system.run.every
         self.start = opening(system, prepared.plan, self.longest)
         self.start_path = system.source.path
@@ -311,7 +311,7 @@ class Session:
             return self.time
         longest = max(grids, key=lambda segment: segment.dt)
         first = math.ceil((self.time - longest.start) / longest.dt)
-        for n in range(first, first + _TRIES):
+        for n in range(first, first + _MAX_GRID_STEPS):
             time = longest.start + n * longest.dt
             if time >= self.time and all(_divides(segment, time) for segment in grids):
                 return time

@@ -19,9 +19,9 @@ from particlerb.model.state import quaternion_product, rotate
 from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
 
-_LENGTH: Final = 0.18  # of an axis, of the size of the scene
+_AXIS_LENGTH: Final = 0.18  # in sizes of the scene
 _WORLD: Final = -1  # the last of places and orientations
-_CROSS: Final = 0.02  # of the point of a joint
+_CROSS_LENGTH: Final = 0.02  # of the point of a joint
 
 
 class JointLines:
@@ -47,10 +47,10 @@ class JointLines:
         at, at_to, axis, axis_to = np.moveaxis(setup.places, 1, 0)
         with_axis, is_rod = ~np.isin(types, WITHOUT_AXIS), types == "distance"
         is_cross = np.isin(types, ("universal", "rack"))
-        half = 0.5 * _LENGTH * size
+        half = 0.5 * _AXIS_LENGTH * size
         parts = [self._around(first, at, axis * half, with_axis)]
         parts.append(self._around(second, at_to, axis_to * half, is_cross))
-        for direction in np.eye(3) * _CROSS * size:
+        for direction in np.eye(3) * _CROSS_LENGTH * size:
             for body, point, chosen in ((first, at, ~with_axis), (second, at_to, is_rod)):
                 parts.append(self._around(body, point, direction[None], chosen))
         rods = np.stack([first, second], axis=1), np.stack([at, at_to], axis=1)
@@ -110,21 +110,21 @@ COLOURS: Final[tuple[_Colour, ...]] = (
     (245, 124, 20), (58, 123, 191), (70, 160, 90), (196, 78, 82), (129, 102, 178),
     (140, 110, 80), (218, 139, 195), (120, 130, 140), (190, 180, 50), (60, 180, 190),
 )  # fmt: skip
-_WALL: Final[_Colour] = (176, 184, 192)
+_WALL_COLOUR: Final[_Colour] = (176, 184, 192)
 ARROWS: Final[dict[str, _Colour]] = {
     "force": (214, 39, 40), "omega": (31, 119, 180), "L": (148, 60, 189),
     "axes": (90, 98, 106),
 }  # fmt: skip
-_FAST: Final = 0.2  # way of the end of an arrow from update to update, in sizes of the scene
-_NAMES: Final = {"force": "F", "omega": "ω", "L": "L"}  # at the free ends of arrows
+_FAST_MOVE: Final = 0.2  # of the end of an arrow from update to update, in sizes of the scene
+_ARROW_NAMES: Final = {"force": "F", "omega": "ω", "L": "L"}  # at the free ends of arrows
 AXIS_COLOURS: Final[tuple[_Colour, ...]] = ((209, 73, 91), (46, 139, 87), (31, 111, 181))
 """Colours of x, y and z, in the scene and on charts."""
-_TRAIL: Final[_Colour] = (20, 20, 20)
-_JOINTS: Final[_Colour] = (200, 0, 120)
-_SPRINGS: Final[_Colour] = (110, 120, 130)
+_TRAIL_COLOUR: Final[_Colour] = (20, 20, 20)
+_JOINT_COLOUR: Final[_Colour] = (200, 0, 120)
+_SPRING_COLOUR: Final[_Colour] = (110, 120, 130)
 _LIGHT: Final = 0.8, 2.0  # of the sky and of the sun
 _VIEW: Final = (1.15, -1.85, 1.1)  # where the camera stands at first, in sizes of the scene
-_NARROW: Final = 0.6  # width over height of a phone, at most; of 1400 px beside two panels 0.71
+_NARROW_ASPECT: Final = 0.6  # width over height of a phone; of 1400 px beside two panels 0.71
 
 
 class Stage:
@@ -153,12 +153,12 @@ class Stage:
         self.layers = [self.add_layer(k) for k in range(len(self.surfaces.layers))]
         self.arrows: dict[str, Any] = {}
         self.arrow_names: dict[str, Any] = {}
-        self.trail = self.add_line("/trail", _TRAIL)
+        self.trail = self.add_line("/trail", _TRAIL_COLOUR)
         self.joints = JointLines(system, size) if system.joint else None
         if self.joints is not None:
-            self.joint_lines = self.add_line("/joints", _JOINTS, 4.0)
+            self.joint_lines = self.add_line("/joints", _JOINT_COLOUR, 4.0)
         self.springs = SpringLines(system)
-        self.spring_lines = self.add_line("/springs", _SPRINGS)
+        self.spring_lines = self.add_line("/springs", _SPRING_COLOUR)
         self.furnish(size)
         server.initial_camera.position = self.size * np.array(_VIEW)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
@@ -205,7 +205,7 @@ class Stage:
                 f"/fixed/walls/{k}",
                 (mesh.vertices - self.home) / self.unit,
                 mesh.faces,
-                color=_WALL,
+                color=_WALL_COLOUR,
                 opacity=0.35,
                 side="double",
                 flat_shading=True,
@@ -232,7 +232,7 @@ class Stage:
 
     def step_back(self, client: viser.ClientHandle) -> None:
         """Show a narrow screen the scene from farther away, above the fields."""
-        if client.camera.aspect < _NARROW:
+        if client.camera.aspect < _NARROW_ASPECT:
             client.camera.position = 1.8 * self.size * np.array(_VIEW)
             client.camera.look_at = (0.0, 0.0, -2.3 * self.size)
 
@@ -317,17 +317,17 @@ class Stage:
 
         A browser moves names a frame later than arrows: what turns fast has none.
         """
-        if name not in _NAMES:
+        if name not in _ARROW_NAMES:
             return
         label, is_slow = self.arrow_names.get(name), False
         if len(vectors):
             gap = 0.08 * self.size * vectors[0] / max(float(np.linalg.norm(vectors[0])), 1e-300)
             place = self.on_page(start) + (-gap if name == "force" else vectors[0] + gap)
             if label is None:
-                label = self.server.scene.add_label(f"/arrows/{name}/name", _NAMES[name])
+                label = self.server.scene.add_label(f"/arrows/{name}/name", _ARROW_NAMES[name])
                 self.arrow_names[name] = label
             way = float(np.linalg.norm(place - label.position))
-            is_slow = name == "force" or way < _FAST * self.size
+            is_slow = name == "force" or way < _FAST_MOVE * self.size
             label.position = tuple(place.tolist())
         if label is not None:
             _show_if(label, is_slow)

@@ -147,7 +147,7 @@ def test_what_a_motor_presses_stays_where_it_is():
 
 def test_newtons_method_solves_what_acts_within_bounds(monkeypatch):
     """After one sweep, and with no more of them."""
-    monkeypatch.setattr("particlerb.impulses.solver._ROUNDS", 1)
+    monkeypatch.setattr("particlerb.impulses.solver._NEWTON_ROUNDS", 1)
     keys = {"iterations": 1, "solver": "newton", "tolerance": 1e-12}
     newton, x = go(pressed(speed=0.2, **keys), 0.4, 0.025)
     _, y = go(pressed(speed=0.2), 0.4, 0.025)

@@ -52,7 +52,7 @@ def often(monkeypatch):
     monkeypatch.setattr(frame_times, "BATCH_SECONDS", 1e9)
     monkeypatch.setattr(writer, "SECONDS_BETWEEN_COMMITS", -1.0)
     monkeypatch.setattr(dilute, "LEAST_BODIES", 10)
-    monkeypatch.setattr(opening_angle, "_AIM", 2.0)  # too wide: chosen anew where a push ends
+    monkeypatch.setattr(opening_angle, "_AIMED_SHARE", 2.0)  # too wide: chosen anew as a push ends
 
 
 def run_with_copies(case, path, monkeypatch, checkpoints):

@@ -34,7 +34,7 @@ from particlerb.files import Files
 from particlerb.model.names import REFERENCE
 from particlerb.user_force import UserForce
 
-_MOST_FRAMES = 10**9
+_MAX_FRAMES = 10**9
 
 
 def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
@@ -93,8 +93,8 @@ def _time_rules(raw: dict[str, Any]) -> Iterator[Finding]:
         return
     if every is not None and every > t_end:
         yield ("run", "every"), f"must be <= run.t_end = {t_end!r}, got {every!r}", ""
-    if every is not None and every > 0 and t_end > every * _MOST_FRAMES:
-        yield ("run", "every"), f"makes more than {_MOST_FRAMES:.0e} frames", "take a longer time"
+    if every is not None and every > 0 and t_end > every * _MAX_FRAMES:
+        yield ("run", "every"), f"makes more than {_MAX_FRAMES:.0e} frames", "take a longer time"
     for i, force in tables(raw, "force"):
         during = [finite(time) or 0.0 for time in entry_at(force, "during", list)]
         for start in during[:1]:

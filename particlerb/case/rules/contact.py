@@ -10,7 +10,7 @@ from particlerb.case.joints import TYPES_WITH_COORDINATES
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import Finding, entry_at, given, number, tables
 
-_OTHER = 'take law = "impulse" or "hooke"'
+_LAW_HINT = 'take law = "impulse" or "hooke"'
 _KEYS_OF_LAWS = {
     "impulse": ("tolerance", "iterations", "solver", "push_out", "slop"),
     "events": ("contact_time", "periodic"),
@@ -171,11 +171,11 @@ def _term_rules(raw: dict[str, Any]) -> Iterator[Finding]:
         kind = entry_at(force, "type", str)
         if kind not in ("", "impulse"):
             reason = f"between collisions by events no {kind} acts yet, uniform gravity alone does"
-            yield ("force", i, "type"), reason, _OTHER
+            yield ("force", i, "type"), reason, _LAW_HINT
     if raw.get("attraction"):
-        yield ("attraction",), "is not computed between collisions by events", _OTHER
+        yield ("attraction",), "is not computed between collisions by events", _LAW_HINT
     if tables(raw, "joint"):
-        yield ("joint", 0), "joints are not computed between collisions by events", _OTHER
+        yield ("joint", 0), "joints are not computed between collisions by events", _LAW_HINT
 
 
 def _periodic_rules(raw: dict[str, Any], sides: Any) -> Iterator[Finding]:
@@ -200,8 +200,8 @@ def _restitution_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
 def _still_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
     """Walls and bodies that events do not know: what moves by itself, and meshes."""
     if given(table, "motion"):
-        yield (*path, "motion"), "collisions by events know no prescribed motion yet", _OTHER
+        yield (*path, "motion"), "collisions by events know no prescribed motion yet", _LAW_HINT
     if given(table, "piston"):
-        yield (*path, "piston"), "collisions by events do not move pistons yet", _OTHER
+        yield (*path, "piston"), "collisions by events do not move pistons yet", _LAW_HINT
     if path[0] == "wall" and table.get("type") == "mesh":
-        yield (*path, "type"), "collisions by events know no walls of triangles yet", _OTHER
+        yield (*path, "type"), "collisions by events know no walls of triangles yet", _LAW_HINT

@@ -46,7 +46,7 @@ def plus(a: _Index, b: _Index) -> _Index:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-_UNITS: Final[tuple[_Index, ...]] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+_UNIT_INDICES: Final[tuple[_Index, ...]] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 _OWN: Final = indices(ORDER)  # of moments and fields
 _AT: Final = {index: k for k, index in enumerate(_OWN)}
 TERMS: Final = len(_OWN)
@@ -55,7 +55,7 @@ TERMS: Final = len(_OWN)
 def _step_down(index: _Index) -> tuple[int, _Index]:
     """An axis in which an index is not zero but smallest, and the index less one there."""
     axis = min((k for k in range(3) if index[k]), key=lambda k: index[k])
-    unit = _UNITS[axis]
+    unit = _UNIT_INDICES[axis]
     return axis, (index[0] - unit[0], index[1] - unit[1], index[2] - unit[2])
 
 
@@ -83,7 +83,7 @@ def _derivatives() -> list[Product]:
         out, first = _D_AT[n, i], _D_AT[n + 1, less]
         products.append(Product(out, first, PLACE + axis, adds=False))
         if less[axis]:
-            unit = _UNITS[axis]
+            unit = _UNIT_INDICES[axis]
             twice = (less[0] - unit[0], less[1] - unit[1], less[2] - unit[2])
             products.append(Product(out, _D_AT[n + 1, twice], factor=float(less[axis])))
     return products
@@ -124,7 +124,7 @@ def whole() -> list[Product]:
     """L_e += D_{γ+e} Q_γ."""
     return [
         Product(LOCAL + _AT[unit], _D_AT[0, plus(i, unit)], _MIXED + _AT[i])
-        for unit in _UNITS
+        for unit in _UNIT_INDICES
         for i in _OWN
         if sum(i) == ORDER
     ]
@@ -143,7 +143,7 @@ def _particle_fields() -> list[Product]:
     """Σ L_{α+e} a^α/α!, with L as the list of numbers."""
     return [
         Product(FIELD + axis, MOMENT + _AT[i], number=_AT[plus(i, unit)])
-        for axis, unit in enumerate(_UNITS)
+        for axis, unit in enumerate(_UNIT_INDICES)
         for i in _OWN
         if sum(i) < ORDER
     ]

@@ -18,18 +18,18 @@ from particlerb.maths.vec3 import Floats, Ints
 
 SAMPLE: Final = 512  # particles: some 5 % of the time of an evaluation, whatever their number
 WIDEST: Final = 1.0
-_WORST: Final = 0.1  # error of the worst scene over θ^{p+1}; measured by benchmarks/attraction.py
-_AIM: Final = 0.55  # share of the error asked for: bodies move, and a sample errs by a tenth or so
-_FIRST: Final = 1.5  # angle tried first over the safe one
-_CLOSE: Final = 99.0  # percentile above which fields are those of close pairs
+_WORST_ERROR: Final = 0.1  # of any scene, over θ^{p+1}; measured by benchmarks/attraction.py
+_AIMED_SHARE: Final = 0.55  # of the error asked for: bodies move, a sample errs by a tenth or so
+_FIRST_ANGLE_FACTOR: Final = 1.5  # over the safe angle
+_CLOSE_PAIR_PERCENTILE: Final = 99.0  # above which fields are those of close pairs
 
 
 def safe_angle(accuracy: float) -> float:
     """Opening angle θ [rad] at which no scene that was measured errs by more than `accuracy`.
 
-    The error, √(Σ |Δa|²/Σ |a|²) over bodies, is _WORST θ^{p+1} at most.
+    The error, √(Σ |Δa|²/Σ |a|²) over bodies, is _WORST_ERROR θ^{p+1} at most.
     """
-    return min(WIDEST, float(np.exp(np.log(accuracy / _WORST) / (ORDER + 1))))
+    return min(WIDEST, float(np.exp(np.log(accuracy / _WORST_ERROR) / (ORDER + 1))))
 
 
 def fitting_angle(attraction: Attraction, y: Floats, accuracy: float) -> float:
@@ -49,7 +49,7 @@ def fitting_angle(attraction: Attraction, y: Floats, accuracy: float) -> float:
         `safe_angle` at least.
     """
     least = safe_angle(accuracy)
-    tree = Tree(attraction, min(_FIRST * least, WIDEST))
+    tree = Tree(attraction, min(_FIRST_ANGLE_FACTOR * least, WIDEST))
     for _ in range(2):  # the second corrects what is not a power
         tree.walk(y)
         error = max(sampled_error(tree), np.finfo(np.float64).tiny)
@@ -59,7 +59,7 @@ def fitting_angle(attraction: Attraction, y: Floats, accuracy: float) -> float:
 
 def other_angle(angle: float, error: float, accuracy: float) -> float:
     """Opening angle [rad] for an accuracy, from what a scene errs at another angle."""
-    return float(angle * (_AIM * accuracy / error) ** (1.0 / (ORDER + 1)))
+    return float(angle * (_AIMED_SHARE * accuracy / error) ** (1.0 / (ORDER + 1)))
 
 
 def sampled_error(tree: Tree) -> float:
@@ -76,7 +76,7 @@ def sampled_error(tree: Tree) -> float:
         _direct_fields, points.place, points.mass, points.owner, sample, tree.softening, exact
     )
     squares = (exact * exact).sum(axis=0)
-    usual = np.minimum(squares, np.percentile(squares, _CLOSE)).mean()
+    usual = np.minimum(squares, np.percentile(squares, _CLOSE_PAIR_PERCENTILE)).mean()
     off = ((points.field[:, sample] - exact) ** 2).sum(axis=0).mean()
     return float(np.sqrt(off / usual)) if usual > 0.0 else 0.0
 

@@ -39,9 +39,9 @@ from particlerb.forces.gravity_tree.walk import RANGES, Scratch, walk
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import aligned_zeros
 
-_PIECES: Final = 64  # parts of the walk that are shared out
-_LEAST_PIECE: Final = 1024  # particles of a part: well above what its way from the root costs
-_POINT_WORK: Final = 32  # body-steps that a particle in the tree takes as long as
+_WALK_PARTS: Final = 64  # that are shared out
+_MIN_PART_PARTICLES: Final = 1024  # well above what its way from the root costs
+_BODY_STEPS_PER_PARTICLE: Final = 32  # that a particle in the tree takes as long as
 BREAK_EVEN: Final = 8_000  # particles from which on it is faster than a direct sum, at 1e-4
 
 
@@ -133,7 +133,7 @@ class Tree:
             start, stop = int(pieces[first]), int(pieces[last])
             walk(tree, self.scratch(), square, self.softening, start, stop)
 
-        THREADS.share(part, pieces.size - 1, _POINT_WORK * self.points.mass.size)
+        THREADS.share(part, pieces.size - 1, _BODY_STEPS_PER_PARTICLE * self.points.mass.size)
 
     def grow(self, y: Floats) -> None:
         """Write nodes and places of particles."""
@@ -156,7 +156,7 @@ class Tree:
     def pieces(self) -> Ints:
         """First cells of the parts of the walk, and the number of cells; not of threads."""
         nodes, count = self.nodes, self.count
-        most = max(_LEAST_PIECE, self.points.mass.size // _PIECES)
+        most = max(_MIN_PART_PARTICLES, self.points.mass.size // _WALK_PARTS)
         size = nodes.last[:count] - nodes.first[:count]
         is_piece = (size <= most) | (nodes.second[:count] == 0)
         starts, k = [], 0

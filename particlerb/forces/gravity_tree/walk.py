@@ -30,10 +30,10 @@ from particlerb.forces.gravity_tree.multipole import (
 from particlerb.maths.vec3 import Floats, Ints, Vec3, subtract
 
 RANGES: Final = 128  # of particles that are waited for
-_MANY: Final = 256  # particles from which on a larger bucket that sees them is split
+_MIN_SPLIT_PARTICLES: Final = 256  # from which on a larger bucket that sees them is split
 _Ball: TypeAlias = tuple[float, float, float, float, float, float]
-_WHOLE: Final = 0
-_NEAR: Final = 1
+_TAKE_WHOLE: Final = 0
+_TAKE_EACH: Final = 1
 _SPLIT_A: Final = 2
 _SPLIT_B: Final = 3
 
@@ -60,14 +60,14 @@ def _encounter(a: _Ball, b: _Ball, is_later: bool, square: float) -> int:
     """How cells A and B, A later than B or not, meet at θ²: the same if they are exchanged."""
     dx, dy, dz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     if 2.0 * (a[3] * a[3] + b[3] * b[3]) < square * (dx * dx + (dy * dy + dz * dz)):
-        return _WHOLE
+        return _TAKE_WHOLE
     is_end, is_other_end = a[5] > 0.0, b[5] > 0.0
     if is_end and is_other_end:
-        return _NEAR
+        return _TAKE_EACH
     if is_end:
-        return _SPLIT_A if a[3] > b[3] and b[4] > _MANY else _SPLIT_B
+        return _SPLIT_A if a[3] > b[3] and b[4] > _MIN_SPLIT_PARTICLES else _SPLIT_B
     if is_other_end:
-        return _SPLIT_B if b[3] > a[3] and a[4] > _MANY else _SPLIT_A
+        return _SPLIT_B if b[3] > a[3] and a[4] > _MIN_SPLIT_PARTICLES else _SPLIT_A
     return _SPLIT_B if b[3] > a[3] or (b[3] == a[3] and is_later) else _SPLIT_A
 
 
@@ -204,13 +204,13 @@ def meet(
                 tail = _meet_itself(nodes, points, A, tail, eps2, scratch)
                 continue
             how = _encounter(a, _ball_of(cells, B), A > B, square)
-            if how == _WHOLE:
+            if how == _TAKE_WHOLE:
                 far[n_far] = B
                 n_far += 1
                 if n_far == LANES:
                     _meet_far(cells, X, far, n_far, eps2, rows, scaled)
                     n_far = 0
-            elif how == _NEAR:
+            elif how == _TAKE_EACH:
                 j = B - second.size
                 ranges[2 * n_near] = j if j >= 0 else first[B]
                 ranges[2 * n_near + 1] = j + 1 if j >= 0 else last[B]
@@ -269,13 +269,13 @@ def _meet_point(
             top -= 1
             B = stack[2, top]
             how = _encounter(a, _ball_of(cells, B), A > B, square)
-            if how == _WHOLE:
+            if how == _TAKE_WHOLE:
                 far[n_far] = B
                 n_far += 1
                 if n_far == LANES:
                     _meet_far_point(cells, X, far, n_far, eps2, rows, scaled)
                     n_far = 0
-            elif how == _NEAR:
+            elif how == _TAKE_EACH:
                 _pull_lane(place, mass, first[B], last[B], eps2, near, lane)
             else:
                 stack[2, top], stack[2, top + 1] = second[B], B + 1

@@ -26,10 +26,10 @@ from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_sty
 
 _ATTITUDES: Final = 7
 _APART: Final = 1.25  # of orientations, in diagonals of the body
-_FLAT: Final = 0.05  # height over width of what is seen from above
-_ALONG: Final = 3.0  # motion along an axis over that along the other
-_LOOKED_AT: Final = 16  # frames
-_STILL: Final = 1e-3  # of the width, which bodies at rest would not move in the whole time
+_FLAT_RATIO: Final = 0.05  # height over width of what is seen from above
+_LINE_RATIO: Final = 3.0  # motion along an axis over that along the other
+_FRAMES: Final = 16  # that are looked at
+_STILL_SHARE: Final = 1e-3  # of the width, which bodies at rest would not move in the whole time
 FEW: Final = 12  # bodies at most whose paths are drawn
 KEYED: Final = 6  # bodies at most that have a colour each
 
@@ -53,17 +53,17 @@ def side_axes(trajectory: Trajectory, x: Floats) -> list[int]:
     moved = motion_of_bodies(trajectory)
     extent = np.ptp(x, axis=0)
     first, second = sorted(level, key=lambda c: -float(moved[c]))
-    is_line = moved[first] > _ALONG * max(moved[second], _FLAT * extent.max())
+    is_line = moved[first] > _LINE_RATIO * max(moved[second], _FLAT_RATIO * extent.max())
     wide = np.maximum(extent, moved)
     is_heavy = bool(trajectory.parameter("case_resolved")["gravity"])
-    if wide[up] < _FLAT * wide.max() and not (is_line and is_heavy):
+    if wide[up] < _FLAT_RATIO * wide.max() and not (is_line and is_heavy):
         return level
     return [first if is_line else max(level, key=lambda c: float(extent[c])), up]
 
 
 def motion_of_bodies(trajectory: Trajectory) -> Floats:
     """How far bodies come from where they begin, (3,) [m], in a few frames."""
-    frames = np.unique(np.linspace(0, trajectory.n_frames - 1, _LOOKED_AT).astype(int)).tolist()
+    frames = np.unique(np.linspace(0, trajectory.n_frames - 1, _FRAMES).astype(int)).tolist()
     x = [trajectory.read("position", slice(k, k + 1))[0] for k in frames]
     return np.asarray(np.abs(np.stack(x) - x[0]).max(axis=(0, 1)))
 
@@ -90,7 +90,7 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     momenta = trajectory.read("linear_momentum", slice(frame, frame + 1))[0]
     speed = np.linalg.norm(momenta, axis=1) / trajectory.mass
     reach = np.ptp(centres[:, shown], axis=0).max() or 1.0
-    is_still = speed.max() * np.ptp(trajectory.time) <= _STILL * reach
+    is_still = speed.max() * np.ptp(trajectory.time) <= _STILL_SHARE * reach
     share = (speed / (1.0 if is_still else speed.max()))[body][order, None]
     colours = 1.0 - share * (1.0 - np.array(to_rgb(COLOURS[0]))) - 0.08 * (1.0 - share)
     radii = trajectory.particles.radius[particle][order]

@@ -14,9 +14,9 @@ from particlerb.studies.charts.bodies import draw_particles, side_axes
 from particlerb.studies.charts.style import COLOURS, INK, bare
 from particlerb.studies.text import count_of
 
-_WIDTH = 11.0  # inches, of the picture
-_WIDEST = 4.0  # points, of the strongest force
-_EMPTY, _MOST_PARTS = 0.15, 4  # share of the width that is left out, and panels at most
+_FIGURE_WIDTH = 11.0  # inches
+_MAX_WIDTH = 4.0  # points, of the strongest force
+_MIN_EMPTY_SHARE, _MAX_PANELS = 0.15, 4  # share of the width that is left out
 _WEAK, _STRONG = "#9aa5b1", COLOURS[1]
 
 
@@ -45,8 +45,8 @@ def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
     parts = _apart(centres[:, 0] - radii, centres[:, 0] + radii)
     widths = [stop - start for start, stop in parts]
     height = np.ptp(centres[:, 1]) + 2.0 * radii.max()
-    tall = float(np.clip(_WIDTH * height / sum(widths) + 1.5, 2.6, 9.0))
-    figure = Figure(figsize=(_WIDTH, tall), layout="constrained")
+    tall = float(np.clip(_FIGURE_WIDTH * height / sum(widths) + 1.5, 2.6, 9.0))
+    figure = Figure(figsize=(_FIGURE_WIDTH, tall), layout="constrained")
     panels = figure.subplots(1, len(parts), width_ratios=widths, sharey=True, squeeze=False)[0]
     across, up = ("xyz"[c] for c in shown)
     for axes, (start, stop) in zip(panels, parts, strict=True):
@@ -72,11 +72,11 @@ def _apart(low: Floats, high: Floats) -> list[tuple[float, float]]:
     order = np.argsort(low)
     ends = np.maximum.accumulate(high[order])
     gaps = low[order][1:] - ends[:-1]
-    cuts = np.flatnonzero(gaps > _EMPTY * (ends[-1] - low.min()))
+    cuts = np.flatnonzero(gaps > _MIN_EMPTY_SHARE * (ends[-1] - low.min()))
     margin = 0.01 * (ends[-1] - low.min())
     starts = low[order][np.append(0, cuts + 1)] - margin
     stops = ends[np.append(cuts, len(ends) - 1)] + margin
-    if len(starts) > _MOST_PARTS:
+    if len(starts) > _MAX_PANELS:
         starts, stops = starts[:1], stops[-1:]
     return list(zip(starts.tolist(), stops.tolist(), strict=True))
 
@@ -86,9 +86,9 @@ def _key(contacts: Contacts) -> list[Line2D]:
     force = np.linalg.norm(contacts.force, axis=1)
     mean, most = float(force.mean()), float(force.max())
     lines = [
-        (_WEAK, 0.5 * _WIDEST * mean / (most or 1.0), f"below the mean force, {mean:.3g} N"),
-        (_STRONG, _WIDEST * mean / (most or 1.0), "above it"),
-        (_STRONG, _WIDEST, f"the largest, {most:.3g} N"),
+        (_WEAK, 0.5 * _MAX_WIDTH * mean / (most or 1.0), f"below the mean force, {mean:.3g} N"),
+        (_STRONG, _MAX_WIDTH * mean / (most or 1.0), "above it"),
+        (_STRONG, _MAX_WIDTH, f"the largest, {most:.3g} N"),
     ]
     return [Line2D([], [], color=colour, lw=width, label=text) for colour, width, text in lines]
 
@@ -103,7 +103,7 @@ def _draw_forces(axes: Axes, com: Floats, contacts: Contacts, shown: list[int]) 
     force = force[order]
     chains = LineCollection(
         list(np.stack([com[first], ends], axis=1)[order]),
-        linewidths=np.maximum(_WIDEST * force / (force.max() or 1.0), 0.2),
+        linewidths=np.maximum(_MAX_WIDTH * force / (force.max() or 1.0), 0.2),
         colors=np.where(force > force.mean(), _STRONG, _WEAK).tolist(),
         capstyle="round",
     )

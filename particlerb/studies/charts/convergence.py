@@ -34,14 +34,14 @@ from particlerb.studies.convergence import (
     spread,
 )
 
-_SMOOTH, _EXACT = COLOURS[0], COLOURS[2]
-_CURVED = (COLOURS[1], "#df65b0", "#8c564b", "#b8860b", "#7b3294", "#555555", "#b2182b")
-_WIDEST = 60.0  # right edge, in units of the largest number of particles: room for names
+_SMOOTH_COLOUR, _EXACT_COLOUR = COLOURS[0], COLOURS[2]
+_CURVED_COLOURS = (COLOURS[1], "#df65b0", "#8c564b", "#b8860b", "#7b3294", "#555555", "#b2182b")
+_WIDEST = 60.0  # in units of the largest number of particles: room for names
 _NAMES_AT = 1.6  # where names begin, in the same units
-_SHORT = 0.01  # a curve that ends before this has its name where it ends
+_SHORT_CURVE = 0.01  # a curve that ends before this has its name where it ends
 _BOTTOM, _LOWEST = 5e-5, 5e-7  # lowest errors shown, left and right
 FLOOR = 1e-17  # where an error of 0 is drawn
-_FINE_TICKS = ["0", "$10^{-16}$", "$10^{-14}$", "$10^{-12}$"]
+_FINE_TICK_LABELS = ["0", "$10^{-16}$", "$10^{-14}$", "$10^{-12}$"]
 
 
 def draw_convergence(convergence: Convergence, path: Path) -> None:
@@ -71,8 +71,8 @@ def draw_convergence(convergence: Convergence, path: Path) -> None:
 def colours_of(curves: Sequence[Curve]) -> dict[str, str]:
     """One colour for all that has an order, a tint each for what has none."""
     curved = [curve.shape for curve in curves if math.isnan(order(curve))]
-    tints = {name: _CURVED[k % len(_CURVED)] for k, name in enumerate(curved)}
-    return {curve.shape: tints.get(curve.shape, _SMOOTH) for curve in curves}
+    tints = {name: _CURVED_COLOURS[k % len(_CURVED_COLOURS)] for k, name in enumerate(curved)}
+    return {curve.shape: tints.get(curve.shape, _SMOOTH_COLOUR) for curve in curves}
 
 
 def title(curve: Curve) -> str:
@@ -111,7 +111,7 @@ def _draw_settled(axes: Axes, curves: Sequence[Curve], colours: dict[str, str], 
 
 def _name_ends(axes: Axes, ends: Sequence[CurveEnd], most: int, gap: float) -> None:
     """Names at the right; those of curves that end early where these end."""
-    is_far = [end[0] > _SHORT * most for end in ends]
+    is_far = [end[0] > _SHORT_CURVE * most for end in ends]
     name_curves(axes, [end for end, far in zip(ends, is_far, strict=True) if far],
                 _NAMES_AT * most, gap)  # fmt: skip
     for x, y, name, colour in (end for end, far in zip(ends, is_far, strict=True) if not far):
@@ -123,10 +123,10 @@ def _draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
     marks = sorted((c for c in curves if len(c.n) == 1), key=lambda curve: curve.particles[0])
     for curve in marks:
         error = max(float(curve.error[0]), FLOOR)
-        axes.plot(int(curve.particles[0]), error, "o", color=_EXACT, ms=5)
+        axes.plot(int(curve.particles[0]), error, "o", color=_EXACT_COLOUR, ms=5)
     if marks:
         names = ", ".join(f"{title(curve)} {int(curve.particles[0])}" for curve in marks)
-        write_inside(axes, 0.02, 0.86, f"dots: {names} particles", color=_EXACT)
+        write_inside(axes, 0.02, 0.86, f"dots: {names} particles", color=_EXACT_COLOUR)
     cells = [c for c in curves if c.arrangement == "cells"]
     lines = [([c], title(c)) for c in curves if len(c.n) > 1 and c not in cells]
     if cells:
@@ -137,14 +137,14 @@ def _draw_exact(axes: Axes, curves: Sequence[Curve], most: int) -> None:
         worst = max(FLOOR, *(float(curve.error.max()) for curve in together))
         first = min(int(curve.particles[0]) for curve in together)
         last = max(int(curve.particles[-1]) for curve in together)
-        axes.plot([first, last], [worst, worst], color=_EXACT, lw=1.8)
-        ends.append((float(last), worst, name, _EXACT))
+        axes.plot([first, last], [worst, worst], color=_EXACT_COLOUR, lw=1.8)
+        ends.append((float(last), worst, name, _EXACT_COLOUR))
     finish(
         axes, "exact sets, lines for any n: only rounding is left", xlabel="particles in total",
         xlim=(0.7, _WIDEST * most), ylim=(FLOOR / 2, 1e-12),
     )  # fmt: skip
     _name_ends(axes, ends, most, gap=0.8)
-    axes.set_yticks([FLOOR, 1e-16, 1e-14, 1e-12], _FINE_TICKS)
+    axes.set_yticks([FLOOR, 1e-16, 1e-14, 1e-12], _FINE_TICK_LABELS)
     axes.tick_params(axis="y", which="minor", left=False)
 
 

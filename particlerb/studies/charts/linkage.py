@@ -15,9 +15,9 @@ from particlerb.studies.charts.solids import ANGLED, draw_solids, view_along, vi
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel
 
 _NO_POINTS: Final = np.zeros((0, 3))
-_ALIGNED: Final = 0.05  # sine of the angle of axes that make no plane
+_MAX_ALIGNED_SINE: Final = 0.05  # of the angle of axes that make no plane
 _WORLD: Final = -1  # in the place of a body
-_DEEP: Final = 0.4  # depth over width of what is seen at an angle
+_MIN_DEPTH_RATIO: Final = 0.4  # depth over width of what is seen at an angle
 
 _End: TypeAlias = tuple[int, int, Floats]  # body, which of its points, place in the first frame
 
@@ -181,7 +181,7 @@ def _ring(trajectory: Trajectory, body: int, axes: list[Floats], points: Floats)
     normal, size = axes[0], np.abs(points).max(initial=0.0)
     if len(axes) == 2:
         normal = np.cross(axes[0], axes[1])
-        if size > 0.0 or np.linalg.norm(normal) < _ALIGNED:
+        if size > 0.0 or np.linalg.norm(normal) < _MAX_ALIGNED_SINE:
             return _NO_POINTS
     elif int(trajectory.bodies.rotor_class[body]) == ASYMMETRIC:
         return _NO_POINTS
@@ -198,7 +198,7 @@ def _view(trajectory: Trajectory, points: Floats) -> tuple[Floats, tuple[str, st
     across, up = side_axes(trajectory, points)
     away = 3 - across - up
     extent = np.ptp(points, axis=0)
-    if extent[away] < _DEEP * extent.max():
+    if extent[away] < _MIN_DEPTH_RATIO * extent.max():
         return view_along(across, up), (
             f"{'xyz'[across]} [m]",
             f"{'xyz'[up]} [m]",

@@ -25,19 +25,19 @@ from particlerb.studies.charts.style import INK
 
 BODY: Final = "#eceff2"
 ANGLED: Final = "[m], seen from above at an angle"
-_ANGLES: Final = np.radians((35.0, 22.0))  # about the vertical, and from above
-_SOLID: Final = frozenset(
+_VIEW_ANGLES: Final = np.radians((35.0, 22.0))  # about the vertical, and from above
+_SOLID_SHAPES: Final = frozenset(
     ("box", "ball", "shell", "ellipsoid", "cylinder", "cone", "torus", "tetrahedron", "mesh", "rod")
 )
 """Shapes with a surface; loose particles are drawn as such."""
-_MOST: Final = 40_000  # triangles in a picture
-_SHARP: Final = 0.85  # cosine of the angle of two faces whose edge is drawn
-_LIGHT: Final = np.array([-0.4, 0.6, -0.7]) / np.linalg.norm([-0.4, 0.6, -0.7])
+_MAX_TRIANGLES: Final = 40_000  # triangles in a picture
+_MAX_EDGE_COSINE: Final = 0.85  # cosine of the angle of two faces whose edge is drawn
+_LIGHT_DIRECTION: Final = np.array([-0.4, 0.6, -0.7]) / np.linalg.norm([-0.4, 0.6, -0.7])
 
 
 def view_at_angle(up: int) -> Floats:
     """View with an axis of the world upwards, turned about it and tilted."""
-    (cos, cos_up), (sin, sin_up) = np.cos(_ANGLES), np.sin(_ANGLES)
+    (cos, cos_up), (sin, sin_up) = np.cos(_VIEW_ANGLES), np.sin(_VIEW_ANGLES)
     axis = np.eye(3)
     first, second = axis[(up + 1) % 3], axis[(up + 2) % 3]
     right, level = cos * first + sin * second, cos * second - sin * first
@@ -63,7 +63,7 @@ def solids_of(trajectory: Trajectory) -> list[SurfaceMesh | None]:
         for kind, block in zip(system.kind, system.block, strict=True)
     ]
     total = sum(len(mesh.faces) for mesh in meshes if mesh is not None)
-    return meshes if total <= _MOST else none
+    return meshes if total <= _MAX_TRIANGLES else none
 
 
 def view_along(across: int, up: int) -> Floats:
@@ -75,7 +75,7 @@ def view_along(across: int, up: int) -> Floats:
 def _has_surface(body: Body) -> bool:
     """Whether all of a body are shapes with a surface."""
     shapes: list[Any] = [part.shape for part in body.part] or [body.shape]
-    return all(shape is not None and shape.type in _SOLID for shape in shapes)
+    return all(shape is not None and shape.type in _SOLID_SHAPES for shape in shapes)
 
 
 def draw_solids(
@@ -94,7 +94,7 @@ def draw_solids(
         is_front = normal[:, 2] < 0.0
         faces = mesh.vertices[mesh.faces[is_front]]
         if tint is not None:
-            bright = 0.78 + 0.22 * np.clip(normal[is_front] @ _LIGHT, 0.0, 1.0)
+            bright = 0.78 + 0.22 * np.clip(normal[is_front] @ _LIGHT_DIRECTION, 0.0, 1.0)
             shades = np.append(bright[:, None] * to_rgb(tint), np.ones((len(faces), 1)), axis=1)
             shapes += list(faces[:, :, :2])
             fills.append(shades)
@@ -139,7 +139,7 @@ def _sharp_edges(mesh: SurfaceMesh, normal: Floats, is_front: Bools) -> tuple[In
     is_second = np.append(False, same[:-1])
     partner = np.append(face[1:], face[-1])
     seen = np.where(same, is_front[face] | is_front[partner], is_front[face])
-    bent = np.einsum("ij,ij->i", normal[face], normal[partner]) < _SHARP
+    bent = np.einsum("ij,ij->i", normal[face], normal[partner]) < _MAX_EDGE_COSINE
     outline = is_front[face] != is_front[partner]
     shown = seen & ~is_second & (~same | bent | outline)
     return ends[shown], np.stack([face, np.where(same, partner, face)], axis=1)[shown]

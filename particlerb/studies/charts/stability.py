@@ -42,8 +42,8 @@ from particlerb.studies.stability_runs import SMALL, UNSOLVABLE, VERDICTS
 from particlerb.studies.stability_table import number
 
 _TINTS: Final = ("#e8f4fb", "#e3c04f", "#7098c4", "#b0540f", "#333333")  # ever darker, of VERDICTS
-_WIDTH: Final = 10.0  # [in] of a page
-_ACROSS: Final = 3  # methods beside each other
+_PAGE_WIDTH: Final = 10.0  # [in]
+_METHODS_PER_ROW: Final = 3
 _DPI: Final = 110
 MEANING: Final = {
     "accurate": "accurate: energy within 0.1 %, no growth",
@@ -53,11 +53,11 @@ MEANING: Final = {
     "NaN or\ninfinite": "not solvable: NaN or infinite",
 }
 """Of the verdicts: words in a map, and in the legend."""
-_LEVELS: Final = (-9.0, -6.0, -3.0, -1.0)  # decades of the lines of equal error
+_ERROR_LEVELS: Final = (-9.0, -6.0, -3.0, -1.0)  # decades of the lines of equal error
 _STEPS: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
-_STARTS: Final = {2.0 / 3.0: "axis\nof I₃", 1.0: "separa-\ntrix", 2.0: "axis\nof I₁"}
+_START_LABELS: Final = {2.0 / 3.0: "axis\nof I₃", 1.0: "separa-\ntrix", 2.0: "axis\nof I₁"}
 FLOOR: Final = 1e-17  # lowest error drawn
-_BOTTOM, _TOP = 1e-15, 30.0  # of the drift
+_MIN_DRIFT, _MAX_DRIFT = 1e-15, 30.0
 
 
 def pictures(study: Stability) -> dict[str, Callable[[Stability, Path], None]]:
@@ -72,12 +72,12 @@ def pictures(study: Stability) -> dict[str, Callable[[Stability, Path], None]]:
 def draw_maps(study: Stability, path: Path) -> None:
     """Two maps per method; as PNG, SVG or PDF, by the suffix of the path."""
     methods = list(dict.fromkeys(one.method for one in study.maps))
-    down = -(-len(methods) // _ACROSS)
-    figure = Figure(figsize=(_WIDTH, 3.1 * down + 1.2), layout="constrained")
+    down = -(-len(methods) // _METHODS_PER_ROW)
+    figure = Figure(figsize=(_PAGE_WIDTH, 3.1 * down + 1.2), layout="constrained")
     turns = f"{study.turns:,.0f}".replace(",", " ")
     figure.suptitle(f"Where each method fails: energy of free bodies over {turns} turns")
     families = list(dict.fromkeys(one.family for one in study.maps))
-    cells = figure.subfigures(down, _ACROSS, squeeze=False)
+    cells = figure.subfigures(down, _METHODS_PER_ROW, squeeze=False)
     for k, method in enumerate(methods):
         cell = cells.flat[k]
         heading = f"{method}\n{_headline(study, method)}"
@@ -88,9 +88,9 @@ def draw_maps(study: Stability, path: Path) -> None:
             _draw_map(axes, one)
         if is_tolerance(maps[0]):
             panels[0].set_ylabel("tolerance", fontsize=9)
-        elif k % _ACROSS == 0:
+        elif k % _METHODS_PER_ROW == 0:
             panels[0].set_ylabel("h |ω|  [rad per step]", fontsize=9)
-        elif k % _ACROSS == _ACROSS - 1:
+        elif k % _METHODS_PER_ROW == _METHODS_PER_ROW - 1:
             _mark_steps_per_turn(panels[-1])
     patches = [
         Patch(facecolor=tint, edgecolor=INK, lw=0.5, label=text)
@@ -140,7 +140,7 @@ def _edges_of(pace: Floats) -> Floats:
 def _draw_levels(axes: Axes, map_: Map) -> None:
     """Lines of equal worst energy error, where it is finite."""
     height = np.log10(np.clip(map_.error, FLOOR, 1e3))
-    levels = [level for level in _LEVELS if height.min() < level < height.max()]
+    levels = [level for level in _ERROR_LEVELS if height.min() < level < height.max()]
     if not levels or (map_.verdict == UNSOLVABLE).all():
         return
     lines = axes.contour(
@@ -207,8 +207,8 @@ def _mark_across(axes: Axes, map_: Map) -> None:
         axes.set_xlabel("shape: plate\nof sides 1 : b", fontsize=8)
         axes.set_xticks(at[1:3], minor=True)
         return
-    at = np.interp(list(_STARTS), map_.across, x).tolist()
-    axes.set_xticks(at, list(_STARTS.values()), fontsize=8)
+    at = np.interp(list(_START_LABELS), map_.across, x).tolist()
+    axes.set_xticks(at, list(_START_LABELS.values()), fontsize=8)
     axes.axvline(at[1], color=INK, lw=0.8, ls=":")
     axes.set_xlabel("start, I = (1, 2, 3)", fontsize=8)
 
@@ -248,7 +248,7 @@ def draw_limits(study: Stability, path: Path) -> None:
     others = [one for one in study.limits if not math.isfinite(one.zeta)]
     tall = 0.19 * len(others) + 1.0
     below = 2.8 if on_contacts else 0.0
-    figure = Figure(figsize=(_WIDTH, tall + below), layout="constrained")
+    figure = Figure(figsize=(_PAGE_WIDTH, tall + below), layout="constrained")
     heights = (tall, below) if below else (tall,)
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     _draw_distances(parts[0].subplots(), others)
@@ -304,14 +304,14 @@ def _draw_resting(axes: Axes, limits: Sequence[Limit]) -> None:
 
 def draw_drifts(study: Stability, path: Path) -> None:
     """Energy error against time: one panel per motion."""
-    drifts, figure = study.drifts, Figure(figsize=(_WIDTH, 10.0), layout="constrained")
+    drifts, figure = study.drifts, Figure(figsize=(_PAGE_WIDTH, 10.0), layout="constrained")
     panels = figure.subplots(len(MOTIONS), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, motion in zip(panels, MOTIONS, strict=True):
         of_motion = [one for one in drifts if one.motion == motion]
         longest = max(one.turns[-1] for one in of_motion)
         finish_panel(
             axes, f"{motion}, eight starts: every sample (dots), largest until then (line)",
-            xscale="log", yscale="log", xlim=(0.1, 2e4 * longest), ylim=(_BOTTOM, _TOP),
+            xscale="log", yscale="log", xlim=(0.1, 2e4 * longest), ylim=(_MIN_DRIFT, _MAX_DRIFT),
             xticks=[10.0**k for k in range(-1, round(math.log10(longest)) + 1)],
             ylabel="|E/E₀ − 1|",
         )  # fmt: skip
@@ -331,7 +331,7 @@ def _draw_drift(axes: Axes, drift: EnergyDrift) -> None:
     axes.plot(turns, np.maximum(worst, FLOOR), ".", color=colour, ms=2.5, alpha=0.5)
     axes.plot(turns, np.maximum(drift.largest[is_finite], FLOOR), color=colour, lw=1.8)
     if not is_finite.all():
-        axes.plot(turns[-1], min(drift.largest[is_finite][-1], _TOP), "X", color=colour, ms=7)
+        axes.plot(turns[-1], min(drift.largest[is_finite][-1], _MAX_DRIFT), "X", color=colour, ms=7)
 
 
 def _name_drifts(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
@@ -341,10 +341,10 @@ def _name_drifts(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
         colour, is_finite = METHOD_COLOURS[drift.method], np.isfinite(drift.largest)
         name = f"{drift.method}, {drift.pace:g}:"
         if is_finite.all():
-            level = min(max(float(drift.largest[-1]), _BOTTOM), _TOP)
+            level = min(max(float(drift.largest[-1]), _MIN_DRIFT), _MAX_DRIFT)
             text = f"{name} p = {abs(growth_exponent(drift)[0]):.2f}"
             ends.append((float(drift.turns[-1]), level, text, colour))
         else:
             text = f"{name} NaN after {float(f'{drift.turns[is_finite][-1]:.1g}'):g} turns"
-            ends.append((math.nan, _BOTTOM, text, colour))
+            ends.append((math.nan, _MIN_DRIFT, text, colour))
     name_curves(axes, ends, 1.6 * max(drift.turns[-1] for drift in drifts), gap=1.2)

@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 from particlerb.maths.vec3 import Floats
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel
 
-_MOST_PANELS: Final = 12
+_MAX_PANELS: Final = 12
 _WIDTH, _HEIGHT = 4.6, 3.2  # [in] of a panel
 _UNITS: Final = {
     "position": "m", "velocity": "m/s", "angular_velocity": "rad/s", "linear_momentum": "kg m/s",
     "angular_momentum": "kg m²/s", "kinetic_energy": "J", "inertia": "kg m²", "joint_force": "N",
     "joint_torque": "N m",
 }  # fmt: skip
-_EVEN: Final = 1e-9  # share by which differences, or ratios, of an axis may differ
+_EVEN_TOLERANCE: Final = 1e-9  # share by which differences, or ratios, of an axis may differ
 
 
 def draw_sweep(
@@ -34,7 +34,7 @@ def draw_sweep(
     path : Path
     """
     shown = [(name, v) for name, v in values if np.unique(v[np.isfinite(v)]).size > 1]
-    shown = shown[:_MOST_PANELS]
+    shown = shown[:_MAX_PANELS]
     shown = shown or list(values)[:1]
     across = len(axes) if len(axes) > 2 else min(len(shown), 3)
     down = len(shown) if len(axes) > 2 else -(-len(shown) // across)
@@ -102,5 +102,5 @@ def _scale(x: Floats) -> str:
     if places.size < 2 or places[0] <= 0.0:
         return "linear"
     ratios = places[1:] / places[:-1]
-    is_even = places.size > 2 and np.ptp(ratios) <= _EVEN * ratios.max()
+    is_even = places.size > 2 and np.ptp(ratios) <= _EVEN_TOLERANCE * ratios.max()
     return "log" if is_even or places[-1] >= 100.0 * places[0] else "linear"

@@ -36,12 +36,12 @@ from particlerb.studies.charts.linkage import draw_linkage
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style, write_beside
 from particlerb.studies.text import count_of
 
-_UNTURNED: Final = 1e-6  # rad in the whole time that are no turn
-_STILL: Final = 1e-6  # motion beside the size of a scene which is none
-_LEVEL: Final = 0.01  # change of height beside that of place which is none
-_LOWEST: Final = 1e-17  # error that is drawn
-_STYLES, _LETTERS = 9, 40  # lines and letters of their names at most that one row of names has
-_SAMPLED: Final = 1000  # bodies whose heights are looked at
+_MIN_TURN: Final = 1e-6  # rad in the whole time
+_STILL_SHARE: Final = 1e-6  # motion beside the size of a scene which is none
+_LEVEL_SHARE: Final = 0.01  # change of height beside that of place which is none
+_MIN_ERROR: Final = 1e-17  # that is drawn
+_LINES, _LETTERS = 9, 40  # that one row of names has at most
+_MAX_BODIES_SAMPLED: Final = 1000  # whose heights are looked at
 
 
 def plot(
@@ -222,7 +222,7 @@ def _centre(trajectory: Trajectory, case: dict[str, Any]) -> Floats | None:
 def _draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -> None:
     """A line for each of a few, else the median and the range that holds 80 % of them."""
     n = values.shape[1]
-    if n <= KEYED or (n <= _STYLES and sum(map(len, names)) <= _LETTERS):
+    if n <= KEYED or (n <= _LINES and sum(map(len, names)) <= _LETTERS):
         for k, name in enumerate(names):
             axes.plot(time, values[:, k], lw=1.3, label=name, **line_style(k))
         return
@@ -255,7 +255,7 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
         _draw_lines(axes, time, trajectory.contact_number.astype(float), trajectory.names)
         finish(axes, "contacts of a body", "number")
     elif case["gravity"] and _rises(trajectory):
-        up, some = upright(trajectory), _shown(trajectory.n_bodies, _SAMPLED, 0)
+        up, some = upright(trajectory), _shown(trajectory.n_bodies, _MAX_BODIES_SAMPLED, 0)
         heights = trajectory.read("position", bodies=some)[:, :, up]
         _draw_lines(axes, time, heights, trajectory.names)
         finish(axes, "height of bodies", f"{'xyz'[up]} [m]")
@@ -273,8 +273,8 @@ def _rises(trajectory: Trajectory) -> bool:
     """Whether heights of bodies change, beside how far they move at all, or all are at rest."""
     moved = motion_of_bodies(trajectory)
     size = np.ptp(trajectory.read("position", slice(0, 1))[0], axis=0).max()
-    is_still = moved.max() <= _STILL * size
-    return bool(is_still or moved[upright(trajectory)] >= _LEVEL * moved.max())
+    is_still = moved.max() <= _STILL_SHARE * size
+    return bool(is_still or moved[upright(trajectory)] >= _LEVEL_SHARE * moved.max())
 
 
 def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
@@ -311,7 +311,7 @@ def _draw_rates(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> Non
     """Angular velocities of all bodies; speeds where nothing turns."""
     time, names = trajectory.time, trajectory.names
     rates = np.linalg.norm(trajectory.angular_velocity, axis=2)
-    if rates.max() * np.ptp(time) > _UNTURNED:
+    if rates.max() * np.ptp(time) > _MIN_TURN:
         _draw_lines(axes, time, rates, names)
         finish(axes, "angular velocities", "|ω| [rad/s]")
     else:
@@ -371,13 +371,13 @@ def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
     time, epsilon = trajectory.time, np.finfo(float).eps
     for (name, error, scale), colour in zip(errors, COLOURS, strict=True):
         drift = np.maximum.accumulate(error) / (scale or 1.0)
-        lowest = "" if drift[-1] > _LOWEST else f" (< {_LOWEST:g})" if drift[-1] else " (0)"
+        lowest = "" if drift[-1] > _MIN_ERROR else f" (< {_MIN_ERROR:g})" if drift[-1] else " (0)"
         label = f"{name}{lowest}"
         axes.semilogy(time, np.where(drift > 0.0, drift, np.nan), color=colour, lw=1.3, label=label)
     axes.axhline(epsilon, color=INK, lw=0.8, ls=":")
     text = "machine epsilon"
     write_beside(axes, 0.99, 0.9 * epsilon, text, fontsize=8, color=INK, ha="right", va="top")
-    axes.set_ylim(_LOWEST, max(axes.get_ylim()[1], 1e-14))
+    axes.set_ylim(_MIN_ERROR, max(axes.get_ylim()[1], 1e-14))
     axes.set_xlim(left=min(time[0], axes.get_xlim()[0]))
     axes.set_xlim(right=max(time[-1], axes.get_xlim()[1]))
     finish(axes, "conservation errors: largest so far", "relative, work of forces counted")
@@ -388,7 +388,7 @@ def finish(axes: Axes, title: str, label: str) -> None:
     finish_panel(axes, xlabel="t [s]", ylabel=label)
     axes.set_title(title, fontsize=10, loc="left", color=INK, pad=18)
     axes.legend(
-        fontsize=7.5, ncols=_STYLES, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False,
+        fontsize=7.5, ncols=_LINES, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False,
         handlelength=1.4, columnspacing=1.0, borderaxespad=0.2, borderpad=0.0,
     )  # fmt: skip
     axes.yaxis.set_offset_position("right")  # a common power of ten: the legend is at the left

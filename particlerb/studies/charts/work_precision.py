@@ -24,13 +24,13 @@ from particlerb.studies.points import Point, WorkPrecision
 from particlerb.studies.text import count_of
 from particlerb.studies.work_precision_table import advice, cheapest, frontier
 
-_PEER: Final = "#75808c"
+_PEER_COLOUR: Final = "#75808c"
 _PEER_MARKS: Final = "s^vPX<>p"  # one for each engine
-_LOST: Final = 2.0 * math.pi  # rad: where runs that failed are put
+_FAILED: Final = 2.0 * math.pi  # rad: where runs that failed are put
 _HALO: Final = [withStroke(linewidth=2.5, foreground="white")]
 _LETTER, _LINE = 0.0098, 0.034  # width of a letter and height of a label, as shares of a panel
-_BESIDE = 0.013  # share of the width between a point and a name
-_MARK = 0.006  # share of the width that a mark takes on either side
+_LABEL_GAP = 0.013  # share of the width between a point and a name
+_MARK_WIDTH = 0.006  # share of the width that a mark takes on either side
 _SHIFTS: Final = 0.25 * _LINE * np.arange(-16, 17)  # of a name against its point
 
 
@@ -84,7 +84,7 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     our_names = METHOD_COLOURS.keys()
     absent = [f"{name}: left out, {why}" for name, why in chart.left_out if name not in our_names]
     if words := "\n".join((*chart.notes, *absent)):
-        figure.supxlabel(words, fontsize=8, color=_PEER, x=0.01, ha="left")
+        figure.supxlabel(words, fontsize=8, color=_PEER_COLOUR, x=0.01, ha="left")
     figure.savefig(path, dpi=130)
 
 
@@ -96,13 +96,13 @@ def height(point: Point, floor: float) -> float:
 def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> _Curve | None:
     """Draw one curve, crosses for failed points; None where all failed."""
     first = points[0]
-    colour = _PEER if first.engine else METHOD_COLOURS.get(first.method, INK)
+    colour = _PEER_COLOUR if first.engine else METHOD_COLOURS.get(first.method, INK)
     style, size, width = ("--", 3.2, 1.1) if first.engine else ("-", 4.5, 1.8)
     marker, size = ("D", 9) if len(points) == 1 else (mark, size)
     failed = [p.seconds for p in points if p.failure]
     good = [(p.seconds, height(p, floor)) for p in points if not p.failure]
     if failed:  # an empty line would count in the layout
-        axes.plot(failed, [_LOST] * len(failed), "x", ms=6, mew=1.4, color=colour, clip_on=False)
+        axes.plot(failed, [_FAILED] * len(failed), "x", ms=6, mew=1.4, color=colour, clip_on=False)
     if not good:
         return None
     x, y = zip(*good, strict=True)
@@ -132,7 +132,7 @@ def _label_curves(axes: Axes, curves: Sequence[_Curve], taken: list[_Place]) -> 
     to_share = axes.transScale + axes.transLimits
     shares = [to_share.transform(curve.points) for curve in curves]
     levels = [np.array([[0.0, label.point[1]], [1.0, label.point[1]]]) for label in taken]
-    sides = np.array([[-_MARK, 0.0], [_MARK, 0.0]])
+    sides = np.array([[-_MARK_WIDTH, 0.0], [_MARK_WIDTH, 0.0]])
     marks = [points + side for points in shares for side in sides]
     drawn = np.concatenate([*map(_along, (*shares, *levels)), *marks])
 
@@ -170,7 +170,7 @@ def _label_curves(axes: Axes, curves: Sequence[_Curve], taken: list[_Place]) -> 
 def _places(point: Floats, name: str) -> list[_Place]:
     """Where a name may stand beside a point: right or left of it, at many heights."""
     (x, y), width = point.tolist(), 0.005 + _LETTER * len(name)
-    sides = (x + _BESIDE, x - _BESIDE - width)
+    sides = (x + _LABEL_GAP, x - _LABEL_GAP - width)
     return [_Place((x, y), left, left + width, y + d) for left in sides for d in _SHIFTS.tolist()]
 
 
@@ -235,8 +235,8 @@ def _mark_failures(axes: Axes, points: Sequence[Point]) -> None:
         return
     throughout = sorted(failed - {p.label for p in points if not p.failure})
     words = f"; at every step: {', '.join(throughout)}" if throughout else ""
-    axes.axhline(_LOST, color="#cc3333", lw=0.8)
-    write_beside(axes, 0.005, _LOST * 1.15, f"× failed: error above 1, or NaN{words}", fontsize=8,
+    axes.axhline(_FAILED, color="#cc3333", lw=0.8)
+    write_beside(axes, 0.005, _FAILED * 1.15, f"× failed: error above 1, or NaN{words}", fontsize=8,
                  color="#cc3333", va="bottom")  # fmt: skip
 
 
