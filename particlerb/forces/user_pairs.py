@@ -96,25 +96,26 @@ def _speed(pairs: OwnPairs, y: Floats, b: int) -> Vec3:
     return scale(pairs.inv_mass[b], column3(y, _P, b))
 
 
-_ARGUMENTS: Final = {"x": "column3(y, 0, {})", "R": "axes_of(own, y, {})", "v": "speed(own, y, {})",
-                 "omega": "spin(own, y, {})"}  # fmt: skip
+_ARGUMENTS: Final = {"x": "column3(y, 0, {})", "R": "axes_of(pairs, y, {})",
+                     "v": "speed(pairs, y, {})", "omega": "spin(pairs, y, {})"}  # fmt: skip
 
 
 def _arguments(names: Any, lengths: Lengths) -> str:
     """Source of the arguments of a function."""
     texts, row = {"t": "t"}, 0
     for name, code in _ARGUMENTS.items():
-        texts |= {name + "1": code.format("own.first[s]"), name + "2": code.format("own.second[s]")}
+        for k, end in (("1", "first"), ("2", "second")):
+            texts[name + k] = code.format(f"pairs.{end}[s]")
     for name, length in lengths:
-        numbers = [f"own.rows[{row + k}, s]" for k in range(max(length, 1))]
+        numbers = [f"pairs.rows[{row + k}, s]" for k in range(max(length, 1))]
         texts[name] = f"({', '.join(numbers)},)" if length else numbers[0]
         row += len(numbers)
     return ", ".join(texts[name] for name in names)
 
 
 _FUNCTION_SOURCES: Final = {
-    "load": ("own, y, t, s", "chosen(1.0, function({}))"),
-    "energy": ("own, y, s", "float(function({}))"),
+    "load": ("pairs, y, t, s", "chosen(1.0, function({}))"),
+    "energy": ("pairs, y, s", "float(function({}))"),
 }
 """Arguments, and what is returned, of the functions of a set."""
 

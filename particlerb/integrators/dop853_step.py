@@ -33,9 +33,7 @@ from particlerb.model.block import (
 )
 from particlerb.model.load import STATE_ROWS
 
-_MIN_STEP_FACTOR: Final = 0.2  # as the authors take it, like the next two
-_MAX_STEP_FACTOR: Final = 5.0
-_SAFETY_FACTOR: Final = 0.9
+_MIN_STEP_FACTOR, _MAX_STEP_FACTOR, _SAFETY_FACTOR = 0.2, 5.0, 0.9  # as the authors take them
 _STEP_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of what a step computes
 LEAST_STEP: Final = 1e-14  # relative to the time: below it nothing moves any more
 

@@ -135,9 +135,8 @@ def _user_link_of(system: System, number: int, force: PythonTable) -> UserLink:
     try:
         force = with_code(force, system)
         find_pairs = _pairs_in_reach if force.reach is not None else _pairs_as_named
-        first, second = find_pairs(system, number, force)
-        numbers = numbers_of_pairs(force, first, second, system)
-        return UserLink(number, force, first, second, numbers)
+        ends = find_pairs(system, number, force)
+        return UserLink(number, force, *ends, numbers_of_pairs(force, *ends, system))
     except ForceError as error:
         raise CaseError([force_problem(system, number, error)]) from None
 

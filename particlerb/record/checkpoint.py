@@ -30,8 +30,7 @@ from particlerb.record.checked_reading import (
 )
 from particlerb.record.hdf5 import change, group, growing, note, opened
 
-_MAX_CHUNK_BYTES = 2**20  # of a slot that lie together
-_MIN_CHUNK_BYTES = 2**9
+_MIN_CHUNK_BYTES, _MAX_CHUNK_BYTES = 2**9, 2**20  # of a slot that lie together
 
 
 class CheckpointError(Exception):
