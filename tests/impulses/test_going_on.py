@@ -77,8 +77,10 @@ def test_bits_do_not_depend_on_threads():
 
 RUN = """
 import json, particlerb
-t = particlerb.run(json.loads({scene!r}))
-print(json.dumps([t.position.tolist(), t.angular_momentum.tolist(), t.observable("work").tolist()]))
+
+def numbers(scene):
+    t = particlerb.run(scene)
+    return [t.position.tolist(), t.angular_momentum.tolist(), t.observable("work").tolist()]
 """
 
 
@@ -88,8 +90,10 @@ def test_compiled_code_solves_contacts_and_bounds_of_joints_as_plain_python_does
     scene = pressed(0.25, rolling_friction=0.1, torsional_friction=0.1)
     scene["body"][1]["angular_velocity"] = [3.0, 5.0, -2.0]
     scene["run"] |= {"t_end": 0.6, "dt": 0.03, "every": 0.03}
-    code = RUN.format(scene=json.dumps(scene))
-    compiled, plain = (json.loads(make.python(code, NUMBA_DISABLE_JIT=flag)) for flag in ("0", "1"))
+    code = f"{RUN}\nprint(json.dumps(numbers(json.loads({json.dumps(scene)!r}))))"
+    plain, names = json.loads(make.python(code, NUMBA_DISABLE_JIT="1")), {}
+    exec(RUN, names)
+    compiled = names["numbers"](scene)
     for one, other in zip(compiled, plain, strict=True):
         assert np.asarray(one) == pytest.approx(np.asarray(other), abs=1e-12)
     assert np.ptp(np.asarray(plain[0])[:, 1, 0]) > 0.1
