@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import tomllib
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +22,8 @@ def commanded(
     """What the command line leaves of a case, run into run.h5 of a folder: in this process."""
     sets = [word for change in overrides for word in ("--set", change)]
     words = [str(CASES / f"{name}.toml"), "-o", str(folder / "run.h5"), *sets, *more]
-    with contextlib.redirect_stdout(io.StringIO()) as out:
+    with contextlib.redirect_stdout(io.StringIO()) as out, warnings.catch_warnings():
+        warnings.simplefilter("default")  # a user sees them, and the run goes on
         code = main(words)
     return SimpleNamespace(code=code, out=out.getvalue())
 
