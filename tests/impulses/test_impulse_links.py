@@ -7,6 +7,9 @@ import pytest
 from impulse_scenes import DOWN, G, R, assert_goes_on_alike, case, errors, exact, go, plane, sphere
 
 import particlerb
+from particlerb import Scene
+from particlerb.maths.vec3 import dot, scale, subtract
+from particlerb.tables import PythonTable
 
 pytestmark = pytest.mark.plain
 
@@ -22,6 +25,39 @@ def pair(height, stretch, damping=0.0):
     spring = {"type": "spring", "body": "lower", "to": "upper", "stiffness": K,
               "rest_length": REST, "damping": damping}  # fmt: skip
     return (lower, upper), [spring]
+
+
+def energy_of_tie(x1, x2, k, l0):
+    d = subtract(x2, x1)
+    return 0.5 * k * (np.sqrt(dot(d, d)) - l0) ** 2
+
+
+@particlerb.force(potential=energy_of_tie)
+def tie(x1, x2, k, l0):
+    d = subtract(x2, x1)
+    return scale(k * (1.0 - l0 / np.sqrt(dot(d, d))), d), (0.0, 0.0, 0.0)
+
+
+def test_a_spring_that_a_user_writes_acts_as_the_built_in_one():
+    """On two balls that fall onto a floor and each other, with friction."""
+    low = sphere("low", position=[0, 0, 0.12], velocity=[0.4, 0, -0.6], angular_velocity=[1, 2, 3])
+    side = sphere("side", position=[0.3, 0.05, 0.15], velocity=[-0.9, 0, 0])
+    spring = {"type": "spring", "body": "low", "to": "side", "stiffness": K, "rest_length": REST}
+    own = PythonTable(function=tie, body="low", to="side", parameters={"k": K, "l0": REST})
+    found = []
+    for built_in, written in (([spring], []), ([], [own])):
+        scene = Scene.from_case(
+            case(low, side, contact=exact(0.4, 0.3), wall=[plane()], gravity=DOWN, force=built_in,
+                 dt=4e-3, t_end=0.2, every=0.05)
+        )  # fmt: skip
+        for force in written:
+            scene.add_force(force)
+        found.append(particlerb.run(scene))
+    one, other = found
+    assert np.ptp(one.energy) > 0.1
+    for name in ("position", "linear_momentum", "angular_momentum"):
+        assert np.abs(getattr(one, name) - getattr(other, name)).max() < 1e-13
+    assert np.abs(one.energy - other.energy).max() < 1e-12
 
 
 @pytest.mark.parametrize(("damping", "order"), [(0.0, 2), (8.0, 1)])
