@@ -174,7 +174,8 @@ def _look_at_contacts(
     moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
 ) -> None:
     """Do a part of a step with contacts."""
-    contact, team = moving.contact, moving.team
+    contact: Any = moving.contact  # there is one, and a team
+    team: Any = moving.team
     if asked.stop == PLACE:
         place(moving, first, last, Instant(0.0, 0.0, time, 0.0))
     elif asked.stop == EVALUATE:
@@ -347,7 +348,7 @@ def _one_look(
 def look_alone(method: Method) -> Callable[..., None]:
     """Parts of a step `(moving, first, last, position, time)`, for ranks that share bodies."""
     names = _looking(method, True)
-    made = kernel_from(_one_look, f"{method.name}_touching", look=names["look"])
+    made: Any = kernel_from(_one_look, f"{method.name}_touching", look=names["look"])
     return lambda *asked: made(*asked, names["GROWTH"])
 
 
