@@ -48,7 +48,8 @@ class _Copy:
             self.done = self.done + len(said) if said else self.jobs
             if self.done == self.jobs:
                 os.close(self.words)
-                os.waitpid(self.child, 0)
+                with contextlib.suppress(ChildProcessError):  # who waits for all has waited for it
+                    os.waitpid(self.child, 0)
 
 
 def may_copy() -> bool:
