@@ -32,7 +32,14 @@ from particlerb.model.state import Frames, State, room_for
 from particlerb.plan.segments import GroupPlan
 from particlerb.plan.time_step import Stepping
 from particlerb.rotors.rotor_class import ASYMMETRIC
-from particlerb.stepping.loop import Copies, Position, Recording, Schedule, compiled_loop, grid_stop
+from particlerb.stepping.loop import (
+    Copies,
+    Position,
+    Recording,
+    Schedule,
+    compiled_loop,
+    grid_position,
+)
 from particlerb.stepping.stepped_motion import NANOSECONDS_PER_CALL
 
 _NO_JOINTS: Final = np.zeros((0, 0, 3))
@@ -119,12 +126,9 @@ class Rehearsal:
 
     def record(self, stepping: Stepping, times: Floats, columns: Ints, frames: Frames) -> None:
         """Write the states at ascending times into these columns of frames."""
-        stops = [grid_stop(time, stepping.dt) for time in times.tolist()]
-        steps = np.array([0, *(full for full, _ in stops)])
-        partial_steps = np.array([rest for _, rest in stops])
-        schedule = Schedule(
-            stepping.dt, steps[1:] - steps[:-1], partial_steps, np.arange(times.size)
-        )
+        steps, partial_steps = grid_position(times, stepping.dt)
+        further = np.diff(steps, prepend=0)
+        schedule = Schedule(stepping.dt, further, partial_steps, np.arange(times.size))
         changing(self.blocks)[:] = self.first
         sums = np.zeros((times.size, len(self.blocks), 7))
         places = self.bodies.rotor_frame, columns, frames, sums, self.block, _NO_JOINTS
