@@ -4,11 +4,12 @@ The angle is that of the rotation from one orientation to the other, which is ac
 angles. Rods compare their axes, points nothing.
 """
 
+from typing import Any
+
 import numpy as np
 
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import rotate
 from particlerb.rotors.rotor_class import POINT, ROD
 
 
@@ -26,10 +27,18 @@ def _chords(a: Floats, b: Floats) -> tuple[Floats, Floats]:
     return _lengths(a - b), _lengths(a + b)
 
 
-def _axes(bodies: Bodies, q: Floats) -> Floats:
-    """Symmetry axes in the world, (..., T, n, 3), of orientations (..., T, n, 4)."""
-    axis = rotate(bodies.rotor_frame, np.array([[0.0], [0.0], [1.0]]))
-    return np.moveaxis(rotate(np.moveaxis(q, -1, 0), axis[:, None, None]), 0, -1)
+def _pairs(q: Floats) -> tuple[Any, Any]:
+    """w + i z and x + i y of quaternions (..., 4): a product of two is made of four of complex."""
+    pairs = np.take(q, [0, 3, 1, 2], axis=-1).view(np.complex128)
+    return pairs[..., 0], pairs[..., 1]
+
+
+def _between_axes(bodies: Bodies, q: Floats, r: Floats) -> Floats:
+    """Angles between axes, (T, n) [rad]: w + i z of a* b keeps an axis, x + i y turns it."""
+    (f, g), (c, d) = _pairs(bodies.rotor_frame.T), _pairs(np.stack([q, r]))
+    (a, b), (u, v) = c * f - d * g.conj(), c * g + d * f.conj()
+    kept, left = a.conj() * b + u * v.conj(), a.conj() * v - u * b.conj()
+    return np.asarray(2.0 * np.arctan2(abs(left), abs(kept)))
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -49,8 +58,7 @@ def misfits(bodies: Bodies, x: Floats, q: Floats, y: Floats, r: Floats) -> tuple
     angle = 4.0 * np.arctan2(np.minimum(near, far), np.maximum(near, far))
     is_rod = bodies.rotor_class == ROD
     if is_rod.any():
-        turned = 2.0 * np.arctan2(*_chords(*_axes(bodies, np.stack([q, r]))))
-        angle[:, is_rod] = turned[:, is_rod]
+        angle[:, is_rod] = _between_axes(bodies, q, r)[:, is_rod]
     angle[:, bodies.rotor_class == POINT] = 0.0
     return angle, _lengths(y - x)
 
