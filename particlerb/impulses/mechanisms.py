@@ -44,12 +44,6 @@ def push_mechanism(
 
 
 @inline
-def is_held(mechanisms: Mechanisms | None, b: int) -> bool:
-    """Whether joints or a guide hold partner b."""
-    return mechanisms is not None and bool(mechanisms.number[b] >= 0)
-
-
-@inline
 def count_members(mechanisms: Mechanisms | None, b: int) -> int:
     """How many bodies move where partner b is pushed."""
     if mechanisms is None:

@@ -4,7 +4,7 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.impulses.mechanisms import count_members, is_held, member, push_mechanism
+from particlerb.impulses.mechanisms import count_members, member, push_mechanism
 from particlerb.impulses.records import (
     ARM,
     COUPLING,
@@ -190,8 +190,8 @@ def lean(partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Ve
     Until then it changes without impulses, as the normal turns and as bodies turn. So what rolls or
     slides along what is bent leaves the middle of a step as it came there; without this, each step
     would take from its energy what the normal has turned towards it. No more than what came is
-    given back, and across the normal only to what stuck in the step before. What joints hold moves
-    otherwise, and is left as it is.
+    given back, and across the normal only to what stuck in the step before. What joints do to the
+    acceleration of a body is left out.
 
     Parameters
     ----------
@@ -204,8 +204,6 @@ def lean(partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Ve
     """
     put_row3_at(rows.limits, c, LEAN, ZERO)
     a, b = rows.first[c], rows.second[c]
-    if is_held(partners.mechanisms, a) or is_held(partners.mechanisms, b):
-        return
     n, x, y = in_frame(rows.frame, c, changes)
     came, u, v = in_frame(rows.frame, c, velocity_between(partners.before, rows.frame, c, a, b))
     rows.limits[c, SLOW] += 4.0 * max(-n, 0.0)

@@ -61,6 +61,21 @@ def test_a_cup_that_turns_about_its_axis_is_the_same_surface():
 
 
 @plain
+def test_a_ball_that_carries_another_rolls_round_a_cup_without_a_loss():
+    """On a joint in its centre; it lost 0.11 of 3.8 J in 0.1 s at 4 ms."""
+    where, v = [PATH, 0.0, 0.0], [0.0, 2.0, 0.0]
+    ball = sphere(radius=BALL, mass=1.0, position=where, velocity=v)
+    ball["angular_velocity"] = [0.0, 0.0, -2.0 / BALL]
+    other = sphere("other", radius=0.02, mass=0.5, position=where, velocity=v, contact=False)
+    cup = {"name": "cup", "type": "cylinder", "radius": CUP, "axis": [0, 0, 1], "length": 2.0}
+    joint = [{"type": "ball", "body": "other", "to": "ball", "at": where}]
+    for h, most in ((4e-3, 1e-4), (2e-3, 1e-5)):
+        t = go(ball, other, contact=exact(0.0, 10.0), wall=[cup], joint=joint, dt=h, t_end=0.1,
+               every=0.1)  # fmt: skip
+        assert np.abs(t.energy - t.energy[0]).max() < most
+
+
+@plain
 def test_a_ball_rolls_off_a_ball_where_nothing_presses_it_any_more():
     """From rest near the top it leaves at cos θ = 10/17, with v² = 10/17 g r."""
     radius, start, h = 0.5, 0.1, 1e-3
