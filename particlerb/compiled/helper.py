@@ -43,12 +43,8 @@ class _Code(codegen.JITCodeLibrary):
         self.large: dict[str, Any] = {}  # code that is to come in by the names of its functions
         self.entry = ""  # name of the function, if callers may call it
 
-    def _optimize_functions(self, module: Any) -> None:
-        """Leave functions as they are until all that they call is here."""
-        module.data_layout = cast(Any, self)._codegen._data_layout
-
     def _optimize_final_module(self) -> None:
-        """Optimise all once; passes before that are for what counts owners of arrays."""
+        """Optimise all; light passes before that are for what counts owners of arrays."""
         code: Any = self
         if any(one.name.startswith("NRT_") for one in code._final_module.functions):
             cast(Any, super())._optimize_final_module()
