@@ -16,7 +16,6 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from conftest import case, hooke, plane, sphere
 
 import particlerb
 from particlerb.cli import main, parser
@@ -128,7 +127,7 @@ FRAGMENTS = [
 
 
 @pytest.mark.parametrize(("page", "text"), FRAGMENTS, ids=[page for page, _ in FRAGMENTS])
-def test_parts_of_cases_are_parts_of_a_case(page, text, tmp_path, monkeypatch):
+def test_parts_of_cases_are_parts_of_a_case(page, text, tmp_path, monkeypatch, make):
     """Keys alone are those of a hinge; gears have hinges that hold them."""
     monkeypatch.chdir(tmp_path)
     magnet = next(text for language, text in blocks("forces.md") if language == "python")
@@ -137,9 +136,9 @@ def test_parts_of_cases_are_parts_of_a_case(page, text, tmp_path, monkeypatch):
     hinge = {"type": "hinge", "body": "door", "at": [0, 0, -0.8], "axis": [0, 0, 1]}
     part = part if part.keys() & {"joint", "force", "sweep"} else {"joint": [hinge | part]}
     names = ("door", "planet", "block", "bar")
-    bodies = [sphere(name, position=[0.75 * k, 0, 0]) for k, name in enumerate(names)]
+    bodies = [make.sphere(name, position=[0.75 * k, 0, 0]) for k, name in enumerate(names)]
     if part.get("joint", [{}])[0].get("type") == "gear":
-        arm = sphere("arm", position=[0, 0, -1])
+        arm = make.sphere("arm", position=[0, 0, -1])
         part["joint"] += [
             {"type": "hinge", "body": "arm", "at": [0, 0, 0], "axis": [0, 0, 1]},
             {"type": "hinge", "body": "planet", "to": "arm", "at": [0.75, 0, 0], "axis": [0, 0, 1]},
@@ -148,25 +147,25 @@ def test_parts_of_cases_are_parts_of_a_case(page, text, tmp_path, monkeypatch):
     law = (
         {"law": "impulse", "restitution": 0.5, "friction": 0.3}
         if page == "impulses.md"
-        else hooke()
+        else make.hooke()
     )
-    whole = case(*bodies, contact=law, t_end=0.01, every=0.01) | part
+    whole = make.case(*bodies, contact=law, t_end=0.01, every=0.01) | part
     particlerb.Simulation(whole, allow_code=True)
 
 
 @pytest.mark.parametrize("page", ["contact.md", "joints.md", "resuming.md", "sweeps.md"])
 @pytest.mark.plain
-def test_python_of_other_pages_runs(page, tmp_path, monkeypatch):
+def test_python_of_other_pages_runs(page, tmp_path, monkeypatch, make):
     """On files of the names that they read."""
     monkeypatch.chdir(tmp_path)
     Path("output").mkdir()
     files = {"contact.md": "heap.h5", "joints.md": "a.h5", "resuming.md": "output/mixer.h5"}
-    scene = case(sphere(position=[0, 0, 0.1]), t_end=0.02, every=0.01)
+    scene = make.case(make.sphere(position=[0, 0, 0.1]), t_end=0.02, every=0.01)
     if page == "joints.md":
         scene["joint"] = [{"type": "ball", "body": "ball", "at": [0, 0, 0.2]}]
     else:
         fields = ["position", "contacts", "wall_force"]
-        scene |= {"contact": hooke(), "wall": [plane()], "output": {"fields": fields}}
+        scene |= {"contact": make.hooke(), "wall": [make.plane()], "output": {"fields": fields}}
     if page in files:
         particlerb.run(scene, files[page]).close()
     for language, text in blocks(page):
