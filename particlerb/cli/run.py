@@ -76,7 +76,7 @@ def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
     with ranks_of(options) as ranks:
         if sys.stderr.isatty() and not options.quiet:
-            WHEN_COMPILING[:] = ["kernels, once, 5 to 20 s (30 s for contact)"]
+            WHEN_COMPILING[:] = ["kernels, once, 5 to 20 s (up to a minute for contact)"]
         prepared = ranks.together(partial(prepared_case, options))
         system = prepared.system
         if ranks is not ALONE:
