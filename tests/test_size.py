@@ -27,7 +27,7 @@ BUDGETS = {
     "one scene over ranks": 2136,
     "reports, pictures, the page": 1678,
     "scenes for other programs": 480,
-    "speed of compiling and of whole calls": 1236,
+    "speed of compiling and of whole calls": 1228,
     "watches": 62,
     "beside all these": 304,
 }

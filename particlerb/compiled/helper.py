@@ -43,15 +43,6 @@ class _Code(codegen.JITCodeLibrary):
         self.large: dict[str, Any] = {}  # code that is to come in by the names of its functions
         self.entry = ""  # name of the function, if callers may call it
 
-    def _optimize_final_module(self) -> None:
-        """Optimise all; light passes before that are for what counts owners of arrays."""
-        code: Any = self
-        if any(one.name.startswith("NRT_") for one in code._final_module.functions):
-            cast(Any, super())._optimize_final_module()
-        else:
-            passes, builder = code._codegen._module_pass_manager()
-            passes.run(code._final_module, builder)
-
     def finalize(self) -> None:
         """Let nothing be added any more, and make machine code."""
         code: Any = self
