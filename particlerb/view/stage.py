@@ -162,10 +162,9 @@ class Stage:
         self.furnish(size)
         server.initial_camera.position = self.size * np.array(_VIEW)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
-        server.on_client_connect(self.step_back)
+        server.on_client_connect(self.watch)
         for client in server.get_clients().values():  # that have seen another scene before
             client.camera.position, client.camera.look_at = self.size * np.array(_VIEW), np.zeros(3)
-            self.step_back(client)
 
     def add_layer(self, k: int) -> Any:
         """Instances of one mesh."""
@@ -230,11 +229,20 @@ class Stage:
             "/lights/sun", intensity=_LIGHT[1], position=(3.0, -1.2, 5.0), cast_shadow=True
         )
 
-    def step_back(self, client: viser.ClientHandle) -> None:
-        """Show a narrow screen the scene from farther away, above the fields."""
-        if client.camera.aspect < _NARROW_ASPECT:
-            client.camera.position = 1.8 * self.size * np.array(_VIEW)
-            client.camera.look_at = (0.0, 0.0, -2.3 * self.size)
+    def watch(self, client: viser.ClientHandle) -> None:
+        """Look at the camera of a browser whenever it moves."""
+        client.camera.on_update(self.step_back)
+
+    def step_back(self, camera: viser.CameraHandle) -> None:
+        """Show a narrow screen the scene from farther away, above the fields.
+
+        At any time that it has the first view: a slow browser takes that one late, again after this
+        was told it.
+        """
+        view = self.size * np.array(_VIEW)
+        off = np.abs(camera.look_at).max() + np.abs(camera.position - view).max()
+        if camera.aspect < _NARROW_ASPECT and off < 1e-3 * self.size:
+            camera.position, camera.look_at = 1.8 * view, np.array([0.0, 0.0, -2.3 * self.size])
 
     def draw_axes(self) -> None:
         """Arrows along x, y and z of the world, with their names, where the camera looks."""

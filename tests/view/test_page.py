@@ -169,9 +169,14 @@ def test_the_page_on_a_phone(cube):
         before = cube.serving.session.n_pushes
         button.click()
         cube.until(lambda: cube.serving.session.n_pushes > before, "pushed from the phone")
-        clients = cube.serving.server.get_clients().values()
-        phone = next(one for one in clients if one.camera.aspect < 0.6)
-        cube.until(lambda: phone.camera.look_at[2] < 0.0, "the scene above the fields")
+        clients = cube.serving.server.get_clients
+        cube.until(
+            lambda: any(
+                one.camera.aspect < 0.6 and one.camera.look_at[2] < 0.0
+                for one in clients().values()
+            ),
+            "the scene above the fields",
+        )
         picture(cube, "view_phone")
     finally:
         page.set_viewport_size(size)
@@ -181,12 +186,13 @@ def test_no_number_in_a_field_breaks_the_scene(cube):
     for wrong in ("nan", "inf", "1e999", "fifty", "", "1e308", "-1e200"):
         cube.fill("force [N]", wrong)
         before = state(cube)
+        cube.serving.message = ""
         cube.press("push at this point")
-        cube.page.wait_for_timeout(200)
+        cube.until(lambda: cube.serving.session.n_pushes or cube.serving.message, wrong)
         if not cube.serving.session.n_pushes:
             assert all((was == now).all() for was, now in zip(before, state(cube), strict=True))
-            assert cube.serving.message, wrong
         cube.press("reset")
+        cube.until(lambda: not cube.serving.session.n_pushes, "reset")
     cube.fill("force [N]", "50")
     cube.press("push at this point")
     cube.until(lambda: cube.serving.session.n_pushes == 1, "pushed after all that")
