@@ -1,14 +1,15 @@
 """Measure falling clumps beside LAMMPS: cost, overlaps, threads, size; and a dilute gas.
 
     python benchmarks/clump_drop.py [--clumps 1000,10000] [--threads 1000,8000] [--many 1000,100000]
-                                    [--seconds 1.5] [--gas 10000] [--record]
+                                    [--seconds 2.5] [--gas 10000] [--record]
 
 Clumps of 8 spheres fall from a loose lattice into an open box, as in cases/clump_drop.toml. Ours
 and LAMMPS (gran/hooke/history with fix rigid/small) start from the same places with the same
 stiffnesses, friction, step and skin of lists, LAMMPS with the damping that gives the same
 restitution, and no attraction in both. They advance in turn, a slice of time each, one thread, so
 that what else the machine does disturbs both alike; times are those of the processor, without
-set-up. The overlaps of both are found from the places at the end of every slice.
+set-up, of the whole, of the first second, of the first two, and of the heap that rests (2 s to
+2.5 s). The overlaps of both are found from the places at the end of every slice.
 
 Two threads are compared with one in the same manner, by the clock on the wall, the least of many
 short slices of each: on a machine that never has two cores free it says nothing. The cost of a
@@ -43,6 +44,7 @@ STEP = 2e-4  # s
 SPACING = 0.6  # m
 SLICE = 0.05  # s
 SHORT = 0.01  # s, of which a few fall into moments when nothing else runs
+PARTS = (("1 s", 0.0, 1.0), ("2 s", 0.0, 2.0), ("resting heap", 2.0, 2.5))  # of a fall [s]
 SKINS = (0.3, 0.6, 1.0)  # of lists, in radii
 GAS_SPEED = 1.0  # m/s in each direction
 
@@ -219,13 +221,13 @@ def beside_lammps(n: int, seconds: float) -> list[tuple[str, float]]:
     case = drop(n, seconds)
     engines = {"ours": Ours(case)}
     engines |= {f"LAMMPS, skin {skin:g} R": Lammps(case, skin) for skin in SKINS}
-    costs = {name: np.zeros(2) for name in engines}
     found: dict[str, list[Depths]] = {name: [] for name in engines}
-    slices = round(seconds / SLICE)
-    for _ in range(slices):
+    slices: dict[str, list[Cost]] = {name: [] for name in engines}
+    for _ in range(round(seconds / SLICE)):
         for name, engine in engines.items():
-            costs[name] += engine.advance(SLICE)
+            slices[name].append(engine.advance(SLICE))
             found[name].append(depths(engine.points()))
+    costs = {name: np.sum(each, axis=0) for name, each in slices.items()}
     print(f"\n{n} clumps, {seconds:g} s in steps of {STEP:g} s, one thread")
     print("                       s per simulated s   overlaps in radii: largest   last    mean")
     for name, cost in costs.items():
@@ -239,7 +241,16 @@ def beside_lammps(n: int, seconds: float) -> list[tuple[str, float]]:
     ours, theirs = costs["ours"][1], costs[best][1]
     print(f"  ours takes {ours / theirs:.2f} of the time of the fastest LAMMPS")
     depth = {name: max(d.largest for d in found[name]) for name in engines}
+    parts = []
+    for what, start, end in PARTS:
+        if end <= seconds + 0.5 * SLICE:
+            part = slice(round(start / SLICE), round(end / SLICE))
+            used = {name: sum(c.processor for c in each[part]) for name, each in slices.items()}
+            ratio = used["ours"] / min(each for name, each in used.items() if name != "ours")
+            print(f"  {what}: {ratio:.2f} of the time of the LAMMPS that is fastest there")
+            parts.append((f"{n} clumps, {what}, ours / LAMMPS", ratio))
     return [
+        *parts,
         (f"{n} clumps, ours [s/s]", ours / seconds),
         (f"{n} clumps, LAMMPS [s/s]", theirs / seconds),
         (f"{n} clumps, ours / LAMMPS", ours / theirs),
@@ -298,15 +309,15 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--clumps", default="1000", help="how many, beside LAMMPS")
     parser.add_argument("--threads", default="1000,8000", help="how many, one thread and two")
-    parser.add_argument("--seconds", type=float, default=1.5, help="simulated")
+    parser.add_argument("--seconds", type=float, default=2.5, help="simulated")
     parser.add_argument("--many", default="1000,10000,100000", help="how many, ours alone")
     parser.add_argument("--gas", type=int, default=10000, help="clumps of the gas")
     parser.add_argument("--record", action="store_true", help="add to results/clump_drop.csv")
     options = parser.parse_args()
     rows: list[tuple[str, float]] = []
     counts = [int(n) for n in options.clumps.split(",") if n]
-    for threads in (1, 2):  # compile what is measured
-        Ours(drop(1000, SLICE, speed=5.0), threads).advance(SLICE)
+    for threads in (1, 2):  # compile what is measured, so that no slice does
+        Ours(drop(1000, 0.3, speed=5.0), threads).advance(0.3)
     for n in counts:
         rows += beside_lammps(n, options.seconds)
     for n in [int(n) for n in options.threads.split(",") if n]:
