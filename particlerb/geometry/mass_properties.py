@@ -19,6 +19,9 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
 
 _SUM_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)  # 1.8e-15: sums, coordinates, eigenvalues
+_FEW_PARTICLES = 4096  # of which the properties are kept: variants of a scene have the same bodies
+_MOST_KNOWN = 64  # scenes whose bodies are kept
+_KNOWN: dict[tuple[bytes, ...], "MassProperties"] = {}  # by the content of their arrays
 _TIE = 0.999  # components this close to the largest count as equal when an axis takes its sign
 
 
@@ -83,6 +86,18 @@ def mass_properties(particles: Particles) -> MassProperties:
     ----------
     Goldstein, Poole, Safko, Classical Mechanics, 3rd ed., section 5.3.
     """
+    if particles.mass.size > _FEW_PARTICLES:
+        return _summed(particles)
+    content = tuple(array.tobytes() for array in particles)
+    if content not in _KNOWN:
+        if len(_KNOWN) == _MOST_KNOWN:
+            _KNOWN.clear()
+        _KNOWN[content] = _summed(particles)
+    return MassProperties._make(array.copy() for array in _KNOWN[content])
+
+
+def _summed(particles: Particles) -> MassProperties:
+    """The same, without those that are known."""
     with np.errstate(all="ignore"):  # underflow, and the ratios of points: 0 / 0
         sums, exponent = sums_of(particles)
         mass, com, second = sums[:, 0], sums[:, 1:4], sums[:, 4:10]
