@@ -157,7 +157,7 @@ def _let_go(breaks: Breaks | None, bodies: CommonSteps, t: float) -> bool:
         return False
     jointed = bodies.jointed
     assert jointed is not None
-    return let_go(jointed.work, bodies.vectors.broken, jointed.start + t)
+    return let_go(jointed.data, bodies.vectors.broken, jointed.start + t)
 
 
 @caller_of_stages
@@ -237,8 +237,8 @@ def _breaks_at(breaks: Breaks, bodies: CommonSteps, t: float, h: float, share: f
     show(bodies, t, h, share)
     _take_slopes(bodies, t + share * h, common.out, common.five.reshape(common.five.size))
     at = jointed.start + (t + share * h)
-    let_go(jointed.work, common.broken, jointed.start + t)
-    return break_by_multipliers(breaks, jointed.joints, jointed.work, common.broken, at)
+    let_go(jointed.data, common.broken, jointed.start + t)
+    return break_by_multipliers(breaks, jointed.joints, jointed.data, common.broken, at)
 
 
 @caller_of_stages

@@ -99,7 +99,7 @@ def _book_given(
     """
     if books is None or given is None:
         return
-    joints, gradient = jointed.joints, jointed.work.gradient
+    joints, gradient = jointed.joints, jointed.data.gradient
     for r in range(joints.rows.kind.size):
         if joints.rows.action[r] != HOLDS:
             a, b = joints.rows.a[r], joints.rows.b[r]

@@ -209,7 +209,7 @@ def _bound_joints(jointed: Jointed | None, impulses: Impulses, dt: float) -> Non
     partners, mechanisms = impulses.partners, impulses.partners.mechanisms
     if jointed is not None and mechanisms is not None:
         bounded = impulses.rows.bounded
-        find_bounded(jointed.joints, jointed.work, partners, mechanisms, bounded, dt)
+        find_bounded(jointed.joints, jointed.data, partners, mechanisms, bounded, dt)
 
 
 @inline
@@ -219,7 +219,7 @@ def _let_joints_hold(jointed: Jointed | None, impulses: Impulses) -> None:
     if jointed is None or mechanisms is None:
         write_through_pistons(mechanisms, impulses.partners, impulses.rows, impulses.filled[0])
     else:
-        find_responses(jointed.joints, jointed.work, impulses, mechanisms)
+        find_responses(jointed.joints, jointed.data, impulses, mechanisms)
 
 
 @kernel
@@ -266,7 +266,7 @@ def _keep_pose(
         return
     c = mechanisms.number[b]
     if c >= 0:
-        put_pose(jointed.work.y, mechanisms.first[c] + mechanisms.place[b], x, q)
+        put_pose(jointed.data.y, mechanisms.first[c] + mechanisms.place[b], x, q)
 
 
 @inline
@@ -276,7 +276,7 @@ def _back_to_joints(
     """Find moves to where joints hold; whether there are any."""
     if jointed is None or mechanisms is None:
         return False
-    return move_to_joints(jointed.joints, jointed.work, partners, mechanisms)
+    return move_to_joints(jointed.joints, jointed.data, partners, mechanisms)
 
 
 @inline
@@ -328,7 +328,7 @@ def _keep_among_joints(jointed: Jointed | None, bounded: Bounded | None, dt: flo
     """Keep what acts in joints within bounds for the next step, unless this goes to a frame."""
     if jointed is None or bounded is None:
         return
-    if dt == jointed.work.clock[1]:
+    if dt == jointed.data.clock[1]:
         keep_bounded(bounded, dt)
 
 

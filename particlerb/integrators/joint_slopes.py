@@ -18,7 +18,7 @@ from particlerb.joints.actions import action_force
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.drives import set_moving
 from particlerb.joints.reactions import factorise_all, find_multipliers
-from particlerb.joints.records import HOLDS, STATE, Jointed, Joints, JointWork, L, P, Q, X
+from particlerb.joints.records import HOLDS, STATE, JointData, Jointed, Joints, L, P, Q, X
 from particlerb.joints.rows import add_impulses, by_inverse_inertia, linearise, orientation
 from particlerb.joints.solver import constrained_drift, keep_rates
 from particlerb.joints.trees import JointTree, accelerate_tree
@@ -33,7 +33,7 @@ _WORK_ROW, _IMPULSE_ROW, _ANGULAR_ROW = BOOKED, BOOKED + 1, BOOKED + 4
 @inline
 def _put_state(jointed: Jointed, states: Floats, w: int) -> None:
     """States of the mechanisms, from blocks (blocks, 13 w or more), with |q| = 1."""
-    y = jointed.work.y
+    y = jointed.data.y
     for k in range(jointed.block.size):
         row, lane, square = states[jointed.block[k]], jointed.lane[k], 0.0
         for c in range(STATE):
@@ -49,7 +49,7 @@ def _give_state(jointed: Jointed, states: Floats, w: int) -> None:
     """The same back."""
     for k in range(jointed.block.size):
         for c in range(STATE):
-            states[jointed.block[k], c * w + jointed.lane[k]] = jointed.work.y[k, c]
+            states[jointed.block[k], c * w + jointed.lane[k]] = jointed.data.y[k, c]
 
 
 @inline
@@ -58,7 +58,7 @@ def _give_slopes(jointed: Jointed, slope: Floats, w: int) -> None:
     for k in range(jointed.block.size):
         row, lane = slope[jointed.block[k]], jointed.lane[k]
         for i in range(6):
-            row[(P + i) * w + lane] = jointed.work.change[k, i]
+            row[(P + i) * w + lane] = jointed.data.change[k, i]
         if jointed.joints.inv_mass[k] == 0.0:
             for c in range(row.size // w):
                 row[c * w + lane] = 0.0
@@ -85,29 +85,29 @@ def _book_row(
     """Book the power of what acts along row r, and what z of it has from the world."""
     if books is None:
         return
-    joints, work = jointed.joints, jointed.work
+    joints, data = jointed.joints, jointed.data
     a, b = joints.rows.a[r], joints.rows.b[r]
     k = a if joints.inv_mass[a] > 0.0 else b
     F, tau = ZERO, ZERO
     if joints.inv_mass[a] == 0.0 or joints.inv_mass[b] == 0.0:
-        F = scale(z if k == a else -z, row3_at(work.gradient, r, 0))
-        turning = scale(z, row3_at(work.gradient, r, 3 if k == a else 6))
-        tau = add(turning, cross(row3_at(work.y, k, X), F))
+        F = scale(z if k == a else -z, row3_at(data.gradient, r, 0))
+        turning = scale(z, row3_at(data.gradient, r, 3 if k == a else 6))
+        tau = add(turning, cross(row3_at(data.y, k, X), F))
     _book(books, jointed, slope, w, k, power, F, tau)
 
 
 @unfused_kernel
 def add_actions(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
     """Add to the loads what springs, stops, motors, dampers and drag do, and book it."""
-    joints, work = jointed.joints, jointed.work
+    joints, data = jointed.joints, jointed.data
     for r in range(joints.rows.kind.size):
         if joints.rows.action[r] != HOLDS:
-            force, power = action_force(joints, work, r)
-            work.z[r] = force
+            force, power = action_force(joints, data, r)
+            data.z[r] = force
             add_impulses(
-                joints.rows, joints.inv_mass, work.gradient, work.z, r, r + 1, work.change, 0
+                joints.rows, joints.inv_mass, data.gradient, data.z, r, r + 1, data.change, 0
             )
-            power -= force * work.moving[r]
+            power -= force * data.moving[r]
             _book_row(books, jointed, slope, w, r, force, power)
     _drag(jointed.damps, books, jointed, slope, w)
 
@@ -117,7 +117,7 @@ def _drag(damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> 
     """Add the drag of all bodies to the loads, if something damps."""
     if damps is None:
         return
-    joints, y, load = jointed.joints, jointed.work.y, jointed.work.change
+    joints, y, load = jointed.joints, jointed.data.y, jointed.data.change
     for k in range(jointed.block.size):
         v = scale(joints.inv_mass[k], row3_at(y, k, P))
         spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3_at(y, k, L))
@@ -130,34 +130,34 @@ def _drag(damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> 
 
 
 @inline
-def _prepare(tree: JointTree | None, joints: Joints, work: JointWork, t: float) -> None:
+def _prepare(tree: JointTree | None, joints: Joints, data: JointData, t: float) -> None:
     """Gradients of all rows and the factor of A; in trees gradients alone, of what acts."""
     if tree is None:
-        factorise_all(joints, work, t)
+        factorise_all(joints, data, t)
         return
     for r in range(joints.rows.kind.size):
         if joints.rows.action[r] != HOLDS:
-            linearise(joints, work, r, r + 1)
+            linearise(joints, data, r, r + 1)
 
 
 @inline
 def _add_what_holds(
     tree: JointTree | None, books: Flag, jointed: Jointed, slope: Floats, w: int
 ) -> None:
-    """Add what keeps the joints to the loads in `work.change`, and book it."""
-    joints, work = jointed.joints, jointed.work
+    """Add what keeps the joints to the loads in `data.change`, and book it."""
+    joints, data = jointed.joints, jointed.data
     if tree is None:
-        find_multipliers(joints, work, work.change)
+        find_multipliers(joints, data, data.change)
         m = joints.rows.kind.size
         for r in range(m):
-            _book_row(books, jointed, slope, w, r, work.z[r], -work.z[r] * work.moving[r])
-        add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, 0, m, work.change, 0)
+            _book_row(books, jointed, slope, w, r, data.z[r], -data.z[r] * data.moving[r])
+        add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, 0, m, data.change, 0)
         return
-    accelerate_tree(joints, tree, work.y, work.change)
+    accelerate_tree(joints, tree, data.y, data.change)
     for i in range(tree.body.size):
         if joints.inv_mass[tree.before[i]] == 0.0:
             k = tree.body[i]
-            at = subtract(row3_at(work.y, k, X), row3_at(tree.bodies.com, k, 0))
+            at = subtract(row3_at(data.y, k, X), row3_at(tree.bodies.com, k, 0))
             F = row3_at(tree.bodies.b, k, 0)
             about_origin = add(row3_at(tree.bodies.b, k, 3), cross(at, F))
             _book(books, jointed, slope, w, k, 0.0, F, about_origin)
@@ -176,14 +176,14 @@ def add_reactions(
     """
     if jointed is None:
         return
-    joints, work = jointed.joints, jointed.work
+    joints, data = jointed.joints, jointed.data
     _put_state(jointed, states, w)
     place_driven(jointed.driven, jointed, t, 0.0, 0, jointed.block.size)
-    work.clock[0] = t
+    data.clock[0] = t
     for k in range(jointed.block.size):
         for i in range(6):
-            work.change[k, i] = slope[jointed.block[k], (P + i) * w + jointed.lane[k]]
-    _prepare(jointed.tree, joints, work, t)
+            data.change[k, i] = slope[jointed.block[k], (P + i) * w + jointed.lane[k]]
+    _prepare(jointed.tree, joints, data, t)
     if joints.acts or joints.damps:
         add_actions(books, jointed, slope, w)
     _add_what_holds(jointed.tree, books, jointed, slope, w)
@@ -199,7 +199,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
     """
     if jointed is None:
         return
-    joints, work = jointed.joints, jointed.work
+    joints, data = jointed.joints, jointed.data
     _put_state(jointed, states, w)
     place_driven(jointed.driven, jointed, t, 0.0, 0, jointed.block.size)
     for c in range(joints.clusters.body.size - 1):
@@ -208,23 +208,23 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
         first, last = body[c], body[c + 1]
         for k in range(first, last):
             for i in range(6):
-                work.change[k, i], work.y[k, P + i] = work.y[k, P + i], 0.0
-        constrained_drift(joints, work, c, 0.0, t - 1.0, 1.0)
+                data.change[k, i], data.y[k, P + i] = data.y[k, P + i], 0.0
+        constrained_drift(joints, data, c, 0.0, t - 1.0, 1.0)
         for k in range(first, last):
             for i in range(6):
-                work.y[k, P + i] = work.change[k, i]
-        linearise(joints, work, lo, hi)
-        set_moving(joints, work, lo, hi, t)
-        keep_rates(joints, work, c, lo, hi)
-        if work.lost[c] > 0:
-            work.y[first:last] = nan
+                data.y[k, P + i] = data.change[k, i]
+        linearise(joints, data, lo, hi)
+        set_moving(joints, data, lo, hi, t)
+        keep_rates(joints, data, c, lo, hi)
+        if data.lost[c] > 0:
+            data.y[first:last] = nan
     _give_state(jointed, states, w)
 
 
 @inline
 def _spin(jointed: Jointed, k: int) -> float:
     """Size of the angular velocity of body k [rad/s]; of what stands still 0."""
-    y, inverse = jointed.work.y, jointed.joints.inv_inertia
+    y, inverse = jointed.data.y, jointed.joints.inv_inertia
     w = by_inverse_inertia(inverse, orientation(y, k), k, row3_at(y, k, L))
     return dot(w, w) ** 0.5
 
@@ -238,7 +238,7 @@ def count_on(jointed: Jointed | None, states: Floats, w: int, h: float) -> float
     if jointed is None:
         return h
     _put_state(jointed, states, w)
-    count_turns(jointed.joints.coordinates, jointed.work.y, jointed.work.turned)
+    count_turns(jointed.joints.coordinates, jointed.data.y, jointed.data.turned)
     rows, fastest = jointed.joints.rows, 0.0
     for r in range(rows.kind.size):
         fastest = max(fastest, _spin(jointed, rows.a[r]) + _spin(jointed, rows.b[r]))
@@ -253,5 +253,5 @@ def store_coordinates(
     if jointed is None:
         return
     _put_state(jointed, states, w)
-    store_turns(jointed.work.turned, stored, frame)
-    count_turns(jointed.joints.coordinates, jointed.work.y, stored[frame])
+    store_turns(jointed.data.turned, stored, frame)
+    count_turns(jointed.joints.coordinates, jointed.data.y, stored[frame])

@@ -65,12 +65,12 @@ def _keep(
 @inline
 def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
     """States of cluster c."""
-    joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
+    joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         for i in range(STATE_ROWS):
-            work.y[k, i] = get(blocks[block[k]], COM + i, lane[k])
+            data.y[k, i] = get(blocks[block[k]], COM + i, lane[k])
         for i in range(6):
-            work.change[k, i] = get(blocks[block[k]], STAGE + 6 + i, lane[k])
+            data.change[k, i] = get(blocks[block[k]], STAGE + 6 + i, lane[k])
 
 
 @inline
@@ -80,7 +80,7 @@ def place_driven(
     """Put bodies first to last that are driven where they are at t, with momenta if dt is 0."""
     if driven is None:
         return
-    y, motion, time = jointed.work.y, jointed.work.motion, jointed.start + t
+    y, motion, time = jointed.data.y, jointed.data.motion, jointed.start + t
     for k in range(driven.which.size):
         b = driven.which[k]
         if first <= b < last:
@@ -94,16 +94,16 @@ def place_driven(
                 put_row3_at(y, b, P, p)
                 put_row3_at(y, b, L, spin)
             x, q, v, w = prescribed_pose(driven, k, time + dt)
-            put_pose(jointed.work.later, b, x, q)
+            put_pose(jointed.data.later, b, x, q)
 
 
 @inline
 def _scatter(jointed: Jointed, blocks: Floats, c: int) -> None:
     """States of cluster c, back into the blocks; nothing but NaN where it was lost."""
-    joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
+    joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         for i in range(STATE_ROWS):
-            put(blocks[block[k]], COM + i, lane[k], nan if work.lost[c] else work.y[k, i])
+            put(blocks[block[k]], COM + i, lane[k], nan if data.lost[c] else data.y[k, i])
 
 
 @inline
@@ -111,18 +111,18 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
     """Book the impulses of joints with the world of cluster c, whose bodies were at `at`."""
     if books is None:
         return
-    joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
+    joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     start = joints.program.start
     for r in range(start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]):
-        a, b, z = joints.rows.a[r], joints.rows.b[r], work.total[r]
-        by_x = row3_at(work.gradient, r, 0)
+        a, b, z = joints.rows.a[r], joints.rows.b[r], data.total[r]
+        by_x = row3_at(data.gradient, r, 0)
         if joints.inv_mass[b] == 0.0 and joints.inv_mass[a] > 0.0:
             impulse = scale(z, by_x)
-            turning = add_scaled(z, row3_at(work.gradient, r, 3), cross(row3_at(at, a, X), impulse))
+            turning = add_scaled(z, row3_at(data.gradient, r, 3), cross(row3_at(at, a, X), impulse))
             book(books, blocks[block[a]], lane[a], 1.0, (0.0, impulse, turning))
         elif joints.inv_mass[a] == 0.0 and joints.inv_mass[b] > 0.0:
             impulse = scale(-z, by_x)
-            turning = add_scaled(z, row3_at(work.gradient, r, 6), cross(row3_at(at, b, X), impulse))
+            turning = add_scaled(z, row3_at(data.gradient, r, 6), cross(row3_at(at, b, X), impulse))
             book(books, blocks[block[b]], lane[b], 1.0, (0.0, impulse, turning))
 
 
@@ -137,15 +137,15 @@ def _book_given(
     """
     if books is None or given is None or kick_dt == 0.0:
         return
-    joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
+    joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     start, joint = joints.program.start, joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
         if joints.rows.action[r] != HOLDS:
-            book_work(books, jointed, blocks, r, work_of_motor(joints, work, r, kick_dt))
+            book_work(books, jointed, blocks, r, work_of_motor(joints, data, r, kick_dt))
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         rows, b = blocks[block[k]], lane[k]
-        by_joints = subtract(row3_at(work.y, k, P), get3(rows, COM + P, b))
-        turning = subtract(row3_at(work.y, k, L), get3(rows, COM + L, b))
+        by_joints = subtract(row3_at(data.y, k, P), get3(rows, COM + P, b))
+        turning = subtract(row3_at(data.y, k, L), get3(rows, COM + L, b))
         q = get4(rows, COM + Q, b)
         spin = by_inverse_inertia(joints.inv_inertia, q, k, turning)
         gain = joints.inv_mass[k] * dot(get3(rows, STAGE, b), by_joints)
@@ -166,10 +166,10 @@ def _book_drives(books: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
     """Book the work -λ ∂g/∂t of constraints of cluster c that move by themselves."""
     if books is None or not jointed.joints.moves:
         return
-    work, start, joint = jointed.work, jointed.joints.program.start, jointed.joints.clusters.joint
+    data, start, joint = jointed.data, jointed.joints.program.start, jointed.joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
-        if work.moving[r] != 0.0:
-            book_work(books, jointed, blocks, r, -work.moving[r] * work.total[r])
+        if data.moving[r] != 0.0:
+            book_work(books, jointed, blocks, r, -data.moving[r] * data.total[r])
 
 
 @inline
@@ -177,20 +177,20 @@ def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, sp
     """Let dampers, dashpots and drag of cluster c act over a span, within its constraints."""
     if damps is None or span == 0.0:
         return
-    joints, work, block, lane = jointed.joints, jointed.work, jointed.block, jointed.lane
+    joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     start, joint = joints.program.start, joints.clusters.joint
-    soften(joints, work, c, span)
-    project_momenta(softened(joints, work), work, c, 0.0, work.clock[0], span)
+    soften(joints, data, c, span)
+    project_momenta(softened(joints, data), data, c, 0.0, data.clock[0], span)
     for r in range(start[joint[c]], start[joint[c + 1]]):
-        half = work.total[r]
-        work.total[r] = 2.0 * half
+        half = data.total[r]
+        data.total[r] = 2.0 * half
         if joints.rows.action[r] != HOLDS and half != 0.0:
-            book_work(books, jointed, blocks, r, -2.0 * work.compliance[r] * half * half)
-    keep_impulses(joints.breaks, joints, work, c, False)
-    _book_world(books, jointed, blocks, c, work.y)
+            book_work(books, jointed, blocks, r, -2.0 * data.compliance[r] * half * half)
+    keep_impulses(joints.breaks, joints, data, c, False)
+    _book_world(books, jointed, blocks, c, data.y)
     _book_drives(books, jointed, blocks, c)
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
-        entry = finish_damping(joints, work, k, span)
+        entry = finish_damping(joints, data, k, span)
         book(books, blocks[block[k]], lane[k], 1.0, entry)
 
 
@@ -216,21 +216,21 @@ def drift_clusters(
     if jointed is None:
         return
     first, last = _share_of_clusters(jointed, team)
-    t, body = jointed.work.clock[0] + ahead, jointed.joints.clusters.body
+    t, body = jointed.data.clock[0] + ahead, jointed.joints.clusters.body
     for c in range(first, last):
         _gather(jointed, blocks, c)
         place_driven(jointed.driven, jointed, t, dt, body[c], body[c + 1])
-        constrained_drift(jointed.joints, jointed.work, c, kick_dt, t, dt)
-        if dt == jointed.work.clock[1]:  # and not a part of a step, to a frame
+        constrained_drift(jointed.joints, jointed.data, c, kick_dt, t, dt)
+        if dt == jointed.data.clock[1]:  # and not a part of a step, to a frame
             joints = jointed.joints
-            foresee_breaks(joints.breaks, joints, jointed.work, c, kick_dt, t)
-        _book_world(books, jointed, blocks, c, jointed.work.pose)
+            foresee_breaks(joints.breaks, joints, jointed.data, c, kick_dt, t)
+        _book_world(books, jointed, blocks, c, jointed.data.pose)
         _book_drives(books, jointed, blocks, c)
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
         _scatter(jointed, blocks, c)
     meet_all(team)
     if first == 0:
-        count_turns(jointed.joints.coordinates, jointed.work.y, jointed.work.turned)
+        count_turns(jointed.joints.coordinates, jointed.data.y, jointed.data.turned)
 
 
 @kernel
@@ -242,13 +242,13 @@ def project_clusters(
     if jointed is None:
         return
     first, last = _share_of_clusters(jointed, team)
-    t, body = jointed.work.clock[0], jointed.joints.clusters.body
+    t, body = jointed.data.clock[0], jointed.joints.clusters.body
     for c in range(first, last):
         _gather(jointed, blocks, c)
         place_driven(jointed.driven, jointed, t, 0.0, body[c], body[c + 1])
-        project_momenta(jointed.joints, jointed.work, c, kick_dt, t, 0.0)
-        keep_impulses(jointed.joints.breaks, jointed.joints, jointed.work, c, True)
-        _book_world(books, jointed, blocks, c, jointed.work.y)
+        project_momenta(jointed.joints, jointed.data, c, kick_dt, t, 0.0)
+        keep_impulses(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
+        _book_world(books, jointed, blocks, c, jointed.data.y)
         _book_drives(books, jointed, blocks, c)
         _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
         _damp(books, jointed.damps, jointed, blocks, c, span)
@@ -260,7 +260,7 @@ def project_clusters(
 def keep_coordinates(jointed: Jointed | None, stored: Floats, frame: int) -> None:
     """Keep the coordinates of joints for a frame, if there are joints."""
     if jointed is not None:
-        store_turns(jointed.work.turned, stored, frame)
+        store_turns(jointed.data.turned, stored, frame)
 
 
 # Loads of joints that may break
@@ -272,7 +272,7 @@ def count_drift(jointed: Jointed | None, team: Team | None, is_first: bool) -> N
     if jointed is None or team is None:
         return
     if team.rank == 0:
-        carry_in_drift(jointed.joints.breaks, jointed.work, is_first)
+        carry_in_drift(jointed.joints.breaks, jointed.data, is_first)
 
 
 @inline
@@ -281,7 +281,7 @@ def count_projection(jointed: Jointed | None, team: Team | None) -> None:
     if jointed is None or team is None:
         return
     if team.rank == 0:
-        carry_in_projection(jointed.joints.breaks, jointed.work)
+        carry_in_projection(jointed.joints.breaks, jointed.data)
 
 
 @inline
@@ -289,5 +289,5 @@ def let_joints_break(jointed: Jointed | None, team: Team | None, dt: float) -> N
     """Break joints that have carried too much, at the end of a step that does not go to a frame."""
     if jointed is None or team is None:
         return
-    if team.rank == 0 and dt == jointed.work.clock[1]:
-        break_overloaded(jointed.joints.breaks, jointed.joints, jointed.work, dt)
+    if team.rank == 0 and dt == jointed.data.clock[1]:
+        break_overloaded(jointed.joints.breaks, jointed.joints, jointed.data, dt)

@@ -180,7 +180,7 @@ def _set_clock(jointed: Jointed | None, t: float) -> None:
     """Tell joints the time, if there are any."""
     if jointed is None:
         return
-    jointed.work.clock[0] = t
+    jointed.data.clock[0] = t
 
 
 @stage
@@ -229,7 +229,7 @@ def shift_clock(jointed: Jointed | None, team: Team | None, later: float) -> Non
     if jointed is None or team is None:
         return
     if team.rank == 0:
-        jointed.work.clock[0] += later
+        jointed.data.clock[0] += later
 
 
 @stages

@@ -24,8 +24,8 @@ from particlerb.joints.records import (
     RACK,
     TURN,
     WORLD_ALONG,
+    JointData,
     Joints,
-    JointWork,
     L,
     P,
 )
@@ -54,27 +54,27 @@ class _Spin(NamedTuple):
 
 
 @inline
-def _spin_of(joints: Joints, work: JointWork, k: int, R: Matrix) -> _Spin:
+def _spin_of(joints: Joints, data: JointData, k: int, R: Matrix) -> _Spin:
     """How body k turns in an orientation."""
-    inverse, m = row3_at(joints.inv_inertia, k, 0), turn_back(R, row3_at(work.y, k, L))
+    inverse, m = row3_at(joints.inv_inertia, k, 0), turn_back(R, row3_at(data.y, k, L))
     w = component_product(inverse, m)
     lost = turn(R, component_product(inverse, cross(w, m)))
-    return _Spin(add(turn(R, w), row3_at(work.motion, k, 3)), lost)
+    return _Spin(add(turn(R, w), row3_at(data.motion, k, 3)), lost)
 
 
 @inline
-def _velocity(joints: Joints, work: JointWork, k: int) -> Vec3:
+def _velocity(joints: Joints, data: JointData, k: int) -> Vec3:
     """Velocity of body k [m/s]."""
-    return add_scaled(joints.inv_mass[k], row3_at(work.y, k, P), row3_at(work.motion, k, 0))
+    return add_scaled(joints.inv_mass[k], row3_at(data.y, k, P), row3_at(data.motion, k, 0))
 
 
 @inline
 def _convective(
-    joints: Joints, work: JointWork, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
+    joints: Joints, data: JointData, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
 ) -> float:
     """Convective part of row r, along no fixed direction of the world."""
     rows, kind = joints.rows, joints.rows.kind[r]
-    ra, rb, u, d = arms_at(rows, work.y, r, R)
+    ra, rb, u, d = arms_at(rows, data.y, r, R)
     ra1, rb1, u1 = cross(wa, ra), cross(wb, rb), cross(wb, u)
     if kind >= TURN:
         return dot(u1 if kind == TURN else cross(wa, u), subtract(wa, wb))
@@ -82,8 +82,8 @@ def _convective(
     if kind == DOT:
         return dot(ra2, u) + 2.0 * dot(ra1, u1) + dot(ra, u2)
     a, b = rows.a[r], rows.b[r]
-    k = add(subtract(ra2, rb2), _by_given(work, a, b))
-    va, vb = _velocity(joints, work, a), _velocity(joints, work, b)
+    k = add(subtract(ra2, rb2), _by_given(data, a, b))
+    va, vb = _velocity(joints, data, a), _velocity(joints, data, b)
     d1 = subtract(add(va, ra1), add(vb, rb1))
     if kind == GEAR:
         return dot(tangent(u, d), subtract(k, cross(wb, d1)))
@@ -94,14 +94,14 @@ def _convective(
 
 
 @inline
-def _by_given(work: JointWork, a: int, b: int) -> Vec3:
+def _by_given(data: JointData, a: int, b: int) -> Vec3:
     """How the accelerations of bodies that move as prescribed differ."""
-    return subtract(row3_at(work.motion, a, 6), row3_at(work.motion, b, 6))
+    return subtract(row3_at(data.motion, a, 6), row3_at(data.motion, b, 6))
 
 
 @inline
 def _centripetal(
-    joints: Joints, work: JointWork, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
+    joints: Joints, data: JointData, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
 ) -> Vec3:
     """k of row r."""
     ra, rb = (
@@ -109,30 +109,30 @@ def _centripetal(
         turn(R[1], row3_at(joints.rows.second, r, 0)),
     )
     k = subtract(cross(wa, cross(wa, ra)), cross(wb, cross(wb, rb)))
-    return add(k, _by_given(work, joints.rows.a[r], joints.rows.b[r]))
+    return add(k, _by_given(data, joints.rows.a[r], joints.rows.b[r]))
 
 
 @kernel
-def accelerations(joints: Joints, work: JointWork, lo: int, hi: int, load: Floats) -> None:
+def accelerations(joints: Joints, data: JointData, lo: int, hi: int, load: Floats) -> None:
     """z = -g̈ of rows lo to hi under loads (n + 1, 6), force and torque, without reactions."""
     if lo == hi:
         return
-    rows, gradient, k = joints.rows, work.gradient, ZERO
-    R = rotations(rows, work.y, lo)
-    spin_a = _spin_of(joints, work, rows.a[lo], R[0])
-    spin_b = _spin_of(joints, work, rows.b[lo], R[1])
+    rows, gradient, k = joints.rows, data.gradient, ZERO
+    R = rotations(rows, data.y, lo)
+    spin_a = _spin_of(joints, data, rows.a[lo], R[0])
+    spin_b = _spin_of(joints, data, rows.b[lo], R[1])
     for r in range(lo, hi):
         if r > lo and is_of_other_bodies(rows, lo, r):
-            R = rotations(rows, work.y, r)
-            spin_a = _spin_of(joints, work, rows.a[r], R[0])
-            spin_b = _spin_of(joints, work, rows.b[r], R[1])
+            R = rotations(rows, data.y, r)
+            spin_a = _spin_of(joints, data, rows.a[r], R[0])
+            spin_b = _spin_of(joints, data, rows.b[r], R[1])
         if rows.kind[r] == WORLD_ALONG:
             if r == lo or not joints.beside[r]:
-                k = _centripetal(joints, work, r, R, spin_a.w, spin_b.w)
+                k = _centripetal(joints, data, r, R, spin_a.w, spin_b.w)
             acceleration = dot(row3_at(rows.axis, r, 0), k)
         else:
-            acceleration = _convective(joints, work, r, R, spin_a.w, spin_b.w)
+            acceleration = _convective(joints, data, r, R, spin_a.w, spin_b.w)
         acceleration += rate(joints, gradient, r, load, 0)
-        acceleration -= course(joints.drives, rows.drive[r], work.clock[0])[2]
+        acceleration -= course(joints.drives, rows.drive[r], data.clock[0])[2]
         acceleration -= dot(row3_at(gradient, r, 3), spin_a.lost)
-        work.z[r] = dot(row3_at(gradient, r, 6), spin_b.lost) - acceleration
+        data.z[r] = dot(row3_at(gradient, r, 6), spin_b.lost) - acceleration

@@ -13,7 +13,7 @@ from math import copysign, inf, pi
 from typing import Final
 
 from particlerb.compiled.jit import inline, unfused_kernel
-from particlerb.joints.records import HOLDS, TURN, Actions, ConstraintRows, Joints, JointWork, P
+from particlerb.joints.records import HOLDS, TURN, Actions, ConstraintRows, JointData, Joints, P
 from particlerb.joints.rows import add_impulses, coordinate, orientation, rate, shorter
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.rows import row3, row3_at
@@ -60,7 +60,7 @@ def gives_way(rows: ConstraintRows, actions: Actions, r: int, before: Floats, y:
 
 
 @inline
-def set_compliance(joints: Joints, work: JointWork, r: int, span: float) -> None:
+def set_compliance(joints: Joints, data: JointData, r: int, span: float) -> None:
     """What row r has on its diagonal over a span; inf where nothing damps."""
     k = joints.rows.action[r]
     if k == HOLDS:
@@ -69,15 +69,15 @@ def set_compliance(joints: Joints, work: JointWork, r: int, span: float) -> None
     if span > 0.0:
         c = joints.actions.damping[k]
         if (
-            _beyond(joints.actions, k, joints.rows.kind[r], coordinate(joints.rows, work.y, r))
+            _beyond(joints.actions, k, joints.rows.kind[r], coordinate(joints.rows, data.y, r))
             != 0.0
         ):
             c += joints.actions.stop_damping[k]
-    work.compliance[r] = 2.0 / (span * c) if c > 0.0 else inf
+    data.compliance[r] = 2.0 / (span * c) if c > 0.0 else inf
 
 
 @inline
-def kick_actions(joints: Joints, work: JointWork, lo: int, hi: int, dt: float) -> None:
+def kick_actions(joints: Joints, data: JointData, lo: int, hi: int, dt: float) -> None:
     """Let springs, stops and motors of rows lo to hi act over dt; `total` has the impulses."""
     if not joints.acts:
         return
@@ -85,22 +85,22 @@ def kick_actions(joints: Joints, work: JointWork, lo: int, hi: int, dt: float) -
     for r in range(lo, hi):
         k = joints.rows.action[r]
         if k != HOLDS:
-            x = coordinate(joints.rows, work.y, r)
+            x = coordinate(joints.rows, data.y, r)
             f = -actions.stiffness[k] * _from_rest(actions, k, kind[r], x)
             f += actions.motor[k] - actions.stop[k] * _beyond(actions, k, kind[r], x)
-            work.z[r] = work.total[r] = f * dt
-            work.before[r] = rate(joints, work.gradient, r, work.y, P)
-            work.before[r] += work.moving[r] - rate(joints, work.gradient, r, work.change, 0)
+            data.z[r] = data.total[r] = f * dt
+            data.before[r] = rate(joints, data.gradient, r, data.y, P)
+            data.before[r] += data.moving[r] - rate(joints, data.gradient, r, data.change, 0)
     for r in range(lo, hi):
         if joints.rows.action[r] != HOLDS:
-            add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, r, r + 1, work.y, P)
+            add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, r, r + 1, data.y, P)
 
 
 @inline
-def work_of_motor(joints: Joints, work: JointWork, r: int, dt: float) -> float:
+def work_of_motor(joints: Joints, data: JointData, r: int, dt: float) -> float:
     """Work of a motor in a kick: with its rates before, and after the impulses of the joints."""
-    after = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
-    W: float = 0.5 * dt * joints.actions.motor[joints.rows.action[r]] * (work.before[r] + after)
+    after = rate(joints, data.gradient, r, data.y, P) + data.moving[r]
+    W: float = 0.5 * dt * joints.actions.motor[joints.rows.action[r]] * (data.before[r] + after)
     return W
 
 
@@ -121,11 +121,11 @@ def add_stored_energy(joints: Joints, y: Floats, world: Ints, sums: Floats) -> N
 
 
 @inline
-def action_force(joints: Joints, work: JointWork, r: int) -> tuple[float, float]:
+def action_force(joints: Joints, data: JointData, r: int) -> tuple[float, float]:
     """What acts along row r [N or N m], and the power of that which has no potential [W]."""
     actions, k, kind = joints.actions, joints.rows.action[r], joints.rows.kind[r]
-    x = coordinate(joints.rows, work.y, r)
-    v = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
+    x = coordinate(joints.rows, data.y, r)
+    v = rate(joints, data.gradient, r, data.y, P) + data.moving[r]
     beyond = _beyond(actions, k, kind, x)
     c = actions.damping[k] + (actions.stop_damping[k] if beyond != 0.0 else 0.0)
     f = -actions.stiffness[k] * _from_rest(actions, k, kind, x)
@@ -137,36 +137,36 @@ def action_force(joints: Joints, work: JointWork, r: int) -> tuple[float, float]
 
 
 @inline
-def soften(joints: Joints, work: JointWork, c: int, span: float) -> None:
+def soften(joints: Joints, data: JointData, c: int, span: float) -> None:
     """Inverse masses of cluster c with half of its drag over a span; keep its momenta."""
     for b in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         half = 0.5 * span * joints.inv_mass[b] * joints.drag[b, 0]
-        work.inv_mass[b] = joints.inv_mass[b] / (1.0 + half)
+        data.inv_mass[b] = joints.inv_mass[b] / (1.0 + half)
         for i in range(3):
             half = 0.5 * span * joints.inv_inertia[b, i] * joints.drag[b, 1]
-            work.inv_inertia[b, i] = joints.inv_inertia[b, i] / (1.0 + half)
+            data.inv_inertia[b, i] = joints.inv_inertia[b, i] / (1.0 + half)
         for i in range(6):
-            work.change[b, i] = work.y[b, P + i]
+            data.change[b, i] = data.y[b, P + i]
 
 
 @inline
-def softened(joints: Joints, work: JointWork) -> Joints:
+def softened(joints: Joints, data: JointData) -> Joints:
     """The joints of bodies with these masses; of the same type, or all is compiled twice."""
-    return Joints(joints.order, work.inv_mass, work.inv_inertia, *joints[3:])
+    return Joints(joints.order, data.inv_mass, data.inv_inertia, *joints[3:])
 
 
 @inline
 def finish_damping(
-    joints: Joints, work: JointWork, b: int, span: float
+    joints: Joints, data: JointData, b: int, span: float
 ) -> tuple[float, Vec3, Vec3]:
     """Momenta of body b after the span, from those of the middle; work, impulse, torque of drag."""
-    q, at = orientation(work.y, b), row3_at(work.y, b, 0)
-    m = to_body(q, row3_at(work.y, b, P + 3))
-    v = scale(work.inv_mass[b], row3_at(work.y, b, P))
-    w = to_world(q, component_product(row3(work.inv_inertia, b), m))
+    q, at = orientation(data.y, b), row3_at(data.y, b, 0)
+    m = to_body(q, row3_at(data.y, b, P + 3))
+    v = scale(data.inv_mass[b], row3_at(data.y, b, P))
+    w = to_world(q, component_product(row3(data.inv_inertia, b), m))
     impulse = scale(-span * joints.drag[b, 0], v)
     turning = scale(-span * joints.drag[b, 1], w)
     for i in range(3):  # M (2 v* - v) = 2 (p + half of the drag) - p
-        work.y[b, P + i] = 2.0 * work.y[b, P + i] + impulse[i] - work.change[b, i]
-        work.y[b, P + 3 + i] = 2.0 * work.y[b, P + 3 + i] + turning[i] - work.change[b, 3 + i]
+        data.y[b, P + i] = 2.0 * data.y[b, P + i] + impulse[i] - data.change[b, i]
+        data.y[b, P + 3 + i] = 2.0 * data.y[b, P + 3 + i] + turning[i] - data.change[b, 3 + i]
     return dot(impulse, v) + dot(turning, w), impulse, add(cross(at, impulse), turning)

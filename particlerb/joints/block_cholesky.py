@@ -16,7 +16,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.joints.fives import down_fives, up_fives, update_fives
-from particlerb.joints.records import Clusters, ConstraintRows, JointWork, Program
+from particlerb.joints.records import Clusters, ConstraintRows, JointData, Program
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Bools, Floats, Ints, dot
 
@@ -131,9 +131,9 @@ def _shared(a: Ints, b: Ints, pair: Ints, inv_mass: Floats) -> Bools:
 
 
 @inline
-def _on_diagonal(work: JointWork, k: int, at: int, n: int, m: float) -> None:
+def _on_diagonal(data: JointData, k: int, at: int, n: int, m: float) -> None:
     """Lower half of the diagonal block k of n rows from `at` on, and its diagonal."""
-    gradient, factor = work.gradient, work.factor
+    gradient, factor = data.gradient, data.factor
     for r in range(n):
         by_x, by_a = row3_at(gradient, at + r, 0), row3_at(gradient, at + r, 3)
         by_b = row3_at(gradient, at + r, 6)
@@ -141,19 +141,19 @@ def _on_diagonal(work: JointWork, k: int, at: int, n: int, m: float) -> None:
             v = m * dot(by_x, row3_at(gradient, at + s, 0))
             v += dot(by_a, row3_at(gradient, at + s, 9))
             factor[k, r, s] = v + dot(by_b, row3_at(gradient, at + s, 12))
-        work.scale[at + r] = factor[k, r, r]
-        factor[k, r, r] += work.compliance[at + r]
+        data.scale[at + r] = factor[k, r, r]
+        factor[k, r, r] += data.compliance[at + r]
 
 
 @inline
 def _add_shared(
-    work: JointWork, k: int, i: int, j: int, rows: int, columns: int, of: tuple[float, int, int]
+    data: JointData, k: int, i: int, j: int, rows: int, columns: int, of: tuple[float, int, int]
 ) -> None:
     """Add to block k, of rows from i on with those from j on, what a body that both share gives.
 
     1/M with its sign, and where ∂g/∂θ, and J⁻¹ times it, of the body stand in a gradient.
     """
-    gradient, factor, (m, by_i, by_j) = work.gradient, work.factor, of
+    gradient, factor, (m, by_i, by_j) = data.gradient, data.factor, of
     for r in range(rows):
         by_x, turning = row3_at(gradient, i + r, 0), row3_at(gradient, i + r, by_i)
         for s in range(columns):
@@ -163,27 +163,27 @@ def _add_shared(
 
 @inline
 def _off_diagonal(
-    work: JointWork, shares: Bools, k: int, i: int, j: int, rows: int, columns: int,
+    data: JointData, shares: Bools, k: int, i: int, j: int, rows: int, columns: int,
     inv_mass: tuple[float, float],
 ) -> None:  # fmt: skip
     """Block k, of rows from i on with those from j on; 1/M are those of the bodies of the rows."""
     first, second = inv_mass
     for r in range(rows):
         for s in range(columns):
-            work.factor[k, r, s] = 0.0
+            data.factor[k, r, s] = 0.0
     if shares[k, 0]:
-        _add_shared(work, k, i, j, rows, columns, (first, 3, 9))
+        _add_shared(data, k, i, j, rows, columns, (first, 3, 9))
     if shares[k, 1]:
-        _add_shared(work, k, i, j, rows, columns, (-first, 3, 12))
+        _add_shared(data, k, i, j, rows, columns, (-first, 3, 12))
     if shares[k, 2]:
-        _add_shared(work, k, i, j, rows, columns, (-second, 6, 9))
+        _add_shared(data, k, i, j, rows, columns, (-second, 6, 9))
     if shares[k, 3]:
-        _add_shared(work, k, i, j, rows, columns, (second, 6, 12))
+        _add_shared(data, k, i, j, rows, columns, (second, 6, 12))
 
 
 @kernel
 def assemble(
-    program: Program, ends: ConstraintRows, inv_mass: Floats, work: JointWork, lo: int, hi: int
+    program: Program, ends: ConstraintRows, inv_mass: Floats, data: JointData, lo: int, hi: int
 ) -> None:
     """A = G M⁻¹ Gᵀ in blocks lo to hi, and its diagonal."""
     start, pair, shares = program.start, program.pair, program.shares
@@ -194,14 +194,14 @@ def assemble(
         first, second = inv_mass[ends.a[at]], inv_mass[ends.b[at]]
         if i == j:
             if rows == 5:
-                _on_diagonal(work, k, at, 5, first + second)
+                _on_diagonal(data, k, at, 5, first + second)
             else:
-                _on_diagonal(work, k, at, rows, first + second)
+                _on_diagonal(data, k, at, rows, first + second)
             continue
         if rows == 5 and columns == 5:
-            _off_diagonal(work, shares, k, at, to, 5, 5, (first, second))
+            _off_diagonal(data, shares, k, at, to, 5, 5, (first, second))
         else:
-            _off_diagonal(work, shares, k, at, to, rows, columns, (first, second))
+            _off_diagonal(data, shares, k, at, to, rows, columns, (first, second))
 
 
 @inline

@@ -18,7 +18,7 @@ from math import inf
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.joints.records import HOLDS, Breaks, Joints, JointWork, P
+from particlerb.joints.records import HOLDS, Breaks, JointData, Joints, P
 from particlerb.joints.rows import add_impulses, orientation
 from particlerb.maths.quaternion import to_world
 from particlerb.maths.rows import row3, row3_at
@@ -28,29 +28,29 @@ _SAME_INSTANT: Final = 1e-9  # over a step: instants as near as this are one
 
 
 @inline
-def leave_out(breaks: Breaks | None, joints: Joints, work: JointWork, c: int, t: float) -> None:
+def leave_out(breaks: Breaks | None, joints: Joints, data: JointData, c: int, t: float) -> None:
     """Leave out the rows of joints of cluster c that have broken before t, and no others."""
     if breaks is None:
         return
-    now = work.clock[2] + t - _SAME_INSTANT * work.clock[1]
+    now = data.clock[2] + t - _SAME_INSTANT * data.clock[1]
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
-        _set_held(joints, work, j, work.broken[j] >= now)
+        _set_held(joints, data, j, data.broken[j] >= now)
 
 
 @inline
-def _set_held(joints: Joints, work: JointWork, j: int, is_held: bool) -> None:
+def _set_held(joints: Joints, data: JointData, j: int, is_held: bool) -> None:
     """Say whether the rows of joint j hold, or are left out."""
     start = joints.program.start
     for r in range(start[j], start[j + 1]):
         if joints.rows.action[r] == HOLDS:
-            work.compliance[r] = 0.0 if is_held else inf
+            data.compliance[r] = 0.0 if is_held else inf
 
 
 @inline
 def let_break(
     breaks: Breaks | None,
     joints: Joints,
-    work: JointWork,
+    data: JointData,
     c: int,
     kick_dt: float,
     t: float,
@@ -63,51 +63,51 @@ def let_break(
     """
     if breaks is None:
         return False
-    start, begin, least = joints.program.start, work.clock[2] + t, _SAME_INSTANT * work.clock[1]
+    start, begin, least = joints.program.start, data.clock[2] + t, _SAME_INSTANT * data.clock[1]
     lo, hi = joints.clusters.joint[c], joints.clusters.joint[c + 1]
     any_breaks = False
     for j in range(lo, hi):
-        any_breaks = any_breaks or -least <= work.broken[j] - begin < dt - least
+        any_breaks = any_breaks or -least <= data.broken[j] - begin < dt - least
     if not any_breaks:
         return False
     for j in range(lo, hi):
-        later = work.broken[j] - begin
+        later = data.broken[j] - begin
         breaks_now = -least <= later < dt - least
         share = (kick_dt - 0.5 * dt + later) / kick_dt if breaks_now else 0.0
         for r in range(start[j], start[j + 1]):
             if joints.rows.action[r] == HOLDS:
-                work.z[r] = (share - 1.0) * work.total[r]
-                work.total[r] *= share
+                data.z[r] = (share - 1.0) * data.total[r]
+                data.total[r] *= share
             else:
-                work.z[r] = 0.0
+                data.z[r] = 0.0
         if breaks_now:
-            _set_held(joints, work, j, False)
+            _set_held(joints, data, j, False)
     first, last = start[lo], start[hi]
-    add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, first, last, work.y, P)
+    add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, first, last, data.y, P)
     return True
 
 
 @inline
 def keep_impulses(
-    breaks: Breaks | None, joints: Joints, work: JointWork, c: int, is_first: bool
+    breaks: Breaks | None, joints: Joints, data: JointData, c: int, is_first: bool
 ) -> None:
     """Keep the impulses of the rows of cluster c, or add them to those that are kept."""
     if breaks is None:
         return
     start, joint = joints.program.start, joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
-        work.kept[r] = work.total[r] if is_first else work.kept[r] + work.total[r]
+        data.kept[r] = data.total[r] if is_first else data.kept[r] + data.total[r]
 
 
 @inline
 def _impulses(
-    joints: Joints, work: JointWork, j: int, kept: Floats, pose: Floats
+    joints: Joints, data: JointData, j: int, kept: Floats, pose: Floats
 ) -> tuple[float, float]:
     """Sizes of the impulse of joint j, kept by rows, and of its moment about its point."""
     start, impulse, turning = joints.program.start, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for r in range(start[j], start[j + 1]):
-        impulse = add_scaled(kept[r], row3_at(work.gradient, r, 0), impulse)
-        turning = add_scaled(kept[r], row3_at(work.gradient, r, 3), turning)
+        impulse = add_scaled(kept[r], row3_at(data.gradient, r, 0), impulse)
+        turning = add_scaled(kept[r], row3_at(data.gradient, r, 3), turning)
     first = start[j]
     arm = to_world(orientation(pose, joints.rows.a[first]), row3(joints.rows.first, first))
     return norm(impulse), norm(subtract(turning, cross(arm, impulse)))
@@ -115,12 +115,12 @@ def _impulses(
 
 @inline
 def break_by_multipliers(
-    breaks: Breaks, joints: Joints, work: JointWork, broken: Floats, t: float
+    breaks: Breaks, joints: Joints, data: JointData, broken: Floats, t: float
 ) -> bool:
     """Whether joints that hold carry more than they can, by z in the states y; they break at t."""
     any_breaks = False
     for j in range(broken.size):
-        force, torque = _impulses(joints, work, j, work.z, work.y)
+        force, torque = _impulses(joints, data, j, data.z, data.y)
         is_too_much = force > breaks.force[j] or torque > breaks.torque[j]
         if is_too_much and broken[j] == inf:
             broken[j], any_breaks = t, True
@@ -137,13 +137,13 @@ def may_break(breaks: Breaks, broken: Floats) -> bool:
 
 
 @inline
-def let_go(work: JointWork, broken: Floats, t: float) -> bool:
+def let_go(data: JointData, broken: Floats, t: float) -> bool:
     """Leave out what has broken by t, and forget what broke later; whether any held until now."""
     any_breaks = False
     for j in range(broken.size):
         has_broken = broken[j] <= t
-        any_breaks = any_breaks or (has_broken and work.broken[j] == inf)
-        work.broken[j] = -inf if has_broken else inf
+        any_breaks = any_breaks or (has_broken and data.broken[j] == inf)
+        data.broken[j] = -inf if has_broken else inf
         broken[j] = broken[j] if has_broken else inf
     return any_breaks
 
@@ -158,7 +158,7 @@ def _ahead(load: float, before: float, limit: float) -> float:
 
 @inline
 def foresee_breaks(
-    breaks: Breaks | None, joints: Joints, work: JointWork, c: int, kick_dt: float, t: float
+    breaks: Breaks | None, joints: Joints, data: JointData, c: int, kick_dt: float, t: float
 ) -> None:
     """Find which joints of cluster c break until the end of the next step.
 
@@ -166,47 +166,47 @@ def foresee_breaks(
     """
     if breaks is None:
         return
-    keep_impulses(breaks, joints, work, c, not joints.damps)
-    is_first, dt = t == 0.0, work.clock[1]
+    keep_impulses(breaks, joints, data, c, not joints.damps)
+    is_first, dt = t == 0.0, data.clock[1]
     span = dt if joints.damps and not is_first else kick_dt
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
-        if work.broken[j] < inf:
+        if data.broken[j] < inf:
             continue
-        force, torque = _impulses(joints, work, j, work.kept, work.pose)
+        force, torque = _impulses(joints, data, j, data.kept, data.pose)
         force, torque = force / span, torque / span
-        steps = _ahead(force, work.load[j, 0], breaks.force[j])
-        steps = min(steps, _ahead(torque, work.load[j, 1], breaks.torque[j]))
+        steps = _ahead(force, data.load[j, 0], breaks.force[j])
+        steps = min(steps, _ahead(torque, data.load[j, 1], breaks.torque[j]))
         if steps < 2.0:
-            work.broken[j] = work.clock[2] + t + dt * max(steps, 1.0)
-        work.load[j, 0] = -1.0 if is_first else force
-        work.load[j, 1] = -1.0 if is_first else torque
+            data.broken[j] = data.clock[2] + t + dt * max(steps, 1.0)
+        data.load[j, 0] = -1.0 if is_first else force
+        data.load[j, 1] = -1.0 if is_first else torque
 
 
 @inline
-def carry_in_drift(breaks: Breaks | None, work: JointWork, is_first: bool) -> None:
+def carry_in_drift(breaks: Breaks | None, data: JointData, is_first: bool) -> None:
     """Count the impulses of a drift among those of a step, of which it is the first or not."""
     if breaks is None:
         return
-    for r in range(work.of_step.size):
-        work.of_step[r] = work.total[r] + (0.0 if is_first else work.of_step[r])
+    for r in range(data.of_step.size):
+        data.of_step[r] = data.total[r] + (0.0 if is_first else data.of_step[r])
 
 
 @inline
-def carry_in_projection(breaks: Breaks | None, work: JointWork) -> None:
+def carry_in_projection(breaks: Breaks | None, data: JointData) -> None:
     """Count the impulses of a projection, damping included."""
     if breaks is None:
         return
-    for r in range(work.of_step.size):
-        work.of_step[r] += work.kept[r]
+    for r in range(data.of_step.size):
+        data.of_step[r] += data.kept[r]
 
 
 @inline
-def break_overloaded(breaks: Breaks | None, joints: Joints, work: JointWork, dt: float) -> None:
+def break_overloaded(breaks: Breaks | None, joints: Joints, data: JointData, dt: float) -> None:
     """Break joints that have carried too much in a step of dt [s], of which it is the middle."""
     if breaks is None:
         return
-    for j in range(work.broken.size):
-        force, torque = _impulses(joints, work, j, work.of_step, work.pose)
+    for j in range(data.broken.size):
+        force, torque = _impulses(joints, data, j, data.of_step, data.pose)
         is_too_much = force > dt * breaks.force[j] or torque > dt * breaks.torque[j]
-        if is_too_much and work.broken[j] == inf:
-            work.broken[j] = work.clock[2] + work.clock[0]
+        if is_too_much and data.broken[j] == inf:
+            data.broken[j] = data.clock[2] + data.clock[0]

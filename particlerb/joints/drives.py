@@ -8,7 +8,7 @@ the extended phase space, in which the method is symplectic.
 from math import cos, sin
 
 from particlerb.compiled.jit import inline
-from particlerb.joints.records import AT_REST, Drives, Joints, JointWork, P
+from particlerb.joints.records import AT_REST, Drives, JointData, Joints, P
 from particlerb.maths.vec3 import Vec3
 
 
@@ -25,19 +25,19 @@ def course(drives: Drives, k: int, t: float) -> Vec3:
 
 
 @inline
-def set_moving(joints: Joints, work: JointWork, lo: int, hi: int, t: float) -> None:
+def set_moving(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> None:
     """∂g/∂t of rows lo to hi at a time, if any moves by itself."""
     if not joints.moves:
         return
     for r in range(lo, hi):
-        work.moving[r] = -course(joints.drives, joints.rows.drive[r], t)[1]
-        work.moving[r] += _by_carried(joints, work, r)
+        data.moving[r] = -course(joints.drives, joints.rows.drive[r], t)[1]
+        data.moving[r] += _by_carried(joints, data, r)
 
 
 @inline
-def _by_carried(joints: Joints, work: JointWork, r: int) -> float:
+def _by_carried(joints: Joints, data: JointData, r: int) -> float:
     """What bodies that move as prescribed do to g of row r, per second."""
-    gradient, motion, a, b = work.gradient, work.motion, joints.rows.a[r], joints.rows.b[r]
+    gradient, motion, a, b = data.gradient, data.motion, joints.rows.a[r], joints.rows.b[r]
     speed = 0.0
     for i in range(3):
         speed += gradient[r, i] * (motion[a, i] - motion[b, i])
@@ -46,9 +46,9 @@ def _by_carried(joints: Joints, work: JointWork, r: int) -> float:
 
 
 @inline
-def carry(joints: Joints, work: JointWork, first: int, last: int) -> None:
+def carry(joints: Joints, data: JointData, first: int, last: int) -> None:
     """Put bodies first to last that move as prescribed where they are at the end of a drift."""
     for b in range(first, last):
         if joints.prescribed[b]:
             for i in range(P):
-                work.y[b, i] = work.later[b, i]
+                data.y[b, i] = data.later[b, i]

@@ -12,7 +12,7 @@ from particlerb.compiled.jit import unfused_kernel
 from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import add_stored_energy
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import DOT, HOLDS, STATE, TURN, Joints, JointWork, P, Q
+from particlerb.joints.records import DOT, HOLDS, STATE, TURN, JointData, Joints, P, Q
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.state import rotate, rotate_back
@@ -23,22 +23,22 @@ _NULL_ROUNDING: Final = 1e-8  # share of the largest component of a null vector
 
 
 @unfused_kernel
-def factorise_all(joints: Joints, work: JointWork, t: float) -> None:
+def factorise_all(joints: Joints, data: JointData, t: float) -> None:
     """Gradients of all rows and the factors of A in the states y at t."""
     for c in range(joints.clusters.body.size - 1):
-        factorise_cluster(joints, work, c, 0.0, t)
+        factorise_cluster(joints, data, c, 0.0, t)
 
 
 @unfused_kernel
-def find_multipliers(joints: Joints, work: JointWork, load: Floats) -> None:
+def find_multipliers(joints: Joints, data: JointData, load: Floats) -> None:
     """z = λ [N, or N m] of all rows by these factors, under loads (n + 1, 6), force and torque."""
     start, joint = joints.program.start, joints.clusters.joint
     for c in range(joints.clusters.body.size - 1):
-        accelerations(joints, work, start[joint[c]], start[joint[c + 1]], load)
-        solve(joints.program, joints.clusters, work.factor, work.z, c)
+        accelerations(joints, data, start[joint[c]], start[joint[c + 1]], load)
+        solve(joints.program, joints.clusters, data.factor, data.z, c)
 
 
-def weighted_gradient(joints: Joints, work: JointWork, c: int) -> Floats:
+def weighted_gradient(joints: Joints, data: JointData, c: int) -> Floats:
     """G M⁻¹ᐟ² of cluster c in the pose of its gradients, (rows, 6 bodies).
 
     Torque rows are divided by the size of their joint.
@@ -50,10 +50,10 @@ def weighted_gradient(joints: Joints, work: JointWork, c: int) -> Floats:
     index = np.arange(hi - lo)
     for end, sign, at in ((rows.a[lo:hi], 1.0, 3), (rows.b[lo:hi], -1.0, 6)):
         column = np.minimum(end - body[0], n)
-        q = work.y[end, 3:7]
-        weighted[index, column, :3] = sign * work.gradient[lo:hi, :3]
+        q = data.y[end, 3:7]
+        weighted[index, column, :3] = sign * data.gradient[lo:hi, :3]
         weighted[index, column, :3] *= np.sqrt(joints.inv_mass[end])[:, None]
-        turning = rotate_back(q.T, work.gradient[lo:hi, at : at + 3].T)
+        turning = rotate_back(q.T, data.gradient[lo:hi, at : at + 3].T)
         weighted[index, column, 3:] = turning.T * np.sqrt(joints.inv_inertia[end])
     return np.ascontiguousarray(weighted[:, :n].reshape(hi - lo, -1))
 
@@ -69,17 +69,17 @@ def dependent_rows(weighted: Floats) -> Floats:
     return null
 
 
-def null_vectors(joints: Joints, work: JointWork, c: int) -> Floats:
+def null_vectors(joints: Joints, data: JointData, c: int) -> Floats:
     """Null vectors of Gᵀ of cluster c, (redundant, rows), 0 in rows that hold nothing."""
     lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
     holds = joints.rows.action[lo:hi] == HOLDS
-    dependent = dependent_rows(weighted_gradient(joints, work, c)[holds])
+    dependent = dependent_rows(weighted_gradient(joints, data, c)[holds])
     null = np.zeros((len(dependent), hi - lo))
     null[:, holds] = dependent
     return null
 
 
-def make_least(joints: Joints, work: JointWork) -> Bools:
+def make_least(joints: Joints, data: JointData) -> Bools:
     """Make λ in z the one of least norm, of clusters with closed loops.
 
     Returns
@@ -93,16 +93,16 @@ def make_least(joints: Joints, work: JointWork) -> Bools:
     sizes = np.where(is_turning, _joint_sizes(joints), 1.0)
     for c in np.flatnonzero(joints.clusters.smallest_pivot > 0.0):
         lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
-        null = null_vectors(joints, work, int(c))
+        null = null_vectors(joints, data, int(c))
         if len(null):  # λ' = λ / size: along the null vectors of the rows times the size
             along = null / sizes[lo:hi]
             basis, _ = np.linalg.qr(along.T)
-            scaled = work.z[lo:hi] / sizes[lo:hi]
-            work.z[lo:hi] = (scaled - basis @ (basis.T @ scaled)) * sizes[lo:hi]
+            scaled = data.z[lo:hi] / sizes[lo:hi]
+            data.z[lo:hi] = (scaled - basis @ (basis.T @ scaled)) * sizes[lo:hi]
         for vector in null:
-            z = np.zeros(work.z.size)
+            z = np.zeros(data.z.size)
             z[lo:hi] = vector
-            reactions = np.abs(forces_of_joints(joints, work, z))
+            reactions = np.abs(forces_of_joints(joints, data, z))
             reactions[:, 3:] /= _joint_sizes(joints)[joints.program.start[:-1], None]
             is_open |= reactions > _NULL_ROUNDING * reactions.max()
     return is_open
@@ -114,18 +114,18 @@ def _joint_sizes(joints: Joints) -> Floats:
     return np.repeat(np.maximum.reduceat(joints.rows.size, start[:-1]), np.diff(start))
 
 
-def forces_of_joints(joints: Joints, work: JointWork, z: Floats) -> Floats:
+def forces_of_joints(joints: Joints, data: JointData, z: Floats) -> Floats:
     """Force and torque on the first body of each joint from λ = z, at its point, (j, 6) [N, N m].
 
     World axes. The point is where `at` is on the first body.
     """
-    by_x, by_a = work.gradient[:, :3], work.gradient[:, 3:6]
+    by_x, by_a = data.gradient[:, :3], data.gradient[:, 3:6]
     start = joints.program.start[:-1]
     if not start.size:
         return np.zeros((0, 6))
     force = np.add.reduceat(z[:, None] * by_x, start)
     turning = np.add.reduceat(z[:, None] * by_a, start)
-    arm = rotate(work.y[joints.rows.a[start], 3:7].T, joints.rows.first[start].T)
+    arm = rotate(data.y[joints.rows.a[start], 3:7].T, joints.rows.first[start].T)
     return np.hstack([force, turning - np.cross(arm.T, force)])
 
 

@@ -166,8 +166,8 @@ class Joints(NamedTuple):
         return self.moves or bool((self.inv_mass[ends] == 0.0).any())
 
 
-class JointWork(NamedTuple):
-    """What kernels write."""
+class JointData(NamedTuple):
+    """What kernels read and write beside `Joints`, as `mjData` beside `mjModel`; world frame."""
 
     y: Floats  # (n + 1, 13) states
     pose: Floats  # (n + 1, 13) where a drift begins, with the momenta that it begins with
@@ -199,10 +199,10 @@ class JointWork(NamedTuple):
 
 
 class Jointed(NamedTuple):
-    """Joints with room to work in, and where their bodies are in blocks."""
+    """Joints with their data, and where their bodies are in blocks."""
 
     joints: Joints
-    work: JointWork
+    data: JointData
     block: Ints  # (n,)
     lane: Ints  # (n,)
     given: Flag  # whether forces without potential act: what they gave is kept
@@ -212,8 +212,8 @@ class Jointed(NamedTuple):
     tree: "JointTree | None" = None  # the joints as trees, for accelerations; None: by multipliers
 
 
-def room_for_joints(joints: Joints) -> JointWork:
-    """Room to work in; the world stands still at the origin."""
+def empty_joint_data(joints: Joints) -> JointData:
+    """Data of joints of which nothing is known yet; the world stands still at the origin."""
     n, m, k = joints.inv_mass.size, joints.rows.kind.size, joints.clusters.body.size - 1
     width = int(np.diff(joints.program.start).max())
     y = np.zeros((n, STATE))
@@ -237,4 +237,4 @@ def room_for_joints(joints: Joints) -> JointWork:
         np.full(joints.number.size, np.inf),
         np.full((joints.number.size, 2), -1.0),
     )
-    return JointWork._make(arrays)
+    return JointData._make(arrays)

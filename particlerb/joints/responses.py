@@ -27,7 +27,7 @@ from particlerb.impulses.records import (
 from particlerb.impulses.rows import inverse_inertia_times, write_through_joints
 from particlerb.joints.actions import unwound
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import Joints, JointWork
+from particlerb.joints.records import JointData, Joints
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.rows import put_row3_at, row3_at
@@ -76,23 +76,23 @@ def pairs_through(mechanisms: Mechanisms | None, a: Ints, b: Ints) -> tuple[Ints
 
 
 @kernel
-def _clear(work: JointWork, first: int, last: int) -> None:
+def _clear(data: JointData, first: int, last: int) -> None:
     """No impulse on bodies first to last."""
     for k in range(first, last):
         for i in range(6):
-            work.change[k, i] = 0.0
+            data.change[k, i] = 0.0
 
 
 @kernel
 def _put_velocities(
-    partners: Partners, mechanisms: Mechanisms, work: JointWork, c: int, to: int
+    partners: Partners, mechanisms: Mechanisms, data: JointData, c: int, to: int
 ) -> None:
     """Write velocities of mechanism c from the impulses on it: a row of its matrix."""
     response = mechanisms.response
     for k in range(mechanisms.first[c], mechanisms.first[c + 1]):
         b = mechanisms.member[k]
-        v = scale(partners.inverse[b, 0], row3_at(work.change, k, 0))
-        omega = inverse_inertia_times(partners.inverse, b, row3_at(work.change, k, 3))
+        v = scale(partners.inverse[b, 0], row3_at(data.change, k, 0))
+        omega = inverse_inertia_times(partners.inverse, b, row3_at(data.change, k, 3))
         for i in range(3):
             response[to + i], response[to + 3 + i] = v[i], omega[i]
         to += 6
@@ -100,7 +100,7 @@ def _put_velocities(
 
 @kernel
 def _respond(
-    joints: Joints, work: JointWork, partners: Partners, mechanisms: Mechanisms, b: int
+    joints: Joints, data: JointData, partners: Partners, mechanisms: Mechanisms, b: int
 ) -> None:
     """Find the rows of body b in the matrix of its mechanism, if joints hold it, once a step."""
     c, is_known, member = mechanisms.number[b], mechanisms.is_known, mechanisms.member
@@ -112,30 +112,30 @@ def _respond(
     for k in range(first, last):
         is_factorised |= is_known[member[k]]
     if not is_factorised:
-        factorise_cluster(joints, work, c, 0.0, work.clock[0])
+        factorise_cluster(joints, data, c, 0.0, data.clock[0])
     is_known[b] = True
     for i in range(6):
-        _clear(work, first, last)
-        work.change[first + mechanisms.place[b], i] = 1.0
+        _clear(data, first, last)
+        data.change[first + mechanisms.place[b], i] = 1.0
         for r in range(lo, hi):
-            speed = rate(joints, work.gradient, r, work.change, 0)
-            work.z[r] = -speed if work.compliance[r] == 0.0 else 0.0
-        solve(joints.program, joints.clusters, work.factor, work.z, c)
-        inv_mass, gradient = joints.inv_mass, work.gradient
-        add_impulses(joints.rows, inv_mass, gradient, work.z, lo, hi, work.change, 0)
+            speed = rate(joints, data.gradient, r, data.change, 0)
+            data.z[r] = -speed if data.compliance[r] == 0.0 else 0.0
+        solve(joints.program, joints.clusters, data.factor, data.z, c)
+        inv_mass, gradient = joints.inv_mass, data.gradient
+        add_impulses(joints.rows, inv_mass, gradient, data.z, lo, hi, data.change, 0)
         row = 6 * mechanisms.place[b] + i
         to = mechanisms.start[c] + row * 6 * (last - first)
-        _put_velocities(partners, mechanisms, work, c, to)
+        _put_velocities(partners, mechanisms, data, c, to)
 
 
 @kernel
 def find_bounded(
-    joints: Joints, work: JointWork, partners: Partners, mechanisms: Mechanisms,
+    joints: Joints, data: JointData, partners: Partners, mechanisms: Mechanisms,
     bounded: Bounded | None, dt: float,
 ) -> None:  # fmt: skip
     """Write rows of what acts along coordinates within bounds, for a step of dt [s].
 
-    Bodies are in `work` where they may touch, and the clock is there.
+    Bodies are in `data` where they may touch, and the clock is there.
     """
     bounds = joints.bounds
     mechanisms.is_known[:] = False
@@ -143,19 +143,19 @@ def find_bounded(
         return
     for k in range(bounded.kind.size):
         r = bounds.row[k]
-        _respond(joints, work, partners, mechanisms, bounded.first[k])
-        _respond(joints, work, partners, mechanisms, bounded.second[k])
-        a, b, x = joints.rows.a[r], joints.rows.b[r], coordinate(joints.rows, work.y, r)
-        by_x, by_a = row3_at(work.gradient, r, 0), row3_at(work.gradient, r, 3)
-        by_b = row3_at(work.gradient, r, 6)
+        _respond(joints, data, partners, mechanisms, bounded.first[k])
+        _respond(joints, data, partners, mechanisms, bounded.second[k])
+        a, b, x = joints.rows.a[r], joints.rows.b[r], coordinate(joints.rows, data.y, r)
+        by_x, by_a = row3_at(data.gradient, r, 0), row3_at(data.gradient, r, 3)
+        by_b = row3_at(data.gradient, r, 6)
         if b == joints.order.size:
             write_gradient(bounded, k, by_x, by_a, ZERO, ZERO)
         else:
             write_gradient(bounded, k, by_x, by_a, scale(-1.0, by_x), by_b)
         mass = joints.inv_mass[a] + joints.inv_mass[b]
-        free = mass * dot(by_x, by_x) + dot(by_a, row3_at(work.gradient, r, 9))
+        free = mass * dot(by_x, by_x) + dot(by_a, row3_at(data.gradient, r, 9))
         write_response(
-            bounded, mechanisms, k, mass, free + dot(by_b, row3_at(work.gradient, r, 12))
+            bounded, mechanisms, k, mass, free + dot(by_b, row3_at(data.gradient, r, 12))
         )
         values = bounded.values
         x = unwound(joints.rows.kind[r], x, bounds.lower[k], bounds.upper[k])
@@ -166,7 +166,7 @@ def find_bounded(
 
 @kernel
 def find_responses(
-    joints: Joints, work: JointWork, impulses: Impulses, mechanisms: Mechanisms
+    joints: Joints, data: JointData, impulses: Impulses, mechanisms: Mechanisms
 ) -> None:  # fmt: skip
     """Find what impulses on bodies that touch do to their mechanisms, and inverse masses by that.
 
@@ -174,19 +174,19 @@ def find_responses(
     """
     _, partners, rows, count, _, _ = impulses
     for k in range(count[0]):
-        _respond(joints, work, partners, mechanisms, rows.first[k])
-        _respond(joints, work, partners, mechanisms, rows.second[k])
+        _respond(joints, data, partners, mechanisms, rows.first[k])
+        _respond(joints, data, partners, mechanisms, rows.second[k])
         if mechanisms.is_known[rows.first[k]] or mechanisms.is_known[rows.second[k]]:
             write_through_joints(partners, rows, k)
 
 
 @kernel
 def move_to_joints(
-    joints: Joints, work: JointWork, partners: Partners, mechanisms: Mechanisms
+    joints: Joints, data: JointData, partners: Partners, mechanisms: Mechanisms
 ) -> bool:
     """Find moves of bodies that have been pushed out, to where joints hold; whether there are any.
 
-    One step of Newton's method with the poses in `work`, weighed by the masses.
+    One step of Newton's method with the poses in `data`, weighed by the masses.
     """
     move, any_moved = partners.move, False
     for b in range(move.shape[0]):
@@ -197,21 +197,21 @@ def move_to_joints(
         lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
         if lo == hi or not partners.has_moved[mechanisms.member[first]]:
             continue
-        factorise_cluster(joints, work, c, 0.0, work.clock[0])
-        worst, _ = residuals(joints, work, lo, hi, work.clock[0])
+        factorise_cluster(joints, data, c, 0.0, data.clock[0])
+        worst, _ = residuals(joints, data, lo, hi, data.clock[0])
         if worst <= _RESIDUAL_ROUNDING:
             continue
         any_moved = True
-        _clear(work, first, last)
+        _clear(data, first, last)
         for r in range(lo, hi):
-            work.z[r] = -work.g[r]
-        solve(joints.program, joints.clusters, work.factor, work.z, c)
-        inv_mass, gradient = joints.inv_mass, work.gradient
-        add_impulses(joints.rows, inv_mass, gradient, work.z, lo, hi, work.change, 0)
+            data.z[r] = -data.g[r]
+        solve(joints.program, joints.clusters, data.factor, data.z, c)
+        inv_mass, gradient = joints.inv_mass, data.gradient
+        add_impulses(joints.rows, inv_mass, gradient, data.z, lo, hi, data.change, 0)
         for k in range(first, last):
             b = mechanisms.member[k]
-            dx = scale(partners.inverse[b, 0], row3_at(work.change, k, 0))
+            dx = scale(partners.inverse[b, 0], row3_at(data.change, k, 0))
             put_row3_at(move, b, 0, dx)
-            turn = inverse_inertia_times(partners.inverse, b, row3_at(work.change, k, 3))
+            turn = inverse_inertia_times(partners.inverse, b, row3_at(data.change, k, 3))
             put_row3_at(move, b, 3, turn)
     return any_moved

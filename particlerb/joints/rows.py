@@ -36,8 +36,8 @@ from particlerb.joints.records import (
     WORLD_ALONG,
     ConstraintRows,
     Drives,
+    JointData,
     Joints,
-    JointWork,
     P,
     Q,
     X,
@@ -178,9 +178,9 @@ def is_of_other_bodies(rows: ConstraintRows, lo: int, r: int) -> bool:
 
 
 @unfused_kernel
-def residuals(joints: Joints, work: JointWork, lo: int, hi: int, t: float) -> tuple[float, int]:
+def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tuple[float, int]:
     """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row."""
-    rows, y, g = joints.rows, work.y, work.g
+    rows, y, g = joints.rows, data.y, data.g
     worst, where, d = 0.0, lo, (0.0, 0.0, 0.0)
     if lo == hi:
         return worst, where
@@ -190,10 +190,10 @@ def residuals(joints: Joints, work: JointWork, lo: int, hi: int, t: float) -> tu
         if is_of_other_bodies(rows, lo, r):
             x, R = row3_at(y, rows.a[r], X), rotations(rows, y, r)
             far = abs(x[0]) + abs(x[1]) + abs(x[2])
-        if work.compliance[r] != 0.0:
+        if data.compliance[r] != 0.0:
             g[r] = 0.0
         elif kind == WORLD_ALONG:
-            if r == lo or not joints.beside[r] or work.compliance[r - 1] != 0.0:
+            if r == lo or not joints.beside[r] or data.compliance[r - 1] != 0.0:
                 d = arms_at(rows, y, r, R)[3]
             g[r] = dot(row3_at(rows.axis, r, 0), d) - course(joints.drives, rows.drive[r], t)[0]
         elif kind == DOT:
@@ -244,9 +244,9 @@ def _by_turning(rows: ConstraintRows, r: int, ra: Vec3, rb: Vec3, u: Vec3, d: Ve
 
 
 @unfused_kernel
-def linearise(joints: Joints, work: JointWork, lo: int, hi: int) -> None:
+def linearise(joints: Joints, data: JointData, lo: int, hi: int) -> None:
     """Gradients of rows lo to hi, and J⁻¹ times them."""
-    rows, y, gradient = joints.rows, work.y, work.gradient
+    rows, y, gradient = joints.rows, data.y, data.gradient
     if lo == hi:
         return
     R = rotations(rows, y, lo)
@@ -282,15 +282,15 @@ def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
 
 
 @unfused_kernel
-def rates(joints: Joints, work: JointWork, lo: int, hi: int) -> float:
+def rates(joints: Joints, data: JointData, lo: int, hi: int) -> float:
     """z = -ġ of rows lo to hi; the largest over its size [1/s]."""
     worst = 0.0
     for r in range(lo, hi):
-        speed = rate(joints, work.gradient, r, work.y, P) + work.moving[r]
-        soft = work.compliance[r]
+        speed = rate(joints, data.gradient, r, data.y, P) + data.moving[r]
+        soft = data.compliance[r]
         if soft > 0.0:
-            speed = speed + soft * work.total[r] if soft < inf else 0.0
-        work.z[r] = -speed
+            speed = speed + soft * data.total[r] if soft < inf else 0.0
+        data.z[r] = -speed
         speed = abs(speed) / joints.rows.size[r]
         if not speed <= worst:
             worst = speed

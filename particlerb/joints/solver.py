@@ -23,7 +23,7 @@ from particlerb.joints.actions import gives_way, kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.breaking import leave_out, let_break
 from particlerb.joints.drives import carry, set_moving
-from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, Joints, JointWork, L, P, Q, X
+from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, JointData, Joints, L, P, Q, X
 from particlerb.joints.rows import (
     add_impulses,
     arms_at,
@@ -54,9 +54,9 @@ _MAX_RESTING: Final = 1e-4  # residual of a row that rests, over its size
 
 
 @inline
-def fly(joints: Joints, work: JointWork, c: int, dt: float) -> None:
+def fly(joints: Joints, data: JointData, c: int, dt: float) -> None:
     """Drift of cluster c from where it began, with the momenta of now."""
-    y, pose = work.y, work.pose
+    y, pose = data.y, data.pose
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         path = dt * joints.inv_mass[k]
         for i in range(3):
@@ -66,48 +66,48 @@ def fly(joints: Joints, work: JointWork, c: int, dt: float) -> None:
         a = row3_at(joints.inv_inertia, k, 0)
         q = symmetric_top(q, m, a, dt) if a[0] == a[1] else symmetric_split(q, m, a, dt)
         y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
-    carry(joints, work, joints.clusters.body[c], joints.clusters.body[c + 1])
+    carry(joints, data, joints.clusters.body[c], joints.clusters.body[c + 1])
 
 
 @inline
-def factorise_cluster(joints: Joints, work: JointWork, c: int, span: float, t: float) -> None:
+def factorise_cluster(joints: Joints, data: JointData, c: int, span: float, t: float) -> None:
     """G and the factor of A of cluster c at its pose and at t; rows that damp do so over a span."""
     clusters, start = joints.clusters, joints.program.start
     lo, hi = clusters.joint[c], clusters.joint[c + 1]
     for r in range(start[lo], start[hi]):
-        set_compliance(joints, work, r, span)
-        work.total[r] = 0.0
-    leave_out(joints.breaks, joints, work, c, t)
-    linearise(joints, work, start[lo], start[hi])
-    set_moving(joints, work, start[lo], start[hi], t)
-    _factor(joints, work, c)
+        set_compliance(joints, data, r, span)
+        data.total[r] = 0.0
+    leave_out(joints.breaks, joints, data, c, t)
+    linearise(joints, data, start[lo], start[hi])
+    set_moving(joints, data, start[lo], start[hi], t)
+    _factor(joints, data, c)
 
 
 @inline
-def _factor(joints: Joints, work: JointWork, c: int) -> None:
+def _factor(joints: Joints, data: JointData, c: int) -> None:
     """Factor of A of cluster c from its gradients."""
     block = joints.clusters.block
-    assemble(joints.program, joints.rows, joints.inv_mass, work, block[c], block[c + 1])
-    factorise(joints.program, joints.clusters, work.factor, work.scale, c)
+    assemble(joints.program, joints.rows, joints.inv_mass, data, block[c], block[c + 1])
+    factorise(joints.program, joints.clusters, data.factor, data.scale, c)
 
 
 @inline
-def _solve_and_add(joints: Joints, work: JointWork, c: int, lo: int, hi: int) -> None:
+def _solve_and_add(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> None:
     """Impulses that take away the right sides z of rows lo to hi, those of cluster c."""
-    solve(joints.program, joints.clusters, work.factor, work.z, c)
-    _add(joints, work, lo, hi)
+    solve(joints.program, joints.clusters, data.factor, data.z, c)
+    _add(joints, data, lo, hi)
 
 
 @inline
-def _add(joints: Joints, work: JointWork, lo: int, hi: int) -> None:
+def _add(joints: Joints, data: JointData, lo: int, hi: int) -> None:
     """Add impulses z of rows lo to hi to the momenta, and to `total`."""
     for r in range(lo, hi):
-        work.total[r] += work.z[r]
-    add_impulses(joints.rows, joints.inv_mass, work.gradient, work.z, lo, hi, work.y, P)
+        data.total[r] += data.z[r]
+    add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, lo, hi, data.y, P)
 
 
 @inline
-def begin_with_guess(joints: Joints, work: JointWork, c: int, kick_dt: float) -> None:
+def begin_with_guess(joints: Joints, data: JointData, c: int, kick_dt: float) -> None:
     """Begin with the impulses that a cubic through those of the last four steps foresees.
 
     Rows that the factor leaves out have none.
@@ -118,88 +118,88 @@ def begin_with_guess(joints: Joints, work: JointWork, c: int, kick_dt: float) ->
         d = joints.clusters.block[c] + j - first
         for r in range(start[j], start[j + 1]):
             force = 0.0
-            if work.factor[d, r - start[j], r - start[j]] != 0.0:
-                for i in range(work.past.shape[1]):
-                    force += work.past[r, i] if work.past[r, i] == work.past[r, i] else 0.0
-            work.z[r] = kick_dt * force
-    _add(joints, work, start[first], start[last])
+            if data.factor[d, r - start[j], r - start[j]] != 0.0:
+                for i in range(data.past.shape[1]):
+                    force += data.past[r, i] if data.past[r, i] == data.past[r, i] else 0.0
+            data.z[r] = kick_dt * force
+    _add(joints, data, start[first], start[last])
 
 
 @inline
-def remember(work: JointWork, lo: int, hi: int, kick_dt: float) -> None:
+def remember(data: JointData, lo: int, hi: int, kick_dt: float) -> None:
     """Keep the impulses of rows lo to hi for the guess of the next step."""
     for r in range(lo, hi):
-        force = work.total[r] / kick_dt
-        for i in range(work.past.shape[1]):
-            before, work.past[r, i] = work.past[r, i], force
+        force = data.total[r] / kick_dt
+        for i in range(data.past.shape[1]):
+            before, data.past[r, i] = data.past[r, i], force
             force -= before
 
 
 @unfused_kernel
 def constrained_drift(
-    joints: Joints, work: JointWork, c: int, kick_dt: float, t: float, dt: float
+    joints: Joints, data: JointData, c: int, kick_dt: float, t: float, dt: float
 ) -> None:
     """Kick of springs at t, and drift of cluster c over dt with impulses so that g = 0 at its end.
 
-    `work.total` has these impulses, `work.lost` the row that does not converge.
+    `data.total` has these impulses, `data.lost` the row that does not converge.
     """
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
     for k in range(clusters.body[c], clusters.body[c + 1]):
         for i in range(P):
-            work.pose[k, i] = work.y[k, i]
-    factorise_cluster(joints, work, c, 0.0, t)
-    kick_actions(joints, work, lo, hi, kick_dt)
+            data.pose[k, i] = data.y[k, i]
+    factorise_cluster(joints, data, c, 0.0, t)
+    kick_actions(joints, data, lo, hi, kick_dt)
     for k in range(clusters.body[c], clusters.body[c + 1]):
         for i in range(P, STATE):
-            work.pose[k, i] = work.y[k, i]
-    is_whole = dt == work.clock[1]  # not a stage of a composition, nor a part of a step to a frame
+            data.pose[k, i] = data.y[k, i]
+    is_whole = dt == data.clock[1]  # not a stage of a composition, nor a part of a step to a frame
     if is_whole:
-        begin_with_guess(joints, work, c, kick_dt)
-    _fly_to_joints(joints, work, c, t, dt)
-    if work.lost[c] > 0 and clusters.smallest_pivot[c] > 0.0:
-        _pass_singular_pose(joints, work, c, t, dt)
+        begin_with_guess(joints, data, c, kick_dt)
+    _fly_to_joints(joints, data, c, t, dt)
+    if data.lost[c] > 0 and clusters.smallest_pivot[c] > 0.0:
+        _pass_singular_pose(joints, data, c, t, dt)
     if is_whole:
-        remember(work, lo, hi, kick_dt)
-    if let_break(joints.breaks, joints, work, c, kick_dt, t, dt):
-        _factor(joints, work, c)
-        _fly_to_joints(joints, work, c, t, dt)
-    _see_teeth(joints.rolls, joints, work, c, dt)
+        remember(data, lo, hi, kick_dt)
+    if let_break(joints.breaks, joints, data, c, kick_dt, t, dt):
+        _factor(joints, data, c)
+        _fly_to_joints(joints, data, c, t, dt)
+    _see_teeth(joints.rolls, joints, data, c, dt)
     if joints.acts or joints.bounds is not None:
         for r in range(lo, hi):
-            if gives_way(joints.rows, joints.actions, r, work.pose, work.y):
-                work.lost[c] = 1 + r + 2 * joints.rows.kind.size
+            if gives_way(joints.rows, joints.actions, r, data.pose, data.y):
+                data.lost[c] = 1 + r + 2 * joints.rows.kind.size
 
 
 @inline
-def _turn(joints: Joints, work: JointWork, k: int, dt: float) -> Vec3:
+def _turn(joints: Joints, data: JointData, k: int, dt: float) -> Vec3:
     """How far body k turns in a drift, if it went on as it begins."""
     omega = by_inverse_inertia(
-        joints.inv_inertia, orientation(work.pose, k), k, row3_at(work.y, k, L)
+        joints.inv_inertia, orientation(data.pose, k), k, row3_at(data.y, k, L)
     )
-    return scale(dt, add(omega, row3_at(work.motion, k, 3)))
+    return scale(dt, add(omega, row3_at(data.motion, k, 3)))
 
 
 @inline
-def _see_teeth(rolls: Flag, joints: Joints, work: JointWork, c: int, dt: float) -> None:
+def _see_teeth(rolls: Flag, joints: Joints, data: JointData, c: int, dt: float) -> None:
     """Give cluster c up where teeth were passed in a drift, or axes have left their place."""
     if rolls is None:
         return
-    rows, start, pose = joints.rows, joints.program.start, work.pose
+    rows, start, pose = joints.rows, joints.program.start, data.pose
     lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
     for r in range(lo, hi):
-        if rows.kind[r] in (RACK, GEAR) and work.compliance[r] == 0.0:
-            R, before = rotations(rows, work.y, r), rotations(rows, pose, r)
-            _, _, u, d = arms_at(rows, work.y, r, R)
+        if rows.kind[r] in (RACK, GEAR) and data.compliance[r] == 0.0:
+            R, before = rotations(rows, data.y, r), rotations(rows, pose, r)
+            _, _, u, d = arms_at(rows, data.y, r, R)
             _, _, u0, d0 = arms_at(rows, pose, r, before)
-            turned = _turn(joints, work, rows.a[r], dt), _turn(joints, work, rows.b[r], dt)
+            turned = _turn(joints, data, rows.a[r], dt), _turn(joints, data, rows.b[r], dt)
             wrong = out_of_mesh(rows, r, R, (u, d), before, (u0, d0), turned)
             if wrong > 0:
-                work.lost[c] = 1 + r + (wrong - 1) * rows.kind.size
+                data.lost[c] = 1 + r + (wrong - 1) * rows.kind.size
 
 
 @kernel
-def _pass_singular_pose(joints: Joints, work: JointWork, c: int, t: float, dt: float) -> None:
+def _pass_singular_pose(joints: Joints, data: JointData, c: int, t: float, dt: float) -> None:
     """Drift anew without the rows that all but depend on others: for this step they rest.
 
     They are as few as let the others converge by impulses that bodies as slow as these can give
@@ -213,57 +213,57 @@ def _pass_singular_pose(joints: Joints, work: JointWork, c: int, t: float, dt: f
         share[c] *= 10.0
         for k in range(clusters.body[c], clusters.body[c + 1]):
             for i in range(P, STATE):
-                work.y[k, i] = work.pose[k, i]
-        _factor(joints, work, c)
+                data.y[k, i] = data.pose[k, i]
+        _factor(joints, data, c)
         for j in range(first, last):
             d = clusters.block[c] + j - first
             for r in range(start[j], start[j + 1]):
                 if joints.rows.action[r] == HOLDS:
-                    work.total[r] = 0.0
-                    if work.factor[d, r - start[j], r - start[j]] == 0.0:
-                        work.compliance[r] = inf
-        work.lost[c] = 0
-        _fly_to_joints(joints, work, c, t, dt)
+                    data.total[r] = 0.0
+                    if data.factor[d, r - start[j], r - start[j]] == 0.0:
+                        data.compliance[r] = inf
+        data.lost[c] = 0
+        _fly_to_joints(joints, data, c, t, dt)
         for r in range(lo, hi):
             if joints.rows.action[r] == HOLDS:
-                work.compliance[r] = 0.0
-        leave_out(joints.breaks, joints, work, c, t)
-        worst, where = residuals(joints, work, lo, hi, t + dt)
-        if work.lost[c] == 0 and worst <= _MAX_RESTING and _is_weak(joints, work, c, lo, hi):
+                data.compliance[r] = 0.0
+        leave_out(joints.breaks, joints, data, c, t)
+        worst, where = residuals(joints, data, lo, hi, t + dt)
+        if data.lost[c] == 0 and worst <= _MAX_RESTING and _is_weak(joints, data, c, lo, hi):
             break
-        work.lost[c] = 1 + where
+        data.lost[c] = 1 + where
     share[c] = usual
 
 
 @inline
-def _is_weak(joints: Joints, work: JointWork, c: int, lo: int, hi: int) -> bool:
+def _is_weak(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> bool:
     """Whether no impulse of rows lo to hi is above √(2 M T), where the drift begins."""
     T, M, largest = 0.0, 0.0, 0.0
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
-        p, spin, inverse = row3_at(work.pose, k, P), row3_at(work.pose, k, L), joints.inv_mass[k]
-        turning = by_inverse_inertia(joints.inv_inertia, orientation(work.pose, k), k, spin)
+        p, spin, inverse = row3_at(data.pose, k, P), row3_at(data.pose, k, L), joints.inv_mass[k]
+        turning = by_inverse_inertia(joints.inv_inertia, orientation(data.pose, k), k, spin)
         T += 0.5 * (inverse * dot(p, p) + dot(spin, turning))
         M += 1.0 / inverse if inverse > 0.0 else 0.0
     for r in range(lo, hi):
         arm = joints.rows.size[r] if is_of_directions(joints.rows.kind[r]) else 1.0
-        largest = max(largest, abs(work.total[r]) / arm)
+        largest = max(largest, abs(data.total[r]) / arm)
     return largest * largest <= 2.0 * M * T
 
 
 @inline
-def _share_of_last(joints: Joints, work: JointWork, lo: int, hi: int) -> float:
+def _share_of_last(joints: Joints, data: JointData, lo: int, hi: int) -> float:
     """How much of the last gain to take back, so that the residual over the sizes is least."""
     along, square = 0.0, 0.0
     for r in range(lo, hi):
-        relative = work.g[r] / joints.rows.size[r]
-        change = relative - work.last_g[r] / joints.rows.size[r]
+        relative = data.g[r] / joints.rows.size[r]
+        change = relative - data.last_g[r] / joints.rows.size[r]
         along, square = along + change * relative, square + change * change
     return along / square if square > 0.0 else 0.0
 
 
 @inline
 def _count_teeth(
-    rolls: Flag, joints: Joints, work: JointWork, lo: int, hi: int, dt: float, worst: float
+    rolls: Flag, joints: Joints, data: JointData, lo: int, hi: int, dt: float, worst: float
 ) -> float:
     """Residuals of what rolls, with the teeth that it passes by its rates as no impulses hold it.
 
@@ -273,46 +273,46 @@ def _count_teeth(
         return worst
     rows = joints.rows
     for r in range(lo, hi):
-        if rows.kind[r] in (RACK, GEAR) and work.compliance[r] == 0.0 and work.total[r] == 0.0:
-            passed = dt * (rate(joints, work.gradient, r, work.y, P) + work.moving[r])
-            work.g[r] = nearest(work.g[r], passed, rows.wheel[r, 11])
-            worst = max(worst, abs(work.g[r]) / rows.size[r])
+        if rows.kind[r] in (RACK, GEAR) and data.compliance[r] == 0.0 and data.total[r] == 0.0:
+            passed = dt * (rate(joints, data.gradient, r, data.y, P) + data.moving[r])
+            data.g[r] = nearest(data.g[r], passed, rows.wheel[r, 11])
+            worst = max(worst, abs(data.g[r]) / rows.size[r])
     return worst
 
 
 @kernel
-def _fly_to_joints(joints: Joints, work: JointWork, c: int, t: float, dt: float) -> None:
+def _fly_to_joints(joints: Joints, data: JointData, c: int, t: float, dt: float) -> None:
     """Drift with impulses along the gradients so that g = 0 at its end: see above."""
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
     before, least, mixes = 1e300, 1e300, joints.clusters.smallest_pivot[c] == 0.0
     for _ in range(MOST_ITERATIONS):
-        fly(joints, work, c, dt)
-        worst, where = residuals(joints, work, lo, hi, t + dt)
+        fly(joints, data, c, dt)
+        worst, where = residuals(joints, data, lo, hi, t + dt)
         if before == 1e300:
-            worst = _count_teeth(joints.rolls, joints, work, lo, hi, dt, worst)
+            worst = _count_teeth(joints.rolls, joints, data, lo, hi, dt, worst)
         if worst <= _RESIDUAL_ROUNDING or (worst < _LAST_RESIDUAL and worst > _GAIN_RATIO * before):
             return
         if not mixes and worst > _STRAYED_RATIO * least:
             break
         least = min(least, worst)
-        share = _share_of_last(joints, work, lo, hi) if mixes and before < _MAX_MIXED else 0.0
+        share = _share_of_last(joints, data, lo, hi) if mixes and before < _MAX_MIXED else 0.0
         before = worst
         for r in range(lo, hi):
-            work.z[r] = (share * (work.g[r] - work.last_g[r]) - work.g[r]) / dt
-            work.last_g[r] = work.g[r]
-        solve(joints.program, joints.clusters, work.factor, work.z, c)
+            data.z[r] = (share * (data.g[r] - data.last_g[r]) - data.g[r]) / dt
+            data.last_g[r] = data.g[r]
+        solve(joints.program, joints.clusters, data.factor, data.z, c)
         for r in range(lo, hi):
-            work.z[r] -= share * work.last_gain[r]
-            work.last_gain[r] = work.z[r]
-        _add(joints, work, lo, hi)
-    if work.lost[c] == 0:  # later steps of what is lost are not numbers
-        work.lost[c] = 1 + where
+            data.z[r] -= share * data.last_gain[r]
+            data.last_gain[r] = data.z[r]
+        _add(joints, data, lo, hi)
+    if data.lost[c] == 0:  # later steps of what is lost are not numbers
+        data.lost[c] = 1 + where
 
 
 @unfused_kernel
 def project_momenta(
-    joints: Joints, work: JointWork, c: int, kick_dt: float, t: float, span: float
+    joints: Joints, data: JointData, c: int, kick_dt: float, t: float, span: float
 ) -> None:
     """Kick of springs; take from the momenta of cluster c what would break its joints at t.
 
@@ -322,18 +322,18 @@ def project_momenta(
     clusters, start = joints.clusters, joints.program.start
     first, last = clusters.joint[c], clusters.joint[c + 1]
     lo, hi = start[first], start[last]
-    factorise_cluster(joints, work, c, span, t)
-    kick_actions(joints, work, lo, hi, kick_dt)
-    keep_rates(joints, work, c, lo, hi)
+    factorise_cluster(joints, data, c, span, t)
+    kick_actions(joints, data, lo, hi, kick_dt)
+    keep_rates(joints, data, c, lo, hi)
 
 
 @inline
-def keep_rates(joints: Joints, work: JointWork, c: int, lo: int, hi: int) -> None:
+def keep_rates(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> None:
     """Take from the momenta what breaks rows lo to hi, those of cluster c, by the factor of A."""
     before = 1e300
     for _ in range(_MAX_PASSES):
-        worst = rates(joints, work, lo, hi)
+        worst = rates(joints, data, lo, hi)
         if not 0.0 < worst < _GAIN_RATIO * before:
             return
         before = worst
-        _solve_and_add(joints, work, c, lo, hi)
+        _solve_and_add(joints, data, c, lo, hi)

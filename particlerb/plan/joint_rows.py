@@ -22,8 +22,8 @@ from particlerb.joints.records import (
     Breaks,
     ConstraintRows,
     Coordinates,
+    JointData,
     Joints,
-    JointWork,
     L,
     P,
 )
@@ -121,33 +121,33 @@ def bounds_among(bounds: Bounds, rows: ConstraintRows) -> Bounds | None:
     return Bounds._make([row, *(values[index] for values in bounds[1:])]) if row.size else None
 
 
-def loose_wheels(joints: Joints, work: JointWork) -> dict[int, str]:
+def loose_wheels(joints: Joints, data: JointData) -> dict[int, str]:
     """Rows that roll and whose axes the joints do not hold, to first order: how they may move.
 
     Of momenta along each such way, what the joints leave is to be nothing.
     """
-    rows, y, loose = joints.rows, work.y, dict[int, str]()
+    rows, y, loose = joints.rows, data.y, dict[int, str]()
     for c, (lo, hi) in enumerate(pairwise(joints.program.start[joints.clusters.joint].tolist())):
         rolling = lo + np.flatnonzero(np.isin(rows.kind[lo:hi], (GEAR, RACK)))
         if rolling.size:
-            factorise_cluster(joints, work, c, 0.0, 0.0)
-            work.moving[:] = 0.0
+            factorise_cluster(joints, data, c, 0.0, 0.0)
+            data.moving[:] = 0.0
         for r in rolling.tolist():
-            for words, way in _ways_of(joints, work, r):
+            for words, way in _ways_of(joints, data, r):
                 y[:, P:] = 0.0
                 for k, gradient in ((rows.a[r], way[:6]), (rows.b[r], way[6:])):
                     y[k, P:] += gradient * (joints.inv_mass[k] > 0.0)
                 before = _along(joints, y, r, way)
-                keep_rates(joints, work, c, lo, hi)
+                keep_rates(joints, data, c, lo, hi)
                 if _along(joints, y, r, way) > _LOOSE_RATE_SHARE * before:
                     loose.setdefault(r, words)
     return loose
 
 
-def _ways_of(joints: Joints, work: JointWork, r: int) -> list[tuple[str, Floats]]:
+def _ways_of(joints: Joints, data: JointData, r: int) -> list[tuple[str, Floats]]:
     """How the axes of row r must not move: gradients by x and θ of a, and of b, (12,)."""
-    rows, R = joints.rows, rotations(joints.rows, work.y, r)
-    ra, rb, u, d = map(np.array, arms_at(rows, work.y, r, R))
+    rows, R = joints.rows, rotations(joints.rows, data.y, r)
+    ra, rb, u, d = map(np.array, arms_at(rows, data.y, r, R))
     n, none = np.array(R[1]) @ rows.wheel[r, :3], np.zeros(3)
     across, arm = np.cross(n, u), rb + d
     if rows.kind[r] == GEAR:

@@ -12,7 +12,7 @@ from particlerb.joints.reactions import (
     forces_of_joints,
     null_vectors,
 )
-from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, Joints, JointWork, room_for_joints
+from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, JointData, Joints, empty_joint_data
 from particlerb.joints.rows import linearise
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
@@ -28,11 +28,11 @@ _MIN_NULL_COMPONENT: Final = 1e-6  # share of a null vector of Gᵀ from which o
 _MAX_ROWS_NAMED: Final = 8
 
 
-def work_at(joints: Joints, state: State) -> JointWork:
-    """Room to work in, with bodies of a group in a state."""
-    work = room_for_joints(joints)
-    work.y[:-1] = np.vstack(state).T[joints.order]
-    return work
+def joint_data_at(joints: Joints, state: State) -> JointData:
+    """Data of joints, with bodies of a group in a state."""
+    data = empty_joint_data(joints)
+    data.y[:-1] = np.vstack(state).T[joints.order]
+    return data
 
 
 def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> Floats:
@@ -49,13 +49,13 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
     force : ndarray, shape (3, n) [N]
         Of gravity and pushes.
     """
-    work = work_at(joints, state)
-    work.change[:-1, :3] = force.T[joints.order]
-    factorise_all(joints, work, 0.0)
-    find_multipliers(joints, work, work.change)
-    carried = np.linalg.norm(forces_of_joints(joints, work, work.z)[:, :3], axis=1)
+    data = joint_data_at(joints, state)
+    data.change[:-1, :3] = force.T[joints.order]
+    factorise_all(joints, data, 0.0)
+    find_multipliers(joints, data, data.change)
+    carried = np.linalg.norm(forces_of_joints(joints, data, data.z)[:, :3], axis=1)
     first = joints.program.start[:-1]
-    weight = np.linalg.norm(work.change[:, :3], axis=1)
+    weight = np.linalg.norm(data.change[:, :3], axis=1)
     squared = np.zeros(joints.inv_mass.size)
     is_distance = joints.rows.kind[first] == DISTANCE
     ends = (joints.rows.a, joints.rows.first), (joints.rows.b, joints.rows.second)
@@ -67,7 +67,7 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
         np.add.at(squared, end, load * (turning + np.where(is_distance, swinging, 0.0)))
     rows = joints.rows
     soft = np.flatnonzero(rows.action != HOLDS)
-    g, actions = work.gradient[soft], joints.actions
+    g, actions = data.gradient[soft], joints.actions
     stiffness = (actions.stiffness + actions.stop)[rows.action[soft]]
     inverse = (joints.inv_mass[rows.a] + joints.inv_mass[rows.b])[soft] * (g[:, :3] ** 2).sum(1)
     inverse += (g[:, 3:9] * g[:, 9:15]).sum(1)
@@ -147,8 +147,8 @@ class _Count:
 
     def __init__(self, system: System, group: GroupPlan, joints: Joints) -> None:
         state = State(*(values[:, group.members] for values in system.state))
-        work = work_at(joints, state)
-        linearise(joints, work, 0, joints.rows.kind.size)
+        data = joint_data_at(joints, state)
+        linearise(joints, data, 0, joints.rows.kind.size)
         rotor_class = group.bodies.rotor_class[joints.order]
         freedom = 6 - (rotor_class == ROD) - 3 * (rotor_class == POINT)
         freedom *= joints.inv_mass[:-1] > 0.0
@@ -164,7 +164,7 @@ class _Count:
             if not rows:
                 continue
             if clusters.smallest_pivot[c] > 0.0 and rows <= _MAX_CLUSTER_ROWS:
-                null = null_vectors(joints, work, c)
+                null = null_vectors(joints, data, c)
             self.clusters += 1
             self.bodies += freedoms.size
             self.free += int(freedoms.sum()) - rows + len(null)

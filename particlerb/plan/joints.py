@@ -29,9 +29,9 @@ from particlerb.joints.records import (
     Breaks,
     ConstraintRows,
     Coordinates,
+    JointData,
     Joints,
-    JointWork,
-    room_for_joints,
+    empty_joint_data,
 )
 from particlerb.joints.rows import linearise, rates, residuals
 from particlerb.joints.setup import joints_among
@@ -231,7 +231,7 @@ class _AtStart(NamedTuple):
     """All joints of a system, with the bodies where they are at the start."""
 
     joints: Joints
-    work: JointWork
+    data: JointData
     rows: list[slice]  # of each cluster
 
 
@@ -240,16 +240,16 @@ def _at_start(system: System, setup: JointSetup) -> _AtStart:
     n = system.n_bodies
     joints = setup.within(np.arange(n), held(system.bodies, system.is_held))
     assert joints is not None
-    work = room_for_joints(joints)
-    work.y[:n] = np.vstack(system.state).T[joints.order]
+    data = empty_joint_data(joints)
+    data.y[:n] = np.vstack(system.state).T[joints.order]
     for k in range(0 if setup.driven is None else setup.driven.which.size):
         assert setup.driven is not None
         x, q, v, w = prescribed_pose(setup.driven, k, 0.0)
         body = int(np.flatnonzero(joints.order == setup.driven.which[k])[0])
-        work.y[body] = [*x, *q, *np.concatenate(prescribed_momenta(setup.driven, k, q, v, w))]
-        work.motion[body, :6], work.later[body] = [*v, *w], [*x, *q]
+        data.y[body] = [*x, *q, *np.concatenate(prescribed_momenta(setup.driven, k, q, v, w))]
+        data.motion[body, :6], data.later[body] = [*v, *w], [*x, *q]
     edges = joints.program.start[joints.clusters.joint].tolist()
-    return _AtStart(joints, work, [slice(*ends) for ends in pairwise(edges)])
+    return _AtStart(joints, data, [slice(*ends) for ends in pairwise(edges)])
 
 
 def has_loops(system: System, setup: JointSetup) -> bool:
@@ -264,13 +264,13 @@ def joint_of_row(joints: Joints, row: int) -> int:
 
 def _impossible(system: System, setup: JointSetup) -> list[Problem]:
     """What is wrong with joints that would turn a point, or a rod about its axis."""
-    n, (joints, work, _) = system.n_bodies, _at_start(system, setup)
-    linearise(joints, work, 0, joints.rows.kind.size)
+    n, (joints, data, _) = system.n_bodies, _at_start(system, setup)
+    linearise(joints, data, 0, joints.rows.kind.size)
     rotor_class = np.append(system.bodies.rotor_class[joints.order], NAMES.index("sphere"))
     problems: dict[int, Problem] = {}
     for end, at in ((joints.rows.a, 3), (joints.rows.b, 6)):
-        turning = work.gradient[:, at : at + 3].T
-        arm = np.abs(rotate_back(np.ascontiguousarray(work.y[end, 3:7].T), turning))
+        turning = data.gradient[:, at : at + 3].T
+        arm = np.abs(rotate_back(np.ascontiguousarray(data.y[end, 3:7].T), turning))
         is_point, is_rod = rotor_class[end] == POINT, rotor_class[end] == ROD
         allowed = _AXIAL_ROUNDING * joints.rows.size
         wrong = (is_point & (arm.max(axis=0) > allowed)) | (is_rod & (arm[2] > allowed))
@@ -303,27 +303,27 @@ def assembled(system: System) -> System:
     setup = joints_of(system)
     if setup is None:
         return system
-    joints, work, rows = _at_start(system, setup)
+    joints, data, rows = _at_start(system, setup)
     n, m = system.n_bodies, joints.rows.kind.size
     if m:
-        residuals(joints, work, 0, m, 0.0)
-        off = np.abs(work.g) / joints.rows.size
+        residuals(joints, data, 0, m, 0.0)
+        off = np.abs(data.g) / joints.rows.size
         _refuse_misfits(system, setup, joints, off, "{name} does not fit where its bodies start:")
-    before = work.y.copy()
+    before = data.y.copy()
     for c, cluster_rows in enumerate(rows):
         bodies = slice(joints.clusters.body[c], joints.clusters.body[c + 1])
         if cluster_rows.start < cluster_rows.stop and off[cluster_rows].max() > 0.0:
-            work.y[bodies, 7:] = 0.0
-            constrained_drift(joints, work, c, 0.0, -1.0, 1.0)
-            work.y[bodies, 7:] = before[bodies, 7:]
-            _refuse_apart(system, setup, joints, work, cluster_rows)
-    _refuse_fast(system, setup, joints, work)
+            data.y[bodies, 7:] = 0.0
+            constrained_drift(joints, data, c, 0.0, -1.0, 1.0)
+            data.y[bodies, 7:] = before[bodies, 7:]
+            _refuse_apart(system, setup, joints, data, cluster_rows)
+    _refuse_fast(system, setup, joints, data)
     for c in range(len(rows)):
-        project_momenta(joints, work, c, 0.0, 0.0, 0.0)
-    moved = float(lengths((work.y - before)[:n, :3].T).max())
+        project_momenta(joints, data, c, 0.0, 0.0, 0.0)
+    moved = float(lengths((data.y - before)[:n, :3].T).max())
     state = np.empty((13, n))
-    state[:, joints.order] = work.y[:n].T
-    _refuse_loose(system, setup, joints, work)
+    state[:, joints.order] = data.y[:n].T
+    _refuse_loose(system, setup, joints, data)
     fitted = system._replace(state=state_of(state), placed=system.state)
     if moved <= _MAX_START_MISFIT * float(joints.rows.size.max()):
         return fitted
@@ -349,21 +349,21 @@ def _refuse_misfits(
     refuse(problems.values())
 
 
-def _refuse_loose(system: System, setup: JointSetup, joints: Joints, work: JointWork) -> None:
+def _refuse_loose(system: System, setup: JointSetup, joints: Joints, data: JointData) -> None:
     """Raise CaseError where the axes of what rolls are not held."""
     hint = "hold both bodies by hinges, parallel and at their distance"
-    for row, words in joint_rows.loose_wheels(joints, work).items():
+    for row, words in joint_rows.loose_wheels(joints, data).items():
         joint = joint_of_row(joints, row)
         reason = f"{setup.names[joint]} does not roll: its axes {words}"
         raise CaseError([problem_at(system, f"joint[{setup.record[joint]}]", reason, hint)])
 
 
 def _refuse_apart(
-    system: System, setup: JointSetup, joints: Joints, work: JointWork, rows: slice
+    system: System, setup: JointSetup, joints: Joints, data: JointData, rows: slice
 ) -> None:
     """Raise CaseError where the joints of a cluster have not come together."""
-    residuals(joints, work, rows.start, rows.stop, 0.0)
-    off = np.abs(work.g[rows]) / joints.rows.size[rows]
+    residuals(joints, data, rows.start, rows.stop, 0.0)
+    off = np.abs(data.g[rows]) / joints.rows.size[rows]
     if (off <= _MAX_ASSEMBLED_MISFIT).all():  # of NaN it is not
         return
     joint = joint_of_row(joints, rows.start + int(np.argmax(np.nan_to_num(off, nan=np.inf))))
@@ -372,16 +372,16 @@ def _refuse_apart(
     raise CaseError([problem_at(system, f"joint[{int(setup.record[joint])}]", reason, hint)])
 
 
-def _refuse_fast(system: System, setup: JointSetup, joints: Joints, work: JointWork) -> None:
+def _refuse_fast(system: System, setup: JointSetup, joints: Joints, data: JointData) -> None:
     """Raise CaseError where velocities at the start break a joint that may not be assembled."""
     m = joints.rows.kind.size
-    linearise(joints, work, 0, m)
-    set_moving(joints, work, 0, m, 0.0)
-    rates(joints, work, 0, m)
+    linearise(joints, data, 0, m)
+    set_moving(joints, data, 0, m, 0.0)
+    rates(joints, data, 0, m)
     speed = np.zeros(m)
     for end in (joints.rows.a, joints.rows.b):
-        y, q = work.y[end].T, np.ascontiguousarray(work.y[end, 3:7].T)
+        y, q = data.y[end].T, np.ascontiguousarray(data.y[end, 3:7].T)
         spin = joints.inv_inertia[end].T * rotate_back(q, y[10:])
         speed += lengths(y[7:10]) * joints.inv_mass[end] + lengths(spin) * joints.rows.size
-    off = np.abs(work.z) / np.where(speed > 0.0, speed, 1.0)
+    off = np.abs(data.z) / np.where(speed > 0.0, speed, 1.0)
     _refuse_misfits(system, setup, joints, off, "{name} is broken by the velocities at the start:")

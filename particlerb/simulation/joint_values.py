@@ -28,7 +28,7 @@ from particlerb.model.block import COM, into_blocks
 from particlerb.model.state import Frames, State, state_in
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
-from particlerb.plan.joint_words import work_at
+from particlerb.plan.joint_words import joint_data_at
 from particlerb.plan.joints import JointSetup, asked_of_joints, joints_of
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.merging import unmerged
@@ -198,19 +198,19 @@ class JointReader:
         loads = np.zeros((6, state.com.shape[1]))
         into_blocks(motion.blocks, COM, motion.spaced(np.vstack(state)))
         gather_loads(motion.moving, time - self.segment.start, loads)
-        work, m = work_at(joints, state), joints.rows.kind.size
-        work.change[:-1] = loads.T[joints.order]
-        work.clock[0] = time - self.segment.start
+        data, m = joint_data_at(joints, state), joints.rows.kind.size
+        data.change[:-1] = loads.T[joints.order]
+        data.clock[0] = time - self.segment.start
         is_broken = broken <= time
-        work.broken[:] = np.where(is_broken, -np.inf, np.inf)
+        data.broken[:] = np.where(is_broken, -np.inf, np.inf)
         assert motion.jointed is not None
-        jointed = motion.jointed._replace(work=work)
-        place_driven(jointed.driven, jointed, work.clock[0], 0.0, 0, len(work.y))
-        factorise_all(joints, work, work.clock[0])
-        add_actions(None, jointed, work.change, 0)
-        find_multipliers(joints, work, work.change)
-        is_open = make_least(joints, work)
-        carried, is_joint = forces_of_joints(joints, work, work.z), joints.number >= 0
+        jointed = motion.jointed._replace(data=data)
+        place_driven(jointed.driven, jointed, data.clock[0], 0.0, 0, len(data.y))
+        factorise_all(joints, data, data.clock[0])
+        add_actions(None, jointed, data.change, 0)
+        find_multipliers(joints, data, data.change)
+        is_open = make_least(joints, data)
+        carried, is_joint = forces_of_joints(joints, data, data.z), joints.number >= 0
         if self.segment.terms.contact is not None:  # what contacts keep is not in the state
             carried[:], is_open[:] = np.nan, True
         numbers, is_known = joints.number[is_joint], ~is_open[is_joint]
@@ -219,12 +219,12 @@ class JointReader:
         values.joint_force_determined[row, numbers] = is_known[:, :3]
         values.joint_torque_determined[row, numbers] = is_known[:, 3:]
         values.joint_break_time[row, numbers] = np.where(is_broken, broken, 0.0)[is_joint]
-        residuals(joints, work, 0, m, work.clock[0])
-        rates(joints, work, 0, m)
+        residuals(joints, data, 0, m, data.clock[0])
+        rates(joints, data, 0, m)
         start, size = joints.program.start[:-1], joints.rows.size
-        misfit = np.maximum.reduceat(np.abs(work.g) / size, start)
+        misfit = np.maximum.reduceat(np.abs(data.g) / size, start)
         values.joint_misfit[row, numbers] = misfit[is_joint]
-        rate = np.maximum.reduceat(np.abs(work.z) / size, start)
+        rate = np.maximum.reduceat(np.abs(data.z) / size, start)
         values.joint_rate[row, numbers] = rate[is_joint]
         if turned is not None:
             coordinates = values_of(joints.coordinates, turned)

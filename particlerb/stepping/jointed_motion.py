@@ -6,7 +6,7 @@ from particlerb.compiled.jit import flag
 from particlerb.compiled.threads import BLOCK
 from particlerb.forces import has_potential
 from particlerb.joints.coordinates import count_turns
-from particlerb.joints.records import Jointed, room_for_joints
+from particlerb.joints.records import Jointed, empty_joint_data
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import State
 from particlerb.stepping.motion import Motion, SegmentGroup
@@ -16,12 +16,12 @@ from particlerb.stepping.saved_arrays import Saved
 def jointed_in(
     group: SegmentGroup, first: State, slots: Ints, start: float, dt: float
 ) -> Jointed | None:
-    """Joints of a group with room to work in, its bodies at these places; None: it has none."""
+    """Joints of a group with their data, its bodies at these places; None: it has none."""
     joints, driven = group.terms.joints, group.terms.driven
     if joints is None:
         return None
     body_slots = slots[joints.order]
-    workspace = room_for_joints(joints)
+    workspace = empty_joint_data(joints)
     workspace.y[:-1] = np.vstack(first).T[joints.order]
     count_turns(joints.coordinates, workspace.y, workspace.turned)
     workspace.turned[:, 2] = 0.0
@@ -43,8 +43,8 @@ class JointedMotion(Motion):
         """Joints that no impulse keeps any more; 1: axes have left their place, 2: a stop."""
         if self.jointed is None:
             return {}
-        joints, work = self.jointed.joints, self.jointed.work
-        why, rows = np.divmod(work.lost[work.lost > 0] - 1, joints.rows.kind.size)
+        joints, data = self.jointed.joints, self.jointed.data
+        why, rows = np.divmod(data.lost[data.lost > 0] - 1, joints.rows.kind.size)
         which = np.searchsorted(joints.program.start, rows, side="right") - 1
         return dict(zip(joints.number[which].tolist(), why.tolist(), strict=True))
 
@@ -57,22 +57,22 @@ class JointedMotion(Motion):
     @property
     def broken(self) -> Floats:
         """When joints have broken [s], (j,): inf where they hold."""
-        return np.zeros(0) if self.jointed is None else self.jointed.work.broken
+        return np.zeros(0) if self.jointed is None else self.jointed.data.broken
 
     @property
     def load(self) -> Floats:
         """What joints carried in the last step, (j, 2): see joints/breaking.py."""
-        return np.zeros((0, 2)) if self.jointed is None else self.jointed.work.load
+        return np.zeros((0, 2)) if self.jointed is None else self.jointed.data.load
 
     @property
     def past(self) -> Floats:
         """Impulses of joints in the last step, and their differences: see joints/solver.py."""
-        return np.zeros((0, 4)) if self.jointed is None else self.jointed.work.past
+        return np.zeros((0, 4)) if self.jointed is None else self.jointed.data.past
 
     @property
     def turned(self) -> Floats:
         """Coordinates of joints as they are tracked, (c, 3): see joints/coordinates.py."""
-        return np.zeros((0, 3)) if self.jointed is None else self.jointed.work.turned
+        return np.zeros((0, 3)) if self.jointed is None else self.jointed.data.turned
 
     def kept_of_joints(self) -> Saved:
         """Copies of what changes with the steps, for a checkpoint."""

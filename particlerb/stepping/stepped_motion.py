@@ -123,10 +123,10 @@ class SteppedMotion(JointedMotion):
         """Set off once more, with what changes in blocks as it was at first, and another step."""
         changing(self.blocks)[:], self.dt, self.steps_done = first, dt, 0
         if self.jointed is not None:
-            self.jointed.work.clock[1] = dt
-            self.jointed.work.broken[:] = np.inf
-            self.jointed.work.load[:] = -1.0
-            self.jointed.work.past[:] = np.nan
+            self.jointed.data.clock[1] = dt
+            self.jointed.data.broken[:] = np.inf
+            self.jointed.data.load[:] = -1.0
+            self.jointed.data.past[:] = np.nan
 
     def spaced(self, values: Floats) -> Floats:
         """Rows of all bodies with the gaps of the blocks between them."""

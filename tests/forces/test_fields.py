@@ -210,14 +210,14 @@ def test_forces_with_a_potential_are_its_gradient_and_the_others_are_booked(make
     R = make.rotation(q)
     for axis, f, t in zip(np.eye(3), own_force, own_torque, strict=True):
 
-        def work_at(s, axis=axis):
+        def joint_data_at(s, axis=axis):
             return potential_work(terms, column(x + s * axis), column(q))
 
         def work_turned(s, axis=axis):
             turn = (R.from_rotvec(s * axis) * R).as_quat(scalar_first=True)
             return potential_work(terms, column(x), column(turn))
 
-        assert derivative(work_at) == pytest.approx(f, abs=1e-8 * (1 + abs(f)))
+        assert derivative(joint_data_at) == pytest.approx(f, abs=1e-8 * (1 + abs(f)))
         assert derivative(work_turned) == pytest.approx(t, abs=1e-8 * (1 + abs(t)))
 
 

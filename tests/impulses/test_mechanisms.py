@@ -33,7 +33,7 @@ from particlerb.impulses.records import (
 )
 from particlerb.impulses.rows import write_frame
 from particlerb.impulses.solver import solve
-from particlerb.joints.records import HOLDS, ConstraintRows, room_for_joints
+from particlerb.joints.records import HOLDS, ConstraintRows, empty_joint_data
 from particlerb.joints.responses import find_bounded, find_responses, mechanisms_of, pairs_through
 from particlerb.joints.setup import NO_ACTIONS, joints_among
 
@@ -210,8 +210,8 @@ def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts(
     rows = ConstraintRows(b, a, b, ends, -ends, np.eye(3), np.ones(3), np.ones(3), none, none,
                           np.zeros((3, 12)))  # fmt: skip
     joints = joints_among(a[:1], np.array([0, 3]), rows, bodies, NO_ACTIONS)
-    work, mechanisms = room_for_joints(joints), mechanisms_of(joints, 3)
-    work.y[1, 0] = 1.0
+    data, mechanisms = empty_joint_data(joints), mechanisms_of(joints, 3)
+    data.y[1, 0] = 1.0
     partners, contacts = room_for_partners(3, mechanisms), room_for_rows(2)
     partners.inverse[:2, [0, 1, 4, 6]] = 1.0
     partners.place[1, 0], partners.velocity[:2, 2] = 1.0, -1.0
@@ -222,9 +222,9 @@ def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts(
     rules = ImpulseRules(np.zeros(1), np.zeros(1), 1e-12, 1, 0.0, 0.0, 0.0, True)
     newton = room_for_newton(partners.inverse[:, 0] > 0, a[:1], b[:1], 2)
     impulses = Impulses(rules, partners, contacts, np.array([2, -1]), np.zeros(TALLY), newton)
-    find_bounded(joints, work, partners, mechanisms, None, 0.01)
-    find_responses(joints, work, impulses, mechanisms)
-    g = work.gradient
+    find_bounded(joints, data, partners, mechanisms, None, 0.01)
+    find_responses(joints, data, impulses, mechanisms)
+    g = data.gradient
     G = np.hstack([g[:, :3], g[:, 3:6], -g[:, :3], g[:, 6:9]])
     dense = np.eye(12) - G.T @ np.linalg.solve(G @ G.T, G)
     assert mechanisms.response.reshape(12, 12) == pytest.approx(dense, abs=1e-13)

@@ -11,7 +11,7 @@ from particlerb.joints.records import HOLDS, P, Q
 from particlerb.joints.records import X as AT
 from particlerb.joints.rows import residual
 from particlerb.joints.solver import begin_with_guess, factorise_cluster, remember
-from particlerb.plan.joint_words import work_at
+from particlerb.plan.joint_words import joint_data_at
 from particlerb.simulation.run import prepare
 
 pytestmark = pytest.mark.plain
@@ -47,12 +47,12 @@ def acting():
 
 
 def at_start(scene):
-    """Joints of a scene, and room to work in."""
+    """Joints of a scene, and their data."""
     prepared = prepare(to_system({"run": {"t_end": 1.0, "every": 0.1}, **scene}))
     (group,) = [own for own in prepared.plan.groups if own.segments[0].terms.joints is not None]
     joints = group.segments[0].terms.joints
     state = type(prepared.system.state)(*(v[:, group.members] for v in prepared.system.state))
-    return joints, work_at(joints, state)
+    return joints, joint_data_at(joints, state)
 
 
 def turned(y, b, path, angle):
@@ -93,36 +93,36 @@ def dense_inverse_mass(joints, y):
 @pytest.mark.parametrize("name", ["mixed_chain", "slider_crank", "bricard", "wheel", "acting"])
 def test_the_factor_solves_what_dense_matrices_say(name):
     scene = {"wheel": wheel, "acting": acting}.get(name) or SCENES[name]
-    joints, work = at_start(scene())
-    G, inverse = dense_gradient(joints, work.y), dense_inverse_mass(joints, work.y)
+    joints, data = at_start(scene())
+    G, inverse = dense_gradient(joints, data.y), dense_inverse_mass(joints, data.y)
     A = G @ inverse @ G.T
     b = A @ np.random.default_rng(7).normal(size=len(A))
-    work.z[:] = b
+    data.z[:] = b
     assert joints.clusters.body.size == 2
-    factorise_cluster(joints, work, 0, 0.0, 0.0)
-    solve(joints.program, joints.clusters, work.factor, work.z, 0)
-    assert A @ work.z == pytest.approx(b, abs=1e-7 * np.abs(b).max())
-    assert (work.z[joints.rows.action != HOLDS] == 0.0).all()
+    factorise_cluster(joints, data, 0, 0.0, 0.0)
+    solve(joints.program, joints.clusters, data.factor, data.z, 0)
+    assert A @ data.z == pytest.approx(b, abs=1e-7 * np.abs(b).max())
+    assert (data.z[joints.rows.action != HOLDS] == 0.0).all()
 
 
 def test_a_step_begins_with_the_impulses_that_a_cubic_foresees():
     """Of two hinges of a door five rows depend on others, and have none."""
     door = body("door", 2.0, [0.1, 0.2, 0.3], [0.4, 0, 0])
     places = {"lower": [0, 0, -0.5], "upper": [0, 0, 0.5]}
-    joints, work = at_start(
+    joints, data = at_start(
         case([door], [joint("hinge", "door", None, at, Z, name=n) for n, at in places.items()])
     )
-    factorise_cluster(joints, work, 0, 0.0, 0.0)
+    factorise_cluster(joints, data, 0, 0.0, 0.0)
     row = np.arange(1.0, 11.0)
-    own = work.factor[:, range(5), range(5)][:2].ravel() != 0.0
+    own = data.factor[:, range(5), range(5)][:2].ravel() != 0.0
     assert own.sum() == 5
     for known in range(6):
-        before = work.y.copy()
-        work.total[:] = 0.0
-        begin_with_guess(joints, work, 0, 0.25)
+        before = data.y.copy()
+        data.total[:] = 0.0
+        begin_with_guess(joints, data, 0, 0.25)
         if known in FORESEEN:
-            assert work.total == pytest.approx(np.where(own, 0.25 * FORESEEN[known] * row, 0.0))
-        given = work.y[0, P : P + 3] - before[0, P : P + 3]
-        assert given == pytest.approx(work.total @ work.gradient[:, :3], abs=1e-12)
-        work.total[:] = 0.5 * row * (1 + known + known**2 + known**3)
-        remember(work, 0, 10, 0.5)
+            assert data.total == pytest.approx(np.where(own, 0.25 * FORESEEN[known] * row, 0.0))
+        given = data.y[0, P : P + 3] - before[0, P : P + 3]
+        assert given == pytest.approx(data.total @ data.gradient[:, :3], abs=1e-12)
+        data.total[:] = 0.5 * row * (1 + known + known**2 + known**3)
+        remember(data, 0, 10, 0.5)
