@@ -27,7 +27,13 @@ from results import record
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
-from particlerb.forces.attraction import Attraction, Fields, attraction_loads, spread_loads, work_of
+from particlerb.forces.attraction import (
+    Attraction,
+    Fields,
+    attraction_loads,
+    fields_of,
+    spread_loads,
+)
 from particlerb.forces.gravity_tree.opening_angle import fitting_angle, safe_angle, sampled_error
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.maths.vec3 import Floats
@@ -123,33 +129,35 @@ class Evaluation:
 
     def __init__(self, counts: Sequence[int]) -> None:
         self.attraction, self.y = scene(counts)
-        self.work, self.load = work_of(self.attraction), np.zeros((6, len(counts)))
+        self.fields, self.load = fields_of(self.attraction), np.zeros((6, len(counts)))
         self.pairs = sum(counts) ** 2 - sum(count * count for count in counts)
         self.best: dict[int, float] = {}
 
     def run(self, threads: int) -> None:
         """Evaluate once; note the time."""
         start = time.perf_counter()
-        spread_loads(self.attraction, self.work, self.y, self.load)
+        spread_loads(self.attraction, self.fields, self.y, self.load)
         seconds = time.perf_counter() - start
         self.best[threads] = min(self.best.get(threads, np.inf), seconds)
 
 
 @kernel
-def loads_again(attraction: Attraction, work: Fields, y: Floats, load: Floats, times: int) -> None:
+def loads_again(
+    attraction: Attraction, fields: Fields, y: Floats, load: Floats, times: int
+) -> None:
     """Loads inside a compiled loop, as a stepping kernel has them."""
     for _ in range(times):
-        attraction_loads(attraction, work, y, load)
+        attraction_loads(attraction, fields, y, load)
 
 
 def nanoseconds_of_few(n: int, times: int = 20_000) -> float:
     """Time of all loads of n points, in a compiled loop."""
     attraction, y = scene([1] * n)
-    work, load = work_of(attraction), np.zeros((6, n))
+    fields, load = fields_of(attraction), np.zeros((6, n))
     taken = []
     for _ in range(ROUNDS):
         start = time.perf_counter()
-        loads_again(attraction, work, y, load, times)
+        loads_again(attraction, fields, y, load, times)
         taken.append((time.perf_counter() - start) / times)
     return 1e9 * min(taken)
 
@@ -260,8 +268,8 @@ def break_even(angle: float) -> Figures:
     sizes, ratio = [2_000, 4_000, 8_000, 16_000, 32_000], []
     for n in sizes:
         attraction, y = ball(n)
-        tree, work, load = Tree(attraction, angle), work_of(attraction), np.zeros((6, n))
-        direct = seconds_of(partial(spread_loads, attraction, work, y, load), 5)
+        tree, fields, load = Tree(attraction, angle), fields_of(attraction), np.zeros((6, n))
+        direct = seconds_of(partial(spread_loads, attraction, fields, y, load), 5)
         ratio.append(seconds_of(partial(tree.loads, y, load), 5) / direct)
     even = float(np.exp(np.interp(0.0, -np.log(ratio), np.log(sizes))))
     print(
@@ -278,7 +286,7 @@ def tree_errors(n: int = 20_000) -> Figures:
         attraction, y = make(n)
         exact = np.zeros((6, y.shape[1]))
         mass = np.add.reduceat(attraction.mass, attraction.offset[:-1])
-        spread_loads(attraction, work_of(attraction), y, exact)
+        spread_loads(attraction, fields_of(attraction), y, exact)
         sizes = np.linalg.norm(exact[:3] / mass, axis=0)
         for angle in (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0):
             load = np.zeros((6, y.shape[1]))
@@ -321,7 +329,7 @@ def tree() -> Figures:
 def error_of(attraction: Attraction, y: Floats, acceleration: Floats) -> float:
     """Relative rms error of the accelerations of points, (3, n), beside the direct sum."""
     exact = np.zeros((6, y.shape[1]))
-    spread_loads(attraction, work_of(attraction), y, exact)
+    spread_loads(attraction, fields_of(attraction), y, exact)
     exact = exact[:3] / attraction.mass
     return float(np.linalg.norm(acceleration - exact) / np.linalg.norm(exact))
 

@@ -31,9 +31,9 @@ from particlerb.events.records import (
     TURNED,
     UNFOUND,
     WALL,
+    EventData,
     EventScene,
     EventState,
-    EventWork,
 )
 from particlerb.impulses.records import RENEWED
 
@@ -42,7 +42,7 @@ _INSTANT_SHARE: Final = 1e-5  # of the period
 
 
 @inline
-def _hit(scene: EventScene, state: EventState, work: EventWork, b: int, c: int, t: float) -> int:
+def _hit(scene: EventScene, state: EventState, data: EventData, b: int, c: int, t: float) -> int:
     """Let the impact of body b with c happen; how that ends."""
     instant = _INSTANT_SHARE * scene.period if scene.period < np.inf else 0.0
     if t - state.sums[INSTANT] > instant:
@@ -52,7 +52,7 @@ def _hit(scene: EventScene, state: EventState, work: EventWork, b: int, c: int, 
         return ENDLESS
     first, second = (b, c) if c < 0 else (min(b, c), max(b, c))
     sphere, other = int(np.int64(state.info[b, OWN])), int(np.int64(state.info[b, OTHER]))
-    return DONE if collide(scene, state, work, first, second, sphere, other, t) else OVERLAP
+    return DONE if collide(scene, state, data, first, second, sphere, other, t) else OVERLAP
 
 
 @inline
@@ -73,7 +73,7 @@ def _count_anew(scene: EventScene, state: EventState) -> None:
 
 @kernel
 def advance(
-    scene: EventScene, state: EventState, work: EventWork, until: float, most: int
+    scene: EventScene, state: EventState, data: EventData, until: float, most: int
 ) -> tuple[int, int]:
     """Take all events until a time [s], but no more than so many; how that ends, and whose."""
     for _ in range(most):
@@ -89,13 +89,13 @@ def advance(
                 return FAR, b
             cross(scene, state, b)
         elif c == WALL or state.info[b, STAMP] == state.info[c, HITS]:
-            result = _hit(scene, state, work, b, c, t)
+            result = _hit(scene, state, data, b, c, t)
             if result != DONE:
                 return result, b
             partner = c if c < scene.n_moving else -1
         else:
             state.tally[RENEWED] += 1.0
         for body in (b, partner):
-            if body >= 0 and not predict(scene, state, work.centre, body, t, side):
+            if body >= 0 and not predict(scene, state, data.centre, body, t, side):
                 return UNFOUND, b
     return MORE, -1

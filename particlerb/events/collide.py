@@ -25,9 +25,9 @@ from particlerb.events.records import (
     SPHERE_RADIUS,
     SUM_BOOKED,
     WALL,
+    EventData,
     EventScene,
     EventState,
-    EventWork,
 )
 from particlerb.events.search import normal_to
 from particlerb.impulses.impacts import impact
@@ -94,19 +94,19 @@ def _restitution(
 
 @inline
 def _partner(
-    scene: EventScene, state: EventState, work: EventWork, b: int, at: int, shift: Vec3, t: float
+    scene: EventScene, state: EventState, data: EventData, b: int, at: int, shift: Vec3, t: float
 ) -> None:
     """Write a body, or its image that is shifted, as partner `at` of an impact."""
     x, _ = flight_at(scene, state, b, t)
     R, omega = posed(scene, state, b, t)
     moments = row3_at(scene.body, b, BODY_INV_INERTIA)
-    put_row3_at(work.place, at, 0, add(x, shift))
-    put_row3_at(work.velocity, at, 0, row3_at(state.flight, b, FLIGHT_V))
-    put_row3_at(work.velocity, at, 3, omega)
-    work.inverse[at, 0], column = scene.body[b, BODY_INV_MASS], 1
+    put_row3_at(data.place, at, 0, add(x, shift))
+    put_row3_at(data.velocity, at, 0, row3_at(state.flight, b, FLIGHT_V))
+    put_row3_at(data.velocity, at, 3, omega)
+    data.inverse[at, 0], column = scene.body[b, BODY_INV_MASS], 1
     for i in range(3):
         for j in range(i, 3):
-            work.inverse[at, column] = dot(component_product(moments, _row(R, i)), _row(R, j))
+            data.inverse[at, column] = dot(component_product(moments, _row(R, i)), _row(R, j))
             column += 1
 
 
@@ -117,24 +117,24 @@ def _row(R: Matrix, i: int) -> Vec3:
 
 
 @inline
-def _wall_partner(work: EventWork) -> None:
+def _wall_partner(data: EventData) -> None:
     """Write a wall as the second partner of an impact."""
     for k in range(7):
-        work.inverse[1, k] = 0.0
+        data.inverse[1, k] = 0.0
     for k in range(6):
-        work.velocity[1, k] = 0.0
+        data.velocity[1, k] = 0.0
     for k in range(3):
-        work.place[1, k] = 0.0
+        data.place[1, k] = 0.0
 
 
 @inline
-def _given(scene: EventScene, state: EventState, work: EventWork, b: int, at: int, p: Vec3,
+def _given(scene: EventScene, state: EventState, data: EventData, b: int, at: int, p: Vec3,
            t: float) -> None:  # fmt: skip
     """Let a body go on with what an impact has given it."""
     if b >= scene.n_moving:
         return
-    put_row3_at(state.flight, b, FLIGHT_V, row3_at(work.velocity, at, 0))
-    torque = cross(row3_at(work.frame, 0, ARM + 3 * at), p)
+    put_row3_at(state.flight, b, FLIGHT_V, row3_at(data.velocity, at, 0))
+    torque = cross(row3_at(data.frame, 0, ARM + 3 * at), p)
     spin = add(row3(state.spin, b), torque)
     set_spin(scene, state, b, t, orientation_at(scene, state, b, t), spin)
 
@@ -257,33 +257,33 @@ class Impact(NamedTuple):
 
 
 @kernel
-def _hit(scene: EventScene, state: EventState, work: EventWork, of: Impact) -> Vec3:
+def _hit(scene: EventScene, state: EventState, data: EventData, of: Impact) -> Vec3:
     """Impact of any two; the impulse on a."""
-    a, b, t, frame = of.a, of.b, of.t, work.frame
-    _partner(scene, state, work, a, 0, ZERO, t)
+    a, b, t, frame = of.a, of.b, of.t, data.frame
+    _partner(scene, state, data, a, 0, ZERO, t)
     if b == WALL:
-        _wall_partner(work)
+        _wall_partner(data)
     else:
-        _partner(scene, state, work, b, 1, of.shift, t)
-    write_frame_of(frame, work.inverse, work.place, 0, (0, 1), of.normal, of.point)
+        _partner(scene, state, data, b, 1, of.shift, t)
+    write_frame_of(frame, data.inverse, data.place, 0, (0, 1), of.normal, of.point)
     frame[0, FRICTION] = of.friction
-    u = in_frame(frame, 0, velocity_between(work.velocity, frame, 0, 0, 1))
+    u = in_frame(frame, 0, velocity_between(data.velocity, frame, 0, 0, 1))
     r = impact(frame, 0, u, of.restitution)
     p = in_world(frame, 0, r)
-    push_apart(work.velocity, work.inverse, None, frame, 0, 0, 1, p)
-    after = in_frame(frame, 0, velocity_between(work.velocity, frame, 0, 0, 1))
+    push_apart(data.velocity, data.inverse, None, frame, 0, 0, 1, p)
+    after = in_frame(frame, 0, velocity_between(data.velocity, frame, 0, 0, 1))
     normal = 0.5 * r[0] * (u[0] + after[0])
     rubbed = 0.5 * (r[1] * (u[1] + after[1]) + r[2] * (u[2] + after[2]))
     _count(state, b == WALL, normal, rubbed, abs(u[0]) < _GRAZING_SHARE * norm(u))
-    _given(scene, state, work, a, 0, p, t)
+    _given(scene, state, data, a, 0, p, t)
     if b != WALL:
-        _given(scene, state, work, b, 1, scale(-1.0, p), t)
+        _given(scene, state, data, b, 1, scale(-1.0, p), t)
     return p
 
 
 @inline
 def _hit_of_any(
-    rubs: Flag, scene: EventScene, state: EventState, work: EventWork, of: Impact
+    rubs: Flag, scene: EventScene, state: EventState, data: EventData, of: Impact
 ) -> Vec3:
     """Impact of any two, where some may change how a body turns, or none; the impulse on a."""
     if rubs is None:
@@ -293,12 +293,12 @@ def _hit_of_any(
     )
     if of.friction == 0.0 and is_round:
         return _hit_of_balls(scene, state, of.a, of.b, of.normal, of.restitution)
-    return _hit(scene, state, work, of)
+    return _hit(scene, state, data, of)
 
 
 @inline
 def collide(
-    scene: EventScene, state: EventState, work: EventWork, a: int, b: int, i: int, j: int,
+    scene: EventScene, state: EventState, data: EventData, a: int, b: int, i: int, j: int,
     t: float,
 ) -> bool:  # fmt: skip
     """Let sphere i of body a hit sphere j of b, or primitive j of the walls, at a time.
@@ -319,7 +319,7 @@ def collide(
     key = i * (n_spheres + scene.wall_kind.size) + (j + n_spheres if b == WALL else j)
     e, mu = _restitution(scene, state, a, key, pair, t), scene.rules[pair, 1]
     of = Impact(a, b, n, point, shift, e, mu, t)
-    p = _hit_of_any(scene.rubs, scene, state, work, of)
+    p = _hit_of_any(scene.rubs, scene, state, data, of)
     state.info[a, HITS] += 1
     if b != WALL:
         state.info[b, HITS] += 1

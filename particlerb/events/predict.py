@@ -134,7 +134,7 @@ def _note(state: EventState, b: int, t: float, s: float, hit: tuple[int, int, in
 
 @inline
 def _look(
-    around: Flag, scene: EventScene, state: EventState, work: Floats, flying: Flying, c: int,
+    around: Flag, scene: EventScene, state: EventState, data: Floats, flying: Flying, c: int,
     stays: float,
 ) -> bool:  # fmt: skip
     """Note the impact of a body with body c, if it is the next; false: a search did not end."""
@@ -143,20 +143,20 @@ def _look(
         _note(state, b, flying.t, balls_meet(scene, state, flying, c), (c, min(b, c), max(b, c)))
         return True
     until = min(state.at[b, HIT] - flying.t, stays)
-    s, sphere, other = bodies_meet(scene, state, work, flying, c, until)
+    s, sphere, other = bodies_meet(scene, state, data, flying, c, until)
     _note(state, b, flying.t, s, (c, sphere, other))
     return s != LOST
 
 
 @inline
 def _look_at_walls(
-    scene: EventScene, state: EventState, work: Floats, flying: Flying, home: int, stays: float
+    scene: EventScene, state: EventState, data: Floats, flying: Flying, home: int, stays: float
 ) -> bool:
     """`_look` at all walls near a cell."""
     ended, b = True, flying.body
     for n in range(scene.wall_first[home], scene.wall_first[home + 1]):
         p = int(np.int64(scene.wall_near[n]))
-        s, i = wall_meets(scene, state, work, flying, p, min(state.at[b, HIT] - flying.t, stays))
+        s, i = wall_meets(scene, state, data, flying, p, min(state.at[b, HIT] - flying.t, stays))
         ended = ended and s != LOST
         _note(state, b, flying.t, s, (WALL, i, p))
     return ended
@@ -173,7 +173,7 @@ def _first_and_last(side: int, axis: int) -> tuple[int, int]:
 
 @inline
 def predict(
-    scene: EventScene, state: EventState, work: Floats, b: int, t: float, side: int
+    scene: EventScene, state: EventState, data: Floats, b: int, t: float, side: int
 ) -> bool:
     """Find the next event of body b after t [s] and queue it; false: a search did not end.
 
@@ -198,13 +198,13 @@ def predict(
                 c = int(np.int64(state.head[at]))
                 while c >= 0:
                     if c != b:
-                        ended = _look(scene.around, scene, state, work, flying, c, stays) and ended
+                        ended = _look(scene.around, scene, state, data, flying, c, stays) and ended
                     c = int(np.int64(state.next[c]))
     home = _cell(scene, i0, j0, k0)
     i, j, k = state.info[b, CELL], state.info[b, CELL + 1], state.info[b, CELL + 2]
     if i != i0 or j != j0 or k != k0:
         home = state.head.size
-    ended = _look_at_walls(scene, state, work, flying, home, stays) and ended
+    ended = _look_at_walls(scene, state, data, flying, home, stays) and ended
     put(state, b, min(state.at[b, HIT], state.at[b, LEAVE]))
     return ended
 

@@ -133,8 +133,8 @@ class EventState(NamedTuple):
     tally: Floats  # (TALLY,)
 
 
-class EventWork(NamedTuple):
-    """Space to work in: `centre` for a search, else for an impact."""
+class EventData(NamedTuple):
+    """What kernels write beside the state: `centre` in a search, the others in an impact."""
 
     centre: Floats  # (most spheres of a body, 8) centre, velocity, bend, unused
     velocity: Floats  # (2, 6) of the two, as `Partners` and `ImpulseRows` have them
@@ -143,10 +143,10 @@ class EventWork(NamedTuple):
     frame: Floats  # (1, ..)
 
 
-def empty_workspace(most: int) -> EventWork:
+def empty_data(most: int) -> EventData:
     """Space for bodies of so many spheres at most."""
     widths = ((most, 8), (2, 6), (2, 7), (2, 3), (1, N_COLUMNS))
-    return EventWork(*(np.zeros(shape) for shape in widths))
+    return EventData(*(np.zeros(shape) for shape in widths))
 
 
 def _rows(n: int, columns: int, dtype: Any, value: float) -> Any:

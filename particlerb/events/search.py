@@ -101,7 +101,7 @@ def _balls_meet(x: Vec3, u: Vec3, R: float) -> float:
 
 @inline
 def _ready(
-    scene: EventScene, state: EventState, work: Floats, b: int, shift: Vec3, t: float
+    scene: EventScene, state: EventState, data: Floats, b: int, shift: Vec3, t: float
 ) -> tuple[Vec3, Vec3]:
     """Write centres, velocities and bends of the spheres of a body; where the body is, how fast."""
     x, v = flight_at(scene, state, b, t)
@@ -113,8 +113,8 @@ def _ready(
         r = turn(R, arm)
         u = cross(omega, r)
         for i in range(3):
-            work[k - lo, i], work[k - lo, 3 + i] = x[i] + r[i], v[i] + u[i]
-        work[k - lo, 6] = state.spin[b, BEND] * norm(arm)
+            data[k - lo, i], data[k - lo, 3 + i] = x[i] + r[i], v[i] + u[i]
+        data[k - lo, 6] = state.spin[b, BEND] * norm(arm)
     return x, v
 
 
@@ -135,12 +135,12 @@ def _span(x: Vec3, u: Vec3, R: float) -> tuple[float, float]:
 
 @inline
 def _nearest_spheres(
-    scene: EventScene, state: EventState, work: Floats, pair: tuple[int, int], shift: Vec3,
+    scene: EventScene, state: EventState, data: Floats, pair: tuple[int, int], shift: Vec3,
     t: float, fall: float,
 ) -> tuple[float, int, int, bool]:  # fmt: skip
     """Time in which no spheres of two bodies meet [s]; which are next, and whether they touch."""
     a, b = pair
-    xb, vb = _ready(scene, state, work, b, shift, t)
+    xb, vb = _ready(scene, state, data, b, shift, t)
     xa, va = flight_at(scene, state, a, t)
     R, omega = posed(scene, state, a, t)
     bend, size = state.spin[a, BEND], min(state.flight[a, BOUND], state.flight[b, BOUND])
@@ -159,8 +159,8 @@ def _nearest_spheres(
         curved = bend * norm(arm) + fall
         for j in range(lo, scene.kind[b + 1, FIRST_SPHERE]):
             k = j - lo
-            centre, velocity = row3(work, k), (
-                work[k, 3], work[k, 4], work[k, 5]
+            centre, velocity = row3(data, k), (
+                data[k, 3], data[k, 4], data[k, 5]
             )  # fmt: skip
             d = subtract(c, centre)
             distance = norm(d)
@@ -168,7 +168,7 @@ def _nearest_spheres(
             if fall == 0.0 and gap > least * fastest:
                 continue
             rate = dot(d, subtract(v, velocity)) / distance
-            s = soonest(gap, rate, curved + work[k, 6], touch, size)
+            s = soonest(gap, rate, curved + data[k, 6], touch, size)
             if s < least:
                 least, first, second = s, i, j
             if s == 0.0:
@@ -178,7 +178,7 @@ def _nearest_spheres(
 
 @kernel
 def _spheres_meet(
-    scene: EventScene, state: EventState, work: Floats, pair: tuple[int, int], shift: Vec3,
+    scene: EventScene, state: EventState, data: Floats, pair: tuple[int, int], shift: Vec3,
     t: float, span: tuple[float, float], fall: float,
 ) -> tuple[float, int, int]:  # fmt: skip
     """When spheres of two bodies touch and approach, within a span of time after t; which."""
@@ -186,7 +186,7 @@ def _spheres_meet(
     for _ in range(_MAX_SEARCH_STEPS):
         if s >= last:
             return math.inf, -1, -1
-        step, i, j, touches = _nearest_spheres(scene, state, work, pair, shift, t + s, fall)
+        step, i, j, touches = _nearest_spheres(scene, state, data, pair, shift, t + s, fall)
         if touches or (step < last and (t + s) + step == t + s):
             return s, i, j
         s += step
@@ -213,7 +213,7 @@ def balls_meet(scene: EventScene, state: EventState, flying: Flying, c: int) -> 
 
 @inline
 def bodies_meet(
-    scene: EventScene, state: EventState, work: Floats, flying: Flying, c: int, until: float
+    scene: EventScene, state: EventState, data: Floats, flying: Flying, c: int, until: float
 ) -> tuple[float, int, int]:
     """Time until a body and body c touch and approach, before `until`; with which spheres.
 
@@ -254,8 +254,8 @@ def bodies_meet(
     elif norm(x) - R > (norm(u) + fall * until) * until:
         return math.inf, -1, -1
     if c < b:
-        return _spheres_meet(scene, state, work, (c, b), scale(-1.0, shift), t, span, fall)
-    return _spheres_meet(scene, state, work, (b, c), shift, t, span, fall)
+        return _spheres_meet(scene, state, data, (c, b), scale(-1.0, shift), t, span, fall)
+    return _spheres_meet(scene, state, data, (b, c), shift, t, span, fall)
 
 
 # A body and a wall
@@ -329,21 +329,21 @@ def _until_wall(
 
 @inline
 def _ready_for_wall(
-    around: Flag, scene: EventScene, state: EventState, work: Floats, b: int, t: float
+    around: Flag, scene: EventScene, state: EventState, data: Floats, b: int, t: float
 ) -> None:
     """`_ready`, of balls without how they turn."""
     if around is not None and scene.body[b, BODY_REACH] != 0.0:
-        _ready(scene, state, work, b, _NO_SHIFT, t)
+        _ready(scene, state, data, b, _NO_SHIFT, t)
         return
     x, v = flight_at(scene, state, b, t)
     for i in range(3):
-        work[0, i], work[0, 3 + i] = x[i], v[i]
-    work[0, 6] = 0.0
+        data[0, i], data[0, 3 + i] = x[i], v[i]
+    data[0, 6] = 0.0
 
 
 @kernel
 def _wall_meets(
-    scene: EventScene, state: EventState, work: Floats, a: int, p: int, t: float,
+    scene: EventScene, state: EventState, data: Floats, a: int, p: int, t: float,
     until: float,
 ) -> tuple[float, int]:  # fmt: skip
     """`wall_meets` where the two come near each other."""
@@ -356,13 +356,13 @@ def _wall_meets(
     for _ in range(_MAX_SEARCH_STEPS):
         if s >= until:
             return math.inf, -1
-        _ready_for_wall(scene.around, scene, state, work, a, t + s)
+        _ready_for_wall(scene.around, scene, state, data, a, t + s)
         step, best = math.inf, -1
         for k in range(lo, scene.kind[a + 1, FIRST_SPHERE]):
-            c = row3(work, k - lo)
-            u = work[k - lo, 3], work[k - lo, 4], work[k - lo, 5]
+            c = row3(data, k - lo)
+            u = data[k - lo, 3], data[k - lo, 4], data[k - lo, 5]
             wait = _until_wall(
-                wall, c, u, g, scene.sphere[k, SPHERE_RADIUS], work[k - lo, 6], fastest
+                wall, c, u, g, scene.sphere[k, SPHERE_RADIUS], data[k - lo, 6], fastest
             )
             if wait < step:
                 step, best = wait, k
@@ -384,7 +384,7 @@ def _at_least_away(wall: Primitive, x: Vec3) -> float:
 
 @inline
 def wall_meets(
-    scene: EventScene, state: EventState, work: Floats, flying: Flying, p: int, until: float
+    scene: EventScene, state: EventState, data: Floats, flying: Flying, p: int, until: float
 ) -> tuple[float, int]:
     """Time until a body touches a primitive and approaches it, before `until`; its sphere.
 
@@ -395,4 +395,4 @@ def wall_meets(
     reach += (norm(flying.v) + norm(pull(scene, flying.body)) * until) * until
     if _at_least_away(wall, flying.x) > reach:
         return math.inf, -1
-    return _wall_meets(scene, state, work, flying.body, p, flying.t, until)
+    return _wall_meets(scene, state, data, flying.body, p, flying.t, until)

@@ -60,7 +60,7 @@ class Fields(NamedTuple):
     first_tile: Ints  # (n_worlds,) of each world, likewise
 
 
-def work_of(attraction: Attraction, worlds: Worlds | None = None) -> Fields:
+def fields_of(attraction: Attraction, worlds: Worlds | None = None) -> Fields:
     """Room for evaluations of these particles; of worlds, whose bodies stand one after the other.
 
     Targets meet the sources of their world alone.
@@ -141,12 +141,12 @@ def squared(d: Vec3, softening: float) -> float:
 # Bodies to points
 
 
-def _place(attraction: Attraction, work: Fields, y: Floats, first: int, last: int) -> None:
+def _place(attraction: Attraction, fields: Fields, y: Floats, first: int, last: int) -> None:
     """Place the particles of bodies first to last: x = com + R r.
 
     Parameters
     ----------
-    attraction, work : Attraction, Fields
+    attraction, fields : Attraction, Fields
         Particles, and the arrays whose arms and points are written.
     y : ndarray, shape (13, n_bodies)
         Centre of mass [m], unit quaternion from rotor frame to world; the rest is not used.
@@ -154,10 +154,10 @@ def _place(attraction: Attraction, work: Fields, y: Floats, first: int, last: in
         Bodies, last excluded.
     """
     local, _, _, offset, _ = attraction
-    arm, point = work.arm, work.point
+    arm, point = fields.arm, fields.point
     com, q = rows3(y, 0, y.shape[1]), rows4(y[3:7], 0, y.shape[1])
     for k in range(first, last):
-        b, lo, hi = work.order[k], offset[k], offset[k + 1]
+        b, lo, hi = fields.order[k], offset[k], offset[k + 1]
         r, arms, points = rows3(local, lo, hi), rows3(arm, lo, hi), rows3(point, lo, hi)
         x, R = load3(com, b), matrix(load4(q, b))
         for i in range(hi - lo):
@@ -195,35 +195,35 @@ def add_near_source(
 
 
 @inline
-def _tile_of(work: Fields, tile: int) -> tuple[int, int, int, int]:
+def _tile_of(fields: Fields, tile: int) -> tuple[int, int, int, int]:
     """First target and last, first source and last of a tile."""
-    bounds = work.tile[tile]
+    bounds = fields.tile[tile]
     return bounds[0], bounds[1], bounds[2], bounds[3]
 
 
-def _find_fields(attraction: Attraction, work: Fields, first: int, last: int) -> None:
+def _find_fields(attraction: Attraction, fields: Fields, first: int, last: int) -> None:
     """Write the field at the particles of tiles first to last.
 
     Sources are cut into those before the bodies that a tile touches, those of these bodies, where
     each target leaves out its own, and those after.
     """
     _, _, gm, offset, softening = attraction
-    point, field, body = work.point, work.field, work.body
+    point, field, body = fields.point, fields.field, fields.body
     sources = rows3(point, 0, gm.size)
     for tile in range(first, last):
-        lo, hi, begin, end = _tile_of(work, tile)
-        targets, fields, bodies = rows3(point, lo, hi), rows3(field, lo, hi), body[lo:hi]
+        lo, hi, begin, end = _tile_of(fields, tile)
+        targets, accelerations, bodies = rows3(point, lo, hi), rows3(field, lo, hi), body[lo:hi]
         for i in range(hi - lo):
-            fields[0][i], fields[1][i], fields[2][i] = 0.0, 0.0, 0.0
+            accelerations[0][i], accelerations[1][i], accelerations[2][i] = 0.0, 0.0, 0.0
         before, after = offset[body[lo]], offset[body[hi - 1] + 1]
         for j in range(begin, before):
-            _add_field(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
+            _add_field(load3(sources, j), gm[j], softening, targets, accelerations, hi - lo)
         if body[lo] != body[hi - 1]:
             for j in range(before, after):
                 x = load3(sources, j)
-                add_near_source(x, gm[j], body[j], softening, targets, fields, bodies)
+                add_near_source(x, gm[j], body[j], softening, targets, accelerations, bodies)
         for j in range(after, end):
-            _add_field(load3(sources, j), gm[j], softening, targets, fields, hi - lo)
+            _add_field(load3(sources, j), gm[j], softening, targets, accelerations, hi - lo)
 
 
 pull, attract = inline(_find_fields), kernel(_find_fields)
@@ -232,12 +232,12 @@ pull, attract = inline(_find_fields), kernel(_find_fields)
 # Loads on the bodies
 
 
-def _collect(attraction: Attraction, work: Fields, load: Floats, first: int, last: int) -> None:
+def _collect(attraction: Attraction, fields: Fields, load: Floats, first: int, last: int) -> None:
     """Add force and torque of bodies first to last: Σ m g and Σ R r × m g.
 
     Parameters
     ----------
-    attraction, work : Attraction, Fields
+    attraction, fields : Attraction, Fields
         Particles, with arms and field.
     load : ndarray, shape (rows, n_bodies) [N, N m]
         Force in rows 0 to 2, torque about the centre of mass in rows 3 to 5, world axes.
@@ -245,12 +245,12 @@ def _collect(attraction: Attraction, work: Fields, load: Floats, first: int, las
         Bodies, last excluded.
     """
     _, mass, _, offset, _ = attraction
-    arms, fields = rows3(work.arm, 0, mass.size), rows3(work.field, 0, mass.size)
+    arms, accelerations = rows3(fields.arm, 0, mass.size), rows3(fields.field, 0, mass.size)
     forces, torques = rows3(load, 0, load.shape[1]), rows3(load[3:6], 0, load.shape[1])
     for k in range(first, last):
-        b, F, tau = work.order[k], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        b, F, tau = fields.order[k], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for i in range(offset[k], offset[k + 1]):
-            force = scale(mass[i], load3(fields, i))
+            force = scale(mass[i], load3(accelerations, i))
             F = add_scaled(1.0, force, F)
             tau = add_scaled(1.0, cross(load3(arms, i), force), tau)
         store3(forces, b, add_scaled(1.0, F, load3(forces, b)))
@@ -261,35 +261,35 @@ collect, add_attraction = inline(_collect), kernel(_collect)
 
 
 @kernel
-def attraction_loads(attraction: Attraction, work: Fields, y: Floats, load: Floats) -> None:
+def attraction_loads(attraction: Attraction, fields: Fields, y: Floats, load: Floats) -> None:
     """Add the loads on all bodies at y: the three parts, by this thread alone.
 
     The parts stand in this kernel themselves: a call with so many arrays takes as long as two pairs
     of points.
     """
     n_bodies = attraction.offset.size - 1
-    place_particles(attraction, work, y, 0, n_bodies)
-    pull(attraction, work, 0, len(work.tile))
-    collect(attraction, work, load, 0, n_bodies)
+    place_particles(attraction, fields, y, 0, n_bodies)
+    pull(attraction, fields, 0, len(fields.tile))
+    collect(attraction, fields, load, 0, n_bodies)
 
 
 def spread_loads(
-    attraction: Attraction, work: Fields, y: Floats, load: Floats, ranks: Ranks = ALONE
+    attraction: Attraction, fields: Fields, y: Floats, load: Floats, ranks: Ranks = ALONE
 ) -> None:
     """Add the loads on all bodies at y, tiles spread over ranks and threads; same bits."""
     n_bodies = attraction.offset.size - 1
     with ending_all(ranks):
-        THREADS.alone(place_points, attraction, work, y, 0, n_bodies)
-        first, stop = _spread_tiles(partial(attract, attraction, work), work, ranks)
-        _share(work.field, int(work.tile[first, 0]), int(work.tile[stop - 1, 1]), ranks)
-        THREADS.alone(add_attraction, attraction, work, load, 0, n_bodies)
+        THREADS.alone(place_points, attraction, fields, y, 0, n_bodies)
+        first, stop = _spread_tiles(partial(attract, attraction, fields), fields, ranks)
+        _share(fields.field, int(fields.tile[first, 0]), int(fields.tile[stop - 1, 1]), ranks)
+        THREADS.alone(add_attraction, attraction, fields, load, 0, n_bodies)
 
 
-def _spread_tiles(part: Callable[[int, int], object], work: Fields, ranks: Ranks) -> Range:
+def _spread_tiles(part: Callable[[int, int], object], fields: Fields, ranks: Ranks) -> Range:
     """Call part(first, last) for ranges of tiles that cover those of this rank; which these are."""
-    n = len(work.tile)
+    n = len(fields.tile)
     tiles = Range(n * ranks.number // ranks.count, n * (ranks.number + 1) // ranks.count)
-    first, last, begin, end = work.tile[slice(*tiles)].T
+    first, last, begin, end = fields.tile[slice(*tiles)].T
     n_pairs = int((last - first) @ (end - begin))
     shifted = (lambda lo, hi: part(tiles.first + lo, tiles.first + hi)) if tiles.first else part
     THREADS.share(shifted, tiles.stop - tiles.first, n_pairs // _PAIRS_PER_BODY_STEP)
@@ -309,13 +309,13 @@ def _share(values: Floats, first: int, stop: int, ranks: Ranks) -> None:
 
 @kernel
 def attraction_potential(
-    attraction: Attraction, work: Fields, first: int, last: int, sums: Floats
+    attraction: Attraction, fields: Fields, first: int, last: int, sums: Floats
 ) -> None:
     """Write the potential energy of tiles first to last: -½ Σ_i m_i Σ_j G m_j/√(d² + ε²).
 
     Parameters
     ----------
-    attraction, work : Attraction, Fields
+    attraction, fields : Attraction, Fields
         Particles, with points; the depth of the potential is written.
     first, last : int
         Tiles, last excluded.
@@ -323,10 +323,10 @@ def attraction_potential(
         One for each tile is written; their sum is U, every pair in halves.
     """
     _, mass, gm, _, softening = attraction
-    point, depth, body = work.point, work.depth, work.body
+    point, depth, body = fields.point, fields.depth, fields.body
     sources = rows3(point, 0, gm.size)
     for tile in range(first, last):
-        lo, hi, begin, end = _tile_of(work, tile)
+        lo, hi, begin, end = _tile_of(fields, tile)
         targets, depths, bodies = rows3(point, lo, hi), depth[lo:hi], body[lo:hi]
         for i in range(hi - lo):
             depths[i] = 0.0
@@ -344,22 +344,22 @@ def attraction_potential(
 
 
 def potential_energy(
-    attraction: Attraction, work: Fields, y: Floats, worlds: Worlds | None = None,
+    attraction: Attraction, fields: Fields, y: Floats, worlds: Worlds | None = None,
     ranks: Ranks = ALONE,
 ) -> Floats | float:  # fmt: skip
     """U of all pairs of different bodies [J] at y, (13, n_bodies); tiles spread as for loads.
 
     In each world, (n_worlds,), if there are several.
     """
-    sums = np.zeros(len(work.tile))
+    sums = np.zeros(len(fields.tile))
     with ending_all(ranks):
-        THREADS.alone(place_points, attraction, work, y, 0, attraction.offset.size - 1)
+        THREADS.alone(place_points, attraction, fields, y, 0, attraction.offset.size - 1)
 
         def part(first: int, last: int) -> None:
-            attraction_potential(attraction, work, first, last, sums)
+            attraction_potential(attraction, fields, first, last, sums)
 
-        tiles = _spread_tiles(part, work, ranks)
+        tiles = _spread_tiles(part, fields, ranks)
         _share(sums, tiles.first, tiles.stop, ranks)
     if worlds is None:
         return math.fsum(sums)
-    return np.array([math.fsum(world) for world in np.split(sums, work.first_tile[1:])])
+    return np.array([math.fsum(world) for world in np.split(sums, fields.first_tile[1:])])

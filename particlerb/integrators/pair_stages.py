@@ -46,7 +46,7 @@ class PairTerms(NamedTuple):
     links: Links | None
     own_pairs: OwnPairs | None
     attraction: Attraction | None
-    work: Fields | None
+    fields: Fields | None
     with_dashpots: bool  # whether they are among the loads, and not flows
     clock: Floats  # [s] (3,): of the loads, when the step began, and the segment
     y: Floats  # (13, n) states

@@ -20,8 +20,8 @@ from particlerb.events.records import (
     MORE,
     OVERLAP,
     SUM_BOOKED,
+    empty_data,
     empty_state,
-    empty_workspace,
 )
 from particlerb.impulses.records import GROSS_WORK, RENEWED
 from particlerb.maths.vec3 import Floats, Ints
@@ -52,7 +52,7 @@ class EventMotion(Motion):
         n, n_cells = self.order.size, int(np.prod(self.scene.cells))
         columns = STEADY_COLUMNS if self.scene.turns is None else COLUMNS
         self.state = empty_state(n, n_moving, n_cells, columns)
-        self.work = empty_workspace(int(np.diff(self.scene.kind[:, FIRST_SPHERE]).max()))
+        self.data = empty_data(int(np.diff(self.scene.kind[:, FIRST_SPHERE]).max()))
         if before is not None:
             self.state.tally[:] = before.impulse_tally()
         self.state.tally[RENEWED] -= n_moving  # as each looks for its first event
@@ -70,7 +70,7 @@ class EventMotion(Motion):
         """
         until, ends = time - self.start, MORE
         while ends == MORE:
-            ends, b = THREADS.timed(advance, self.scene, self.state, self.work, until, _PER_CALL)
+            ends, b = THREADS.timed(advance, self.scene, self.state, self.data, until, _PER_CALL)
         if ends != DONE:
             now = self.start + float(self.state.sums[EPOCH] + self.state.heap_time[0])
             what = f"at t = {now:.9g} s body {self.group.members[self.order[b]]} cannot continue"

@@ -11,7 +11,7 @@ import numpy as np
 
 from particlerb.compiled.threads import THREADS
 from particlerb.forces import Terms, pairs_have_potential
-from particlerb.forces.attraction import potential_energy, spread_loads, work_of
+from particlerb.forces.attraction import fields_of, potential_energy, spread_loads
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.links import link_energy, link_loads
 from particlerb.forces.user_pairs import own_pair_loads, pair_energies
@@ -72,7 +72,7 @@ class PairForces:
             terms.links,
             terms.own_pairs,
             direct,
-            None if direct is None else work_of(direct, worlds),
+            None if direct is None else fields_of(direct, worlds),
             with_dashpots,
             np.full(3, start),
             np.zeros((STATE_ROWS, n)),
@@ -107,8 +107,8 @@ class PairForces:
             energy = energy + over_pairs(energies, self.pairs.own_pairs.first, self.worlds)
         y = np.zeros((STATE_ROWS, com.shape[1]))
         y[:3], y[3:7] = com, q
-        if self.pairs.attraction is not None and self.pairs.work is not None:
-            arguments = self.pairs.attraction, self.pairs.work, y, self.worlds, self.ranks
+        if self.pairs.attraction is not None and self.pairs.fields is not None:
+            arguments = self.pairs.attraction, self.pairs.fields, y, self.worlds, self.ranks
             energy = energy + potential_energy(*arguments)
         if self.tree is not None:
             energy += self.tree.potential_energy(y)

@@ -25,12 +25,12 @@ from particlerb.forces.attraction import (
     attract,
     attraction_loads,
     attraction_potential,
+    fields_of,
     inverse_cube,
     inverse_root,
     place_points,
     potential_energy,
     spread_loads,
-    work_of,
 )
 from particlerb.forces.attraction_rates import fastest_rates
 from particlerb.forces.central import Central, central_work
@@ -78,7 +78,7 @@ def random_scene(counts, seed=1, softening=0.0):
 def found_loads(attraction, y):
     """Force and torque, (3, n_bodies) each."""
     load = np.zeros((6, y.shape[1]))
-    attraction_loads(attraction, work_of(attraction), y, load)
+    attraction_loads(attraction, fields_of(attraction), y, load)
     return load[:3], load[3:]
 
 
@@ -156,13 +156,13 @@ def test_loads_and_energy_are_the_plain_sum(counts, softening):
     found_F, found_tau = found_loads(attraction, y)
     assert pytest.approx(F, abs=limit) == found_F
     assert found_tau == pytest.approx(tau, abs=limit)
-    assert potential_energy(attraction, work_of(attraction), y) == pytest.approx(U, rel=1e-14)
+    assert potential_energy(attraction, fields_of(attraction), y) == pytest.approx(U, rel=1e-14)
 
 
 def test_loads_are_added_to_what_is_there():
     attraction, y = random_scene([2, 1, 3])
     load = np.arange(24.0).reshape(8, 3)
-    attraction_loads(attraction, work_of(attraction), y, load)
+    attraction_loads(attraction, fields_of(attraction), y, load)
     F, tau = found_loads(attraction, y)
     expected = np.arange(24.0).reshape(8, 3) + np.vstack([F, tau, np.zeros((2, 3))])
     assert (load == expected).all()
@@ -180,7 +180,7 @@ def test_two_points_by_the_formula():
         pull = G * 6.0 * np.array([3.0, 4.0, 12.0]) / (169.0 + square) ** 1.5
         assert pytest.approx(np.array([pull, -pull]).T, rel=1e-15) == F
         assert not tau.any()
-        energy = potential_energy(attraction, work_of(attraction), y)
+        energy = potential_energy(attraction, fields_of(attraction), y)
         assert energy == pytest.approx(-G * 6.0 / math.sqrt(169.0 + square), rel=1e-15)
 
 
@@ -189,7 +189,7 @@ def test_softened_particles_in_one_place_do_not_pull():
     y[:3] = 1.0
     F, _ = found_loads(attraction, y)
     assert not F.any()
-    energy = potential_energy(attraction, work_of(attraction), y)
+    energy = potential_energy(attraction, fields_of(attraction), y)
     m = attraction.mass
     assert energy == pytest.approx(-2.0 * G * (m[0] * m[1] + m[1] * m[2] + m[2] * m[0]))
 
@@ -202,7 +202,7 @@ def test_what_is_in_one_place_unsoftened_is_not_taken_for_a_number():
     F, _ = found_loads(attraction, y)
     assert not np.isfinite(F[:, :2]).any()
     assert np.isfinite(F[:, 2]).all()
-    assert not np.isfinite(potential_energy(attraction, work_of(attraction), y))
+    assert not np.isfinite(potential_energy(attraction, fields_of(attraction), y))
 
 
 @pytest.mark.parametrize("counts", MANY.values(), ids=MANY)
@@ -212,15 +212,15 @@ def test_particles_of_one_body_do_not_act_on_each_other(counts):
     b = int(np.argmax(counts))
     own = slice(*attraction.offset[b : b + 2])
     attraction.arm[:, own] = 0.1
-    work = work_of(attraction)
-    fields = []
+    fields = fields_of(attraction)
+    accelerations = []
     for _ in range(2):
-        attraction_loads(attraction, work, y, np.zeros((6, len(counts))))
-        fields.append(work.field[:, own].copy())
+        attraction_loads(attraction, fields, y, np.zeros((6, len(counts))))
+        accelerations.append(fields.field[:, own].copy())
         attraction.gm[own] *= 3.0
-    assert np.isfinite(fields[0]).all()
-    assert (fields[0] == fields[1]).all()
-    assert fields[0].any() == (np.count_nonzero(counts) > 1)
+    assert np.isfinite(accelerations[0]).all()
+    assert (accelerations[0] == accelerations[1]).all()
+    assert accelerations[0].any() == (np.count_nonzero(counts) > 1)
 
 
 # Symmetries and the potential
@@ -266,18 +266,18 @@ def test_loads_are_the_gradient_of_the_potential(seed, softening):
     attraction, y = random_scene([4, 3, 1], seed, softening)
     y[:3] = 2.0 * np.eye(3) + 0.1 * y[:3]  # some 2.8 m apart
     F, tau = found_loads(attraction, y)
-    work, own = work_of(attraction), Rotation.from_quat(y[3:7, 0], scalar_first=True)
+    fields, own = fields_of(attraction), Rotation.from_quat(y[3:7, 0], scalar_first=True)
     for k, axis in enumerate(np.eye(3)):
 
         def energy(s, axis=axis):
             moved = y.copy()
             moved[:3, 0] += s * axis
-            return potential_energy(attraction, work, moved)
+            return potential_energy(attraction, fields, moved)
 
         def energy_turned(s, axis=axis):
             turned = y.copy()
             turned[3:7, 0] = (Rotation.from_rotvec(s * axis) * own).as_quat(scalar_first=True)
-            return potential_energy(attraction, work, turned)
+            return potential_energy(attraction, fields, turned)
 
         assert derivative(energy) == pytest.approx(-F[k, 0], abs=1e-10)
         assert derivative(energy_turned) == pytest.approx(-tau[k, 0], abs=1e-10)
@@ -333,7 +333,7 @@ def test_far_away_it_is_a_central_field_of_a_point():
         inertia = (size**2 * moments).reshape(3, 1)
         centre = Central(np.zeros((3, 1)), np.full(1, 3 * G), np.full(1, m.sum()), inertia)
         expected = -central_work(centre, y[:3, :1], y[3:7, :1])[0]
-        errors.append(abs(potential_energy(cloud, work_of(cloud), y) - expected))
+        errors.append(abs(potential_energy(cloud, fields_of(cloud), y) - expected))
     assert errors[0] > 1e-6
     assert -np.diff(np.log2(errors))[2:] == pytest.approx(3.0, abs=0.1)
 
@@ -354,7 +354,7 @@ def threads():
 def test_ranges_change_no_bit(cuts, name):
     """Bodies and tiles one range after another, cut anywhere and the last first."""
     attraction, y = random_scene(MANY[name], 7)
-    whole, parts = work_of(attraction), work_of(attraction)
+    whole, parts = fields_of(attraction), fields_of(attraction)
     n_bodies, n_tiles = y.shape[1], len(whole.tile)
     load, other = np.zeros((6, n_bodies)), np.zeros((6, n_bodies))
     sums, others = np.zeros(n_tiles), np.zeros(n_tiles)
@@ -376,19 +376,19 @@ def test_ranges_change_no_bit(cuts, name):
 def test_a_range_writes_what_is_its_own_alone():
     """So that no thread writes what another one does."""
     attraction, y = random_scene([T, 3, T, 2], 8)
-    work, load, sums = work_of(attraction), np.full((6, 4), np.nan), np.full(3, np.nan)
-    for array in (work.arm, work.point, work.field, work.depth):
+    fields, load, sums = fields_of(attraction), np.full((6, 4), np.nan), np.full(3, np.nan)
+    for array in (fields.arm, fields.point, fields.field, fields.depth):
         array[:] = np.nan
-    place_points(attraction, work, y, 1, 3)
+    place_points(attraction, fields, y, 1, 3)
     own = slice(T, 2 * T + 3)
-    assert written(work.arm) == written(work.point) == list(range(T, 2 * T + 3))
-    place_points(attraction, work, y, 0, 4)
-    attract(attraction, work, 1, 2)
-    attraction_potential(attraction, work, 1, 2, sums)
-    assert written(work.field) == written(work.depth) == list(range(T, 2 * T))
+    assert written(fields.arm) == written(fields.point) == list(range(T, 2 * T + 3))
+    place_points(attraction, fields, y, 0, 4)
+    attract(attraction, fields, 1, 2)
+    attraction_potential(attraction, fields, 1, 2, sums)
+    assert written(fields.field) == written(fields.depth) == list(range(T, 2 * T))
     assert written(sums) == [1]
-    load[:, 1] = work.field[:, own] = 0.0
-    add_attraction(attraction, work, load, 1, 2)
+    load[:, 1] = fields.field[:, own] = 0.0
+    add_attraction(attraction, fields, load, 1, 2)
     assert written(load) == [1]
 
 
@@ -407,13 +407,13 @@ def ranges(cuts, n):
 def test_threads_change_no_bit(threads):
     attraction, y = random_scene([1] * 1500 + [400] * 2, 9)
     loads = [np.zeros((6, y.shape[1])) for _ in range(3)]
-    attraction_loads(attraction, work_of(attraction), y, loads[0])
+    attraction_loads(attraction, fields_of(attraction), y, loads[0])
     energies = []
     for count in (1, 2):
         threads.use(count)
-        work = work_of(attraction)
-        spread_loads(attraction, work, y, loads[count])
-        energies.append(potential_energy(attraction, work, y))
+        fields = fields_of(attraction)
+        spread_loads(attraction, fields, y, loads[count])
+        energies.append(potential_energy(attraction, fields, y))
     assert (loads[0] == loads[1]).all()
     assert (loads[0] == loads[2]).all()
     assert energies[0] == energies[1]
@@ -425,7 +425,7 @@ def test_targets_fill_lanes_and_meet_no_slow_instruction(make):
     """Each of three loops stands there once for lanes and twice for what is left over."""
     one = np.ones(2)
     scene = Attraction(np.zeros((3, 2)), one, one, np.array([0, 1, 2]), 1.0)
-    arguments = scene, work_of(scene), 0, 1
+    arguments = scene, fields_of(scene), 0, 1
     attract(*arguments)
     code = make.assembly(attract, tuple(map(numba.typeof, arguments)))
     packed, single = make.arithmetic(code)

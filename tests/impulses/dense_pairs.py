@@ -86,7 +86,7 @@ def missed(n: int) -> tuple[int, int, float]:
         one, other = int(min(at[k], at[n + k])), int(max(at[k], at[n + k]))
         x, v = flight_at(motion.scene, motion.state, one, 0.0)
         flying = Flying(one, 0.0, x, v)
-        time, *_ = bodies_meet(motion.scene, motion.state, motion.work.centre, flying, other, UNTIL)
+        time, *_ = bodies_meet(motion.scene, motion.state, motion.data.centre, flying, other, UNTIL)
         a, b = (
             (state.com[:, i], state.p[:, i] / mass[i], state.L[:, i] / inertia[0, i])
             for i in (k, n + k)
