@@ -20,18 +20,18 @@ from particlerb.stepping.translations import (
 @inline
 def translate(
     drag: Damping | None, spring: Oscillator | None, brake: DampedOscillator | None,
-    drift: Floats | None, orbit: Orbit | None, of: Centres, lo: int, t: float, given: Any,
+    drift: Floats | None, orbit: Orbit | None, of: Centres, lo: int, t: float, external: Any,
 ) -> None:  # fmt: skip
     """Centres of mass; Numba leaves out what is None."""
     if drag is not None:
-        damped(of, drag, lo, t, given)
+        damped(of, drag, lo, t, external)
     if spring is not None:
-        sprung(of, spring, lo, t, given)
+        sprung(of, spring, lo, t, external)
     if brake is not None:
-        braked(of, brake, lo, t, given)
+        braked(of, brake, lo, t, external)
     if drift is not None:
         add_drift(of, drift, lo, t)
     if orbit is not None:
-        orbited(of, orbit, lo, t, given)
+        orbited(of, orbit, lo, t, external)
     if drag is None and spring is None and brake is None and orbit is None:
         parabola(of, t)

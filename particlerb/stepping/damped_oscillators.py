@@ -13,7 +13,7 @@ from particlerb.compiled.jit import inline
 from particlerb.maths.rows import load3, rows3, store3
 from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, add, add_scaled, cross, dot, scale, subtract
-from particlerb.stepping.translations import Centres, Given, add_given, decays
+from particlerb.stepping.translations import Centres, ExternalWork, add_external, decays
 
 _RATE_FLOOR: Final = 1e-150  # in place of ω² - γ² = 0
 _MAX_SERIES_ARGUMENT: Final = 0.25  # the larger of γt and ωt: below, integrals are series
@@ -93,7 +93,9 @@ def oscillation(rate: float, squared: float, t: float) -> _Oscillation:
 
 
 @inline
-def braked(of: Centres, spring: DampedOscillator, lo: int, t: float, given: Given) -> None:
+def braked(
+    of: Centres, spring: DampedOscillator, lo: int, t: float, external: ExternalWork
+) -> None:
     """x = x₀ + V₀ S - ω² B (x₀ - a)."""
     start, p0, _, inv_mass, com, p = of
     n = inv_mass.size
@@ -114,4 +116,4 @@ def braked(of: Centres, spring: DampedOscillator, lo: int, t: float, given: Give
         turned = cross(add_scaled(S + rate * B, x0, scale(B, v)), a)  # lost × a, as y + a = x₀
         angular = scale(M, add_scaled(squared, turned, angular))
         work = dot(load3(pushed, b), moved) - rate * M * square
-        add_given(given, lo + b, work, impulse, angular)
+        add_external(external, lo + b, work, impulse, angular)

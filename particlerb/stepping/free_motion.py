@@ -49,13 +49,13 @@ from particlerb.stepping.orbits import Orbit, orbits_of
 from particlerb.stepping.saved_arrays import Saved
 from particlerb.stepping.top_rows import top_block
 from particlerb.stepping.translations import (
-    GIVEN,
+    N_EXTERNAL,
     Centres,
     Damping,
-    Given,
+    ExternalWork,
     Oscillator,
     Spinning,
-    add_given,
+    add_external,
     spun,
 )
 
@@ -106,19 +106,21 @@ class _Turned(NamedTuple):
 
 @inline
 def _add_turned(
-    top: Floats | None, near: Floats | None, lo: int, n: int, out: Floats, given: Any
+    top: Floats | None, near: Floats | None, lo: int, n: int, out: Floats, external: Any
 ) -> None:
     """Sums over the tops of a block of the work of what turns them, and of L."""
     if top is not None or near is not None:
         for b in range(n):
-            add_given(given, lo + b, get(out, BOOKED, b), (0.0, 0.0, 0.0), get3(out, L, b))
+            add_external(external, lo + b, get(out, BOOKED, b), (0.0, 0.0, 0.0), get3(out, L, b))
 
 
 @inline
-def _spin(spinning: Spinning | None, lo: int, hi: int, t: float, out: Floats, given: Any) -> None:
+def _spin(
+    spinning: Spinning | None, lo: int, hi: int, t: float, out: Floats, external: Any
+) -> None:
     """Turns about a line, where there are some."""
     if spinning is not None:
-        spun(spinning, lo, hi, t, out, given)
+        spun(spinning, lo, hi, t, out, external)
 
 
 @inline
@@ -138,17 +140,17 @@ def _gather(part: _Part, lo: int, n: int, inputs: Floats) -> None:
 
 @inline
 def _move_block(
-    part: _Part, k: int, t: float, of: Centres, q: Rows4, out: Floats, given: Any
+    part: _Part, k: int, t: float, of: Centres, q: Rows4, out: Floats, external: Any
 ) -> None:
     """State of block k after the time t, in rows of `out`; L where it changes."""
     lo = k * BLOCK
     hi = lo + of.inv_mass.size
     turn_block(part.steady, part.theta, part.hyperbolic, t, lo, hi, q)
-    _spin(part.spinning, lo, hi, t, out, given)
+    _spin(part.spinning, lo, hi, t, out, external)
     top_block(part.top, part.near, k, t, hi - lo, out)
-    _add_turned(part.top, part.near, lo, hi - lo, out, given)
+    _add_turned(part.top, part.near, lo, hi - lo, out, external)
     drag, spring, brake, drift = part.drag, part.spring, part.braked, part.drift
-    translate(drag, spring, brake, drift, part.orbit, of, lo, t, given)
+    translate(drag, spring, brake, drift, part.orbit, of, lo, t, external)
 
 
 @unfused_kernel
@@ -158,7 +160,7 @@ def _fly_blocks(
     rows: Ints,
     members: Ints,
     frames: Frames,
-    given: Floats | None,
+    external: Floats | None,
     bins: Ints | None,
     sums: Floats,
     first: int,
@@ -187,7 +189,7 @@ def _fly_blocks(
         frame, inverse = rows4(inputs[12:16], 0, n), rows3(inputs[18:21], 0, n)
         summed = BlockRows(com, q, p, spin, inputs[17, :n], inputs[16, :n], inverse)
         for f in range(times.size):
-            booked = None if given is None or bins is None else Given(given[f], bins)
+            booked = None if external is None or bins is None else ExternalWork(external[f], bins)
             _move_block(part, k, times[f], of, q, out, booked)
             store_frame(frames, rows[f], place[:n], frame, com, q, p, spin)
             if f < sums.shape[0]:
@@ -195,7 +197,7 @@ def _fly_blocks(
 
 
 @unfused_kernel
-def _end_blocks(part: _Part, t: float, end: State, given: Given | None) -> None:
+def _end_blocks(part: _Part, t: float, end: State, external: ExternalWork | None) -> None:
     """State of the bodies of a part at one time; L only where it changes."""
     out, inputs = np.empty((BOOKED + 1) * STRIDE), np.empty((_INPUT_ROWS, STRIDE))
     local = out.reshape((BOOKED + 1, STRIDE))
@@ -206,7 +208,7 @@ def _end_blocks(part: _Part, t: float, end: State, given: Given | None) -> None:
         com, p = rows3(local[COM : COM + 3], 0, n), rows3(local[P : P + 3], 0, n)
         start, p0, F = rows3(inputs[0:3], 0, n), rows3(inputs[3:6], 0, n), rows3(inputs[9:12], 0, n)
         of = Centres(start, p0, F, inputs[16, :n], com, p)
-        _move_block(part, k, t, of, rows4(local[Q : Q + 4], 0, n), out, given)
+        _move_block(part, k, t, of, rows4(local[Q : Q + 4], 0, n), out, external)
         for b in range(n):
             j = part.which[lo + b]
             for i in range(4):
@@ -324,7 +326,7 @@ class FreeMotion(Motion):
     def booked(self, elapsed: Floats) -> Floats:
         """What forces have given that are constant in the world, (T, 7); zeros without such."""
         if self.constant is None:
-            return np.zeros((elapsed.size, *shape_of(self.group.worlds), GIVEN))
+            return np.zeros((elapsed.size, *shape_of(self.group.worlds), N_EXTERNAL))
         return self.constant.booked(elapsed)
 
     def refuse_fall(self, t: float) -> None:
@@ -343,18 +345,18 @@ class FreeMotion(Motion):
             self.refuse_fall(elapsed.max(initial=0.0))
         booked = self.booked(elapsed)
         for index, part, turned in self.parts:
-            worlds, given, bins = self.group.worlds, None, None
+            worlds, external, bins = self.group.worlds, None, None
             n_bins = -(-index.size // BLOCK)
             if part.sums or worlds is not None:
                 bins, n_bins = bins_among(index, worlds, BLOCK)
             if part.sums:
-                given = np.zeros((times.size, n_bins, GIVEN))
+                external = np.zeros((times.size, n_bins, N_EXTERNAL))
             sums = np.zeros((0 if self.sums is None else times.size, n_bins, N_TOTALS))
-            room = self.group.members, frames, given, bins, sums
+            room = self.group.members, frames, external, bins, sums
             fly = partial(_fly_blocks, part, elapsed, rows, *room)
             THREADS.spread(fly, index.size, index.size * times.size)
-            if given is not None:
-                booked += over_bins(given, worlds)
+            if external is not None:
+                booked += over_bins(external, worlds)
             if self.sums is not None:
                 self.sums += over_bins(sums, worlds)
             if turned is not None:
@@ -368,13 +370,13 @@ class FreeMotion(Motion):
         end = State(*(values.copy() for values in self.state))
         booked = self.booked(np.array([t]))[0]
         for index, part, turned in self.parts:
-            worlds, given = self.group.worlds, None
+            worlds, external = self.group.worlds, None
             if part.sums:
                 bins, n_bins = bins_among(index, worlds, index.size)
-                given = Given(np.zeros((n_bins, GIVEN)), bins)
-            THREADS.alone(_end_blocks, part, t, end, given)
-            if given is not None:
-                booked += given.sums[0] if worlds is None else given.sums
+                external = ExternalWork(np.zeros((n_bins, N_EXTERNAL)), bins)
+            THREADS.alone(_end_blocks, part, t, end, external)
+            if external is not None:
+                booked += external.sums[0] if worlds is None else external.sums
             if turned is not None:
                 end.q[:, index] = quaternion_product(end.q[:, index], turned.axes * CONJUGATE)
                 booked -= turned.first

@@ -23,7 +23,7 @@ from particlerb.maths.rows import load3, rows3, store3
 from particlerb.maths.vec3 import Floats, add_scaled, cross, scale
 from particlerb.model.state import State, cross_columns
 from particlerb.stepping.motion import SegmentGroup
-from particlerb.stepping.translations import Centres, add_given
+from particlerb.stepping.translations import Centres, add_external
 
 _MAX_ROUND_ECCENTRICITY: Final = 0.25  # eccentricity below which an orbit is seen from its start
 _FALLEN_SHARE: Final = 1e-14  # of the distance at which a body passes through the centre
@@ -113,7 +113,7 @@ def _times_since(s: Floats, orbit: Orbit, since: Floats) -> None:
 
 
 @inline
-def orbited(of: Centres, orbit: Orbit, lo: int, t: float, given: Any) -> None:
+def orbited(of: Centres, orbit: Orbit, lo: int, t: float, external: Any) -> None:
     """Place and momentum on the orbit; the work, and the impulses, unless that is None."""
     start, p0, force, inv_mass, com, p = of
     n = inv_mass.size
@@ -138,10 +138,10 @@ def orbited(of: Centres, orbit: Orbit, lo: int, t: float, given: Any) -> None:
         is_there = t == 0.0  # no rounding of the start
         store3(com, b, load3(start, b) if is_there else x)
         store3(p, b, load3(p0, b) if is_there else scale(M, v))
-        if given is not None and not is_there:
+        if external is not None and not is_there:
             impulse = add_scaled(-1.0, load3(p0, b), scale(M, v))
             work = M * mu * ((orbit.first[lo + b] - r) / (orbit.first[lo + b] * r))
-            add_given(given, lo + b, work, impulse, cross(load3(middle, b), impulse))
+            add_external(external, lo + b, work, impulse, cross(load3(middle, b), impulse))
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")

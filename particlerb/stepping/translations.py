@@ -28,11 +28,11 @@ from particlerb.model.block import L, Q, put3, put4
 
 _SPIN_FLOOR: Final = 1e-300  # in place of |L| = 0
 _PHI3_TERMS: Final = tuple(1.0 / math.factorial(n) for n in range(20, 2, -1))  # the last first
-GIVEN: Final = 7  # work, impulse, angular impulse
+N_EXTERNAL: Final = 7  # work, impulse, angular impulse
 
 
-class Given(NamedTuple):
-    """What forces have given the bodies of a part since the start."""
+class ExternalWork(NamedTuple):
+    """Work [J], impulse [N s] and angular impulse [N m s] of forces on bodies since the start."""
 
     sums: Floats  # (bins, 7)
     bins: Ints  # (n,) of each body
@@ -121,9 +121,9 @@ def parabola(of: Centres, t: float) -> None:
 
 
 @inline
-def add_given(given: Given, j: int, work: float, impulse: Vec3, angular: Vec3) -> None:
-    """Add what body j of a part was given to the sums of its bin."""
-    sums = given.sums[given.bins[j]]
+def add_external(external: ExternalWork, j: int, work: float, impulse: Vec3, angular: Vec3) -> None:
+    """Add what body j of a part was given to the sums of its bin; world axes."""
+    sums = external.sums[external.bins[j]]
     sums[0] += work
     for k in range(3):
         sums[1 + k] += impulse[k]
@@ -131,7 +131,7 @@ def add_given(given: Given, j: int, work: float, impulse: Vec3, angular: Vec3) -
 
 
 @inline
-def damped(of: Centres, drag: Damping, lo: int, t: float, given: Given) -> None:
+def damped(of: Centres, drag: Damping, lo: int, t: float, external: ExternalWork) -> None:
     """p = p₀ e^{-γt} + F E₁,  x = x₀ + (p₀ E₁ + F E₂)/M; E_k = tᵏ φ_k(γt)."""
     start, p0, force, inv_mass, com, p = of
     n = inv_mass.size
@@ -147,11 +147,11 @@ def damped(of: Centres, drag: Damping, lo: int, t: float, given: Given) -> None:
         impulse = add_scaled(-rate[b], J, scale(t, F))
         turned = inv * (E2 - rate[b] * (2.0 * G - E1 * E2))
         angular = add_scaled(turned, cross(p_b, F), cross(x0, impulse))
-        add_given(given, lo + b, work, impulse, angular)
+        add_external(external, lo + b, work, impulse, angular)
 
 
 @inline
-def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Any) -> None:
+def sprung(of: Centres, spring: Oscillator, lo: int, t: float, external: Any) -> None:
     """x = a + (x₀ - a) cos ωt + (p₀/M) sin ωt/ω, about the place of balance a."""
     start, p0, _, inv_mass, com, p = of
     n = inv_mass.size
@@ -168,12 +168,12 @@ def sprung(of: Centres, spring: Oscillator, lo: int, t: float, given: Any) -> No
         store3(com, b, add(x0, moved))
         M = 1.0 / inv_mass[b]
         store3(p, b, scale(M, add_scaled(cos, v, scale(-squared[b] * sine, y))))
-        if given is not None:
+        if external is not None:
             lost = add_scaled(sine, y, scale(fall, v))  # ∫ (x - a) dt
             k = M * squared[b]
             turned = cross(add_scaled(sine, x0, scale(fall, v)), a)  # lost × a, as y + a = x₀
             work, angular = dot(load3(pushed, b), moved), scale(k, turned)
-            add_given(given, lo + b, work, scale(-k, lost), angular)
+            add_external(external, lo + b, work, scale(-k, lost), angular)
 
 
 @inline
@@ -191,7 +191,7 @@ def add_drift(of: Centres, drift: Floats, lo: int, t: float) -> None:
 
 
 @inline
-def spun(of: Spinning, lo: int, hi: int, t: float, out: Floats, given: Given) -> None:
+def spun(of: Spinning, lo: int, hi: int, t: float, out: Floats, external: ExternalWork) -> None:
     """L = L₀ e^{-λt} + τ E₁, and q turned by (L₀ E₁ + τ E₂)/I, in rows of a block."""
     L0, q0, torque = rows3(of.L, lo, hi), rows4(of.q, lo, hi), rows3(of.torque, lo, hi)
     for b in range(hi - lo):
@@ -206,4 +206,4 @@ def spun(of: Spinning, lo: int, hi: int, t: float, out: Floats, given: Given) ->
         put3(out, L, b, add_scaled(exp, L_b, scale(E1, tau)))
         work = inverse * (dot(tau, J) - rate * _squared(exp, E1, G, L_b, tau))
         turned = add_scaled(-rate, J, scale(t, tau))
-        add_given(given, lo + b, work, (0.0, 0.0, 0.0), turned)
+        add_external(external, lo + b, work, (0.0, 0.0, 0.0), turned)
