@@ -62,15 +62,15 @@ def keep_momenta(keeps_kick: Flag, blocks: Floats, layout: Layout) -> None:
 
 @inline
 def book_kick(
-    books: Flag, given: Flag, acting: Acting, partners: Partners, blocks: Floats, layout: Layout,
-    dt: float,
+    books: Flag, keeps_kick: Flag, acting: Acting, partners: Partners, blocks: Floats,
+    layout: Layout, dt: float,
 ) -> None:  # fmt: skip
     """Book the work of forces without potential along what the solve has changed.
 
     The half kicks of dt [s], after the second of which momenta still are, have booked it with the
     velocities before.
     """
-    if books is None or given is None:
+    if books is None or keeps_kick is None:
         return
     for k in range(layout.first.size):
         rows = blocks[k]
@@ -90,14 +90,14 @@ def _changed_of(jointed: Jointed, partners: Partners, k: int, at: int) -> Vec3:
 
 
 @inline
-def _book_given(
-    books: Flag, given: Flag, jointed: Jointed, partners: Partners, blocks: Floats, dt: float
+def _correct_work(
+    books: Flag, keeps_kick: Flag, jointed: Jointed, partners: Partners, blocks: Floats, dt: float
 ) -> None:
     """Book the work of motors and forces without potential along what the solve has changed.
 
     The second half kick has booked it with the velocities before.
     """
-    if books is None or given is None:
+    if books is None or keeps_kick is None:
         return
     joints, gradient = jointed.joints, jointed.data.gradient
     for r in range(joints.rows.kind.size):
@@ -118,6 +118,6 @@ def _book_given(
 def book_among_joints(
     books: Flag, jointed: Jointed | None, partners: Partners, blocks: Floats, dt: float
 ) -> None:
-    """Do the work of `_book_given`, if there are joints."""
+    """Do the work of `_correct_work`, if there are joints."""
     if jointed is not None:
-        _book_given(books, jointed.given, jointed, partners, blocks, dt)
+        _correct_work(books, jointed.keeps_kick, jointed, partners, blocks, dt)

@@ -37,23 +37,23 @@ from particlerb.model.load import STATE_ROWS
 
 
 @inline
-def keep_given(
+def keep_kick(
     jointed: Jointed | None, acting: Acting, rows: Floats, b: int, R: Matrix, dt: float,
     old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
 ) -> None:  # fmt: skip
     """Keep what forces without potential gave body b in a kick, if joints hold its group."""
     if jointed is None:
         return
-    _keep(jointed.given, acting, rows, b, R, dt, old, new)
+    _keep(jointed.keeps_kick, acting, rows, b, R, dt, old, new)
 
 
 @inline
 def _keep(
-    given: Flag, acting: Acting, rows: Floats, b: int, R: Matrix, dt: float,
+    keeps_kick: Flag, acting: Acting, rows: Floats, b: int, R: Matrix, dt: float,
     old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
 ) -> None:  # fmt: skip
-    """Do the work of `keep_given`, if there are any."""
-    if given is None:
+    """Do the work of `keep_kick`, if there are any."""
+    if keeps_kick is None:
         return
     put3(rows, STAGE + 6, b, subtract(new[0], old[0]))
     put3(rows, STAGE + 9, b, subtract(new[1], old[1]))
@@ -127,15 +127,15 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
 
 
 @inline
-def _book_given(
-    books: Flag, given: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float
+def _correct_work(
+    books: Flag, keeps_kick: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float
 ) -> None:
     """Book the work that forces without potential do along what joints changed of the velocities.
 
     A kick has booked it with the velocities before the impulses of the joints; one of no length has
     given nothing.
     """
-    if books is None or given is None or kick_dt == 0.0:
+    if books is None or keeps_kick is None or kick_dt == 0.0:
         return
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     start, joint = joints.program.start, joints.clusters.joint
@@ -226,7 +226,7 @@ def drift_clusters(
             foresee_breaks(joints.breaks, joints, jointed.data, c, kick_dt, t)
         _book_world(books, jointed, blocks, c, jointed.data.pose)
         _book_drives(books, jointed, blocks, c)
-        _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
+        _correct_work(books, jointed.keeps_kick, jointed, blocks, c, kick_dt)
         _scatter(jointed, blocks, c)
     meet_all(team)
     if first == 0:
@@ -250,7 +250,7 @@ def project_clusters(
         keep_impulses(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
         _book_world(books, jointed, blocks, c, jointed.data.y)
         _book_drives(books, jointed, blocks, c)
-        _book_given(books, jointed.given, jointed, blocks, c, kick_dt)
+        _correct_work(books, jointed.keeps_kick, jointed, blocks, c, kick_dt)
         _damp(books, jointed.damps, jointed, blocks, c, span)
         _scatter(jointed, blocks, c)
     meet_all(team)

@@ -25,7 +25,7 @@ from particlerb.integrators.contact_stages import (
 from particlerb.integrators.joint_stages import (
     drift_clusters,
     keep_coordinates,
-    keep_given,
+    keep_kick,
     project_clusters,
 )
 from particlerb.integrators.kick import begin_kick, kick_body
@@ -192,7 +192,7 @@ def kick(moving: MovingBodies, first: int, last: int, dt: float) -> None:
         for b in range(n):
             old = get3(rows, P, b), get3(rows, L, b)
             p, spin, R = kick_body(moving.acting, moving.books, rows, b, dt)
-            keep_given(moving.jointed, moving.acting, rows, b, R, dt, old, (p, spin))
+            keep_kick(moving.jointed, moving.acting, rows, b, R, dt, old, (p, spin))
 
 
 @stages

@@ -205,7 +205,7 @@ class Jointed(NamedTuple):
     data: JointData
     block: Ints  # (n,)
     lane: Ints  # (n,)
-    given: Flag  # whether forces without potential act: what they gave is kept
+    keeps_kick: Flag  # whether forces without potential act: what a kick by them gave is kept
     damps: Flag  # whether something damps
     driven: "PrescribedBodies | None"  # in the order of the clusters; None: there are none
     start: float  # [s] when the segment began
