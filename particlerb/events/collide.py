@@ -128,7 +128,7 @@ def _wall_partner(data: EventData) -> None:
 
 
 @inline
-def _given(scene: EventScene, state: EventState, data: EventData, b: int, at: int, p: Vec3,
+def _apply_impulse(scene: EventScene, state: EventState, data: EventData, b: int, at: int, p: Vec3,
            t: float) -> None:  # fmt: skip
     """Let a body go on with what an impact has given it."""
     if b >= scene.n_moving:
@@ -275,9 +275,9 @@ def _hit(scene: EventScene, state: EventState, data: EventData, of: Impact) -> V
     normal = 0.5 * r[0] * (u[0] + after[0])
     rubbed = 0.5 * (r[1] * (u[1] + after[1]) + r[2] * (u[2] + after[2]))
     _count(state, b == WALL, normal, rubbed, abs(u[0]) < _GRAZING_SHARE * norm(u))
-    _given(scene, state, data, a, 0, p, t)
+    _apply_impulse(scene, state, data, a, 0, p, t)
     if b != WALL:
-        _given(scene, state, data, b, 1, scale(-1.0, p), t)
+        _apply_impulse(scene, state, data, b, 1, scale(-1.0, p), t)
     return p
 
 

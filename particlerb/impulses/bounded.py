@@ -314,7 +314,7 @@ def bounce_at_stop(bounded: Bounded, partners: Partners, k: int) -> bool:
     u, values = rate_along(bounded, partners.velocity, k), bounded.values
     r = -(1.0 + values[k, B_RESTITUTION]) * u / values[k, B_INVERSE]
     push_along(bounded, partners.velocity, k, r)
-    _give(bounded, partners.given, k, r)
+    _give(bounded, partners.impulse, k, r)
     values[k, B_IMPACT] += r
     return True
 

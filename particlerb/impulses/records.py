@@ -141,7 +141,7 @@ class Partners(NamedTuple):
     place: Floats  # (.., 3) [m] centre of mass, or origin of the wall's frame
     reach: Floats  # (.., 1) [m] that any point comes in a step, at most
     speeds: Floats  # (.., 4) |v|, |ω|, and by how much half a kick has changed both
-    given: Floats  # (.., 6) [N s, N m s] impulse and angular impulse
+    impulse: Floats  # (.., 6) [N s, N m s] not yet in the momenta; impulse and angular impulse
     booked: Floats  # (.., 8) work, impulse, angular impulse of a step, gross work
     mechanisms: Mechanisms | None  # None: no joint holds any
     keeps_kick: Flag  # whether forces without potential act where there are no joints
@@ -217,9 +217,9 @@ def room_for_partners(
 ) -> Partners:
     """Room for n bodies and walls."""
     velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 12, 6, 7, 6))
-    place, reach, speeds, given, booked = (np.zeros((n, width)) for width in (3, 1, 4, 6, 8))
+    place, reach, speeds, impulse, booked = (np.zeros((n, width)) for width in (3, 1, 4, 6, 8))
     has_moved = np.zeros(n, dtype=np.bool_)
-    arrays = velocity, before, free, inverse, move, has_moved, place, reach, speeds, given, booked
+    arrays = velocity, before, free, inverse, move, has_moved, place, reach, speeds, impulse, booked
     return Partners(*arrays, mechanisms, keeps_kick)
 
 

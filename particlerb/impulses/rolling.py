@@ -49,7 +49,8 @@ def _turn(partners: Partners, velocity: Floats, rows: ImpulseRows, k: int, m: Ve
 @inline
 def _give(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> None:
     """Give angular momenta."""
-    along, momenta, a, b = in_world(rows.frame, k, m), partners.given, rows.first[k], rows.second[k]
+    along, momenta = in_world(rows.frame, k, m), partners.impulse
+    a, b = rows.first[k], rows.second[k]
     put_row3_at(momenta, a, 3, add(row3_at(momenta, a, 3), along))
     put_row3_at(momenta, b, 3, subtract(row3_at(momenta, b, 3), along))
 

@@ -223,7 +223,7 @@ def lean(partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Ve
 @inline
 def give(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     """Give momenta: r [N s] along n, t₁, t₂ of contact c to the first partner, -r to the second."""
-    a, b, momenta = rows.first[c], rows.second[c], partners.given
+    a, b, momenta = rows.first[c], rows.second[c], partners.impulse
     p = in_world(rows.frame, c, r)
     turn_a, turn_b = (
         cross(row3_at(rows.frame, c, ARM), p),

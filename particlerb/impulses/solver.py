@@ -322,7 +322,7 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
         give(partners, rows, k, row3_at(rows.impulse, k, 0))
     give_rolling(rows.rolling, partners, rows, m)
     if bounded is not None:
-        give_bounded(bounded, partners.given)
+        give_bounded(bounded, partners.impulse)
     tally[STEPS] += 1.0
     tally[CONTACTS] += m
     tally[UNMET] += 1.0 if defect > rules.tolerance else 0.0

@@ -190,17 +190,17 @@ def _size_of_kick(contact: MovingContact, partners: Partners) -> float:
 
 
 @inline
-def _apply_given(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
+def _apply_impulses(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
     """Add impulses to the momenta of all bodies."""
-    given = impulses.partners.given
+    impulse = impulses.partners.impulse
     for k in range(layout.first.size):
         rows, lo = blocks[k], layout.first[k]
         for i in range(layout.size[k]):
             if get(rows, INV_MASS, i) > 0.0:
-                put3(rows, P, i, add(get3(rows, P, i), row3_at(given, lo + i, 0)))
-                put3(rows, L, i, add(get3(rows, L, i), row3_at(given, lo + i, 3)))
-            put_row3_at(given, lo + i, 0, ZERO)
-            put_row3_at(given, lo + i, 3, ZERO)
+                put3(rows, P, i, add(get3(rows, P, i), row3_at(impulse, lo + i, 0)))
+                put3(rows, L, i, add(get3(rows, L, i), row3_at(impulse, lo + i, 3)))
+            put_row3_at(impulse, lo + i, 0, ZERO)
+            put_row3_at(impulse, lo + i, 3, ZERO)
 
 
 @inline
@@ -245,7 +245,7 @@ def bounce(
         rows = impulses.rows
         write_rolling(rows.rolling, impulses.partners, rows, impulses.filled[0])
         take_impacts(impulses, impulses.rows.bounded)
-        _apply_given(impulses, blocks, layout)
+        _apply_impulses(impulses, blocks, layout)
         keep_momenta(impulses.partners.keeps_kick, blocks, layout)
     meet(team)
 
@@ -374,7 +374,7 @@ def press(
         time = contact.memory.start + contact.workspace.step_start.time[0] + 0.5 * dt
         solve(impulses, bounded, moved, time)
         book_kick(books, partners.keeps_kick, acting, partners, blocks, layout, 0.5 * dt)
-        _apply_given(impulses, blocks, layout)
+        _apply_impulses(impulses, blocks, layout)
         book_impulses(impulses, bounded)
         book_bodies(contact, impulses, books, blocks, layout)
         book_among_joints(books, jointed, partners, blocks, dt)

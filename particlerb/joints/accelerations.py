@@ -82,7 +82,7 @@ def _convective(
     if kind == DOT:
         return dot(ra2, u) + 2.0 * dot(ra1, u1) + dot(ra, u2)
     a, b = rows.a[r], rows.b[r]
-    k = add(subtract(ra2, rb2), _by_given(data, a, b))
+    k = add(subtract(ra2, rb2), _relative_prescribed_acceleration(data, a, b))
     va, vb = _velocity(joints, data, a), _velocity(joints, data, b)
     d1 = subtract(add(va, ra1), add(vb, rb1))
     if kind == GEAR:
@@ -94,7 +94,7 @@ def _convective(
 
 
 @inline
-def _by_given(data: JointData, a: int, b: int) -> Vec3:
+def _relative_prescribed_acceleration(data: JointData, a: int, b: int) -> Vec3:
     """How the accelerations of bodies that move as prescribed differ."""
     return subtract(row3_at(data.motion, a, 6), row3_at(data.motion, b, 6))
 
@@ -109,7 +109,7 @@ def _centripetal(
         turn(R[1], row3_at(joints.rows.second, r, 0)),
     )
     k = subtract(cross(wa, cross(wa, ra)), cross(wb, cross(wb, rb)))
-    return add(k, _by_given(data, joints.rows.a[r], joints.rows.b[r]))
+    return add(k, _relative_prescribed_acceleration(data, joints.rows.a[r], joints.rows.b[r]))
 
 
 @kernel

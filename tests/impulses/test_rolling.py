@@ -110,9 +110,11 @@ def test_an_impact_of_unequal_moments_resists_as_the_law_asks(limit, torsion):
     write_rolling(rows.rolling, partners, rows, 1)
     before = partners.velocity[0, 3:].copy()
     bounce_rolling(rows.rolling, partners, rows, 0, 1.5)
-    assert partners.velocity[0, 3:] == pytest.approx(before + W @ partners.given[0, 3:], abs=1e-12)
-    m, left = partners.given[0, 3:5], partners.velocity[0, 3:5]
-    about, spin = partners.given[0, 5], partners.velocity[0, 5]
+    assert partners.velocity[0, 3:] == pytest.approx(
+        before + W @ partners.impulse[0, 3:], abs=1e-12
+    )
+    m, left = partners.impulse[0, 3:5], partners.velocity[0, 3:5]
+    about, spin = partners.impulse[0, 5], partners.velocity[0, 5]
     assert abs(about) <= 1.5 * torsion * (1.0 + 1e-14)
     assert spin == pytest.approx(0.0, abs=1e-12) or about == -math.copysign(1.5 * torsion, spin)
     if limit == 10.0:
