@@ -183,7 +183,7 @@ def _forget(contacts: ContactList, c: int, rolling: Rolling | None) -> None:
 def _turning(partners: Partners, a: int, x: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """Velocity before the kick [m/s] of a point of partner a, its change without forces, and ω."""
     omega = row3_at(partners.before, a, 3)
-    v = cross(omega, subtract(x, row3_at(partners.place, a, 0)))
+    v = cross(omega, subtract(x, row3_at(partners.position, a, 0)))
     changes = add(row3_at(partners.before, a, 9), cross(omega, v))
     return add(row3_at(partners.before, a, 0), v), changes, omega
 
@@ -241,7 +241,7 @@ def _sphere_contact(
     dt: float,
 ) -> None:  # fmt: skip
     """Take in contact c between two spheres if it is near."""
-    model, xyzr, place = setup.model, workspace.xyzr, impulses.partners.velocity
+    model, xyzr, velocity = setup.model, workspace.xyzr, impulses.partners.velocity
     reach = impulses.partners.reach
     i, j = contacts.first[c], contacts.second[c]
     d, touching = subtract(row3(xyzr, i), row3(xyzr, j)), xyzr[i, 3] + xyzr[j, 3]
@@ -253,7 +253,7 @@ def _sphere_contact(
         _forget(contacts, c, impulses.rows.rolling)
         return
     distance = length(d)
-    gap, between = distance - touching, subtract(row3_at(place, a, 0), row3_at(place, b, 0))
+    gap, between = distance - touching, subtract(row3_at(velocity, a, 0), row3_at(velocity, b, 0))
     is_near, slow = _is_near(setup, impulses, a, b, touching, gap, between, dt)
     if not is_near:
         _forget(contacts, c, impulses.rows.rolling)
@@ -364,8 +364,8 @@ def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) 
     total = scale(1.0 / dt, add(pressed, impact))
     put_row3(forces.elastic, c, scale(total[0], row3_at(rows.frame, k, NORMAL)))
     put_row3(forces.other, c, in_world(rows.frame, k, (0.0, total[1], total[2])))
-    arm, place = row3_at(rows.frame, k, ARM), impulses.partners.place
-    put_row3(forces.point, c, add(arm, row3_at(place, rows.first[k], 0)))
+    arm, position = row3_at(rows.frame, k, ARM), impulses.partners.position
+    put_row3(forces.point, c, add(arm, row3_at(position, rows.first[k], 0)))
     _keep_rolling(rows.rolling, contacts, c, impulses, k, dt)
     contacts.active[c] = True
 

@@ -100,7 +100,7 @@ def _partner(
     x, _ = flight_at(scene, state, b, t)
     R, omega = posed(scene, state, b, t)
     moments = row3_at(scene.body, b, BODY_INV_INERTIA)
-    put_row3_at(data.place, at, 0, add(x, shift))
+    put_row3_at(data.position, at, 0, add(x, shift))
     put_row3_at(data.velocity, at, 0, row3_at(state.flight, b, FLIGHT_V))
     put_row3_at(data.velocity, at, 3, omega)
     data.inverse[at, 0], column = scene.body[b, BODY_INV_MASS], 1
@@ -124,7 +124,7 @@ def _wall_partner(data: EventData) -> None:
     for k in range(6):
         data.velocity[1, k] = 0.0
     for k in range(3):
-        data.place[1, k] = 0.0
+        data.position[1, k] = 0.0
 
 
 @inline
@@ -265,7 +265,7 @@ def _hit(scene: EventScene, state: EventState, data: EventData, of: Impact) -> V
         _wall_partner(data)
     else:
         _partner(scene, state, data, b, 1, of.shift, t)
-    write_frame_of(frame, data.inverse, data.place, 0, (0, 1), of.normal, of.point)
+    write_frame_of(frame, data.inverse, data.position, 0, (0, 1), of.normal, of.point)
     frame[0, FRICTION] = of.friction
     u = in_frame(frame, 0, velocity_between(data.velocity, frame, 0, 0, 1))
     r = impact(frame, 0, u, of.restitution)

@@ -139,7 +139,7 @@ class EventData(NamedTuple):
     centre: Floats  # (most spheres of a body, 8) centre, velocity, bend, unused
     velocity: Floats  # (2, 6) of the two, as `Partners` and `ImpulseRows` have them
     inverse: Floats  # (2, 7)
-    place: Floats  # (2, 3)
+    position: Floats  # (2, 3)
     frame: Floats  # (1, ..)
 
 

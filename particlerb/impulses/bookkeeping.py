@@ -35,7 +35,7 @@ def _book_outside(
     arm, booked = row3_at(frame, k, at), partners.booked
     omega = row3_at(partners.velocity, other, 3)
     moving = add_scaled(1.0, cross(omega, arm), row3_at(partners.velocity, other, 0))
-    point = add(arm, row3_at(partners.place, other, 0))
+    point = add(arm, row3_at(partners.position, other, 0))
     put_row3_at(booked, mine, 1, add(p, row3_at(booked, mine, 1)))
     put_row3_at(booked, mine, 4, add(add(cross(point, p), m), row3_at(booked, mine, 4)))
     return dot(p, moving) + dot(m, omega)

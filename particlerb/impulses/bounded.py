@@ -127,7 +127,7 @@ def write_response(
         c = mechanisms.number[b]
         if c < 0:
             continue
-        to = mechanisms.start[c] + 36 * mechanisms.place[b] * (last - first)
+        to = mechanisms.start[c] + 36 * mechanisms.local[b] * (last - first)
         for of in range(at, at + 6):
             for j in range(first, last):
                 for i in range(6):
@@ -136,7 +136,7 @@ def write_response(
     inverse, values = 0.0, bounded.values
     for b, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
         for i in range(6):
-            inverse += bounded.gradient[k, at + i] * response[first + mechanisms.place[b], i]
+            inverse += bounded.gradient[k, at + i] * response[first + mechanisms.local[b], i]
     is_free = inverse > LOCKED_SHARE * free
     values[k, B_INVERSE], values[k, B_WEIGHT] = 1.0, 0.0
     if is_free:

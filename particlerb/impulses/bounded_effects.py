@@ -99,7 +99,7 @@ def _book_outside(bounded: Bounded, partners: Partners, k: int, r: float) -> flo
         if not is_outside or partners.inverse[mine, 0] == 0.0:
             continue
         p, m = scale(r, row3_at(gradient, k, at)), scale(r, row3_at(gradient, k, at + 3))
-        m = add_scaled(1.0, m, cross(row3_at(partners.place, mine, 0), p))
+        m = add_scaled(1.0, m, cross(row3_at(partners.position, mine, 0), p))
         for i in range(3):
             partners.booked[mine, 1 + i] += p[i]
             partners.booked[mine, 4 + i] += m[i]

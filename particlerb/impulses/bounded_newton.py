@@ -64,14 +64,14 @@ def add_bounded(
         if newton.clusters[_cluster_of(bounded, newton, k), state] != to_solve:
             continue
         for end, of in ((bounded.first[k], 0), (bounded.second[k], 6)):
-            at = newton.place[end]
+            at = newton.first_row[end]
             if at < 0:
                 continue
             for i in range(6):
                 newton.change[at + i] -= values[k, B_CHANGE] * bounded.gradient[k, of + i]
             for j in range(bounded.start[k], bounded.start[k + 1]):
                 source = bounded.member[j]
-                column = newton.place[source]
+                column = newton.first_row[source]
                 if column < 0 or not has_response(mechanisms, source):
                     continue
                 for c in range(6):

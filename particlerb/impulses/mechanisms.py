@@ -32,7 +32,7 @@ def push_mechanism(
         return False
     first, last = mechanisms.first[c], mechanisms.first[c + 1]
     w = 6 * (last - first)
-    at = mechanisms.start[c] + 6 * w * mechanisms.place[b]
+    at = mechanisms.start[c] + 6 * w * mechanisms.local[b]
     for k in range(first, last):
         other = mechanisms.member[k]
         for i in range(6):
@@ -80,7 +80,7 @@ def through_joints(
     if c < 0:
         return v, omega
     w = 6 * (mechanisms.first[c + 1] - mechanisms.first[c])
-    at = mechanisms.start[c] + (6 * mechanisms.place[source] + i) * w + 6 * mechanisms.place[body]
+    at = mechanisms.start[c] + (6 * mechanisms.local[source] + i) * w + 6 * mechanisms.local[body]
     v = (response[at], response[at + 1], response[at + 2])
     return v, (response[at + 3], response[at + 4], response[at + 5])
 

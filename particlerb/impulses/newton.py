@@ -190,15 +190,15 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
     """Add Gᵀ K G M⁻¹ and -Gᵀ c of contact k."""
     frame, slopes, mechanisms = rows.frame, newton.slopes, partners.mechanisms
     a, b = rows.first[k], rows.second[k]
-    row_a, row_b = newton.place[a], newton.place[b]
+    row_a, row_b = newton.first_row[a], newton.first_row[b]
     for other in range(2):
         body, arm = (a, ARM) if other == 0 else (b, ARM + 3)
-        if newton.place[body] < 0:
+        if newton.first_row[body] < 0:
             continue
         sign, arms = 1.0 - 2.0 * other, row3_at(frame, k, arm)
         for j in range(count_members(mechanisms, body)):
             source = member(mechanisms, body, j)
-            column = newton.place[source]
+            column = newton.first_row[source]
             for i in range(6 if column >= 0 and has_response(mechanisms, source) else 0):
                 v, omega = _velocities_by(partners, body, source, i, arms)
                 r = _k_times(slopes, k, in_frame(frame, k, scale(sign, v)))
@@ -267,7 +267,7 @@ def _solve_for_bodies(
         c = row3_at(newton.slopes, k, 0)
         p, turn = scale(-1.0, in_world(rows.frame, k, c)), rolling_c(rows.rolling, rows, k, -c[0])
         for body, arm, sign in ((rows.first[k], ARM, 1.0), (rows.second[k], ARM + 3, -1.0)):
-            at = newton.place[body]
+            at = newton.first_row[body]
             if at >= 0:
                 m = add(cross(row3_at(rows.frame, k, arm), p), turn)
                 for i in range(3):
@@ -281,7 +281,7 @@ def _solve_for_bodies(
         put_row3_at(move, b, 0, ZERO)
         put_row3_at(move, b, 3, ZERO)
     for b in range(move.shape[0]):
-        at = newton.place[b]
+        at = newton.first_row[b]
         if at >= 0 and has_response(partners.mechanisms, b):
             p = (change[at], change[at + 1], change[at + 2])
             m = (change[at + 3], change[at + 4], change[at + 5])

@@ -121,7 +121,7 @@ class Mechanisms(NamedTuple):
     """
 
     number: Ints  # (partners,) which mechanism; -1: no joint holds it, or nothing moves it
-    place: Ints  # (partners,) among the members of its mechanism
+    local: Ints  # (partners,) number among the members of its mechanism
     member: Ints  # (n,) partners of all mechanisms, one after the other
     first: Ints  # (k + 1,) where each begins there,
     start: Ints  # (k,) and its matrix in `response`, six rows and columns for each member
@@ -133,12 +133,12 @@ class Partners(NamedTuple):
     """Bodies and walls, (n + n_walls, ..)."""
 
     velocity: Floats  # (.., 6) [m/s, rad/s] of the centre of mass, and angular; world axes
-    before: Floats  # (.., 12) before the kick; without forces ω̇ [rad/s²], v̇ of `place` [m/s²]
+    before: Floats  # (.., 12) before the kick; without forces ω̇ [rad/s²], v̇ [m/s²]
     free: Floats  # (.., 6) after it, without impulses of the solve
     inverse: Floats  # (.., 7) [1/kg, 1/(kg m²)] mass; xx, xy, xz, yy, yz, zz of the inertia
     move: Floats  # (.., 6) [m, rad] by which they are pushed out
     has_moved: Bools  # (..,) whether anything has
-    place: Floats  # (.., 3) [m] centre of mass, or origin of the wall's frame
+    position: Floats  # (.., 3) [m] centre of mass, or origin of the wall's frame
     reach: Floats  # (.., 1) [m] that any point comes in a step, at most
     speeds: Floats  # (.., 4) |v|, |ω|, and by how much half a kick has changed both
     impulse: Floats  # (.., 6) [N s, N m s] not yet in the momenta; impulse and angular impulse
@@ -191,7 +191,7 @@ class ImpulseRows(NamedTuple):
 class Newton(NamedTuple):
     """Bodies that move as unknowns of Newton's method: nothing where it is not taken."""
 
-    place: Ints  # (partners,) first of its six rows in the matrix; -1: it does not move
+    first_row: Ints  # (partners,) of its six in the matrix; -1: it does not move
     cluster: Ints  # (partners,) those of one number may act on each other; -1
     reach: Ints  # (1,) columns beside the diagonal
     matrix: Floats  # (6 n, 3 reach + 1) band
@@ -217,10 +217,10 @@ def room_for_partners(
 ) -> Partners:
     """Room for n bodies and walls."""
     velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 12, 6, 7, 6))
-    place, reach, speeds, impulse, booked = (np.zeros((n, width)) for width in (3, 1, 4, 6, 8))
+    position, reach, speeds, impulse, booked = (np.zeros((n, width)) for width in (3, 1, 4, 6, 8))
     has_moved = np.zeros(n, dtype=np.bool_)
-    arrays = velocity, before, free, inverse, move, has_moved, place, reach, speeds, impulse, booked
-    return Partners(*arrays, mechanisms, keeps_kick)
+    arrays = velocity, before, free, inverse, move, has_moved, position, reach, speeds
+    return Partners(*arrays, impulse, booked, mechanisms, keeps_kick)
 
 
 def room_for_rows(

@@ -114,7 +114,7 @@ def _diagonal_turn(s11: float, s22: float, s12: float) -> tuple[float, float]:
 def write_frame(partners: Partners, rows: ImpulseRows, c: int, normal: Vec3, point: Vec3) -> None:
     """Write frame and inverse mass of contact c, whose partners are known, at a point [m]."""
     between = rows.first[c], rows.second[c]
-    write_frame_of(rows.frame, partners.inverse, partners.place, c, between, normal, point)
+    write_frame_of(rows.frame, partners.inverse, partners.position, c, between, normal, point)
 
 
 @inline

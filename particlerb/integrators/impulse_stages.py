@@ -144,7 +144,7 @@ def gather_velocities(
                 omega = (dot(R[0], m), dot(R[1], m), dot(R[2], m))
             put_row3_at(partners.velocity, b, 0, v)
             put_row3_at(partners.velocity, b, 3, omega)
-            put_row3_at(partners.place, b, 0, get3(rows, COM, i))
+            put_row3_at(partners.position, b, 0, get3(rows, COM, i))
 
 
 @inline
@@ -167,7 +167,7 @@ def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None
         for to in (partners.velocity, partners.before):
             put_row3_at(to, n + w, 0, row3(poses.velocity, w))
             put_row3_at(to, n + w, 3, row3(poses.angular_velocity, w))
-        put_row3_at(partners.place, n + w, 0, row3(poses.position, w))
+        put_row3_at(partners.position, n + w, 0, row3(poses.position, w))
     push_pistons(contact.setup.pistons, partners.velocity, n, dt)
     for b in range(n, n + poses.size):
         by = subtract(row3_at(partners.velocity, b, 0), row3_at(partners.before, b, 0))
@@ -266,7 +266,7 @@ def _keep_pose(
         return
     c = mechanisms.number[b]
     if c >= 0:
-        put_pose(jointed.data.y, mechanisms.first[c] + mechanisms.place[b], x, q)
+        put_pose(jointed.data.y, mechanisms.first[c] + mechanisms.local[b], x, q)
 
 
 @inline

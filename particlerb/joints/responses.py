@@ -116,14 +116,14 @@ def _respond(
     is_known[b] = True
     for i in range(6):
         _clear(data, first, last)
-        data.change[first + mechanisms.place[b], i] = 1.0
+        data.change[first + mechanisms.local[b], i] = 1.0
         for r in range(lo, hi):
             speed = rate(joints, data.gradient, r, data.change, 0)
             data.z[r] = -speed if data.compliance[r] == 0.0 else 0.0
         solve(joints.program, joints.clusters, data.factor, data.z, c)
         inv_mass, gradient = joints.inv_mass, data.gradient
         add_impulses(joints.rows, inv_mass, gradient, data.z, lo, hi, data.change, 0)
-        row = 6 * mechanisms.place[b] + i
+        row = 6 * mechanisms.local[b] + i
         to = mechanisms.start[c] + row * 6 * (last - first)
         _put_velocities(partners, mechanisms, data, c, to)
 
