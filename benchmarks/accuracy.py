@@ -213,7 +213,7 @@ def ladder(study: Study, wanted: float) -> list[Rung]:
         best, stays, start = np.inf, 0, time.monotonic()
         for step in study.ladder(method):
             states = study.states(method, step)
-            own = part(study.system, study.plan(method, step), study.which)
+            own = part(study.system, study.plan(method, step), study.sampled)
             last = errors(own, study.times, states, study.reference.frames)[-1]
             error = max(last.worst, last.position)
             rungs.append(Rung(method, step, error))
@@ -230,13 +230,13 @@ def scipy_times(
     """Least times of SciPy's joint DOP853 with an error that is small enough [s]."""
     (engine,) = engines(("scipy",))
     scene = peer_scene(study.system)
-    last = part(study.system, study.plan("auto", None), study.which)
+    last = part(study.system, study.plan("auto", None), study.sampled)
     found = dict.fromkeys(wanted, np.nan)
     with THREADS.using(1, clock):
         for tolerance in engine.VARIANTS["DOP853"]:
             result = engine.run(scene, "DOP853", tolerance)
             error = peer_errors(
-                result, study.system, study.which, last, study.times, study.reference.frames
+                result, study.system, study.sampled, last, study.times, study.reference.frames
             )[0]
             spent = min(engine.run(scene, "DOP853", tolerance).seconds for _ in range(5))
             for one in wanted:

@@ -18,7 +18,7 @@ from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, component_prod
 class PrescribedBodies(NamedTuple):
     """Prescribed bodies of a group."""
 
-    which: Ints  # (m,) bodies of the group
+    body: Ints  # (m,) of the group
     motions: Records  # (m,) MOTION
     com: Floats  # (3, m) [m] centre of mass before it is displaced,
     q: Floats  # (4, m) and orientation of the rotor frame
@@ -59,11 +59,11 @@ def prescribed_among(prescribed: PrescribedBodies | None, members: Ints) -> Pres
     """Those among the members of a group, with their numbers there; None where there are none."""
     if prescribed is None:
         return None
-    rows = np.flatnonzero(np.isin(prescribed.which, members))
+    rows = np.flatnonzero(np.isin(prescribed.body, members))
     if not rows.size:
         return None
     order = np.argsort(members)
-    numbers = order[np.searchsorted(members[order], prescribed.which[rows])]
+    numbers = order[np.searchsorted(members[order], prescribed.body[rows])]
     com, q, inertia = (
         np.ascontiguousarray(values[:, rows])
         for values in (prescribed.com, prescribed.q, prescribed.inertia)

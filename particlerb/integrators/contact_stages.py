@@ -223,8 +223,8 @@ def _put_prescribed(
     """Write prescribed bodies into their block, with velocities or, as others are, momenta."""
     if prescribed is None:
         return
-    for k in range(prescribed.which.size):
-        slot = prescribed.which[k] - lo
+    for k in range(prescribed.body.size):
+        slot = prescribed.body[k] - lo
         if 0 <= slot < n:
             x, q, v, omega = prescribed_pose(prescribed, k, t)
             if with_momenta:

@@ -151,8 +151,8 @@ def gather_velocities(
 def _gather_prescribed(prescribed: PrescribedBodies | None, before: Floats, t: float) -> None:
     """Write how bodies are accelerated that move as prescribed, if there are any."""
     if prescribed is not None:
-        for k in range(prescribed.which.size):
-            put_row3_at(before, prescribed.which[k], 9, prescribed_acceleration(prescribed, k, t))
+        for k in range(prescribed.body.size):
+            put_row3_at(before, prescribed.body[k], 9, prescribed_acceleration(prescribed, k, t))
 
 
 @inline

@@ -81,8 +81,8 @@ def place_driven(
     if driven is None:
         return
     y, motion, time = jointed.data.y, jointed.data.motion, jointed.start + t
-    for k in range(driven.which.size):
-        b = driven.which[k]
+    for k in range(driven.body.size):
+        b = driven.body[k]
         if first <= b < last:
             x, q, v, w = prescribed_pose(driven, k, time)
             put_pose(y, b, x, q)

@@ -24,7 +24,7 @@ class _Node(NamedTuple):
     number: int
     first: int  # of the bricks in it,
     bricks: int  # and how many there are
-    which: Ints  # points in it
+    points: Ints  # in it
 
     @property
     def lower(self) -> int:
@@ -69,7 +69,7 @@ class Bricks:
         """Cut boxes of a level, all ranks together."""
         corners = np.full((len(level), 6), -np.inf)
         for k, node in enumerate(level):
-            inside = points[:, node.which]
+            inside = points[:, node.points]
             corners[k, :3], corners[k, 3:] = (
                 (-inside).max(1, initial=-np.inf),
                 inside.max(1, initial=-np.inf),
@@ -125,9 +125,9 @@ class Bricks:
         level = self._root(points)
         while level:
             for node in level:
-                is_below = points[self.axis[node.number], node.which] < self.place[node.number]
-                owner[node.which[is_below]] = node.first
-                owner[node.which[~is_below]] = node.first + node.lower
+                is_below = points[self.axis[node.number], node.points] < self.place[node.number]
+                owner[node.points[is_below]] = node.first
+                owner[node.points[~is_below]] = node.first + node.lower
             level = [part for node in level for part in self._parts(points, node)]
         return owner
 

@@ -96,7 +96,7 @@ class JointSetup(NamedTuple):
             start = np.r_[start, start[-1] + 1 + np.arange(links.first.size)]
             acting = np.r_[acting, np.full(links.first.size, -1)]
         drives = drives_from(self.courses, time)
-        prescribed = np.isin(members, [] if self.driven is None else self.driven.which)
+        prescribed = np.isin(members, [] if self.driven is None else self.driven.body)
         joints = joints_among(acting, start, rows, bodies, actions, coordinates, drives, prescribed)
         limits = Breaks(*(np.append(limit, np.inf)[joints.number] for limit in self.breaks))
         breaks = limits if np.isfinite(limits).any() else None
@@ -242,10 +242,10 @@ def _at_start(system: System, setup: JointSetup) -> _AtStart:
     assert joints is not None
     data = empty_joint_data(joints)
     data.y[:n] = np.vstack(system.state).T[joints.order]
-    for k in range(0 if setup.driven is None else setup.driven.which.size):
+    for k in range(0 if setup.driven is None else setup.driven.body.size):
         assert setup.driven is not None
         x, q, v, w = prescribed_pose(setup.driven, k, 0.0)
-        body = int(np.flatnonzero(joints.order == setup.driven.which[k])[0])
+        body = int(np.flatnonzero(joints.order == setup.driven.body[k])[0])
         data.y[body] = [*x, *q, *np.concatenate(prescribed_momenta(setup.driven, k, q, v, w))]
         data.motion[body, :6], data.later[body] = [*v, *w], [*x, *q]
     edges = joints.program.start[joints.clusters.joint].tolist()

@@ -208,7 +208,7 @@ def by_energy(pilot: Pilot, method: str) -> ChosenStep:
     A pilot run, shorter than the run where that is dear, is repeated with half the step until the
     error of integration is small enough beside the energy that is turned over.
     """
-    system, n = pilot.system, pilot.which.size
+    system, n = pilot.system, pilot.sampled.size
     first = min(pilot.longest(1.0), 0.25 * min(pilot.lengths))
     reason = f"{method}, by the energy balance of a pilot run"
     stepping = Stepping(method, first, system.run.tolerance, reason)

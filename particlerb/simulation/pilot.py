@@ -80,15 +80,15 @@ class Pilot:
         if can_rehearse(group, t_end):
             self.rehearsal = Rehearsal(group, self.state)
         self.calm = 1.0  # steps that the whole group takes beside the pilot, where it adapts them
-        enough = min(_MAX_PILOT_BODIES, LINE * -(-self.which.size // (LINE * _BODIES_PER_PILOT)))
-        if self.which.size > enough and not self.is_coupled:
+        enough = min(_MAX_PILOT_BODIES, LINE * -(-self.sampled.size // (LINE * _BODIES_PER_PILOT)))
+        if self.sampled.size > enough and not self.is_coupled:
             self.take(self.worst(enough))
-            self.calm = _per_pack(self.rates) / _per_pack(self.rates[self.which])
+            self.calm = _per_pack(self.rates) / _per_pack(self.rates[self.sampled])
 
     def take(self, indices: Ints) -> None:
         """Let the pilot have these bodies of the group."""
         members = self.group.members[indices]
-        self.which, self.state = indices, taken(self.system.state, members)
+        self.sampled, self.state = indices, taken(self.system.state, members)
         self.bodies = taken(self.group.bodies, indices)
         vars(self).pop("subgroup", None)
         if self.rehearsal is not None:
@@ -99,10 +99,10 @@ class Pilot:
     @cached_property
     def subgroup(self) -> GroupPlan:
         """The group of these bodies alone, numbered from 0."""
-        members = np.arange(self.which.size)
-        if self.which.size == self.group.members.size:
+        members = np.arange(self.sampled.size)
+        if self.sampled.size == self.group.members.size:
             return self.group._replace(members=members)
-        return chosen(self.group, self.which, members)
+        return chosen(self.group, self.sampled, members)
 
     def longest(self, turn: float) -> float:
         """Step in which the fastest body turns so far, or the shortest segment [s]."""
@@ -129,7 +129,7 @@ class Pilot:
         """Whether two runs of all bodies with such steps [rad] take no longer than some set-ups."""
         longer = Stepping("strang", self.longest(turn), 0.0, "")
         steps = 3.0 * self.system.run.t_end / longer.dt
-        return self.cost(longer, steps, self.which.size) < times * SET_UP
+        return self.cost(longer, steps, self.sampled.size) < times * SET_UP
 
     def coarse_errors(self, turn: float) -> Floats:
         """Errors at t_end of all bodies, (n,), with steps of such a turn [rad]."""
@@ -150,7 +150,7 @@ class Pilot:
             again = self.begun if self.sets_off_again else None
             frames, steps = poses(stepped_by(self.subgroup, stepping), self.state, times, again)
         looks = 0 if is_adaptive(stepping.method) else times.size
-        self.spent += self.cost(stepping, steps + looks, self.which.size) + SET_UP
+        self.spent += self.cost(stepping, steps + looks, self.sampled.size) + SET_UP
         return frames, steps
 
     def say_so(self, method: str) -> None:

@@ -96,7 +96,7 @@ class Ladder:
         """
         first, ratio = self.first_setting(), RATIO[self.name]
         run_cost = self.cost_of(first, self.pilot.group.members.size)
-        trial_costs = [self.cost_of(first / ratio**k, self.pilot.which.size) for k in range(3)]
+        trial_costs = [self.cost_of(first / ratio**k, self.pilot.sampled.size) for k in range(3)]
         return run_cost + sum(trial_costs) + 3.0 * SET_UP
 
     def usual_cost(self) -> float:
@@ -114,7 +114,7 @@ class Ladder:
         steps = self.pilot.rate * sum(self.pilot.lengths) / turn
         run_cost, trial_cost = (
             self.pilot.cost(self.stepping(_MAX_TOLERANCE), steps, group.size)
-            for group in (self.pilot.group.members, self.pilot.which)
+            for group in (self.pilot.group.members, self.pilot.sampled)
         )
         return max(run_cost, LEAST) + 3.0 * (trial_cost + SET_UP)
 
@@ -136,7 +136,7 @@ class Ladder:
         if len(self.tried) == 1 and self.is_stepped:
             self.try_out(self.next_setting())
             third = self.tried[-1].setting / RATIO[self.name]
-            if self.cost_of(third, self.pilot.which.size) < SET_UP:
+            if self.cost_of(third, self.pilot.sampled.size) < SET_UP:
                 self.try_out(third)
         if len(self.tried) > 1:
             self.look()
@@ -164,7 +164,7 @@ class Ladder:
         if not self.is_verified and (
             is_lost
             or following in [one.setting for one in self.tried]
-            or self.cost_of(following, self.pilot.which.size) > DEAREST
+            or self.cost_of(following, self.pilot.sampled.size) > DEAREST
             or len(self.tried) == _MAX_TRIALS
         ):
             self.cost = math.inf
@@ -267,7 +267,7 @@ class Ladder:
 
     def affords(self, setting: float, best: float) -> bool:
         """Whether a run with a setting leaves the search shorter than the run with the best."""
-        spent = self.pilot.spent + SET_UP + self.cost_of(setting, self.pilot.which.size)
+        spent = self.pilot.spent + SET_UP + self.cost_of(setting, self.pilot.sampled.size)
         return spent <= max(self.cost_of(best, self.pilot.group.members.size), LEAST)
 
     def next_setting(self) -> float:
@@ -305,7 +305,7 @@ class Ladder:
         else:
             near = min(self.tried, key=lambda one: abs(math.log(one.setting / setting)))
             steps = near.steps * (near.setting / setting) ** (1.0 / self.method.order)
-            steps *= self.pilot.calm if n > self.pilot.which.size else 1.0
+            steps *= self.pilot.calm if n > self.pilot.sampled.size else 1.0
         return self.pilot.cost(self.stepping(setting), steps, n)
 
     def closest(self) -> ChosenStep:
@@ -323,7 +323,7 @@ class Ladder:
         cost, until = self.cost_of(setting, pilot.group.members.size), pilot.system.run.t_end
         if not error <= pilot.wanted:
             until = self.until(stepping)
-        return ChosenStep(stepping, error, until, pilot.which.size, cost, pilot.spent)
+        return ChosenStep(stepping, error, until, pilot.sampled.size, cost, pilot.spent)
 
     def until(self, stepping: Stepping) -> float:
         """Time until when what is wanted holds, where it does not to the end [s]."""

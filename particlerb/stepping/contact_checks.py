@@ -90,8 +90,8 @@ class ContactChecks:
             return
         prescribed, extra = model.prescribed, np.zeros(n)
         if prescribed is not None:
-            motions = [motion_in(prescribed.motions, k) for k in range(prescribed.which.size)]
-            extra[prescribed.which] = [peak_speed(motion, self.dt) for motion in motions]
+            motions = [motion_in(prescribed.motions, k) for k in range(prescribed.body.size)]
+            extra[prescribed.body] = [peak_speed(motion, self.dt) for motion in motions]
         bodies = WatchedBodies(
             workspace.xyzr,
             np.ascontiguousarray(rows.position.T),

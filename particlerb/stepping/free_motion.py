@@ -74,7 +74,7 @@ class _Part(NamedTuple):
     inv_inertia: Floats
     rotor_frame: Floats
     gravity: Floats  # (3,) [m/s²]
-    which: Ints  # of the group are these
+    bodies: Ints  # of the group, that these are
     drag: Damping | None = None
     spring: Oscillator | None = None
     braked: DampedOscillator | None = None
@@ -128,7 +128,7 @@ def _gather(part: _Part, lo: int, n: int, inputs: Floats) -> None:
     """Copy bodies from `lo` on into rows: x, p, L, force, rotor frame, 1/M, M, 1/I."""
     size = part.inv_mass.size
     for b in range(n):
-        j = part.which[lo + b]
+        j = part.bodies[lo + b]
         store3(rows3(inputs[0:3], 0, n), b, load3(rows3(part.state.com, 0, size), j))
         store3(rows3(inputs[3:6], 0, n), b, load3(rows3(part.state.p, 0, size), j))
         store3(rows3(inputs[6:9], 0, n), b, load3(rows3(part.state.L, 0, size), j))
@@ -176,10 +176,10 @@ def _fly_blocks(
     local, place = out.reshape((BOOKED + 1, STRIDE)), np.empty(BLOCK, np.int64)
     for k in range(first, last):
         lo = k * BLOCK
-        n = min(BLOCK, part.which.size - lo)
+        n = min(BLOCK, part.bodies.size - lo)
         _gather(part, lo, n, inputs)
         for b in range(n):
-            place[b] = members[part.which[lo + b]]
+            place[b] = members[part.bodies[lo + b]]
         com, p = rows3(local[COM : COM + 3], 0, n), rows3(local[P : P + 3], 0, n)
         start, p0, F = rows3(inputs[0:3], 0, n), rows3(inputs[3:6], 0, n), rows3(inputs[9:12], 0, n)
         of = Centres(start, p0, F, inputs[16, :n], com, p)
@@ -201,16 +201,16 @@ def _end_blocks(part: _Part, t: float, end: State, external: ExternalWork | None
     """State of the bodies of a part at one time; L only where it changes."""
     out, inputs = np.empty((BOOKED + 1) * STRIDE), np.empty((_INPUT_ROWS, STRIDE))
     local = out.reshape((BOOKED + 1, STRIDE))
-    for k in range(-(-part.which.size // BLOCK)):
+    for k in range(-(-part.bodies.size // BLOCK)):
         lo = k * BLOCK
-        n = min(BLOCK, part.which.size - lo)
+        n = min(BLOCK, part.bodies.size - lo)
         _gather(part, lo, n, inputs)
         com, p = rows3(local[COM : COM + 3], 0, n), rows3(local[P : P + 3], 0, n)
         start, p0, F = rows3(inputs[0:3], 0, n), rows3(inputs[3:6], 0, n), rows3(inputs[9:12], 0, n)
         of = Centres(start, p0, F, inputs[16, :n], com, p)
         _move_block(part, k, t, of, rows4(local[Q : Q + 4], 0, n), out, external)
         for b in range(n):
-            j = part.which[lo + b]
+            j = part.bodies[lo + b]
             for i in range(4):
                 end.q[i, j] = local[Q + i, b]
             for i in range(3):

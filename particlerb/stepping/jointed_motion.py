@@ -28,7 +28,7 @@ def jointed_in(
     workspace.clock[1:] = dt, start
     no_potential = flag(not has_potential(group.terms))
     if driven is not None:
-        driven = driven._replace(which=np.argsort(joints.order)[driven.which])
+        driven = driven._replace(body=np.argsort(joints.order)[driven.body])
     places = body_slots // BLOCK, body_slots % BLOCK
     return Jointed(joints, workspace, *places, no_potential, flag(joints.damps), driven, start)
 

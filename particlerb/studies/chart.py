@@ -56,7 +56,7 @@ def chart(
     return WorkPrecision(
         system.title or (source.stem if source else "scene"),
         system.n_bodies,
-        study.which.size,
+        study.sampled.size,
         system.run.t_end,
         points,
         study.reference.what,

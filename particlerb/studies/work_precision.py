@@ -86,14 +86,14 @@ class Study:
         self.t_end = system.run.t_end
         auto = self.plan("auto")
         segments = [segment for group in auto.groups for segment in group.segments]
-        self.which: Ints = sample(self.system, auto, self.t_end, _PACKS_SAMPLED)
+        self.sampled: Ints = sample(self.system, auto, self.t_end, _PACKS_SAMPLED)
         self.rate = max(fastest_rate(self.system, g, self.t_end) for g in auto.groups)
         self.is_free = not any(has_step(s.method) for s in segments)
         self.contacts = [(s.method, c) for s in segments if (c := s.terms.contact) is not None]
         self.by_energy = any(contact.rules is None for _, contact in self.contacts)
         self.is_compared = beside and self.by_energy  # with other engines, which book nothing
         self.expected = np.zeros(0)  # energy at the times, where it is compared [J]
-        self.judged = part(self.system, auto, self.which)
+        self.judged = part(self.system, auto, self.sampled)
         self.times = self.way_points()
         self.reference = self.find_reference(_REFERENCE_SHARE * budget)
 
@@ -150,7 +150,7 @@ class Study:
 
     def states(self, method: str, step: float | None) -> Frames:
         """States of the judged bodies at the way points."""
-        judged = part(self.system, self.plan(method, step), self.which)
+        judged = part(self.system, self.plan(method, step), self.sampled)
         return timed_states(judged, self.times)[0]
 
     def difference(self, a: Frames, b: Frames) -> float:
@@ -173,7 +173,7 @@ class Study:
         second = "rk4" if self.refusal("rkn6") else "rkn6"
         if self.system.joint:
             second, what = "rattle8", JOINT_ORACLE
-            oracle = oracle_states(self.system, self.which, self.times)
+            oracle = oracle_states(self.system, self.sampled, self.times)
         else:
             what = f"dop853 with tolerance {_FINEST_TOLERANCE:g}"
             oracle = self.states("dop853", _FINEST_TOLERANCE)
@@ -203,7 +203,7 @@ class Study:
 
     def energies_by(self, method: str, step: float) -> tuple[Floats, float]:
         """Energy at the times of a run of ours, and its largest kinetic one [J]."""
-        judged = part(self.system, self.plan(method, step), self.which)
+        judged = part(self.system, self.plan(method, step), self.sampled)
         kinetic, potential = energies(judged, *timed_states(judged, self.times))
         return kinetic + potential, float(kinetic.max())
 
@@ -285,7 +285,7 @@ class Study:
     def measured(self, method: str, step: float | None, repeats: int = REPEATS) -> Point:
         """One point."""
         plan = self.plan(method, step)
-        judged = part(self.system, plan, self.which)
+        judged = part(self.system, plan, self.sampled)
         to_point = partial(Point, method, "", step or 0.0, has_step(method) and is_adaptive(method))
         before = THREADS.busy
         try:
@@ -302,7 +302,7 @@ class Study:
             error = Error(off, off, 0.0)
         if not self.by_energy:
             error = errors(judged, self.times, frames, self.reference.frames)[-1]
-        if spent < _LONG_RUN_SECONDS or self.which.size < self.system.n_bodies:
+        if spent < _LONG_RUN_SECONDS or self.sampled.size < self.system.n_bodies:
             all_bodies = part(self.system, plan, np.arange(self.system.n_bodies))
             times = [seconds(all_bodies, self.t_end) for _ in range(repeats)]
             while repeats > 1 and sum(times) < _REPEATED_SECONDS and len(times) < _MAX_REPEATS:
@@ -325,7 +325,12 @@ class Study:
                 results.append(engine.run(self.peer_scene, variant, step))
             spent = float(np.median([result.seconds for result in results]))
             error, energy, spin = peer_errors(
-                results[0], self.system, self.which, self.judged, self.times, self.reference.frames
+                results[0],
+                self.system,
+                self.sampled,
+                self.judged,
+                self.times,
+                self.reference.frames,
             )
             to_point = partial(Point, variant, engine.NAME, step, engine.ADAPTIVE, spent)
             yield to_point(error, energy, spin, failure(error))

@@ -251,7 +251,7 @@ def test_a_body_that_becomes_the_hardest_later_is_looked_at(make):
     scene = make.case(body, force=[sun], t_end=6.0, every=6.0)
     system = to_system(load(scene, ["run.accuracy=1e-6"]))
     plan = prepare(to_system(scene)).plan
-    assert odd in Pilot(system, plan.groups[0]).which
+    assert odd in Pilot(system, plan.groups[0]).sampled
     true = make.arrays(scene, "run.method=dop853", "run.tolerance=1e-14")
     found = make.arrays(scene, "run.accuracy=1e-6")
     off = np.linalg.norm(found.position[-1] - true.position[-1], axis=1)
@@ -408,7 +408,7 @@ def test_where_the_worst_cannot_be_told_more_are_looked_at_and_stand_for_all(mak
             patch.setattr(Pilot, "coarse_errors", lambda pilot, turn, e=error: e.copy())
             system = to_system(tops(make, 50, accuracy=1e-6))
             pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
-        assert pilot.which.size == count
+        assert pilot.sampled.size == count
         assert pilot.stands_for == times
         frames = pilot.poses(Stepping("strang", 1.0, 0.0, ""), np.array([1.0]))[0]
         turned = frames._replace(orientation=np.roll(frames.orientation, 1, axis=1))

@@ -22,7 +22,7 @@ class FakePilot:
         self.wanted, self.laws, self.spent, self.steps = wanted, laws, 0.0, []
         self.rate, self.lengths, self.calm = 1.0, [T_END], 1.0
         self.has_changing_forces = False
-        self.which, self.group = np.arange(seen), SimpleNamespace(members=np.arange(bodies))
+        self.sampled, self.group = np.arange(seen), SimpleNamespace(members=np.arange(bodies))
         self.system = SimpleNamespace(run=SimpleNamespace(t_end=T_END, dt=None))
 
     def longest(self, turn):
@@ -31,7 +31,7 @@ class FakePilot:
     def poses(self, stepping, times):
         steps = np.ceil(T_END / stepping.dt)
         self.steps.append(stepping)
-        self.spent += self.cost(stepping, steps, self.which.size)
+        self.spent += self.cost(stepping, steps, self.sampled.size)
         return self.laws[stepping.method](stepping.dt), float(steps)
 
     def errors(self, times, found, expected, rows=None):
