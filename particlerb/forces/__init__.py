@@ -40,7 +40,7 @@ class Terms(NamedTuple):
     tree_accuracy: float = 0.0  # for which the angle may be wider; 0: it may not
     contact: GroupContact | None = None
     joints: Joints | None = None
-    driven: PrescribedBodies | None = None  # bodies that joints tie to others
+    prescribed: PrescribedBodies | None = None  # bodies that joints tie to others
     axis: Ints | None = None
     """Principal axis (0 to 2) about which alone a body turns, by its start and by all that acts,
     or LINE of spheres and rods; -1: not known. Shape (n,); None: of none."""

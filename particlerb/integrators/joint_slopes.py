@@ -13,7 +13,7 @@ VII.2; the rows in joints/rows.py.
 from math import nan
 
 from particlerb.compiled.jit import Flag, inline, kernel, unfused_kernel
-from particlerb.integrators.joint_stages import place_driven
+from particlerb.integrators.joint_stages import set_prescribed
 from particlerb.joints.actions import action_force
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.drives import set_moving
@@ -178,7 +178,7 @@ def add_reactions(
         return
     joints, data = jointed.joints, jointed.data
     _put_state(jointed, states, w)
-    place_driven(jointed.driven, jointed, t, 0.0, 0, jointed.block.size)
+    set_prescribed(jointed.prescribed, jointed, t, 0.0, 0, jointed.block.size)
     data.clock[0] = t
     for k in range(jointed.block.size):
         for i in range(6):
@@ -201,7 +201,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
         return
     joints, data = jointed.joints, jointed.data
     _put_state(jointed, states, w)
-    place_driven(jointed.driven, jointed, t, 0.0, 0, jointed.block.size)
+    set_prescribed(jointed.prescribed, jointed, t, 0.0, 0, jointed.block.size)
     for c in range(joints.clusters.body.size - 1):
         joint, body = joints.clusters.joint, joints.clusters.body
         lo, hi = joints.program.start[joint[c]], joints.program.start[joint[c + 1]]

@@ -74,26 +74,27 @@ def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
 
 
 @inline
-def place_driven(
-    driven: PrescribedBodies | None, jointed: Jointed, t: float, dt: float, first: int, last: int
-) -> None:
-    """Put bodies first to last that are driven where they are at t, with momenta if dt is 0."""
-    if driven is None:
+def set_prescribed(
+    prescribed: PrescribedBodies | None, jointed: Jointed, t: float, dt: float, first: int,
+    last: int,
+) -> None:  # fmt: skip
+    """Put prescribed bodies, of first to last, where they are at t, with momenta if dt is 0."""
+    if prescribed is None:
         return
     y, motion, time = jointed.data.y, jointed.data.motion, jointed.start + t
-    for k in range(driven.body.size):
-        b = driven.body[k]
+    for k in range(prescribed.body.size):
+        b = prescribed.body[k]
         if first <= b < last:
-            x, q, v, w = prescribed_pose(driven, k, time)
+            x, q, v, w = prescribed_pose(prescribed, k, time)
             put_pose(y, b, x, q)
             put_row3_at(motion, b, 0, v)
             put_row3_at(motion, b, 3, w)
-            put_row3_at(motion, b, 6, prescribed_acceleration(driven, k, time))
+            put_row3_at(motion, b, 6, prescribed_acceleration(prescribed, k, time))
             if dt == 0.0:
-                p, spin = prescribed_momenta(driven, k, q, v, w)
+                p, spin = prescribed_momenta(prescribed, k, q, v, w)
                 put_row3_at(y, b, P, p)
                 put_row3_at(y, b, L, spin)
-            x, q, v, w = prescribed_pose(driven, k, time + dt)
+            x, q, v, w = prescribed_pose(prescribed, k, time + dt)
             put_pose(jointed.data.later, b, x, q)
 
 
@@ -219,7 +220,7 @@ def drift_clusters(
     t, body = jointed.data.clock[0] + ahead, jointed.joints.clusters.body
     for c in range(first, last):
         _gather(jointed, blocks, c)
-        place_driven(jointed.driven, jointed, t, dt, body[c], body[c + 1])
+        set_prescribed(jointed.prescribed, jointed, t, dt, body[c], body[c + 1])
         constrained_drift(jointed.joints, jointed.data, c, kick_dt, t, dt)
         if dt == jointed.data.clock[1]:  # and not a part of a step, to a frame
             joints = jointed.joints
@@ -245,7 +246,7 @@ def project_clusters(
     t, body = jointed.data.clock[0], jointed.joints.clusters.body
     for c in range(first, last):
         _gather(jointed, blocks, c)
-        place_driven(jointed.driven, jointed, t, 0.0, body[c], body[c + 1])
+        set_prescribed(jointed.prescribed, jointed, t, 0.0, body[c], body[c + 1])
         project_momenta(jointed.joints, jointed.data, c, kick_dt, t, 0.0)
         keep_impulses(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
         _book_world(books, jointed, blocks, c, jointed.data.y)

@@ -207,7 +207,7 @@ class Jointed(NamedTuple):
     lane: Ints  # (n,)
     keeps_kick: Flag  # whether forces without potential act: what a kick by them gave is kept
     damps: Flag  # whether something damps
-    driven: "PrescribedBodies | None"  # in the order of the clusters; None: there are none
+    prescribed: "PrescribedBodies | None"  # in the order of the clusters; None: there are none
     start: float  # [s] when the segment began
     tree: "JointTree | None" = None  # the joints as trees, for accelerations; None: by multipliers
 

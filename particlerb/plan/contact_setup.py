@@ -22,7 +22,7 @@ from particlerb.model.system import System
 from particlerb.plan.initial_overlaps import refuse_misplaced
 from particlerb.plan.joint_ends import bodies_apart
 from particlerb.plan.joint_rows import bounds_of
-from particlerb.plan.obstacles import driven_bodies, middle, motion_of, pistons_of, wall_of
+from particlerb.plan.obstacles import middle, motion_of, pistons_of, prescribed_bodies, wall_of
 
 _TANGENTIAL_RATIO: Final = 2.0 / 7.0  # default tangential over normal stiffness
 NOTHING: Final = -1  # material of a body that touches nothing
@@ -52,7 +52,7 @@ class ContactSetup(NamedTuple):
     body: Ints  # (m,) bodies of the system that may touch, ascending
     material: Ints  # (n_bodies,) code; NOTHING for the others
     fixed: Bools  # (n_bodies,) whether a body is held: it stays, or moves as prescribed
-    driven: PrescribedBodies | None  # bodies of the system that move as prescribed
+    prescribed: PrescribedBodies | None  # bodies of the system that move as prescribed
     walls: Walls  # primitives of all walls
     motions: tuple[PrescribedMotion, ...]  # (n_walls,)
     pistons: Pistons | None  # walls that slide
@@ -106,7 +106,7 @@ def contact_of(system: System) -> ContactSetup | None:
         body=np.flatnonzero(material != NOTHING),
         material=material,
         fixed=fixed,
-        driven=driven_bodies(system),
+        prescribed=prescribed_bodies(system),
         walls=joined(parts),
         motions=tuple(motion_of(table.motion, middle(table)) for table in system.wall),
         pistons=pistons_of(system),

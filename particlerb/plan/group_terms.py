@@ -60,8 +60,8 @@ def terms_between(
         acting = group.joints.within(group.members, bodies, terms.links, time)
         if acting is not None and terms.links is not None:
             terms = terms._replace(links=terms.links._replace(damping=None))
-        driven = prescribed_among(group.joints.driven, group.members)
-        terms = terms._replace(joints=acting, driven=None if acting is None else driven)
+        prescribed = prescribed_among(group.joints.prescribed, group.members)
+        terms = terms._replace(joints=acting, prescribed=None if acting is None else prescribed)
     return terms
 
 
@@ -158,7 +158,7 @@ def _contact_among(
     skin = touching.record.skin or SKIN * smallest
     model = ContactModel(
         spheres, law, pair_of, material, touching.walls, bodies.inv_mass, bodies.inv_inertia,
-        prescribed_among(touching.driven, members),
+        prescribed_among(touching.prescribed, members),
     )  # fmt: skip
     motions = motion_records(touching.motions)
     is_shown = any(name in FIELDS_OF_CONTACT for name in system.output.fields)

@@ -43,7 +43,7 @@ from particlerb.model.system import System
 from particlerb.plan import joint_rows
 from particlerb.plan.joint_drives import DriveCourse, course_of, drives_from
 from particlerb.plan.joint_ends import Ties, ends_of, pairs_of, unique, wrong_place
-from particlerb.plan.obstacles import driven_bodies
+from particlerb.plan.obstacles import prescribed_bodies
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _MAX_START_MISFIT: Final = 1e-6  # of its size that a joint may not fit at the start
@@ -68,7 +68,7 @@ class JointSetup(NamedTuple):
     until: Floats  # (j,) [s] when each is released; -inf: its bodies are merged
     courses: tuple[DriveCourse, ...]  # what is prescribed
     breaks: Breaks  # (j,)
-    driven: PrescribedBodies | None  # bodies of the system that move as prescribed
+    prescribed: PrescribedBodies | None  # bodies of the system that move as prescribed
     bounds: Bounds  # what acts within bounds, of actions
 
     def within(
@@ -96,7 +96,7 @@ class JointSetup(NamedTuple):
             start = np.r_[start, start[-1] + 1 + np.arange(links.first.size)]
             acting = np.r_[acting, np.full(links.first.size, -1)]
         drives = drives_from(self.courses, time)
-        prescribed = np.isin(members, [] if self.driven is None else self.driven.body)
+        prescribed = np.isin(members, [] if self.prescribed is None else self.prescribed.body)
         joints = joints_among(acting, start, rows, bodies, actions, coordinates, drives, prescribed)
         limits = Breaks(*(np.append(limit, np.inf)[joints.number] for limit in self.breaks))
         breaks = limits if np.isfinite(limits).any() else None
@@ -183,7 +183,7 @@ def joints_of(system: System) -> JointSetup | None:
         until,
         tuple(course_of(t.drive) for t in system.joint if t.drive is not None),
         joint_rows.breaks_of(system, record),
-        driven_bodies(system),
+        prescribed_bodies(system),
         joint_rows.bounds_of(acting),
     )
     problems = _held_impulses(system, setup)
@@ -242,11 +242,11 @@ def _at_start(system: System, setup: JointSetup) -> _AtStart:
     assert joints is not None
     data = empty_joint_data(joints)
     data.y[:n] = np.vstack(system.state).T[joints.order]
-    for k in range(0 if setup.driven is None else setup.driven.body.size):
-        assert setup.driven is not None
-        x, q, v, w = prescribed_pose(setup.driven, k, 0.0)
-        body = int(np.flatnonzero(joints.order == setup.driven.body[k])[0])
-        data.y[body] = [*x, *q, *np.concatenate(prescribed_momenta(setup.driven, k, q, v, w))]
+    for k in range(0 if setup.prescribed is None else setup.prescribed.body.size):
+        assert setup.prescribed is not None
+        x, q, v, w = prescribed_pose(setup.prescribed, k, 0.0)
+        body = int(np.flatnonzero(joints.order == setup.prescribed.body[k])[0])
+        data.y[body] = [*x, *q, *np.concatenate(prescribed_momenta(setup.prescribed, k, q, v, w))]
         data.motion[body, :6], data.later[body] = [*v, *w], [*x, *q]
     edges = joints.program.start[joints.clusters.joint].tolist()
     return _AtStart(joints, data, [slice(*ends) for ends in pairwise(edges)])

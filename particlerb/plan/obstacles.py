@@ -122,19 +122,19 @@ def pistons_of(system: System) -> Pistons | None:
     )
 
 
-def driven_bodies(system: System) -> PrescribedBodies | None:
+def prescribed_bodies(system: System) -> PrescribedBodies | None:
     """Those of a system that begins at t = 0; None where there are none."""
-    driven = np.flatnonzero([system.body[k].motion is not None for k in system.block])
-    if not driven.size:
+    prescribed = np.flatnonzero([system.body[k].motion is not None for k in system.block])
+    if not prescribed.size:
         return None
     bodies, (com, q, _, _) = system.bodies, system.state
-    motions = [drive_of(system.body[system.block[b]], com[:, b]) for b in driven.tolist()]
+    motions = [drive_of(system.body[system.block[b]], com[:, b]) for b in prescribed.tolist()]
     at_start = np.array([math.sin(motion.phase) * np.array(motion.amplitude) for motion in motions])
     return PrescribedBodies(
-        driven,
+        prescribed,
         motion_records(motions),
-        np.ascontiguousarray(com[:, driven] - at_start.T),
-        np.ascontiguousarray(q[:, driven]),
-        bodies.mass[driven],
-        np.ascontiguousarray(bodies.inertia[:, driven]),
+        np.ascontiguousarray(com[:, prescribed] - at_start.T),
+        np.ascontiguousarray(q[:, prescribed]),
+        bodies.mass[prescribed],
+        np.ascontiguousarray(bodies.inertia[:, prescribed]),
     )

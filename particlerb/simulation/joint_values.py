@@ -13,7 +13,7 @@ import numpy as np
 from particlerb.case.problems import nearest, problem_at, refuse
 from particlerb.integrators import METHODS
 from particlerb.integrators.joint_slopes import add_actions
-from particlerb.integrators.joint_stages import place_driven
+from particlerb.integrators.joint_stages import set_prescribed
 from particlerb.integrators.stages import gather_loads
 from particlerb.joints.coordinates import values_of
 from particlerb.joints.reactions import (
@@ -205,7 +205,7 @@ class JointReader:
         data.broken[:] = np.where(is_broken, -np.inf, np.inf)
         assert motion.jointed is not None
         jointed = motion.jointed._replace(data=data)
-        place_driven(jointed.driven, jointed, data.clock[0], 0.0, 0, len(data.y))
+        set_prescribed(jointed.prescribed, jointed, data.clock[0], 0.0, 0, len(data.y))
         factorise_all(joints, data, data.clock[0])
         add_actions(None, jointed, data.change, 0)
         find_multipliers(joints, data, data.change)

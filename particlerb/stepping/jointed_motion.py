@@ -17,20 +17,20 @@ def jointed_in(
     group: SegmentGroup, first: State, slots: Ints, start: float, dt: float
 ) -> Jointed | None:
     """Joints of a group with their data, its bodies at these places; None: it has none."""
-    joints, driven = group.terms.joints, group.terms.driven
+    joints, prescribed = group.terms.joints, group.terms.prescribed
     if joints is None:
         return None
     body_slots = slots[joints.order]
-    workspace = empty_joint_data(joints)
-    workspace.y[:-1] = np.vstack(first).T[joints.order]
-    count_turns(joints.coordinates, workspace.y, workspace.turned)
-    workspace.turned[:, 2] = 0.0
-    workspace.clock[1:] = dt, start
+    data = empty_joint_data(joints)
+    data.y[:-1] = np.vstack(first).T[joints.order]
+    count_turns(joints.coordinates, data.y, data.turned)
+    data.turned[:, 2] = 0.0
+    data.clock[1:] = dt, start
     no_potential = flag(not has_potential(group.terms))
-    if driven is not None:
-        driven = driven._replace(body=np.argsort(joints.order)[driven.body])
+    if prescribed is not None:
+        prescribed = prescribed._replace(body=np.argsort(joints.order)[prescribed.body])
     places = body_slots // BLOCK, body_slots % BLOCK
-    return Jointed(joints, workspace, *places, no_potential, flag(joints.damps), driven, start)
+    return Jointed(joints, data, *places, no_potential, flag(joints.damps), prescribed, start)
 
 
 class JointedMotion(Motion):
