@@ -189,11 +189,11 @@ class MovingContact(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """When bodies are placed for contacts to be evaluated."""
+    """When contacts are evaluated."""
 
     before: float  # [s] length of the step before the instant, 0 where there is none
     after: float  # [s] length of the step after it, likewise
-    time: float  # [s] since the segment began, where bodies are placed
+    time: float  # [s] since the segment began
     ahead: float  # share of their last change by which momenta are then carried on to the instant
 
 

@@ -1,6 +1,6 @@
 """Forces of contacts at one instant, and of spheres with each other.
 
-An evaluation has three passes, each over ranges that threads can share: bodies place their spheres,
+An evaluation has three passes, each over ranges that threads can share: bodies move their spheres,
 contacts find their forces, bodies collect them in the order of the contacts (`body_loads`). So the
 sums do not depend on the threads. Between two passes the threads have to meet. The elastic part of
 the normal force has a potential and is kept apart from the rest, which is booked as work.
@@ -73,7 +73,7 @@ class Collision(NamedTuple):
 
 
 @kernel
-def place_bodies(
+def body_kinematics(
     model: ContactModel,
     workspace: Workspace,
     rows: Floats,
@@ -82,7 +82,7 @@ def place_bodies(
     lo: int,
     n: int,
 ) -> None:
-    """Place the spheres of a block of bodies, and find velocities at the instant of the kick.
+    """Find where the spheres of a block of bodies are, and velocities at the instant of the kick.
 
     Parameters
     ----------

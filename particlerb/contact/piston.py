@@ -40,8 +40,8 @@ def initial_piston_state(pistons: Pistons | None) -> Records:
 
 
 @inline
-def place_pistons(pistons: Pistons | None, state: Records, ahead: float, poses: Records) -> None:
-    """Displace the poses of walls that slide; `ahead` as for `pair_force.place_bodies`."""
+def piston_poses(pistons: Pistons | None, state: Records, ahead: float, poses: Records) -> None:
+    """Displace the poses of walls that slide; `ahead` as for `pair_force.body_kinematics`."""
     if pistons is None:
         return
     for k in range(pistons.wall.size):

@@ -1,12 +1,16 @@
-"""Contact among the stages of a step: bodies are placed, contacts evaluated, loads written.
+"""Contact among the stages of a step: kinematics, forces of contacts, loads.
+
+Kinematics are where spheres and walls are at an instant, and how fast: `contact_kinematics` before
+a step and `contact_kinematics_later` within one let `kinematics_at` find them, block by block
+(`pair_force.body_kinematics`) and of walls (`wall_poses`).
 
 Each does nothing where there is no contact: None is a type, and the compiler leaves the rest out.
 Threads have blocks of bodies of their own, `first` to `last`, and take their shares of the
 contacts. What contacts keep (tangential springs, overlaps) belongs to the grid of steps: a partial
 step to a frame works on a copy.
 
-Lists of pairs hold while no body has moved by more than half the skin. Where one has, `place` says
-so before the step, and the host makes new lists.
+Lists of pairs hold while no body has moved by more than half the skin. Where one has, `kinematics`
+says so before the step, and the host makes new lists.
 """
 
 from typing import Final
@@ -27,12 +31,12 @@ from particlerb.contact.contact_model import (
 )
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS, max_displacement
 from particlerb.contact.pair_force import (
+    body_kinematics,
     max_point_speed,
     max_speeds,
-    place_bodies,
     sphere_contact_forces,
 )
-from particlerb.contact.piston import drift_pistons, kick_pistons, pistons_have_moved, place_pistons
+from particlerb.contact.piston import drift_pistons, kick_pistons, piston_poses, pistons_have_moved
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
     prescribed_momenta,
@@ -69,14 +73,14 @@ _SKIN_SHARE: Final = 0.4  # that bodies may use up before a step: a frame may li
 
 
 @kernel
-def place_contacts(
+def contact_kinematics(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
     share: BlockShare,
     instant: Instant,
 ) -> bool:
-    """Place bodies and walls at an instant; whether the lists hold for the step that follows.
+    """Find the kinematics of an instant; whether the lists hold for the step that follows.
 
     Parameters
     ----------
@@ -87,13 +91,13 @@ def place_contacts(
     """
     if contact is None or team is None:
         return True
-    begin_step(contact, instant)
-    reached = place_bodies_and_walls(contact, team, pairs, share, instant)
+    note_step_start(contact, instant)
+    reached = kinematics_at(contact, team, pairs, share, instant)
     return keep_extremes(contact, instant, *reached)
 
 
 @kernel
-def begin_step(contact: MovingContact, instant: Instant) -> None:
+def note_step_start(contact: MovingContact, instant: Instant) -> None:
     """Note when a step begins; all threads write the same."""
     step_start = contact.workspace.step_start
     step_start.time[0], step_start.before[0] = instant.time, instant.before
@@ -105,7 +109,7 @@ def keep_extremes(
 ) -> bool:
     """Keep the largest displacement and speeds; whether the lists hold for the step that follows.
 
-    The second half of `place_contacts`; ranks tell each other in between. All threads write the
+    The second half of `contact_kinematics`; ranks tell each other in between. All threads write the
     same.
     """
     setup, _, lists, memory, _ = contact
@@ -123,27 +127,27 @@ def keep_extremes(
 
 
 @kernel
-def place_within_step(
+def contact_kinematics_later(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
     share: BlockShare,
     later: float,
 ) -> None:
-    """Place them anew, so many seconds after the step began."""
+    """Find them anew, so many seconds after the step began."""
     if contact is None or team is None:
         return
     time = contact.workspace.step_start.time[0] + later
     instant = Instant(0.0, 0.0, time, 0.0)
-    path, v, w = place_bodies_and_walls(contact, team, pairs, share, instant)
+    path, v, w = kinematics_at(contact, team, pairs, share, instant)
     keep_extremes(contact, instant, path, v, w)
 
 
 @kernel
-def place_bodies_and_walls(
+def kinematics_at(
     contact: MovingContact, team: Team, pairs: PairTerms | None, share: BlockShare, instant: Instant
 ) -> tuple[float, float, float]:
-    """Place bodies and walls at an instant.
+    """Find where spheres and walls are at an instant, and how fast.
 
     Returns
     -------
@@ -159,27 +163,25 @@ def place_bodies_and_walls(
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         _put_prescribed(model.prescribed, t, False, rows, lo, n)
         path = max(path, farthest(memory.listed_pose, rows, setup.max_arm, lo, n))
-        place_bodies(model, workspace, rows, memory.momenta, ahead, lo, n)
+        body_kinematics(model, workspace, rows, memory.momenta, ahead, lo, n)
         speeds = _speeds(setup, workspace.bodies, lists.max_contact_arm, lo, lo + n)
         v, w = max(v, speeds[0]), max(w, speeds[1])
         _gather_states(pairs, rows, lo, n)
-    place_walls(contact, team, time, ahead)
+    wall_poses(contact, team, time, ahead)
     if team.rank == 0 and pistons_have_moved(setup.pistons, memory.pistons, allowance):
         path = np.inf
     return largest(team, path, v, w)
 
 
 @kernel
-def place_walls(
-    contact: MovingContact | None, team: Team | None, time: float, ahead: float
-) -> None:
-    """Place walls at a time [s] since the segment began."""
+def wall_poses(contact: MovingContact | None, team: Team | None, time: float, ahead: float) -> None:
+    """Find where walls are at a time [s] since the segment began."""
     if contact is None or team is None:
         return
     setup, memory, poses = contact.setup, contact.memory, contact.workspace.poses
     if team.rank == 0:
         put_poses(setup.motions, memory.start + time, poses)
-        place_pistons(setup.pistons, memory.pistons, ahead, poses)
+        piston_poses(setup.pistons, memory.pistons, ahead, poses)
 
 
 @inline
@@ -300,9 +302,9 @@ def contact_loads(
     share: BlockShare,
     times: LoadTimes,
 ) -> None:
-    """Evaluate contacts where bodies are placed, and write all loads of other bodies.
+    """Evaluate contacts after `contact_kinematics`, and write all loads of other bodies.
 
-    Takes what `place_contacts` does.
+    Takes what `contact_kinematics` does.
     """
     if contact is None or team is None:
         return

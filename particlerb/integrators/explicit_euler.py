@@ -22,7 +22,7 @@ from particlerb.integrators.slopes import (
     put_pose,
     slopes,
 )
-from particlerb.integrators.stages import MovingBodies, loads, place, stage, stages
+from particlerb.integrators.stages import MovingBodies, kinematics, loads, stage, stages
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import add_scaled, component_product, cross
 from particlerb.model.block import INV_INERTIA, get3
@@ -58,7 +58,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
 @stages
 def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
     """Contacts at a frame."""
-    place(moving, first, last, instant)
+    kinematics(moving, first, last, instant)
     loads(moving, first, last, LoadTimes(0.0, 0.0, OLD_VELOCITIES, None))
 
 

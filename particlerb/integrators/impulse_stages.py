@@ -1,6 +1,6 @@
-"""Impulses of contacts among the stages of a step: places, velocities, solves, momenta.
+"""Impulses of contacts among the stages of a step: kinematics, velocities, solves, momenta.
 
-All happens in the middle of a step. Threads place and move their own blocks of bodies; the first
+All happens in the middle of a step. Threads find and move their own blocks of bodies; the first
 one alone finds contacts and solves, so that no bit depends on how many there are.
 """
 
@@ -30,7 +30,7 @@ from particlerb.impulses.records import (
 from particlerb.impulses.rolling import write_rolling
 from particlerb.impulses.rows import approach, write_through_pistons
 from particlerb.impulses.solver import leave_out_what_leans, leave_out_what_will_bounce, solve
-from particlerb.integrators.contact_stages import place_within_step
+from particlerb.integrators.contact_stages import contact_kinematics_later
 from particlerb.integrators.external_work import book
 from particlerb.integrators.impulse_booking import (
     book_among_joints,
@@ -71,7 +71,7 @@ _MOMENTUM_ROUNDING: Final = 1e-9  # of momenta, beside impulses of a kick
 
 
 @kernel
-def place_in_the_middle(
+def midpoint_kinematics(
     contact: MovingContact | None,
     team: Team | None,
     pairs: PairTerms | None,
@@ -79,13 +79,13 @@ def place_in_the_middle(
     share: BlockShare,
     dt: float,
 ) -> None:
-    """Place bodies and walls, and take loads that depend on time, in the middle of a step."""
+    """Find kinematics, and take loads that depend on time, in the middle of a step."""
     for k in range(share.first, share.last):
         for b in range(share.layout.size[k]):
             shift_time(acting, share.blocks[k], b, 0.5 * dt)
     if share.first == 0:
         shift_pair_time(pairs, 0.5 * dt)
-    place_within_step(contact, team, pairs, share, 0.5 * dt)
+    contact_kinematics_later(contact, team, pairs, share, 0.5 * dt)
 
 
 # Velocities

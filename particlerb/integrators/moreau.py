@@ -16,11 +16,11 @@ from typing import Final
 from particlerb.compiled.jit import inline
 from particlerb.contact.contact_model import Instant
 from particlerb.forces.kinds import BODIES, IMPULSES, JOINTS, PISTONS, POSE, TIME, VELOCITY
-from particlerb.integrators.contact_stages import drift_walls, place_walls
+from particlerb.integrators.contact_stages import drift_walls, wall_poses
 from particlerb.integrators.impulse_stages import (
     bounce,
     gather_velocities,
-    place_in_the_middle,
+    midpoint_kinematics,
     press,
 )
 from particlerb.integrators.joint_stages import count_drift, count_projection, let_joints_break
@@ -63,7 +63,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     project(moving, 0.0, 0.5 * dt)
     count_projection(jointed, team)
     share = BlockShare(blocks, layout, first, last)
-    place_in_the_middle(contact, team, moving.pairs, moving.acting, share, dt)
+    midpoint_kinematics(contact, team, moving.pairs, moving.acting, share, dt)
     loads_of_pairs(moving, first, last)
     flow_dashpots(moving, 0.5 * dt, False)
     kick(moving, first, last, 0.5 * dt)
@@ -90,7 +90,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
 def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
     """Momenta at a frame, which keep the joints, and where walls are."""
     set_times(moving, first, last, instant.time)
-    place_walls(moving.contact, moving.team, instant.time, 0.0)
+    wall_poses(moving.contact, moving.team, instant.time, 0.0)
     project(moving, 0.0, 0.0)
 
 

@@ -25,7 +25,14 @@ from particlerb.integrators.slopes import (
     put_pose,
     slopes,
 )
-from particlerb.integrators.stages import MovingBodies, loads, place, place_later, stage, stages
+from particlerb.integrators.stages import (
+    MovingBodies,
+    kinematics,
+    kinematics_later,
+    loads,
+    stage,
+    stages,
+)
 from particlerb.maths.quaternion import add_scaled4, length, matrix, matrix_along
 from particlerb.model.block import SCRATCH, get, put
 from particlerb.model.load import STATE_ROWS
@@ -106,7 +113,7 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
     """One slope of all bodies after the other, and of the tangential springs of contacts."""
     for k in range(len(_WEIGHTS)):
         if k > 0:
-            place_later(moving, first, last, _SLOPE_TIMES[k] * dt)
+            kinematics_later(moving, first, last, _SLOPE_TIMES[k] * dt)
         slope = Slope(dt, _WEIGHTS[k], _NEXT_SLOPE_TIMES[k], k == 0)
         loads(moving, first, last, LoadTimes(dt, _WEIGHTS[k] * dt, BY_SLOPES, slope))
         _one_slope(moving, first, last, k, dt)
@@ -115,7 +122,7 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
 @stages
 def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
     """Contacts at a frame."""
-    place(moving, first, last, instant)
+    kinematics(moving, first, last, instant)
     loads(moving, first, last, LoadTimes(0.0, 0.0, BY_SLOPES, Slope(0.0, 0.0, 0.0, True)))
 
 

@@ -25,7 +25,7 @@ from particlerb.integrators.contact_stages import drift_walls, kick_walls
 from particlerb.integrators.external_work import book, entry_of_kick
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
-from particlerb.integrators.stages import MovingBodies, loads, place, stage, stages
+from particlerb.integrators.stages import MovingBodies, kinematics, loads, stage, stages
 from particlerb.maths.quaternion import (
     add_scaled4,
     matrix,
@@ -99,7 +99,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
 @stages
 def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
     """Contacts at a frame."""
-    place(moving, first, last, instant)
+    kinematics(moving, first, last, instant)
     loads(moving, first, last, LoadTimes(0.0, 0.0, NEW_VELOCITIES, None))
 
 

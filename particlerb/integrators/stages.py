@@ -16,10 +16,10 @@ from particlerb.compiled.threads import THREADS
 from particlerb.contact.contact_model import LEAPFROG, NOW, Instant, LoadTimes, MovingContact
 from particlerb.forces.kernels import Acting, load_at, prepare_kick, set_time
 from particlerb.integrators.contact_stages import (
+    contact_kinematics,
+    contact_kinematics_later,
     contact_loads,
     kick_walls,
-    place_contacts,
-    place_within_step,
     put_loads_of_pairs,
 )
 from particlerb.integrators.joint_stages import (
@@ -125,10 +125,10 @@ def _spread_stage(
 
 
 @stages
-def place(moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
+def kinematics(moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
     """Bring bodies to where contacts are evaluated; False where new lists have to be made first."""
     share = BlockShare(moving.blocks, moving.layout, first, last)
-    return place_contacts(moving.contact, moving.team, moving.pairs, share, instant)
+    return contact_kinematics(moving.contact, moving.team, moving.pairs, share, instant)
 
 
 @stages
@@ -148,11 +148,11 @@ def loads_of_pairs(moving: MovingBodies, first: int, last: int) -> None:
 
 
 @stages
-def place_later(moving: MovingBodies, first: int, last: int, later: float) -> None:
+def kinematics_later(moving: MovingBodies, first: int, last: int, later: float) -> None:
     """Bring bodies to where they are so many seconds after the step began, and the time."""
     share = BlockShare(moving.blocks, moving.layout, first, last)
     shift_pairs(moving, first, later)
-    place_within_step(moving.contact, moving.team, moving.pairs, share, later)
+    contact_kinematics_later(moving.contact, moving.team, moving.pairs, share, later)
 
 
 @kernel

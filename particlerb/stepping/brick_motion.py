@@ -19,7 +19,7 @@ from particlerb.compiled.threads import BLOCK
 from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
 from particlerb.contact.contact_model import ContactFrames, Instant, NeighbourLists
 from particlerb.contact.records import PISTON, zero_records
-from particlerb.integrators.contact_stages import begin_step, keep_extremes, place_bodies_and_walls
+from particlerb.integrators.contact_stages import keep_extremes, kinematics_at, note_step_start
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare, Layout
 from particlerb.integrators.stages import MovingBodies
@@ -34,7 +34,7 @@ from particlerb.stepping.contact_lists import Histories, WallsAhead
 from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.exchange import Territory, kept_of
 from particlerb.stepping.loop import (
-    PLACE,
+    POSES,
     Copies,
     Position,
     Recording,
@@ -75,7 +75,7 @@ class BrickMotion(SharedMotion):
             histories = exchange.routed(kept, owner) if kept else None
             skin = exchange.whole.terms.known_contact.skin
             self.lay_out(bodies, self.initial[bodies], skin, histories)
-            self.loop = loop_over_ranks(method, self.place, self.store, self.enter)
+            self.loop = loop_over_ranks(method, self.kinematics, self.store, self.enter)
             self.set_off(True)
 
     def _room_to_show(self) -> None:
@@ -142,7 +142,7 @@ class BrickMotion(SharedMotion):
         self.lists.go_on(old)
         self.checks.watch, self.frames = watch, frames
         self.contact = self.contact._replace(frames=frames)
-        self.now_only(PLACE)
+        self.now_only(POSES)
 
     def take_up(self, rows: Floats, skin: float, contacts: list[tuple[Ints, Floats]]) -> Floats:
         """Take bodies where they were when lists were made, and contacts; return the poses of now.
@@ -178,17 +178,17 @@ class BrickMotion(SharedMotion):
 
         return together(share, self.threads)
 
-    def place(self, moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
+    def kinematics(self, moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
         """Bring bodies and copies to where contacts are evaluated; whether the lists hold."""
         self.territory.swap(self.blocks)
         contact = moving.contact
         assert contact is not None
-        begin_step(contact, instant)
+        note_step_start(contact, instant)
 
         def here(moving: MovingBodies, lo: int, hi: int) -> tuple[float, float, float]:
             own_blocks = BlockShare(moving.blocks, moving.layout, lo, hi)
             assert moving.team is not None
-            return place_bodies_and_walls(contact, moving.team, None, own_blocks, instant)
+            return kinematics_at(contact, moving.team, None, own_blocks, instant)
 
         reached = self.ranks.largest(np.array(self.enter(here, moving, first, last)))
         return bool(keep_extremes(contact, instant, *reached.tolist()))

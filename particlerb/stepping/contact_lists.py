@@ -148,7 +148,7 @@ class ContactLists:
     def make(
         self, workspace: Workspace, memory: ContactMemory, time: float, ahead: WallsAhead
     ) -> tuple[NeighbourLists, float]:
-        """Lists of what may touch where bodies and walls are placed, and until when they hold [s].
+        """Lists of what may touch where bodies and walls are, and until when they hold [s].
 
         `time` [s] is that since the segment began.
         """

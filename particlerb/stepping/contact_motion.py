@@ -42,7 +42,7 @@ from particlerb.stepping.beside_contact import compile_steps_beside
 from particlerb.stepping.contact_checks import ContactChecks, is_due
 from particlerb.stepping.contact_frames import ContactRows, output_of
 from particlerb.stepping.contact_lists import ContactLists, Histories, Lasted, WallsAhead
-from particlerb.stepping.loop import EVALUATE, PLACE, SHOW, Copies, Position, Recording, Schedule
+from particlerb.stepping.loop import EVALUATE, POSES, SHOW, Copies, Position, Recording, Schedule
 from particlerb.stepping.motion import ContactStart, Energies, Motion, SegmentGroup
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 from particlerb.stepping.stepped_motion import SteppedMotion
@@ -172,7 +172,7 @@ class ContactMotion(SteppedMotion):
         time = self.grid_step * self.dt
         steps = self.grid_step - self.list_step  # for which the last lists were good
         lasted = Lasted(steps, time < self.contact.memory.valid_until, self.step_cost)
-        self.now_only(PLACE)
+        self.now_only(POSES)
         self.check_lists(steps)
         poses = self.contact.workspace.poses
         ahead = self.lists.look_ahead(self.corners(), poses, self.start + time, lasted)
@@ -180,7 +180,7 @@ class ContactMotion(SteppedMotion):
         self.list_pairs(ahead)
 
     def list_pairs(self, ahead: WallsAhead) -> None:
-        """Make lists of bodies that are placed, with the skin that was chosen."""
+        """Make lists of what may touch now, with the skin that was chosen."""
         time, self.ahead = self.grid_step * self.dt, ahead
         contact, y = self.contact, self.values(0, 13)
         memory = contact.memory
@@ -291,7 +291,7 @@ class ContactMotion(SteppedMotion):
         """Of contacts and pistons at the start."""
         lists, memory = self.contact.lists, self.contact.memory
         histories = lists.spheres.history.copy(), lists.walls.history.copy()
-        self.now_only(PLACE)
+        self.now_only(POSES)
         memory.extremes.displacement[:] = np.inf
         self.now_only(EVALUATE)
         memory.extremes.displacement[:] = 0.0

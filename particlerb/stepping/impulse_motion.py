@@ -14,7 +14,7 @@ from particlerb.impulses.records import B_FORCE, TALLY, Impulses, room_for_partn
 from particlerb.joints.responses import bounded_of, mechanisms_of, pairs_through
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.contact_motion import ContactMotion
-from particlerb.stepping.loop import PLACE
+from particlerb.stepping.loop import POSES
 from particlerb.stepping.motion import Energies, MotionError
 from particlerb.stepping.saved_arrays import Saved
 
@@ -56,7 +56,7 @@ class ImpulseMotion(ContactMotion):
             self.contact = self.contact._replace(setup=self.contact.setup._replace(skin=np.inf))
             self._make_room()
             return
-        self.now_only(PLACE)
+        self.now_only(POSES)
         bodies, arm = self.contact.workspace.bodies, self.contact.lists.max_contact_arm
         path = self.dt * max_point_speed(bodies, arm, 0, bodies.size)
         path = max(path, self.dt * np.abs(self.contact.memory.pistons.velocity).max(initial=0.0))

@@ -29,8 +29,8 @@ from particlerb.integrators.pair_stages import (
 from particlerb.integrators.stages import (
     MovingBodies,
     close,
+    kinematics,
     over_threads,
-    place,
     set_times,
     stages,
     store_coordinates,
@@ -43,7 +43,7 @@ from particlerb.stepping.pair_forces import PairForces
 
 PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
 CLOSE: Final = -2  # the end of the motion: make the open kick, behind the last partial step
-PLACE: Final = -1  # in place of a stop: bodies and walls, as before a step
+POSES: Final = -1  # in place of a stop: those of bodies and walls, as before a step
 EVALUATE: Final = -2  # all contacts
 SHOW: Final = -3  # what contacts have, in a row of the frames
 _TIME_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of a time that is a sum of steps
@@ -61,7 +61,7 @@ class Schedule(NamedTuple):
 class Position(NamedTuple):
     """Where the loop is: before a step on the grid, or before a partial one."""
 
-    stop: int  # of the schedule; or PLACE, EVALUATE, SHOW
+    stop: int  # of the schedule; or POSES, EVALUATE, SHOW
     step: int  # of those before that stop; a row for SHOW
     steps_done: int  # of the segment
 
@@ -142,7 +142,7 @@ def _close_at(
 ) -> None:
     """Make the open kick, if there is one."""
     if open_kick > 0.0:
-        place(moving, first, last, instant)
+        kinematics(moving, first, last, instant)
         set_times(moving, first, last, instant.time)
         close(moving, first, last, open_kick)
 
@@ -162,11 +162,11 @@ def look(
 
 
 @stages
-def _place_alone(
+def _kinematics_alone(
     moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
 ) -> None:
-    """Place bodies and walls."""
-    place(moving, first, last, Instant(0.0, 0.0, time, 0.0))
+    """Find where spheres and walls are, and how fast."""
+    kinematics(moving, first, last, Instant(0.0, 0.0, time, 0.0))
 
 
 @stages
@@ -176,8 +176,8 @@ def _look_at_contacts(
     """Do a part of a step with contacts."""
     contact: Any = moving.contact  # there is one, and a team
     team: Any = moving.team
-    if asked.stop == PLACE:
-        place(moving, first, last, Instant(0.0, 0.0, time, 0.0))
+    if asked.stop == POSES:
+        kinematics(moving, first, last, Instant(0.0, 0.0, time, 0.0))
     elif asked.stop == EVALUATE:
         setup, workspace, lists, memory, _ = contact
         find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, growth, team)
@@ -243,7 +243,7 @@ def advance(
                 h = partial[s] if is_partial else dt
                 time = step_number * dt
                 instant = Instant(last_step, h, time, _ratio(open_kick, last_kick))
-                if h > 0.0 and not place(moving, lo, hi, instant):
+                if h > 0.0 and not kinematics(moving, lo, hi, instant):
                     return Position(s, i, step_number)
                 if is_partial:
                     _save(moving, lo, hi, saved)
@@ -287,7 +287,7 @@ def _looking(method: Method, touches: bool) -> dict[str, Any]:
     """How parts of a step are done for bodies that touch."""
     if not touches:
         return {}
-    chosen = _place_alone if method.takes_impulses else _look_at_contacts
+    chosen = _kinematics_alone if method.takes_impulses else _look_at_contacts
     return {"look": chosen, "GROWTH": growth_at_rest(method)}
 
 
@@ -354,7 +354,7 @@ def look_alone(method: Method) -> Callable[..., None]:
 
 def loop_over_ranks(
     method: Method,
-    place: Callable[..., bool],
+    kinematics: Callable[..., bool],
     store: Callable[..., None],
     enter: Callable[..., None],
 ) -> Callable[..., Position]:
@@ -363,17 +363,17 @@ def loop_over_ranks(
     Parameters
     ----------
     method : Method
-    place, store : callable
-        In place of the stages that bring bodies to where contacts are evaluated, and that write a
+    kinematics, store : callable
+        In place of the stages that find where spheres and walls are, and that write a
         frame: these exchange bodies.
     enter : callable
         Enters a kernel `(moving, first, last, ...)` with all threads: takes it, then `moving`, ...
     """
     name = f"{method.name}_touching"
     one_step = partial(enter, kernel_from(_one_step, name, step=_step_of(method, True)))
-    closing = over_threads(_close_at, place=place, close=partial(enter, close))
+    closing = over_threads(_close_at, kinematics=kinematics, close=partial(enter, close))
     names = {"step": one_step, "finish": closing, "CLOSING_KICK": method.closing_kick}
-    return over_threads(advance, place=place, _store=store, **names)
+    return over_threads(advance, kinematics=kinematics, _store=store, **names)
 
 
 def grid_position(elapsed: Floats, dt: float, start: float = 0.0) -> tuple[Ints, Floats]:

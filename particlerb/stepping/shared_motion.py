@@ -20,7 +20,7 @@ from particlerb.ranks import ending_all
 from particlerb.stepping.contact_lists import WallsAhead
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.exchange import Exchange, histories_of, kept_of
-from particlerb.stepping.loop import PLACE
+from particlerb.stepping.loop import POSES
 from particlerb.stepping.motion import SegmentGroup, Shared
 from particlerb.stepping.saved_arrays import OF_BODIES, Saved, under, within
 
@@ -132,7 +132,7 @@ class SharedMotion(ContactMotion):
         self.steps_done = self.grid_step = int(saved["list_step"])
         now = self.take_up(rows, skin, contacts)
         self.lists.skin, self.lists.count = skin, int(saved["lists"]) - 1
-        self.now_only(PLACE)
+        self.now_only(POSES)
         self.list_pairs(WallsAhead(*saved["ahead"].tolist()))
         values = self.values(0, CHANGING)
         values[:_POSE_COLUMNS, self.is_own] = now.T
