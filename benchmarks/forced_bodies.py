@@ -23,7 +23,7 @@ from particlerb.forces.push import Follower, Push
 from particlerb.integrators import METHODS
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import State, room_for
-from particlerb.stepping.begin import begin
+from particlerb.stepping.make_motion import make_motion
 from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -68,7 +68,7 @@ class Burst:
     def __init__(self, method: str, bodies: Bodies, state: State, terms: Terms) -> None:
         n = bodies.mass.size
         group = SegmentGroup(np.arange(n), bodies, terms)
-        motion = begin(METHODS[method], group, state, 0.0, DT, 1e-10)
+        motion = make_motion(METHODS[method], group, state, 0.0, DT, 1e-10)
         assert isinstance(motion, SteppedMotion)
         self.motion, self.n = motion, n
         self.steps = STEPS.get(method, BURST) * (1 if n > 1 else 500)
@@ -114,7 +114,7 @@ def order(method: str, coarsest: float, n: int = 32) -> tuple[float, np.ndarray]
     group = SegmentGroup(np.arange(n), bodies, loads)
 
     def end(name: str, dt: float) -> np.ndarray:
-        q = begin(METHODS[name], group, state, 0.0, dt, 1e-14).finish(4.0)[0].q
+        q = make_motion(METHODS[name], group, state, 0.0, dt, 1e-14).finish(4.0)[0].q
         return q * np.sign((q * fine).sum(axis=0)) if name != "dop853" else q
 
     fine = end("dop853", 0.01)

@@ -27,7 +27,7 @@ from particlerb.maths.quaternion import turn
 from particlerb.maths.vec3 import cross, dot, scale, subtract
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, room_for
-from particlerb.stepping.begin import begin
+from particlerb.stepping.make_motion import make_motion
 from particlerb.stepping.motion import SegmentGroup
 from particlerb.user_force import UserForce
 
@@ -115,7 +115,7 @@ class Burst:
 
     def __init__(self, bodies: Bodies, state: State, terms: Terms) -> None:
         group = SegmentGroup(np.arange(N), bodies, terms)
-        self.motion = begin(METHODS["strang"], group, state, 0, DT, 0)
+        self.motion = make_motion(METHODS["strang"], group, state, 0, DT, 0)
         self.none = room_for(0, 0, np.empty((0, 4)))
         self.run()
 

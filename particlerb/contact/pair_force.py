@@ -32,8 +32,8 @@ from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.records import Records
 from particlerb.contact.spring_growth import (
     Sliding,
-    begin_stages,
     overlap_before,
+    reset_stages,
     spring_after,
     spring_at,
 )
@@ -181,12 +181,12 @@ def note_overlap(on: Evaluation, overlap: float, radius: float, b: int) -> None:
 
 
 @inline
-def begin_contact(on: Evaluation, pair: int, c: int, inv_mass: float, r_eff: float) -> None:
+def start_contact(on: Evaluation, pair: int, c: int, inv_mass: float, r_eff: float) -> None:
     """Keep what contact c has as long as it lasts; `inv_mass` is 1/m_eff [1/kg]."""
     history = on.contacts.history
     history.inv_effective_mass[c] = inv_mass
     history.damping[c] = damping_coefficient(on.model.law, pair, inv_mass, r_eff)
-    begin_stages(on.contacts.stages, c)
+    reset_stages(on.contacts.stages, c)
 
 
 @inline
@@ -337,7 +337,7 @@ def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
         inv_mass += inv_effective_mass(model, bodies, b, point, normal)
         if inv_mass == 0.0:  # neither can move: there is no force
             return
-        begin_contact(on, pair, c, inv_mass, r_eff)
+        start_contact(on, pair, c, inv_mass, r_eff)
     if overlap > _MAX_SPHERE_OVERLAP * min(r_i, r_j):
         note_overlap(on, overlap, min(r_i, r_j), a)
     turning = _normal_rate(on.growth.slope, on, i, j, d)

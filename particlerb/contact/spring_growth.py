@@ -49,7 +49,7 @@ def overlap_before(slope: Slope | None, kept: float, now: float) -> float:
 
 
 @inline
-def begin_stages(stages: Records | None, c: int) -> None:
+def reset_stages(stages: Records | None, c: int) -> None:
     """A contact that begins within a step has had no spring so far."""
     if stages is None:
         return

@@ -39,11 +39,11 @@ from particlerb.contact.contact_model import (
 )
 from particlerb.contact.pair_force import (
     Collision,
-    begin_contact,
     contact_force,
     end_contact,
     inv_effective_mass,
     note_overlap,
+    start_contact,
     velocity_at,
 )
 from particlerb.contact.records import Records
@@ -253,7 +253,7 @@ def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
         inv_mass += dot(normal, row3(poses.piston_axis, w)) ** 2
         if inv_mass == 0.0:  # neither can move: there is no force
             return
-        begin_contact(on, pair, c, inv_mass, radius)
+        start_contact(on, pair, c, inv_mass, radius)
     is_thin = model.walls.kind[primitive] != PLANE
     if piece.is_too_weak or (piece.overlap > _MAX_WALL_OVERLAP * radius and is_thin):
         note_overlap(on, piece.overlap, radius, a)

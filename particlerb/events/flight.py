@@ -178,8 +178,8 @@ def states_at(
 
 
 @inline
-def set_off(scene: EventScene, state: EventState, b: int, initial: State, i: int) -> None:
-    """Let a body set off at time 0 from column i of the states given."""
+def set_flight(scene: EventScene, state: EventState, b: int, initial: State, i: int) -> None:
+    """Flight of a body from time 0 on, from column i of initial states."""
     x = (initial.com[0, i], initial.com[1, i], initial.com[2, i])
     p = (initial.p[0, i], initial.p[1, i], initial.p[2, i])
     spin = (initial.L[0, i], initial.L[1, i], initial.L[2, i])

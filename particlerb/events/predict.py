@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel
-from particlerb.events.flight import flight_at, pull, set_off
+from particlerb.events.flight import flight_at, pull, set_flight
 from particlerb.events.queue import put
 from particlerb.events.records import (
     CELL,
@@ -211,9 +211,9 @@ def predict(
 
 @kernel
 def set_all(scene: EventScene, state: EventState, columns: Ints, initial: State) -> None:
-    """Let all bodies set off at time 0, in their cells; b from column columns[b] of `initial`."""
+    """Flights and cells of all bodies at time 0; of b from column columns[b] of `initial`."""
     for b in range(state.place.size - 1, -1, -1):
-        set_off(scene, state, b, initial, columns[b])
+        set_flight(scene, state, b, initial, columns[b])
         for k in range(3):
             along = state.flight[b, k] - scene.origin[k]
             state.info[b, CELL + k] = math.floor(along / scene.cell_width[k])

@@ -43,7 +43,7 @@ def write(selection: Selection, path: Path) -> None:
         for frames in selection.portions():
             values = np.concatenate([selection.values(name, frames) for name in fields], axis=2)
             for frame, rows in zip(range(trajectory.n_frames)[frames], values, strict=True):
-                begin(file, frame, rows[:, :3])
+                write_header(file, frame, rows[:, :3])
                 file.write(f"ITEM: ATOMS {head}\n")
                 entries: list[Any] = [
                     entry
@@ -53,7 +53,7 @@ def write(selection: Selection, path: Path) -> None:
                 file.write(line * len(rows) % tuple(entries))
 
 
-def begin(file: TextIO, frame: int, position: Floats) -> None:
+def write_header(file: TextIO, frame: int, position: Floats) -> None:
     """What stands before the atoms of a frame; MDAnalysis reads no ITEM: TIME."""
     file.write(f"ITEM: TIMESTEP\n{frame}\nITEM: NUMBER OF ATOMS\n{len(position)}\n")
     file.write("ITEM: BOX BOUNDS ss ss ss\n")

@@ -176,7 +176,7 @@ def write_bounds(
 
 
 @inline
-def begin_bounded(bounded: Bounded, velocity: Floats) -> None:
+def warm_start_bounded(bounded: Bounded, velocity: Floats) -> None:
     """Take the forces of the step before."""
     for k in range(bounded.kind.size):
         r = within(bounded.values, k, bounded.values[k, B_IMPULSE])

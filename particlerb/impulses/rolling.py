@@ -148,7 +148,7 @@ def bounce_rolling(
 
 
 @inline
-def begin_rolling(
+def warm_start_rolling(
     rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
 ) -> None:
     """Take the angular impulses of the step before, in the frames of now and within the discs."""

@@ -18,7 +18,6 @@ from typing import Final
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses.bounded import (
-    begin_bounded,
     give_bounded,
     keep_best_bounded,
     leave_out_stops,
@@ -27,6 +26,7 @@ from particlerb.impulses.bounded import (
     size_of_bounded,
     speed_of_bounded,
     sweep_bounded,
+    warm_start_bounded,
 )
 from particlerb.impulses.cone import nearest_in_cone, on_disc
 from particlerb.impulses.newton import refresh_velocities, take_newton_steps
@@ -56,13 +56,13 @@ from particlerb.impulses.records import (
     Partners,
 )
 from particlerb.impulses.rolling import (
-    begin_rolling,
     give_rolling,
     keep_best_rolling,
     miss_of_rolling,
     mix_rolling,
     size_of_rolling,
     sweep_rolling,
+    warm_start_rolling,
 )
 from particlerb.impulses.rows import approach, approach_at_end, change_by, give, in_frame
 from particlerb.maths.rows import put_row3_at, row3_at
@@ -111,8 +111,8 @@ def leave_out_what_leans(impulses: Impulses) -> None:
 
 
 @kernel
-def _begin_where_it_ended(impulses: Impulses, bounded: Bounded | None) -> None:
-    """Take the impulses of the step before, in the frames of now and within the cones."""
+def _warm_start(impulses: Impulses, bounded: Bounded | None) -> None:
+    """Start with the impulses of the step before, in the frames of now and within the cones."""
     _, partners, rows, count, _, _ = impulses
     for k in range(count[0]):
         n, x, y = in_frame(rows.frame, k, row3_at(rows.impulse, k, 0))
@@ -122,9 +122,9 @@ def _begin_where_it_ended(impulses: Impulses, bounded: Bounded | None) -> None:
         x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
         put_row3_at(rows.impulse, k, 0, (n, x, y))
         change_by(partners, rows, k, (n, x, y))
-    begin_rolling(rows.rolling, partners, rows, count[0])
+    warm_start_rolling(rows.rolling, partners, rows, count[0])
     if bounded is not None:
-        begin_bounded(bounded, partners.velocity)
+        warm_start_bounded(bounded, partners.velocity)
 
 
 @kernel
@@ -296,7 +296,7 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
         tally[RESIDUAL] = 0.0
         return
     speed = _speed(partners, rows, bounded, m)
-    _begin_where_it_ended(impulses, bounded)
+    _warm_start(impulses, bounded)
     floor, most, is_done = _FLOOR_SHARE * moved, rules.iterations, newton.change.size == 0
     defect = _sweeps(impulses, bounded, most, floor, speed)
     small, best = _REGULARISATION, math.inf

@@ -161,14 +161,14 @@ def _let_go(breaks: Breaks | None, bodies: CommonSteps, t: float) -> bool:
 
 
 @caller_of_stages
-def begin(bodies: CommonSteps, t: float) -> None:
+def first_slopes(bodies: CommonSteps, t: float) -> None:
     """Slopes at the start of a step."""
     _let_go(bodies.breaks, bodies, t)
     _take_slopes(bodies, t, bodies.vectors.y, bodies.vectors.K[0])
 
 
 @caller_of_stages
-def go_on(bodies: CommonSteps, t: float) -> None:
+def next_slopes(bodies: CommonSteps, t: float) -> None:
     """The end of a step, with its slopes, is the start of the next one, from t on."""
     assign(bodies.vectors.y, bodies.vectors.new)
     assign(bodies.vectors.K[0], bodies.vectors.K[END])

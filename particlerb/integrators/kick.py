@@ -84,7 +84,7 @@ class _Kick(NamedTuple):
 
 
 @inline
-def begin_kick(acting: Acting, rows: Floats, n: int, dt: float) -> None:
+def solve_kicks(acting: Acting, rows: Floats, n: int, dt: float) -> None:
     """Before n bodies of a block are kicked over dt, find what users' forces do to them.
 
     Those that take velocities act by the implicit midpoint rule, iterated to rounding in SIMD
@@ -92,11 +92,11 @@ def begin_kick(acting: Acting, rows: Floats, n: int, dt: float) -> None:
     Where one does not converge it is lost: NaN.
     """
     prepare_kick(acting, rows, n, dt)
-    _solve_kicks(acting.user_flow, acting, rows, n, dt)
+    _solve_user_kicks(acting.user_flow, acting, rows, n, dt)
 
 
 @inline
-def _solve_kicks(user_flow: Flag, acting: Acting, rows: Floats, n: int, dt: float) -> None:
+def _solve_user_kicks(user_flow: Flag, acting: Acting, rows: Floats, n: int, dt: float) -> None:
     """The same, where there are any, of as many at a time as the first level of the cache has."""
     if user_flow is None:
         return
@@ -189,7 +189,7 @@ def _one_of(is_first: bool, a: Momenta, b: Momenta) -> Momenta:
 def kick_body(
     acting: Acting, books: Flag, rows: Floats, b: int, dt: float
 ) -> tuple[Vec3, Vec3, Matrix]:
-    """Kick body b over dt after `begin_kick`; its new momenta, stored, and its rotation matrix."""
+    """Kick body b over dt after `solve_kicks`; its new momenta, stored, and its rotation matrix."""
     kick = _kick_of(acting, rows, b, dt, _old(acting.user_flow, rows, b))
     last = _momenta_before_flows(acting.user_flow, acting, rows, b, kick)
     p, spin = flow_out(acting, rows, b, kick.R, 0.5 * dt, last[0], last[1])
@@ -211,7 +211,7 @@ def _old(user_flow: Flag, rows: Floats, b: int) -> Momenta:
 def _momenta_before_flows(
     user_flow: Flag, acting: Acting, rows: Floats, b: int, kick: _Kick
 ) -> Momenta:
-    """Momenta before the second half of the flows: with drag, or as `begin_kick` found them."""
+    """Momenta before the second half of the flows: with drag, or as `solve_kicks` found them."""
     if user_flow is None:
         return damp(
             acting, rows, b, kick.R, kick.first[0], kick.first[1], kick.last[0], kick.last[1]

@@ -28,7 +28,7 @@ from particlerb.integrators.joint_stages import (
     keep_kick,
     project_clusters,
 )
-from particlerb.integrators.kick import begin_kick, kick_body
+from particlerb.integrators.kick import kick_body, solve_kicks
 from particlerb.integrators.pair_stages import (
     BlockShare,
     Layout,
@@ -188,7 +188,7 @@ def kick(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """Exact flow of the forces at a fixed pose, drag included."""
     for k in range(first, last):
         rows, n = moving.blocks[k], moving.layout.size[k]
-        begin_kick(moving.acting, rows, n, dt)
+        solve_kicks(moving.acting, rows, n, dt)
         for b in range(n):
             old = get3(rows, P, b), get3(rows, L, b)
             p, spin, R = kick_body(moving.acting, moving.books, rows, b, dt)

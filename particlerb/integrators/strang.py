@@ -13,7 +13,7 @@ from particlerb.contact.contact_model import LEAPFROG, LoadTimes
 from particlerb.forces.kinds import BODIES, CONTACT, PISTONS, POSE, TIME, VELOCITY
 from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kick_walls
-from particlerb.integrators.kick import begin_kick, kick_body
+from particlerb.integrators.kick import kick_body, solve_kicks
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare
 from particlerb.integrators.stages import MovingBodies, flow_dashpots, kick, loads, stage, stages
@@ -45,7 +45,7 @@ def kick_and_drift(
     """`kick` and `drift` in one go, without a way to memory in between."""
     for k in range(first, last):
         rows, n = moving.blocks[k], moving.layout.size[k]
-        begin_kick(moving.acting, rows, n, kick_dt)
+        solve_kicks(moving.acting, rows, n, kick_dt)
         for b in range(n):
             p, spin, R = kick_body(moving.acting, moving.books, rows, b, kick_dt)
             x, q = get3(rows, COM, b), get4(rows, Q, b)

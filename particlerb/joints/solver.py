@@ -107,7 +107,7 @@ def _add(joints: Joints, data: JointData, lo: int, hi: int) -> None:
 
 
 @inline
-def begin_with_guess(joints: Joints, data: JointData, c: int, kick_dt: float) -> None:
+def warm_start(joints: Joints, data: JointData, c: int, kick_dt: float) -> None:
     """Begin with the impulses that a cubic through those of the last four steps foresees.
 
     Rows that the factor leaves out have none.
@@ -155,7 +155,7 @@ def constrained_drift(
             data.pose[k, i] = data.y[k, i]
     is_whole = dt == data.clock[1]  # not a stage of a composition, nor a part of a step to a frame
     if is_whole:
-        begin_with_guess(joints, data, c, kick_dt)
+        warm_start(joints, data, c, kick_dt)
     _fly_to_joints(joints, data, c, t, dt)
     if data.lost[c] > 0 and clusters.smallest_pivot[c] > 0.0:
         _pass_singular_pose(joints, data, c, t, dt)

@@ -25,7 +25,7 @@ from particlerb.model.worlds import shape_of
 from particlerb.plan.joints import joints_of
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.simulation.joint_values import JointReader, JointValues
-from particlerb.stepping.begin import begin
+from particlerb.stepping.make_motion import make_motion
 from particlerb.stepping.motion import Energies, Motion, few_at_once
 from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import OF_BODIES, Saved, under, within
@@ -50,7 +50,7 @@ class GroupRun:
         self.pairs: PairForces | None = None
         self.fit_tree()
         self.pairs = self.pair_forces()
-        self.motion = self.begin(plan.segments[0], state, before)
+        self.motion = self.start_segment(plan.segments[0], state, before)
         self.contacts: dict[int, ContactOutput] = {}  # in rows of the last `record`, if asked for
         self.tallies: dict[int, Floats] = {}  # of impulses, in these rows
 
@@ -81,7 +81,7 @@ class GroupRun:
             first = saved["first"] if rows is None else rows[np.argsort(rows[:, 0]), 1:].T
             self.first = state_of(first)
             self.pairs = self.pair_forces()
-            self.motion = self.set_off(self.motion)
+            self.motion = self.segment_motion(self.motion)
         self.motion.restore(within("motion", saved))
 
     @property
@@ -170,20 +170,20 @@ class GroupRun:
             energy[few] += self.of_loads(com, q, rows[few].size)
         return energy
 
-    def begin(self, segment: Segment, state: State, before: Motion | None) -> Motion:
-        """Apply the impulses at the start of a segment and set off, after another motion."""
+    def start_segment(self, segment: Segment, state: State, before: Motion | None) -> Motion:
+        """Apply the impulses at the start of a segment; its motion, after another one."""
         for jump in segment.jumps:
             state, booked = apply_impulse(jump, self.plan.bodies, state)
             self.before = self.before + self.plan.group(segment).totals(booked)
         self.first = state
-        return self.set_off(before)
+        return self.segment_motion(before)
 
-    def set_off(self, before: Motion | None = None) -> Motion:
+    def segment_motion(self, before: Motion | None = None) -> Motion:
         """Motion of this segment from its first state."""
         segment = self.segment
         method = METHODS[segment.method]
         group = self.plan.group(segment)._replace(terms=self.terms)
-        motion = begin(
+        motion = make_motion(
             method, group, self.first, segment.start, segment.dt, segment.tolerance, before
         )
         if before is not None:
@@ -203,7 +203,7 @@ class GroupRun:
         self.fit_tree()
         self.pairs = self.pair_forces()
         self.before[..., 0] += self.potential(state.com, state.q)
-        self.motion = self.begin(self.segment, state, self.motion)
+        self.motion = self.start_segment(self.segment, state, self.motion)
 
     def finish(self, time: float) -> tuple[State, Floats]:
         """State at a time of this segment [s], and (7,) booked until then."""

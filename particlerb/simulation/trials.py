@@ -26,7 +26,7 @@ from particlerb.model.totals import totals
 from particlerb.plan.rates import rates
 from particlerb.plan.segments import GroupPlan, Plan, Segment, chosen, has_step, is_adaptive
 from particlerb.simulation.group_run import GroupRun, counted, initial_energies, record_all
-from particlerb.stepping.begin import begin
+from particlerb.stepping.make_motion import make_motion
 from particlerb.stepping.motion import CompositeMotion, Energies
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -192,10 +192,10 @@ def _motion(group: GroupPlan, segment: Segment, state: State, begun: dict[str, A
     """A motion without accounts: one that was begun before, or a new one, which is kept."""
     if begun is not None and segment.method in begun:
         motion, first = begun[segment.method]
-        motion.set_off_again(first, segment.dt)
+        motion.reset(first, segment.dt)
         return motion
     method, tolerance = METHODS[segment.method], segment.tolerance
-    motion = begin(method, group.group(segment), state, segment.start, segment.dt, tolerance)
+    motion = make_motion(method, group.group(segment), state, segment.start, segment.dt, tolerance)
     _forget_accounts(motion)
     if begun is not None and isinstance(motion, SteppedMotion):
         begun[segment.method] = motion, changing(motion.blocks).copy()

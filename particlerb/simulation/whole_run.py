@@ -75,7 +75,7 @@ class Run:
         self.single: tuple[Frames, Frames] | None = None  # room, and its first row, of `pose_at`
         self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.checks = StateChecks(self.moving, plan)
-        ranks.together(lambda: self.begin(plan, self.moving.state, {}))
+        ranks.together(lambda: self.start(plan, self.moving.state, {}))
         self.balance = EnergyBalance(self.totals_of(initial, self.initial_energies(initial)))
         self.before = np.zeros(7)  # booked before the last restart,
         self.turned_over_before: Floats | float = 0.0  # and gross work of contacts [J]
@@ -89,8 +89,8 @@ class Run:
         self.n_frames = 0  # that lie behind
         self.probes: list[Probe] = []
 
-    def begin(self, plan: Plan, state: State, motions: Mapping[bytes, Motion]) -> None:
-        """Set off by a plan, from a state of all bodies, after motions of the same bodies."""
+    def start(self, plan: Plan, state: State, motions: Mapping[bytes, Motion]) -> None:
+        """Start by a plan, from a state of all bodies, after motions of the same bodies."""
         self.superblocks: list[list[GroupRun]] = []
         self.group_runs: list[GroupRun] = []
         for groups in in_superblocks(plan.groups, self.system.n_bodies):
@@ -139,7 +139,7 @@ class Run:
         if self.moving.merging is not None:
             state = self.moving.merging.together(state)
         self.checks = StateChecks(self.moving, plan)
-        self.begin(plan, state, motions)
+        self.start(plan, state, motions)
         frame = as_frame(self.moving.bodies, state)
         now = self.totals_of(frame, self.initial_energies(frame))
         self.before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]

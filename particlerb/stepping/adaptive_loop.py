@@ -13,10 +13,10 @@ from particlerb.compiled.threads import BLOCK
 from particlerb.integrators.dop853_stages import (
     CommonSteps,
     CommonVectors,
-    begin,
     find_step,
+    first_slopes,
     give_blocks,
-    go_on,
+    next_slopes,
     show,
     take_blocks,
     take_last_stages,
@@ -78,13 +78,13 @@ def advance_steps(bodies: CommonSteps, clock: Floats, leg: Leg, recording: Recor
     times, rows, until, stop = leg
     t, h, taken = clock[0], clock[1], clock[2]
     take_blocks(bodies.blocks, bodies.layout, bodies.vectors)
-    begin(bodies, t)
+    first_slopes(bodies, t)
     h, h_next = find_step(bodies, t, h)
     is_dense = False
     for f in range(times.size):
         while times[f] > t + h:
             t, taken = t + h, taken + 1.0
-            go_on(bodies, t)
+            next_slopes(bodies, t)
             h, h_next = find_step(bodies, t, h_next)
             is_dense = False
         assign(bodies.vectors.out, bodies.vectors.y)
@@ -96,13 +96,13 @@ def advance_steps(bodies: CommonSteps, clock: Floats, leg: Leg, recording: Recor
         _write(bodies, recording, rows[f])
     while t + h < until:
         t, taken = t + h, taken + 1.0
-        go_on(bodies, t)
+        next_slopes(bodies, t)
         h, h_next = find_step(bodies, t, h_next)
     h_next = h
     while t < stop < np.inf:  # the last step may have to be cut again
         h, h_next = find_step(bodies, t, min(stop - t, h_next))
         ahead = stop if h >= stop - t else t + h
-        go_on(bodies, ahead)
+        next_slopes(bodies, ahead)
         if not h > 0.0:
             break
         t, taken = ahead, taken + 1.0

@@ -119,8 +119,8 @@ class SteppedMotion(JointedMotion):
         self.cost = method.cost * n  # [ns] of a step, roughly
         self.cost += 0.0 if self.forces is None else method.evaluations * self.forces.cost
 
-    def set_off_again(self, first: Floats, dt: float) -> None:
-        """Set off once more, with what changes in blocks as it was at first, and another step."""
+    def reset(self, first: Floats, dt: float) -> None:
+        """Start once more, with what changes in blocks as it was at first, and another step."""
         changing(self.blocks)[:], self.dt, self.steps_done = first, dt, 0
         if self.jointed is not None:
             self.jointed.data.clock[1] = dt

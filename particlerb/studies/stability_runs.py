@@ -24,7 +24,7 @@ from particlerb.model.state import (
     room_for,
 )
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, SYMMETRIC
-from particlerb.stepping.begin import begin
+from particlerb.stepping.make_motion import make_motion
 from particlerb.stepping.motion import SegmentGroup
 
 TURNS: Final = 1e4  # of each body of a map
@@ -123,7 +123,7 @@ def history(
     """
     n = moved.bodies.mass.size
     group = SegmentGroup(np.arange(n), moved.bodies, moved.terms)
-    motion = begin(METHODS[method], group, moved.state, 0.0, dt, tolerance)
+    motion = make_motion(METHODS[method], group, moved.state, 0.0, dt, tolerance)
     frames = room_for(times.size, n, np.tile(_UPRIGHT, (n, 1)))
     for array in frames[:4]:
         array[:] = np.nan

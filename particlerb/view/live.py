@@ -79,11 +79,11 @@ class Live(Page):
         self.controls.force.value = f"{_PUSH_PER_MASS * system.bodies.mass[self.body]:.3g}"
         self.propose_point()
         self.cost = 0.0  # [s] of computing per simulated second
-        self.begin()
+        self.reset()
         self.is_running = not self.waits
         self.listen()
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """Forget what belongs to a motion that was reset; one that rests waits for a push."""
         self.waits = rests(self.session.system)
         self.is_running = False
@@ -136,7 +136,7 @@ class Live(Page):
             self.advance(1.0 / UPDATES)
         elif name == "reset":
             self.session.reset()
-            self.begin()
+            self.reset()
             self.controls.gravity.value = self.session.has_gravity
 
     def change_scene(self, _: Any) -> None:

@@ -261,14 +261,14 @@ class Session:
         now, is_frame = np.array([self.time]), np.zeros(1, dtype=np.bool_)
         try:
             if not self.goes_on():
-                self.begin_again(self.run)
+                self.restart(self.run)
             self.frame, self.entries = self.computed_at(now, is_frame)
         except CaseError as error:
             self.raw, self.lasting = before
             raise SessionError(error.problems[0].reason) from None
         except (SessionError, MotionError, RunError) as error:
             self.raw, self.lasting = before
-            self.begin_again(None)
+            self.restart(None)
             self.frame, self.entries = self.computed_at(now, is_frame)
             raise SessionError(str(error)) from None
 
@@ -288,7 +288,7 @@ class Session:
         self.system, self.warnings, self.behind = system, plan.warnings, behind
         return True
 
-    def begin_again(self, before: Run | None) -> None:
+    def restart(self, before: Run | None) -> None:
         """A run of the whole case until now, with what another has computed of it."""
         self.system, self.warnings, run = self.prepared()
         catch_up(run, before, multiples(self.every, 0, self.next_frame), self.time)

@@ -9,7 +9,7 @@ import particlerb
 from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
 from particlerb.simulation.run import prepare
-from particlerb.stepping.begin import begin
+from particlerb.stepping.make_motion import make_motion
 
 K = 1e5
 DOWN = {"acceleration": [0.0, 0.0, -9.81]}
@@ -60,7 +60,7 @@ def test_what_a_sliding_ball_loses_is_turned_over(make):
     }
     prepared = prepare(to_system(case))
     (group,), state = prepared.plan.groups, prepared.system.state
-    motion = begin(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 1e-3, 0.0)
+    motion = make_motion(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 1e-3, 0.0)
     motion.finish(2.0 * v / (7.0 * mu * 9.81) - 1e-3)
     assert motion.gross_work() == pytest.approx(m * v * v / 7.0, rel=1e-2)
 
@@ -81,7 +81,7 @@ def test_drift_is_judged_by_what_a_belt_gives_and_friction_takes(make):
     }
     prepared = prepare(to_system(case))
     (group,), state = prepared.plan.groups, prepared.system.state
-    motion = begin(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 5e-4, 0.0)
+    motion = make_motion(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 5e-4, 0.0)
     _, booked = motion.finish(1.0)
     assert motion.gross_work() > 4.0 * abs(booked[0])
     assert math.isfinite(booked[0])

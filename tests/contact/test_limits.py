@@ -15,7 +15,7 @@ from particlerb.plan.rates import softest_turning
 from particlerb.plan.time_step import STEPS_PER_CONTACT
 from particlerb.simulation.run import prepare
 from particlerb.simulation.whole_run import RunError
-from particlerb.stepping.begin import begin
+from particlerb.stepping.make_motion import make_motion
 
 
 def drop(dt: float | None = None, **contact) -> dict:
@@ -258,7 +258,7 @@ def test_swing_of_a_cube_on_four_balls_has_the_stiffness_of_all(shear):
     case["body"] = [{"name": "cube", "shape": shape, "position": [0.0, 0.0, 0.2 - 1e-5]}]
     prepared = prepare(to_system(case))
     (group,), state = prepared.plan.groups, prepared.system.state
-    motion = begin(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 1e-4, 0.0)
+    motion = make_motion(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 1e-4, 0.0)
     motion.look()
     inertia = 8 * 0.125 * (0.02 + 0.4 * 0.01)
     along = 4.0 * shear * (1.0 + 0.2**2 / inertia)  # to and fro with a turn: at least this

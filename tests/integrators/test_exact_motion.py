@@ -13,7 +13,7 @@ from particlerb.forces.push import Push
 from particlerb.integrators import METHODS
 from particlerb.model.bodies import taken
 from particlerb.model.state import room_for
-from particlerb.stepping.begin import begin
+from particlerb.stepping.make_motion import make_motion
 from particlerb.stepping.motion import SegmentGroup
 
 START = {
@@ -114,7 +114,7 @@ def test_end_of_a_segment_is_what_a_frame_there_would_show(make):
         "gravity": UniformGravity(mass, np.array(G)),
     }
     group, state = group_of(make, **terms)
-    motion = begin(METHODS["exact"], group, state, 2.0, 0.0, 0.0)
+    motion = make_motion(METHODS["exact"], group, state, 2.0, 0.0, 0.0)
     frames = room_for(3, n, np.tile([1.0, 0, 0, 0], (n, 1)))
     booked = motion.record(np.array([2.0, 2.5, 5.0]), np.arange(3), frames)
     end, total = motion.finish(5.0)
@@ -124,7 +124,7 @@ def test_end_of_a_segment_is_what_a_frame_there_would_show(make):
     np.testing.assert_allclose(momentum[2].T, end.p, rtol=1e-14, atol=1e-14)
     assert booked[2] == pytest.approx(total, rel=1e-12)
     assert not booked[0].any()
-    later = begin(METHODS["exact"], group, end, 5.0, 0.0, 0.0)
+    later = make_motion(METHODS["exact"], group, end, 5.0, 0.0, 0.0)
     again = room_for(1, n, frames.orientation[2].copy())
     later.record(np.array([5.0]), np.arange(1), again)
     assert again.orientation[0] == pytest.approx(frames.orientation[2], abs=1e-13)

@@ -24,8 +24,8 @@ from particlerb.maths.vec3 import cross, dot, scale
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, room_for
 from particlerb.stepping import stepped_motion
-from particlerb.stepping.begin import begin
 from particlerb.stepping.loop import compiled_loop
+from particlerb.stepping.make_motion import make_motion
 from particlerb.stepping.motion import SegmentGroup
 
 
@@ -83,7 +83,7 @@ def test_a_step_has_packed_arithmetic(make, monkeypatch, name, load):
     bodies = Bodies(one(1), one(1), moments, 1 / moments, unturned, np.full(1, 4))
     state = State(one((3, 1)), unturned, one((3, 1)), one((3, 1)))
     group = SegmentGroup(np.arange(1), bodies, TERMS[load])
-    motion = begin(METHODS[name], group, state, 0.0, 0.01, 0.0)
+    motion = make_motion(METHODS[name], group, state, 0.0, 0.01, 0.0)
     motion.advance(np.array([1]), np.zeros(1), np.array([-1]), room_for(0, 0, np.empty((0, 4))))
     packed, single = make.arithmetic(make.assembly(*seen[-1]))
     assert packed > 0.25 * (packed + single)

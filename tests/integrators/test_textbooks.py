@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.simulation.run import prepare
-from particlerb.stepping.begin import begin
+from particlerb.stepping.make_motion import make_motion
 
 MASS, H, STEPS = 2.0, 0.04, 100
 START = {
@@ -243,7 +243,7 @@ def test_stages_of_dop853_are_those_of_its_textbook(make, acting):
     case, body, y = scene(make, *TURNING["asymmetric"], force, method="dop853")
     ready = prepare(to_system(case))
     group = ready.plan.groups[0].group(ready.plan.groups[0].segments[0])
-    motion = begin(METHODS["dop853"], group, ready.system.state, 0.0, h, 1e9)
+    motion = make_motion(METHODS["dop853"], group, ready.system.state, 0.0, h, 1e9)
     frame = make.rotation(group.bodies.rotor_frame[:, 0])
     for k in range(STEPS):
         y = dop853(body, y, h)

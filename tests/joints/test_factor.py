@@ -10,7 +10,7 @@ from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import HOLDS, P, Q
 from particlerb.joints.records import X as AT
 from particlerb.joints.rows import residual
-from particlerb.joints.solver import begin_with_guess, factorise_cluster, remember
+from particlerb.joints.solver import factorise_cluster, remember, warm_start
 from particlerb.plan.joint_words import joint_data_at
 from particlerb.simulation.run import prepare
 
@@ -119,7 +119,7 @@ def test_a_step_begins_with_the_impulses_that_a_cubic_foresees():
     for known in range(6):
         before = data.y.copy()
         data.total[:] = 0.0
-        begin_with_guess(joints, data, 0, 0.25)
+        warm_start(joints, data, 0, 0.25)
         if known in FORESEEN:
             assert data.total == pytest.approx(np.where(own, 0.25 * FORESEEN[known] * row, 0.0))
         given = data.y[0, P : P + 3] - before[0, P : P + 3]

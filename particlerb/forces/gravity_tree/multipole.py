@@ -200,7 +200,7 @@ def add_shifted_field(s: Vec3, field: Floats, powers: Floats, total: Floats) -> 
 
 
 @inline
-def _begin_derivatives(rows: Floats, softening: float) -> None:
+def _first_derivatives(rows: Floats, softening: float) -> None:
     """Write g_n(R)."""
     for i in range(LANES):
         x, y, z = rows[at(PLACE, i)], rows[at(PLACE + 1, i)], rows[at(PLACE + 2, i)]
@@ -224,14 +224,14 @@ def add_far(rows: Floats, scaled: Floats, softening: float) -> None:
     softening : float [m²]
         ε².
     """
-    _begin_derivatives(rows, softening)
+    _first_derivatives(rows, softening)
     _sum_far(rows, scaled)
 
 
 @inline
 def add_far_to_point(rows: Floats, scaled: Floats, softening: float) -> None:
     """The same for L_0 and L_e of a single particle; `scaled` is not used."""
-    _begin_derivatives(rows, softening)
+    _first_derivatives(rows, softening)
     _sum_far_at_point(rows, scaled)
 
 
@@ -239,7 +239,7 @@ def add_far_to_point(rows: Floats, scaled: Floats, softening: float) -> None:
 
 
 @inline
-def _begin_powers(rows: Floats) -> None:
+def _first_powers(rows: Floats) -> None:
     """Write a^0."""
     for i in range(LANES):
         rows[at(MOMENT, i)] = 1.0
@@ -248,7 +248,7 @@ def _begin_powers(rows: Floats) -> None:
 @inline
 def add_particle_moments(rows: Floats, moment: Floats) -> None:
     """Add m a^α/α! of particles at a of mass m, zero in lanes without one."""
-    _begin_powers(rows)
+    _first_powers(rows)
     _sum_moments(rows, moment)
     for k in range(TERMS):
         moment[k] += lane_sum(rows, MOMENT + k)
@@ -257,5 +257,5 @@ def add_particle_moments(rows: Floats, moment: Floats) -> None:
 @inline
 def add_particle_fields(rows: Floats, field: Floats) -> None:
     """Add the acceleration Σ L_{α+e} a^α/α! of particles at a to the rows of fields."""
-    _begin_powers(rows)
+    _first_powers(rows)
     _sum_fields(rows, field)

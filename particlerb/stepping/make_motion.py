@@ -1,4 +1,4 @@
-"""How a group of bodies sets off: the kind of motion for a method and for what acts."""
+"""Make the kind of motion that a group of bodies has, by a method and under what acts."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
 from particlerb.stepping.stepped_motion import SteppedMotion
 
 
-def begin(
+def make_motion(
     method: Method,
     group: SegmentGroup,
     state: State,
@@ -28,7 +28,7 @@ def begin(
     tolerance: float,
     before: Motion | None = None,
 ) -> Motion:
-    """Set off from a state at a time [s].
+    """Make the motion of a group from a state at a time [s].
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def begin(
     if method.is_adaptive:
         return AdaptiveMotion(method, group, state, start, dt, tolerance)
     if group.terms.contact is not None:
-        return _begin_touching(method, group, state, start, dt, before)
+        return _contact_motion(method, group, state, start, dt, before)
     parts: list[tuple[Ints, Motion]] = []
     for indices in _parts_of(method, group):
         part = group if indices.size == group.members.size else part_of(group, indices)
@@ -60,7 +60,7 @@ def begin(
     return parts[0][1] if len(parts) == 1 else CompositeMotion(tuple(parts))
 
 
-def _begin_touching(
+def _contact_motion(
     method: Method, group: SegmentGroup, state: State, start: float, dt: float,
     before: Motion | None,
 ) -> Motion:  # fmt: skip
