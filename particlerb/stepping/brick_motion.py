@@ -32,19 +32,19 @@ from particlerb.ranks import ending_all
 from particlerb.stepping.contact_frames import ContactRows
 from particlerb.stepping.contact_lists import Histories, WallsAhead
 from particlerb.stepping.contact_part import contact_part
-from particlerb.stepping.exchange import Territory, kept_of
+from particlerb.stepping.exchange import Exchange, Territory, kept_of
 from particlerb.stepping.loop import (
     POSES,
     Copies,
     Position,
     Recording,
     Schedule,
+    compiled_parts,
     grid_position,
-    look_alone,
     loop_over_ranks,
     store_blocks,
 )
-from particlerb.stepping.motion import ForceAccount, MotionError
+from particlerb.stepping.motion import ForceAccount, MotionError, SegmentGroup, Shared
 from particlerb.stepping.shared_motion import GROSS, SharedMotion, initial_rows
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -55,15 +55,20 @@ class BrickMotion(SharedMotion):
     All that is returned is of all bodies; frames are of those that this rank shows.
     """
 
-    def begin_shared(
-        self, method: Method, state: State, start: float, dt: float, before: SharedMotion | None
-    ) -> None:
-        """Set off with the bodies in the brick of this rank."""
-        self.method, self.start, self.dt, self.steps_done = method, start, dt, 0
+    def __init__(
+        self, method: Method, shared: Shared, shown: SegmentGroup, state: State, start: float,
+        dt: float, before: SharedMotion | None = None,
+    ) -> None:  # fmt: skip
+        self.exchange, self.shown, self.ranks = Exchange(shared, shown), shown, shared.ranks
+        self.method, self.start, self.dt = method, start, dt
         exchange, number = self.exchange, self.ranks.number
         self.model, self.is_free = exchange.model, exchange.is_free
-        self._room_to_show()
-        self.account_shown = ForceAccount(self.shown, state)
+        m = shown.members.size
+        first = np.arange(0, m, BLOCK)
+        self.shown_layout = Layout(first, np.minimum(first + BLOCK, m) - first, 0)
+        self.shown_bins = shown.members // BLOCK
+        self.shown_blocks = in_blocks(max(m, 1), CHANGING, [])
+        self.account_shown = ForceAccount(shown, state)
         with ending_all(self.ranks):
             everyone = exchange.everyone(state)
             self.initial, com = initial_rows(np.vstack(everyone)), everyone.com
@@ -74,22 +79,14 @@ class BrickMotion(SharedMotion):
             kept = [] if before is None else [kept_of(each) for each in before.lists.histories]
             histories = exchange.routed(kept, owner) if kept else None
             skin = exchange.whole.terms.known_contact.skin
-            self.lay_out(bodies, self.initial[bodies], skin, histories)
+            self.rebuild(bodies, self.initial[bodies], skin, histories)
             self.loop = loop_over_ranks(method, self.kinematics, self.store, self.enter)
-            self.set_off(True)
-
-    def _room_to_show(self) -> None:
-        """Room for the bodies that this rank shows."""
-        m = self.shown.members.size
-        first = np.arange(0, m, BLOCK)
-        self.shown_layout = Layout(first, np.minimum(first + BLOCK, m) - first, 0)
-        self.shown_bins = self.shown.members // BLOCK
-        self.shown_blocks = in_blocks(max(m, 1), CHANGING, [])
+            self.make_first_lists()
 
     # Who is where
 
-    def lay_out(self, bodies: Ints, rows: Floats, skin: float, histories: Histories | None) -> None:
-        """Room for the bodies of this rank, ascending, which have these rows, and for copies.
+    def rebuild(self, bodies: Ints, rows: Floats, skin: float, histories: Histories | None) -> None:
+        """Have these bodies in the blocks, ascending, with these rows, and ghosts of others.
 
         Lists with this skin [m] are to be made of them.
         """
@@ -100,13 +97,11 @@ class BrickMotion(SharedMotion):
         for indices, new_rows in ((ghosts, ghost_rows), (bodies, rows)):
             values[np.searchsorted(local, indices)] = new_rows
         self.local, self.is_own = local, np.isin(local, bodies)
-        steps = self.steps_done
         group, numbers = contact_part(self.exchange.whole, local)
         state = state_of(values[:, :STATE_ROWS].T)
         SteppedMotion.__init__(self, self.method, group, state, self.start, self.dt)
-        self.steps_done = steps
-        self.begin_contact(state, numbers, histories, None, self.is_own)
-        self.put(values)
+        self.allocate_contact(state, numbers, histories, None, self.is_own)
+        self.set_body_rows(values)
         self._count_costs()
         self.territory.find_slots(lambda indices: self.slots[np.searchsorted(local, indices)])
 
@@ -118,12 +113,12 @@ class BrickMotion(SharedMotion):
         self.cost = self.step_cost / self.ranks.count
         self.lists.count_cost(n_spheres)
 
-    def take_over(self) -> None:
+    def migrate(self) -> None:
         """Let bodies go to the ranks in whose bricks they are, with what their contacts keep."""
         if self.lists.count == 0:
             return  # they are where they belong
         ranks, old = self.ranks, self.lists
-        rows, local_own = self.travelling(), np.flatnonzero(self.is_own)
+        rows, local_own = self.body_rows(), np.flatnonzero(self.is_own)
         moves = self.is_free[self.local[local_own]]
         com = np.ascontiguousarray(rows[local_own, :3].T)
         owner = self.territory.next_owners(com, moves)
@@ -138,13 +133,13 @@ class BrickMotion(SharedMotion):
                 " is a fault of this program, please report it with the case"
             )
         watch, frames = self.checks.watch, self.frames
-        self.lay_out(bodies, arrived, old.skin, histories)
+        self.rebuild(bodies, arrived, old.skin, histories)
         self.lists.go_on(old)
         self.checks.watch, self.frames = watch, frames
         self.contact = self.contact._replace(frames=frames)
-        self.now_only(POSES)
+        self.part_of_step(POSES)
 
-    def take_up(self, rows: Floats, skin: float, contacts: list[tuple[Ints, Floats]]) -> Floats:
+    def relocate(self, rows: Floats, skin: float, contacts: list[tuple[Ints, Floats]]) -> Floats:
         """Take bodies where they were when lists were made, and contacts; return the poses of now.
 
         Rows begin with the numbers of bodies, and end with these poses; each rank has some of all.
@@ -155,16 +150,16 @@ class BrickMotion(SharedMotion):
         owner[bodies] = self.territory.owners(bodies, com)
         own_bodies, arrived = self.exchange.bodies_sent(owner[bodies], bodies, rows[:, 1:])
         histories = self.exchange.routed(contacts, self.ranks.added(owner))
-        self.lay_out(own_bodies, arrived[:, : 1 + GROSS], skin, histories)
+        self.rebuild(own_bodies, arrived[:, : 1 + GROSS], skin, histories)
         return arrived[:, 1 + GROSS :]
 
     # Steps
 
-    def now_only(self, what: int, row: int = 0) -> None:
+    def part_of_step(self, what: int, row: int = 0) -> None:
         """Do a part of a step at the time of now, with the momenta of now; without other ranks."""
         moving = self.moving._replace(contact=self.contact, team=ONE_THREAD)
         position, time = Position(what, row, self.grid_step), self.grid_step * self.dt
-        look_alone(self.method)(moving, 0, len(self.blocks), position, time)
+        compiled_parts(self.method)(moving, 0, len(self.blocks), position, time)
 
     def enter(
         self, kernel: Callable[..., Any], moving: MovingBodies, first: int, last: int, *others: Any

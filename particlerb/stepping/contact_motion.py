@@ -42,7 +42,7 @@ from particlerb.stepping.beside_contact import compile_steps_beside
 from particlerb.stepping.contact_checks import ContactChecks, is_due
 from particlerb.stepping.contact_frames import ContactRows, output_of
 from particlerb.stepping.contact_lists import ContactLists, Histories, Lasted, WallsAhead
-from particlerb.stepping.loop import EVALUATE, POSES, SHOW, Copies, Position, Recording, Schedule
+from particlerb.stepping.loop import FORCES, FRAME, POSES, Copies, Position, Recording, Schedule
 from particlerb.stepping.motion import ContactStart, Energies, Motion, SegmentGroup
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 from particlerb.stepping.stepped_motion import SteppedMotion
@@ -73,6 +73,7 @@ class ContactMotion(SteppedMotion):
         That continues from motions before this one.
     """
 
+    checks_stability = True  # now and then, when lists are made
     room_for_tally = 0  # numbers that are counted of impulses
     share = 1.0  # of the costs that are this process's own
 
@@ -88,12 +89,13 @@ class ContactMotion(SteppedMotion):
         watch: Watch | None = None,
     ) -> None:
         super().__init__(method, group, state, start, dt)
-        self.begin_contact(state, numbers, histories, watch)
-        self.set_off(numbers is None)
+        self.allocate_contact(state, numbers, histories, watch)
+        if numbers is not None:  # who steps some of more bodies does it
+            self.checks_stability = False
+        self.make_first_lists()
 
-    def set_off(self, looks: bool) -> None:
-        """Make the first lists; who steps some of more bodies looks at stability itself."""
-        self.looks = looks
+    def make_first_lists(self) -> None:
+        """Make lists and find energies before the first step."""
         self.grid_step, self.list_step = 0, 0  # on the grid: now, and when lists were made
         self.farthest = 0.0  # [m] path of a body so far, at new lists
         self.contacts: dict[int, ContactOutput] = {}  # in rows of the last `record`
@@ -103,7 +105,7 @@ class ContactMotion(SteppedMotion):
         self.make_lists()
         self.initial_energies = self._elastic_energies()
 
-    def begin_contact(
+    def allocate_contact(
         self,
         state: State,
         numbers: Ints | None,
@@ -111,7 +113,7 @@ class ContactMotion(SteppedMotion):
         watch: Watch | None,
         is_own: Bools | None = None,
     ) -> None:
-        """Room for the contacts of the bodies in the blocks: of those that are own, or all."""
+        """Arrays for the contacts of the bodies in the blocks: of those that are own, or all."""
         method, group, start, dt = self.method, self.group, self.start, self.dt
         setup = group.terms.known_contact
         n, n_spheres = group.members.size, setup.model.spheres.radius.size
@@ -172,11 +174,11 @@ class ContactMotion(SteppedMotion):
         time = self.grid_step * self.dt
         steps = self.grid_step - self.list_step  # for which the last lists were good
         lasted = Lasted(steps, time < self.contact.memory.valid_until, self.step_cost)
-        self.now_only(POSES)
+        self.part_of_step(POSES)
         self.check_lists(steps)
         poses = self.contact.workspace.poses
         ahead = self.lists.look_ahead(self.corners(), poses, self.start + time, lasted)
-        self.take_over()
+        self.migrate()
         self.list_pairs(ahead)
 
     def list_pairs(self, ahead: WallsAhead) -> None:
@@ -200,8 +202,8 @@ class ContactMotion(SteppedMotion):
         if steps > 0:
             cost = self.share * (self.lists.cost + steps * self.step_cost)
             self.checks.missed_pairs(contact, cost, self.now)
-        if self.looks and self.lists.count > 0 and is_due(self.lists.count):
-            self.look()
+        if self.checks_stability and self.lists.count > 0 and is_due(self.lists.count):
+            self.measure_frequency()
         self.checks.tunnelling(contact, self.values(0, 13), self.now)
 
     def corners(self) -> Floats:
@@ -209,20 +211,20 @@ class ContactMotion(SteppedMotion):
         points = self.contact.workspace.xyzr[:, :3]
         return np.stack([points.min(axis=0), points.max(axis=0)], axis=1)
 
-    def take_over(self) -> None:
+    def migrate(self) -> None:
         """Take bodies over that come near, before new lists; here all are there."""
 
     def new_lists(self, time: float, ahead: WallsAhead) -> tuple[NeighbourLists, float]:
         """Lists of now, and until when they hold [s]."""
         return self.lists.make(self.contact.workspace, self.contact.memory, time, ahead)
 
-    def now_only(self, what: int, row: int = 0) -> None:
+    def part_of_step(self, what: int, row: int = 0) -> None:
         """Do a part of a step at the time of now, with the momenta of now."""
         moving = self.moving._replace(contact=self.contact, team=ONE_THREAD)
         position, n = Position(what, row, self.grid_step), len(self.blocks)
         self.loop_over_steps(True)(moving, *self.entered, self._copies(), position, n, 0, n)
 
-    def look(self) -> float:
+    def measure_frequency(self) -> float:
         """Frequency of the bodies on all their contacts [rad/s]."""
         rate = self.checks.stability(self.contact, self.values(0, 13), self.now)
         self.contact_frequency = max(self.contact_frequency, rate)
@@ -291,9 +293,9 @@ class ContactMotion(SteppedMotion):
         """Of contacts and pistons at the start."""
         lists, memory = self.contact.lists, self.contact.memory
         histories = lists.spheres.history.copy(), lists.walls.history.copy()
-        self.now_only(POSES)
+        self.part_of_step(POSES)
         memory.extremes.displacement[:] = np.inf
-        self.now_only(EVALUATE)
+        self.part_of_step(FORCES)
         memory.extremes.displacement[:] = 0.0
         lists.spheres.history[:], lists.walls.history[:] = histories
         frame = self.room_for_frames(1, memory.pistons.size)
@@ -303,7 +305,7 @@ class ContactMotion(SteppedMotion):
     def show(self, frames: ContactFrames, frame: int) -> None:
         """Write what contacts have now into a frame."""
         self.contact = self.contact._replace(frames=frames)
-        self.now_only(SHOW, frame)
+        self.part_of_step(FRAME, frame)
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; return (T, 7) booked."""

@@ -26,6 +26,7 @@ _ROOM_FACTOR: Final = 1.25  # for contacts
 class ImpulseMotion(ContactMotion):
     """A group of bodies whose contacts have no stiffness; see `ContactMotion`."""
 
+    checks_stability = False  # no contact has a frequency
     room_for_tally = TALLY
 
     def impulses_of(self, setup: GroupContact) -> Impulses | None:
@@ -50,13 +51,12 @@ class ImpulseMotion(ContactMotion):
 
     def make_lists(self) -> None:
         """Pairs that may touch, kept within what bodies can cross in some steps."""
-        self.looks = False  # no contact has a frequency
         if not self.lists.numbers.size:  # joints alone are solved
             self.lists.skin = np.inf
             self.contact = self.contact._replace(setup=self.contact.setup._replace(skin=np.inf))
             self._make_room()
             return
-        self.now_only(POSES)
+        self.part_of_step(POSES)
         bodies, arm = self.contact.workspace.bodies, self.contact.lists.max_contact_arm
         path = self.dt * max_point_speed(bodies, arm, 0, bodies.size)
         path = max(path, self.dt * np.abs(self.contact.memory.pistons.velocity).max(initial=0.0))

@@ -44,8 +44,8 @@ from particlerb.stepping.pair_forces import PairForces
 PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
 CLOSE: Final = -2  # the end of the motion: make the open kick, behind the last partial step
 POSES: Final = -1  # in place of a stop: those of bodies and walls, as before a step
-EVALUATE: Final = -2  # all contacts
-SHOW: Final = -3  # what contacts have, in a row of the frames
+FORCES: Final = -2  # all contacts
+FRAME: Final = -3  # what contacts have, in a row of the frames
 _TIME_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of a time that is a sum of steps
 
 
@@ -61,8 +61,8 @@ class Schedule(NamedTuple):
 class Position(NamedTuple):
     """Where the loop is: before a step on the grid, or before a partial one."""
 
-    stop: int  # of the schedule; or POSES, EVALUATE, SHOW
-    step: int  # of those before that stop; a row for SHOW
+    stop: int  # of the schedule; or POSES, FORCES, FRAME
+    step: int  # of those before that stop; a row for FRAME
     steps_done: int  # of the segment
 
 
@@ -155,14 +155,14 @@ def _nothing_open(
 
 
 @stages
-def look(
+def part_of_step(
     moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
 ) -> None:
     """Do nothing: nothing touches."""
 
 
 @stages
-def _kinematics_alone(
+def _kinematics_part(
     moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
 ) -> None:
     """Find where spheres and walls are, and how fast."""
@@ -170,7 +170,7 @@ def _kinematics_alone(
 
 
 @stages
-def _look_at_contacts(
+def _part_with_contacts(
     moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
 ) -> None:
     """Do a part of a step with contacts."""
@@ -178,7 +178,7 @@ def _look_at_contacts(
     team: Any = moving.team
     if asked.stop == POSES:
         kinematics(moving, first, last, Instant(0.0, 0.0, time, 0.0))
-    elif asked.stop == EVALUATE:
+    elif asked.stop == FORCES:
         setup, workspace, lists, memory, _ = contact
         find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, growth, team)
     else:
@@ -225,7 +225,7 @@ def advance(
     """
     dt, steps, partial, frame = schedule
     if position.stop < 0:
-        look(moving, first, last, position, position.steps_done * dt, GROWTH)
+        part_of_step(moving, first, last, position, position.steps_done * dt, GROWTH)
         return position
     step_number = position.steps_done
     for lo in range(first, last, together):
@@ -283,12 +283,12 @@ def _finish_of(method: Method, touches: bool) -> Step:
     return method.show if touches and method.show is not None else _nothing_open
 
 
-def _looking(method: Method, touches: bool) -> dict[str, Any]:
+def _parts_of_step(method: Method, touches: bool) -> dict[str, Any]:
     """How parts of a step are done for bodies that touch."""
     if not touches:
         return {}
-    chosen = _kinematics_alone if method.takes_impulses else _look_at_contacts
-    return {"look": chosen, "GROWTH": growth_at_rest(method)}
+    chosen = _kinematics_part if method.takes_impulses else _part_with_contacts
+    return {"part_of_step": chosen, "GROWTH": growth_at_rest(method)}
 
 
 def growth_at_rest(method: Method) -> Growth:
@@ -305,7 +305,7 @@ def compiled_loop(
     name += "_touching" if touches else ""
     chosen, closing = _step_of(method, is_coupled), _finish_of(method, touches)
     names = {"step": chosen, "finish": closing, "CLOSING_KICK": method.closing_kick}
-    return kernel_from(advance, name, **names, **_looking(method, touches))
+    return kernel_from(advance, name, **names, **_parts_of_step(method, touches))
 
 
 def loop_over_threads(
@@ -328,7 +328,7 @@ def loop_over_threads(
     chosen = over_threads(_step_of(method, True), **others)
     closing_kick = over_threads(close, **others)
     closing = over_threads(_finish_of(method, touches), close=closing_kick, **others)
-    names = {"step": chosen, "finish": closing, **_looking(method, touches), **others}
+    names = {"step": chosen, "finish": closing, **_parts_of_step(method, touches), **others}
     return over_threads(advance, **names)
 
 
@@ -337,19 +337,20 @@ def _one_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt:
     step(moving, first, last, open_kick, dt)
 
 
-def _one_look(
+def _one_part(
     moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
 ) -> None:
     """A part of a step by itself."""
-    look(moving, first, last, asked, time, growth)
+    part_of_step(moving, first, last, asked, time, growth)
 
 
 @cache
-def look_alone(method: Method) -> Callable[..., None]:
+def compiled_parts(method: Method) -> Callable[..., None]:
     """Parts of a step `(moving, first, last, position, time)`, for ranks that share bodies."""
-    names = _looking(method, True)
-    made: Any = kernel_from(_one_look, f"{method.name}_touching", look=names["look"])
-    return lambda *asked: made(*asked, names["GROWTH"])
+    names = _parts_of_step(method, True)
+    part, growth = names["part_of_step"], names["GROWTH"]
+    made: Any = kernel_from(_one_part, f"{method.name}_touching", part_of_step=part)
+    return lambda *asked: made(*asked, growth)
 
 
 def loop_over_ranks(

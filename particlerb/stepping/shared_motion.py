@@ -54,20 +54,14 @@ class SharedMotion(ContactMotion):
         dt: float, before: "SharedMotion | None" = None,
     ) -> None:  # fmt: skip
         self.exchange, self.shown, self.ranks = Exchange(shared, shown), shown, shared.ranks
-        self.begin_shared(method, state, start, dt, before)
-
-    def begin_shared(
-        self, method: Method, state: State, start: float, dt: float, before: "SharedMotion | None"
-    ) -> None:
-        """Set off with all bodies."""
         n = self.exchange.home.size
         self.local, self.is_own = np.arange(n), np.ones(n, dtype=np.bool_)
         histories = None if before is None else before.lists.histories
-        super().__init__(method, self.shown, state, start, dt, histories=histories)
+        super().__init__(method, shown, state, start, dt, histories=histories)
 
     # Checkpoints
 
-    def travelling(self) -> Floats:
+    def body_rows(self) -> Floats:
         """Of each body here, what changes with the steps: (n, GROSS + 1)."""
         momenta, gross_work = self.contact.memory.momenta, self.contact.workspace.gross_work
         return np.vstack([self.values(0, CHANGING), momenta, gross_work]).T
@@ -77,7 +71,7 @@ class SharedMotion(ContactMotion):
         bodies, is_own, exchange = self.local[self.is_own], self.is_own, self.exchange
         listed = self.contact.memory.listed_pose.T[is_own]
         with ending_all(self.ranks):
-            rows = np.column_stack([self.travelling()[is_own], listed])
+            rows = np.column_stack([self.body_rows()[is_own], listed])
             bodies, rows = exchange.bodies_sent(exchange.home[bodies], bodies, rows)
             self.bodies_to_save = np.column_stack([bodies, rows])
             self.contacts_to_save = [
@@ -119,9 +113,9 @@ class SharedMotion(ContactMotion):
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved of the bodies that this rank saves."""
         with ending_all(self.ranks):
-            self._go_on(saved)
+            self._restore_bodies(saved)
 
-    def _go_on(self, saved: Saved) -> None:
+    def _restore_bodies(self, saved: Saved) -> None:
         """Make the lists of then, and let bodies and contacts be as they are now."""
         bodies = within(OF_BODIES, saved)
         saved_rows = bodies["rows"][np.argsort(bodies["rows"][:, 0])]
@@ -130,9 +124,9 @@ class SharedMotion(ContactMotion):
         rows[:, pose], rows[:, listed] = saved_rows[:, listed], saved_rows[:, pose]
         contacts = [(bodies[f"keys.{kind}"], bodies[f"values.{kind}"]) for kind in (0, 1)]
         self.steps_done = self.grid_step = int(saved["list_step"])
-        now = self.take_up(rows, skin, contacts)
+        now = self.relocate(rows, skin, contacts)
         self.lists.skin, self.lists.count = skin, int(saved["lists"]) - 1
-        self.now_only(POSES)
+        self.part_of_step(POSES)
         self.list_pairs(WallsAhead(*saved["ahead"].tolist()))
         values = self.values(0, CHANGING)
         values[:_POSE_COLUMNS, self.is_own] = now.T
@@ -144,18 +138,18 @@ class SharedMotion(ContactMotion):
         self.steps_done = self.grid_step = int(saved["done"])
         self.contact_frequency = float(saved["frequency"])
 
-    def take_up(self, rows: Floats, skin: float, contacts: list[tuple[Ints, Floats]]) -> Floats:
+    def relocate(self, rows: Floats, skin: float, contacts: list[tuple[Ints, Floats]]) -> Floats:
         """Take bodies where they were when lists were made, and contacts; return the poses of now.
 
         Rows begin with the numbers of bodies, and end with these poses.
         """
         del skin
-        self.put(rows[:, 1 : 2 + GROSS])
+        self.set_body_rows(rows[:, 1 : 2 + GROSS])
         self.lists.histories = histories_of(contacts)
         return rows[:, 1 + _LISTED_COLUMN :]
 
-    def put(self, rows: Floats) -> None:
-        """Let the bodies here have what `travelling` gives."""
+    def set_body_rows(self, rows: Floats) -> None:
+        """Let the bodies here have what `body_rows` gives."""
         values = np.ascontiguousarray(rows.T)
         into_blocks(self.blocks, 0, self.spaced(values[:CHANGING]))
         self.contact.memory.momenta[:] = values[MOMENTA:GROSS]

@@ -108,7 +108,7 @@ class _Interval:
         """How fast the bodies swing on the contacts of the last step [rad/s]."""
         if self.contact is None:
             return 0.0
-        return self.contact.look()
+        return self.contact.measure_frequency()
 
     def gross_work(self) -> float:
         """Gross work of contacts since the start [J]."""

@@ -69,6 +69,8 @@ def _pairs_of(method: Method, group: SegmentGroup, start: float) -> PairForces |
 class SteppedMotion(JointedMotion):
     """A group of bodies on a grid of steps; see `motion.Motion`."""
 
+    steps_done = 0  # of the segment
+
     def __init__(
         self, method: Method, group: SegmentGroup, state: State, start: float, dt: float
     ) -> None:
@@ -97,7 +99,6 @@ class SteppedMotion(JointedMotion):
         spaced = [(at, self.spaced(values)) for at, values in parts]
         self.blocks = in_blocks(len(full) * BLOCK, n_rows, spaced)
         self.saved = np.empty((len(full), CHANGING * STRIDE))
-        self.steps_done = 0
         self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`,
         self.pose_loop: Callable[..., Position] | None = None  # and for it
         self.account = ForceAccount(group, state, method.keeps_angular_momentum)

@@ -259,7 +259,7 @@ def test_swing_of_a_cube_on_four_balls_has_the_stiffness_of_all(shear):
     prepared = prepare(to_system(case))
     (group,), state = prepared.plan.groups, prepared.system.state
     motion = make_motion(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 1e-4, 0.0)
-    motion.look()
+    motion.measure_frequency()
     inertia = 8 * 0.125 * (0.02 + 0.4 * 0.01)
     along = 4.0 * shear * (1.0 + 0.2**2 / inertia)  # to and fro with a turn: at least this
     assert motion.contact_frequency == pytest.approx(math.sqrt(max(4.0 * k, along)), rel=0.05)
