@@ -1,6 +1,6 @@
 """Bodies that touch, shared among ranks by bricks of space; see docs/scale.md.
 
-A rank moves the bodies whose centres of mass are in its brick, and has copies of those near it:
+A rank moves the bodies whose centres of mass are in its brick, and has ghosts of those near it:
 whole bodies, whose states it is sent after each drift. It finds all contacts of its own bodies
 itself; one across a border is found on both sides, from equal states, so nothing is sent back. Each
 body takes its contacts in the order of their numbers, whoever finds them: the bits are those of one
@@ -32,7 +32,7 @@ from particlerb.ranks import ending_all
 from particlerb.stepping.contact_frames import ContactRows
 from particlerb.stepping.contact_lists import Histories, WallsAhead
 from particlerb.stepping.contact_part import contact_part
-from particlerb.stepping.exchange import Exchange, Territory, kept_of
+from particlerb.stepping.exchange import Domains, Exchange, kept_of
 from particlerb.stepping.loop import (
     POSES,
     Copies,
@@ -73,8 +73,8 @@ class BrickMotion(SharedMotion):
             everyone = exchange.everyone(state)
             self.initial, com = initial_rows(np.vstack(everyone)), everyone.com
             turns = slice(number, None, self.ranks.count)
-            self.territory = Territory(exchange, com[:, self.is_free][:, turns])
-            owner = self.territory.owners(np.arange(com.shape[1]), com)
+            self.domains = Domains(exchange, com[:, self.is_free][:, turns])
+            owner = self.domains.owners(np.arange(com.shape[1]), com)
             bodies = np.flatnonzero(owner == number)
             kept = [] if before is None else [kept_of(each) for each in before.lists.histories]
             histories = exchange.routed(kept, owner) if kept else None
@@ -90,7 +90,7 @@ class BrickMotion(SharedMotion):
 
         Lists with this skin [m] are to be made of them.
         """
-        ghost_rows, ghosts = self.territory.copies_of(bodies, rows, skin)
+        ghost_rows, ghosts = self.domains.ghosts_of(bodies, rows, skin)
         held = np.flatnonzero(~self.is_free)
         local = np.unique(np.concatenate([bodies, ghosts, held]))
         values = self.initial[local]
@@ -103,7 +103,7 @@ class BrickMotion(SharedMotion):
         self.allocate_contact(state, numbers, histories, None, self.is_own)
         self.set_body_rows(values)
         self._count_costs()
-        self.territory.find_slots(lambda indices: self.slots[np.searchsorted(local, indices)])
+        self.domains.find_slots(lambda indices: self.slots[np.searchsorted(local, indices)])
 
     def _count_costs(self) -> None:
         """Costs of all bodies: who decides by them decides the same on all ranks."""
@@ -121,7 +121,7 @@ class BrickMotion(SharedMotion):
         rows, local_own = self.body_rows(), np.flatnonzero(self.is_own)
         moves = self.is_free[self.local[local_own]]
         com = np.ascontiguousarray(rows[local_own, :3].T)
-        owner = self.territory.next_owners(com, moves)
+        owner = self.domains.next_owners(com, moves)
         goes = np.full(self.is_free.size, ranks.number)
         goes[self.local[local_own]] = owner
         histories = self.exchange.routed([kept_of(each) for each in old.histories], goes)
@@ -145,9 +145,9 @@ class BrickMotion(SharedMotion):
         Rows begin with the numbers of bodies, and end with these poses; each rank has some of all.
         """
         bodies, com = rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1:4].T)
-        self.territory.fit(com[:, self.is_free[bodies]])
+        self.domains.fit(com[:, self.is_free[bodies]])
         owner = np.zeros(self.is_free.size, dtype=np.int64)
-        owner[bodies] = self.territory.owners(bodies, com)
+        owner[bodies] = self.domains.owners(bodies, com)
         own_bodies, arrived = self.exchange.bodies_sent(owner[bodies], bodies, rows[:, 1:])
         histories = self.exchange.routed(contacts, self.ranks.added(owner))
         self.rebuild(own_bodies, arrived[:, : 1 + GROSS], skin, histories)
@@ -174,8 +174,8 @@ class BrickMotion(SharedMotion):
         return together(share, self.threads)
 
     def kinematics(self, moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
-        """Bring bodies and copies to where contacts are evaluated; whether the lists hold."""
-        self.territory.swap(self.blocks)
+        """As `stages.kinematics`, after states of ghosts have come: whether the lists hold."""
+        self.domains.update_ghosts(self.blocks)
         contact = moving.contact
         assert contact is not None
         note_step_start(contact, instant)

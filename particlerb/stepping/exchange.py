@@ -1,7 +1,7 @@
 """What ranks send each other of bodies that touch: who moves, shows and saves which of them.
 
 `Exchange` knows the scene, and which rank shows and saves each body, which never changes.
-`Territory` knows which rank moves each body, by bricks of space, and who has copies of it.
+`Domains` knows which rank moves each body, by bricks of space, and who has ghosts (copies) of it.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from particlerb.ranks import Rows
 from particlerb.stepping.contact_lists import Histories
 from particlerb.stepping.motion import SegmentGroup, Shared
 
-_DISTANCE_MARGIN: Final = 1.0 + 1e-6  # of a distance that decides who is a copy: it rounds
+_DISTANCE_MARGIN: Final = 1.0 + 1e-6  # of a distance that decides who is a ghost: it rounds
 
 
 class Exchange:
@@ -86,7 +86,7 @@ class Exchange:
         return histories_of(arrived)
 
 
-class Territory:
+class Domains:
     """Which rank moves which body, and what it is sent of those near its border.
 
     Parameters
@@ -100,8 +100,8 @@ class Territory:
         self.exchange, self.ranks = exchange, exchange.ranks
         self.bound = bounding_radii(exchange.model.spheres, exchange.is_free.size)
         self.reach = float(self.bound[exchange.is_free].max(initial=0.0))
-        self.given: dict[int, tuple[Ints, Floats]] = {}  # by rank: slots of bodies, and room
-        self.copies: dict[int, tuple[Ints, Floats]] = {}
+        self.border: dict[int, tuple[Ints, Floats]] = {}  # by rank: slots of bodies, buffer
+        self.ghosts: dict[int, tuple[Ints, Floats]] = {}
         self.fit(com)
 
     def fit(self, com: Floats) -> None:
@@ -125,17 +125,17 @@ class Territory:
         self.bricks = bricks
         return np.where(moves, bricks.owners(com), self.ranks.number)
 
-    def copies_of(self, bodies: Ints, rows: Floats, skin: float) -> tuple[Floats, Ints]:
+    def ghosts_of(self, bodies: Ints, rows: Floats, skin: float) -> tuple[Floats, Ints]:
         """Bodies of other ranks that may touch those of this one: rows, and who they are.
 
-        A rank without bodies gets a copy of one, so that it has something to go through.
+        A rank without bodies gets a ghost of one, so that it has something to go through.
         """
         ranks, free = self.ranks, self.exchange.is_free[bodies]
         counts = ranks.gathered(int(free.sum()))
         com = np.ascontiguousarray(rows[:, :3].T)
         far = _DISTANCE_MARGIN * (self.bound[bodies] + self.reach + skin)
         leaders = [k for k, count in enumerate(counts) if count]
-        out, self.given = [], {}
+        out, self.border = [], {}
         for k, count in enumerate(counts):
             near = free & (self.bricks.distances(com, k) < far)
             if count == 0 and leaders and leaders[0] == ranks.number:
@@ -143,28 +143,28 @@ class Territory:
             indices = np.flatnonzero(near) if k != ranks.number else np.zeros(0, dtype=np.int64)
             out.append(np.column_stack([bodies[indices], rows[indices]]))
             if indices.size:
-                self.given[k] = bodies[indices], rows[:0]
+                self.border[k] = bodies[indices], rows[:0]
         received = ranks.sent(out)
-        copied = [of[:, 0].astype(np.int64) for of in received]
-        self.copies = {k: (of, rows[:0]) for k, of in enumerate(copied) if of.size}
-        return np.concatenate(received)[:, 1:], np.concatenate(copied)
+        numbers = [of[:, 0].astype(np.int64) for of in received]
+        self.ghosts = {k: (of, rows[:0]) for k, of in enumerate(numbers) if of.size}
+        return np.concatenate(received)[:, 1:], np.concatenate(numbers)
 
     def find_slots(self, slots_of: Callable[[Ints], Ints]) -> None:
         """Note in which slots of the blocks those are that are swapped, and make room for them."""
-        for swapped in (self.given, self.copies):
+        for swapped in (self.border, self.ghosts):
             for k, (bodies, _) in swapped.items():
                 swapped[k] = slots_of(bodies), np.empty((bodies.size, STATE_ROWS))
 
-    def swap(self, blocks: Floats) -> None:
-        """Send states to ranks that have copies, and get those of the copies here."""
+    def update_ghosts(self, blocks: Floats) -> None:
+        """Send states to ranks that have ghosts, and get those of the ghosts here."""
         rows = blocks.reshape(len(blocks), -1, STRIDE)
-        for slots, out in self.given.values():
+        for slots, out in self.border.values():
             out[:] = rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK]
         self.ranks.swapped(
-            {k: out for k, (_, out) in self.given.items()},
-            {k: room for k, (_, room) in self.copies.items()},
+            {k: out for k, (_, out) in self.border.items()},
+            {k: into for k, (_, into) in self.ghosts.items()},
         )
-        for slots, received in self.copies.values():
+        for slots, received in self.ghosts.values():
             rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK] = received
 
 
