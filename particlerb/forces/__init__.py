@@ -18,7 +18,7 @@ from particlerb.forces.gravity import UniformGravity, parts_of_gravity
 from particlerb.forces.kernels import Acting, user_functions
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.registry import FIRST, KICKS, MANY, MANY_KICKS, PAIR, TERMS, term_of
-from particlerb.forces.user_pairs import OwnPairs
+from particlerb.forces.user_pairs import UserPairs
 from particlerb.joints.records import Joints
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import taken
@@ -34,7 +34,7 @@ class Terms(NamedTuple):
     gravity: UniformGravity | None = None
     loads: tuple[Any, ...] = ()  # on each body by itself: parameters that are in registry.TERMS
     links: Links | None = None
-    own_pairs: OwnPairs | None = None
+    user_pairs: UserPairs | None = None
     attraction: Attraction | None = None
     opening_angle: float = 0.0  # of the tree that sums the attraction; 0: a direct sum
     tree_accuracy: float = 0.0  # for which the angle may be wider; 0: it may not
@@ -74,13 +74,13 @@ class Terms(NamedTuple):
     @property
     def has_pair_loads(self) -> bool:
         """Whether bodies act on each other by loads: impulses and joints are none."""
-        between = self.links, self.own_pairs, self.attraction
+        between = self.links, self.user_pairs, self.attraction
         return self.has_springy_contact or any(term is not None for term in between)
 
     @property
     def is_coupled(self) -> bool:
         """Whether bodies act on each other."""
-        between = self.links, self.own_pairs, self.attraction, self.contact, self.joints
+        between = self.links, self.user_pairs, self.attraction, self.contact, self.joints
         return any(term is not None for term in between)
 
     @property
@@ -181,7 +181,7 @@ def has_potential(terms: Terms) -> bool:
 
 def pairs_have_potential(terms: Terms) -> bool:
     """Whether all forces between bodies that users wrote have a potential."""
-    return terms.own_pairs is None or bool(terms.own_pairs.has_potential.all())
+    return terms.user_pairs is None or bool(terms.user_pairs.has_potential.all())
 
 
 def is_constant(terms: Terms) -> bool:
@@ -220,7 +220,7 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
         needs["links"] = frozenset({kinds.BODIES})
         if terms.links.damping is not None:
             needs["dashpots"] = frozenset({kinds.BODIES, kinds.VELOCITY})
-    for force in () if terms.own_pairs is None else terms.own_pairs.functions.forces:
+    for force in () if terms.user_pairs is None else terms.user_pairs.functions.forces:
         moves = {kinds.VELOCITY} if force.depends_on_velocity else set()
         moves |= {kinds.FLOWS} if moves and terms.joints is not None else set()
         needs[force.name] = frozenset(
@@ -256,8 +256,8 @@ def without_gradient(terms: Terms) -> set[str]:
         for name, kicks in parts.items()
         if any(kick.change is None and not kick.is_steady for kick, _ in kicks)
     }
-    if terms.own_pairs is not None:
-        unknown |= {force.name for force in terms.own_pairs.functions.forces}
+    if terms.user_pairs is not None:
+        unknown |= {force.name for force in terms.user_pairs.functions.forces}
     return unknown if terms.attraction is None else unknown | {"attraction"}
 
 

@@ -24,11 +24,11 @@ from particlerb.forces.python import (
 )
 from particlerb.forces.user_kicks import rates_by
 from particlerb.forces.user_pairs import (
-    OwnPairs,
+    UserPairs,
     functions_of,
     loads_between,
-    own_pairs,
     pair_energies,
+    user_pairs,
 )
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
@@ -78,14 +78,14 @@ def try_pairs(
     """Let a force act on pairs, with parameters (r, s), as they begin; ForceError as `_try`."""
     functions = functions_of((table.function,), (lengths_of(table),))
     start = table.edges[0] if table.edges else 0.0
-    pairs = own_pairs(functions, (first, second), np.zeros_like(first), rows, system.bodies)
+    pairs = user_pairs(functions, (first, second), np.zeros_like(first), rows, system.bodies)
     _try(pairs, system.bodies, system.state, start)
 
 
 class _Apart:
     """Pairs with bodies of their own, so that each end can move by itself."""
 
-    def __init__(self, pairs: OwnPairs, bodies: Bodies, state: State, t: float) -> None:
+    def __init__(self, pairs: UserPairs, bodies: Bodies, state: State, t: float) -> None:
         s, ends = pairs.first.size, (pairs.first, pairs.second)
         indices = np.concatenate(ends)
         self.pairs = pairs._replace(
@@ -124,7 +124,7 @@ class _Apart:
         return rates_by(lambda now: self.loads(end, now), *arguments, moves)
 
 
-def _try(pairs: OwnPairs, bodies: Bodies, state: State, start: float) -> None:
+def _try(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> None:
     """Let a force act on pairs as they begin.
 
     Raises
@@ -160,7 +160,7 @@ def _try(pairs: OwnPairs, bodies: Bodies, state: State, start: float) -> None:
             raise
 
 
-def given_to_pair(pairs: OwnPairs, bodies: Bodies, state: State, s: int) -> dict[str, Any]:
+def given_to_pair(pairs: UserPairs, bodies: Bodies, state: State, s: int) -> dict[str, Any]:
     """What the function is handed over for pair s, but for the time."""
     arguments = numbers_in(pairs.functions.lengths[pairs.kind[s]], pairs.rows[:, s])
     for end, b in (("1", int(pairs.first[s])), ("2", int(pairs.second[s]))):
@@ -169,7 +169,7 @@ def given_to_pair(pairs: OwnPairs, bodies: Bodies, state: State, s: int) -> dict
 
 
 def wrong_pair(
-    pairs: OwnPairs, bodies: Bodies, state: State | None, b: int, t: float
+    pairs: UserPairs, bodies: Bodies, state: State | None, b: int, t: float
 ) -> tuple[str, str]:
     """A force that acts on body b, and what is wrong with what it returns; empty: nothing."""
     words = ""
@@ -183,7 +183,7 @@ def wrong_pair(
     return words, ""
 
 
-def pair_rates(pairs: OwnPairs, bodies: Bodies, state: State, start: float) -> Floats:
+def pair_rates(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> Floats:
     """Rates at which each body swings, or slows down, by all its pairs, (n,) [rad/s]."""
     apart = _Apart(pairs, bodies, state, start)
     by_end = [apart.rates(end) for end in (0, 1)]

@@ -48,7 +48,7 @@ class PairFunctions(FunctionSet):
     lengths: tuple[Lengths, ...]
 
 
-class OwnPairs(NamedTuple):
+class UserPairs(NamedTuple):
     """s pairs among n bodies, and the forces between them."""
 
     functions: PairFunctions
@@ -75,14 +75,14 @@ class OwnPairs(NamedTuple):
 
 
 @inline
-def _axes_of(pairs: OwnPairs, y: Floats, b: int) -> Any:
+def _axes_of(pairs: UserPairs, y: Floats, b: int) -> Any:
     """Rotation matrix of the body frame of b."""
     lines = column3(pairs.axes, 0, b), column3(pairs.axes, 3, b), column3(pairs.axes, 6, b)
     return body_axes(rotation_of(y, b), *lines)
 
 
 @inline
-def _spin(pairs: OwnPairs, y: Floats, b: int) -> Vec3:
+def _spin(pairs: UserPairs, y: Floats, b: int) -> Vec3:
     """Angular velocity of body b [rad/s], world axes."""
     R = rotation_of(y, b)
     return turn(
@@ -91,7 +91,7 @@ def _spin(pairs: OwnPairs, y: Floats, b: int) -> Vec3:
 
 
 @inline
-def _speed(pairs: OwnPairs, y: Floats, b: int) -> Vec3:
+def _speed(pairs: UserPairs, y: Floats, b: int) -> Vec3:
     """Velocity of the centre of mass of body b [m/s]."""
     return scale(pairs.inv_mass[b], column3(y, _P, b))
 
@@ -169,12 +169,12 @@ def functions_of(forces: tuple[UserForce, ...], lengths: tuple[Lengths, ...]) ->
     return _made(signs, forces, lengths)
 
 
-def own_pairs(
+def user_pairs(
     functions: PairFunctions, ends: tuple[Ints, Ints], kind: Ints, rows: Floats, bodies: Bodies
-) -> OwnPairs:
+) -> UserPairs:
     """Pairs among these bodies."""
     forces = functions.forces
-    return OwnPairs(
+    return UserPairs(
         functions, *ends, kind, np.ascontiguousarray(rows),
         np.array([force.potential is not None for force in forces]),
         np.array([force.depends_on_velocity for force in forces]),
@@ -187,7 +187,7 @@ def own_pairs(
 
 
 @inline
-def _load(pairs: OwnPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Vec3]:
+def _load(pairs: UserPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Vec3]:
     """Force on the first body of pair s, and the torques on both."""
     a, b = pairs.first[s], pairs.second[s]
     F, tau = pairs.functions.load(pairs, y, t, s, pairs.kind[s])
@@ -196,7 +196,7 @@ def _load(pairs: OwnPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Vec
 
 
 @inline
-def _add_load(pairs: OwnPairs, s: int, rows: Floats, at: int, h: float, load: Any) -> None:
+def _add_load(pairs: UserPairs, s: int, rows: Floats, at: int, h: float, load: Any) -> None:
     """Add h times a load of pair s to the rows of both bodies, from `at` on."""
     a, b, (F, tau, other) = pairs.first[s], pairs.second[s], load
     add_to_column3(rows, at, a, h, F)
@@ -206,8 +206,8 @@ def _add_load(pairs: OwnPairs, s: int, rows: Floats, at: int, h: float, load: An
 
 
 @kernel
-def own_pair_loads(
-    pairs: OwnPairs | None, t: float, y: Floats, load: Floats, with_velocities: bool
+def user_pair_loads(
+    pairs: UserPairs | None, t: float, y: Floats, load: Floats, with_velocities: bool
 ) -> None:
     """Add the loads of all pairs in the state y (13, n) at t [s], one after the other.
 
@@ -229,7 +229,7 @@ def _sum3(a: Vec3) -> float:
 
 
 @inline
-def _flow_pair(pairs: OwnPairs, t: float, y: Floats, s: int, dt: float) -> float:
+def _flow_pair(pairs: UserPairs, t: float, y: Floats, s: int, dt: float) -> float:
     """Flow of pair s over dt by the implicit midpoint rule, iterated to rounding; its work [J].
 
     Where it does not converge it is NaN, and so are the momenta.
@@ -261,8 +261,8 @@ def _flow_pair(pairs: OwnPairs, t: float, y: Floats, s: int, dt: float) -> float
 
 
 @kernel
-def flow_own_pairs(
-    pairs: OwnPairs | None, t: float, y: Floats, load: Floats, dt: float, backwards: bool
+def flow_user_pairs(
+    pairs: UserPairs | None, t: float, y: Floats, load: Floats, dt: float, backwards: bool
 ) -> None:
     """Flow over dt of each pair whose force takes velocities, on the momenta of y.
 
@@ -277,14 +277,14 @@ def flow_own_pairs(
 
 
 @kernel
-def _pair_energies(pairs: OwnPairs, y: Floats, out: Floats) -> None:
+def _pair_energies(pairs: UserPairs, y: Floats, out: Floats) -> None:
     """Potential energy of each pair, (s,) [J]."""
     for s in range(out.size):
         out[s] = pairs.functions.energy(pairs, y, s, pairs.kind[s])
 
 
 @kernel
-def _sample_pairs(pairs: OwnPairs, y: Floats, t: float, out: Floats) -> None:
+def _sample_pairs(pairs: UserPairs, y: Floats, t: float, out: Floats) -> None:
     """Force on the first body of each pair, and the torques on both, (9, s)."""
     for s in range(pairs.first.size):
         F, tau, other = _load(pairs, t, y, s)
@@ -292,7 +292,7 @@ def _sample_pairs(pairs: OwnPairs, y: Floats, t: float, out: Floats) -> None:
             out[c, s], out[3 + c, s], out[6 + c, s] = F[c], tau[c], other[c]
 
 
-def pair_energies(pairs: OwnPairs, com: Floats, q: Floats) -> Floats:
+def pair_energies(pairs: UserPairs, com: Floats, q: Floats) -> Floats:
     """Potential energy of each pair, (s,) [J]."""
     y, out = np.zeros((STATE_ROWS, com.shape[1])), np.zeros(pairs.first.size)
     y[:3], y[3:7] = com, q
@@ -301,7 +301,7 @@ def pair_energies(pairs: OwnPairs, com: Floats, q: Floats) -> Floats:
     return out
 
 
-def loads_between(pairs: OwnPairs, state: State, t: float) -> Floats:
+def loads_between(pairs: UserPairs, state: State, t: float) -> Floats:
     """Force on the first body of each pair, torques on both, (9, s) [N, N m]."""
     out = np.zeros((9, pairs.first.size))
     _sample_pairs(pairs, np.vstack(state), t, out)

@@ -126,10 +126,10 @@ def _put_loads(
     """Loads in the states y between bodies, if there are any, into the rows of the blocks."""
     if pairs is None:
         return
-    links, own_pairs, attraction, fields, with_dashpots, clock, states, load, _ = pairs
+    links, user_pairs, attraction, fields, with_dashpots, clock, states, load, _ = pairs
     spread_out(y, layout, w, states)
     clock[0] = clock[2] + t
-    pair_loads(links, own_pairs, attraction, fields, with_dashpots, clock, states, load)
+    pair_loads(links, user_pairs, attraction, fields, with_dashpots, clock, states, load)
     scatter_loads(load, blocks, layout)
 
 

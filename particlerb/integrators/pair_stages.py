@@ -11,7 +11,7 @@ from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.forces.attraction import Attraction, Fields, attraction_loads
 from particlerb.forces.links import Links, damp_links, link_loads
 from particlerb.forces.registry import PAIR
-from particlerb.forces.user_pairs import OwnPairs, flow_own_pairs, own_pair_loads
+from particlerb.forces.user_pairs import UserPairs, flow_user_pairs, user_pair_loads
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import BOOKED, P, gather_block, get, put, scatter_block
 from particlerb.model.load import LOAD_ROWS, POWER
@@ -44,7 +44,7 @@ class PairTerms(NamedTuple):
     """Forces between the bodies of a group, and room to evaluate them."""
 
     links: Links | None
-    own_pairs: OwnPairs | None
+    user_pairs: UserPairs | None
     attraction: Attraction | None
     fields: Fields | None
     with_dashpots: bool  # whether they are among the loads, and not flows
@@ -106,7 +106,7 @@ def shift_pair_time(pairs: PairTerms | None, later: float) -> None:
 @inline
 def pair_loads(
     links: Links | None,
-    own_pairs: OwnPairs | None,
+    user_pairs: UserPairs | None,
     attraction: Attraction | None,
     fields: Fields | None,
     with_dashpots: bool,
@@ -120,7 +120,7 @@ def pair_loads(
     """
     clear(load)
     link_loads(links, y, load, with_dashpots)
-    own_pair_loads(own_pairs, clock[0], y, load, with_dashpots)
+    user_pair_loads(user_pairs, clock[0], y, load, with_dashpots)
     _attraction_into(attraction, fields, y, load)
 
 
@@ -134,13 +134,13 @@ def put_pair_loads(
     """
     if pairs is None:
         return
-    links, own_pairs, attraction, fields, with_dashpots, clock, y, load, _ = pairs
+    links, user_pairs, attraction, fields, with_dashpots, clock, y, load, _ = pairs
     if team is None:
         _gather(blocks, layout, y)
-        pair_loads(links, own_pairs, attraction, fields, with_dashpots, clock, y, load)
+        pair_loads(links, user_pairs, attraction, fields, with_dashpots, clock, y, load)
         scatter(load, blocks, layout, PAIR, 0)
     elif team.rank == 0:
-        pair_loads(links, own_pairs, attraction, fields, with_dashpots, clock, y, load)
+        pair_loads(links, user_pairs, attraction, fields, with_dashpots, clock, y, load)
 
 
 @kernel
@@ -173,14 +173,14 @@ def flow_pairs(
         return
     meet_all(team)
     if _is_first(team):
-        links, own_pairs, _, _, _, clock, y, _, booked = pairs
+        links, user_pairs, _, _, _, clock, y, _, booked = pairs
         _gather(blocks, layout, y)
         clear(booked)
         if backwards:
-            flow_own_pairs(own_pairs, clock[0], y, booked, dt, backwards)
+            flow_user_pairs(user_pairs, clock[0], y, booked, dt, backwards)
         damp_links(links, y, booked, dt, backwards)
         if not backwards:
-            flow_own_pairs(own_pairs, clock[0], y, booked, dt, backwards)
+            flow_user_pairs(user_pairs, clock[0], y, booked, dt, backwards)
         scatter(y, blocks, layout, P, _MOMENTA_ROW)
         for k in range(layout.first.size):
             rows, lo = blocks[k], layout.first[k]

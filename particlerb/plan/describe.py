@@ -256,8 +256,8 @@ def _driving(terms: Terms) -> str:
     if terms.links is not None:
         kind = "spring" if terms.links.damping is None else "spring and dashpot"
         between.append(_counted(terms.links.first.size, kind))
-    if terms.own_pairs is not None:
-        between.append(terms.own_pairs.words)
+    if terms.user_pairs is not None:
+        between.append(terms.user_pairs.words)
     if terms.attraction is not None:
         between.append("attraction")
     if terms.contact is not None:

@@ -19,7 +19,7 @@ from particlerb.forces.gravity_tree.opening_angle import safe_angle
 from particlerb.forces.gravity_tree.tree import BREAK_EVEN
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.python import lengths_of
-from particlerb.forces.user_pairs import OwnPairs, functions_of, own_pairs
+from particlerb.forces.user_pairs import UserPairs, functions_of, user_pairs
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import rotate_back
@@ -48,7 +48,7 @@ def terms_between(
         terms = terms._replace(links=_links_among(group.members, bodies, springs))
     user_links = [link for link in links if isinstance(link, UserLink)]
     if user_links:
-        terms = terms._replace(own_pairs=_own_pairs_among(group.members, bodies, user_links))
+        terms = terms._replace(user_pairs=_user_pairs_among(group.members, bodies, user_links))
     if group.attracts:
         attraction = _attraction_among(system, group.members, bodies)
         per_world = (attraction.offset.size - 1) // system.n_worlds
@@ -65,7 +65,7 @@ def terms_between(
     return terms
 
 
-def _own_pairs_among(members: Ints, bodies: Bodies, links: list[UserLink]) -> OwnPairs:
+def _user_pairs_among(members: Ints, bodies: Bodies, links: list[UserLink]) -> UserPairs:
     """Pairs of a group between which functions of users act, with its own numbers."""
     place = np.argsort(members)
     ends = (np.concatenate([link[k] for link in links]) for k in (2, 3))
@@ -79,7 +79,7 @@ def _own_pairs_among(members: Ints, bodies: Bodies, links: list[UserLink]) -> Ow
         rows[: len(link.numbers), start : start + link.first.size] = link.numbers
         start += link.first.size
     forces, lengths = zip(*distinct, strict=True)
-    return own_pairs(functions_of(forces, lengths), (first, second), kind, rows, bodies)
+    return user_pairs(functions_of(forces, lengths), (first, second), kind, rows, bodies)
 
 
 def _links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:

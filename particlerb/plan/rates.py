@@ -49,8 +49,8 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
         swing = np.maximum(swing, np.sqrt(squares))
         if links is not None:
             swing = np.maximum(swing, link_rates(links))
-        if segment.terms.own_pairs is not None:
-            pair_swing = pair_rates(segment.terms.own_pairs, bodies, state, segment.start)
+        if segment.terms.user_pairs is not None:
+            pair_swing = pair_rates(segment.terms.user_pairs, bodies, state, segment.start)
             swing = np.maximum(swing, pair_swing)
         if segment.terms.joints is not None:
             _, force = force_of(group.group(segment))

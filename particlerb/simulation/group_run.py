@@ -329,7 +329,9 @@ def own_failure(error: Exception, runs: Sequence[GroupRun]) -> str:
     """What is to be said of an error in a force that a user wrote; empty where it is none."""
     terms = [run.segment.terms for run in runs]
     forces = [load.force for one in terms for load in one.loads if isinstance(load, Written)]
-    forces += [force for one in terms if one.own_pairs for force in one.own_pairs.functions.forces]
+    forces += [
+        force for one in terms if one.user_pairs for force in one.user_pairs.functions.forces
+    ]
     files = {force.function.__code__.co_filename for force in forces}
     passed = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
     return next((told(error, name) for name in reversed(passed) if name in files), "")
@@ -348,7 +350,7 @@ def own_forces_on(b: int, runs: Sequence[GroupRun], times: Floats, frames: Frame
                 arguments = given_to(load, run.plan.bodies, state, int(indices[0]))
                 if wrong := wrong_result(load.force, arguments, float(times[f])):
                     return f": {wrong}"
-        pairs = run.segment.terms.own_pairs
+        pairs = run.segment.terms.user_pairs
         if pairs is not None and indices.size:
             before = run.state_in(frames, f - 1) if f > 0 else None
             context = run.plan.bodies, before, int(indices[0]), float(times[f])

@@ -32,7 +32,7 @@ SENSIBLE_BODIES: Final = 2000  # that touch, of a rank at least: see docs/scale.
 MOST_ATTRACTED: Final = 1_000_000  # particles: 1e12 pairs are some minutes of one core
 _COUPLING_WORDS: Final = {
     "links": "springs between bodies",
-    "own_pairs": "forces between bodies",
+    "user_pairs": "forces between bodies",
     "attraction": "attraction",
     "joints": "joints",
 }

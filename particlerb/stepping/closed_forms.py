@@ -193,7 +193,7 @@ def torques_on(terms: Terms, n: int) -> tuple[Floats, Floats]:
 def _is_pair(bodies: Bodies, terms: Terms) -> bool:
     """Whether two bodies attract each other as points, and nothing but uniform gravity acts."""
     attraction = terms.attraction
-    others = terms.links, terms.own_pairs, terms.joints, terms.contact
+    others = terms.links, terms.user_pairs, terms.joints, terms.contact
     if bodies.mass.size != 2 or attraction is None or terms.loads or any(others):
         return False
     is_bare = attraction.softening == 0.0 and attraction.offset.tolist() == [0, 1, 2]

@@ -14,7 +14,7 @@ from particlerb.forces import Terms, pairs_have_potential
 from particlerb.forces.attraction import fields_of, potential_energy, spread_loads
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.links import link_energy, link_loads
-from particlerb.forces.user_pairs import own_pair_loads, pair_energies
+from particlerb.forces.user_pairs import pair_energies, user_pair_loads
 from particlerb.integrators.pair_stages import PairTerms
 from particlerb.maths.vec3 import Floats
 from particlerb.model.load import CONTACT_ROWS, LOAD_ROWS, STATE_ROWS
@@ -29,14 +29,14 @@ WORTH_THREADS: Final = 1e6  # ns of an evaluation from which on threads pay for 
 
 def cost_of(terms: Terms) -> float:
     """Estimate of one evaluation of the forces between bodies on one thread [ns]."""
-    links, own_pairs, attraction = terms.links, terms.own_pairs, terms.attraction
+    links, user_pairs, attraction = terms.links, terms.user_pairs, terms.attraction
     if not terms.is_coupled:
         return 0.0
     cost = _NANOSECONDS_TO_CALL
     if links is not None:
         cost += _NANOSECONDS_PER_LINK * links.first.size
-    if own_pairs is not None:
-        cost += _NANOSECONDS_PER_LINK * own_pairs.first.size
+    if user_pairs is not None:
+        cost += _NANOSECONDS_PER_LINK * user_pairs.first.size
     if attraction is not None:
         n = float(attraction.mass.size)
         cost += _NANOSECONDS_IN_TREE * n if terms.opening_angle else _NANOSECONDS_PER_PAIR * n * n
@@ -70,7 +70,7 @@ class PairForces:
         direct = attraction if self.tree is None else None
         self.pairs = PairTerms(
             terms.links,
-            terms.own_pairs,
+            terms.user_pairs,
             direct,
             None if direct is None else fields_of(direct, worlds),
             with_dashpots,
@@ -88,10 +88,10 @@ class PairForces:
 
     def evaluate(self) -> None:
         """Loads in the state y, over all threads."""
-        links, own_pairs, attraction, fields, with_dashpots, clock, y, load, _ = self.pairs
+        links, user_pairs, attraction, fields, with_dashpots, clock, y, load, _ = self.pairs
         load[:] = 0.0
         THREADS.alone(link_loads, links, y, load, with_dashpots)
-        THREADS.alone(own_pair_loads, own_pairs, clock[0], y, load, with_dashpots)
+        THREADS.alone(user_pair_loads, user_pairs, clock[0], y, load, with_dashpots)
         if self.tree is not None:
             self.tree.loads(y, load)
         if attraction is not None and fields is not None:
@@ -102,9 +102,9 @@ class PairForces:
         energy: Floats | float = 0.0
         if self.pairs.links is not None:
             energy = energy + link_energy(self.pairs.links, com, q, self.worlds)
-        if self.pairs.own_pairs is not None:
-            energies = pair_energies(self.pairs.own_pairs, com, q)
-            energy = energy + over_pairs(energies, self.pairs.own_pairs.first, self.worlds)
+        if self.pairs.user_pairs is not None:
+            energies = pair_energies(self.pairs.user_pairs, com, q)
+            energy = energy + over_pairs(energies, self.pairs.user_pairs.first, self.worlds)
         y = np.zeros((STATE_ROWS, com.shape[1]))
         y[:3], y[3:7] = com, q
         if self.pairs.attraction is not None and self.pairs.fields is not None:

@@ -67,7 +67,7 @@ def can_fly(method: Method, terms: Terms, n: int) -> bool:
 
     That is for methods whose own drift is one: the others would be better than they are.
     """
-    between = terms.links, terms.own_pairs, terms.attraction, terms.joints
+    between = terms.links, terms.user_pairs, terms.attraction, terms.joints
     others = terms.loads or any(term is not None for term in between)
     contact = terms.contact
     is_moved = contact is not None and (contact.pistons or contact.model.prescribed) is not None

@@ -61,7 +61,7 @@ def _layout_of(is_asymmetric: Bools) -> Layout:
 def _pairs_of(method: Method, group: SegmentGroup, start: float) -> PairForces | None:
     """Forces between bodies that do not touch; None where there are none."""
     terms, n = group.terms, group.members.size
-    if all(term is None for term in (terms.links, terms.own_pairs, terms.attraction)):
+    if all(term is None for term in (terms.links, terms.user_pairs, terms.attraction)):
         return None
     return PairForces(terms, n, not method.has_dashpot_flows, start, group.worlds)
 
@@ -103,9 +103,9 @@ class SteppedMotion(JointedMotion):
         self.pose_loop: Callable[..., Position] | None = None  # and for it
         self.account = ForceAccount(group, state, method.keeps_angular_momentum)
         self.jointed = jointed_in(group, state, self.slots, start, dt)
-        links, own_pairs = terms.links, terms.own_pairs
+        links, user_pairs = terms.links, terms.user_pairs
         has_dashpots = links is not None and links.damping is not None
-        has_dashpots |= own_pairs is not None and bool(own_pairs.takes_velocities.any())
+        has_dashpots |= user_pairs is not None and bool(user_pairs.takes_velocities.any())
         self.moving = MovingBodies(
             self.blocks,
             self.layout,
