@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class Merging(NamedTuple):
     """Bodies n of a system, some of which others carry."""
 
-    whole: "System"  # the system in which each moves by itself
+    unmerged: "System"  # the system in which each moves by itself
     bodies: Bodies  # what moves: hosts have the mass of all that they carry, the others none
     host: Ints  # (n,) the body that carries each; itself where it moves by itself
     turn: Floats  # (4, n) from its body frame to that of its host
@@ -45,7 +45,7 @@ class Merging(NamedTuple):
         """The same of a range of bodies, none of which others than these carry."""
         members = np.arange(first, stop)
         return Merging(
-            self.whole.part(first, stop),
+            self.unmerged.part(first, stop),
             taken(self.bodies, members),
             self.host[members] - first,
             self.turn[:, members],
@@ -64,7 +64,7 @@ class Merging(NamedTuple):
 
     def in_hosts(self, bodies: Ints, vectors: Floats, is_point: bool) -> Floats:
         """The same from rotor frames to rotor frames, (k, 3)."""
-        frames, host_frames = self.whole.bodies.rotor_frame, self.bodies.rotor_frame
+        frames, host_frames = self.unmerged.bodies.rotor_frame, self.bodies.rotor_frame
         in_world = rotate(frames[:, bodies], vectors.T)
         in_world = self.placed(bodies, in_world) if is_point else self.turned(bodies, in_world)
         return rotate_back(host_frames[:, self.host[bodies]], in_world).T
@@ -74,7 +74,7 @@ class Merging(NamedTuple):
         com, q, p, L = (values.copy() for values in state)
         merged, n = np.flatnonzero(self.is_merged), self.host.size
         hosts = np.unique(self.host[merged])
-        axes = body_orientation(q[:, hosts], self.whole.bodies.rotor_frame[:, hosts])
+        axes = body_orientation(q[:, hosts], self.unmerged.bodies.rotor_frame[:, hosts])
         com[:, hosts] -= rotate(axes, self.shift[:, hosts])
         q[:, hosts] = quaternion_product(axes, self.bodies.rotor_frame[:, hosts])
         arms = state.com[:, merged] - com[:, self.host[merged]]
@@ -88,7 +88,7 @@ class Merging(NamedTuple):
     def shown(self, frames: Frames) -> Frames:
         """Frames of all bodies, from those of what moves."""
         merged = np.flatnonzero(self.is_merged)
-        host, bodies = self.host[merged], self.whole.bodies
+        host, bodies = self.host[merged], self.unmerged.bodies
         x, q, p, L = (values.copy() for values in frames[:4])
         velocity, omega = derived(taken(self.bodies, host), q[:, host], p[:, host], L[:, host])
         for k in range(len(x)):
@@ -112,5 +112,5 @@ class Merging(NamedTuple):
         axes = body_orientation(state.q, self.bodies.rotor_frame)
         x, q, p, L = (np.ascontiguousarray(v.T)[None] for v in (state.com, axes, state.p, state.L))
         x, q, p, L, _, _ = self.shown(Frames(x, q, p, L, q[0], np.ones(1, dtype=np.bool_)))
-        turned = quaternion_product(q[0].T, self.whole.bodies.rotor_frame)
+        turned = quaternion_product(q[0].T, self.unmerged.bodies.rotor_frame)
         return State(*(np.ascontiguousarray(v) for v in (x[0].T, turned, p[0].T, L[0].T)))

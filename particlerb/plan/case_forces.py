@@ -65,7 +65,7 @@ def loads_of(system: System) -> list[ResolvedForce]:
     """
     loads: list[ResolvedForce] = []
     problems: list[Problem] = []
-    unmerged = system if system.merging is None else system.merging.whole
+    unmerged = system if system.merging is None else system.merging.unmerged
     for number, table, members in _acting_forces(system):
         try:
             force = with_code(_with_knots(table, system), system)

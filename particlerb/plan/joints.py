@@ -147,7 +147,7 @@ def joints_of(system: System) -> JointSetup | None:
         return None
     system = system.whole or system
     merging = system.merging
-    system = system if merging is None else merging.whole
+    system = system if merging is None else merging.unmerged
     system = system._replace(state=system.placed or system.state)
     problems, parts, acting = list[Problem](), list[joint_rows.TableJoints](), list[JointTable]()
     driven = [k for k, table in enumerate(system.joint) if table.drive is not None]

@@ -78,7 +78,7 @@ def links_of(system: System) -> list[AnyLink]:
         the axis of a rod, a function that fails.
     """
     links, problems = list[AnyLink](), list[Problem]()
-    unmerged = system if system.merging is None else system.merging.whole
+    unmerged = system if system.merging is None else system.merging.unmerged
     for number, force in enumerate(system.force):
         if not is_link(force):
             continue

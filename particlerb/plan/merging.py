@@ -42,7 +42,7 @@ def merges(table: JointTable) -> bool:
 
 def unmerged(system: System) -> System:
     """The system in which each body moves by itself."""
-    whole = system if system.merging is None else system.merging.whole
+    whole = system if system.merging is None else system.merging.unmerged
     tables = (
         t.model_copy(update={"merge": False}) if t.type == "fixed" else t for t in whole.joint
     )
@@ -132,7 +132,7 @@ def _kept_apart(system: System) -> dict[str, Ints]:
 
 def why_rows(system: System) -> list[str]:
     """Why `fixed` joints keep their rows; none where all are merged."""
-    whole, n = system if system.merging is None else system.merging.whole, system.n_bodies
+    whole, n = system if system.merging is None else system.merging.unmerged, system.n_bodies
     tables = [table for table in whole.joint if table.type == "fixed"]
     why = ["`merge = false`"] if any(not table.merge for table in tables) else []
     if any(table.merge and not merges(table) for table in tables):
@@ -207,7 +207,7 @@ def on_hosts(link: Link, merging: Merging) -> Link:
 
     Springs inside of one body, and those between ends that are held, are left out.
     """
-    whole, is_held = merging.whole, np.append(merging.is_held, True)  # the world is the last
+    whole, is_held = merging.unmerged, np.append(merging.is_held, True)  # the world is the last
     is_turned = is_held[link.first] & ~is_held[link.second]
     first, second = np.where(is_turned, (link.second, link.first), (link.first, link.second))
     at, to_at = link.first_at, link.second_at
