@@ -75,7 +75,7 @@ class Segment(NamedTuple):
     method: str
     dt: float  # [s]; 0 where the method has no step, the first one where it is adaptive
     tolerance: float  # of one step of adaptive methods, relative
-    whole: Terms | None = None  # what acts on all bodies, where ranks share them
+    all_terms: Terms | None = None  # what acts on all bodies, where ranks share them
 
 
 class GroupPlan(NamedTuple):
@@ -90,8 +90,8 @@ class GroupPlan(NamedTuple):
     def group(self, segment: Segment) -> SegmentGroup:
         """What a method needs for one segment."""
         shared = self.shared
-        if shared is not None and segment.whole is not None:
-            shared = shared._replace(group=shared.group._replace(terms=segment.whole))
+        if shared is not None and segment.all_terms is not None:
+            shared = shared._replace(group=shared.group._replace(terms=segment.all_terms))
         return SegmentGroup(self.members, self.bodies, segment.terms, self.worlds, shared)
 
     @property

@@ -181,7 +181,7 @@ def _shown(segment: Segment, indices: Ints) -> Segment:
     """A segment of bodies that a rank shows, with what acts on all."""
     contact, jumps = segment.terms.contact, jumps_on(segment.jumps, indices)
     terms = terms_on(segment.terms._replace(contact=None), indices)._replace(contact=contact)
-    return segment._replace(terms=terms, jumps=jumps, whole=segment.terms)
+    return segment._replace(terms=terms, jumps=jumps, all_terms=segment.terms)
 
 
 def refuse_contact(prepared: Prepared, ranks: Ranks) -> None:

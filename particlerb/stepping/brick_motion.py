@@ -78,7 +78,7 @@ class BrickMotion(SharedMotion):
             bodies = np.flatnonzero(owner == number)
             kept = [] if before is None else [kept_of(each) for each in before.lists.histories]
             histories = exchange.routed(kept, owner) if kept else None
-            skin = exchange.whole.terms.known_contact.skin
+            skin = exchange.group.terms.known_contact.skin
             self.rebuild(bodies, self.initial[bodies], skin, histories)
             self.loop = loop_over_ranks(method, self.kinematics, self.store, self.enter)
             self.make_first_lists()
@@ -97,7 +97,7 @@ class BrickMotion(SharedMotion):
         for indices, new_rows in ((ghosts, ghost_rows), (bodies, rows)):
             values[np.searchsorted(local, indices)] = new_rows
         self.local, self.is_own = local, np.isin(local, bodies)
-        group, numbers = contact_part(self.exchange.whole, local)
+        group, numbers = contact_part(self.exchange.group, local)
         state = state_of(values[:, :STATE_ROWS].T)
         SteppedMotion.__init__(self, self.method, group, state, self.start, self.dt)
         self.allocate_contact(state, numbers, histories, None, self.is_own)

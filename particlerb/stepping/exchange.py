@@ -38,12 +38,12 @@ class Exchange:
     """
 
     def __init__(self, shared: Shared, shown: SegmentGroup) -> None:
-        self.shared, self.whole, self.ranks = shared, shared.group, shared.ranks
-        self.model = self.whole.terms.known_contact.model
+        self.shared, self.group, self.ranks = shared, shared.group, shared.ranks
+        self.model = self.group.terms.known_contact.model
         self.is_free = self.model.inv_mass > 0.0
-        parts = parts_of(self.whole.members.size)
+        parts = parts_of(self.group.members.size)
         writer = writers(len(parts), self.ranks.count)
-        self.home = writer[self.whole.members // parts[0].stop]
+        self.home = writer[self.group.members // parts[0].stop]
         self.places = shared.places(shown.members)
 
     def places_of(self, numbers: Ints) -> Ints:

@@ -92,7 +92,7 @@ class SharedMotion(ContactMotion):
 
     def checkpoint_of(self, of: Range) -> Saved:
         """What was collected of some bodies of the scene, and what concerns all of them."""
-        memory, members = self.contact.memory, self.exchange.whole.members
+        memory, members = self.contact.memory, self.exchange.group.members
         numbers = members[self.bodies_to_save[:, 0].astype(np.int64)]
         bodies: Saved = {"rows": self.bodies_to_save[(numbers >= of.first) & (numbers < of.stop)]}
         for kind, (keys, values) in enumerate(self.contacts_to_save):
