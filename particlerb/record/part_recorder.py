@@ -87,7 +87,7 @@ class PartRecorder:
 
     @classmethod
     def reopen(
-        cls, path: Path, system: System, parts: Parts, ranks: Ranks, n_frames: int, known: int,
+        cls, path: Path, system: System, parts: Parts, ranks: Ranks, n_frames: int, n_before: int,
         is_prolonged: bool,
     ) -> Self:  # fmt: skip
         """Recorder of files that have frames; see `Recorder.reopen`.
@@ -99,12 +99,12 @@ class PartRecorder:
         def open_master() -> None:
             if ranks.number == 0:
                 self.master = Recorder.reopen(
-                    path, system, n_frames, known, is_prolonged=is_prolonged
+                    path, system, n_frames, n_before, is_prolonged=is_prolonged
                 )
                 self.master.commit_cut()
 
         def open_part(path: Path, system: System, of: Range) -> Recorder:
-            return Recorder.reopen(path, system, n_frames, known, is_part=True)
+            return Recorder.reopen(path, system, n_frames, n_before, is_part=True)
 
         ranks.together(open_master)
         ranks.together(lambda: self.open_parts(path, open_part))
@@ -183,7 +183,7 @@ class PartRecorder:
         """Commit what has waited for a second, on all ranks where the first one says so."""
         start = time.monotonic()
         is_due = start - self.last_commit > SECONDS_BETWEEN_COMMITS
-        is_due &= all(recorder.n_frames >= recorder.known for recorder in self.recorders)
+        is_due &= all(recorder.n_frames >= recorder.n_before for recorder in self.recorders)
         allowed = SHARE_OF_CHECKPOINTS * (start - self.last_checkpoint)
         saves = checkpoints is not None and allowed >= self.seconds_for_checkpoint
         is_due, saves = self.ranks.gathered((is_due, saves))[0]

@@ -94,8 +94,8 @@ class Recorder:
 
     @classmethod
     def reopen(
-        cls, path: Path, system: System, n_frames: int, known: int, *, is_prolonged: bool = False,
-        is_part: bool = False,
+        cls, path: Path, system: System, n_frames: int, n_before: int, *,
+        is_prolonged: bool = False, is_part: bool = False,
     ) -> Self:  # fmt: skip
         """Recorder of a file that has frames: what is appended again must be the same.
 
@@ -107,7 +107,7 @@ class Recorder:
             As for a new file.
         n_frames : int
             Frames that lie behind the state that is carried on.
-        known : int
+        n_before : int
             Frames that the file keeps, of those that it has: not fewer.
         is_prolonged : bool
             Whether it ends at another time than its case says.
@@ -127,8 +127,8 @@ class Recorder:
         output = OutputFile(path, WriterLock(path), system.output.durable)
         with output.writing():
             self.begin(output, system, is_part)
-            self.n_frames, self.n_written, self.known = n_frames, n_frames, known
-            self.cut(known)
+            self.n_frames, self.n_written, self.n_before = n_frames, n_frames, n_before
+            self.cut(n_before)
             count_from(self.file, n_frames)
             if is_prolonged:
                 replace_case(self.file, system)
@@ -163,7 +163,7 @@ class Recorder:
         self.contacts = ContactDatasets(self.file) if lists_contacts else None
         self.n_frames = self.n_written = 0  # that were appended; and without those in `pending`
         self.pending: list[dict[str, _Rows]] = []  # small arrays that wait
-        self.known = 0  # frames that were there before
+        self.n_before = 0  # frames that were there before
         # Of a checkpoint, that counts from the next commit on: how many frames lie before it.
         self.waiting: tuple[int, Mapping[str, Any]] | None = None
         self.last_commit = self.last_checkpoint = time.monotonic()
@@ -242,7 +242,7 @@ class Recorder:
         OtherFrameError
             If one is another.
         """
-        n_known = min(max(self.known - first, 0), len(sums))
+        n_known = min(max(self.n_before - first, 0), len(sums))
         stored: Words = self.series[schema.CHECKSUMS][first : first + n_known]
         other = np.flatnonzero(sums[:n_known] != stored)
         if other.size:
@@ -262,7 +262,7 @@ class Recorder:
     def commit_if_due(self, checkpoint: Callable[[], Mapping[str, Any]] | None) -> None:
         """Commit what has waited for a second; with a checkpoint, where that costs little."""
         start, waited_before = time.monotonic(), self.output.disk.seconds
-        if start - self.last_commit <= SECONDS_BETWEEN_COMMITS or self.n_frames < self.known:
+        if start - self.last_commit <= SECONDS_BETWEEN_COMMITS or self.n_frames < self.n_before:
             return
         allowed = SHARE_OF_CHECKPOINTS * (start - self.last_checkpoint)
         if checkpoint is not None and allowed >= self.seconds_for_checkpoint:
@@ -308,9 +308,9 @@ class Recorder:
         if self.output.is_broken:
             return
         with self.output.writing():
-            if self.n_frames >= self.known:
+            if self.n_frames >= self.n_before:
                 self.write_all()
-            self.resize_views(max(self.n_frames, self.known))
+            self.resize_views(max(self.n_frames, self.n_before))
             self.output.close()
 
 

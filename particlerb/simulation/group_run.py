@@ -329,9 +329,7 @@ def own_failure(error: Exception, runs: Sequence[GroupRun]) -> str:
     """What is to be said of an error in a force that a user wrote; empty where it is none."""
     terms = [run.segment.terms for run in runs]
     forces = [load.force for one in terms for load in one.loads if isinstance(load, Written)]
-    forces += [
-        force for one in terms if one.user_pairs for force in one.user_pairs.functions.forces
-    ]
+    forces += [f for one in terms if one.user_pairs for f in one.user_pairs.functions.forces]
     files = {force.function.__code__.co_filename for force in forces}
     passed = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
     return next((told(error, name) for name in reversed(passed) if name in files), "")

@@ -57,7 +57,7 @@ class _Pending(NamedTuple):
     prepared: Prepared
     checkpoint: Checkpoint | None  # None: from the start
     start: int  # frames that lie behind it
-    known: int  # frames of the file that stay
+    n_before: int  # frames of the file that stay
     total: int  # frames that there will be
     is_prolonged: bool  # whether it ends at another time than it was to
     warnings: tuple[str, ...]
@@ -152,7 +152,7 @@ def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
     folder = folder_beside(pending.path)
     saved = ranks.together(lambda: [states_of(folder / parts.names[k]) for k in looked_at])
     each = [set(states) for rank in ranks.gathered([list(one) for one in saved]) for states in rank]
-    common = [n for n in set.intersection(*each) if n <= pending.known]
+    common = [n for n in set.intersection(*each) if n <= pending.n_before]
     if not common:
         raise ResumeError(
             f"{pending.path}: its parts have no whole checkpoint in common: it cannot be continued;"

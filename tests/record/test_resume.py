@@ -357,7 +357,7 @@ def test_an_interrupted_run_goes_on(make, tmp_path, count):
     assert not THREADS.is_ending
     assert not THREADS.is_stopping
     pending = look_at(path)
-    assert (pending.start, pending.known) == (4, 4)
+    assert (pending.start, pending.n_before) == (4, 4)
     particlerb.resume(path).close()
     assert_same(path, straight)
 
