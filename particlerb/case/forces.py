@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, model_validator
 
 from particlerb.case.problems import Path
-from particlerb.case.raw import Finding, given, out_of_place, pair_rules
+from particlerb.case.raw import Finding, has, out_of_place, pair_rules
 from particlerb.case.values import (
     ORIGIN,
     Array3,
@@ -164,7 +164,7 @@ class LoadTable(LastingForceTable):
     @classmethod
     def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
         """Knots say when a load acts."""
-        if isinstance(raw.get(cls.load_key), Mapping) and given(raw, "during"):
+        if isinstance(raw.get(cls.load_key), Mapping) and has(raw, "during"):
             reason = f"given beside the knots of {cls.load_key}"
             yield (*path, "during"), reason, "it acts from the first to the last: leave it out"
 
@@ -255,14 +255,14 @@ class SpringTable(LastingForceTable):
     @classmethod
     def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
         """A spring has one other end, and as many bodies there as it needs."""
-        has_end = any(given(raw, key) for key in ("anchor", "to", "reach"))
+        has_end = any(has(raw, key) for key in ("anchor", "to", "reach"))
         has_typo = not cls.model_fields.keys() >= raw.keys()
         if not has_end and not has_typo:
             hint = "give `anchor` for the world, `to` or `reach` for other bodies"
             yield (*path, "anchor"), "missing", hint
-        if given(raw, "anchor"):
+        if has(raw, "anchor"):
             for key in ("to", "reach"):
-                if given(raw, key):
+                if has(raw, key):
                     yield (*path, key), "given beside anchor", "a spring has one other end"
             yield from out_of_place(path, raw, "to_at", "an anchor")
         yield from _pairing(path, raw, blocks)
@@ -270,7 +270,7 @@ class SpringTable(LastingForceTable):
 
 def _pairing(path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
     """Bodies at both ends make pairs, where reach does not find them."""
-    if not given(raw, "reach"):
+    if not has(raw, "reach"):
         hint = "name equal numbers, or one for all; or give `reach`"
         yield from pair_rules(path, raw, blocks, hint, either_way=True)
 

@@ -39,8 +39,8 @@ def finite(value: Any) -> float | None:
         return None
 
 
-def given(table: dict[str, Any], key: str) -> bool:
-    """Whether a key is there and says something."""
+def has(table: dict[str, Any], key: str) -> bool:
+    """Whether a table has a key that says something."""
     return table.get(key) is not None and table[key] != []
 
 
@@ -92,7 +92,7 @@ def is_origin(position: Any) -> bool:
 
 def out_of_place(path: Path, table: dict[str, Any], key: str, what: str) -> Iterator[Finding]:
     """A point that something else excludes; a resolved case states its default there."""
-    if given(table, key) and not is_origin(table[key]):
+    if has(table, key) and not is_origin(table[key]):
         yield (*path, key), f"cannot be given together with {what}", "leave it out"
 
 

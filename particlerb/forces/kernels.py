@@ -80,7 +80,7 @@ class _Family(NamedTuple):
 
     name: str
     hook: str  # field of Kick
-    given: str  # arguments, after the rows
+    args: str  # after the rows
     changed: str = ""  # which of them it returns anew; empty: nothing
     last: str = ""  # lines at the end
     is_reversed: bool = False  # whether the last kick comes first
@@ -99,7 +99,7 @@ class _Family(NamedTuple):
 
     def step(self, start: str) -> str:
         """Source of a call, from its start: what it returns is changed by it."""
-        call = f"{start}, {self.given})"
+        call = f"{start}, {self.args})"
         return f"{self.changed} = {call}" if self.changed else call
 
 
@@ -114,17 +114,17 @@ def _source_of(family: _Family, kicks: Iterable[Kick]) -> str:
         step = family.step(f"{kick.name}_{family.hook}(rows, {row}")
         if kick.is_many:  # the length is known while compiling: the loop is unrolled
             step = f"for k in range(len(tag)):\n        {step}"
-        head = f"@inline\ndef {name}(tag, rows, at, {family.given}):\n    if tag is None:\n"
+        head = f"@inline\ndef {name}(tag, rows, at, {family.args}):\n    if tag is None:\n"
         parts.append(f"{head}        {result}\n    {step}\n    {result}\n")
         tag = f"acting.loads[{KICKS.index(kick)}]"
         calls.append(family.step(f"{name}({tag}, rows, {_first_row(kick)}"))
-    head = f"@inline\ndef {family.name}_users(functions, rows, at, {family.given}):\n"
-    call = f"functions.{family.name}(rows, at, {family.given})"
+    head = f"@inline\ndef {family.name}_users(functions, rows, at, {family.args}):\n"
+    call = f"functions.{family.name}(rows, at, {family.args})"
     parts.append(f"{head}    if functions is None:\n        {result}\n    return {call}\n")
     of_users = family.step(f"{family.name}_users(acting.user_functions, rows, {_after(MANY_KICKS)}")
     calls = [of_users, *calls] if family.is_reversed else [*calls, of_users]
     body = "\n    ".join([*calls, *([family.last] if family.last else []), result])
-    return "\n\n".join([*parts, f"def {family.name}(acting, rows, {family.given}):\n    {body}\n"])
+    return "\n\n".join([*parts, f"def {family.name}(acting, rows, {family.args}):\n    {body}\n"])
 
 
 def _first_row(kick: Kick) -> str:
@@ -169,7 +169,7 @@ def user_functions(kicks: tuple[Kick, ...]) -> FunctionSet:
         calls = [family.step(f"hook{k}(rows, at + {at}") for k, at in enumerate(starts)]
         calls = [call for call, hook in zip(calls, hooks, strict=False) if hook is not None]
         body = "\n    ".join([*(calls[::-1] if family.is_reversed else calls), family.result])
-        source = f"def {family.name}(rows, at, {family.given}):\n    {body}\n"
+        source = f"def {family.name}(rows, at, {family.args}):\n    {body}\n"
         names = {f"hook{k}": hook for k, hook in enumerate(hooks)}
         by_name[family.name] = inline_from(source, f"<{family.name} of {key}>", family.name, names)
     return FunctionSet(key, by_name, all(kick.is_kept for kick in kicks))

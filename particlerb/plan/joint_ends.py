@@ -17,7 +17,7 @@ from particlerb.model.system import System
 _MAX_DISTANCE: Final = 1e100  # [m] of its bodies that a joint may be: squares of it are numbers
 _MIN_ROLLING_RADIUS: Final = 1e-9  # over the size of its joint
 _MAX_RACK_COSINE: Final = 1e-6  # of the angle between the axis of a pinion and its rack
-Given: TypeAlias = tuple[float, float, float] | InFrame
+FramedVector: TypeAlias = tuple[float, float, float] | InFrame
 
 
 class Ties(NamedTuple):
@@ -72,16 +72,16 @@ def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> End
     def spread(vector: tuple[float, ...]) -> Floats:
         return np.tile(np.array(vector)[:, None], k)
 
-    def in_world(given: Given, q: Floats) -> Floats:
-        return rotate(q, spread(given.body)) if isinstance(given, InFrame) else spread(given)
+    def in_world(vector: FramedVector, q: Floats) -> Floats:
+        return rotate(q, spread(vector.body)) if isinstance(vector, InFrame) else spread(vector)
 
-    def point(given: Given | None, com: Floats, q: Floats, default: Floats) -> Floats:
-        if given is None:
+    def point(vector: FramedVector | None, com: Floats, q: Floats, default: Floats) -> Floats:
+        if vector is None:
             return default
-        return in_world(given, q) + (com if isinstance(given, InFrame) else 0.0)
+        return in_world(vector, q) + (com if isinstance(vector, InFrame) else 0.0)
 
-    def direction(given: Given, q: Floats) -> Floats:
-        vectors = in_world(given, q)
+    def direction(vector: FramedVector, q: Floats) -> Floats:
+        vectors = in_world(vector, q)
         return vectors / lengths(vectors)
 
     here = point(table.at, com_a, body_a, com_a)

@@ -44,7 +44,7 @@ class BodySubset(NamedTuple):
 class _Books(NamedTuple):
     """What a balance needs beside the frames of a run."""
 
-    given: Floats  # (T, 7) work, impulse, angular impulse
+    external: Floats  # (T, 7) work, impulse, angular impulse
     initial: Energies  # beside those of the bodies, at t = 0
     later: Energies  # the same later
     gross: Floats | float  # [J] work of contacts until the last frame, without signs
@@ -117,7 +117,7 @@ def drifts(part: BodySubset, frames: Frames, books: _Books) -> tuple[float, floa
     bodies = counted(part.groups, part.bodies)
     balance = EnergyBalance(totals(initial, bodies, part.gravity, *books.initial))
     now = totals(frames, bodies, part.gravity, *books.later)
-    balance.enter(now, books.given, books.gross)
+    balance.enter(now, books.external, books.gross)
     drift = balance.drift(bodies, part.state.com, books.until)
     return drift.energy, drift.angular_momentum
 

@@ -16,7 +16,7 @@ from particlerb.case.raw import (
     bodies_named,
     entry_at,
     finite,
-    given,
+    has,
     members,
     number,
     tables,
@@ -141,7 +141,7 @@ def _reference_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     for i, check in tables(raw.get("check"), "value"):
         path: Path = ("check", "value", i)
         yield from _named_body((*path, "body"), entry_at(check, "body", str), counts)
-        if given(check, "joint") and not tables(raw, "joint"):
+        if has(check, "joint") and not tables(raw, "joint"):
             yield (*path, "joint"), "there is no [[joint]]", "leave it out"
 
 
@@ -167,10 +167,10 @@ def _attraction_rules(table: Any, blocks: dict[str, range]) -> Iterator[Finding]
     """Two bodies at least attract each other, and what a tree sums as one is said once."""
     if not isinstance(table, dict):
         return
-    if given(table, "opening_angle") and given(table, "accuracy"):
+    if has(table, "opening_angle") and has(table, "accuracy"):
         yield ("attraction", "accuracy"), "given beside opening_angle", "give one of them"
     every = list(blocks.values())
-    attracted = bodies_named(table["body"], blocks) if given(table, "body") else every
+    attracted = bodies_named(table["body"], blocks) if has(table, "body") else every
     if attracted and all(len(b) == 1 and b == attracted[0] for b in attracted):
-        key = ("attraction", "body") if given(table, "body") else ("attraction",)
+        key = ("attraction", "body") if has(table, "body") else ("attraction",)
         yield key, "needs two bodies at least, has one", "name more of them, or leave this out"

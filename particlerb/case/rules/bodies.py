@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from particlerb.case.problems import Path
-from particlerb.case.raw import Finding, bases, entry_at, finite, given, is_origin, number, tables
+from particlerb.case.raw import Finding, bases, entry_at, finite, has, is_origin, number, tables
 from particlerb.case.shapes import ALIASES, SHAPES, filling
 from particlerb.case.values import is_rows
 from particlerb.files import Files
@@ -13,16 +13,16 @@ from particlerb.files import Files
 
 def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
     """A body is one shape, or parts that carry the mass."""
-    if given(body, "part"):
+    if has(body, "part"):
         for key in ("shape", "mass", "density"):
-            if given(body, key):
+            if has(body, key):
                 reason = "cannot be given together with [[body.part]]"
                 yield (*path, key), reason, "give it with each part"
         for j, part in tables(body, "part"):
             yield from _mass_rules((*path, "part", j), part)
         if (parts := entry_at(body, "part", list)) and all(map(_is_massless, parts)):
             yield (*path, "part"), "no part has mass", "give one of them a `mass`"
-    elif not given(body, "shape"):
+    elif not has(body, "shape"):
         yield (*path, "shape"), "missing", "a body needs a `shape`, or [[body.part]]"
     else:
         yield from _mass_rules(path, body)
@@ -54,13 +54,13 @@ def _mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
     if kind not in SHAPES:
         return
     allowed: tuple[str, ...] = getattr(SHAPES[kind], "weighed_by", ())
-    if kind == "shell" and not given(shape, "inner_radius"):
+    if kind == "shell" and not has(shape, "inner_radius"):
         allowed = ("mass",)
-    if given(table, "density") and "density" not in allowed:
+    if has(table, "density") and "density" not in allowed:
         yield (*path, "density"), f"a {kind} has no volume of its own", "give `mass`"
-    elif given(table, "density") and given(table, "mass"):
+    elif has(table, "density") and has(table, "mass"):
         yield (*path, "density"), "given beside mass", "give one of `mass` and `density`"
-    elif allowed and not given(table, "mass") and not given(table, "density"):
+    elif allowed and not has(table, "mass") and not has(table, "density"):
         yield (*path, "mass"), "missing", f"give {' or '.join(f'`{key}`' for key in allowed)}"
     elif "part" in path and number(table, "mass") == 0.0 and not _is_surface(shape):
         hint = "give `mass = 0` among the points" if kind == "points" else ""
@@ -84,7 +84,7 @@ def held_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterato
         reason = f"a {is_held} body that nothing touches has no effect"
         yield (*path, "contact"), reason, "leave it out"
     for key in ("velocity", "angular_velocity"):
-        if given(body, key) and not is_origin(body[key]):
+        if has(body, key) and not is_origin(body[key]):
             reason = "a fixed body does not move"
             reason = "a driven body has its velocities in motion" if is_driven else reason
             yield (*path, key), reason, "leave it out"
@@ -108,8 +108,8 @@ def count_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
     for key in ("position", "orientation", "velocity", "angular_velocity"):
         if is_rows(body.get(key)) and len(body[key]) != count:
             yield (*path, key), f"must have count = {count} rows, has {len(body[key])}", ""
-    if given(body, "place"):
-        if given(body, "position") and not is_origin(body["position"]):
+    if has(body, "place"):
+        if has(body, "position") and not is_origin(body["position"]):
             yield (*path, "position"), "given beside place", "give one of them"
         yield from _grid_rules((*path, "place"), body["place"], count)
     elif count > 1 and not is_rows(body.get("position")):

@@ -8,7 +8,7 @@ from particlerb.case import output
 from particlerb.case.contact import ContactTable
 from particlerb.case.joints import TYPES_WITH_COORDINATES
 from particlerb.case.problems import Path, nearest
-from particlerb.case.raw import Finding, entry_at, given, number, tables
+from particlerb.case.raw import Finding, entry_at, has, number, tables
 
 _LAW_HINT = 'take law = "impulse" or "hooke"'
 _KEYS_OF_LAWS = {
@@ -104,10 +104,10 @@ def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Fin
             yield ("contact", key), "impulses have neither damping nor stiffness", "leave it out"
     for i, wall in tables(raw, "wall"):
         piston = entry_at(wall, "piston", dict)
-        if piston and given(wall, "motion"):
+        if piston and has(wall, "motion"):
             reason = "impulses do not move a piston with a motion on top yet"
             yield ("wall", i, "motion"), reason, 'leave it out, or take law = "hooke"'
-        if given(piston, "limits"):
+        if has(piston, "limits"):
             reason = "impulses do not stop pistons yet"
             yield ("wall", i, "piston", "limits"), reason, 'leave it out, or take law = "hooke"'
 
@@ -115,20 +115,20 @@ def _impulse_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Fin
 def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[Finding]:
     """The law has a use for a number, and there is a damping for a restitution."""
     law = entry_at(contact, "law", str)
-    if law != "impulse" and given(table, "torsional_friction"):
+    if law != "impulse" and has(table, "torsional_friction"):
         reason = "impulses alone resist spinning about the normal"
         yield (*path, "torsional_friction"), reason, 'leave it out, or take law = "impulse"'
     if law in output.FIELDS_OF_LAWS:
         for key in ("stiffness", "tangential_stiffness"):
-            if given(table, key):
+            if has(table, key):
                 yield (*path, key), "impulses have no stiffness", "leave it out"
-        if law == "events" and given(table, "rolling_friction"):
+        if law == "events" and has(table, "rolling_friction"):
             reason = "impacts at an instant do not resist rolling"
             yield (*path, "rolling_friction"), reason, 'leave it out, or take law = "impulse"'
         return
     if law == "hertz":
         for key in ("stiffness", "tangential_stiffness"):
-            if given(table, key):
+            if has(table, key):
                 hint = "give `young` and `poisson` of each [[material]]"
                 yield (*path, key), "hertz takes its stiffness from the materials", hint
     if number(table, "restitution") == 0.0 and contact.get("attract") is not True:
@@ -156,7 +156,7 @@ def _event_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Findi
 def _event_number_rules(contact: dict[str, Any]) -> Iterator[Finding]:
     """Keys of [contact] that events have no use for, and restitutions that they cannot have."""
     for key in ("attract", "allow_unstable", "relax", "skin"):
-        if given(contact, key) and contact[key] is not False:
+        if has(contact, key) and contact[key] is not False:
             yield ("contact", key), "collisions by events have no use for it", "leave it out"
     if number(contact, "overlap"):
         yield ("contact", "overlap"), "collisions by events begin without overlap", "leave it out"
@@ -199,9 +199,9 @@ def _restitution_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
 
 def _still_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
     """Walls and bodies that events do not know: what moves by itself, and meshes."""
-    if given(table, "motion"):
+    if has(table, "motion"):
         yield (*path, "motion"), "collisions by events know no prescribed motion yet", _LAW_HINT
-    if given(table, "piston"):
+    if has(table, "piston"):
         yield (*path, "piston"), "collisions by events do not move pistons yet", _LAW_HINT
     if path[0] == "wall" and table.get("type") == "mesh":
         yield (*path, "type"), "collisions by events know no walls of triangles yet", _LAW_HINT

@@ -6,7 +6,7 @@ from typing import Any
 
 from particlerb.case.joints import ACTIONS, ALONG, JOINT_TYPES, WITHOUT_AXIS
 from particlerb.case.problems import Path, nearest
-from particlerb.case.raw import Finding, bodies_named, entry_at, given, number, pair_rules
+from particlerb.case.raw import Finding, bodies_named, entry_at, has, number, pair_rules
 
 
 def joint_rules(
@@ -18,9 +18,9 @@ def joint_rules(
         needed = {"axis": kind not in WITHOUT_AXIS, "axis_to": kind in ("universal", "rack")}
         needed |= {"teeth": kind == "gear", "lead": kind == "screw"}
         for key, is_needed in needed.items():
-            if is_needed and not given(raw, key):
+            if is_needed and not has(raw, key):
                 yield (*path, key), "missing", f"a {kind} joint needs one"
-            elif given(raw, key) and not is_needed:
+            elif has(raw, key) and not is_needed:
                 yield (*path, key), f"a {kind} joint has none", "leave it out"
     yield from _action_rules(path, raw)
     yield from _bound_rules(path, raw, law)
@@ -37,17 +37,17 @@ def joint_rules(
 def _other_end_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
     """The other end is somewhere, and in a frame that there is."""
     kind = raw.get("type")
-    if kind in ("distance", "gear") and not any(given(raw, x) for x in ("to", "at_to", "chain")):
+    if kind in ("distance", "gear") and not any(has(raw, x) for x in ("to", "at_to", "chain")):
         yield (*path, "at_to"), "missing", "give the other end, of a body with `to`"
-    if kind == "rack" and not given(raw, "at_to"):
+    if kind == "rack" and not has(raw, "at_to"):
         yield (*path, "at_to"), "missing", "give a point of the pitch line of the rack"
-    if isinstance(raw.get("at_to"), dict) and not given(raw, "to") and not raw.get("chain"):
+    if isinstance(raw.get("at_to"), dict) and not has(raw, "to") and not raw.get("chain"):
         yield (*path, "at_to"), "the world has no body frame", "give three numbers"
 
 
 def _chain_rules(path: Path, raw: dict[str, Any], bodies: list[range] | None) -> Iterator[Finding]:
     """A chain has links, and says where each is tied in its own frame."""
-    if given(raw, "to"):
+    if has(raw, "to"):
         yield (*path, "to"), "given beside chain", "a second [[joint]] ties an end of the chain"
     if bodies and sum(map(len, bodies)) < 2:
         yield (*path, "body"), "a chain needs two bodies at least", "give a `count`, or a list"
@@ -60,7 +60,7 @@ def _chain_rules(path: Path, raw: dict[str, Any], bodies: list[range] | None) ->
 def within_bounds(raw: dict[str, Any]) -> dict[str, str]:
     """Keys of a joint that are impulses within bounds, and what to take in their place."""
     limit = raw.get("limit")
-    is_hard = isinstance(limit, dict) and not given(limit, "stiffness")
+    is_hard = isinstance(limit, dict) and not has(limit, "stiffness")
     replacements = {"limit": "give a stiffness"} if is_hard else {}
     replacements |= {"motor": "give a number"} if isinstance(raw.get("motor"), dict) else {}
     return replacements | ({"friction": "take a damper"} if raw.get("friction") else {})
@@ -69,7 +69,7 @@ def within_bounds(raw: dict[str, Any]) -> dict[str, str]:
 def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]:
     """Hard stops, friction, and motors with a largest torque are impulses within bounds."""
     limit = raw.get("limit")
-    if isinstance(limit, dict) and not given(limit, "stiffness"):
+    if isinstance(limit, dict) and not has(limit, "stiffness"):
         ends = entry_at(limit, "range", list)
         is_range = len(ends) == 2 and all(isinstance(x, int | float) for x in ends)
         if is_range and ends[0] < ends[1] and not ends[0] <= 0.0 <= ends[1]:
@@ -83,7 +83,7 @@ def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]
         if law in ("", "hooke", "hertz"):
             reason = "is solved by impulses alone"
             yield (*path, key), reason, f'take contact.law = "impulse", or {other}'
-        elif given(raw, "drive"):
+        elif has(raw, "drive"):
             yield (*path, key), "given beside drive, which leaves nothing free", "leave one out"
 
 
@@ -96,9 +96,9 @@ def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
             yield (*path, key), reason, f"take one of {', '.join(ALONG)}"
         elif raw.get(key) and kind == "ball" and key not in ("spring", "damper"):
             yield (*path, key), "along a ball joint act springs and dampers alone", "leave it out"
-        elif raw.get(key) and len(ALONG.get(kind, "")) > 1 and not given(raw, "along"):
+        elif raw.get(key) and len(ALONG.get(kind, "")) > 1 and not has(raw, "along"):
             yield (*path, "along"), f"missing: a {kind} joint has several coordinates", ""
-        if raw.get(key) and given(raw, "breaks_at"):
+        if raw.get(key) and has(raw, "breaks_at"):
             yield (*path, "breaks_at"), f"given beside {key}", "let a second joint have one of them"
     if kind == "ball" and entry_at(raw, "spring", dict).get("rest"):
         hint = "place the bodies where the spring does nothing"
@@ -126,10 +126,10 @@ def _half_turn_rules(path: Path, raw: dict[str, Any], is_angle: bool) -> Iterato
 def driven_rules(joints: list[dict[str, Any]]) -> Iterator[Finding]:
     """What acts within bounds does nothing where another joint prescribes the coordinate."""
     named = [tuple(joint.get(key) for key in ("body", "to", "type", "along")) for joint in joints]
-    driven = [axis for axis, joint in zip(named, joints, strict=True) if given(joint, "drive")]
+    driven = [axis for axis, joint in zip(named, joints, strict=True) if has(joint, "drive")]
     for i, (joint, axis) in enumerate(zip(joints, named, strict=True)):
         is_driven = axis in driven or (axis[1], axis[0], *axis[2:]) in driven
-        if is_driven and not given(joint, "drive"):
+        if is_driven and not has(joint, "drive"):
             for key in within_bounds(joint):
                 reason = "another joint of the same bodies has a drive, which leaves nothing free"
                 yield ("joint", i, key), reason, "leave one out"
