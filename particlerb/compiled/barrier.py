@@ -37,9 +37,9 @@ class Team(NamedTuple):
     """Threads that run a kernel together, as one of them sees it."""
 
     size: int
-    rank: int  # of this thread
+    thread: int  # number of this one, from 0
     arrivals: NDArray[np.int64]  # (2 LINE,) see ARRIVED and OVER
-    wishes: NDArray[np.float64]  # (size, LINE) what each brings to a meeting
+    values: NDArray[np.float64]  # (size, LINE) of which `largest` finds the largest
 
 
 # What Numba lacks
@@ -106,20 +106,20 @@ def largest(team: Team, x: float, y: float, z: float) -> tuple[float, float, flo
     Calls write in turn into two places: who is late still looks at what was brought to this call
     while others bring something to the next one, and nobody comes to the one behind it before.
     """
-    wishes, rank = team.wishes, team.rank
+    values, thread = team.values, team.thread
     if team.size == 1:
         return x, y, z
-    at = 0 if wishes[rank, _TURN_AT] == 0.0 else 3
-    wishes[rank, _TURN_AT] = 1.0 - wishes[rank, _TURN_AT]
-    wishes[rank, at], wishes[rank, at + 1], wishes[rank, at + 2] = x, y, z
+    at = 0 if values[thread, _TURN_AT] == 0.0 else 3
+    values[thread, _TURN_AT] = 1.0 - values[thread, _TURN_AT]
+    values[thread, at], values[thread, at + 1], values[thread, at + 2] = x, y, z
     meet(team)
     if _read_atomically(team.arrivals, _OVER) != 0:
         return np.inf, np.inf, np.inf
     for k in range(team.size):
         x, y, z = (
-            max(x, wishes[k, at]),
-            max(y, wishes[k, at + 1]),
-            max(z, wishes[k, at + 2]),
+            max(x, values[k, at]),
+            max(y, values[k, at + 1]),
+            max(z, values[k, at + 2]),
         )
     return x, y, z
 
@@ -128,7 +128,7 @@ def largest(team: Team, x: float, y: float, z: float) -> tuple[float, float, flo
 def share_of(team: Team, first: int, end: int) -> tuple[int, int]:
     """What this thread does of the units first to end, end excluded."""
     n = end - first
-    return first + n * team.rank // team.size, first + n * (team.rank + 1) // team.size
+    return first + n * team.thread // team.size, first + n * (team.thread + 1) // team.size
 
 
 # Who runs
@@ -162,18 +162,18 @@ def together(kernel: Callable[[Team], Result], most: int) -> Result:
 
 def _enter_all(kernel: Callable[[Team], Result], size: int) -> Result:
     """Do the work of `together`."""
-    arrivals, wishes = np.zeros(2 * _TWO_LINES, dtype=np.int64), np.zeros((size, _TWO_LINES))
+    arrivals, values = np.zeros(2 * _TWO_LINES, dtype=np.int64), np.zeros((size, _TWO_LINES))
 
-    def enter(rank: int) -> Result:
+    def enter(thread: int) -> Result:
         try:
-            return kernel(Team(size, rank, arrivals, wishes))
+            return kernel(Team(size, thread, arrivals, values))
         except BaseException:
             arrivals[_OVER] = 1
             raise
 
     others = []
     try:
-        others += [THREADS.workers.submit(enter, rank) for rank in range(1, size)]
+        others += [THREADS.workers.submit(enter, thread) for thread in range(1, size)]
         result = enter(0)
     except BaseException:  # perhaps an interrupt before this thread has entered
         arrivals[_OVER] = 1

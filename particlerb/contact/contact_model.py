@@ -143,7 +143,7 @@ class Evaluation(NamedTuple):
     before: float  # [s] length of the step before, half of which forces are the mean of
     after: float  # [s] length of the step after, likewise; both 0: of the instant
     growth: Growth
-    rank: int  # of the thread
+    thread: int  # of the thread
 
 
 class ContactMemory(NamedTuple):

@@ -175,9 +175,9 @@ def inv_effective_mass(
 @inline
 def note_overlap(on: Evaluation, overlap: float, radius: float, b: int) -> None:
     """Note that a body lies too deep in another or in a wall, for the host to say."""
-    deepest, rank = on.workspace.deepest, on.rank
-    if overlap > deepest[rank, 0] or (overlap == deepest[rank, 0] and b < deepest[rank, 2]):
-        deepest[rank, 0], deepest[rank, 1], deepest[rank, 2] = overlap, radius, b
+    deepest, thread = on.workspace.deepest, on.thread
+    if overlap > deepest[thread, 0] or (overlap == deepest[thread, 0] and b < deepest[thread, 2]):
+        deepest[thread, 0], deepest[thread, 1], deepest[thread, 2] = overlap, radius, b
 
 
 @inline
@@ -281,7 +281,7 @@ def sphere_contact_forces(
     w: float,
     first: int,
     end: int,
-    rank: int,
+    thread: int,
 ) -> None:
     """Forces of contacts between spheres, in units first to end.
 
@@ -293,10 +293,10 @@ def sphere_contact_forces(
     growth : Growth
     v, w : float [m/s, rad/s]
         Largest of all bodies, see `max_speeds`.
-    first, end, rank : int
+    first, end, thread : int
         Contacts, `end` excluded, and the thread that is at them.
     """
-    on = Evaluation(model, workspace, contacts, before, after, growth, rank)
+    on = Evaluation(model, workspace, contacts, before, after, growth, thread)
     firsts, seconds, active = contacts.first, contacts.second, contacts.active
     body, xyzr, bodies = model.spheres.body, workspace.xyzr, workspace.bodies
     longer = max(before, after)

@@ -170,13 +170,13 @@ def wall_contact_forces(
     after: float,
     growth: Growth,
     part: tuple[int, int, int],
-    rank: int,
+    thread: int,
 ) -> None:
     """Forces of contacts of spheres with walls, whose poses are those of this instant.
 
     `part` is a shell and what this thread does of it: spheres and walls whose contacts begin there.
     """
-    on = Evaluation(model, workspace, contacts, before, after, growth, rank)
+    on = Evaluation(model, workspace, contacts, before, after, growth, thread)
     shell, c, end = part
     least = contacts.shell_ends[shell - 1] if shell > 0 else 0
     most = contacts.shell_ends[shell]

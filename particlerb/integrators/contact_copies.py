@@ -78,7 +78,7 @@ def store_contacts(contact: MovingContact | None, team: Team | None, frame: int)
     if contact is None or team is None:
         return
     frames, lists, pistons = contact.frames, contact.lists, contact.memory.pistons
-    if team.rank == 0:
+    if team.thread == 0:
         frames.elastic[frame, :] = 0.0
         find_stored_energy(contact.setup.model, lists, frames.stored)
         sum_in_bins(frames.stored, frames.bins, frames.elastic[frame])
@@ -92,7 +92,7 @@ def _forget_worst(impulses: Impulses | None, team: Team) -> None:
     """Begin anew to look for the worst: a frame shows residual and overlap since the last one."""
     if impulses is None:
         return
-    if team.rank == 0:
+    if team.thread == 0:
         impulses.tally[WORST] = impulses.tally[DEEPEST_NOW] = 0.0
 
 

@@ -168,7 +168,7 @@ def kinematics_at(
         v, w = max(v, speeds[0]), max(w, speeds[1])
         _gather_states(pairs, rows, lo, n)
     wall_poses(contact, team, time, ahead)
-    if team.rank == 0 and pistons_have_moved(setup.pistons, memory.pistons, allowance):
+    if team.thread == 0 and pistons_have_moved(setup.pistons, memory.pistons, allowance):
         path = np.inf
     return largest(team, path, v, w)
 
@@ -179,7 +179,7 @@ def wall_poses(contact: MovingContact | None, team: Team | None, time: float, ah
     if contact is None or team is None:
         return
     setup, memory, poses = contact.setup, contact.memory, contact.workspace.poses
-    if team.rank == 0:
+    if team.thread == 0:
         put_poses(setup.motions, memory.start + time, poses)
         piston_poses(setup.pistons, memory.pistons, ahead, poses)
 
@@ -285,12 +285,12 @@ def find_contact_forces(
         if SHELL_GAPS[s] * skin <= 2.0 * reached:  # both may come
             first, end = share_of(team, end_spheres, spheres.shell_ends[s])
             sphere_contact_forces(
-                model, workspace, spheres, before, after, growth, v, w, first, end, team.rank
+                model, workspace, spheres, before, after, growth, v, w, first, end, team.thread
             )
         if SHELL_GAPS[s] * skin <= reached:
             first, end = share_of(team, end_walls, walls.shell_ends[s])
             part = s, first, end
-            wall_contact_forces(model, workspace, walls, before, after, growth, part, team.rank)
+            wall_contact_forces(model, workspace, walls, before, after, growth, part, team.thread)
         end_spheres, end_walls = spheres.shell_ends[s], walls.shell_ends[s]
 
 
@@ -324,7 +324,7 @@ def contact_loads(
                 put(rows, PAIR + c, b, 0.0)
         _scatter_loads(pairs, rows, lo, n)
         collect_loads(model, workspace, lists, rows, PAIR, STEADY, lo, n, later, span)
-    if team.rank == 0:
+    if team.thread == 0:
         load_pistons(setup.pistons, memory.pistons, lists.walls, model, later)
 
 
@@ -370,7 +370,7 @@ def kick_walls(
     """Kick pistons over the end of a step and the beginning of another [s]."""
     if contact is None or team is None:
         return
-    if team.rank == 0:
+    if team.thread == 0:
         kick_pistons(contact.setup.pistons, contact.memory.pistons, closing, opening, is_step)
 
 
@@ -379,5 +379,5 @@ def drift_walls(contact: MovingContact | None, team: Team | None, dt: float) -> 
     """Let pistons drift."""
     if contact is None or team is None:
         return
-    if team.rank == 0:
+    if team.thread == 0:
         drift_pistons(contact.setup.pistons, contact.memory.pistons, dt)

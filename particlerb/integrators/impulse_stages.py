@@ -236,7 +236,7 @@ def bounce(
         return
     setup, workspace, impulses = contact.setup, contact.workspace, contact.workspace.impulses
     meet(team)
-    if team.rank == 0:
+    if team.thread == 0:
         extremes = contact.memory.extremes
         _gather_walls(contact, impulses.partners, 0.5 * dt)
         _bound_joints(jointed, impulses, dt)
@@ -360,7 +360,7 @@ def press(
         return
     impulses = contact.workspace.impulses
     meet(team)
-    if team.rank == 0:
+    if team.thread == 0:
         partners, bounded = impulses.partners, impulses.rows.bounded
         pistons, state, n = (
             contact.setup.pistons,

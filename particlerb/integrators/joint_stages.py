@@ -272,7 +272,7 @@ def count_drift(jointed: Jointed | None, team: Team | None, is_first: bool) -> N
     """Count what joints carried in a drift, if any may break."""
     if jointed is None or team is None:
         return
-    if team.rank == 0:
+    if team.thread == 0:
         carry_in_drift(jointed.joints.breaks, jointed.data, is_first)
 
 
@@ -281,7 +281,7 @@ def count_projection(jointed: Jointed | None, team: Team | None) -> None:
     """Count what they carried in a projection."""
     if jointed is None or team is None:
         return
-    if team.rank == 0:
+    if team.thread == 0:
         carry_in_projection(jointed.joints.breaks, jointed.data)
 
 
@@ -290,5 +290,5 @@ def let_joints_break(jointed: Jointed | None, team: Team | None, dt: float) -> N
     """Break joints that have carried too much, at the end of a step that does not go to a frame."""
     if jointed is None or team is None:
         return
-    if team.rank == 0 and dt == jointed.data.clock[1]:
+    if team.thread == 0 and dt == jointed.data.clock[1]:
         break_overloaded(jointed.joints.breaks, jointed.joints, jointed.data, dt)

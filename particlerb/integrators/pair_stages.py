@@ -139,7 +139,7 @@ def put_pair_loads(
         _gather(blocks, layout, y)
         pair_loads(links, user_pairs, attraction, fields, with_dashpots, clock, y, load)
         scatter(load, blocks, layout, PAIR, 0)
-    elif team.rank == 0:
+    elif team.thread == 0:
         pair_loads(links, user_pairs, attraction, fields, with_dashpots, clock, y, load)
 
 
@@ -204,4 +204,4 @@ def _is_first(team: Team | None) -> bool:
     """Whether this thread is alone, or the first of its team."""
     if team is None:
         return True
-    return team.rank == 0
+    return team.thread == 0

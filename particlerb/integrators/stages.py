@@ -228,7 +228,7 @@ def shift_clock(jointed: Jointed | None, team: Team | None, later: float) -> Non
     """Tell joints that it is so many seconds later, if there are any."""
     if jointed is None or team is None:
         return
-    if team.rank == 0:
+    if team.thread == 0:
         jointed.data.clock[0] += later
 
 

@@ -168,7 +168,7 @@ class BrickMotion(SharedMotion):
         del first
 
         def share(team: Team) -> Any:
-            lo, hi = last * team.rank // team.size, last * (team.rank + 1) // team.size
+            lo, hi = last * team.thread // team.size, last * (team.thread + 1) // team.size
             return kernel(moving._replace(team=team), lo, hi, *others)
 
         return together(share, self.threads)

@@ -267,7 +267,7 @@ class ContactMotion(SteppedMotion):
 
         def through(team: Team) -> Position:
             moving = self.moving._replace(contact=self.contact, team=team)
-            first, last = n * team.rank // team.size, n * (team.rank + 1) // team.size
+            first, last = n * team.thread // team.size, n * (team.thread + 1) // team.size
             return loop(moving, schedule, recording, saved, position, n, first, last)
 
         return through(ONE_THREAD) if self.is_spread else together(through, self.threads)

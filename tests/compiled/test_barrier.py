@@ -17,10 +17,10 @@ def relay(seen, rounds, team):
     """Each thread adds up what all have written in a round, before any writes the next."""
     total = 0.0
     for k in range(rounds):
-        seen[team.rank] = k + team.rank
+        seen[team.thread] = k + team.thread
         meet(team)
-        for rank in range(team.size):
-            total += seen[rank]
+        for thread in range(team.size):
+            total += seen[thread]
         meet(team)
     return total
 
@@ -30,7 +30,7 @@ def tell(rounds, team):
     """Sum of the largest of what all bring."""
     total = 0.0
     for k in range(rounds):
-        x, y, z = largest(team, float(team.rank), float(k - team.rank), -1.0)
+        x, y, z = largest(team, float(team.thread), float(k - team.thread), -1.0)
         total += x + y + z
         meet(team)
     return total
@@ -66,7 +66,7 @@ def test_nobody_leaves_a_meeting_before_all_have_come(threads, size):
         return every[-1]
 
     together(enter, size)
-    expected = sum(k + rank for k in range(rounds) for rank in range(size))
+    expected = sum(k + thread for k in range(rounds) for thread in range(size))
     assert every == [expected] * size
 
 
@@ -99,7 +99,7 @@ def test_nobody_waits_for_a_thread_that_has_failed(threads, lost, kind):
     threads(3)
 
     def enter(team):
-        if team.rank == lost:
+        if team.thread == lost:
             raise kind
         return tell(10, team)
 
@@ -117,7 +117,7 @@ def test_a_team_within_a_team_runs_on_one_thread(threads):
         sizes.append(team.size)
 
     def outer(team):
-        if team.rank == 0:
+        if team.thread == 0:
             together(inner, 2)
         meet(team)
 
@@ -130,7 +130,7 @@ def test_a_team_within_a_team_runs_on_one_thread(threads):
 @pytest.mark.parametrize("n", [0, 1, 5, 100])
 def test_shares_cover_all_once(size, n):
     arrivals, wishes = ONE_THREAD.arrivals, ONE_THREAD.wishes
-    shares = [share_of(Team(size, rank, arrivals, wishes), 3, 3 + n) for rank in range(size)]
+    shares = [share_of(Team(size, thread, arrivals, wishes), 3, 3 + n) for thread in range(size)]
     found = [k for first, end in shares for k in range(first, end)]
     assert found == list(range(3, 3 + n))
     lengths = [end - first for first, end in shares]
