@@ -25,7 +25,7 @@ from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import body_orientation, omega_world, rotate
 from particlerb.model.system import System
-from particlerb.plan.contact_setup import NOTHING, ContactSetup, contact_of
+from particlerb.plan.contact_setup import NOTHING, SystemContact, contact_of
 from particlerb.rotors.rotor_class import POINT
 
 _FACES: Final = {"-x": 1, "+x": 2, "-y": 3, "+y": 4, "-z": 5, "+z": 6, "-": 1, "+": 2}
@@ -59,7 +59,7 @@ def lammps_scene(system: System, step: float, stem: str) -> dict[str, str]:
     return texts
 
 
-def _refuse(system: System, contact: ContactSetup | None) -> None:
+def _refuse(system: System, contact: SystemContact | None) -> None:
     """ExportError for what is not to be had in LAMMPS."""
     if system.joint:
         raise ExportError("LAMMPS has no joints: `--to mjcf` writes them for MuJoCo")
@@ -82,7 +82,7 @@ def _refuse(system: System, contact: ContactSetup | None) -> None:
 class _Atoms:
     """Spheres of all bodies, or their masses where they have no radius, in the world frame."""
 
-    def __init__(self, system: System, contact: ContactSetup | None) -> None:
+    def __init__(self, system: System, contact: SystemContact | None) -> None:
         bodies, n = system.bodies, system.n_bodies
         q = body_orientation(system.state.q, bodies.rotor_frame)
         per_kind = [
@@ -178,7 +178,7 @@ def _infile(system: System, bodies: Ints) -> str:
 
 
 def _input(
-    system: System, contact: ContactSetup | None, atoms: _Atoms, step: float, stem: str
+    system: System, contact: SystemContact | None, atoms: _Atoms, step: float, stem: str
 ) -> str:
     """Commands of the run."""
     skin = _SKIN_SHARE * float(atoms.diameter.max()) / 2.0
@@ -208,7 +208,7 @@ def _input(
     return "\n".join(lines) + "\n"
 
 
-def _law(contact: ContactSetup, a: int, b: int) -> str:
+def _law(contact: SystemContact, a: int, b: int) -> str:
     """Arguments of a granular contact between two materials."""
     pairs = contact.pairs
     ratio = float(pairs.damping_ratio[a, b])
@@ -224,7 +224,7 @@ def _law(contact: ContactSetup, a: int, b: int) -> str:
     return f"{normal} tangential {tangential} {friction} damping coeff_restitution{ends}"
 
 
-def _pairs(contact: ContactSetup | None, atoms: _Atoms, skin: float) -> Iterable[str]:
+def _pairs(contact: SystemContact | None, atoms: _Atoms, skin: float) -> Iterable[str]:
     """Forces between atoms; those of no material touch nothing."""
     if contact is None:
         return [f"pair_style zero {numbers(skin)} nocoeff", "pair_coeff * *"]
@@ -240,7 +240,7 @@ def _pairs(contact: ContactSetup | None, atoms: _Atoms, skin: float) -> Iterable
     ]
 
 
-def _walls(system: System, contact: ContactSetup | None) -> Iterable[str]:
+def _walls(system: System, contact: SystemContact | None) -> Iterable[str]:
     """A region for each wall, and a fix for each material that touches it."""
     if contact is None:
         return

@@ -40,8 +40,8 @@ from particlerb.model.state import (
     rotate_back,
 )
 from particlerb.model.system import System
-from particlerb.plan.contact_setup import NOTHING, ContactSetup, contact_of
-from particlerb.plan.joints import JointSetup, joints_of
+from particlerb.plan.contact_setup import NOTHING, SystemContact, contact_of
+from particlerb.plan.joints import SystemJoints, joints_of
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _TREE_ONLY_TYPES: Final = ("slider", "cylindrical", "universal", "planar", "screw")
@@ -244,7 +244,7 @@ class _Writer:
             text["solref"] = numbers(-stiffness, -damping)
         return text
 
-    def add_contact(self, contact: ContactSetup) -> None:
+    def add_contact(self, contact: SystemContact) -> None:
         """What holds for all geoms that touch, and the walls."""
         pairs = contact.pairs
         for name, values in pairs._asdict().items():
@@ -365,7 +365,7 @@ class _Writer:
             ET.SubElement(spatial, "site", site=f"{name} {end}")
 
 
-def _joint_of(system: System, setup: JointSetup, j: int) -> _Joint:
+def _joint_of(system: System, setup: SystemJoints, j: int) -> _Joint:
     """A joint of a system at its start."""
     ends: Ints = np.array([setup.first[j], setup.second[j]])
     points = []

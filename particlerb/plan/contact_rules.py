@@ -10,13 +10,13 @@ from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.impulses.records import LEAST_CELLS, EventRules, ImpulseRules
 from particlerb.model.state import lengths, omega_world
 from particlerb.model.system import System
-from particlerb.plan.contact_setup import ContactSetup
+from particlerb.plan.contact_setup import SystemContact
 
 MOST_BODIES: Final = 64  # that Newton's method for impulses is taken for unasked
 CONTACT_SHARE: Final = 1e-4  # default contact time, over that to come by a radius
 
 
-def rules_of(touching: ContactSetup, radius: float, n: int) -> ImpulseRules | None:
+def rules_of(touching: SystemContact, radius: float, n: int) -> ImpulseRules | None:
     """How contacts of n bodies are solved that have no stiffness; `radius` [m] is the smallest."""
     record = touching.record
     if record.law != "impulse":
@@ -32,7 +32,7 @@ def rules_of(touching: ContactSetup, radius: float, n: int) -> ImpulseRules | No
     )  # fmt: skip
 
 
-def events_of(system: System, touching: ContactSetup) -> EventRules | None:
+def events_of(system: System, touching: SystemContact) -> EventRules | None:
     """How bodies collide at the instants of their impacts; None where they do not.
 
     The contact time, unless it is given, is such a share of the time in which the fastest body, or

@@ -43,7 +43,7 @@ class MaterialPairs(NamedTuple):
     can_meet: Bools  # (k, k)
 
 
-class ContactSetup(NamedTuple):
+class SystemContact(NamedTuple):
     """All that records say about contact."""
 
     record: ContactTable  # what was asked for: law, skin, what is allowed
@@ -60,7 +60,7 @@ class ContactSetup(NamedTuple):
     apart: Ints  # (k,) pairs of bodies of the system that joints keep from touching
 
 
-def contact_of(system: System) -> ContactSetup | None:
+def contact_of(system: System) -> SystemContact | None:
     """Contact of a system; None where nothing touches.
 
     Raises
@@ -99,7 +99,7 @@ def contact_of(system: System) -> ContactSetup | None:
     pairs = [pairs_of(system, table, names, can_meet) for table in tables]
     problems += [problem for _, missing in pairs for problem in missing]
     refuse(problems)
-    contact = ContactSetup(
+    contact = SystemContact(
         record=system.contact,
         materials=names,
         pairs=side_by_side([of_table for of_table, _ in pairs]),
@@ -156,7 +156,7 @@ def _meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints) -> Bo
     n_materials : int
         k.
     material, fixed : ndarray, shape (n_bodies,)
-        As in `ContactSetup`.
+        As in `SystemContact`.
     walls : ndarray, shape (n_walls,)
         Code of each wall.
     """

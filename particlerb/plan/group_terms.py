@@ -25,8 +25,8 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import rotate_back
 from particlerb.model.system import System
 from particlerb.plan.contact_rules import events_of, refuse_too_many, rules_of
-from particlerb.plan.contact_setup import ContactSetup
-from particlerb.plan.groups import GroupSetup
+from particlerb.plan.contact_setup import SystemContact
+from particlerb.plan.groups import GroupForces
 from particlerb.plan.links import AnyLink, Link, UserLink, attracted, particles_of, tree_accuracy
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
@@ -35,10 +35,10 @@ _INTERIOR_DEPTH: Final = 0.1  # overlap at which nothing inside is touched, in s
 
 def terms_between(
     system: System,
-    group: GroupSetup,
+    group: GroupForces,
     bodies: Bodies,
     links: list[AnyLink],
-    touching: ContactSetup | None,
+    touching: SystemContact | None,
     time: float,
 ) -> Terms:
     """What the bodies of a group do to each other while these of its links act, from a time on."""
@@ -128,7 +128,7 @@ def _attraction_among(system: System, members: Ints, bodies: Bodies) -> Attracti
 
 
 def _contact_among(
-    system: System, members: Ints, bodies: Bodies, touching: ContactSetup
+    system: System, members: Ints, bodies: Bodies, touching: SystemContact
 ) -> GroupContact:
     """Spheres, law and walls of a group."""
     index, owner = particles_of(system, members)
@@ -179,7 +179,7 @@ def _apart_among(members: Ints, apart: Ints) -> Ints:
     return np.unique(pair_keys(*numbers))
 
 
-def _reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
+def _reachable(system: System, members: Ints, touching: SystemContact) -> Bools:
     """Whether something can touch each particle of the kinds of these bodies, (n_particles,).
 
     What starts overlapping, to be pushed apart, may be anywhere: then all can be reached.
@@ -200,7 +200,7 @@ def _reachable(system: System, members: Ints, touching: ContactSetup) -> Bools:
     return reachable
 
 
-def _law_of(touching: ContactSetup) -> Law:
+def _law_of(touching: SystemContact) -> Law:
     """Law with the numbers of all pairs of materials."""
     pairs = touching.pairs
     is_hertz = touching.record.law == "hertz"

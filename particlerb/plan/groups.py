@@ -17,15 +17,15 @@ from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.superblocks import superblock_of
 from particlerb.model.system import System
 from particlerb.plan.case_forces import N_NUMBERS, Forces, ResolvedForce
-from particlerb.plan.contact_setup import ContactSetup
+from particlerb.plan.contact_setup import SystemContact
 from particlerb.plan.joint_ends import Ties
-from particlerb.plan.joints import JointSetup
+from particlerb.plan.joints import SystemJoints
 from particlerb.plan.known_courses import Behind
 from particlerb.plan.links import AnyLink, attracted, components
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
 
-class GroupSetup(NamedTuple):
+class GroupForces(NamedTuple):
     """Bodies that share a group, and all that ever acts on them."""
 
     members: Ints  # (n,) bodies of the system
@@ -33,7 +33,7 @@ class GroupSetup(NamedTuple):
     links: list[AnyLink]  # among them, with numbers of the system
     attracts: bool  # whether they attract each other
     touches: bool  # whether they touch
-    joints: JointSetup | None = None  # of the system, if any are among them
+    joints: SystemJoints | None = None  # of the system, if any are among them
     behind: Behind | None = None  # what was planned before, and is over
 
 
@@ -41,10 +41,10 @@ def groups_of(
     system: System,
     loads: Sequence[ResolvedForce],
     links: Sequence[AnyLink],
-    touching: ContactSetup | None,
-    joints: JointSetup | None,
+    touching: SystemContact | None,
+    joints: SystemJoints | None,
     apart: Ints,
-) -> list[GroupSetup]:
+) -> list[GroupForces]:
     """Groups of a system, in the order of their first bodies; those of unlike `apart` in others."""
     heavy = attracted(system)
     solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
@@ -54,7 +54,7 @@ def groups_of(
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     absent = bound if system.merging is None else np.union1d(bound, system.merging.guests)
     groups = [
-        GroupSetup(members, forces, [], False, False)
+        GroupForces(members, forces, [], False, False)
         for members, forces in _groups_alone(system, loads, absent, apart)
     ]
     together = solid if joints is None else joints.solved_with(solid)
@@ -67,11 +67,11 @@ def groups_of(
         tied = joints if acting is not None and is_member[acting.first].any() else None
         touches = bool(together.size) and bool(is_member[together[0]])
         forces = _aligned(loads, members)
-        groups.append(GroupSetup(members, forces, inside, attracts, touches, tied))
+        groups.append(GroupForces(members, forces, inside, attracts, touches, tied))
     return sorted(groups, key=lambda group: int(group.members.min()))
 
 
-def part_of(group: GroupSetup, index: Ints) -> GroupSetup:
+def part_of(group: GroupForces, index: Ints) -> GroupForces:
     """Some bodies of a group that do not act on each other."""
     forces = [Forces(form, numbers[:, index]) for form, numbers in group.forces]
     return group._replace(members=group.members[index], forces=forces)

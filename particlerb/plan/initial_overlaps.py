@@ -26,7 +26,7 @@ from particlerb.plan.links import and_more, is_among, particles_of
 from particlerb.plan.obstacles import middle
 
 if TYPE_CHECKING:
-    from particlerb.plan.contact_setup import ContactSetup
+    from particlerb.plan.contact_setup import SystemContact
 
 _OVERLAP_ROUNDING: Final = 1e-9  # share of a radius, or of a coordinate
 _MAX_OVERLAPS_NAMED: Final = 3  # in a message
@@ -42,7 +42,7 @@ class _SetupSpheres(NamedTuple):
     body: Ints  # (n,) body of the system
 
 
-def refuse_misplaced(system: System, contact: "ContactSetup") -> None:
+def refuse_misplaced(system: System, contact: "SystemContact") -> None:
     """Raise CaseError with all that overlaps or lies beyond a wall at t = 0."""
     spheres = spheres_of(system, contact)
     if system.wall:
@@ -51,7 +51,7 @@ def refuse_misplaced(system: System, contact: "ContactSetup") -> None:
     refuse(wrong)
 
 
-def spheres_of(system: System, contact: "ContactSetup") -> _SetupSpheres:
+def spheres_of(system: System, contact: "SystemContact") -> _SetupSpheres:
     """Where the spheres of a system are at t = 0."""
     index, of_body = particles_of(system, contact.body)
     solid = system.particles.radius[index] > 0.0
@@ -60,18 +60,18 @@ def spheres_of(system: System, contact: "ContactSetup") -> _SetupSpheres:
     return _SetupSpheres(np.ascontiguousarray(place), system.particles.radius[index], owner)
 
 
-def _allowed(contact: "ContactSetup", spheres: _SetupSpheres) -> float:
+def _allowed(contact: "SystemContact", spheres: _SetupSpheres) -> float:
     """Overlap that is no mistake [m]: what is allowed, or rounding."""
     size = max(float(spheres.radius.max()), float(np.abs(spheres.place).max()))
     return max(contact.record.overlap, _OVERLAP_ROUNDING * size)
 
 
-def _hint(contact: "ContactSetup") -> str:
+def _hint(contact: "SystemContact") -> str:
     """What to do about an overlap; impacts at instants cannot begin with one."""
     return _APART_HINT if contact.record.law == "events" else _ALLOW_HINT
 
 
-def _with_images(spheres: _SetupSpheres, contact: "ContactSetup") -> _SetupSpheres:
+def _with_images(spheres: _SetupSpheres, contact: "SystemContact") -> _SetupSpheres:
     """Spheres within the box that repeats, and again beyond its upper sides what is near lower."""
     place, radius, body = spheres
     for k, side in enumerate(contact.record.periodic or ()):
@@ -88,7 +88,7 @@ def _with_images(spheres: _SetupSpheres, contact: "ContactSetup") -> _SetupSpher
 
 
 def _overlapping(
-    system: System, contact: "ContactSetup", spheres: _SetupSpheres
+    system: System, contact: "SystemContact", spheres: _SetupSpheres
 ) -> Iterator[Problem]:
     """What is wrong with bodies that overlap: which, how deep, and how many."""
     if contact.record.relax:
@@ -119,7 +119,7 @@ def _overlapping(
 
 
 def _beyond_walls(
-    system: System, contact: "ContactSetup", spheres: _SetupSpheres
+    system: System, contact: "SystemContact", spheres: _SetupSpheres
 ) -> Iterator[Problem]:
     """What is wrong with bodies that overlap a wall, or lie on its other side."""
     moving = np.flatnonzero(~contact.fixed[spheres.body])

@@ -51,7 +51,7 @@ _MAX_ASSEMBLED_MISFIT: Final = 1e-9  # of its size, once assembled
 _AXIAL_ROUNDING: Final = 1e-12
 
 
-class JointSetup(NamedTuple):
+class SystemJoints(NamedTuple):
     """All joints of a system."""
 
     names: tuple[str, ...]
@@ -134,7 +134,7 @@ def asked_of_joints(system: System) -> set[str]:
     return asked.intersection(FIELDS_OF_JOINTS)
 
 
-def joints_of(system: System) -> JointSetup | None:
+def joints_of(system: System) -> SystemJoints | None:
     """All joints of a system, or of that of which it is a part; None where there are none.
 
     Raises
@@ -168,7 +168,7 @@ def joints_of(system: System) -> JointSetup | None:
     refuse(problems)
     columns = list(zip(*parts, strict=True))
     record, first, second, places, n_rows, until = map(np.concatenate, columns[3:])
-    setup = JointSetup(
+    setup = SystemJoints(
         unique([name for part in parts for name in part.names]),
         tuple(system.joint[k].type for k in record.tolist()),
         record,
@@ -193,7 +193,7 @@ def joints_of(system: System) -> JointSetup | None:
     return setup
 
 
-def _held_impulses(system: System, setup: JointSetup) -> list[Problem]:
+def _held_impulses(system: System, setup: SystemJoints) -> list[Problem]:
     """What is wrong with impulses on bodies that joints hold."""
     tied, problems = np.concatenate([setup.first, setup.second]), []
     for k, force in enumerate(system.force):
@@ -235,7 +235,7 @@ class _AtStart(NamedTuple):
     rows: list[slice]  # of each cluster
 
 
-def _at_start(system: System, setup: JointSetup) -> _AtStart:
+def _at_start(system: System, setup: SystemJoints) -> _AtStart:
     """Joints of all bodies of a system."""
     n = system.n_bodies
     joints = setup.within(np.arange(n), held(system.bodies, system.is_held))
@@ -252,7 +252,7 @@ def _at_start(system: System, setup: JointSetup) -> _AtStart:
     return _AtStart(joints, data, [slice(*ends) for ends in pairwise(edges)])
 
 
-def has_loops(system: System, setup: JointSetup) -> bool:
+def has_loops(system: System, setup: SystemJoints) -> bool:
     """Whether joints close a loop, so that rows may depend on others."""
     return bool((_at_start(system, setup).joints.clusters.smallest_pivot > 0.0).any())
 
@@ -262,7 +262,7 @@ def joint_of_row(joints: Joints, row: int) -> int:
     return int(joints.number[np.searchsorted(joints.program.start, row, side="right") - 1])
 
 
-def _impossible(system: System, setup: JointSetup) -> list[Problem]:
+def _impossible(system: System, setup: SystemJoints) -> list[Problem]:
     """What is wrong with joints that would turn a point, or a rod about its axis."""
     n, (joints, data, _) = system.n_bodies, _at_start(system, setup)
     linearise(joints, data, 0, joints.rows.kind.size)
@@ -332,7 +332,7 @@ def assembled(system: System) -> System:
 
 
 def _refuse_misfits(
-    system: System, setup: JointSetup, joints: Joints, off: Floats, what: str
+    system: System, setup: SystemJoints, joints: Joints, off: Floats, what: str
 ) -> None:
     """Raise CaseError for joints that are off by more than is allowed, unless they may be moved."""
     problems: dict[int, Problem] = {}
@@ -349,7 +349,7 @@ def _refuse_misfits(
     refuse(problems.values())
 
 
-def _refuse_loose(system: System, setup: JointSetup, joints: Joints, data: JointData) -> None:
+def _refuse_loose(system: System, setup: SystemJoints, joints: Joints, data: JointData) -> None:
     """Raise CaseError where the axes of what rolls are not held."""
     hint = "hold both bodies by hinges, parallel and at their distance"
     for row, words in joint_rows.loose_wheels(joints, data).items():
@@ -359,7 +359,7 @@ def _refuse_loose(system: System, setup: JointSetup, joints: Joints, data: Joint
 
 
 def _refuse_apart(
-    system: System, setup: JointSetup, joints: Joints, data: JointData, rows: slice
+    system: System, setup: SystemJoints, joints: Joints, data: JointData, rows: slice
 ) -> None:
     """Raise CaseError where the joints of a cluster have not come together."""
     residuals(joints, data, rows.start, rows.stop, 0.0)
@@ -372,7 +372,7 @@ def _refuse_apart(
     raise CaseError([problem_at(system, f"joint[{int(setup.record[joint])}]", reason, hint)])
 
 
-def _refuse_fast(system: System, setup: JointSetup, joints: Joints, data: JointData) -> None:
+def _refuse_fast(system: System, setup: SystemJoints, joints: Joints, data: JointData) -> None:
     """Raise CaseError where velocities at the start break a joint that may not be assembled."""
     m = joints.rows.kind.size
     linearise(joints, data, 0, m)

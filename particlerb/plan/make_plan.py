@@ -17,7 +17,7 @@ from particlerb.model.state import State
 from particlerb.model.system import System
 from particlerb.plan.case_forces import impossible, loads_of
 from particlerb.plan.contact_setup import contact_of
-from particlerb.plan.groups import GroupSetup, groups_of
+from particlerb.plan.groups import GroupForces, groups_of
 from particlerb.plan.joints import joints_of
 from particlerb.plan.known_courses import Behind
 from particlerb.plan.links import AnyLink, Link, coincident, links_of
@@ -120,7 +120,7 @@ def _apart(behind: Mapping[bytes, Behind], n_bodies: int) -> Ints:
     return number
 
 
-def _after(behind: Mapping[bytes, Behind], groups: list[GroupSetup]) -> list[GroupSetup]:
+def _after(behind: Mapping[bytes, Behind], groups: list[GroupForces]) -> list[GroupForces]:
     """The same groups with what they have left behind."""
     pasts = [behind.get(group.members.tobytes()) for group in groups]
     if None in pasts:

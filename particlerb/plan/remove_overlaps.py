@@ -16,7 +16,7 @@ from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import lengths
 from particlerb.model.system import System
-from particlerb.plan.contact_setup import ContactSetup, contact_of
+from particlerb.plan.contact_setup import SystemContact, contact_of
 from particlerb.plan.initial_overlaps import spheres_of
 
 ROUNDS: Final = 2000  # at most
@@ -42,7 +42,7 @@ def remove_overlaps(system: System) -> System:
     return system._replace(state=system.state._replace(com=_pushed_apart(system, contact)))
 
 
-def _pushed_apart(system: System, contact: ContactSetup) -> Floats:
+def _pushed_apart(system: System, contact: SystemContact) -> Floats:
     """Centres of mass (3, n_bodies) [m] with which hardly anything overlaps.
 
     Raises

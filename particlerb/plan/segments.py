@@ -36,9 +36,9 @@ from particlerb.model.superblocks import Range, superblock_of, superblocks
 from particlerb.model.system import System
 from particlerb.model.worlds import Worlds, worlds_among
 from particlerb.plan.case_forces import Forces, acting_terms, jumps_of
-from particlerb.plan.contact_setup import ContactSetup
+from particlerb.plan.contact_setup import SystemContact
 from particlerb.plan.group_terms import terms_between
-from particlerb.plan.groups import GroupSetup, part_of
+from particlerb.plan.groups import GroupForces, part_of
 from particlerb.plan.joint_drives import drives_from
 from particlerb.plan.known_courses import Behind, Courses, Stretch, with_known_courses
 from particlerb.rotors.rotor_class import POINT
@@ -124,7 +124,7 @@ class Plan(NamedTuple):
 
 
 def cut_into_segments(
-    system: System, group: GroupSetup, touching: ContactSetup | None, begin: float, is_first: bool
+    system: System, group: GroupForces, touching: SystemContact | None, begin: float, is_first: bool
 ) -> list[GroupPlan]:
     """Segments of a group from a time on, between the edges of its forces; steps are set later.
 
@@ -185,9 +185,9 @@ def cut_into_segments(
 
 def _cut_apart(
     system: System,
-    group: GroupSetup,
+    group: GroupForces,
     parts: list[Ints],
-    touching: ContactSetup | None,
+    touching: SystemContact | None,
     start: tuple[float, bool],
 ) -> list[GroupPlan]:
     """Parts of a group by themselves, as `cut_into_segments`."""

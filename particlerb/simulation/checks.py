@@ -21,7 +21,7 @@ from particlerb.model.state import (
     state_in,
 )
 from particlerb.model.system import System
-from particlerb.plan.joints import JointSetup, joints_of
+from particlerb.plan.joints import SystemJoints, joints_of
 from particlerb.ranks import ALONE, Ranks
 from particlerb.simulation.impulse_values import impulse_quantity
 from particlerb.simulation.joint_values import JointValues
@@ -136,7 +136,7 @@ def _number_result(check: CheckValue, time: float, value: Floats) -> Result:
     return Result(name, numbers(expected), numbers(value), error, check.tolerance)
 
 
-def joint_quantity(check: Asked, setup: JointSetup, values: JointValues | None) -> Floats:
+def joint_quantity(check: Asked, setup: SystemJoints, values: JointValues | None) -> Floats:
     """Value of a quantity of a joint."""
     assert check.joint is not None
     assert values is not None

@@ -29,7 +29,7 @@ from particlerb.model.state import Frames, State, state_in
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.plan.joint_words import joint_data_at
-from particlerb.plan.joints import JointSetup, asked_of_joints, joints_of
+from particlerb.plan.joints import SystemJoints, asked_of_joints, joints_of
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.merging import unmerged
 from particlerb.plan.segments import GroupPlan, Segment, inside
@@ -50,7 +50,7 @@ class JointValues(NamedTuple):
     joint_break_time: Floats  # (T, j) [s]; 0 while it holds
 
 
-def room_for_values(setup: JointSetup, n: int) -> JointValues:
+def room_for_values(setup: SystemJoints, n: int) -> JointValues:
     """Values of n instants, to be written; joints that do not act carry nothing."""
     j = len(setup.names)
     force, torque = np.zeros((2, n, j, 3))
@@ -80,7 +80,7 @@ def refuse_checks(system: System) -> None:
     refuse(problems)
 
 
-def of_all_ranks(values: JointValues, setup: JointSetup, ranks: Ranks) -> JointValues:
+def of_all_ranks(values: JointValues, setup: SystemJoints, ranks: Ranks) -> JointValues:
     """Values of the joints of all ranks, each of which moves some of them.
 
     What each differs by from those of joints that do not act is added, as integers of 64 bits.
@@ -106,7 +106,7 @@ def labels_of(system: System) -> dict[str, list[tuple[str, str]]]:
 
 
 def broken_joints(
-    setup: JointSetup | None, values: JointValues | None
+    setup: SystemJoints | None, values: JointValues | None
 ) -> tuple[tuple[str, float], ...]:
     """Names of joints that have broken by the last of some instants, and when [s]."""
     if setup is None or values is None:
