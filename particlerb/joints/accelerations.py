@@ -105,8 +105,8 @@ def _centripetal(
 ) -> Vec3:
     """k of row r."""
     ra, rb = (
-        turn(R[0], row3_at(joints.rows.first, r, 0)),
-        turn(R[1], row3_at(joints.rows.second, r, 0)),
+        turn(R[0], row3_at(joints.rows.vector_a, r, 0)),
+        turn(R[1], row3_at(joints.rows.vector_b, r, 0)),
     )
     k = subtract(cross(wa, cross(wa, ra)), cross(wb, cross(wb, rb)))
     return add(k, _relative_prescribed_acceleration(data, joints.rows.a[r], joints.rows.b[r]))

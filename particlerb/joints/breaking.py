@@ -109,7 +109,7 @@ def _impulses(
         impulse = add_scaled(kept[r], row3_at(data.gradient, r, 0), impulse)
         turning = add_scaled(kept[r], row3_at(data.gradient, r, 3), turning)
     first = start[j]
-    arm = to_world(orientation(pose, joints.rows.a[first]), row3(joints.rows.first, first))
+    arm = to_world(orientation(pose, joints.rows.a[first]), row3(joints.rows.vector_a, first))
     return norm(impulse), norm(subtract(turning, cross(arm, impulse)))
 
 

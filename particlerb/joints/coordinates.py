@@ -29,7 +29,7 @@ def coordinates_of(kind: str, ends: Ends) -> Coordinates:
     parts, is_angle = [], list[bool]()
     for name, unit in names_of(kind):
         (row,) = coordinate_rows(kind, ends, name)
-        first, second, axis = row.first, row.second, row.axis
+        first, second, axis = row.vector_a, row.vector_b, row.axis
         if unit == "m":
             vectors = first, np.zeros_like(first), axis, second
         elif row.kind[0] == TURN:

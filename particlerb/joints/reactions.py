@@ -125,7 +125,7 @@ def forces_of_joints(joints: Joints, data: JointData, z: Floats) -> Floats:
         return np.zeros((0, 6))
     force = np.add.reduceat(z[:, None] * by_x, start)
     turning = np.add.reduceat(z[:, None] * by_a, start)
-    arm = rotate(data.y[joints.rows.a[start], 3:7].T, joints.rows.first[start].T)
+    arm = rotate(data.y[joints.rows.a[start], 3:7].T, joints.rows.vector_a[start].T)
     return np.hstack([force, turning - np.cross(arm.T, force)])
 
 

@@ -41,8 +41,8 @@ class ConstraintRows(NamedTuple):
     kind: Ints  # (m,)
     a: Ints  # (m,) bodies
     b: Ints  # (m,)
-    first: Floats  # (m, 3) r_a [m], of DOT n
-    second: Floats  # (m, 3) r_b [m]
+    vector_a: Floats  # (m, 3) r_a [m]; of DOT and turns a direction
+    vector_b: Floats  # (m, 3) r_b [m]; of turns a direction
     axis: Floats  # (m, 3) u
     length: Floats  # (m,) l of DISTANCE [m], 1 elsewhere
     size: Floats  # (m,) what a residual is measured by: the size of the joint [m], 1 of DOT

@@ -108,7 +108,7 @@ def arms_at(
     rows: ConstraintRows, y: Floats, r: int, R: tuple[Matrix, Matrix]
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """Do the work of `arms`, with the rotation matrices of both bodies."""
-    ra, rb = turn(R[0], row3_at(rows.first, r, 0)), turn(R[1], row3_at(rows.second, r, 0))
+    ra, rb = turn(R[0], row3_at(rows.vector_a, r, 0)), turn(R[1], row3_at(rows.vector_b, r, 0))
     u, kind = row3_at(rows.axis, r, 0), rows.kind[r]
     if kind not in (WORLD_ALONG, ROTATION):
         u = turn(R[0] if kind == OWN_TURN else R[1], u)
@@ -125,7 +125,7 @@ def is_of_directions(kind: int) -> bool:
 @inline
 def _rotation(rows: ConstraintRows, y: Floats, r: int) -> Vec3:
     """Rotation vector of the bodies of row r against each other, world axes, at most π long."""
-    x, z = row3(rows.first, r), row3(rows.second, r)
+    x, z = row3(rows.vector_a, r), row3(rows.vector_b, r)
     turned = multiply(orientation(y, rows.a[r]), (z[0], x[0], x[1], x[2]))
     q = multiply(turned, conjugate(orientation(y, rows.b[r])))
     v = q[1], q[2], q[3]
@@ -197,7 +197,8 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
                 d = arms_at(rows, y, r, R)[3]
             g[r] = dot(row3_at(rows.axis, r, 0), d) - course(joints.drives, rows.drive[r], t)[0]
         elif kind == DOT:
-            g[r] = dot(turn(R[0], row3_at(rows.first, r, 0)), turn(R[1], row3_at(rows.axis, r, 0)))
+            n, u = row3_at(rows.vector_a, r, 0), row3_at(rows.axis, r, 0)
+            g[r] = dot(turn(R[0], n), turn(R[1], u))
         elif kind in (RACK, GEAR):
             _, _, u, d = arms_at(rows, y, r, R)
             g[r] = rolled(joints.rolls, rows, r, R, u, d)

@@ -114,7 +114,7 @@ def with_drag(joints: Joints, linear: Floats, angular: Floats) -> Joints:
 
 def _beside(rows: ConstraintRows) -> Bools:
     """Which rows differ from those before by their axis alone, of those along axes of the world."""
-    columns = np.column_stack([rows.kind, rows.a, rows.b, rows.first, rows.second])
+    columns = np.column_stack([rows.kind, rows.a, rows.b, rows.vector_a, rows.vector_b])
     is_equal = np.append(False, (columns[1:] == columns[:-1]).all(axis=1))
     return np.asarray(is_equal & (rows.kind == WORLD_ALONG))
 

@@ -117,7 +117,7 @@ def tree_of(joints: Joints) -> JointTree | None:
                 used.add(index[0])
                 reached.add(k)
                 ahead.append(k)
-                ends = rows.first[index[0]], rows.second[index[0]]
+                ends = rows.vector_a[index[0]], rows.vector_b[index[0]]
                 arm = np.concatenate(ends if k == rows.a[index[0]] else ends[::-1])
                 branches.append((k, p, arm, _directions(rows, index, p, world)))
     body, before, arms, free = zip(*branches, strict=True)
@@ -136,7 +136,7 @@ def _directions(rows: ConstraintRows, index: Ints, before: int, world: int) -> l
     """Shifts, then turns, that rows of a joint leave free; those fixed in the body before first."""
     a, b, dots = rows.a[index[0]], rows.b[index[0]], index[rows.kind[index] == DOT]
     across = [(b, rows.axis[r]) for r in dots]
-    normal = [(a, rows.first[r]) for r in dots[:1]]
+    normal = [(a, rows.vector_a[r]) for r in dots[:1]]
     points = index.size - dots.size
     shifts = {3: [], 2: normal, 1: across}[points]
     turns = {0: [(world, axis) for axis in np.eye(3)], 1: normal + across, 2: normal, 3: []}

@@ -114,7 +114,7 @@ def coordinate_rows(kind: str, ends: Ends, along: str | None) -> list[Constraint
     if kind == "ball":
         return [_rotation_of(row, ends) for row in rows]
     constraints = [_row_of(row, ends) for row in rows]
-    shifted = [constraint._replace(second=ends.second["at"]) for constraint in constraints]
+    shifted = [constraint._replace(vector_b=ends.second["at"]) for constraint in constraints]
     return shifted if rows[0].kind == ALONG else constraints
 
 
@@ -123,7 +123,7 @@ def _rotation_of(row: _Constraint, ends: Ends) -> ConstraintRows:
     pairs = [(ends.first[axis], ends.second[axis]) for axis in "nef"]
     turn = quaternions(sum(np.einsum("ki,kj->kij", *pair) for pair in pairs))
     second = np.pad(turn[:, :1], ((0, 0), (0, 2)))
-    return _row_of(row, ends)._replace(first=turn[:, 1:].copy(), second=second)
+    return _row_of(row, ends)._replace(vector_a=turn[:, 1:].copy(), vector_b=second)
 
 
 def _row_of(row: _Constraint, ends: Ends) -> ConstraintRows:

@@ -58,7 +58,7 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
     weight = np.linalg.norm(data.change[:, :3], axis=1)
     squared = np.zeros(joints.inv_mass.size)
     is_distance = joints.rows.kind[first] == DISTANCE
-    ends = (joints.rows.a, joints.rows.first), (joints.rows.b, joints.rows.second)
+    ends = (joints.rows.a, joints.rows.vector_a), (joints.rows.b, joints.rows.vector_b)
     for bodies_of, arms in ends:
         end = bodies_of[first]
         load = np.maximum(carried, weight[end])
