@@ -107,7 +107,7 @@ def add_actions(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
             add_impulses(
                 joints.rows, joints.inv_mass, data.gradient, data.z, r, r + 1, data.change, 0
             )
-            power -= force * data.moving[r]
+            power -= force * data.dg_dt[r]
             _book_row(books, jointed, slope, w, r, force, power)
     _drag(jointed.damps, books, jointed, slope, w)
 
@@ -150,7 +150,7 @@ def _add_what_holds(
         find_multipliers(joints, data, data.change)
         m = joints.rows.kind.size
         for r in range(m):
-            _book_row(books, jointed, slope, w, r, data.z[r], -data.z[r] * data.moving[r])
+            _book_row(books, jointed, slope, w, r, data.z[r], -data.z[r] * data.dg_dt[r])
         add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, 0, m, data.change, 0)
         return
     accelerate_tree(joints, tree, data.y, data.change)
@@ -216,7 +216,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
         linearise(joints, data, lo, hi)
         set_moving(joints, data, lo, hi, t)
         keep_rates(joints, data, c, lo, hi)
-        if data.lost[c] > 0:
+        if data.failed_row[c] > 0:
             data.y[first:last] = nan
     _give_state(jointed, states, w)
 

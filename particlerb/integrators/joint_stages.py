@@ -95,7 +95,7 @@ def set_prescribed(
                 put_row3_at(y, b, P, p)
                 put_row3_at(y, b, L, spin)
             x, q, v, w = prescribed_pose(prescribed, k, time + dt)
-            put_pose(jointed.data.later, b, x, q)
+            put_pose(jointed.data.end_pose, b, x, q)
 
 
 @inline
@@ -104,7 +104,7 @@ def _scatter(jointed: Jointed, blocks: Floats, c: int) -> None:
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         for i in range(STATE_ROWS):
-            put(blocks[block[k]], COM + i, lane[k], nan if data.lost[c] else data.y[k, i])
+            put(blocks[block[k]], COM + i, lane[k], nan if data.failed_row[c] else data.y[k, i])
 
 
 @inline
@@ -115,7 +115,7 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     start = joints.program.start
     for r in range(start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]):
-        a, b, z = joints.rows.a[r], joints.rows.b[r], data.total[r]
+        a, b, z = joints.rows.a[r], joints.rows.b[r], data.impulse[r]
         by_x = row3_at(data.gradient, r, 0)
         if joints.inv_mass[b] == 0.0 and joints.inv_mass[a] > 0.0:
             impulse = scale(z, by_x)
@@ -169,8 +169,8 @@ def _book_drives(books: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
         return
     data, start, joint = jointed.data, jointed.joints.program.start, jointed.joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
-        if data.moving[r] != 0.0:
-            book_work(books, jointed, blocks, r, -data.moving[r] * data.total[r])
+        if data.dg_dt[r] != 0.0:
+            book_work(books, jointed, blocks, r, -data.dg_dt[r] * data.impulse[r])
 
 
 @inline
@@ -183,8 +183,8 @@ def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, sp
     soften(joints, data, c, span)
     project_momenta(softened(joints, data), data, c, 0.0, data.clock[0], span)
     for r in range(start[joint[c]], start[joint[c + 1]]):
-        half = data.total[r]
-        data.total[r] = 2.0 * half
+        half = data.impulse[r]
+        data.impulse[r] = 2.0 * half
         if joints.rows.action[r] != HOLDS and half != 0.0:
             book_work(books, jointed, blocks, r, -2.0 * data.compliance[r] * half * half)
     keep_impulses(joints.breaks, joints, data, c, False)

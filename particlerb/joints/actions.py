@@ -88,9 +88,9 @@ def kick_actions(joints: Joints, data: JointData, lo: int, hi: int, dt: float) -
             x = coordinate(joints.rows, data.y, r)
             f = -actions.stiffness[k] * _from_rest(actions, k, kind[r], x)
             f += actions.motor[k] - actions.stop[k] * _beyond(actions, k, kind[r], x)
-            data.z[r] = data.total[r] = f * dt
-            data.before[r] = rate(joints, data.gradient, r, data.y, P)
-            data.before[r] += data.moving[r] - rate(joints, data.gradient, r, data.change, 0)
+            data.z[r] = data.impulse[r] = f * dt
+            data.old_rate[r] = rate(joints, data.gradient, r, data.y, P)
+            data.old_rate[r] += data.dg_dt[r] - rate(joints, data.gradient, r, data.change, 0)
     for r in range(lo, hi):
         if joints.rows.action[r] != HOLDS:
             add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, r, r + 1, data.y, P)
@@ -99,8 +99,8 @@ def kick_actions(joints: Joints, data: JointData, lo: int, hi: int, dt: float) -
 @inline
 def work_of_motor(joints: Joints, data: JointData, r: int, dt: float) -> float:
     """Work of a motor in a kick: with its rates before, and after the impulses of the joints."""
-    after = rate(joints, data.gradient, r, data.y, P) + data.moving[r]
-    W: float = 0.5 * dt * joints.actions.motor[joints.rows.action[r]] * (data.before[r] + after)
+    after = rate(joints, data.gradient, r, data.y, P) + data.dg_dt[r]
+    W: float = 0.5 * dt * joints.actions.motor[joints.rows.action[r]] * (data.old_rate[r] + after)
     return W
 
 
@@ -125,7 +125,7 @@ def action_force(joints: Joints, data: JointData, r: int) -> tuple[float, float]
     """What acts along row r [N or N m], and the power of that which has no potential [W]."""
     actions, k, kind = joints.actions, joints.rows.action[r], joints.rows.kind[r]
     x = coordinate(joints.rows, data.y, r)
-    v = rate(joints, data.gradient, r, data.y, P) + data.moving[r]
+    v = rate(joints, data.gradient, r, data.y, P) + data.dg_dt[r]
     beyond = _beyond(actions, k, kind, x)
     c = actions.damping[k] + (actions.stop_damping[k] if beyond != 0.0 else 0.0)
     f = -actions.stiffness[k] * _from_rest(actions, k, kind, x)

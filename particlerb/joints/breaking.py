@@ -76,8 +76,8 @@ def let_break(
         share = (kick_dt - 0.5 * dt + later) / kick_dt if breaks_now else 0.0
         for r in range(start[j], start[j + 1]):
             if joints.rows.action[r] == HOLDS:
-                data.z[r] = (share - 1.0) * data.total[r]
-                data.total[r] *= share
+                data.z[r] = (share - 1.0) * data.impulse[r]
+                data.impulse[r] *= share
             else:
                 data.z[r] = 0.0
         if breaks_now:
@@ -96,7 +96,7 @@ def keep_impulses(
         return
     start, joint = joints.program.start, joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
-        data.kept[r] = data.total[r] if is_first else data.kept[r] + data.total[r]
+        data.half_step[r] = data.impulse[r] if is_first else data.half_step[r] + data.impulse[r]
 
 
 @inline
@@ -172,7 +172,7 @@ def foresee_breaks(
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
         if data.broken[j] < inf:
             continue
-        force, torque = _impulses(joints, data, j, data.kept, data.pose)
+        force, torque = _impulses(joints, data, j, data.half_step, data.pose)
         force, torque = force / span, torque / span
         steps = _ahead(force, data.load[j, 0], breaks.force[j])
         steps = min(steps, _ahead(torque, data.load[j, 1], breaks.torque[j]))
@@ -187,8 +187,8 @@ def carry_in_drift(breaks: Breaks | None, data: JointData, is_first: bool) -> No
     """Count the impulses of a drift among those of a step, of which it is the first or not."""
     if breaks is None:
         return
-    for r in range(data.of_step.size):
-        data.of_step[r] = data.total[r] + (0.0 if is_first else data.of_step[r])
+    for r in range(data.step_impulse.size):
+        data.step_impulse[r] = data.impulse[r] + (0.0 if is_first else data.step_impulse[r])
 
 
 @inline
@@ -196,8 +196,8 @@ def carry_in_projection(breaks: Breaks | None, data: JointData) -> None:
     """Count the impulses of a projection, damping included."""
     if breaks is None:
         return
-    for r in range(data.of_step.size):
-        data.of_step[r] += data.kept[r]
+    for r in range(data.step_impulse.size):
+        data.step_impulse[r] += data.half_step[r]
 
 
 @inline
@@ -206,7 +206,7 @@ def break_overloaded(breaks: Breaks | None, joints: Joints, data: JointData, dt:
     if breaks is None:
         return
     for j in range(data.broken.size):
-        force, torque = _impulses(joints, data, j, data.of_step, data.pose)
+        force, torque = _impulses(joints, data, j, data.step_impulse, data.pose)
         is_too_much = force > dt * breaks.force[j] or torque > dt * breaks.torque[j]
         if is_too_much and data.broken[j] == inf:
             data.broken[j] = data.clock[2] + data.clock[0]

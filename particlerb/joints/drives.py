@@ -30,8 +30,8 @@ def set_moving(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> N
     if not joints.moves:
         return
     for r in range(lo, hi):
-        data.moving[r] = -course(joints.drives, joints.rows.drive[r], t)[1]
-        data.moving[r] += _by_carried(joints, data, r)
+        data.dg_dt[r] = -course(joints.drives, joints.rows.drive[r], t)[1]
+        data.dg_dt[r] += _by_carried(joints, data, r)
 
 
 @inline
@@ -51,4 +51,4 @@ def carry(joints: Joints, data: JointData, first: int, last: int) -> None:
     for b in range(first, last):
         if joints.prescribed[b]:
             for i in range(P):
-                data.y[b, i] = data.later[b, i]
+                data.y[b, i] = data.end_pose[b, i]

@@ -172,25 +172,25 @@ class JointData(NamedTuple):
     y: Floats  # (n + 1, 13) states
     pose: Floats  # (n + 1, 13) where a drift begins, with the momenta that it begins with
     gradient: Floats  # (m, 15)
-    motion: Floats  # (n + 1, 9) v, ω and dv/dt of bodies that move as prescribed, 0 of others
-    later: Floats  # (n + 1, 7) where those are at the end of a drift
+    motion: Floats  # (n + 1, 9) v, ω and dv/dt of prescribed bodies, 0 of others
+    end_pose: Floats  # (n + 1, 7) x and q of those at the end of a drift
     change: Floats  # (n + 1, 6) momenta that a kick gave; those before damping; or loads
     inv_mass: Floats  # (n + 1,) [1/kg] with drag in it
     inv_inertia: Floats  # (n + 1, 3) [1/(kg m²)] likewise
     g: Floats  # (m,) residuals
-    moving: Floats  # (m,) ∂g/∂t
-    z: Floats  # (m,) right sides and solutions
-    total: Floats  # (m,) impulses of a drift
-    kept: Floats  # (m,) impulses since the middle of the last step, of these
-    of_step: Floats  # (m,) impulses of a step, where contacts have no stiffness and some may break
+    dg_dt: Floats  # (m,) ∂g/∂t, of drives and prescribed bodies
+    z: Floats  # (m,) right sides and solutions of A z = r
+    impulse: Floats  # (m,) [N s or N m s] of a drift
+    half_step: Floats  # (m,) of these impulses, since the middle of the last step
+    step_impulse: Floats  # (m,) of a step, where contacts have no stiffness and some may break
     last_g: Floats  # (m,) residuals of the iteration before,
     last_gain: Floats  # (m,) and the impulses that it has added
-    before: Floats  # (m,) rates of coordinates before a kick
+    old_rate: Floats  # (m,) of coordinates, before a kick
     scale: Floats  # (m,) diagonal of A
     compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
-    past: Floats  # (m, 4) of the last step, over its kick, and differences back; NaN: not known
+    past: Floats  # (m, 4) impulse of the last step over its kick, and differences back; or NaN
     factor: Floats  # (blocks, w, w) for joints of w rows at most
-    lost: Ints  # (k,) 1 + row that did not converge; m, 2 m more: see `lost_joints`
+    failed_row: Ints  # (k,) 1 + row that did not converge; m, 2 m more: see `lost_joints`
     turned: Floats  # (c, 3) cosine, sine and whole turns of each angle; or displacement [m], 0, 0
     clock: Floats  # (3,) [s] since the segment began, at the start of a step; the whole step; when
     # the segment began

@@ -287,10 +287,10 @@ def rates(joints: Joints, data: JointData, lo: int, hi: int) -> float:
     """z = -ġ of rows lo to hi; the largest over its size [1/s]."""
     worst = 0.0
     for r in range(lo, hi):
-        speed = rate(joints, data.gradient, r, data.y, P) + data.moving[r]
+        speed = rate(joints, data.gradient, r, data.y, P) + data.dg_dt[r]
         soft = data.compliance[r]
         if soft > 0.0:
-            speed = speed + soft * data.total[r] if soft < inf else 0.0
+            speed = speed + soft * data.impulse[r] if soft < inf else 0.0
         data.z[r] = -speed
         speed = abs(speed) / joints.rows.size[r]
         if not speed <= worst:

@@ -76,7 +76,7 @@ def factorise_cluster(joints: Joints, data: JointData, c: int, span: float, t: f
     lo, hi = clusters.joint[c], clusters.joint[c + 1]
     for r in range(start[lo], start[hi]):
         set_compliance(joints, data, r, span)
-        data.total[r] = 0.0
+        data.impulse[r] = 0.0
     leave_out(joints.breaks, joints, data, c, t)
     linearise(joints, data, start[lo], start[hi])
     set_moving(joints, data, start[lo], start[hi], t)
@@ -102,7 +102,7 @@ def _solve_and_add(joints: Joints, data: JointData, c: int, lo: int, hi: int) ->
 def _add(joints: Joints, data: JointData, lo: int, hi: int) -> None:
     """Add impulses z of rows lo to hi to the momenta, and to `total`."""
     for r in range(lo, hi):
-        data.total[r] += data.z[r]
+        data.impulse[r] += data.z[r]
     add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, lo, hi, data.y, P)
 
 
@@ -129,7 +129,7 @@ def warm_start(joints: Joints, data: JointData, c: int, kick_dt: float) -> None:
 def remember(data: JointData, lo: int, hi: int, kick_dt: float) -> None:
     """Keep the impulses of rows lo to hi for the guess of the next step."""
     for r in range(lo, hi):
-        force = data.total[r] / kick_dt
+        force = data.impulse[r] / kick_dt
         for i in range(data.past.shape[1]):
             before, data.past[r, i] = data.past[r, i], force
             force -= before
@@ -141,7 +141,7 @@ def constrained_drift(
 ) -> None:
     """Kick of springs at t, and drift of cluster c over dt with impulses so that g = 0 at its end.
 
-    `data.total` has these impulses, `data.lost` the row that does not converge.
+    `data.impulse` has these impulses, `data.failed_row` the row that does not converge.
     """
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
@@ -157,7 +157,7 @@ def constrained_drift(
     if is_whole:
         warm_start(joints, data, c, kick_dt)
     _fly_to_joints(joints, data, c, t, dt)
-    if data.lost[c] > 0 and clusters.smallest_pivot[c] > 0.0:
+    if data.failed_row[c] > 0 and clusters.smallest_pivot[c] > 0.0:
         _pass_singular_pose(joints, data, c, t, dt)
     if is_whole:
         remember(data, lo, hi, kick_dt)
@@ -168,7 +168,7 @@ def constrained_drift(
     if joints.acts or joints.bounds is not None:
         for r in range(lo, hi):
             if gives_way(joints.rows, joints.actions, r, data.pose, data.y):
-                data.lost[c] = 1 + r + 2 * joints.rows.kind.size
+                data.failed_row[c] = 1 + r + 2 * joints.rows.kind.size
 
 
 @inline
@@ -195,7 +195,7 @@ def _see_teeth(rolls: Flag, joints: Joints, data: JointData, c: int, dt: float) 
             turned = _turn(joints, data, rows.a[r], dt), _turn(joints, data, rows.b[r], dt)
             wrong = out_of_mesh(rows, r, R, (u, d), before, (u0, d0), turned)
             if wrong > 0:
-                data.lost[c] = 1 + r + (wrong - 1) * rows.kind.size
+                data.failed_row[c] = 1 + r + (wrong - 1) * rows.kind.size
 
 
 @kernel
@@ -219,19 +219,19 @@ def _pass_singular_pose(joints: Joints, data: JointData, c: int, t: float, dt: f
             d = clusters.block[c] + j - first
             for r in range(start[j], start[j + 1]):
                 if joints.rows.action[r] == HOLDS:
-                    data.total[r] = 0.0
+                    data.impulse[r] = 0.0
                     if data.factor[d, r - start[j], r - start[j]] == 0.0:
                         data.compliance[r] = inf
-        data.lost[c] = 0
+        data.failed_row[c] = 0
         _fly_to_joints(joints, data, c, t, dt)
         for r in range(lo, hi):
             if joints.rows.action[r] == HOLDS:
                 data.compliance[r] = 0.0
         leave_out(joints.breaks, joints, data, c, t)
         worst, where = residuals(joints, data, lo, hi, t + dt)
-        if data.lost[c] == 0 and worst <= _MAX_RESTING and _is_weak(joints, data, c, lo, hi):
+        if data.failed_row[c] == 0 and worst <= _MAX_RESTING and _is_weak(joints, data, c, lo, hi):
             break
-        data.lost[c] = 1 + where
+        data.failed_row[c] = 1 + where
     share[c] = usual
 
 
@@ -246,7 +246,7 @@ def _is_weak(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> bool:
         M += 1.0 / inverse if inverse > 0.0 else 0.0
     for r in range(lo, hi):
         arm = joints.rows.size[r] if is_of_directions(joints.rows.kind[r]) else 1.0
-        largest = max(largest, abs(data.total[r]) / arm)
+        largest = max(largest, abs(data.impulse[r]) / arm)
     return largest * largest <= 2.0 * M * T
 
 
@@ -273,8 +273,8 @@ def _count_teeth(
         return worst
     rows = joints.rows
     for r in range(lo, hi):
-        if rows.kind[r] in (RACK, GEAR) and data.compliance[r] == 0.0 and data.total[r] == 0.0:
-            passed = dt * (rate(joints, data.gradient, r, data.y, P) + data.moving[r])
+        if rows.kind[r] in (RACK, GEAR) and data.compliance[r] == 0.0 and data.impulse[r] == 0.0:
+            passed = dt * (rate(joints, data.gradient, r, data.y, P) + data.dg_dt[r])
             data.g[r] = nearest(data.g[r], passed, rows.wheel[r, 11])
             worst = max(worst, abs(data.g[r]) / rows.size[r])
     return worst
@@ -306,8 +306,8 @@ def _fly_to_joints(joints: Joints, data: JointData, c: int, t: float, dt: float)
             data.z[r] -= share * data.last_gain[r]
             data.last_gain[r] = data.z[r]
         _add(joints, data, lo, hi)
-    if data.lost[c] == 0:  # later steps of what is lost are not numbers
-        data.lost[c] = 1 + where
+    if data.failed_row[c] == 0:  # later steps of what is lost are not numbers
+        data.failed_row[c] = 1 + where
 
 
 @unfused_kernel

@@ -131,7 +131,7 @@ def loose_wheels(joints: Joints, data: JointData) -> dict[int, str]:
         rolling = lo + np.flatnonzero(np.isin(rows.kind[lo:hi], (GEAR, RACK)))
         if rolling.size:
             factorise_cluster(joints, data, c, 0.0, 0.0)
-            data.moving[:] = 0.0
+            data.dg_dt[:] = 0.0
         for r in rolling.tolist():
             for words, way in _ways_of(joints, data, r):
                 y[:, P:] = 0.0

@@ -247,7 +247,7 @@ def _at_start(system: System, setup: SystemJoints) -> _AtStart:
         x, q, v, w = prescribed_pose(setup.prescribed, k, 0.0)
         body = int(np.flatnonzero(joints.order == setup.prescribed.body[k])[0])
         data.y[body] = [*x, *q, *np.concatenate(prescribed_momenta(setup.prescribed, k, q, v, w))]
-        data.motion[body, :6], data.later[body] = [*v, *w], [*x, *q]
+        data.motion[body, :6], data.end_pose[body] = [*v, *w], [*x, *q]
     edges = joints.program.start[joints.clusters.joint].tolist()
     return _AtStart(joints, data, [slice(*ends) for ends in pairwise(edges)])
 

@@ -44,7 +44,7 @@ class JointedMotion(Motion):
         if self.jointed is None:
             return {}
         joints, data = self.jointed.joints, self.jointed.data
-        why, rows = np.divmod(data.lost[data.lost > 0] - 1, joints.rows.kind.size)
+        why, rows = np.divmod(data.failed_row[data.failed_row > 0] - 1, joints.rows.kind.size)
         which = np.searchsorted(joints.program.start, rows, side="right") - 1
         return dict(zip(joints.number[which].tolist(), why.tolist(), strict=True))
 

@@ -118,11 +118,11 @@ def test_a_step_begins_with_the_impulses_that_a_cubic_foresees():
     assert own.sum() == 5
     for known in range(6):
         before = data.y.copy()
-        data.total[:] = 0.0
+        data.impulse[:] = 0.0
         warm_start(joints, data, 0, 0.25)
         if known in FORESEEN:
-            assert data.total == pytest.approx(np.where(own, 0.25 * FORESEEN[known] * row, 0.0))
+            assert data.impulse == pytest.approx(np.where(own, 0.25 * FORESEEN[known] * row, 0.0))
         given = data.y[0, P : P + 3] - before[0, P : P + 3]
-        assert given == pytest.approx(data.total @ data.gradient[:, :3], abs=1e-12)
-        data.total[:] = 0.5 * row * (1 + known + known**2 + known**3)
+        assert given == pytest.approx(data.impulse @ data.gradient[:, :3], abs=1e-12)
+        data.impulse[:] = 0.5 * row * (1 + known + known**2 + known**3)
         remember(data, 0, 10, 0.5)
