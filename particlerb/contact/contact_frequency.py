@@ -51,7 +51,7 @@ def springs(
     """Springs of pairs of spheres, or of spheres with primitives of walls, at their overlaps."""
     (i, j), spheres, law = pairs, model.spheres, model.law
     second = np.full(i.size, model.inv_mass.size) if are_walls else spheres.body[j]
-    material = model.wall_material[j] if are_walls else spheres.partner[j]
+    material = model.wall_material[j] if are_walls else spheres.material_column[j]
     pair = model.pair_of[spheres.material[i], material]
     k = law.stiffness[pair]
     shear = np.where(law.friction[pair] > 0.0, law.tangential_stiffness[pair], 0.0)
@@ -78,7 +78,7 @@ def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, dep
     spheres, near = model.spheres, _TOUCH_GAP * float(model.spheres.radius.min(initial=np.inf))
     x = np.ascontiguousarray(com[:, spheres.body] + rotate(q[:, spheres.body], spheres.arm))
     first, second, _ = neighbours(
-        x, spheres.radius, spheres.body, near, spheres.apart, spheres.world
+        x, spheres.radius, spheres.body, near, spheres.excluded, spheres.world
     )
     away = x[:, second] - x[:, first]
     between = _initial_springs(model, (first, second), False, x, away, depth)

@@ -19,9 +19,9 @@ class ContactSpheres(NamedTuple):
     radius: Floats  # (n,) [m]
     body: Ints  # (n,) ascending
     material: Ints  # (n,) row of `pair_of`: of its material, or of that in its world
-    partner: Ints  # (n,) column of `pair_of`: of its material
+    material_column: Ints  # (n,) column of `pair_of`: of its material
     offset: Ints  # (n_bodies + 1,) those of body b are offset[b] to offset[b + 1]
-    apart: Ints  # (k,) pairs of bodies that do not touch: see `sphere_search.pair_keys`
+    excluded: Ints  # (k,) pairs of bodies that do not touch: see `sphere_search.pair_keys`
     world: Ints  # (n_bodies,) scene of each body, whose bodies touch no others
 
 

@@ -260,7 +260,7 @@ def _sphere_contact(
         return
     normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
     point = add_scaled(-(xyzr[i, 3] + 0.5 * gap), normal, row3(xyzr, i))
-    pair = model.pair_of[model.spheres.material[i], model.spheres.partner[j]]
+    pair = model.pair_of[model.spheres.material[i], model.spheres.material_column[j]]
     smaller, effective = min(xyzr[i, 3], xyzr[j, 3]), xyzr[i, 3] * xyzr[j, 3] / touching
     spheres = row3(xyzr, i), xyzr[i, 3], row3(xyzr, j), xyzr[j, 3]
     changes = _change_between(impulses.partners, a, b, spheres, normal)

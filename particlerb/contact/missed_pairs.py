@@ -61,7 +61,7 @@ class Missed(NamedTuple):
 def _is_apart(spheres: ContactSpheres, a: int, b: int) -> bool:
     """Whether two bodies do not touch each other."""
     is_apart = False
-    for key in spheres.apart:
+    for key in spheres.excluded:
         is_apart = is_apart or key == min(a, b) << KEY_BITS | max(a, b)
     return is_apart
 

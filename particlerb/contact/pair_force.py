@@ -331,7 +331,7 @@ def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
     omega = subtract(row3(bodies.angular_velocity, a), row3(bodies.angular_velocity, b))
     boundary = boundary_velocity(model.prescribed, bodies, a, b, v_a, v_b)
     r_eff = r_i * r_j / (r_i + r_j)
-    pair = model.pair_of[spheres.material[i], spheres.partner[j]]
+    pair = model.pair_of[spheres.material[i], spheres.material_column[j]]
     if contacts.history.inv_effective_mass[c] == 0.0:
         inv_mass = inv_effective_mass(model, bodies, a, point, normal)
         inv_mass += inv_effective_mass(model, bodies, b, point, normal)

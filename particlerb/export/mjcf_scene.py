@@ -261,9 +261,9 @@ class _Writer:
                 name = wall.name + (f" {k}" if k else "")
                 # Without a stiffness of its own, so that the body's counts.
                 ET.SubElement(self.world, "geom", text, name=name, contype="1", conaffinity="1")
-        if contact.apart.size:
+        if contact.excluded.size:
             excluded = ET.SubElement(self.root, "contact")
-            for a, b in contact.apart.tolist():
+            for a, b in contact.excluded.tolist():
                 ends = {"body1": self.system.names[a], "body2": self.system.names[b]}
                 ET.SubElement(excluded, "exclude", ends)
 

@@ -20,7 +20,7 @@ from particlerb.contact.walls import Walls
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.system import System
 from particlerb.plan.initial_overlaps import refuse_misplaced
-from particlerb.plan.joint_ends import bodies_apart
+from particlerb.plan.joint_ends import excluded_pairs
 from particlerb.plan.joint_rows import bounds_of
 from particlerb.plan.obstacles import middle, motion_of, pistons_of, prescribed_bodies, wall_of
 
@@ -57,7 +57,7 @@ class SystemContact(NamedTuple):
     motions: tuple[PrescribedMotion, ...]  # (n_walls,)
     pistons: Pistons | None  # walls that slide
     wall_material: Ints  # (n_walls,) code
-    apart: Ints  # (k,) pairs of bodies of the system that joints keep from touching
+    excluded: Ints  # (k,) pairs of bodies of the system that joints keep from touching
 
 
 def contact_of(system: System) -> SystemContact | None:
@@ -111,7 +111,7 @@ def contact_of(system: System) -> SystemContact | None:
         motions=tuple(motion_of(table.motion, middle(table)) for table in system.wall),
         pistons=pistons_of(system),
         wall_material=wall_material,
-        apart=bodies_apart(system),
+        excluded=excluded_pairs(system),
     )
     if can_meet.any():
         refuse_misplaced(system, contact)

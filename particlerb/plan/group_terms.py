@@ -149,7 +149,7 @@ def _contact_among(
         code if rows == k else code + k * world[owner],
         code,
         np.searchsorted(owner, np.arange(members.size + 1)),
-        _apart_among(members, touching.apart),
+        _apart_among(members, touching.excluded),
         world,
     )
     material = touching.wall_material[touching.walls.wall]

@@ -95,7 +95,7 @@ def _overlapping(
         return
     spheres = _with_images(spheres, contact)
     pairs = neighbours(
-        spheres.place, spheres.radius, spheres.body, 0.0, contact.apart, system.world
+        spheres.place, spheres.radius, spheres.body, 0.0, contact.excluded, system.world
     )
     i, j = pairs.first, pairs.second
     distance = lengths(spheres.place[:, j] - spheres.place[:, i])

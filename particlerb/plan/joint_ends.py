@@ -39,7 +39,7 @@ def pairs_of(system: System, table: JointTable) -> tuple[Ints, Ints]:
     return first.ravel(), np.broadcast_to(second, first.shape).ravel()
 
 
-def bodies_apart(system: System) -> Ints:
+def excluded_pairs(system: System) -> Ints:
     """Pairs of bodies that joints tie and that are not to touch each other, ascending keys."""
     keys = [np.zeros(0, dtype=np.int64)]
     for table in system.joint:

@@ -113,7 +113,7 @@ def _contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: fl
     model, law = contact.model, contact.model.law
     softness = bodies.inv_mass + softest_turning(model.spheres, bodies.inv_inertia)
     code = np.full(softness.size, -1)
-    code[model.spheres.body] = model.spheres.partner
+    code[model.spheres.body] = model.spheres.material_column
     partner = _softest_partners(contact, softness, code)
     code[model.spheres.body] = model.spheres.material
     pair = model.pair_of[code]  # of bodies that touch nothing any one: they have no partners

@@ -98,7 +98,7 @@ class ContactLists:
         with_rolling = contact.model.law.rolling is not None
         self.record = records.history_record(with_rolling, contact.rules is not None)
         self.histories = histories or (empty_history(self.record),) * 2
-        self._search = SphereSearch(spheres.radius, spheres.body, spheres.apart, spheres.world)
+        self._search = SphereSearch(spheres.radius, spheres.body, spheres.excluded, spheres.world)
         self._walls = WallSearch(walls, spheres.radius)
         self._at_walls = None if is_own is None else np.flatnonzero(is_own[spheres.body])
         self._primitives = np.arange(walls.kind.size)

@@ -23,7 +23,7 @@ def contact_part(group: SegmentGroup, indices: Ints) -> tuple[SegmentGroup, Ints
         radius=model.spheres.radius[kept],
         body=body,
         material=model.spheres.material[kept],
-        partner=model.spheres.partner[kept],
+        material_column=model.spheres.material_column[kept],
         world=model.spheres.world[indices],
         offset=np.searchsorted(body, np.arange(indices.size + 1)),
     )

@@ -449,7 +449,7 @@ def test_corrected_rate_agrees_with_the_force_that_it_gives(parameters, state, f
 
 
 @given(kinds, states, vectors)
-def test_bodies_apart_feel_nothing(parameters, state, spring):
+def test_excluded_pairs_feel_nothing(parameters, state, spring):
     apart = state._replace(overlap=-0.01, overlap_rate=1.0)
     push, force, new, (stored, power, _) = forces(parameters, apart, spring, 0.019)
     assert push.force == push.elastic == stored == power == 0.0
