@@ -338,7 +338,7 @@ def find_impulse_contacts(
         most so far, as what was looked at once has something to forget.
     dt : float [s]
     """
-    impulses.filled[0] = 0
+    impulses.counts[0] = 0
     spheres, walls, skin = lists.spheres, lists.walls, setup.skin
     begin_spheres, begin_walls = 0, 0
     farthest = _find_reach(setup, impulses, lists.max_contact_arm, dt)
@@ -390,7 +390,7 @@ def _keep_rolling(
 @kernel
 def keep_impulses(lists: NeighbourLists, impulses: Impulses, dt: float) -> None:
     """Keep the impulses of a step of dt [s] as forces: for the next one, and for who looks."""
-    for k in range(impulses.filled[0]):
+    for k in range(impulses.counts[0]):
         c = impulses.rows.entry[k]
         if c >= 0:
             _keep(lists.spheres, c, impulses, k, dt)

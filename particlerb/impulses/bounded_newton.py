@@ -59,7 +59,7 @@ def add_bounded(
     to_solve: float,
 ) -> None:  # fmt: skip
     """Add Gᵀ K G M⁻¹ and -Gᵀ c of the rows of clusters that are to be solved."""
-    values, matrix, reach = bounded.values, newton.matrix, newton.reach[0]
+    values, matrix, bandwidth = bounded.values, newton.matrix, newton.bandwidth[0]
     for k in range(bounded.kind.size):
         if newton.clusters[_cluster_of(bounded, newton, k), state] != to_solve:
             continue
@@ -78,7 +78,7 @@ def add_bounded(
                     by = values[k, B_SLOPE] * bounded.response[j, c]
                     for i in range(6):
                         away = column + c - at - i
-                        matrix[at + i, away + reach] += bounded.gradient[k, of + i] * by
+                        matrix[at + i, away + bandwidth] += bounded.gradient[k, of + i] * by
 
 
 @inline

@@ -118,7 +118,7 @@ def _bounce(impulses: Impulses, k: int) -> bool:
 @kernel
 def take_impacts(impulses: Impulses, bounded: Bounded | None) -> None:
     """Let contacts bounce, and give momenta."""
-    tally, order, m = impulses.tally, impulses.rows.order, impulses.filled[0]
+    tally, order, m = impulses.tally, impulses.rows.order, impulses.counts[0]
     for _ in range(max(_MAX_PASSES, _MAX_PASSES * _MIN_CONTACTS_COUNTED // max(m, 1))):
         n = _find_impacts(impulses, bounded)
         if n == 0:

@@ -165,10 +165,10 @@ def _k_times(slopes: Floats, k: int, du: Vec3) -> Vec3:
 @inline
 def _add_column(newton: Newton, at: int, column: int, p: Vec3, m: Vec3) -> None:
     """Add an impulse and an angular impulse on a partner, whose first row is `at`, to a column."""
-    matrix, reach = newton.matrix, newton.reach[0]
+    matrix, bandwidth = newton.matrix, newton.bandwidth[0]
     for i in range(3):
-        matrix[at + i, column - at - i + reach] += p[i]
-        matrix[at + 3 + i, column - at - 3 - i + reach] += m[i]
+        matrix[at + i, column - at - i + bandwidth] += p[i]
+        matrix[at + 3 + i, column - at - 3 - i + bandwidth] += m[i]
 
 
 @inline
@@ -255,11 +255,11 @@ def _solve_for_bodies(
     partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int
 ) -> None:
     """Write p of the bodies in clusters to solve, and what it does to velocities, as moves."""
-    matrix, change, reach = newton.matrix, newton.change, newton.reach[0]
+    matrix, change, bandwidth = newton.matrix, newton.change, newton.bandwidth[0]
     for i in range(change.size):
         for j in range(matrix.shape[1]):
             matrix[i, j] = 0.0
-        matrix[i, reach], change[i] = 1.0, 0.0
+        matrix[i, bandwidth], change[i] = 1.0, 0.0
     for k in range(count):
         if newton.clusters[_cluster_of(newton, rows, k), _STATE] != _TO_SOLVE:
             continue
@@ -275,7 +275,7 @@ def _solve_for_bodies(
                     change[at + 3 + i] += sign * m[i]
     if bounded is not None:
         add_bounded(bounded, newton, partners.mechanisms, _STATE, _TO_SOLVE)
-    solve_band(matrix, change, reach)
+    solve_band(matrix, change, bandwidth)
     move = partners.move
     for b in range(move.shape[0]):
         put_row3_at(move, b, 0, ZERO)

@@ -47,8 +47,8 @@ def room_for_newton(moves: Bools, a: Ints, b: Ints, rows: int) -> Newton:
             order += members
     place[order] = 6 * np.arange(len(order))
     away = np.abs(place[a[inner]] - place[b[inner]]).max(initial=0)
-    n, reach = 6 * len(order), int(away) + 5
+    n, bandwidth = 6 * len(order), int(away) + 5
     return Newton(
-        place, cluster, np.array([reach]), np.zeros((n, 3 * reach + 1)), np.zeros(n),
+        place, cluster, np.array([bandwidth]), np.zeros((n, 3 * bandwidth + 1)), np.zeros(n),
         np.zeros((rows, 12)), np.zeros((n_clusters, 4)), np.zeros((rows, 6)),
     )  # fmt: skip

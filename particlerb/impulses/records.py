@@ -193,8 +193,8 @@ class Newton(NamedTuple):
 
     first_row: Ints  # (partners,) of its six in the matrix; -1: it does not move
     cluster: Ints  # (partners,) those of one number may act on each other; -1
-    reach: Ints  # (1,) columns beside the diagonal
-    matrix: Floats  # (6 n, 3 reach + 1) band
+    bandwidth: Ints  # (1,) columns beside the diagonal
+    matrix: Floats  # (6 n, 3 bandwidth + 1) band
     change: Floats  # (6 n,) [N s, N m s] what bodies get of contacts
     slopes: Floats  # (rows, 12) step of an impulse, c and the rows of K, see `newton`
     clusters: Floats  # (n_clusters, 4) |F|², |F| that was best, share of a step, state
@@ -207,7 +207,7 @@ class Impulses(NamedTuple):
     rules: ImpulseRules
     partners: Partners
     rows: ImpulseRows
-    filled: Ints  # (2,) contacts of this step; one that is going to be too deep, or -1
+    counts: Ints  # (2,) contacts of this step; one that is going to be too deep, or -1
     tally: Floats  # (TALLY,) sums since the segment began
     newton: Newton
 

@@ -217,7 +217,7 @@ def _let_joints_hold(jointed: Jointed | None, impulses: Impulses) -> None:
     """Let contacts feel what joints tie to their partners, if there is anything, and pistons."""
     mechanisms = impulses.partners.mechanisms
     if jointed is None or mechanisms is None:
-        write_through_pistons(mechanisms, impulses.partners, impulses.rows, impulses.filled[0])
+        write_through_pistons(mechanisms, impulses.partners, impulses.rows, impulses.counts[0])
     else:
         find_responses(jointed.joints, jointed.data, impulses, mechanisms)
 
@@ -243,7 +243,7 @@ def bounce(
         find_impulse_contacts(setup, workspace, contact.lists, impulses, extremes, dt)
         _let_joints_hold(jointed, impulses)
         rows = impulses.rows
-        write_rolling(rows.rolling, impulses.partners, rows, impulses.filled[0])
+        write_rolling(rows.rolling, impulses.partners, rows, impulses.counts[0])
         take_impacts(impulses, impulses.rows.bounded)
         _apply_impulses(impulses, blocks, layout)
         keep_momenta(impulses.partners.keeps_kick, blocks, layout)
@@ -335,7 +335,7 @@ def _keep_among_joints(jointed: Jointed | None, bounded: Bounded | None, dt: flo
 @inline
 def _note_overlap(contact: MovingContact, impulses: Impulses, dt: float) -> None:
     """Note the first contact that is going to be too deep, for the host to say."""
-    workspace, rows, k = contact.workspace, impulses.rows, impulses.filled[1]
+    workspace, rows, k = contact.workspace, impulses.rows, impulses.counts[1]
     if k < 0 or workspace.deepest[0, 0] > 0.0:
         return
     deepest, limits = workspace.deepest[0], rows.limits

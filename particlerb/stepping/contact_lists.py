@@ -45,7 +45,7 @@ _MAX_SKIN: Final = 4.0  # in sizes of the scene: all pairs are in the lists long
 Histories = tuple[ContactHistory, ContactHistory]  # of contacts between spheres, and with walls
 
 
-class Lasted(NamedTuple):
+class ListLifetime(NamedTuple):
     """For how long the last lists were good."""
 
     steps: int
@@ -128,7 +128,7 @@ class ContactLists:
         return NeighbourLists(spheres, walls, alone, alone, self._max_contact_arm)
 
     def look_ahead(
-        self, corners: Floats, poses: records.Records, now: float, lasted: Lasted
+        self, corners: Floats, poses: records.Records, now: float, lasted: ListLifetime
     ) -> WallsAhead:
         """Fit the skin of the next lists, and look how long they hold as walls move.
 
@@ -139,7 +139,7 @@ class ContactLists:
         poses : records POSE
             Of the walls.
         now : float [s]
-        lasted : Lasted
+        lasted : ListLifetime
         """
         reach = farthest_distances(self.motions, now, corners)
         self._fit_skin(corners, poses, reach, lasted)
@@ -195,7 +195,7 @@ class ContactLists:
         return int(self.is_own[np.where(model.inv_mass[a] > 0.0, a, b)].sum())
 
     def _fit_skin(
-        self, corners: Floats, poses: records.Records, reach: Sequence[float], lasted: Lasted
+        self, corners: Floats, poses: records.Records, reach: Sequence[float], lasted: ListLifetime
     ) -> None:
         """Widen the skin where making lists costs more than going through them, and the reverse.
 

@@ -41,7 +41,7 @@ from particlerb.model.worlds import bins_of, shape_of
 from particlerb.stepping.beside_contact import compile_steps_beside
 from particlerb.stepping.contact_checks import ContactChecks, is_due
 from particlerb.stepping.contact_frames import ContactRows, output_of
-from particlerb.stepping.contact_lists import ContactLists, Histories, Lasted, WallsAhead
+from particlerb.stepping.contact_lists import ContactLists, Histories, ListLifetime, WallsAhead
 from particlerb.stepping.loop import FORCES, FRAME, POSES, Copies, Position, Recording, Schedule
 from particlerb.stepping.motion import ContactStart, Energies, Motion, SegmentGroup
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
@@ -173,7 +173,7 @@ class ContactMotion(SteppedMotion):
         """Pairs that may touch until a body has moved by half the skin."""
         time = self.grid_step * self.dt
         steps = self.grid_step - self.list_step  # for which the last lists were good
-        lasted = Lasted(steps, time < self.contact.memory.valid_until, self.step_cost)
+        lasted = ListLifetime(steps, time < self.contact.memory.valid_until, self.step_cost)
         self.part_of_step(POSES)
         self.check_lists(steps)
         poses = self.contact.workspace.poses
