@@ -187,7 +187,7 @@ class GroupRun:
             method, group, self.first, segment.start, segment.dt, segment.tolerance, before
         )
         if before is not None:
-            motion.turn_on(before)
+            motion.continue_joints(before)
         return motion
 
     def cross(self) -> None:

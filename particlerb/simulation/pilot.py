@@ -68,7 +68,7 @@ class Pilot:
         self.cost_between = max(cost_of(segment.terms) for segment in group.segments)
         self.is_coupled = any(segment.terms.is_coupled for segment in group.segments)
         self.has_changing_forces = self.is_coupled or self.cost_of_loads > 0.0
-        self.sets_off_again = not any(_remembers(segment.terms) for segment in group.segments)
+        self.can_reset = not any(_remembers(segment.terms) for segment in group.segments)
         joints = [s.terms.joints for s in group.segments if s.terms.joints is not None]
         has_rows = any(tree_of(of_segment) is None for of_segment in joints)
         self.held = (_NS_PER_LOOP_STEP if has_rows else _NS_PER_TREE_STEP) if joints else 0.0
@@ -147,7 +147,7 @@ class Pilot:
         if self.rehearsal is not None and self.rehearsal.serves(stepping, steps):
             frames = self.rehearsal.poses(stepping, times)
         else:
-            again = self.begun if self.sets_off_again else None
+            again = self.begun if self.can_reset else None
             frames, steps = poses(stepped_by(self.subgroup, stepping), self.state, times, again)
         looks = 0 if is_adaptive(stepping.method) else times.size
         self.spent += self.cost(stepping, steps + looks, self.sampled.size) + SET_UP
@@ -200,7 +200,7 @@ def _changing_loads(terms: Terms) -> int:
 
 
 def _remembers(terms: Terms) -> bool:
-    """Whether forces keep more than the states of bodies: a motion cannot set off once more."""
+    """Whether forces keep more than the states of bodies: a motion cannot be reset."""
     held = terms.joints is not None or terms.contact is not None
     return held or terms.opening_angle > 0.0 or terms.tree_accuracy > 0.0
 

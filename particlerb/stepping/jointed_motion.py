@@ -60,36 +60,27 @@ class JointedMotion(Motion):
         return np.zeros(0) if self.jointed is None else self.jointed.data.broken
 
     @property
-    def load(self) -> Floats:
-        """What joints carried in the last step, (j, 2): see joints/breaking.py."""
-        return np.zeros((0, 2)) if self.jointed is None else self.jointed.data.load
-
-    @property
-    def past(self) -> Floats:
-        """Impulses of joints in the last step, and their differences: see joints/solver.py."""
-        return np.zeros((0, 4)) if self.jointed is None else self.jointed.data.past
-
-    @property
     def turned(self) -> Floats:
         """Coordinates of joints as they are tracked, (c, 3): see joints/coordinates.py."""
         return np.zeros((0, 3)) if self.jointed is None else self.jointed.data.turned
 
     def kept_of_joints(self) -> Saved:
         """Copies of what changes with the steps, for a checkpoint."""
-        saved = {"turned": self.turned.copy()} if self.turned.size else {}
+        if self.jointed is None:
+            return {}
+        data = self.jointed.data
+        saved = {"turned": data.turned.copy()} if data.turned.size else {}
         if self.breaks:
-            saved |= {"broken": self.broken.copy(), "load": self.load.copy()}
-        if not np.isnan(self.past).all():
-            saved["past"] = self.past.copy()
-        return saved
+            saved |= {"broken": data.broken.copy(), "load": data.load.copy()}
+        return saved if np.isnan(data.past).all() else saved | {"past": data.past.copy()}
 
     def restore_joints(self, saved: Saved) -> None:
         """Go on from what was kept."""
         for name in ("turned", "broken", "load", "past"):
-            if name in saved:
-                getattr(self, name)[:] = saved[name]
+            if self.jointed is not None and name in saved:
+                getattr(self.jointed.data, name)[:] = saved[name]
 
-    def turn_on(self, before: Motion) -> None:
+    def continue_joints(self, before: Motion) -> None:
         """Count the turns of joints on from where the segment before has left them."""
         old = before.group.terms.joints if isinstance(before, JointedMotion) else None
         new = self.group.terms.joints

@@ -130,7 +130,7 @@ class Motion(Protocol):
         """Joints that no impulse keeps any more; 1: axes have left their place, 2: a stop."""
         return {}
 
-    def turn_on(self, before: "Motion") -> None:
+    def continue_joints(self, before: "Motion") -> None:
         """Count the turns of joints on from where the segment before has left them."""
         return
 

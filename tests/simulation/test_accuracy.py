@@ -335,7 +335,7 @@ def test_coupled_bodies_set_off_once_more_to_the_same_bits(make, method):
     system = to_system(scene)
     pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
     assert pilot.is_coupled
-    assert pilot.sets_off_again
+    assert pilot.can_reset
     times = np.array([0.3, 1.0])
     for dt in (0.05, 0.02):
         again, _ = pilot.poses(Stepping(method, dt, 0.0, ""), times)
