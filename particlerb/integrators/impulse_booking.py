@@ -50,7 +50,7 @@ def _book_along(books: Flag, rows: Floats, i: int, partners: Partners, b: int) -
 
 
 @inline
-def keep_momenta(keeps_kick: Flag, blocks: Floats, layout: Layout) -> None:
+def keep_kick_start(keeps_kick: Flag, blocks: Floats, layout: Layout) -> None:
     """Keep momenta before the second half kick, if forces without potential act."""
     if keeps_kick is None:
         return

@@ -36,7 +36,7 @@ from particlerb.integrators.impulse_booking import (
     book_among_joints,
     book_bodies,
     book_kick,
-    keep_momenta,
+    keep_kick_start,
 )
 from particlerb.integrators.pair_stages import BlockShare, Layout, PairTerms, shift_pair_time
 from particlerb.joints.records import Jointed
@@ -246,7 +246,7 @@ def bounce(
         write_rolling(rows.rolling, impulses.partners, rows, impulses.counts[0])
         take_impacts(impulses, impulses.rows.bounded)
         _apply_impulses(impulses, blocks, layout)
-        keep_momenta(impulses.partners.keeps_kick, blocks, layout)
+        keep_kick_start(impulses.partners.keeps_kick, blocks, layout)
     meet(team)
 
 

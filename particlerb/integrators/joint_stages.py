@@ -23,7 +23,7 @@ from particlerb.joints.breaking import (
     carry_in_drift,
     carry_in_projection,
     foresee_breaks,
-    keep_impulses,
+    sum_half_step,
 )
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
@@ -187,7 +187,7 @@ def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, sp
         data.impulse[r] = 2.0 * half
         if joints.rows.action[r] != HOLDS and half != 0.0:
             book_work(books, jointed, blocks, r, -2.0 * data.compliance[r] * half * half)
-    keep_impulses(joints.breaks, joints, data, c, False)
+    sum_half_step(joints.breaks, joints, data, c, False)
     _book_world(books, jointed, blocks, c, data.y)
     _book_drives(books, jointed, blocks, c)
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
@@ -248,7 +248,7 @@ def project_clusters(
         _gather(jointed, blocks, c)
         set_prescribed(jointed.prescribed, jointed, t, 0.0, body[c], body[c + 1])
         project_momenta(jointed.joints, jointed.data, c, kick_dt, t, 0.0)
-        keep_impulses(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
+        sum_half_step(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
         _book_world(books, jointed, blocks, c, jointed.data.y)
         _book_drives(books, jointed, blocks, c)
         _correct_work(books, jointed.keeps_kick, jointed, blocks, c, kick_dt)

@@ -88,7 +88,7 @@ def let_break(
 
 
 @inline
-def keep_impulses(
+def sum_half_step(
     breaks: Breaks | None, joints: Joints, data: JointData, c: int, is_first: bool
 ) -> None:
     """Keep the impulses of the rows of cluster c, or add them to those that are kept."""
@@ -166,7 +166,7 @@ def foresee_breaks(
     """
     if breaks is None:
         return
-    keep_impulses(breaks, joints, data, c, not joints.damps)
+    sum_half_step(breaks, joints, data, c, not joints.damps)
     is_first, dt = t == 0.0, data.clock[1]
     span = dt if joints.damps and not is_first else kick_dt
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):

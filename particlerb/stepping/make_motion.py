@@ -13,7 +13,7 @@ from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.event_motion import EventMotion
 from particlerb.stepping.free_motion import FreeMotion
 from particlerb.stepping.impulse_motion import ImpulseMotion
-from particlerb.stepping.motion import CompositeMotion, Motion, SegmentGroup, part_of
+from particlerb.stepping.motion import CompositeMotion, Motion, SegmentGroup, subgroup
 from particlerb.stepping.shared_motion import SharedMotion
 from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
 from particlerb.stepping.stepped_motion import SteppedMotion
@@ -54,7 +54,7 @@ def make_motion(
         return _contact_motion(method, group, state, start, dt, before)
     parts: list[tuple[Ints, Motion]] = []
     for indices in _parts_of(method, group):
-        part = group if indices.size == group.members.size else part_of(group, indices)
+        part = group if indices.size == group.members.size else subgroup(group, indices)
         first = state if part is group else taken(state, indices)
         parts.append((indices, SteppedMotion(method, part, first, start, dt)))
     return parts[0][1] if len(parts) == 1 else CompositeMotion(tuple(parts))

@@ -326,7 +326,7 @@ class CompositeMotion(Motion):
             motion.restore(within(str(k), saved))
 
 
-def part_of(group: SegmentGroup, index: Ints) -> SegmentGroup:
+def subgroup(group: SegmentGroup, index: Ints) -> SegmentGroup:
     """Some bodies of a group with what acts on them."""
     bodies, terms = taken(group.bodies, index), terms_on(group.terms, index)
     return SegmentGroup(group.members[index], bodies, terms, part_of_worlds(group.worlds, index))
