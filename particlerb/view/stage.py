@@ -20,12 +20,34 @@ from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
 
 _AXIS_LENGTH: Final = 0.18  # in sizes of the scene
-_WORLD: Final = -1  # the last of places and orientations
 _CROSS_LENGTH: Final = 0.02  # of the point of a joint
 
 
-class JointLines:
-    """Segments that show the joints of a system in any of its poses.
+class BodyLines:
+    """Segments between points of bodies, in any of their poses.
+
+    Parameters
+    ----------
+    body : ndarray, shape (k, 2)
+        Body at each end; -1 where it is the world.
+    point : ndarray, shape (k, 2, 3) [m]
+        The ends, in the frames of their bodies.
+    """
+
+    def __init__(self, body: Ints, point: Floats) -> None:
+        self.body, self.point = body, point
+
+    def at(self, position: Floats, q: Floats) -> Floats:
+        """Ends of all segments [m], world frame, (k, 2, 3), with bodies at (N, 3) and (N, 4)."""
+        body = self.body.ravel()  # the world is the last of places and orientations
+        place = np.vstack([position, np.zeros(3)])[body]
+        turn = np.vstack([q, [1.0, 0.0, 0.0, 0.0]])[body].T
+        ends: Floats = place + rotate(turn, self.point.reshape(-1, 3).T).T
+        return ends.reshape(-1, 2, 3)
+
+
+class JointLines(BodyLines):
+    """Segments that show the joints of a system.
 
     Parameters
     ----------
@@ -38,11 +60,8 @@ class JointLines:
         setup = joints_of(system)
         if setup is None:
             raise ValueError("the system has no joints")
-        n = system.n_bodies
-        frame = system.bodies.rotor_frame
-        self.frame = np.hstack([frame, [[1.0], [0.0], [0.0], [0.0]]])  # behind the last: the world
-        first, second = setup.first, np.where(setup.second == WORLD, n, setup.second)
-        self.held = {int(b) for b in np.concatenate([setup.first, setup.second]) if b != WORLD}
+        first, second = setup.first, setup.second
+        self.held = {int(b) for b in np.concatenate([first, second]) if b != WORLD}
         types = np.array(setup.types)
         at, at_to, axis, axis_to = np.moveaxis(setup.places, 1, 0)
         with_axis, is_rod = ~np.isin(types, WITHOUT_AXIS), types == "distance"
@@ -55,7 +74,10 @@ class JointLines:
                 parts.append(self._around(body, point, direction[None], chosen))
         rods = np.stack([first, second], axis=1), np.stack([at, at_to], axis=1)
         parts.append((rods[0][is_rod], rods[1][is_rod]))
-        self.body, self.point = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        bodies, points = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        world = np.array([[1.0], [0.0], [0.0], [0.0]])
+        frame = np.hstack([system.bodies.rotor_frame, world])[:, bodies.ravel()]
+        super().__init__(bodies, rotate(frame, points.reshape(-1, 3).T).T.reshape(-1, 2, 3))
 
     @staticmethod
     def _around(body: Ints, point: Floats, half: Floats, chosen: Bools) -> tuple[Ints, Floats]:
@@ -63,17 +85,8 @@ class JointLines:
         ends = np.stack([point - half, point + half], axis=1)
         return np.stack([body, body], axis=1)[chosen], ends[chosen]
 
-    def at(self, position: Floats, q: Floats) -> Floats:
-        """Ends of all segments [m], world frame, (k, 2, 3), with bodies at (N, 3) and (N, 4)."""
-        body = self.body.ravel()
-        place = np.vstack([position, np.zeros(3)])[body]
-        turn = np.vstack([q, [1.0, 0.0, 0.0, 0.0]])[body]
-        rotor = quaternion_product(np.ascontiguousarray(turn.T), self.frame[:, body])
-        ends: Floats = place + rotate(rotor, self.point.reshape(-1, 3).T).T
-        return ends.reshape(-1, 2, 3)
 
-
-class SpringLines:
+class SpringLines(BodyLines):
     """Segments that show the springs of a system, but those between all that are within reach.
 
     Parameters
@@ -87,22 +100,14 @@ class SpringLines:
             if spring.type != "spring" or spring.reach is not None:
                 continue
             first = system.names.find_in_order(spring.body)
-            second = np.array([_WORLD])
+            second = np.array([WORLD])
             if spring.to is not None:
                 second = system.names.find_in_order(spring.to)
             far = spring.to_at if spring.anchor is None else spring.anchor
             ends = np.stack(np.broadcast_arrays(first, second), axis=1)
             body.append(ends)
             point.append(np.tile(np.array([spring.at, far]), (len(ends), 1, 1)))
-        self.body, self.point = np.concatenate(body), np.concatenate(point)
-
-    def at(self, position: Floats, q: Floats) -> Floats:
-        """Ends of all springs [m], world frame, (k, 2, 3), with bodies at (N, 3) and (N, 4)."""
-        body = self.body.ravel()
-        place = np.vstack([position, np.zeros(3)])[body]
-        turn = np.vstack([q, [1.0, 0.0, 0.0, 0.0]])[body].T
-        ends: Floats = place + rotate(turn, self.point.reshape(-1, 3).T).T
-        return ends.reshape(-1, 2, 3)
+        super().__init__(np.concatenate(body), np.concatenate(point))
 
 
 _Colour = tuple[int, int, int]
