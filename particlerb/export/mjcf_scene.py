@@ -32,6 +32,7 @@ from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import (
     CONJUGATE,
+    axes_across,
     body_orientation,
     inertia_in_body,
     omega_world,
@@ -64,7 +65,7 @@ class _Body(NamedTuple):
 
     def turned_back(self, v: Floats) -> Floats:
         """A vector of the world in the frame of the body."""
-        return rotate_back(self.orientation[:, None], v[:, None])[:, 0]
+        return rotate_back(self.orientation, v)
 
     def local(self, x: Floats) -> Floats:
         """A point of the world in the frame of the body."""
@@ -205,8 +206,7 @@ class _Writer:
         """Add a body to the one that it hangs from."""
         body, other = self.bodies[b], self.bodies[parent]
         place = numbers(other.local(body.position))
-        turn = other.orientation[:, None] * CONJUGATE
-        turned = numbers(quaternion_product(turn, body.orientation[:, None])[:, 0])
+        turned = numbers(quaternion_product(other.orientation * CONJUGATE[:, 0], body.orientation))
         name = self.system.names[b]
         element = ET.SubElement(self.elements[parent], "body", name=name, pos=place, quat=turned)
         self.elements[b] = element
@@ -387,9 +387,8 @@ def _freedoms(joint: _Joint) -> list[tuple[str, Floats]]:
     """What a joint leaves free, the first next to the second body: kind and axis."""
     n, m = joint.axis, joint.axis_to
     if joint.type == "planar":
-        e = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
-        e /= np.linalg.norm(e)
-        return [("slide", e), ("slide", np.cross(n, e)), ("hinge", n)]
+        e, f = axes_across(n)
+        return [("slide", e), ("slide", f), ("hinge", n)]
     kinds: dict[str, list[tuple[str, Floats]]] = {
         "hinge": [("hinge", n)],
         "slider": [("slide", n)],

@@ -19,7 +19,7 @@ from particlerb.files import Files
 from particlerb.geometry.mesh import read_mesh, triangles_of
 from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import rotate_back, rotation_matrix
+from particlerb.model.state import axes_across, rotate_back, rotation_matrix
 from particlerb.model.system import System
 
 _MARKER_RADIUS: Final = 0.08  # of a particle without one, in units of the body's extent
@@ -135,9 +135,7 @@ class Surfaces:
         for b in near[np.argsort((along - self.reach)[near])].tolist():
             if best is not None and along[b] - self.reach[b] > best.distance:
                 break
-            turn = q[b][:, None]
-            start = rotate_back(turn, -away[b][:, None])[:, 0]
-            way = rotate_back(turn, direction[:, None])[:, 0]
+            start, way = rotate_back(q[b], -away[b]), rotate_back(q[b], direction)
             crossing = meet(self.of_kind(self.system.kind[b]), start, way)
             if crossing is not None and (best is None or crossing[0] < best.distance):
                 best = Hit(b, start + crossing[0] * way, crossing[1], crossing[0])
@@ -348,9 +346,7 @@ def surface_of_wall(files: Files, wall: Any, size: float) -> SurfaceMesh:
     """Surface of one wall, a plane cut to a size [m]; world frame, at t = 0."""
     if wall.type == "plane":
         z = np.array(wall.normal) / np.linalg.norm(wall.normal)
-        x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
-        x = x / np.linalg.norm(x)
-        y, half = np.cross(z, x), 0.5 * _PLANE_SIZE * size
+        (x, y), half = axes_across(z), 0.5 * _PLANE_SIZE * size
         corners = [a * half * x + b * half * y for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         return SurfaceMesh(np.array(corners) + wall.point, np.array([[0, 1, 2], [0, 2, 3]]))
     if wall.type == "box":

@@ -70,10 +70,8 @@ class Bricks:
         corners = np.full((len(level), 6), -np.inf)
         for k, node in enumerate(level):
             inside = points[:, node.points]
-            corners[k, :3], corners[k, 3:] = (
-                (-inside).max(1, initial=-np.inf),
-                inside.max(1, initial=-np.inf),
-            )
+            corners[k, :3] = (-inside).max(1, initial=-np.inf)
+            corners[k, 3:] = inside.max(1, initial=-np.inf)
         corners = ranks.largest(corners)
         low, high = np.where(np.isfinite(corners), corners, 0.0).reshape(-1, 2, 3).swapaxes(0, 1)
         low = -low

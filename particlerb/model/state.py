@@ -161,14 +161,14 @@ def cross_columns(a: Floats, b: Floats) -> Floats:
 
 
 def rotate(q: Floats, v: Floats) -> Floats:
-    """R v: vectors (3, n) of the rotating frame in the world frame."""
+    """R v: vectors (3, n) of the rotating frame, or one (3,), in the world frame."""
     t = 2 * cross_columns(q[1:], v)
     return v + q[0] * t + cross_columns(q[1:], t)
 
 
 def rotate_back(q: Floats, v: Floats) -> Floats:
-    """Rᵀ v: vectors (3, n) of the world frame in the rotating frame."""
-    return rotate(q * CONJUGATE, v)
+    """Rᵀ v: vectors (3, n) of the world frame, or one (3,), in the rotating frame."""
+    return rotate((q.T * CONJUGATE[:, 0]).T, v)
 
 
 def in_rotor_frame(rotor_frame: Floats, v: Floats) -> Floats:
@@ -186,6 +186,14 @@ def body_orientation(q: Floats, rotor_frame: Floats) -> Floats:
 def lengths(vectors: Floats) -> Floats:
     """|v| of each column."""
     return np.asarray(np.linalg.norm(vectors, axis=0))
+
+
+def axes_across(n: Floats) -> tuple[Floats, Floats]:
+    """Two, e and f, across each unit vector n, (3,) or (3, k): e, f, n are right-handed."""
+    least = np.eye(3)[:, np.argmin(np.abs(n), axis=0)]
+    e = np.cross(n, least, axis=0)
+    e /= lengths(e)
+    return e, np.cross(n, e, axis=0)
 
 
 def exact_matrix(q: Floats) -> Floats:

@@ -11,7 +11,7 @@ from particlerb.forces.links import WORLD
 from particlerb.joints.types import Ends
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.merging import Merging
-from particlerb.model.state import body_orientation, lengths, rotate, rotate_back
+from particlerb.model.state import axes_across, body_orientation, lengths, rotate, rotate_back
 from particlerb.model.system import System
 
 _MAX_DISTANCE: Final = 1e100  # [m] of its bodies that a joint may be: squares of it are numbers
@@ -88,7 +88,7 @@ def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> End
     stands_apart = table.type in ("distance", "gear")
     there = point(table.at_to, com_b, body_b, com_b if stands_apart else here)
     world = {"n": direction(table.axis or (0.0, 0.0, 1.0), body_a)}
-    world["e"], world["f"] = _across(world["n"])
+    world["e"], world["f"] = axes_across(world["n"])
     if table.axis_to is not None:
         world["m"] = direction(table.axis_to, body_b)
         world["l"] = np.cross(world["m"], world["n"], axis=0)
@@ -179,14 +179,6 @@ def in_hosts(ends: Ends, merging: Merging) -> Ends:
         first={name: carried(ends.a, name, axis) for name, axis in ends.first.items()},
         second={name: carried(ends.b, name, axis) for name, axis in ends.second.items()},
     )
-
-
-def _across(n: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (3, k) across each n and each other, so that e, f, n are right-handed."""
-    least = np.eye(3)[:, np.argmin(np.abs(n), axis=0)]
-    e = np.cross(n, least, axis=0)
-    e /= lengths(e)
-    return e, np.cross(n, e, axis=0)
 
 
 def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: int) -> str:

@@ -154,10 +154,8 @@ def growing_over(
     for name, (first, stop) in zip(parts.names, parts.ranges, strict=True):
         extent = (stop - first, *width[1:])
         rest = (0,) * (len(width) - 1)
-        full_space, part_space = (
-            h5s.create_simple((0, *width), most),
-            h5s.create_simple((0, *extent), (most[0], *extent)),
-        )
+        full_space = h5s.create_simple((0, *width), most)
+        part_space = h5s.create_simple((0, *extent), (most[0], *extent))
         ones, block = (1,) * len(most), (h5s.UNLIMITED, *extent)
         full_space.select_hyperslab((0, first, *rest), ones, block=block)
         part_space.select_hyperslab((0, 0, *rest), ones, block=block)

@@ -152,10 +152,8 @@ class GroupRun:
 
     def of_loads(self, com: Floats, q: Floats, n_states: int) -> Floats:
         """What of it loads have, (T, ...), in states one after the other."""
-        group, energy = (
-            self.plan.group(self.segment),
-            np.zeros((n_states, *shape_of(self.plan.worlds))),
-        )
+        group = self.plan.group(self.segment)
+        energy = np.zeros((n_states, *shape_of(self.plan.worlds)))
         for energies in energies_of_loads(self.segment.terms, com, q, n_states):
             energy += np.moveaxis(group.totals(energies), -1, 0)
         return energy

@@ -101,10 +101,8 @@ class Rehearsal:
                 is_asymmetric = bool(self.is_asymmetric.all())
                 rotors = RotorClasses(flag(is_asymmetric), flag(not is_asymmetric))
                 if is_asymmetric:
-                    constants, asymmetric = (
-                        method.rotor_constants(self.bodies.inv_inertia),
-                        together,
-                    )
+                    asymmetric = together
+                    constants = method.rotor_constants(self.bodies.inv_inertia)
                     into_blocks(self.blocks, ROTOR, constants)
             first = np.arange(0, n, BLOCK)
             layout = Layout(first, np.minimum(n - first, BLOCK), asymmetric)

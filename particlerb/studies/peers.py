@@ -146,7 +146,7 @@ def peer_scene(system: System) -> PeerScene:
         if force.timed is not None or force.during is not None:
             raise ValueError(_FORCES)
         for b in system.names.find(force.body).tolist():
-            at = _to_rotor(bodies.rotor_frame[:, b], force.at)
+            at = rotate_back(bodies.rotor_frame[:, b], np.array(force.at))
             pushes.append(types.Push(b, at, np.array(force.force)))
     scene = _bodies_of(system, types)._replace(pushes=tuple(pushes))
     if links:
@@ -274,11 +274,6 @@ def oracle_states(system: System, indices: Ints, times: Floats) -> Frames:
     x, v, L = (np.ascontiguousarray(y[:, :, k : k + 3]) for k in (0, 7, 10))
     momenta = v * system.bodies.mass[indices, None], L
     return Frames(x, np.array(q), *momenta, q[-1], np.ones(times.size, dtype=np.bool_))
-
-
-def _to_rotor(frame: Floats, vector: Sequence[float]) -> Floats:
-    """A vector of the body frame in the rotor frame."""
-    return rotate_back(frame[:, None], np.array(vector)[:, None])[:, 0]
 
 
 def peer_errors(

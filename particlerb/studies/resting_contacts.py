@@ -40,10 +40,8 @@ def resting(z: float, zeta: float) -> tuple[StabilityScene, float]:
     )
     damping = TANGENTIAL_DAMPING * ones
     law = Law(k * ones, 0.0 * ones, zeta * ones, damping, 0.0 * ones, None, None, None)
-    floor, pair = (
-        joined([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))]),
-        np.zeros((1, 1), dtype=np.int64),
-    )
+    floor = joined([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))])
+    pair = np.zeros((1, 1), dtype=np.int64)
     model = ContactModel(spheres, law, pair, none, floor, bodies.inv_mass, bodies.inv_inertia)
     contact = GroupContact(
         model, motion_records([PrescribedMotion()]), np.zeros(1), 0.6 * _RADIUS, False, False, 0,

@@ -179,7 +179,7 @@ class Live(Page):
 
     def in_world_axes(self, b: int, vector: Floats) -> Floats:
         """A vector of the axes of body b, in those of the world."""
-        return rotate(self.session.frame.orientation[0, b][:, None], vector[:, None])[:, 0]
+        return rotate(self.session.frame.orientation[0, b], vector)
 
     def push_at_point(self, event: Any) -> None:
         """Push the body that is looked at, at the point of the field."""

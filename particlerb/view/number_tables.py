@@ -116,7 +116,7 @@ def state_parts(system: System, b: int, motion: BodyMotion) -> list[NumberGroup]
     body = inertia_in_body(system.bodies, b)
     R = rotation_matrix(q)
     world = R @ body @ R.T
-    spin = rotate_back(q[:, None], motion.angular_velocity[:, None])[:, 0]
+    spin = rotate_back(q, motion.angular_velocity)
 
     def tensor(key: str, values: Floats) -> tuple[NumberRow, ...]:
         largest = float(np.abs(values).max())

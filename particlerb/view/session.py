@@ -200,7 +200,7 @@ class Session:
         else:
             entry = {"type": "push", **entry, "force": vector, "during": [start, stop]}
         _, orientation, p, L, _, _ = self.frame
-        lever = rotate(orientation[0, push.body][:, None], np.array(push.at)[:, None])[:, 0]
+        lever = rotate(orientation[0, push.body], np.array(push.at))
         momenta = p[0, push.body].copy(), L[0, push.body].copy()
         turned = orientation[0, push.body].copy()
         applied = AppliedPush(push, start, stop, lever, *momenta, turned)

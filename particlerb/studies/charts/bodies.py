@@ -10,7 +10,7 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from particlerb.export.surfaces import SurfaceMesh, box
 from particlerb.maths.vec3 import Floats
-from particlerb.model.state import rotate, rotation_matrix
+from particlerb.model.state import axes_across, rotate, rotation_matrix
 from particlerb.record import schema
 from particlerb.record.trajectory import Trajectory
 from particlerb.studies.charts.solids import (
@@ -213,8 +213,7 @@ def draw_orientations(axes: Axes, trajectory: Trajectory, body: int) -> None:
     spun = spun_axis(trajectory, body)
     height = direction(trajectory, body, spun) @ up
     frames = _instants(trajectory, body, height * np.sign(height[0]))
-    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    view = np.stack([side / np.linalg.norm(side), np.cross(up, side / np.linalg.norm(side)), up])
+    view = np.stack([*axes_across(up), up])
     tilt = np.radians(25.0)  # looked at from above
     view = (
         np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from particlerb.export.surfaces import SurfaceMesh
 from particlerb.maths.vec3 import Bools, Floats
-from particlerb.model.state import rotation_matrix
+from particlerb.model.state import axes_across, rotation_matrix
 from particlerb.record.trajectory import Trajectory
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.studies.charts.bodies import shapes_of, side_axes
@@ -186,9 +186,7 @@ def _ring(trajectory: Trajectory, body: int, axes: list[Floats], points: Floats)
     elif int(trajectory.bodies.rotor_class[body]) == ASYMMETRIC:
         return _NO_POINTS
     radius = np.sqrt(trajectory.bodies.inertia[:, body].max() / trajectory.mass[body])
-    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    first /= np.linalg.norm(first)
-    second = np.cross(normal / np.linalg.norm(normal), first)
+    first, second = axes_across(normal / np.linalg.norm(normal))
     angle = np.linspace(0.0, 2.0 * np.pi, 49)[:, None]
     return np.asarray(radius * (np.cos(angle) * first + np.sin(angle) * second))
 
@@ -199,8 +197,5 @@ def _view(trajectory: Trajectory, points: Floats) -> tuple[Floats, tuple[str, st
     away = 3 - across - up
     extent = np.ptp(points, axis=0)
     if extent[away] < _MIN_DEPTH_RATIO * extent.max():
-        return view_along(across, up), (
-            f"{'xyz'[across]} [m]",
-            f"{'xyz'[up]} [m]",
-        )
+        return view_along(across, up), (f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]")
     return view_at_angle(up), (ANGLED, f"upwards: {'xyz'[up]} [m]")

@@ -331,10 +331,8 @@ def _draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> Non
 def _draw_axis(axes: Axes, trajectory: Trajectory, body: int, is_free: bool) -> None:
     """Angle of the axis of a spin with the angular momentum, which is kept, or with its start."""
     spun = spun_axis(trajectory, body)
-    axis, momentum = (
-        direction(trajectory, body, spun),
-        trajectory.read("angular_momentum", bodies=body),
-    )
+    axis = direction(trajectory, body, spun)
+    momentum = trajectory.read("angular_momentum", bodies=body)
     is_free = is_free and bool(momentum[0].any())
     towards = momentum[0] if is_free else axis[0]
     across = np.linalg.norm(np.cross(axis, towards), axis=1)
