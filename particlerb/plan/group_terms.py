@@ -45,7 +45,7 @@ def terms_between(
     terms = Terms()
     springs = [link for link in links if isinstance(link, Link)]
     if springs:
-        terms = terms._replace(links=_links_among(group.members, bodies, springs))
+        terms = terms._replace(links=links_among(group.members, bodies, springs))
     user_links = [link for link in links if isinstance(link, UserLink)]
     if user_links:
         terms = terms._replace(user_pairs=_user_pairs_among(group.members, bodies, user_links))
@@ -82,7 +82,7 @@ def _user_pairs_among(members: Ints, bodies: Bodies, links: list[UserLink]) -> U
     return user_pairs(functions_of(forces, lengths), (first, second), kind, rows, bodies)
 
 
-def _links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
+def links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
     """Links of a group, with its own numbers and in rotor frames."""
     place = np.full(int(members.max()) + 2, WORLD)  # the last is that of the world
     place[members] = np.arange(members.size)
@@ -91,10 +91,9 @@ def _links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
     inside = second != WORLD
     first_at = np.concatenate([link.first_at for link in links], axis=1)
     second_at = np.concatenate([link.second_at for link in links], axis=1)
-    springs = [(link.force.stiffness, link.force.damping, link.first.size) for link in links]
-    stiffness, damping = (
-        np.concatenate([np.full(spring[2], spring[k]) for spring in springs]) for k in (0, 1)
-    )
+    counts = [link.first.size for link in links]
+    stiffness = np.repeat([link.force.stiffness for link in links], counts)
+    damping = np.repeat([link.force.damping for link in links], counts)
     frame = bodies.rotor_frame
     return Links(
         first,

@@ -33,6 +33,7 @@ from particlerb.model.state import (
     rotate_back,
 )
 from particlerb.model.system import System
+from particlerb.plan.group_terms import links_among
 from particlerb.plan.joints import has_loops, joints_of
 from particlerb.plan.links import Link
 from particlerb.simulation.trials import BodySubset, Error, errors
@@ -188,25 +189,13 @@ def _attracting(system: System, types: ModuleType) -> PeerScene:
     return _bodies_of(system, types)._replace(attraction=(table.G, table.softening))
 
 
-def _springs(bodies: Bodies, links: Sequence[Link]) -> tuple[Any, ...]:
+def _springs(bodies: Bodies, links: list[Link]) -> tuple[Any, ...]:
     """Ends (2, s), their places (2, s, 3) in rotor frames, and three numbers (3, s) of springs."""
-    first, second = (
-        np.concatenate([getattr(link, name) for link in links]) for name in ("first", "second")
-    )
-    first_at, second_at = (
-        np.concatenate([getattr(link, name) for link in links], axis=1)
-        for name in ("first_at", "second_at")
-    )
-    frames = bodies.rotor_frame
-    first_place = rotate_back(frames[:, first], first_at)
-    second_place = np.where(second < 0, second_at, rotate_back(frames[:, second], second_at))
-    numbers = [
-        np.concatenate([np.full(link.first.size, link.force.stiffness) for link in links]),
-        np.concatenate([np.full(link.first.size, link.force.damping) for link in links]),
-        np.concatenate([link.rest_length for link in links]),
-    ]
-    at = np.ascontiguousarray(np.stack([first_place.T, second_place.T]))
-    return np.stack([first, np.where(second < 0, -1, second)]), at, np.array(numbers)
+    springs = links_among(np.arange(bodies.mass.size), bodies, links)
+    damping = np.zeros_like(springs.stiffness) if springs.damping is None else springs.damping
+    at = np.ascontiguousarray(np.stack([springs.first_at.T, springs.second_at.T]))
+    numbers = np.array([springs.stiffness, damping, springs.rest_length])
+    return np.stack([springs.first, springs.second]), at, numbers
 
 
 def _touching(system: System, types: ModuleType) -> PeerScene:
