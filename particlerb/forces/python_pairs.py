@@ -8,20 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from particlerb.forces import python
 from particlerb.forces.kinds import ForceError, Rates
 from particlerb.forces.links import combined_rates
-from particlerb.forces.python import (
-    LOOKED_AT,
-    attempt,
-    compare,
-    in_rows,
-    lengths_of,
-    numbers_in,
-    of_body,
-    parameters_of,
-    refuse_length,
-    wrong_result,
-)
 from particlerb.forces.user_kicks import rates_by
 from particlerb.forces.user_pairs import (
     UserPairs,
@@ -63,20 +52,20 @@ def numbers_of_pairs(table: "PythonTable", first: Ints, second: Ints, system: "S
             raise ForceError(f"per_body.{name}", "says not of which body of a pair it is", hint)
         end, named = (first, table.body) if name[-1] == "1" else (second, table.to or table.body)
         bodies = system.names.find_in_order(named)
-        refuse_length(name, values, bodies.size)
+        python.refuse_length(name, values, bodies.size)
         if np.array_equal(bodies, end):
             return values
         order = np.argsort(bodies, kind="stable")
         return values[order[np.searchsorted(bodies, end, sorter=order)]]
 
-    return in_rows(parameters_of(table, per_body), first.size).T
+    return python.in_rows(python.parameters_of(table, per_body), first.size).T
 
 
 def try_pairs(
     table: "PythonTable", first: Ints, second: Ints, rows: Floats, system: "System"
 ) -> None:
     """Let a force act on pairs, with parameters (r, s), as they begin; ForceError as `_try`."""
-    functions = functions_of((table.function,), (lengths_of(table),))
+    functions = functions_of((table.function,), (python.lengths_of(table),))
     start = table.edges[0] if table.edges else 0.0
     pairs = user_pairs(functions, (first, second), np.zeros_like(first), rows, system.bodies)
     _try(pairs, system.bodies, system.state, start)
@@ -134,10 +123,10 @@ def _try(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> None:
     """
     force = pairs.functions.forces[0]
     where = place_of(force.function)
-    if wrong := wrong_result(force, given_to_pair(pairs, bodies, state, 0), start):
+    if wrong := python.wrong_result(force, given_to_pair(pairs, bodies, state, 0), start):
         raise ForceError("function", wrong)
     bare = pairs._replace(turns=np.ones_like(pairs.turns))
-    values = attempt(force, lambda: loads_between(bare, state, start))
+    values = python.attempt(force, lambda: loads_between(bare, state, start))
     arm = lengths(state.com[:, pairs.second] - state.com[:, pairs.first]) * lengths(values[:3])
     for ends, torque in ((pairs.first, values[3:6]), (pairs.second, values[6:])):
         turned = (bodies.rotor_class[ends] == POINT) & (lengths(torque) > _TORQUE_ROUNDING * arm)
@@ -147,14 +136,14 @@ def _try(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> None:
             raise ForceError("function", reason, hint, int(np.argmax(turned)))
     if force.potential is None:
         return
-    few = np.arange(0, pairs.first.size, -(-pairs.first.size // LOOKED_AT))
+    few = np.arange(0, pairs.first.size, -(-pairs.first.size // python.LOOKED_AT))
     some = {name: getattr(pairs, name)[few] for name in ("first", "second", "kind")}
     apart = _Apart(pairs._replace(rows=pairs.rows[:, few], **some), bodies, state, start)
     for end, words in ((0, ", on the first"), (1, ", on the second")):
         loads, energies = partial(apart.loads, end), partial(apart.energies, end)
         own_end, centre = (apart.bodies[end], apart.states[end]), apart.states[1 - end].com
         try:
-            compare(force, *own_end, loads, energies, centre, words)
+            python.compare(force, *own_end, loads, energies, centre, words)
         except ForceError as error:
             error.body = int(few[error.body])
             raise
@@ -162,9 +151,9 @@ def _try(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> None:
 
 def given_to_pair(pairs: UserPairs, bodies: Bodies, state: State, s: int) -> dict[str, Any]:
     """What the function is handed over for pair s, but for the time."""
-    arguments = numbers_in(pairs.functions.lengths[pairs.kind[s]], pairs.rows[:, s])
+    arguments = python.numbers_in(pairs.functions.lengths[pairs.kind[s]], pairs.rows[:, s])
     for end, b in (("1", int(pairs.first[s])), ("2", int(pairs.second[s]))):
-        arguments |= of_body(bodies, state, b, end)
+        arguments |= python.of_body(bodies, state, b, end)
     return arguments
 
 
@@ -178,7 +167,7 @@ def wrong_pair(
         words = f"; {place_of(force.function)}: {force.name} acts on it"
         if state is None:
             continue
-        if wrong := wrong_result(force, given_to_pair(pairs, bodies, state, s), t):
+        if wrong := python.wrong_result(force, given_to_pair(pairs, bodies, state, s), t):
             return words, wrong
     return words, ""
 

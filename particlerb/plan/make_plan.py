@@ -15,6 +15,7 @@ from particlerb.case.problems import refuse
 from particlerb.maths.vec3 import Ints
 from particlerb.model.state import State
 from particlerb.model.system import System
+from particlerb.plan import time_step
 from particlerb.plan.case_forces import impossible, loads_of
 from particlerb.plan.contact_setup import contact_of
 from particlerb.plan.groups import GroupForces, groups_of
@@ -29,23 +30,11 @@ from particlerb.plan.segments import (
     cut_into_segments,
     refuse_method,
 )
-from particlerb.plan.time_step import (
-    Stepping,
-    as_warning,
-    growing_contacts,
-    refuse_endless,
-    refuse_unstable,
-    step,
-    step_reason,
-    step_warnings,
-    stepped_by,
-    with_steps,
-)
 
 
 def make_plan(
     system: System,
-    choose: Callable[[GroupPlan], Stepping | None] = lambda group: None,
+    choose: Callable[[GroupPlan], time_step.Stepping | None] = lambda group: None,
     now: tuple[float, State] | None = None,
     behind: Mapping[bytes, Behind] = MappingProxyType({}),
 ) -> Plan:
@@ -87,21 +76,21 @@ def make_plan(
     cut = [part for group in grouped for part in cut_into_segments(system, group, *setting)]
     cut.sort(key=lambda group: int(group.members.min()))
     refuse_method(system, cut)
-    stepped = tuple(with_steps(group, step(system, group)) for group in cut)
-    refuse_endless(system, stepped)
+    stepped = tuple(time_step.with_steps(group, time_step.step(system, group)) for group in cut)
+    time_step.refuse_endless(system, stepped)
     choice = [choose(group) for group in stepped]
     groups = tuple(
-        group if chosen is None else stepped_by(group, chosen)
+        group if chosen is None else time_step.stepped_by(group, chosen)
         for group, chosen in zip(stepped, choice, strict=True)
     )
     if any(choice):
-        refuse_endless(system, groups)
-    refuse_unstable(system, groups)
+        time_step.refuse_endless(system, groups)
+    time_step.refuse_unstable(system, groups)
     if system.n_worlds > 1:  # nobody reads what else is said of them
         return Plan(groups, "", ())
-    told = [*(coarse(system) if now is None else ()), *growing_contacts(system, groups)]
-    warnings = (*map(as_warning, told), *step_warnings(system, groups))
-    return Plan(groups, step_reason(system, groups, choice), warnings)
+    told = [*(coarse(system) if now is None else ()), *time_step.growing_contacts(system, groups)]
+    warnings = (*map(time_step.as_warning, told), *time_step.step_warnings(system, groups))
+    return Plan(groups, time_step.step_reason(system, groups, choice), warnings)
 
 
 def _links_on_hosts(system: System) -> list[AnyLink]:

@@ -17,7 +17,7 @@ from particlerb.case.run import frame_count
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
-from particlerb.record import schema
+from particlerb.record import schema, vtkhdf
 from particlerb.record.checkpoint import count_from, write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
 from particlerb.record.frame_values import ContactDatasets, NewFrames, contact_columns, values_of
@@ -26,14 +26,6 @@ from particlerb.record.layout import laid_out, part_laid_out, write_rest
 from particlerb.record.output_file import OutputFile, new_file
 from particlerb.record.parts import Parts, parts_in
 from particlerb.record.provenance import replace_case
-from particlerb.record.vtkhdf import (
-    STEP_STARTS,
-    STEP_TIMES,
-    count_steps,
-    resize_vtkhdf,
-    steps_of,
-    topology_of,
-)
 from particlerb.record.writer_lock import WriterLock
 
 SECONDS_BETWEEN_COMMITS = 1.0
@@ -84,7 +76,7 @@ class Recorder:
         overwrite: bool = False,
         parts: Parts | None = None,
     ) -> None:
-        content = {**content, **topology_of(system.output.fields, len(content[schema.BODY]))}
+        content = {**content, **vtkhdf.topology_of(system.output.fields, len(content[schema.BODY]))}
         empty = laid_out(system.run, system.output, content, parts)
         folder = parts.folder if parts else "."
         output = new_file(path, overwrite, system.output.durable, empty, folder)
@@ -156,7 +148,7 @@ class Recorder:
         self.shown = {p.split("/")[-2]: values for p, values in of_bodies.items()}
         self.of_bodies = {} if self.parts else of_bodies
         paths = [p for p in paths if p not in of_bodies or not self.parts]
-        paths += (STEP_TIMES, STEP_STARTS) if schema.VTKHDF in self.file else ()
+        paths += (vtkhdf.STEP_TIMES, vtkhdf.STEP_STARTS) if schema.VTKHDF in self.file else ()
         lists_contacts = schema.CONTACTS in fields and not is_part
         paths += (schema.OFFSET,) if lists_contacts else ()
         self.series = {p: self.of_bodies.get(p) or opened(self.file, p) for p in paths}
@@ -172,7 +164,7 @@ class Recorder:
     def cut(self, n: int) -> None:
         """Forget frames from n on."""
         change(self.file.id, schema.COMMITTED, np.int64(n))
-        count_steps(self.file, n)
+        vtkhdf.count_steps(self.file, n)
         for path, dataset in self.series.items():
             dataset.resize(n + (path == schema.OFFSET), axis=0)
         if self.contacts is not None:
@@ -186,7 +178,7 @@ class Recorder:
 
     def resize_views(self, n: int) -> None:
         """Let VTK find so many frames."""
-        resize_vtkhdf(self.file, self.shown, n, self.parts)
+        vtkhdf.resize_vtkhdf(self.file, self.shown, n, self.parts)
 
     @property
     def n_contacts(self) -> int:
@@ -220,9 +212,9 @@ class Recorder:
             if not len(sums[new]):
                 return
             values |= {schema.CHECKSUMS: sums, schema.STEP: np.arange(n, n + len(times))}
-            if STEP_TIMES in self.series:
+            if vtkhdf.STEP_TIMES in self.series:
                 n_bodies = self.parts.n_bodies if self.parts else self.system.n_bodies
-                values |= steps_of(n, times, n_bodies)
+                values |= vtkhdf.steps_of(n, times, n_bodies)
             for path, dataset in self.of_bodies.items():
                 _append_rows(dataset, self.n_frames, values.pop(path)[new])
             small = {path: value[new] for path, value in values.items() if path in self.series}
@@ -292,7 +284,7 @@ class Recorder:
         self.write_small()
         if self.parts:
             self.resize_views(self.n_frames)
-        count_steps(self.file, self.n_frames)
+        vtkhdf.count_steps(self.file, self.n_frames)
         change(self.file.id, schema.COMMITTED, np.int64(self.n_frames))
         if self.waiting is not None:
             write_checkpoint(self.file, *self.waiting)

@@ -29,18 +29,8 @@ from particlerb.plan.rates import fastest_rate
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import Plan, has_step, is_adaptive
 from particlerb.plan.time_step import contact_limit
+from particlerb.simulation import trials
 from particlerb.simulation.frame_times import frame_times
-from particlerb.simulation.trials import (
-    Error,
-    drifts,
-    energies,
-    energies_at,
-    errors,
-    part,
-    sample,
-    seconds,
-    timed_states,
-)
 from particlerb.stepping.motion import MotionError
 from particlerb.studies.peers import (
     JOINT_ORACLE,
@@ -86,14 +76,14 @@ class Study:
         self.t_end = system.run.t_end
         auto = self.plan("auto")
         segments = [segment for group in auto.groups for segment in group.segments]
-        self.sampled: Ints = sample(self.system, auto, self.t_end, _PACKS_SAMPLED)
+        self.sampled: Ints = trials.sample(self.system, auto, self.t_end, _PACKS_SAMPLED)
         self.rate = max(fastest_rate(self.system, g, self.t_end) for g in auto.groups)
         self.is_free = not any(has_step(s.method) for s in segments)
         self.contacts = [(s.method, c) for s in segments if (c := s.terms.contact) is not None]
         self.by_energy = any(contact.rules is None for _, contact in self.contacts)
         self.is_compared = beside and self.by_energy  # with other engines, which book nothing
         self.expected = np.zeros(0)  # energy at the times, where it is compared [J]
-        self.judged = part(self.system, auto, self.sampled)
+        self.judged = trials.part(self.system, auto, self.sampled)
         self.times = self.way_points()
         self.reference = self.find_reference(_REFERENCE_SHARE * budget)
 
@@ -150,12 +140,12 @@ class Study:
 
     def states(self, method: str, step: float | None) -> Frames:
         """States of the judged bodies at the way points."""
-        judged = part(self.system, self.plan(method, step), self.sampled)
-        return timed_states(judged, self.times)[0]
+        judged = trials.part(self.system, self.plan(method, step), self.sampled)
+        return trials.timed_states(judged, self.times)[0]
 
     def difference(self, a: Frames, b: Frames) -> float:
         """Largest angle, or relative distance, between two runs at t_end."""
-        last = errors(self.judged, self.times, a, b)[-1]
+        last = trials.errors(self.judged, self.times, a, b)[-1]
         return max(last.worst, last.position)
 
     def find_reference(self, budget: float) -> Reference:
@@ -203,11 +193,11 @@ class Study:
 
     def energies_by(self, method: str, step: float) -> tuple[Floats, float]:
         """Energy at the times of a run of ours, and its largest kinetic one [J]."""
-        judged = part(self.system, self.plan(method, step), self.sampled)
-        kinetic, potential = energies(judged, *timed_states(judged, self.times))
+        judged = trials.part(self.system, self.plan(method, step), self.sampled)
+        kinetic, potential = trials.energies(judged, *trials.timed_states(judged, self.times))
         return kinetic + potential, float(kinetic.max())
 
-    def failure_of(self, error: Error) -> str:
+    def failure_of(self, error: trials.Error) -> str:
         """Why a run with this error says nothing; empty where it does."""
         off = error.worst
         if self.is_compared and off > LOST:
@@ -285,28 +275,28 @@ class Study:
     def measured(self, method: str, step: float | None, repeats: int = REPEATS) -> Point:
         """One point."""
         plan = self.plan(method, step)
-        judged = part(self.system, plan, self.sampled)
+        judged = trials.part(self.system, plan, self.sampled)
         to_point = partial(Point, method, "", step or 0.0, has_step(method) and is_adaptive(method))
         before = THREADS.busy
         try:
-            frames, booked = timed_states(judged, self.times)
+            frames, booked = trials.timed_states(judged, self.times)
         except MotionError as problem:
-            error = Error(np.nan, np.nan, np.nan)
+            error = trials.Error(np.nan, np.nan, np.nan)
             return to_point(THREADS.busy - before, error, np.nan, np.nan, str(problem))
         spent = THREADS.busy - before
-        energy, spin = drifts(judged, frames, booked)
-        error = Error(energy, energy, 0.0)
+        energy, spin = trials.drifts(judged, frames, booked)
+        error = trials.Error(energy, energy, 0.0)
         if self.is_compared:
-            kinetic, potential = energies(judged, frames, booked)
+            kinetic, potential = trials.energies(judged, frames, booked)
             off = self.energy_error(kinetic + potential)
-            error = Error(off, off, 0.0)
+            error = trials.Error(off, off, 0.0)
         if not self.by_energy:
-            error = errors(judged, self.times, frames, self.reference.frames)[-1]
+            error = trials.errors(judged, self.times, frames, self.reference.frames)[-1]
         if spent < _LONG_RUN_SECONDS or self.sampled.size < self.system.n_bodies:
-            all_bodies = part(self.system, plan, np.arange(self.system.n_bodies))
-            times = [seconds(all_bodies, self.t_end) for _ in range(repeats)]
+            all_bodies = trials.part(self.system, plan, np.arange(self.system.n_bodies))
+            times = [trials.seconds(all_bodies, self.t_end) for _ in range(repeats)]
             while repeats > 1 and sum(times) < _REPEATED_SECONDS and len(times) < _MAX_REPEATS:
-                times.append(seconds(all_bodies, self.t_end))
+                times.append(trials.seconds(all_bodies, self.t_end))
             spent = float(np.median(times))
         return to_point(spent, error, energy, spin, self.failure_of(error))
 
@@ -353,10 +343,10 @@ class Study:
             ahead = THREADS.local.clock()
             frames, spent = course_of(engine, scene, variant, step, bodies)
             if self.is_compared:
-                off = self.energy_error(energies_at(self.judged, frames, engine.STORES))
-                error = Error(off, off, 0.0)
+                off = self.energy_error(trials.energies_at(self.judged, frames, engine.STORES))
+                error = trials.Error(off, off, 0.0)
             else:
-                error = errors(self.judged, self.times, frames, self.reference.frames)[-1]
+                error = trials.errors(self.judged, self.times, frames, self.reference.frames)[-1]
             to_point = partial(Point, variant, engine.NAME, step, False, spent)
             yield to_point(error, np.nan, np.nan, self.failure_of(error))
             now = THREADS.local.clock()
