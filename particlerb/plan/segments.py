@@ -12,21 +12,9 @@ import numpy as np
 
 from particlerb.case.problems import CaseError, problem_at
 from particlerb.contact.contact_model import GroupContact
-from particlerb.forces import Terms, needs_of, terms_on, without_gradient
+from particlerb.forces import Terms, kinds, needs_of, terms_on, without_gradient
 from particlerb.forces.drag import Drag
 from particlerb.forces.impulse import Impulse
-from particlerb.forces.kinds import (
-    BODIES,
-    CONTACT,
-    EVENTS,
-    FLOWS,
-    IMPULSES,
-    JOINTS,
-    PISTONS,
-    POSE,
-    TIME,
-    VELOCITY,
-)
 from particlerb.integrators import METHODS
 from particlerb.joints.setup import with_drag
 from particlerb.maths.vec3 import Bools, Ints
@@ -48,16 +36,16 @@ from particlerb.stepping.motion import SegmentGroup, Shared
 _ALL_TIME: Final = (-np.inf, np.inf)
 Needs: TypeAlias = dict[str, frozenset[str]]
 _NEEDS: Final = {
-    POSE: "it depends on the pose",
-    VELOCITY: "it depends on velocities",
-    TIME: "it depends on time",
-    BODIES: "bodies act on each other",
-    CONTACT: "bodies touch",
-    PISTONS: "walls slide",
-    IMPULSES: "contacts have no stiffness",
-    EVENTS: "bodies collide at the instants of their impacts",
-    JOINTS: "joints hold bodies",
-    FLOWS: "it depends on velocities, and joints hold bodies",
+    kinds.POSE: "it depends on the pose",
+    kinds.VELOCITY: "it depends on velocities",
+    kinds.TIME: "it depends on time",
+    kinds.BODIES: "bodies act on each other",
+    kinds.CONTACT: "bodies touch",
+    kinds.PISTONS: "walls slide",
+    kinds.IMPULSES: "contacts have no stiffness",
+    kinds.EVENTS: "bodies collide at the instants of their impacts",
+    kinds.JOINTS: "joints hold bodies",
+    kinds.FLOWS: "it depends on velocities, and joints hold bodies",
 }
 
 
@@ -178,8 +166,8 @@ def cut_into_segments(
         n = system.n_worlds
         worlds = worlds_among(system.world[members], n) if n > 1 else None
         return [GroupPlan(members, bodies, tuple(segments), worlds)]
-    kinds, kind = np.unique(np.array(closed), axis=1, return_inverse=True)
-    parts = [np.flatnonzero(kind == k) for k in range(kinds.shape[1])]
+    distinct, kind = np.unique(np.array(closed), axis=1, return_inverse=True)
+    parts = [np.flatnonzero(kind == k) for k in range(distinct.shape[1])]
     return _cut_apart(system, group, parts, touching, (begin, is_first))
 
 
@@ -228,7 +216,7 @@ def _refused_terms(method: str, terms: Terms, known_needs: Needs | None = None) 
     """Terms that need more than a method takes into account; what that is, where it steps."""
     chosen, refused = METHODS[method], {}
     for name, needs in (needs_of(terms) if known_needs is None else known_needs).items():
-        lacking = sorted(_NEEDS.get(need, _NEEDS[JOINTS]) for need in needs - chosen.accepts)
+        lacking = sorted(_NEEDS.get(need, _NEEDS[kinds.JOINTS]) for need in needs - chosen.accepts)
         if lacking:
             refused[name] = f" ({lacking[0]})" if has_step(method) else ""
     if chosen.takes_gradients:

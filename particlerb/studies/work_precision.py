@@ -32,17 +32,7 @@ from particlerb.plan.time_step import contact_limit
 from particlerb.simulation import trials
 from particlerb.simulation.frame_times import frame_times
 from particlerb.stepping.motion import MotionError
-from particlerb.studies.peers import (
-    JOINT_ORACLE,
-    Engine,
-    PeerScene,
-    course_of,
-    oracle_states,
-    peer_errors,
-    peer_scene,
-    refusal_by,
-    variants_of,
-)
+from particlerb.studies import peers
 from particlerb.studies.points import LOST, Point, Reference, failure
 from particlerb.studies.text import nice_steps
 
@@ -113,9 +103,9 @@ class Study:
         return ""
 
     @cached_property
-    def peer_scene(self) -> PeerScene:
+    def peer_scene(self) -> peers.PeerScene:
         """The scene as other engines take it; ValueError where they cannot."""
-        return peer_scene(self.system)._replace(times=self.times)
+        return peers.peer_scene(self.system)._replace(times=self.times)
 
     def usual_target(self) -> float:
         """Error for which advice is given unasked."""
@@ -123,16 +113,16 @@ class Study:
             return _USUAL_ENERGY_ERROR
         return (self.by_energy and self.system.check.energy_drift) or _USUAL_ERROR
 
-    def words_of(self, engine: Engine) -> str:
+    def words_of(self, engine: peers.Engine) -> str:
         """In what an engine differs where bodies touch; empty where it does not, or is left out."""
         if self.system.contact is None or self.peer_refusal(engine):
             return ""
         return str(getattr(engine, "OTHERWISE", ""))
 
-    def peer_refusal(self, engine: Engine) -> str:
+    def peer_refusal(self, engine: peers.Engine) -> str:
         """Why an engine cannot run the case; empty where it can."""
         try:
-            return engine.missing() or refusal_by(engine, self.peer_scene)
+            return engine.missing() or peers.refusal_by(engine, self.peer_scene)
         except ValueError as error:
             return str(error)
 
@@ -162,8 +152,8 @@ class Study:
             return Reference(frames, what, floor)
         second = "rk4" if self.refusal("rkn6") else "rkn6"
         if self.system.joint:
-            second, what = "rattle8", JOINT_ORACLE
-            oracle = oracle_states(self.system, self.sampled, self.times)
+            second, what = "rattle8", peers.JOINT_ORACLE
+            oracle = peers.oracle_states(self.system, self.sampled, self.times)
         else:
             what = f"dop853 with tolerance {_FINEST_TOLERANCE:g}"
             oracle = self.states("dop853", _FINEST_TOLERANCE)
@@ -230,7 +220,11 @@ class Study:
     # Measurements
 
     def points(
-        self, methods: Sequence[str], rivals: Sequence[Engine], budget: float, progress: Progress
+        self,
+        methods: Sequence[str],
+        rivals: Sequence[peers.Engine],
+        budget: float,
+        progress: Progress,
     ) -> tuple[tuple[Point, ...], tuple[tuple[str, str], ...]]:
         """Points of all curves, and what is left out, with the reason."""
         contenders = [(name, self.refusal(name), partial(self.curve, name)) for name in methods]
@@ -238,7 +232,7 @@ class Study:
             reason = self.peer_refusal(engine)
             contenders += [
                 (engine.NAME, reason, partial(self.peer_curve, engine, variant))
-                for variant in variants_of(engine, self.system)
+                for variant in peers.variants_of(engine, self.system)
             ]
         curves = sum(not reason for _, reason, _ in contenders)
         share = (1.0 - _REFERENCE_SHARE) * budget / max(curves, 1)
@@ -300,10 +294,10 @@ class Study:
             spent = float(np.median(times))
         return to_point(spent, error, energy, spin, self.failure_of(error))
 
-    def peer_curve(self, engine: Engine, variant: str, budget: float) -> Iterator[Point]:
+    def peer_curve(self, engine: peers.Engine, variant: str, budget: float) -> Iterator[Point]:
         """Points of one variant of a peer."""
         unit, most = (1.0, np.inf) if engine.ADAPTIVE else (self.unit(), 0.5 * self.t_end)
-        steps = [min(rung * unit, most) for rung in variants_of(engine, self.system)[variant]]
+        steps = [min(rung * unit, most) for rung in peers.variants_of(engine, self.system)[variant]]
         if self.system.contact is not None:
             yield from self.peer_course(engine, variant, steps, budget)
             return
@@ -314,13 +308,8 @@ class Study:
             while len(results) < REPEATS and THREADS.local.clock() - start < budget:
                 results.append(engine.run(self.peer_scene, variant, step))
             spent = float(np.median([result.seconds for result in results]))
-            error, energy, spin = peer_errors(
-                results[0],
-                self.system,
-                self.sampled,
-                self.judged,
-                self.times,
-                self.reference.frames,
+            error, energy, spin = peers.peer_errors(
+                results[0], self.system, self.sampled, self.judged, self.times, self.reference.frames
             )
             to_point = partial(Point, variant, engine.NAME, step, engine.ADAPTIVE, spent)
             yield to_point(error, energy, spin, failure(error))
@@ -332,16 +321,16 @@ class Study:
         return 1.0 / self.rate if self.rate > 0.0 else self.t_end
 
     def peer_course(
-        self, engine: Engine, variant: str, steps: Sequence[float], budget: float
+        self, engine: peers.Engine, variant: str, steps: Sequence[float], budget: float
     ) -> Iterator[Point]:
         """Points of one variant of a peer on bodies that touch."""
         scene, bodies = self.peer_scene, self.system.bodies
         short = scene._replace(times=self.times[:1], t_end=float(self.times[0]))
-        course_of(engine, short, variant, steps[0], bodies)  # load
+        peers.course_of(engine, short, variant, steps[0], bodies)  # load
         start = THREADS.local.clock()
         for step in steps:
             ahead = THREADS.local.clock()
-            frames, spent = course_of(engine, scene, variant, step, bodies)
+            frames, spent = peers.course_of(engine, scene, variant, step, bodies)
             if self.is_compared:
                 off = self.energy_error(trials.energies_at(self.judged, frames, engine.STORES))
                 error = trials.Error(off, off, 0.0)
