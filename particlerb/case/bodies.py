@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from particlerb.case.contact import Prescribed
-from particlerb.case.shapes import Shape
+from particlerb.case.shapes import Cloud, Shape
 from particlerb.case.values import (
     ORIGIN,
     Array3,
@@ -146,3 +146,8 @@ class Body(Table):
     def is_held(self) -> bool:
         """Whether nothing can push it: it is fixed, or moves as prescribed."""
         return self.fixed or self.motion is not None
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether its particles are drawn at random: then they are like no others."""
+        return any(isinstance(one.shape, Cloud) for one in (self, *self.part))

@@ -48,6 +48,13 @@ def toml_value(text: str) -> Any:
     return values["value"] if len(values) == 1 else text
 
 
+def with_values(raw: Any, paths: Sequence[Path], values: Sequence[Any]) -> Any:
+    """Data of a case with values at some paths."""
+    for path, value in zip(paths, values, strict=True):
+        raw = with_value(raw, path, value)
+    return raw
+
+
 def with_value(node: Any, path: Path, value: Any) -> Any:
     """Copy of nested tables and lists with one entry set; missing tables are made.
 

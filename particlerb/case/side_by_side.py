@@ -10,7 +10,7 @@ import numpy as np
 
 from particlerb.case.bodies import InBody, NormalDistribution, RandomBox
 from particlerb.case.changes import changed
-from particlerb.case.overrides import with_value
+from particlerb.case.overrides import with_values
 from particlerb.case.placement import (
     Placement,
     in_world,
@@ -55,9 +55,7 @@ def side_by_side(source: Source, paths: Sequence[Path], rows: Sequence[Sequence[
     WorldsDifferError
         If another is wrong: each alone says in what.
     """
-    raw: Any = source.raw
-    for path, value in zip(paths, rows[0], strict=True):
-        raw = with_value(raw, path, value)
+    raw = with_values(source.raw, paths, rows[0])
     case, n_worlds = build(source._replace(raw=raw), ()), len(rows)
     changes, wrong = changed(case, paths, rows)
     if wrong:

@@ -157,7 +157,7 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
         problems.append(problem_at(case, key, f"{case.body[i].name}: {why}"))
 
     for i, body in enumerate(case.body):
-        matter = (i if _is_drawn(body) else -1, body.shape, body.part, body.mass, body.density)
+        matter = (i if body.is_drawn else -1, body.shape, body.part, body.mass, body.density)
         if matter not in kinds_of_matter:
             try:
                 particles, lines = _particle_sets(case, i, body)
@@ -183,12 +183,6 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
                 blame(i, error)
     refuse(problems)
     return together, properties, np.array(first)
-
-
-def _is_drawn(body: Body) -> bool:
-    """Whether the particles of a block are drawn at random: then they are like no others."""
-    shapes_of = [body.shape, *(part.shape for part in body.part)]
-    return any(isinstance(shape, Cloud) for shape in shapes_of)
 
 
 def _refuse_underflow(properties: MassProperties) -> None:

@@ -9,9 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from particlerb.case.bodies import Body
 from particlerb.case.output import Asked
-from particlerb.case.shapes import Cloud
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
@@ -35,13 +33,7 @@ def may_share(system: System) -> bool:
         return False
     if system.run.accuracy:
         return False
-    return not any(_is_its_own(body) for body in system.body)
-
-
-def _is_its_own(body: Body) -> bool:
-    """Whether a record has particles drawn at random, or moves as prescribed."""
-    shapes = [body.shape, *(part.shape for part in body.part)]
-    return body.motion is not None or any(isinstance(shape, Cloud) for shape in shapes)
+    return not any(body.is_drawn or body.motion is not None for body in system.body)
 
 
 def rows_together(numbers: Sequence[int], system: System, asked: Sequence[Asked]) -> list[Row]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from particlerb.case.changes import changed, likeness
-from particlerb.case.overrides import with_value
+from particlerb.case.overrides import with_values
 from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of, problem_at, refuse
 from particlerb.case.reader import build
 from particlerb.case.schema import Case
@@ -70,13 +70,6 @@ def variants(case: Case, sweep: SweepTable) -> list[Variant]:
             all_variants.append(Variant(number, rows[number], hashed.hexdigest()[:16], like))
     refuse(problems.values())
     return sorted(all_variants, key=lambda one: one.number)
-
-
-def with_values(raw: Any, paths: Sequence[Path], row: Sequence[Any]) -> Any:
-    """Data of a case with the values of a variant at these paths."""
-    for path, value in zip(paths, row, strict=True):
-        raw = with_value(raw, path, value)
-    return raw
 
 
 def built(case: Case, paths: Sequence[Path], row: Sequence[Any]) -> Case:

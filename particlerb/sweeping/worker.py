@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from particlerb.case.output import Asked
+from particlerb.case.overrides import with_values
 from particlerb.case.problems import CaseError, Path, Source
 from particlerb.case.reader import build
 from particlerb.case.side_by_side import side_by_side
@@ -22,7 +23,6 @@ from particlerb.simulation.run import run_unrecorded
 from particlerb.simulation.whole_run import RunError
 from particlerb.sweeping.rows import Row, asked_as_checks, failed
 from particlerb.sweeping.together import rows_of, rows_together
-from particlerb.sweeping.variants import with_values
 
 
 class Task(NamedTuple):
