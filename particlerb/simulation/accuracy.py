@@ -26,7 +26,7 @@ from particlerb.plan.describe import describe, group_name
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, accepting
-from particlerb.plan.time_step import Stepping, stepped_by
+from particlerb.plan.time_step import Stepping, as_warning, stepped_by
 from particlerb.simulation.pilot import Pilot
 from particlerb.simulation.run import made_ready, prepare
 from particlerb.simulation.step_ladder import DEAREST, ENOUGH, MORE_TIMES, RATIO, ChosenStep, Ladder
@@ -105,8 +105,7 @@ def prepare_accurately(system: System) -> Prepared:
             f" for {worst}, it holds until {estimate.until:.6g} s"
         )
         hint = "rounding, or the scene itself, allows no more: ask for less, or run for less time"
-        problem = str(problem_at(system, "run.accuracy", reason, hint))
-        warnings = (*warnings, problem.replace(": error: ", ": warning: ", 1))
+        warnings = (*warnings, as_warning(problem_at(system, "run.accuracy", reason, hint)))
     chosen = Plan(chosen.groups, chosen.step, warnings)
     text = describe(system, chosen, estimate.text())
     stepping = json.dumps([None if one is None else one._asdict() for one in choice])
