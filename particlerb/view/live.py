@@ -32,6 +32,7 @@ from particlerb.view.session import (
     UserPush,
     decimals,
 )
+from particlerb.view.stage import tell
 
 _SECONDS_BETWEEN_CHARTS: Final = 0.25
 _MAX_UPDATE_SECONDS: Final = 0.05  # that one update may compute
@@ -152,8 +153,7 @@ class Live(Page):
             self.session.switch_gravity(bool(self.controls.gravity.value))
         finally:
             self.clock = self.session.time
-            if self.controls.gravity.value != self.session.has_gravity:
-                self.controls.gravity.value = self.session.has_gravity
+            tell(self.controls.gravity, value=self.session.has_gravity)
 
     def look_at(self, b: int) -> None:
         """Show the numbers of body b, its arrows and charts."""

@@ -19,7 +19,7 @@ from particlerb.model.system import System
 from particlerb.view.number_tables import MOST_DIGITS, NumberGroup, table
 from particlerb.view.server import finite
 from particlerb.view.session import SessionError
-from particlerb.view.stage import Stage
+from particlerb.view.stage import Stage, tell
 
 UPDATES: Final = 60.0  # per second
 NUMBERS_EVERY: Final = 0.1  # [s] between two tables of numbers
@@ -174,8 +174,7 @@ class Page:
     def look_at(self, b: int) -> None:
         """Show the numbers of body b."""
         self.body, self.next_numbers = b, 0.0
-        if self.body_field.value != self.names[b]:
-            self.body_field.value = self.names[b]
+        tell(self.body_field, value=self.names[b])
 
     def hit_by(self, event: Any) -> Hit | None:
         """Where a click meets a body; None where it meets none."""
@@ -189,20 +188,14 @@ class Page:
     def write_numbers(self, parts: Iterable[NumberGroup]) -> None:
         """The table of numbers."""
         digits = int(min(max(self.digits.value, 1), MOST_DIGITS))
-        write(self.numbers, table(self.names[self.body], parts, digits))
+        tell(self.numbers, content=table(self.names[self.body], parts, digits))
 
     def write_status(self, status: str, warnings: Sequence[str] = ()) -> None:
         """The lines at the top of the page: HTML, then the message and warnings."""
         style = "font:13px system-ui,sans-serif;padding:2px 8px 8px"
         status += note(self.message, self.is_refusal) if self.message else ""
         status += "".join(note(warning, True) for warning in warnings)
-        write(self.status, f'<div id="clock" style="{style}">{status}</div>')
-
-
-def write(field: Any, content: str) -> None:
-    """Set the content of a field; the browser hears of it only where it is new."""
-    if field.content != content:
-        field.content = content
+        tell(self.status, content=f'<div id="clock" style="{style}">{status}</div>')
 
 
 def note(text: str, is_wrong: bool = False) -> str:

@@ -21,8 +21,8 @@ from particlerb.model.system import System
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.view.number_tables import motion_of, state_parts
-from particlerb.view.page import NUMBERS_EVERY, Page, note, write
-from particlerb.view.stage import COLOURS
+from particlerb.view.page import NUMBERS_EVERY, Page, note
+from particlerb.view.stage import COLOURS, tell
 
 _COLOURED_BY: Final = ("body", "speed", "energy")
 _WATCHED_SECONDS: Final = 15.0  # in which a file is played
@@ -200,8 +200,7 @@ class Replay(Page):
         k = min(max(k, 0), len(self.times) - 1)
         self.frame, self.clock = k, float(self.times[k])
         self.state = self.state_at(k)
-        if self.slider.value != k:
-            self.slider.value = k
+        tell(self.slider, value=k)
         self.paint()
         self.is_new = True
 
@@ -274,7 +273,7 @@ class Replay(Page):
             )
         self.write_status(status)
         if not self.has_momenta:
-            write(self.numbers, note("momenta were not recorded: see [output] fields"))
+            tell(self.numbers, content=note("momenta were not recorded: see [output] fields"))
             return
         motion = motion_of(self.system, self.body, *self.state)
         self.write_numbers(state_parts(self.system, self.body, motion))

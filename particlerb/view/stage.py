@@ -160,10 +160,11 @@ class Stage:
         self.arrow_names: dict[str, Any] = {}
         self.trail = self.add_line("/trail", _TRAIL_COLOUR)
         self.joints = JointLines(system, size) if system.joint else None
+        self.lines: list[tuple[BodyLines, Any]] = []
         if self.joints is not None:
-            self.joint_lines = self.add_line("/joints", _JOINT_COLOUR, 4.0)
-        self.springs = SpringLines(system)
-        self.spring_lines = self.add_line("/springs", _SPRING_COLOUR)
+            self.lines.append((self.joints, self.add_line("/joints", _JOINT_COLOUR, 4.0)))
+        if len((springs := SpringLines(system)).body):
+            self.lines.append((springs, self.add_line("/springs", _SPRING_COLOUR)))
         self.furnish(size)
         server.initial_camera.position = self.size * np.array(_VIEW)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
@@ -285,12 +286,9 @@ class Stage:
         place = tuple(((self.home - self.origin) / self.unit).tolist())
         if tuple(self.fixed.position) != place:
             self.fixed.position = place
-        if self.joints is not None:
-            self.joint_lines.points = self.on_page(self.joints.at(position, q)).astype(np.float32)
-            _show_if(self.joint_lines, True)
-        if len(self.springs.body):
-            self.spring_lines.points = self.on_page(self.springs.at(position, q)).astype(np.float32)
-            _show_if(self.spring_lines, True)
+        for lines, handle in self.lines:
+            handle.points = self.on_page(lines.at(position, q)).astype(np.float32)
+            tell(handle, visible=True)
 
     def on_page(self, places: Floats) -> Floats:
         """Places [m] in the units of the page."""
@@ -311,7 +309,7 @@ class Stage:
         self.name_arrow(name, start, vectors)
         if not len(vectors):
             if handle is not None:
-                _show_if(handle, False)
+                tell(handle, visible=False)
             return
         first = np.tile(self.on_page(start), (len(vectors), 1))
         points = np.stack([first, first + vectors], axis=1).astype(np.float32)
@@ -323,7 +321,7 @@ class Stage:
             )  # fmt: skip
             return
         handle.points = points
-        _show_if(handle, True)
+        tell(handle, visible=True)
 
     def name_arrow(self, name: str, start: Floats, vectors: Floats) -> None:
         """Name an arrow at its free end: a force ends on its body, others begin there.
@@ -343,14 +341,14 @@ class Stage:
             is_slow = name == "force" or way < _FAST_MOVE * self.size
             label.position = tuple(place.tolist())
         if label is not None:
-            _show_if(label, is_slow)
+            tell(label, visible=is_slow)
 
     def draw_trail(self, places: Floats) -> None:
         """A line through places (n, 3) [m]."""
         if len(places) > 1:
             shown = self.on_page(places).astype(np.float32)
             self.trail.points = np.stack([shown[:-1], shown[1:]], axis=1)
-        _show_if(self.trail, len(places) > 1)
+        tell(self.trail, visible=len(places) > 1)
 
     def clickable(self, callback: Any) -> None:
         """Call back with the event of every click on a body."""
@@ -358,10 +356,11 @@ class Stage:
             handle.on_click(callback)
 
 
-def _show_if(handle: Any, is_visible: bool) -> None:
-    """Show or hide something; the browser hears of it only where that is new."""
-    if handle.visible != is_visible:
-        handle.visible = is_visible
+def tell(handle: Any, **values: Any) -> None:
+    """Set what a handle of the page has; the browser hears of it only where it is new."""
+    for name, value in values.items():
+        if getattr(handle, name) != value:
+            setattr(handle, name, value)
 
 
 def linear(colours: Any) -> Any:

@@ -61,10 +61,11 @@ def test_a_link_is_pushed_by_a_click_and_the_session_is_that_of_its_case(serve, 
         page.press("run / pause")
         page.until(lambda: not page.serving.is_running, "paused")
         stage = page.serving.stage
-        assert stage.joint_lines.visible
+        joint_lines = stage.lines[0][1]
+        assert joint_lines.visible
         session = page.serving.session
         x, q = session.frame.position[0], session.frame.orientation[0]
-        shown = np.array(stage.joint_lines.points)
+        shown = np.array(joint_lines.points)
         assert shown == pytest.approx(stage.on_page(stage.joints.at(x, q)), abs=1e-6)
         page.fill("force [N]", "8")
         page.choose("direction", "+y")
