@@ -14,7 +14,6 @@ import numpy as np
 from particlerb.export import ExportError, Selection
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.schema import CONTACTS, VTKHDF
-from particlerb.record.trajectory import Contacts
 
 NEEDS: Final = ("position",)
 HOLDS: Final = (CONTACTS,)
@@ -31,7 +30,8 @@ def write(selection: Selection, path: Path) -> None:
     for k in frames:
         contacts = selection.contacts(k)
         of_frames.append(contacts)
-        points.append(_ends(trajectory.read("position", slice(k, k + 1))[0], contacts))
+        x = trajectory.read("position", slice(k, k + 1))[0]
+        points.append(contacts.lines(x).reshape(-1, 3))
     counts = np.array([len(ends) // 2 for ends in points])
     force, overlap, wall = (
         np.concatenate([getattr(one, name) for one in of_frames])
@@ -49,14 +49,6 @@ def write(selection: Selection, path: Path) -> None:
         for name, values in data.items():
             root[f"CellData/{name}"] = values
         _put_steps(root, trajectory.time[frames], counts, list(data))
-
-
-def _ends(x: Floats, contacts: Contacts) -> Floats:
-    """Both ends of each line, one after the other, (2 m, 3)."""
-    first, second = contacts.body.T
-    is_wall = contacts.wall[:, None] >= 0
-    ends = np.where(is_wall, contacts.point, x[np.maximum(second, 0)])
-    return np.stack([x[first], ends], axis=1).reshape(-1, 3)
 
 
 def _put_cells(root: h5py.Group, name: str, counts: Ints, width: int) -> None:

@@ -43,6 +43,15 @@ class Contacts(NamedTuple):
     force: Floats  # (m, 3) [N] on the first body, world frame; the second feels the opposite
     overlap: Floats  # (m,) [m]
 
+    def lines(self, com: Floats) -> Floats:
+        """Ends of a line each, (m, 2, 3) [m]: both centres of mass, of which `com` has all (N, 3).
+
+        One with a wall ends where the force acts.
+        """
+        first, second = self.body.T
+        ends = np.where(self.wall[:, None] >= 0, self.point, com[np.maximum(second, 0)])
+        return np.stack([com[first], ends], axis=1)
+
 
 class FrameReader(Closing):
     """Numbers of N bodies in T frames, read from a file when asked for; see `Trajectory`.

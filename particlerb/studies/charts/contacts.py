@@ -20,8 +20,8 @@ _MIN_EMPTY_SHARE, _MAX_PANELS = 0.15, 4  # share of the width that is left out
 _WEAK, _STRONG = "#9aa5b1", COLOURS[1]
 
 
-def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
-    """Draw all contacts of a frame over the outlines of the particles, seen from the side.
+def draw_contacts(trajectory: Trajectory, path: Path) -> None:
+    """Draw all contacts of the last frame over the outlines of the particles, seen from the side.
 
     A contact of two bodies is a line between their centres of mass, one with a wall from the centre
     to the point; its width is the size of the force. The view is along the axis along which the
@@ -33,10 +33,8 @@ def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
         With positions, orientations and contacts.
     path : Path
         Where to; the suffix is the format.
-    frame : int
-        Number of the frame; negative counts from the end.
     """
-    k = range(trajectory.n_frames)[frame]
+    k = trajectory.n_frames - 1
     x = trajectory.read("position", slice(k, k + 1))[0]
     contacts = trajectory.contacts(k)
     shown = side_axes(trajectory, x)
@@ -52,7 +50,7 @@ def draw_contacts(trajectory: Trajectory, path: Path, frame: int = -1) -> None:
     for axes, (start, stop) in zip(panels, parts, strict=True):
         draw_particles(axes, centres, radii)
         if contacts.wall.size:
-            _draw_forces(axes, x[:, shown], contacts, shown)
+            _draw_forces(axes, x, contacts, shown)
         axes.set_aspect("equal")
         axes.autoscale_view()
         axes.set(xlabel=f"{across} [m]", xlim=(start, stop))
@@ -97,12 +95,9 @@ def _draw_forces(axes: Axes, com: Floats, contacts: Contacts, shown: list[int]) 
     """Lines of contacts; those above the mean force in colour, the strongest last."""
     force = np.linalg.norm(contacts.force, axis=1)
     order = np.argsort(force)
-    first, second = contacts.body.T
-    is_wall = contacts.wall[:, None] >= 0
-    ends = np.where(is_wall, contacts.point[:, shown], com[np.maximum(second, 0)])
     force = force[order]
     chains = LineCollection(
-        list(np.stack([com[first], ends], axis=1)[order]),
+        list(contacts.lines(com)[order][..., shown]),
         linewidths=np.maximum(_MAX_WIDTH * force / (force.max() or 1.0), 0.2),
         colors=np.where(force > force.mean(), _STRONG, _WEAK).tolist(),
         capstyle="round",
