@@ -260,12 +260,11 @@ class Simulation(Closing):
         """
         if self.system.joint:
             raise ValueError("set_state: joints hold these bodies; a state must fit them")
-        now = self._state
-        new_values = position, orientation, velocity, angular_velocity
-        old_values = now.position, now.orientation, now.velocity, now.angular_velocity
+        given = position, orientation, velocity, angular_velocity
         names = "position", "orientation", "velocity", "angular_velocity"
         values = []
-        for name, new, old in zip(names, new_values, old_values, strict=True):
+        for name, new in zip(names, given, strict=True):
+            old = getattr(self._state, name)
             try:
                 array = np.array(old if new is None else new)
                 array = array.astype(np.float64, casting="same_kind")

@@ -22,7 +22,7 @@ from particlerb.studies.charts.solids import (
     view_along,
     view_at_angle,
 )
-from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style
+from particlerb.studies.charts.style import COLOURS, INK, finish_view, line_style
 
 _ATTITUDES: Final = 7
 _APART: Final = 1.25  # of orientations, in diagonals of the body
@@ -100,13 +100,10 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
         _draw_outlines(axes, trajectory, frame, (across, up))
         for path in np.moveaxis(trajectory.read("position")[: frame + 1], 1, 0):
             axes.plot(*path[:, shown].T, color=COLOURS[1], lw=0.9, alpha=0.7)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.autoscale_view()
     rest = "at rest" if frame else "all begin at rest"
     words = rest if is_still else f"blue: up to {speed.max():.3g} m/s"
     title = f"t = {trajectory.time[frame]:.4g} s; {words}"
-    finish_panel(axes, title, xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")
-    axes.grid(visible=False)
+    finish_view(axes, title, f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]")
 
 
 def draw_at_rest(axes: Axes, trajectory: Trajectory, shown: list[int]) -> None:
@@ -120,12 +117,9 @@ def draw_at_rest(axes: Axes, trajectory: Trajectory, shown: list[int]) -> None:
         for b, orientation, com in zip(shown, q, x, strict=True)
     ]
     draw_solids(axes, placed, "#a9cce3", 2.0)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.autoscale_view()
     title = f"t = {trajectory.time[-1]:.4g} s; the centres are at rest"
     up = "xyz"[upright(trajectory)]
-    finish_panel(axes, title, xlabel=ANGLED, ylabel=f"upwards: {up} [m]")
-    axes.grid(visible=False)
+    finish_view(axes, title, ANGLED, f"upwards: {up} [m]")
 
 
 def draw_paths(axes: Axes3D, trajectory: Trajectory, shown: list[int], body: int) -> None:

@@ -12,7 +12,7 @@ from particlerb.record.trajectory import Trajectory
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.studies.charts.bodies import shapes_of, side_axes
 from particlerb.studies.charts.solids import ANGLED, draw_solids, view_along, view_at_angle
-from particlerb.studies.charts.style import COLOURS, INK, finish_panel
+from particlerb.studies.charts.style import COLOURS, INK, finish_view
 
 _NO_POINTS: Final = np.zeros((0, 3))
 _MAX_ALIGNED_SINE: Final = 0.05  # of the angle of axes that make no plane
@@ -76,12 +76,9 @@ def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
             shown = np.array(places) @ view.T
             axes.plot(*shown.T[:2], "-o", ms=4, mfc="white", lw=2.2 if is_last else 1.2, **line)
     axes.update_datalim((everywhere @ view.T)[:, :2])
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.autoscale_view()
     times = ", ".join(f"{trajectory.time[frame]:.3g}" for frame in frames)
     title = f"t = {times} s (blue); orange: paths of centres"
-    finish_panel(axes, title, xlabel=names[0], ylabel=names[1])
-    axes.grid(visible=False)
+    finish_view(axes, title, *names)
 
 
 def _numbers(trajectory: Trajectory, names: list[str] | None) -> list[int]:

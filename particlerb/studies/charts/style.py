@@ -59,6 +59,14 @@ def finish_panel(axes: Axes, title: str = "", **settings: Any) -> None:
     bare(axes)
 
 
+def finish_view(axes: Axes, title: str, across: str, up: str) -> None:
+    """The same of a view of the scene: one scale for both axes, and no grid."""
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.autoscale_view()
+    finish_panel(axes, title, xlabel=across, ylabel=up)
+    axes.grid(visible=False)
+
+
 def write_beside(axes: Axes, x: float, y: float, text: str, **style: Any) -> None:
     """Write at a share x of the width of the panel, and at a value y of its axis."""
     axes.text(x, y, text, transform=axes.get_yaxis_transform(), **style)
