@@ -103,7 +103,7 @@ def _type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
     is_sphere = particles.radius > 0.0  # beside these, points without a radius carry matter
     radius = particles.radius[is_sphere]
     if 0 < radius.size <= _MAX_SPHERES_OF_SHAPE:
-        frame = np.tile(trajectory.bodies.rotor_frame[:, body : body + 1], radius.size)
+        frame = trajectory.bodies.rotor_frame[:, [body]]
         centres = rotate_back(frame, particles.position[is_sphere].T).T
         return sphere_union(centres, radius)
     a, b, c = ellipsoid(trajectory.bodies.inertia[:, body], float(trajectory.mass[body]))

@@ -163,9 +163,7 @@ def _are_single(system: System, sizes: Ints, radius: Floats) -> Bools:
 def _infile(system: System, bodies: Ints) -> str:
     """Rows of rigid bodies: id, mass, centre, tensor, velocity, angular momentum, image flags."""
     state = system.state
-    axes = [
-        rotate(state.q[:, bodies], np.repeat(e[:, None], len(bodies), axis=1)) for e in np.eye(3)
-    ]
+    axes = [rotate(state.q[:, bodies], e[:, None]) for e in np.eye(3)]
     R = np.stack(axes, axis=1).transpose(2, 0, 1)
     tensors = np.einsum("nij,jn,nkj->nik", R, system.bodies.inertia[:, bodies], R)
     lines = [f"# {COMMENT}; world frame", str(len(bodies))]

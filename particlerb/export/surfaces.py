@@ -209,17 +209,11 @@ def surface_of(system: System, body: Body, kind: int, copies: int) -> _Surface:
 def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _Surface | None:
     """Surface of a shape where it stands in its body; None for loose particles."""
     kind, record = shape.type, shape
-    round_axes: dict[str, Callable[[], Floats]] = {
-        "ball": lambda: np.full(3, record.radius),
-        "shell": lambda: np.full(3, record.radius),
-        "ellipsoid": lambda: np.array(record.semi_axes),
-    }
-    if kind in round_axes:
-        axes = round_axes[kind]()
+    if kind in ("ball", "shell", "ellipsoid"):
+        axes = np.array(record.semi_axes) if kind == "ellipsoid" else np.full(3, record.radius)
         mesh = ball(1.0, copies)
         mesh = mesh._replace(vertices=mesh.vertices * axes).moved(R, shift)
-        is_aligned = np.ptp(axes) == 0.0 or np.array_equal(R, np.eye(3))
-        if is_aligned:
+        if np.ptp(axes) == 0.0 or np.array_equal(R, np.eye(3)):  # aligned with the body
             return _Surface(mesh, np.zeros((0, 3, 3)), shift[None], axes[None])
         return triangles(mesh)
     if kind == "mesh":

@@ -268,7 +268,7 @@ def kinetic_energy(bodies: Bodies, state: State) -> Floats:
 
 def rotation_matrix(q: Floats) -> Floats:
     """Matrix (3, 3) of a unit quaternion: its columns are the body's axes in the world."""
-    return rotate(np.tile(q[:, None], 3), np.eye(3))
+    return rotate(q[:, None], np.eye(3))
 
 
 def inertia_in_body(bodies: Bodies, b: int) -> Floats:

@@ -271,9 +271,7 @@ def _misplaced_ends(system: System, link: Link) -> list[Problem]:
             continue
         index = np.unique(ends)
         index = index[np.isin(system.bodies.rotor_class[index], (POINT, ROD))]
-        arm = rotate_back(
-            system.bodies.rotor_frame[:, index], np.tile(np.array(at)[:, None], index.size)
-        )
+        arm = rotate_back(system.bodies.rotor_frame[:, index], np.array(at)[:, None])
         is_point = system.bodies.rotor_class[index] == POINT
         across = np.where(is_point, lengths(arm), np.hypot(arm[0], arm[1]))
         wrong = index[across > AXIAL_ROUNDING * lengths(arm)]

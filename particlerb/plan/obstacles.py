@@ -60,8 +60,8 @@ def _mesh_of(system: System, number: int, table: MeshWall) -> Walls:
     if not np.isfinite(corners).all():
         raise wrong("has a corner that is not finite")
     vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    turns = np.tile(quaternion_of(table.orientation)[:, None], len(vertices))
-    vertices = rotate(turns, table.scale * vertices.T).T + np.array(table.position)
+    turn = quaternion_of(table.orientation)[:, None]
+    vertices = rotate(turn, table.scale * vertices.T).T + np.array(table.position)
     walls = surface(vertices, index.reshape(-1, 3))
     if not walls.kind.size:
         raise wrong("has no triangle with an area")

@@ -108,13 +108,11 @@ class Trajectory(LabelledReader):
         ndarray, shape (T, 3) [rad/s]
             Body frame.
         """
-        n = self.n_frames
         q = self.read("orientation", bodies=body).T
         L = self.read("angular_momentum", bodies=body).T
         bodies = taken(self.bodies, np.array([body]))
-        frame = np.repeat(bodies.rotor_frame, n, axis=1)
-        m = rotate_back(frame, rotate_back(q, L))
-        return rotate(frame, bodies.inv_inertia * m).T
+        m = rotate_back(bodies.rotor_frame, rotate_back(q, L))
+        return rotate(bodies.rotor_frame, bodies.inv_inertia * m).T
 
     def momentum_sizes(self) -> tuple[float, float]:
         """Scales of the drifts: Σ|p| [kg m/s], and Σ|L| + Σ|x × p| [kg m²/s], largest of all."""

@@ -188,7 +188,7 @@ def set_equal_scale(axes: Axes3D, points: Floats, unit: str = " [m]") -> None:
 def direction(trajectory: Trajectory, body: int, axis: int) -> Floats:
     """An axis of a body in the world, (T, 3)."""
     q = trajectory.read("orientation", bodies=body).T
-    return rotate(q, np.tile(np.eye(3)[:, axis, None], q.shape[1])).T
+    return rotate(q, np.eye(3)[:, [axis]]).T
 
 
 def spun_axis(trajectory: Trajectory, body: int) -> int:
