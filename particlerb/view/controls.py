@@ -68,13 +68,7 @@ class Controls:
         self.save = gui.add_button("save the session as a case", color="gray")
         with gui.add_folder("help", expand_by_default=False):
             gui.add_markdown(_HELP)
-        gui.main_panel.set_width(340)
-        numbers = gui.add_panel()
-        with numbers.add_tab("numbers"):
-            page.add_body_field(visible=len(page.names) > 1)
-            page.add_numbers()
-        numbers.dock_left()
-        numbers.set_width(410)
+        page.add_numbers(with_body_field=True)
         charts = gui.add_panel()
         with charts.add_tab("charts"):
             self.rates = chart(gui, "ω of the body, world axes  rad/s", ("x", "y", "z"))

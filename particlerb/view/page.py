@@ -76,11 +76,18 @@ class Page:
         else:
             self.body_field = gui.add_text("body", self.names[0], hint="name, as clump[3]")
 
-    def add_numbers(self) -> None:
-        """The fields of the numbers, in a panel that is open."""
+    def add_numbers(self, with_body_field: bool = False) -> None:
+        """A panel at the left with the numbers of the body that is looked at."""
         gui: Any = self.server.gui
-        self.digits = gui.add_slider("digits", min=3, max=17, step=1, initial_value=6)
-        self.numbers = gui.add_html("")
+        panel = gui.add_panel()
+        with panel.add_tab("numbers"):
+            if with_body_field:
+                self.add_body_field(visible=len(self.names) > 1)
+            self.digits = gui.add_slider("digits", min=3, max=17, step=1, initial_value=6)
+            self.numbers = gui.add_html("")
+        panel.dock_left()
+        panel.set_width(410)
+        gui.main_panel.set_width(340)
 
     # The thread
 

@@ -108,12 +108,7 @@ class Replay(Page):
         self.picture = gui.add_button("PNG of this frame")
         self.film_form = gui.add_dropdown("film", film_forms())
         self.film = gui.add_button("make the film")
-        panel = gui.add_panel()
-        with panel.add_tab("numbers"):
-            self.add_numbers()
-        panel.dock_left()
-        panel.set_width(410)
-        gui.main_panel.set_width(340)
+        self.add_numbers()
         self.run.on_click(self.later(lambda event: self.press(str(event.target.value))))
         self.slider.on_update(self.later(self.slide))
         self.speed_field.on_update(self.later(self.change_speed))
