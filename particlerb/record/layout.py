@@ -108,11 +108,7 @@ def part_laid_out(system: System, of: Range, run: str) -> bytearray:
         clock = make_clock(file, n_frames)[schema.TIME]
         for path, element in schema.series_of(system.output.fields).items():
             if element.per == "body":
-                kind, n = schema.dtype_of(element, dtype), of.stop - of.first
-                width = len(element.components)
-                rows = schema.frames_per_chunk(n, width, kind.itemsize, n_frames)
-                fill = None if element.is_count else np.nan
-                hdf5.growing(file, path, kind, (n, *element.width), rows=rows, fill=fill)
+                _make_values(file, path, dtype, n_frames, (of.stop - of.first, *element.width))
         _make_checksums(file, n_frames, clock)
         hdf5.note(file.id, **{schema.COMMITTED: np.int64(0)})
         file.flush()
@@ -268,20 +264,28 @@ def _make_series(file: h5py.File, path: str, of: _FileLayout, made: Made) -> h5d
     if element.components:
         scales.append(made[element.components])
     width = tuple(scale.shape[0] for scale in scales)
-    kind = schema.dtype_of(element, np.dtype(of.dtype))
-    n = width[0] if element.per else 1
-    rows = schema.frames_per_chunk(n, len(element.components), kind.itemsize, of.n_frames)
-    fill = None if element.is_count else np.nan  # what was never written is NaN
+    dtype = np.dtype(of.dtype)
     if of.parts is not None and element.per == "body":
-        value = growing_over(file, path, kind, width, of.parts)
+        value = growing_over(file, path, schema.dtype_of(element, dtype), width, of.parts)
     else:
-        value = hdf5.growing(file, path, kind, width, rows=rows, fill=fill)
+        value = _make_values(file, path, dtype, of.n_frames, width)
     hdf5.describe(value, element.units, element.meaning)
     hdf5.attach(value, made[schema.TIME], *scales)
     link_clock(file, place, made)
     if element.per in schema.PARTS:
         hdf5.link(file, f"{place}/{element.per}", scales[0])  # where netCDF looks for scales
     return value
+
+
+def _make_values(
+    file: h5py.File, path: str, dtype: "np.dtype[Any]", n_frames: int, width: tuple[int, ...]
+) -> h5d.DatasetID:
+    """The values of an element, which can grow; what was never written is NaN."""
+    element = schema.SERIES[path]
+    kind, n = schema.dtype_of(element, dtype), width[0] if element.per else 1
+    rows = schema.frames_per_chunk(n, len(element.components), kind.itemsize, n_frames)
+    fill = None if element.is_count else np.nan
+    return hdf5.growing(file, path, kind, width, rows=rows, fill=fill)
 
 
 def _make_contacts(file: h5py.File, of: _FileLayout, made: Made) -> None:
