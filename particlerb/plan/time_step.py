@@ -143,12 +143,9 @@ def impulse_step(system: System, group: GroupPlan) -> float:
 
     min(0.1 r/v, 0.05 √(r/g)) with the smallest radius r, the largest speed v, and gravity g.
     """
-    step = math.inf
-    for segment in group.segments:
-        if not segment.terms.touches_by_impulses:
-            continue
-        step = min(step, _longest_step(system, segment, _speed(system, group, segment)))
-    return step
+    impulsive = [s for s in group.segments if s.terms.touches_by_impulses]
+    steps = (_longest_step(system, s, _speed(system, group, s)) for s in impulsive)
+    return min(steps, default=math.inf)
 
 
 def _longest_step(system: System, segment: Segment, speed: float) -> float:
