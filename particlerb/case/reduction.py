@@ -13,7 +13,7 @@ import numpy as np
 from particlerb.case.placement import Placement
 from particlerb.case.schema import Case
 from particlerb.geometry.mass_properties import MassProperties
-from particlerb.geometry.particles import Particles, concatenate, kind_of, one_kind, united
+from particlerb.geometry.particles import Particles, concatenate, kind_of, with_surface
 from particlerb.geometry.solid import ROUNDING, UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
@@ -50,8 +50,8 @@ def reduced(
             continue
         matter = _points_for(properties, k)
         if surface.any():
-            shell = one_kind(own_particles.position[surface], 0.0, own_particles.radius[surface])
-            matter = united(concatenate([shell, matter]))
+            at, radius = own_particles.position[surface], own_particles.radius[surface]
+            matter = with_surface(matter, at, radius)
         sets.append(matter)
     return concatenate(sets)
 

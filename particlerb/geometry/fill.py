@@ -21,7 +21,7 @@ from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.mesh import TriangleMesh, mesh_solid
 from particlerb.geometry.overlapping_spheres import union_solid
 from particlerb.geometry.packing import packing
-from particlerb.geometry.particles import Particles, concatenate, one_kind, united
+from particlerb.geometry.particles import Particles, with_surface
 from particlerb.geometry.solid import UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Floats
 
@@ -232,8 +232,8 @@ def _spheres_in(
         return _Trial(count, count + 6, *off, union.volume / solid.volume - 1.0)
 
     def filled(count: int, trials: Sequence[_Trial]) -> FilledShape:
-        surface = one_kind(balls.centre[:count], 0.0, balls.radius[:count])
-        made = united(concatenate([surface, equimomental_points(solid, mass)]))
+        matter = equimomental_points(solid, mass)
+        made = with_surface(matter, balls.centre[:count], balls.radius[:count])
         return FilledShape(made, tuple(trials))
 
     balls = packing(mesh, n if inertia_error is None else 16)

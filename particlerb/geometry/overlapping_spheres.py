@@ -12,7 +12,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from particlerb.geometry.particles import Particles, concatenate, one_kind, united
+from particlerb.geometry.particles import Particles, one_kind, with_surface
 from particlerb.geometry.solid import UniformSolid, equimomental_points, symmetric
 from particlerb.geometry.union import neighbours, union
 from particlerb.maths.vec3 import Floats, Ints
@@ -78,9 +78,8 @@ def spheres(
         share = volumes if mass is None else volumes / math.fsum(volumes)
         return one_kind(centre, amount * share, R)
     solid = union_solid(centre, R)
-    surface = one_kind(centre, 0.0, R)
     matter = equimomental_points(solid, amount * solid.volume if mass is None else amount)
-    return united(concatenate([surface, matter]))
+    return with_surface(matter, centre, R)
 
 
 def _checked(position: ArrayLike, radius: ArrayLike) -> tuple[Floats, Floats]:

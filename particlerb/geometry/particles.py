@@ -139,6 +139,11 @@ def united(particles: Particles) -> Particles:
     return particles._replace(offset=np.array([0, len(particles.mass)], dtype=np.int64))
 
 
+def with_surface(matter: Particles, position: Floats, radius: Floats) -> Particles:
+    """Spheres (n, 3), (n,) [m] without mass, which only touch, and the particles with the mass."""
+    return united(concatenate([one_kind(position, 0.0, radius), matter]))
+
+
 def transformed(particles: Particles, rotation: ArrayLike, translation: ArrayLike) -> Particles:
     """Every particle turned, then moved: x = R p + t.
 
