@@ -165,10 +165,8 @@ def mass_command(options: argparse.Namespace) -> int:
     records = []
     for body in named_bodies(options, options.body):
         values = body.name, body.properties, 0, len(body.particles.mass), body.matter, body.spin
-        try:
+        with ending(ValueError, about=options.file):
             records.append(record_of(*values, RADIANS_PER_STEP))
-        except ValueError as error:
-            raise Ending(f"{options.file}: {error}") from None
     if options.json:
         print(json.dumps(records))
     else:

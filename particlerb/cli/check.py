@@ -5,7 +5,7 @@ import json
 from time import perf_counter
 
 from particlerb.cli.common import amount, wall_time
-from particlerb.cli.exit_codes import DONE, FAILED, Ending, ending, tamed
+from particlerb.cli.exit_codes import DONE, FAILED, ending, tamed
 from particlerb.cli.run import expected_size, prepared_case, size_text
 from particlerb.ranks import NoRanksError
 from particlerb.simulation.estimate import estimated_seconds
@@ -19,10 +19,8 @@ def check_command(options: argparse.Namespace) -> int:
     with ending(NoRanksError):
         shares = shares_of(prepared, options.ranks) if options.ranks else None
     until_now = perf_counter() - options.started  # as a warm run before its first step
-    try:
+    with ending(RunError, code=FAILED, about=f"{options.case} can be run, but fails soon"):
         seconds = until_now + estimated_seconds(prepared)
-    except RunError as error:
-        raise Ending(f"{options.case} can be run, but fails soon: {error}", FAILED) from None
     if options.json:
         told: dict[str, object] = {"plan": prepared.text, "warnings": prepared.plan.warnings}
         told |= {"bytes": expected_size(prepared.system), "seconds": seconds}

@@ -24,12 +24,12 @@ class Ending(Exception):  # noqa: N818
 
 
 @contextlib.contextmanager
-def ending(*errors: type[Exception], code: int = _WRONG_INPUT) -> Iterator[None]:
-    """End the command with the message of an error of these kinds; by default wrong usage."""
+def ending(*errors: type[Exception], code: int = _WRONG_INPUT, about: str = "") -> Iterator[None]:
+    """End the command with the message of an error, after what it is about."""
     try:
         yield
     except errors as error:
-        raise Ending(str(error), code) from None
+        raise Ending(f"{about}: {error}" if about else str(error), code) from None
 
 
 def tamed(text: str) -> str:

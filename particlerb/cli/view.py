@@ -41,10 +41,8 @@ def view_command(options: argparse.Namespace) -> int:
         from particlerb.view.server import listening
     except ImportError:
         raise Ending(_VISER_HINT, FAILED) from None
-    try:
+    with ending(ValueError, about="--allow-host"):
         access = Access(options.host, options.hosts, not options.no_token)
-    except ValueError as error:
-        raise Ending(f"--allow-host: {error}") from None
     if options.no_token:
         who = "every user of this machine" if access.is_local else "everyone who reaches it"
         print(
@@ -113,10 +111,8 @@ def _play(options: argparse.Namespace, server: "viser.ViserServer", access: "Acc
 
     probe(Path(options.case))
     with opened(options.case) as trajectory:
-        try:
+        with ending(ReplayError, about=options.case):
             replay = Replay(trajectory, server, Path(options.case))
-        except ReplayError as error:
-            raise Ending(f"{options.case}: {error}") from None
         with open_to(access, options.no_browser):
             replay.go()
     return DONE
