@@ -156,7 +156,7 @@ def peer_scene(system: System) -> PeerScene:
     if setup is None:
         return scene
     rows = setup.rows
-    joints = rows.kind, rows.a, rows.b, rows.first, rows.second, rows.axis, rows.length
+    joints = rows.kind, rows.a, rows.b, rows.vector_a, rows.vector_b, rows.axis, rows.length
     model = ""
     with contextlib.suppress(ExportError):
         model = mjcf_scene(system, system.run.dt or FREE_STEP)
