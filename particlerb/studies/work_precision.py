@@ -309,7 +309,12 @@ class Study:
                 results.append(engine.run(self.peer_scene, variant, step))
             spent = float(np.median([result.seconds for result in results]))
             error, energy, spin = peers.peer_errors(
-                results[0], self.system, self.sampled, self.judged, self.times, self.reference.frames
+                results[0],
+                self.system,
+                self.sampled,
+                self.judged,
+                self.times,
+                self.reference.frames,
             )
             to_point = partial(Point, variant, engine.NAME, step, engine.ADAPTIVE, spent)
             yield to_point(error, energy, spin, failure(error))
