@@ -71,14 +71,15 @@ class JointedMotion(Motion):
         data = self.jointed.data
         saved = {"turned": data.turned.copy()} if data.turned.size else {}
         if self.breaks:
-            saved |= {"broken": data.broken.copy(), "load": data.load.copy()}
+            saved |= {"broken": self.broken.copy(), "load": data.load.copy()}
         return saved if np.isnan(data.past).all() else saved | {"past": data.past.copy()}
 
     def restore_joints(self, saved: Saved) -> None:
         """Go on from what was kept."""
         for name in ("turned", "broken", "load", "past"):
             if self.jointed is not None and name in saved:
-                getattr(self.jointed.data, name)[:] = saved[name]
+                array = self.broken if name == "broken" else getattr(self.jointed.data, name)
+                array[:] = saved[name]
 
     def continue_joints(self, before: Motion) -> None:
         """Count the turns of joints on from where the segment before has left them."""
