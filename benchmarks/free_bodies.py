@@ -56,7 +56,7 @@ CASES = Path(__file__).parents[1] / "cases"
 WELL_CONDITIONED = 3e-13
 
 
-@compile_with(cache=True, inline="never")
+@compile_with(inline="never")
 def turn_one(steady: Any, theta: Any, hyperbolic: Any, t: float, b: int, q: Any) -> None:
     """The formulas of a single body."""
     turn_block(steady, theta, hyperbolic, t, b, b + 1, rows4(q, b, b + 1))

@@ -11,7 +11,7 @@ comes in behind the optimising of its callers, which does it no good and took a 
 """
 
 import gc
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from itertools import islice
@@ -19,18 +19,17 @@ from typing import Any, Final, TypeAlias, cast
 
 from llvmlite import binding
 from numba import types
-from numba.core import caching, codegen, compiler, registry
+from numba.core import caching, codegen, compiler
 
 from particlerb.compiled.beside import wait_for
 from particlerb.compiled.calls import insert_function
+from particlerb.compiled.deferred import Dispatcher, Function, Keep, Options
 from particlerb.compiled.lowering import Compiler
 
-Function: TypeAlias = Callable[..., Any]
-Options: TypeAlias = Mapping[str, Any]
 Compile: TypeAlias = Callable[[Function], Function]
-Keep: TypeAlias = Callable[[Any], None] | None
 _MIN_LARGE_INSTRUCTIONS: Final = 100
-_COPIED_OPTIONS: Final = {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_COPIED_OPTIONS: Final = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_CALLED_OPTIONS: Final = {"nogil": True, "no_cfunc_wrapper": True}
 
 
 class _Code(codegen.JITCodeLibrary):
@@ -144,24 +143,6 @@ class KeptCode(caching.CompileResultCacheImpl):
         )
 
 
-class _Copying(Compiler):
-    """The compiler without its last step, to machine code."""
-
-    code: type[codegen.JITCodeLibrary] = _CopiedCode
-
-    def _compile_bytecode(self) -> Any:
-        numbas, library, state = cast(Any, super()), cast(Any, self.code), self.state
-        state.flags.no_compile = True
-        state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
-        return numbas._compile_bytecode()
-
-
-class _UnfusedCopying(_Copying):
-    """The same for code in which each operation is rounded by itself."""
-
-    code = _UnfusedCopiedCode
-
-
 class KernelCompiler(Compiler):
     """The compiler for what has machine code."""
 
@@ -171,7 +152,21 @@ class KernelCompiler(Compiler):
         numbas, library, state = cast(Any, super()), cast(Any, self.code), self.state
         state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
+        if issubclass(library, _CopiedCode):
+            state.flags.no_compile = True
         return numbas._compile_bytecode()
+
+
+class _Copying(KernelCompiler):
+    """The compiler without its last step, to machine code."""
+
+    code = _CopiedCode
+
+
+class _UnfusedCopying(_Copying):
+    """The same for code in which each operation is rounded by itself."""
+
+    code = _UnfusedCopiedCode
 
 
 class _AloneCode(_Code):
@@ -204,13 +199,25 @@ def no_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _is_new(dispatcher: Any) -> bool:
-    """Whether nothing is compiled of what could be kept."""
-    is_empty = getattr(dispatcher._cache, "is_empty", None)
-    return not dispatcher.overloads and is_empty is not None and is_empty()
+class _Kept(Dispatcher):
+    """A function with code that can be kept on disk."""
+
+    def compile(self, signature: Any) -> Any:
+        """Code for a signature, from disk or from the compiler."""
+        overload: Any = self.overloads.get(signature)
+        if overload is not None:  # asked for some ten times
+            return overload.entry_point
+        wait_for(self)
+        with no_collection():
+            return super().compile(signature)
+
+    def is_new(self) -> bool:
+        """Whether nothing of it is compiled, here or on disk, where it could be kept."""
+        is_empty = getattr(cast(Any, self)._cache, "is_empty", None)
+        return not self.overloads and is_empty is not None and is_empty()
 
 
-class Helper(registry.CPUDispatcher):
+class Helper(_Kept):
     """A function that kernels copy.
 
     Parameters
@@ -222,7 +229,7 @@ class Helper(registry.CPUDispatcher):
     compiled : callable
         Compile a function that is called from Python.
     keep : callable or None
-        Lets the code of a helper be kept on disk, when it is first needed.
+        Lets the code of a helper be kept on disk.
     is_fused : bool
         Whether a b + c may be rounded once.
     """
@@ -237,29 +244,8 @@ class Helper(registry.CPUDispatcher):
     ) -> None:
         stops_early = _Copying if is_fused else _UnfusedCopying
         self.kept_as = ".copied" if is_fused else ".copied.unfused"
-        super().__init__(function, {}, {**options, **_COPIED_OPTIONS}, stops_early)
-        self.compiled, self.keep = compiled, keep
-
-    def compile(self, signature: Any) -> Any:
-        """Code for a signature, from disk or from the compiler."""
-        overload: Any = self.overloads.get(signature)
-        if overload is not None:  # asked for some ten times
-            return overload.entry_point
-        self._let_keep()
-        wait_for(self)
-        with no_collection():
-            return super().compile(signature)
-
-    def _let_keep(self) -> None:
-        """Let code be kept on disk from now on."""
-        if self.keep is not None:
-            self.keep(self)
-            self.keep = None
-
-    def is_new(self) -> bool:
-        """Whether nothing of it is compiled, here or on disk, where it could be kept."""
-        self._let_keep()
-        return _is_new(self)
+        self.compiled = compiled
+        super().__init__(function, {**options, **_COPIED_OPTIONS}, stops_early, keep)
 
     @cached_property
     def alone(self) -> Function:
@@ -280,7 +266,7 @@ class Helper(registry.CPUDispatcher):
             result.library.entry = result.fndesc.llvm_func_name
 
 
-class Kernel(registry.CPUDispatcher):
+class Kernel(_Kept):
     """A function that Python calls; other kernels have a copy, without entries for Python.
 
     Parameters
@@ -290,27 +276,16 @@ class Kernel(registry.CPUDispatcher):
         Of Numba.
     copied : callable
         Make a helper of the function.
+    keep : callable
+        Lets its code be kept on disk.
     """
 
     compiler: type[Compiler] = KernelCompiler
     kept_as = ""
 
-    def __init__(
-        self, function: Function, options: Options, copied: Callable[[Function], Function]
-    ) -> None:
-        called = {"nopython": True, "nogil": True, "no_cfunc_wrapper": True}
-        super().__init__(function, {}, {**options, **called}, self.compiler)
+    def __init__(self, function: Function, options: Options, copied: Compile, keep: Keep) -> None:
         self.make_copied = copied
-
-    def compile(self, signature: Any) -> Any:
-        """Code for a signature, from disk or from the compiler."""
-        wait_for(self)
-        with no_collection():
-            return super().compile(signature)
-
-    def is_new(self) -> bool:
-        """Whether nothing of it is compiled, here or on disk, where it could be kept."""
-        return _is_new(self)
+        super().__init__(function, {**options, **_CALLED_OPTIONS}, self.compiler, keep)
 
     @cached_property
     def copied(self) -> Function:

@@ -33,13 +33,13 @@ import numpy as np
 from numba.core import caching
 from numba.core.event import install_timer
 
+from particlerb.compiled.deferred import Dispatcher
 from particlerb.compiled.helper import AloneCompiler, Helper, KeptCode, Kernel
 from particlerb.compiled.plain import UnfusedKernel
 
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
 Flag: TypeAlias = int | None  # 1, or None: types of their own, so that Numba leaves code out
-_PRESENT: Final = 1
 
 _PACKAGE = Path(__file__).parents[1]
 FOLDERS_KEPT = 6  # compiled code of earlier sources: switching between two versions stays warm
@@ -245,16 +245,13 @@ def keep(dispatcher: Any) -> None:
         warn_once(CACHE_FOLDER)
 
 
-def compile_with(cache: bool = False, **options: Any) -> Callable[[Function], Function]:
+def compile_with(**options: Any) -> Callable[[Function], Function]:
     """Return Numba's decorator with these options; the function's own type stays visible."""
 
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        dispatcher = numba.njit(pipeline_class=AloneCompiler, **_FLAGS, **options)(function)
-        if cache:
-            keep(dispatcher)
-        return cast(Function, dispatcher)
+        return cast(Function, Dispatcher(function, _FLAGS | options, AloneCompiler, None))
 
     return decorate
 
@@ -265,11 +262,10 @@ def _helper(is_fused: bool = True, **options: Any) -> Callable[[Function], Funct
     def decorate(function: Function) -> Function:
         if CACHE_FOLDER is None:
             return function
-        is_ours = Path(function.__code__.co_filename).is_relative_to(_PACKAGE)
+        is_ours = function.__code__.co_filename.startswith(f"{_PACKAGE}{os.sep}")
         kept = keep if is_ours else None  # the name of the folder covers no other text
         alone = unfused_kernel if is_ours else compile_with(**options)
-        made = Helper(function, _FLAGS | options, alone, kept, is_fused)
-        return cast(Function, made)
+        return cast(Function, Helper(function, _FLAGS | options, alone, kept, is_fused))
 
     return decorate
 
@@ -286,9 +282,7 @@ def _kernel(made: type[Kernel], function: Function) -> Function:
     """A kernel of a class, kept on disk."""
     if CACHE_FOLDER is None:
         return function
-    dispatcher = made(function, _FLAGS, _helper())
-    keep(dispatcher)
-    return cast(Function, dispatcher)
+    return cast(Function, made(function, _FLAGS, _helper(), keep))
 
 
 def kernel(function: Function) -> Function:
@@ -339,7 +333,7 @@ def compiling() -> Iterator[list[float]]:
 
 def flag(is_present: bool) -> Flag:
     """What a kernel takes for something that is present or absent all the time."""
-    return _PRESENT if is_present else None
+    return 1 if is_present else None
 
 
 def for_types_of(function: Function, *arguments: Any) -> Function:

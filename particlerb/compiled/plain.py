@@ -117,8 +117,7 @@ class UnfusedKernel(Kernel):
         """What is called where nothing is compiled for arguments of these types."""
         if not keys and self.is_quick(args):
             return self.run_in_python
-        numbas: Any = super()
-        return numbas._compile_for_args(*args, **keys)
+        return cast(Any, super())._compile_for_args(*args, **keys)
 
     def is_quick(self, args: tuple[Any, ...]) -> bool:
         """Whether Python may do this call."""
