@@ -140,7 +140,7 @@ def _take_in(
     acc_a, acc_b = row3_at(partners.before, near.first, 6), row3_at(partners.before, near.second, 6)
     changes = add(near.changes, cross(acc_a, row3_at(rows.frame, k, ARM)))
     changes = subtract(changes, cross(acc_b, row3_at(rows.frame, k, ARM + 3)))
-    lean(partners, rows, k, scale(0.5 * dt, changes), force)
+    lean(partners, rows, k, changes, force, dt, impulses.rules.slop)
     put_row3_at(rows.impact, k, 0, ZERO)
     _take_in_rolling(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
     for deepest in (DEEPEST, DEEPEST_NOW):
@@ -222,10 +222,7 @@ def _change_on_wall(
     `y` is the centre in the frame of the wall, and `away` the normal; `q` turns both to the world.
     """
     x, radius = sphere
-    (va, turning_a, wa), (vb, turning_b, wb) = (
-        _turning(partners, a, x),
-        _turning(partners, b, x),
-    )
+    (va, turning_a, wa), (vb, turning_b, wb) = _turning(partners, a, x), _turning(partners, b, x)
     u, spin, normal = subtract(va, vb), subtract(wa, wb), to_world(q, away)
     turns = to_world(q, normal_rate(primitive, y, away, to_body(q, u)))
     changes = add_scaled(-2.0, cross(wb, u), subtract(turning_a, turning_b))
@@ -377,11 +374,8 @@ def _keep_rolling(
     """Keep the angular impulses of row k."""
     if rolling is None:
         return
-    pressed, impact, frame = (
-        row3_at(rolling.impulse, k, 0),
-        row3_at(rolling.impact, k, 0),
-        impulses.rows.frame,
-    )
+    pressed, impact = row3_at(rolling.impulse, k, 0), row3_at(rolling.impact, k, 0)
+    frame = impulses.rows.frame
     _put_torque(rolling, contacts, c, scale(1.0 / dt, in_world(frame, k, pressed)))
     total = scale(1.0 / dt, in_world(frame, k, add(pressed, impact)))
     put_row3(contacts.forces.rolling_torque, c, total)

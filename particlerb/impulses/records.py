@@ -30,9 +30,7 @@ GAP: Final = 0  # [m] at the middle of the step; negative: an overlap
 RESTITUTION: Final = 1
 SLOW: Final = 2  # [m/s] what approaches no faster does not bounce
 RADIUS: Final = 3  # [m] the smaller one
-LEAN: Final = (
-    4  # [m/s] by how much velocities along n, t₁, t₂ change until the end, see `rows.lean`
-)
+LEAN: Final = 4  # [m/s] what velocities along n, t₁, t₂ change by until the end: `rows.lean`
 _N_LIMITS: Final = 7
 
 LOCKED_SHARE: Final = 1e-9  # of an inverse mass or inertia without joints: below it these hold all

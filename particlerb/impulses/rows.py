@@ -9,6 +9,7 @@ from particlerb.impulses.records import (
     ARM,
     COUPLING,
     FRICTION,
+    GAP,
     INVERSE,
     LEAN,
     LEAST,
@@ -184,40 +185,56 @@ def approach_at_end(partners: Partners, rows: ImpulseRows, c: int) -> Vec3:
 
 
 @inline
-def lean(partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Vec3) -> None:
+def _driven(partners: Partners, a: int) -> Vec3:
+    """How partner a is accelerated [m/s²] if it moves as prescribed."""
+    return row3_at(partners.before, a, 9) if partners.inverse[a, 0] == 0.0 else ZERO
+
+
+@inline
+def lean(
+    partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Vec3, dt: float,
+    slop: float,
+) -> None:  # fmt: skip
     """Let the solve of contact c ask for what its velocity is at the end of the step.
 
     Until then it changes without impulses, as the normal turns and as bodies turn. So what rolls or
     slides along what is bent leaves the middle of a step as it came there; without this, each step
     would take from its energy what the normal has turned towards it. No more than what came is
-    given back, and across the normal only to what stuck in the step before. What joints do to the
-    acceleration of a body is left out.
+    given back, beside what walls and bodies that move as prescribed are accelerated by, and across
+    the normal only to what stuck in the step before. What goes on in contact over what is bent away
+    from it lies beyond in the middle: that is no gap.
 
     Parameters
     ----------
     partners, rows, c
         Contact, whose frame and limits are known.
-    changes : tuple of 3 floats [m/s]
-        By how much its velocity changes in half a step, world axes.
+    changes : tuple of 3 floats [m/s²]
+        How its velocity changes, world axes.
     force : tuple of 3 floats [N]
         Of the step before.
+    dt : float [s]
+    slop : float [m]
     """
     put_row3_at(rows.limits, c, LEAN, ZERO)
     a, b = rows.first[c], rows.second[c]
-    n, x, y = in_frame(rows.frame, c, changes)
+    driven = subtract(_driven(partners, a), _driven(partners, b))
+    n_by, x_by, y_by = in_frame(rows.frame, c, scale(0.5 * dt, driven))
+    n, x, y = in_frame(rows.frame, c, scale(0.5 * dt, subtract(changes, driven)))
     came, u, v = in_frame(rows.frame, c, velocity_between(partners.before, rows.frame, c, a, b))
-    rows.limits[c, SLOW] += 4.0 * max(-n, 0.0)
+    rows.limits[c, SLOW] += 4.0 * max(-n - n_by, 0.0)
     pressed, f, g = in_frame(rows.frame, c, force)
     is_open = rows.frame[c, LEAST] < 0.0
     if is_open and pressed <= 0.0:
         return
-    n = min(max(came, min(n, 0.0)), max(n, 0.0))
-    rows.frame[c, LEAST] -= n
+    n = n_by + min(max(came - n_by, min(n, 0.0)), max(n, 0.0))
+    gap = rows.limits[c, GAP] - 0.25 * dt * max(n, 0.0)
+    rows.frame[c, LEAST] = (-gap / dt if gap > slop else 0.0) - n
     rows.limits[c, LEAN] = n
     if math.sqrt(f * f + g * g) < _STICKING_SHARE * rows.frame[c, FRICTION] * pressed:
+        u, v = u - x_by, v - y_by
         size, most = math.sqrt(x * x + y * y), math.sqrt(u * u + v * v)
         share = most / size if size > most else 1.0
-        put_row3_at(rows.limits, c, LEAN, (n, share * x, share * y))
+        put_row3_at(rows.limits, c, LEAN, (n, x_by + share * x, y_by + share * y))
 
 
 @inline
@@ -225,10 +242,8 @@ def give(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     """Give momenta: r [N s] along n, t₁, t₂ of contact c to the first partner, -r to the second."""
     a, b, momenta = rows.first[c], rows.second[c], partners.impulse
     p = in_world(rows.frame, c, r)
-    turn_a, turn_b = (
-        cross(row3_at(rows.frame, c, ARM), p),
-        cross(row3_at(rows.frame, c, ARM + 3), p),
-    )
+    turn_a = cross(row3_at(rows.frame, c, ARM), p)
+    turn_b = cross(row3_at(rows.frame, c, ARM + 3), p)
     put_row3_at(momenta, a, 0, add_scaled(1.0, p, row3_at(momenta, a, 0)))
     put_row3_at(momenta, b, 0, add_scaled(-1.0, p, row3_at(momenta, b, 0)))
     put_row3_at(momenta, a, 3, add_scaled(1.0, turn_a, row3_at(momenta, a, 3)))

@@ -128,11 +128,8 @@ def gather_velocities(
     for k in range(first, last):
         rows, lo = blocks[k], layout.first[k]
         for i in range(layout.size[k]):
-            b, v, omega = (
-                lo + i,
-                row3(bodies.velocity, lo + i),
-                row3(bodies.angular_velocity, lo + i),
-            )
+            b = lo + i
+            v, omega = row3(bodies.velocity, b), row3(bodies.angular_velocity, b)
             put_row3_at(partners.before, b, 0, v)
             put_row3_at(partners.before, b, 3, omega)
             R, moments = matrix(get4(rows, Q, i)), get3(rows, INV_INERTIA, i)
@@ -362,11 +359,8 @@ def press(
     meet(team)
     if team.thread == 0:
         partners, bounded = impulses.partners, impulses.rows.bounded
-        pistons, state, n = (
-            contact.setup.pistons,
-            contact.memory.pistons,
-            contact.setup.max_arm.size,
-        )
+        pistons, state = contact.setup.pistons, contact.memory.pistons
+        n = contact.setup.max_arm.size
         push_pistons(pistons, partners.velocity, n, 0.5 * dt)
         moved = _size_of_kick(contact, partners)
         leave_out_what_will_bounce(impulses, bounded)

@@ -159,7 +159,8 @@ class Scene:
         n, *t = frame @ self.bore.get(touch.key, np.zeros(3))
         if not is_open or n > 0.0:
             touch.ahead = np.clip(came[0], min(half[0], 0.0), max(half[0], 0.0))
-            touch.least -= touch.ahead
+            gap = touch.gap - 0.25 * self.dt * max(touch.ahead, 0.0)
+            touch.least = -touch.ahead - (gap / self.dt if gap > self.slop * radius else 0.0)
             if np.hypot(*t) < (1.0 - 1e-6) * self.friction * n:
                 size, most = np.hypot(*half[1:]), np.hypot(*came[1:])
                 touch.across = half[1:] * (min(1.0, most / size) if size > 0.0 else 0.0)
