@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.jit import kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses.bounded import write_bounds, write_gradient, write_response
 from particlerb.impulses.records import (
     B_GAP,
@@ -25,13 +25,14 @@ from particlerb.impulses.records import (
     room_for_bounded,
 )
 from particlerb.impulses.rows import inverse_inertia_times, write_through_joints
+from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import unwound
 from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import JointData, Joints
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.rows import put_row3_at, row3_at
-from particlerb.maths.vec3 import ZERO, Ints, dot, scale
+from particlerb.maths.vec3 import ZERO, Ints, Vec3, add, dot, scale
 
 _RESIDUAL_ROUNDING: Final = 1e-14  # residuals, over their size, that are as good as none
 
@@ -83,6 +84,22 @@ def _clear(data: JointData, first: int, last: int) -> None:
             data.change[k, i] = 0.0
 
 
+@inline
+def _hold(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> None:
+    """Add the impulses of rows lo to hi, those of mechanism c, that give what z asks for."""
+    for r in range(lo, hi):
+        data.z[r] = data.z[r] if data.compliance[r] == 0.0 else 0.0
+    solve(joints.program, joints.clusters, data.factor, data.z, c)
+    add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, lo, hi, data.change, 0)
+
+
+@inline
+def _by_impulses(partners: Partners, data: JointData, b: int, k: int) -> tuple[Vec3, Vec3]:
+    """Velocity and angular velocity of partner b by the impulses on it, row k."""
+    v = scale(partners.inverse[b, 0], row3_at(data.change, k, 0))
+    return v, inverse_inertia_times(partners.inverse, b, row3_at(data.change, k, 3))
+
+
 @kernel
 def _put_velocities(
     partners: Partners, mechanisms: Mechanisms, data: JointData, c: int, to: int
@@ -90,9 +107,7 @@ def _put_velocities(
     """Write velocities of mechanism c from the impulses on it: a row of its matrix."""
     response = mechanisms.response
     for k in range(mechanisms.first[c], mechanisms.first[c + 1]):
-        b = mechanisms.member[k]
-        v = scale(partners.inverse[b, 0], row3_at(data.change, k, 0))
-        omega = inverse_inertia_times(partners.inverse, b, row3_at(data.change, k, 3))
+        v, omega = _by_impulses(partners, data, mechanisms.member[k], k)
         for i in range(3):
             response[to + i], response[to + 3 + i] = v[i], omega[i]
         to += 6
@@ -103,29 +118,41 @@ def _respond(
     joints: Joints, data: JointData, partners: Partners, mechanisms: Mechanisms, b: int
 ) -> None:
     """Find the rows of body b in the matrix of its mechanism, if joints hold it, once a step."""
-    c, is_known, member = mechanisms.number[b], mechanisms.is_known, mechanisms.member
+    c, is_known = mechanisms.number[b], mechanisms.is_known
     if c < 0 or is_known[b]:
         return
     first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
     lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
-    is_factorised = False
-    for k in range(first, last):
-        is_factorised |= is_known[member[k]]
-    if not is_factorised:
-        factorise_cluster(joints, data, c, 0.0, data.clock[0])
     is_known[b] = True
     for i in range(6):
         _clear(data, first, last)
         data.change[first + mechanisms.local[b], i] = 1.0
         for r in range(lo, hi):
-            speed = rate(joints, data.gradient, r, data.change, 0)
-            data.z[r] = -speed if data.compliance[r] == 0.0 else 0.0
-        solve(joints.program, joints.clusters, data.factor, data.z, c)
-        inv_mass, gradient = joints.inv_mass, data.gradient
-        add_impulses(joints.rows, inv_mass, gradient, data.z, lo, hi, data.change, 0)
+            data.z[r] = -rate(joints, data.gradient, r, data.change, 0)
+        _hold(joints, data, c, lo, hi)
         row = 6 * mechanisms.local[b] + i
         to = mechanisms.start[c] + row * 6 * (last - first)
         _put_velocities(partners, mechanisms, data, c, to)
+
+
+@kernel
+def _accelerate(
+    joints: Joints, data: JointData, partners: Partners, mechanisms: Mechanisms
+) -> None:
+    """Factorise all mechanisms, and write how joints alone accelerate their bodies."""
+    for c in range(joints.clusters.body.size - 1):
+        first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
+        lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
+        factorise_cluster(joints, data, c, 0.0, data.clock[0])
+        _clear(data, first, last)
+        accelerations(joints, data, lo, hi, data.change)
+        _hold(joints, data, c, lo, hi)
+        for k in range(first, last):
+            b = mechanisms.member[k]
+            if partners.inverse[b, 0] > 0.0:
+                v, omega = _by_impulses(partners, data, b, k)
+                put_row3_at(partners.before, b, 6, add(row3_at(partners.before, b, 6), omega))
+                put_row3_at(partners.before, b, 9, v)
 
 
 @kernel
@@ -135,10 +162,13 @@ def find_bounded(
 ) -> None:  # fmt: skip
     """Write rows of what acts along coordinates within bounds, for a step of dt [s].
 
+    And how joints accelerate bodies.
+
     Bodies are in `data` where they may touch, and the clock is there.
     """
     bounds = joints.bounds
     mechanisms.is_known[:] = False
+    _accelerate(joints, data, partners, mechanisms)
     if bounded is None or bounds is None:
         return
     for k in range(bounded.kind.size):
@@ -205,13 +235,10 @@ def move_to_joints(
         _clear(data, first, last)
         for r in range(lo, hi):
             data.z[r] = -data.g[r]
-        solve(joints.program, joints.clusters, data.factor, data.z, c)
-        inv_mass, gradient = joints.inv_mass, data.gradient
-        add_impulses(joints.rows, inv_mass, gradient, data.z, lo, hi, data.change, 0)
+        _hold(joints, data, c, lo, hi)
         for k in range(first, last):
             b = mechanisms.member[k]
-            dx = scale(partners.inverse[b, 0], row3_at(data.change, k, 0))
+            dx, turn = _by_impulses(partners, data, b, k)
             put_row3_at(move, b, 0, dx)
-            turn = inverse_inertia_times(partners.inverse, b, row3_at(data.change, k, 3))
             put_row3_at(move, b, 3, turn)
     return any_moved
