@@ -150,4 +150,5 @@ class Body(Table):
     @property
     def is_drawn(self) -> bool:
         """Whether its particles are drawn at random: then they are like no others."""
-        return any(isinstance(one.shape, Cloud) for one in (self, *self.part))
+        shapes = self.shape, *(part.shape for part in self.part)
+        return any(isinstance(shape, Cloud) for shape in shapes)
