@@ -358,6 +358,41 @@ def test_a_users_function_may_make_arrays_where_its_caller_makes_none():
     assert caller(1.0) == 3.0
 
 
+@pytest.mark.compiled
+def test_code_from_disk_loads_nothing_that_only_the_compiler_needs(tmp_path):
+    """Not even what it is linked with: of texts Numba's hash takes numbers of the process."""
+    lines = """
+import sys
+from particlerb.compiled.jit import kernel
+
+@kernel
+def is_ab(n):
+    text = "ab" if n > 2 else "abc"
+    return hash(text) == hash("ab")
+
+def found():
+    print(is_ab(3), is_ab(1), sum(is_ab.stats.cache_hits.values()))
+    print([name for name in ("numba.np.arraymath", "scipy.linalg") if name in sys.modules])
+"""
+    (tmp_path / "hashed.py").write_text(lines)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(PACKAGE.parent)}
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", "import hashed; hashed.found()"],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=tmp_path,
+            env=environment,
+        ).stdout
+        for _ in range(2)
+    ]
+    assert told == [
+        "True False 0\n['numba.np.arraymath', 'scipy.linalg']\n",
+        "True False 1\n[]\n",
+    ]
+
+
 def _sum_of_one(value):
     return step(value) + 1.0  # noqa: F821  # a global that each kernel brings
 
