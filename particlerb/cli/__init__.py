@@ -9,6 +9,7 @@ Exit codes: 0 done; 1 the run failed; 2 wrong usage or case; 3 a [check] was mis
 
 import argparse
 import difflib
+import gc
 import io
 import logging
 import os
@@ -88,7 +89,10 @@ def main(words: Sequence[str] | None = None) -> int:
         options = _parsed(top, words)
         options.started = time.perf_counter()
         _tell_progress()
+        gc.disable()  # what is imported stays: no garbage in it, now or at the end
         module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
+        gc.freeze()
+        gc.enable()
         code: int = getattr(module, f"{options.command}_command")(options)
         sys.stdout.flush()
         return code
