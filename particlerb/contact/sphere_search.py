@@ -195,6 +195,11 @@ def pair_keys(a: Ints, b: Ints) -> Ints:
     return np.minimum(a, b) << KEY_BITS | np.maximum(a, b)
 
 
+def bodies_of_keys(keys: Ints) -> tuple[Ints, Ints]:
+    """The two bodies of each pair, the lower number first."""
+    return keys >> KEY_BITS, keys & ((1 << KEY_BITS) - 1)
+
+
 def neighbours(
     points: Floats,
     radius: Floats,

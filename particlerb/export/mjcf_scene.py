@@ -23,6 +23,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from particlerb.contact.sphere_search import bodies_of_keys
 from particlerb.export import ExportError
 from particlerb.export.bodies import COMMENT, numbers, six
 from particlerb.export.mjcf_walls import geoms_of
@@ -263,7 +264,7 @@ class _Writer:
                 ET.SubElement(self.world, "geom", text, name=name, contype="1", conaffinity="1")
         if contact.excluded.size:
             excluded = ET.SubElement(self.root, "contact")
-            for a, b in contact.excluded.tolist():
+            for a, b in zip(*bodies_of_keys(contact.excluded), strict=True):
                 ends = {"body1": self.system.names[a], "body2": self.system.names[b]}
                 ET.SubElement(excluded, "exclude", ends)
 

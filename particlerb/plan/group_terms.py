@@ -10,7 +10,7 @@ from particlerb.contact.contact_model import ContactModel, ContactSpheres, Group
 from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.law import TANGENTIAL_DAMPING, Law
 from particlerb.contact.prescribed_motion import prescribed_among
-from particlerb.contact.sphere_search import KEY_BITS, pair_keys
+from particlerb.contact.sphere_search import bodies_of_keys, pair_keys
 from particlerb.contact.wall_motion import motion_records
 from particlerb.contact.wall_shapes import has_edges
 from particlerb.forces import Terms
@@ -171,7 +171,7 @@ def _contact_among(
 
 def _apart_among(members: Ints, apart: Ints) -> Ints:
     """Pairs of bodies that do not touch, with numbers of a group."""
-    a, b = apart >> KEY_BITS, apart & ((1 << KEY_BITS) - 1)
+    a, b = bodies_of_keys(apart)
     inside = np.isin(a, members) & np.isin(b, members)
     order = np.argsort(members)
     numbers = order[np.searchsorted(members[order], np.stack([a[inside], b[inside]]))]

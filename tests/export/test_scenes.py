@@ -200,6 +200,17 @@ def test_fixed_bodies_and_boxes_stand_in_mujoco():
     assert position[0, 2] == pytest.approx(0.198, abs=1e-3)
 
 
+def test_jointed_bodies_beside_contact_do_not_touch_each_other_in_mujoco():
+    """A bar of two overlapping bricks, hinged together, falls freely: nothing pushes them apart."""
+    other = REST["body"][0] | {"name": "other", "position": [0.05, 0, 3.0]}
+    bricks = [REST["body"][0] | {"position": [0, 0, 3.0]}, other]
+    hinge = {"type": "hinge", "body": "other", "to": "brick", "at": [0, 0, 3.0], "axis": [0, 1, 0]}
+    scene = REST | {"body": bricks, "joint": [hinge], "run": {"t_end": 0.2, "every": 0.2}}
+    assert '<exclude body1="brick" body2="other"' in mjcf_scene(*made(scene))
+    position, _ = in_mujoco(scene)
+    assert position[1] - position[0] == pytest.approx([0.05, 0.0, 0.0], abs=1e-9)
+
+
 MOVING = {"angular_velocity": [0, 0, 1.0]}
 TUBE = {"name": "tube", "type": "cylinder", "radius": 1.0, "length": 3.0}
 LINK = {"type": "ball", "body": "brick", "at": [0, 0, 0.5]}
