@@ -19,7 +19,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import derived
 from particlerb.record.output_path import output_path
-from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, OBSERVED
+from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, LEDGER, OBSERVED
 from particlerb.record.trajectory import Contacts, Trajectory
 
 FORMATS: Final = {  # name: suffix of its files, and what it is, in words
@@ -63,7 +63,7 @@ class Selection(NamedTuple):
     frames: range
     bodies: Ints
     fields: tuple[str, ...]  # of bodies
-    observed: tuple[str, ...] = ()  # fields of walls, joints or their coordinates
+    observed: tuple[str, ...] = ()  # fields of walls, joints or their coordinates, or sums
     has_contacts: bool = False  # whether the contacts of each frame are asked for
 
     def portions(self, rows: int = 0) -> Iterator[slice]:
@@ -144,7 +144,7 @@ def export(
         _chosen_frames(trajectory, frames),
         _chosen_bodies(trajectory, bodies),
         tuple(name for name in names if name in FIELDS or name in CONTACT_FIELDS),
-        tuple(name for name in names if name in OBSERVED),
+        tuple(name for name in names if name in OBSERVED | LEDGER),
         CONTACTS in names,
     )
     if to == "csv" and not fields and selection.fields:
@@ -176,7 +176,7 @@ def _chosen_fields(
     """Fields that were asked for, or all recorded, of those that a format holds, in fixed order."""
     recorded = trajectory.fields + trajectory.other_fields
     derived = [name for name in FIELDS if is_known(trajectory, name)]
-    allowed = [name for name in derived + trajectory.other_fields if name in held]
+    allowed = [name for name in (*derived, *trajectory.other_fields, *LEDGER) if name in held]
     for name in asked:
         if name not in allowed:
             reason = f"{to} cannot hold it" if name in recorded else "no such field here"

@@ -1,21 +1,20 @@
-"""A table in text, numbers with all digits: a row per frame and body, wall, joint, or contact."""
+"""A table in text, numbers with all digits: a row per frame, and body, wall, joint, or contact."""
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
 from particlerb.export import ExportError, Selection
 from particlerb.maths.vec3 import Floats
-from particlerb.record.schema import COLUMNS, CONTACT_FIELDS, CONTACTS, FIELDS, OBSERVED
+from particlerb.record.schema import COLUMNS, CONTACT_FIELDS, CONTACTS, FIELDS, LEDGER, OBSERVED
 from particlerb.record.trajectory import Trajectory
 
 NEEDS: Final = ()
-HOLDS: Final = (*FIELDS, *CONTACT_FIELDS, *OBSERVED, CONTACTS)
-_COMPONENTS: Final = {
-    name: element.components for name, element in (FIELDS | CONTACT_FIELDS | OBSERVED).items()
-}
+_ELEMENTS: Final = FIELDS | CONTACT_FIELDS | OBSERVED | LEDGER
+HOLDS: Final = (*_ELEMENTS, CONTACTS)
 _CONTACT_HEADER: Final = ["body", "other", "wall", *(
     f"{name}_{letter}" for name in ("point", "force") for letter in "xyz"
 ), "overlap"]  # fmt: skip
@@ -29,19 +28,20 @@ def write(selection: Selection, path: Path) -> None:
     ExportError
         If rows of more than one sort are asked for.
     """
-    parts = {OBSERVED[name].per for name in selection.observed}
+    parts = {_ELEMENTS[name].per for name in selection.observed}
     if len(parts) + bool(selection.fields) + selection.has_contacts > 1:
-        sorts = "bodies, of walls, of joints, of coordinates, or of contacts"
+        sorts = "bodies, of walls, of joints, of coordinates, of contacts, or of sums over all"
         raise ExportError(f"csv has rows of {sorts}: ask for one sort")
     trajectory = selection.trajectory
     if selection.has_contacts:
         header, rows = _CONTACT_HEADER, _of_contacts(selection)
     elif parts:
         per = parts.pop()
-        labels = list(enumerate(trajectory.names_of(per)))
-        header = [per, "name", *columns(selection.observed)]
+        labels = list(enumerate(trajectory.names_of(per))) if per else [()]
+        header = [*([per, "name"] if per else ()), *columns(selection.observed)]
         portions = selection.portions(len(labels))
-        rows = _labelled(trajectory, portions, labels, selection.observed, trajectory.observed)
+        values = trajectory.observed if per else partial(_sums, trajectory)
+        rows = _labelled(trajectory, portions, labels, selection.observed, values)
     else:
         labels = [(int(b), trajectory.names[b]) for b in selection.bodies]
         header = ["body", "name", *columns(selection.fields)]
@@ -59,14 +59,19 @@ def columns(names: tuple[str, ...]) -> list[str]:
     return [
         f"{name}_{letter}" if letter else name
         for name in names
-        for letter in _COMPONENTS[name] or ("",)
+        for letter in _ELEMENTS[name].components or ("",)
     ]
+
+
+def _sums(trajectory: Trajectory, name: str, frames: slice) -> Floats:
+    """Sums over all bodies, one entry for each frame: (T, 1) or (T, 1, 3)."""
+    return trajectory.observable(name, frames)[:, None]
 
 
 def _labelled(
     trajectory: Trajectory,
     portions: Iterator[slice],
-    labels: list[tuple[int, str]],
+    labels: Sequence[tuple[object, ...]],
     fields: tuple[str, ...],
     values: Callable[[str, slice], Floats],
 ) -> Iterator[tuple[Any, ...]]:

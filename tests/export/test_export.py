@@ -216,10 +216,21 @@ def test_csv_of_walls_and_of_bodies_that_touch(pile, tmp_path):
     rows = rows_of(pile, tmp_path / "b.csv")  # of bodies, where nothing is said
     assert [int(row["contact_number"]) for row in rows] == pile.contact_number.ravel().tolist()
     assert [float(row["contact_overlap"]) for row in rows] == pile.contact_overlap.ravel().tolist()
-    with pytest.raises(ExportError, match="ask for one sort"):
-        export(pile, tmp_path / "c.csv", "csv", fields=["position", "contacts"])
+    for pair in (["position", "contacts"], ["position", "energy"], ["wall_force", "energy"]):
+        with pytest.raises(ExportError, match="ask for one sort"):
+            export(pile, tmp_path / "c.csv", "csv", fields=pair)
     with pytest.raises(ExportError, match="lammps cannot hold it"):
         export(pile, tmp_path / "c", "lammps", fields=["contact_number"])
+
+
+def test_csv_of_sums_over_all_bodies_has_a_row_per_frame(pile, tmp_path):
+    rows = rows_of(pile, tmp_path / "a.csv", "energy", "linear_momentum_error", frames=slice(1, 9))
+    momenta = [f"linear_momentum_error_{c}" for c in "xyz"]
+    assert list(rows[0]) == ["frame", "time", "energy", *momenta]
+    assert [int(row["frame"]) for row in rows] == list(range(1, pile.n_frames))[:8]
+    assert [float(row["energy"]) for row in rows] == pile.energy[1:9].tolist()
+    found = [[float(row[f"linear_momentum_error_{c}"]) for c in "xyz"] for row in rows]
+    assert found == pile.ledger.linear_momentum_error[1:9].tolist()
 
 
 def test_npz_holds_contacts_and_walls(pile, tmp_path):
