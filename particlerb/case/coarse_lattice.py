@@ -34,24 +34,32 @@ _ARRANGEMENTS: Final = {  # with exactly the tensor of the solid
 }
 
 
-def coarse(system: System) -> Iterator[Problem]:
-    """Bodies with other moments than they should have.
-
-    Where a shape says `inertia_error` only a change of the rotor class is told.
-    """
+def lattice_errors(system: System) -> Iterator[tuple[int, Floats, Floats]]:
+    """Bodies with a lattice: number, ideal moments (3,) and relative errors of its own (3,)."""
     for i, body in enumerate(system.body):
-        filled = [shape for _, shape in _shapes_of(body) if _is_lattice(shape)]
-        if not filled:
+        if not any(_is_lattice(shape) for _, shape in _shapes_of(body)):
             continue
-        k = int(system.kind[system.names.first[i]])
         try:
             with np.errstate(all="ignore"):
                 ideal = _ideal_moments(system, i, body)
         except (ArithmeticError, np.linalg.LinAlgError):
             continue  # powers of its sizes are no numbers: nothing to compare with
-        moments = np.sort(system.properties.moments[k])
+        moments = np.sort(system.properties.moments[system.kind[system.names.first[i]]])
         off = moments / np.maximum(ideal, math.ulp(0.0)) - 1.0
         off[ideal == 0.0] = 0.0
+        yield i, ideal, off
+
+
+def coarse(system: System) -> Iterator[Problem]:
+    """Bodies with other moments than they should have.
+
+    Where a shape says `inertia_error` only a change of the rotor class is told.
+    """
+    for i, ideal, off in lattice_errors(system):
+        body = system.body[i]
+        filled = [shape for _, shape in _shapes_of(body) if _is_lattice(shape)]
+        k = int(system.kind[system.names.first[i]])
+        moments = np.sort(system.properties.moments[k])
         worst = int(np.argmax(np.abs(off)))
         code = int(system.properties.rotor_class[k])
         is_changed = code == POINT or (code == ROD and ideal[0] > _MAX_MOMENT_ERROR * moments[0])

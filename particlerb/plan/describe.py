@@ -2,9 +2,11 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import islice
 
 import numpy as np
 
+from particlerb.case.coarse_lattice import lattice_errors
 from particlerb.case.contact import ContactTable
 from particlerb.case.forces import FORCES
 from particlerb.case.run import AttractionTable
@@ -26,6 +28,7 @@ from particlerb.stepping.sparse_contact import can_fly
 _MAX_GROUPS_SHOWN = 20
 _MAX_SEGMENTS_SHOWN = 12
 _MAX_RUNS_SHOWN = 4
+_PLAIN = 1e-9  # an offset, or an error of moments, that nobody asks about
 _CLASS_WORDS = ("point", "rod", "spherical top", "symmetric top", "asymmetric top")
 
 
@@ -67,6 +70,9 @@ def _particles_line(system: System) -> str:
     sets = "one set" if kinds == 1 else f"{kinds} sets"
     how = "summed once to mass, centre of mass and inertia tensor"
     line = f"{system.summed.sum()} in {sets}, {how}"
+    some = islice(lattice_errors(system), _MAX_GROUPS_SHOWN)
+    if (worst := max((np.abs(off).max() for *_, off in some), default=0.0)) > _PLAIN:
+        line += f"; moments up to {100 * worst:.3g} % from those of solids: see `mass`"
     kept = np.diff(system.particles.offset)
     is_reduced = kept < system.summed
     if not is_reduced.any():
@@ -85,11 +91,25 @@ def _acting_lines(system: System, plan: Plan) -> Iterator[tuple[str, str]]:
     if system.attraction is not None:
         yield "attraction", _attraction_line(system.attraction, plan)
     for kind, count in Counter(force.type for force in system.force).items():
-        yield kind, f"{count} in the case"
+        yield kind, f"{count} in the case{_origin_of_points(system, kind)}"
     if system.joint:
         yield "joints", joint_line(merged(system), plan)
     if plan.contacts:
         yield "contact", _contact_line(system, plan)
+
+
+def _origin_of_points(system: System, kind: str) -> str:
+    """Where the centre of mass of a body is, from which `at` counts, if not at the origin."""
+    for force in system.force:
+        if force.type == kind and any(getattr(force, "at", ())):
+            b = system.names.find_in_order(force.body)
+            com, reach = system.properties.com[system.kind[b]], system.reach[system.kind[b]]
+            for k in np.flatnonzero(np.linalg.norm(com, axis=1) > _PLAIN * reach).tolist():
+                where = (
+                    f"which of {system.names[b[k]]} is at {vector(com[k].tolist())} m of its axes"
+                )
+                return f"; `at` counts from the centre of mass, {where}"
+    return ""
 
 
 def _left_out_line(system: System, plan: Plan) -> str:

@@ -9,6 +9,7 @@ from particlerb.case.coarse_lattice import coarse
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.cli import main
+from particlerb.simulation.run import prepare
 
 LONG = {"type": "cylinder", "radius": 0.1, "height": 0.8}
 SHAPES = {
@@ -44,6 +45,20 @@ def errors(case):
     moments = np.sort(to_system(case).properties.moments[0]) / 2.0
     ideal = np.array(SHARE[shape["type"]])
     return np.abs(moments / np.where(ideal > 0, ideal, 1.0) - 1.0)[ideal > 0]
+
+
+def test_the_plan_says_how_far_a_lattice_is_from_its_solid(make):
+    """Also where it is near enough for no warning, as a box of 10³ cells, which is off by 1/n²."""
+    for n, words in ((10, "1 %"), (20, "0.25 %")):
+        box = make.body("a", shape={"type": "box", "size": [1, 1, 1], "n": n})
+        line = f"tensor; moments up to {words} from those of solids: see `mass`\n"
+        assert line in prepare(to_system(make.case(box))).text
+    for shape in (
+        {"type": "box", "size": [1, 2, 3], "arrangement": "exact"},
+        {"type": "ball", "radius": 1},
+    ):
+        text = prepare(to_system(make.case(make.body("a", shape=shape)))).text
+        assert "from those of solids" not in text
 
 
 @pytest.mark.parametrize("kind", SHAPES)

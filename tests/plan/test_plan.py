@@ -30,6 +30,23 @@ def levels(case):
 inf = float("inf")
 
 
+def test_the_plan_says_from_where_points_of_forces_count(make):
+    """A cube with a weight at a corner, whose centre of mass is not the middle of the cube."""
+    cube = {"shape": {"type": "box", "size": [2, 2, 2], "arrangement": "exact"}, "mass": 8.0}
+    weight = {"shape": {"type": "points", "position": [[0, 0, 0]], "mass": 1.0},
+              "mass": 1.0, "position": [1, 1, 1]}  # fmt: skip
+    body = {"name": "cube", "part": [cube, weight]}
+    push = {"type": "push", "body": "cube", "force": [0, 0, 1.0]}
+    words = "`at` counts from the centre of mass, which of cube is at (0.111111111, 0.111111111, "
+
+    def said(part, **keys):
+        return words in prepare(to_system(make.case(body | part, force=[push | keys]))).text
+
+    assert said({}, at=[1, 1, 1])
+    assert not said({})
+    assert not said({"part": [cube]}, at=[1, 1, 1])
+
+
 def test_time_is_cut_where_a_force_starts_or_stops(make):
     forces = [
         make.push(FORCE, AT, during=[0.2, 0.5]),
