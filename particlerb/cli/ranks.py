@@ -5,6 +5,7 @@ import contextlib
 from collections.abc import Iterator
 
 from particlerb.cli.exit_codes import Ending, ending
+from particlerb.compiled.jit import WHEN_COMPILING
 from particlerb.ranks import ALONE, NoRanksError, Ranks, end_all, launched, ranks_of_mpi
 
 
@@ -14,6 +15,8 @@ def ranks_of(options: argparse.Namespace) -> Iterator[Ranks]:
 
     Wrong usage where a launcher has started several processes without it.
     """
+    if options.quiet:
+        WHEN_COMPILING.clear()
     if not options.mpi:
         if launched() > 1:
             raise Ending(
@@ -24,6 +27,8 @@ def ranks_of(options: argparse.Namespace) -> Iterator[Ranks]:
         return
     with ending(NoRanksError):
         ranks = ranks_of_mpi()
+        if ranks.number:
+            WHEN_COMPILING.clear()
         try:
             yield ranks
         except (Ending, NoRanksError, SystemExit):

@@ -24,7 +24,6 @@ from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending,
 from particlerb.cli.guard import probe
 from particlerb.cli.ranks import ranks_of
 from particlerb.cli.report import Report
-from particlerb.compiled.jit import WHEN_COMPILING
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.gravity_tree.opening_angle import other_angle
 from particlerb.impulses import records
@@ -75,8 +74,6 @@ def _warn(options: argparse.Namespace, warnings: Sequence[str]) -> None:
 def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
     with ranks_of(options) as ranks:
-        if sys.stderr.isatty() and not options.quiet:
-            WHEN_COMPILING[:] = ["kernels, once, 5 to 20 s (up to a minute for contact)"]
         prepared = ranks.together(partial(prepared_case, options))
         system = prepared.system
         if ranks is not ALONE:

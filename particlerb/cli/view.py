@@ -90,7 +90,7 @@ def _live(options: argparse.Namespace, server: "viser.ViserServer") -> "Live":
     to_write(path, overwrite=True)  # where it exists, a number is added
     with ending(CaseError):
         system = to_system(case)
-        print("preparing; kernels compile once, up to a minute ...", file=sys.stderr)
+        print("preparing ...", file=sys.stderr)
         rehearse(system)
         server.gui.reset()  # long after its last update: a browser misses a field that is gone
         server.scene.reset()

@@ -51,7 +51,7 @@ _FLAGS: dict[str, Any] = {
 
 
 _LOG: Final = logging.getLogger(__name__)
-WHEN_COMPILING: Final[list[str]] = []  # what to say when the first kernel is compiled, and how long
+WHEN_COMPILING: Final = ["kernels, once: 5 to 20 s, with contact a minute or more"]  # said once
 
 
 class CacheWarning(RuntimeWarning):

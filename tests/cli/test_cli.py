@@ -1,5 +1,6 @@
 """The command line: exit codes, messages, what goes to which stream, what is left on disk."""
 
+import argparse
 import errno
 import json
 import os
@@ -19,6 +20,8 @@ import particlerb
 from particlerb import cli
 from particlerb.cli import main
 from particlerb.cli.guard import guarded
+from particlerb.cli.ranks import ranks_of
+from particlerb.compiled.jit import WHEN_COMPILING
 from particlerb.record.verify import verify
 
 CASES = Path(__file__).parents[2] / "cases"
@@ -804,6 +807,20 @@ def test_check_tells_the_size_and_the_time_of_a_run(make, tmp_path, capsys):
     case["run"] |= {"dt": 1e-8}
     many = estimated_seconds(prepare(to_system(load(case))))
     assert 1e4 < many / few < 1e6
+
+
+@pytest.mark.parametrize(("quiet", "left"), [(False, ["kernels"]), (True, [])])
+def test_all_but_quiet_runs_say_that_kernels_compile(quiet, left):
+    """On terminals and in logs, as a run without a word for minutes seems to hang."""
+    kept, WHEN_COMPILING[:] = WHEN_COMPILING[:], ["kernels"]
+    try:
+        with ranks_of(argparse.Namespace(mpi=False, quiet=quiet)):
+            assert left == WHEN_COMPILING
+    finally:
+        WHEN_COMPILING[:] = kept
+    code = "from particlerb.compiled.jit import WHEN_COMPILING as w; print(*w)"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.startswith("kernels, once: ")
 
 
 def test_check_leaves_compilation_out_of_the_time_of_a_run(make, monkeypatch):
