@@ -7,6 +7,7 @@ import pytest
 
 import particlerb
 from particlerb.studies.charts import trajectory as chart
+from particlerb.studies.charts.bodies import side_axes
 
 BALL = {"type": "sphere", "radius": 0.1}
 BAR = {"type": "box", "size": [1.0, 0.1, 0.1], "arrangement": "exact"}
@@ -20,6 +21,17 @@ def heap(make):
     contact = {"law": "hooke", "stiffness": 1e4, "restitution": 0.5, "friction": 0.0}
     return make.case(ball, t_end=0.02, every=0.01, dt=1e-3, gravity=GRAVITY, contact=contact,
                      wall=[FLOOR])  # fmt: skip
+
+
+@pytest.mark.parametrize(("axis", "seen"), [((0, 1, 0), "xz"), ((-2, 0, 0), "yz")])
+def test_a_drum_that_lies_is_seen_along_its_axis(make, axis, seen):
+    """There its slope shows, wherever bodies move and however long it is."""
+    case = heap(make) | {"wall": [{"name": "drum", "type": "cylinder", "axis": axis, "radius": 3.0,
+                                   "length": 9.0}]}  # fmt: skip
+    with particlerb.run(case) as t:
+        points = t.particle_positions(-1)
+        assert ["xyz"[k] for k in side_axes(t, points * [9.0, 1.0, 1.0])] == list(seen)
+        assert ["xyz"[k] for k in side_axes(t, points * [1.0, 9.0, 1.0])] == list(seen)
 
 
 def orbits(make):

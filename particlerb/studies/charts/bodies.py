@@ -46,12 +46,15 @@ def side_axes(trajectory: Trajectory, x: Floats) -> list[int]:
 
     To the right is the axis along which bodies move, where that is one of the two, else that along
     which the points reach farthest. What lies in a plane, and moves within it, is seen from above;
-    under gravity only if it moves along both of its axes.
+    under gravity only if it moves along both of its axes. A drum that lies is seen along its axis.
     """
     up = upright(trajectory)
     level = [c for c in range(3) if c != up]
     moved = motion_of_bodies(trajectory)
     extent = np.ptp(x, axis=0)
+    drums = [wall for wall in trajectory.case.wall if wall.type == "cylinder"]
+    if drums and (along := int(np.argmax(np.abs(drums[0].axis)))) != up:
+        return [3 - along - up, up]
     first, second = sorted(level, key=lambda c: -float(moved[c]))
     is_line = moved[first] > _LINE_RATIO * max(moved[second], _FLAT_RATIO * extent.max())
     wide = np.maximum(extent, moved)
