@@ -199,7 +199,9 @@ class _KernelCache(caching.FunctionCache):
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Compiled code of a signature; None where there is none that can be used."""
         with contextlib.suppress(Exception):  # of unpickling and linking: it is compiled anew
-            rtsys.initialize(context)  # the rest of what compiling takes, 0.4 s, code has no use for
+            rtsys.initialize(
+                context
+            )  # the rest of what compiling takes, 0.4 s, code has no use for
             if (overload := cast(Any, self)._load_overload(signature, context)) is not None:
                 return overload
         while WHEN_COMPILING:

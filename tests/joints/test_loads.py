@@ -5,8 +5,11 @@ import pytest
 from scenes import SCENES, bar, body, case, joint, moved
 
 from particlerb import joint_loads, run
+from particlerb.case.to_system import to_system
+from particlerb.simulation.run import prepare
 
 G = 9.81
+RUN = {"t_end": 0.1, "every": 0.1}
 
 
 def test_a_string_carries_weight_and_centripetal_force():
@@ -51,6 +54,24 @@ def test_a_push_and_a_spring_are_carried_too():
     for k in range(2):
         assert loads.force[k, 0] == pytest.approx(force, abs=1e-12)
         assert loads.torque[k, 0] == pytest.approx(-np.cross(arms, given).sum(axis=0), abs=1e-12)
+
+
+def test_loads_that_contact_keeps_from_being_known_are_told():
+    """A motor with a largest torque acts by impulses, which are not in the states of frames."""
+    rod, pivot = (
+        bar("rod", [0, 0, 0], [1, 0, 0], 3.0),
+        joint("hinge", "rod", None, [0, 0, 0], [0, 1, 0]),
+    )
+    contact = {"law": "impulse", "restitution": 0.0, "friction": 0.0}
+    driven = case([rod | {"contact": False}], [pivot | {"motor": {"speed": 1.0, "largest": 2.0}}])
+    driven |= {"run": RUN, "contact": contact, "output": {"fields": ["position", "joint_force"]}}
+    (warning,) = prepare(to_system(driven)).plan.warnings
+    assert (
+        "output.fields: joint_force is NaN on bodies on which contact, or its impulses" in warning
+    )
+    free = case([rod], [pivot]) | {"run": RUN, "output": driven["output"]}
+    for known in (free, driven | {"output": {"fields": ["position", "joint_misfit"]}}):
+        assert not prepare(to_system(known)).plan.warnings
 
 
 def test_a_door_at_rest_hangs_on_both_hinges():
