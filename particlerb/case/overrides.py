@@ -71,5 +71,8 @@ def with_value(node: Any, path: Path, value: Any) -> Any:
             raise LookupError(f"there is no {shown(head)} in {shown(node)}")
         return {**node, str(head): with_value(node.get(str(head), {}), rest, value)}
     if not isinstance(head, int) or head >= len(node):
-        raise LookupError(f"there is no entry {shown(head)}: there are {len(node)}, from 0")
+        numbers = "" if isinstance(head, int) else ", named by numbers, as in body.0.mass"
+        raise LookupError(
+            f"there is no entry {shown(head)}: there are {len(node)}, from 0{numbers}"
+        )
     return [*node[:head], with_value(node[head], rest, value), *node[head + 1 :]]

@@ -114,6 +114,7 @@ def summary(table: SweepRows) -> str:
                 text += f" {max(errors, default=math.nan):12.6g}"
             lines.append(text)
     lines += ["  error: the largest standard error of a mean"] if is_repeated else []
+    lines += [] if table.values else ["  no results: a [[sweep.value]] in the case adds a column"]
     return "\n".join(lines)
 
 

@@ -282,7 +282,7 @@ def _impossible(system: System, setup: SystemJoints) -> list[Problem]:
                 f"{setup.names[joint]} would turn {system.names[body]}, a"
                 f" {NAMES[int(rotor_class[end[row]])]} that {what}"
             )
-            hint = "use a ball joint or a distance at its centre of mass, or on the axis of a rod"
+            hint = "give it a width, as a box has, or use a ball joint or a distance on its axis"
             problems.setdefault(
                 joint, problem_at(system, f"joint[{int(setup.record[joint])}]", reason, hint)
             )

@@ -16,6 +16,7 @@ from particlerb.case import reader
 from particlerb.case.reader import load
 from particlerb.case.sweep import Spread, SweepTable
 from particlerb.cli import main
+from particlerb.cli.sweep import summary
 from particlerb.studies.charts import sweep as sweep_chart
 from particlerb.sweeping import driver
 from particlerb.sweeping.variants import variants
@@ -267,6 +268,16 @@ def test_the_command_writes_the_table_and_continues(tmp_path, capsys):
     assert "unknown key" in capsys.readouterr().err
     assert main([*command, "--axis", "run.dt"]) == 2
     assert main(["sweep", str(case), "-o", str(case)]) == 2
+
+
+def test_a_sweep_that_keeps_no_results_says_so():
+    table = in_threads(fallen(), axes={DRAG: [0.1, 0.4]})
+    assert "no results" not in summary(table)
+    bare = fallen()
+    bare.sweep = SweepTable(axes={DRAG: [0.1]})
+    assert summary(in_threads(bare)).endswith(
+        "no results: a [[sweep.value]] in the case adds a column"
+    )
 
 
 def test_a_spread_is_even_or_in_equal_ratios():
