@@ -144,7 +144,7 @@ def export(
         _chosen_frames(trajectory, frames),
         _chosen_bodies(trajectory, bodies),
         tuple(name for name in names if name in FIELDS or name in CONTACT_FIELDS),
-        tuple(name for name in names if name in OBSERVED | LEDGER),
+        tuple(name for name in names if name in (OBSERVED | LEDGER).keys() - FIELDS.keys()),
         CONTACTS in names,
     )
     if to == "csv" and not fields and selection.fields:
@@ -176,7 +176,8 @@ def _chosen_fields(
     """Fields that were asked for, or all recorded, of those that a format holds, in fixed order."""
     recorded = trajectory.fields + trajectory.other_fields
     derived = [name for name in FIELDS if is_known(trajectory, name)]
-    allowed = [name for name in (*derived, *trajectory.other_fields, *LEDGER) if name in held]
+    known = dict.fromkeys((*derived, *trajectory.other_fields, *LEDGER))
+    allowed = [name for name in known if name in held]
     for name in asked:
         if name not in allowed:
             reason = f"{to} cannot hold it" if name in recorded else "no such field here"

@@ -2,7 +2,6 @@
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +12,7 @@ from particlerb.record.schema import COLUMNS, CONTACT_FIELDS, CONTACTS, FIELDS, 
 from particlerb.record.trajectory import Trajectory
 
 NEEDS: Final = ()
-_ELEMENTS: Final = FIELDS | CONTACT_FIELDS | OBSERVED | LEDGER
+_ELEMENTS: Final = LEDGER | FIELDS | CONTACT_FIELDS | OBSERVED
 HOLDS: Final = (*_ELEMENTS, CONTACTS)
 _CONTACT_HEADER: Final = ["body", "other", "wall", *(
     f"{name}_{letter}" for name in ("point", "force") for letter in "xyz"
@@ -40,7 +39,7 @@ def write(selection: Selection, path: Path) -> None:
         labels = list(enumerate(trajectory.names_of(per))) if per else [()]
         header = [*([per, "name"] if per else ()), *columns(selection.observed)]
         portions = selection.portions(len(labels))
-        values = trajectory.observed if per else partial(_sums, trajectory)
+        values = trajectory.observed if per else trajectory.observable
         rows = _labelled(trajectory, portions, labels, selection.observed, values)
     else:
         labels = [(int(b), trajectory.names[b]) for b in selection.bodies]
@@ -63,11 +62,6 @@ def columns(names: tuple[str, ...]) -> list[str]:
     ]
 
 
-def _sums(trajectory: Trajectory, name: str, frames: slice) -> Floats:
-    """Sums over all bodies, one entry for each frame: (T, 1) or (T, 1, 3)."""
-    return trajectory.observable(name, frames)[:, None]
-
-
 def _labelled(
     trajectory: Trajectory,
     portions: Iterator[slice],
@@ -78,7 +72,7 @@ def _labelled(
     """Rows of all frames: one for each label, with its numbers of all fields."""
     for frames in portions:
         arrays = [values(name, frames) for name in fields]
-        of_frame = [array.reshape(*array.shape[:2], -1) for array in arrays]
+        of_frame = [array.reshape(len(array), len(labels), -1) for array in arrays]
         numbers, times = range(trajectory.n_frames)[frames], trajectory.time[frames].tolist()
         for k, (frame, t) in enumerate(zip(numbers, times, strict=True)):
             rows = zip(labels, *(array[k].tolist() for array in of_frame), strict=True)

@@ -213,6 +213,8 @@ def test_csv_of_walls_and_of_bodies_that_touch(pile, tmp_path):
     assert [row["name"] for row in rows] == ["floor"] * pile.n_frames
     found = [[float(row[f"wall_force_{c}"]) for c in "xyz"] for row in rows]
     assert found == pile.wall_force[:, 0].tolist()
+    with pytest.raises(ExportError, match="energy: no such field here"):
+        export(pile, tmp_path / "c", "npz", fields=["energy"])
     rows = rows_of(pile, tmp_path / "b.csv")  # of bodies, where nothing is said
     assert [int(row["contact_number"]) for row in rows] == pile.contact_number.ravel().tolist()
     assert [float(row["contact_overlap"]) for row in rows] == pile.contact_overlap.ravel().tolist()
@@ -221,6 +223,11 @@ def test_csv_of_walls_and_of_bodies_that_touch(pile, tmp_path):
             export(pile, tmp_path / "c.csv", "csv", fields=pair)
     with pytest.raises(ExportError, match="lammps cannot hold it"):
         export(pile, tmp_path / "c", "lammps", fields=["contact_number"])
+
+
+def test_csv_of_momenta_is_of_bodies_though_there_are_sums(trajectory, tmp_path):
+    rows = rows_of(trajectory, tmp_path / "a.csv", "linear_momentum", bodies=["brick"])
+    assert "name" in rows[0]
 
 
 def test_csv_of_sums_over_all_bodies_has_a_row_per_frame(pile, tmp_path):
