@@ -107,7 +107,9 @@ def prepare_accurately(system: System) -> Prepared:
         hint = "rounding, or the scene itself, allows no more: ask for less, or run for less time"
         warnings = (*warnings, as_warning(problem_at(system, "run.accuracy", reason, hint)))
     chosen = Plan(chosen.groups, chosen.step, warnings)
-    text = describe(system, chosen, estimate.text())
+    unused = [key for key in ("method", "dt") if key in system.run.model_fields_set]
+    instead = f"; in place of run.{' and run.'.join(unused)}" if unused else ""
+    text = describe(system, chosen, estimate.text() + instead)
     stepping = json.dumps([None if one is None else one._asdict() for one in choice])
     return Prepared(system, chosen, text, {"accuracy": estimate.json(), "stepping": stepping})
 
