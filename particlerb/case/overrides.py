@@ -71,8 +71,7 @@ def with_value(node: Any, path: Path, value: Any) -> Any:
             raise LookupError(f"there is no {shown(head)} in {shown(node)}")
         return {**node, str(head): with_value(node.get(str(head), {}), rest, value)}
     if not isinstance(head, int) or head >= len(node):
-        numbers = "" if isinstance(head, int) else ", named by numbers, as in body.0.mass"
         raise LookupError(
-            f"there is no entry {shown(head)}: there are {len(node)}, from 0{numbers}"
+            f"there is no entry {shown(head)}: there are {len(node)}, from 0 as body.0"
         )
     return [*node[:head], with_value(node[head], rest, value), *node[head + 1 :]]
