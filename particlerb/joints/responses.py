@@ -28,6 +28,7 @@ from particlerb.impulses.rows import inverse_inertia_times, write_through_joints
 from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import unwound
 from particlerb.joints.block_cholesky import solve
+from particlerb.joints.drives import course
 from particlerb.joints.records import JointData, Joints
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals
 from particlerb.joints.solver import factorise_cluster
@@ -139,13 +140,19 @@ def _respond(
 def _accelerate(
     joints: Joints, data: JointData, partners: Partners, mechanisms: Mechanisms
 ) -> None:
-    """Factorise all mechanisms, and write how joints alone accelerate their bodies."""
+    """Factorise all mechanisms, and write how joints alone accelerate their bodies.
+
+    Without what drives accelerate: the limit of `lean` is for velocities that turn, and would take
+    a part of that, so that a gripper lost its brick.
+    """
     for c in range(joints.clusters.body.size - 1):
         first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
         lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
         factorise_cluster(joints, data, c, 0.0, data.clock[0])
         _clear(data, first, last)
         accelerations(joints, data, lo, hi, data.change)
+        for r in range(lo, hi):
+            data.z[r] -= course(joints.drives, joints.rows.drive[r], data.clock[0])[2]
         _hold(joints, data, c, lo, hi)
         for k in range(first, last):
             b = mechanisms.member[k]

@@ -442,7 +442,8 @@ def test_no_garbage_is_looked_for_among_what_is_imported(here):
     code = (
         "import gc; from particlerb.cli import main; looks = [];"
         "gc.callbacks.append(lambda phase, about: looks.append(about['generation']));"
-        "main(['check', 'cube.toml']); print(gc.isenabled(), gc.get_freeze_count() > 10_000, len(looks))"
+        "main(['check', 'cube.toml']);"
+        "print(gc.isenabled(), gc.get_freeze_count() > 10_000, len(looks))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     *kept, looks = done.stdout.splitlines()[-1].split()
