@@ -12,22 +12,22 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 24770
+LINES_OF_CODE = 24712
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
     "closed forms under force": 1596,
-    "joints": 5218,
+    "joints": 5213,
     "contact with every method": 480,
     "contact by impulses": 3900,
     "collisions by events": 1712,
-    "forces: tables, gradients, written by users": 2151,
-    "scenes and simulations in Python": 615,
-    "sweeps": 1561,
-    "one scene over ranks": 2136,
-    "reports, pictures, the page": 1678,
-    "scenes for other programs": 480,
-    "speed of compiling and of whole calls": 1228,
+    "forces: tables, gradients, written by users": 2140,
+    "scenes and simulations in Python": 614,
+    "sweeps": 1550,
+    "one scene over ranks": 2132,
+    "reports, pictures, the page": 1631,
+    "scenes for other programs": 472,
+    "speed of compiling and of whole calls": 1226,
     "watches": 62,
     "beside all these": 304,
 }
