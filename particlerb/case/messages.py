@@ -265,10 +265,10 @@ def fill(record: Table, keys: Mapping[str, Any]) -> None:
     CaseError
         With all that is wrong with the table alone. What involves others shows when it is run.
     """
-    table, raw = type(record), plain(keys, keeps_tables=True)
+    table = type(record)
     kind = table.model_fields.get("type")
-    if kind is not None and kind.init is False:
-        raw.setdefault("type", names_of(table)[0])
+    known = {"type": names_of(table)[0]} if kind is not None and kind.init is False else {}
+    raw = plain(known | dict(keys), keeps_tables=True)
     try:
         table.__pydantic_validator__.validate_python(raw, self_instance=record)
     except ValidationError as error:

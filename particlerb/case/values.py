@@ -49,7 +49,9 @@ class Table(BaseModel):
             """Refuse to change what is public."""
             if not name.startswith("_"):
                 name = f"{type(self).__name__}.{name}"
-                raise AttributeError(f"{name} cannot be set: make another record")
+                raise AttributeError(
+                    f"{name} cannot be set: take a model_copy(update={{..}}) in its place"
+                )
             super().__setattr__(name, value)
 
         def __delattr__(self, name: str) -> None:

@@ -14,9 +14,11 @@ from particlerb.tables import (
     Box,
     ContactTable,
     PlaneWall,
+    PointsShape,
     PushTable,
     RunTable,
     ShapePart,
+    SpheresShape,
     SpringTable,
 )
 
@@ -126,6 +128,16 @@ def test_a_wrong_key_is_refused_with_the_words_of_a_case(make, words):
         assert word in str(found.value)
 
 
+def test_arrays_stand_for_lists_of_points():
+    """In shapes too, where they are not rows for many bodies."""
+    corners, radii = np.eye(3), np.array([0.5, 0.25, 0.5])
+    for shape in (PointsShape(position=corners, mass=1.0, radius=radii),
+                  SpheresShape(position=corners, radius=radii)):  # fmt: skip
+        assert shape.position == ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        assert shape.radius == (0.5, 0.25, 0.5)
+    assert isinstance(Body(name="b", shape=shape, mass=1.0, position=corners).position, np.ndarray)
+
+
 def test_a_name_is_no_force_and_no_wall():
     with pytest.raises(TypeError, match=r"a force is a table, such as PushTable\(..\), got 'push'"):
         pushed_cubes().add_force("push")
@@ -166,5 +178,5 @@ def test_what_a_scene_has_not_cannot_be_set():
     scene = Scene(RunTable(t_end=1.0, every=0.5))
     with pytest.raises(AttributeError, match="no gravitation; it has: title, run, gravity"):
         scene.gravitation = (0, 0, -9.81)
-    with pytest.raises(AttributeError, match=r"RunTable\.dt cannot be set"):
+    with pytest.raises(AttributeError, match=r"RunTable\.dt cannot be set: take a model_copy"):
         scene.run.dt = 1e-3
