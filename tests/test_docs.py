@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 import particlerb
+from particlerb import tables
 from particlerb.cli import main, parser
 from particlerb.cli.arguments import COMMANDS
 
@@ -164,7 +165,8 @@ def test_python_of_other_pages_runs(page, tmp_path, monkeypatch, make):
     if page == "joints.md":
         scene["joint"] = [{"type": "ball", "body": "ball", "at": [0, 0, 0.2]}]
     else:
-        fields = ["position", "contacts", "wall_force"]
+        state = ["position", "orientation", "linear_momentum", "angular_momentum"]
+        fields = [*state, "contacts", "wall_force"]
         scene |= {"contact": make.hooke(), "wall": [make.plane()], "output": {"fields": fields}}
     if page in files:
         particlerb.run(scene, files[page]).close()
@@ -174,6 +176,12 @@ def test_python_of_other_pages_runs(page, tmp_path, monkeypatch, make):
             if page == "joints.md":
                 names["trajectory"] = particlerb.open(files[page])
             exec(compile(text, page, "exec"), names)
+
+
+def test_all_tables_of_scenes_are_on_their_page():
+    names = {n for n in dir(tables) if n[0].isupper()}
+    rows = re.findall(r"^\| .* \| (`[A-Z].*) \|$", (DOCS / "python.md").read_text(), re.M)
+    assert names == set(re.findall(r"`(\w+)`", " ".join(rows)))
 
 
 @pytest.mark.slow
