@@ -44,9 +44,7 @@ class Team(NamedTuple):
 
 # What Numba lacks
 
-_lowered: Callable[[Any], Any] = (
-    intrinsic  # its stub counts the first parameter among the arguments
-)
+_lowered: Callable[[Any], Any] = intrinsic  # its stub counts one parameter too many
 
 
 @_lowered

@@ -65,9 +65,8 @@ def source_hash() -> str:
     for path in sorted([*_PACKAGE.rglob("*.py"), *_PACKAGE.rglob("*.txt")]):
         digest.update(path.relative_to(_PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
-    flags = {k: v for k, v in os.environ.items() if k.startswith("NUMBA_")}
-    flags.pop("NUMBA_CACHE_DIR", None)
-    flags.pop("NUMBA_NUM_THREADS", None)
+    names = {k for k in os.environ if k.startswith("NUMBA_")}
+    flags = {k: os.environ[k] for k in names - {"NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS"}}
     digest.update(repr((sorted(flags.items()), numba.__version__, sys.version)).encode())
     return digest.hexdigest()[:16]
 
@@ -199,9 +198,7 @@ class _KernelCache(caching.FunctionCache):
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Compiled code of a signature; None where there is none that can be used."""
         with contextlib.suppress(Exception):  # of unpickling and linking: it is compiled anew
-            rtsys.initialize(
-                context
-            )  # the rest of what compiling takes, 0.4 s, code has no use for
+            rtsys.initialize(context)  # what only compiling takes besides is not loaded: 0.3 s
             if (overload := cast(Any, self)._load_overload(signature, context)) is not None:
                 return overload
         while WHEN_COMPILING:
@@ -347,6 +344,4 @@ def for_types_of(function: Function, *arguments: Any) -> Function:
     """
     if not isinstance(function, Kernel):  # in plain Python
         return function
-    dispatcher, signature = cast(Any, function), tuple(map(numba.typeof, arguments))
-    dispatcher.compile(signature)
-    return cast(Function, dispatcher.overloads[signature].entry_point)
+    return cast(Function, cast(Any, function).compile(tuple(map(numba.typeof, arguments))))

@@ -52,8 +52,7 @@ def in_python(function: Function, **names: Any) -> Function:
     """A function, compiled or not, as Python whose globals of these names are to be others."""
     plain: Any = getattr(function, "py_func", function)
     values = plain.__globals__ | names
-    made = FunctionType(plain.__code__, values, plain.__name__, plain.__defaults__)
-    return cast(Function, made)
+    return cast(Function, FunctionType(plain.__code__, values, plain.__name__, plain.__defaults__))
 
 
 def twin(function: Any) -> FunctionType:
