@@ -32,7 +32,7 @@ import numba
 import numpy as np
 from numba.core import caching
 from numba.core.event import install_timer
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 
 from particlerb.compiled.deferred import Dispatcher
 from particlerb.compiled.helper import AloneCompiler, Helper, KeptCode, Kernel
