@@ -41,7 +41,7 @@ _MIN_KNOT_INTERVAL = 1e-300  # [s]: its inverse is finite
 class Table(BaseModel):
     """A table of the case: frozen, unknown keys are errors, every number is finite."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     if not TYPE_CHECKING:  # type checkers know the names
 

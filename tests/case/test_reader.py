@@ -504,17 +504,3 @@ def test_reading_needs_no_compiler():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
     assert not {"numba", "h5py", "matplotlib", "scipy"} & set(modules)
-
-
-def test_tables_are_built_with_the_first_case_that_is_read():
-    """Once, and not one by one where they are imported."""
-    code = (
-        "from particlerb.case.schema import Case; from particlerb.case.values import Table\n"
-        "def of(one): return [one, *(each for sub in one.__subclasses__() for each in of(sub))]\n"
-        "print(any(table.__pydantic_complete__ for table in of(Table)))\n"
-        "Case.model_validate({'run': {'t_end': 1.0, 'every': 0.1}, 'body': [{'name': 'a',"
-        " 'mass': 1.0, 'shape': {'type': 'sphere', 'radius': 1.0}}]})\n"
-        "print(Case.__pydantic_complete__)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "True"]
