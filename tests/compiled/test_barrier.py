@@ -129,8 +129,8 @@ def test_a_team_within_a_team_runs_on_one_thread(threads):
 @pytest.mark.parametrize("size", [1, 2, 3, 7])
 @pytest.mark.parametrize("n", [0, 1, 5, 100])
 def test_shares_cover_all_once(size, n):
-    arrivals, wishes = ONE_THREAD.arrivals, ONE_THREAD.wishes
-    shares = [share_of(Team(size, thread, arrivals, wishes), 3, 3 + n) for thread in range(size)]
+    arrivals, values = ONE_THREAD.arrivals, ONE_THREAD.values
+    shares = [share_of(Team(size, thread, arrivals, values), 3, 3 + n) for thread in range(size)]
     found = [k for first, end in shares for k in range(first, end)]
     assert found == list(range(3, 3 + n))
     lengths = [end - first for first, end in shares]
