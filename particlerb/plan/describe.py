@@ -8,7 +8,6 @@ import numpy as np
 
 from particlerb.case.coarse_lattice import lattice_errors
 from particlerb.case.contact import ContactTable
-from particlerb.case.forces import FORCES
 from particlerb.case.run import AttractionTable
 from particlerb.forces import Terms, has_potential, is_constant, needs_of, words_of
 from particlerb.forces.gravity_tree.opening_angle import SAMPLE
@@ -115,13 +114,10 @@ def _origin_of_points(system: System, kind: str) -> str:
 def _left_out_line(system: System, plan: Plan) -> str:
     """What does not act, and why nothing touches."""
     out = {"gravity": not system.acceleration.any(), "attraction": system.attraction is None}
-    out |= {"joints": not system.joint}
+    out |= {"joints": not system.joint, "forces": not system.force}
     why = "no [contact]" if system.particles.radius.any() else "no particle has a radius"
     out[f"contact ({why})"] = not plan.contacts
-    acting = {force.type for force in system.force}
-    absent = ", ".join(kind for kind in FORCES if kind not in acting)
-    out[f"forces of type {absent}"] = bool(absent)
-    return ", ".join(name for name, is_out in out.items() if is_out)
+    return ", ".join(name for name, is_out in out.items() if is_out) or "nothing"
 
 
 def _attraction_line(table: AttractionTable, plan: Plan) -> str:
