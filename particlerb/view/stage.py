@@ -120,6 +120,7 @@ ARROWS: Final[dict[str, _Colour]] = {
     "force": (214, 39, 40), "omega": (31, 119, 180), "L": (148, 60, 189),
     "axes": (90, 98, 106),
 }  # fmt: skip
+_ANCHOR: Final = "center-center"  # of names, which stand where they are put, not below it
 _FAST_MOVE: Final = 0.2  # of the end of an arrow from update to update, in sizes of the scene
 _ARROW_NAMES: Final = {"force": "F", "omega": "ω", "L": "L"}  # at the free ends of arrows
 AXIS_COLOURS: Final[tuple[_Colour, ...]] = ((209, 73, 91), (46, 139, 87), (31, 111, 181))
@@ -262,7 +263,7 @@ class Stage:
                 shaft_radius=r, head_radius=2.4 * r, head_length=6.0 * r,
             )  # fmt: skip
             tip = ends[0, 1] + 0.15 * length * axis
-            scene.add_label(f"/axes/{name}/name", name, position=tip)
+            scene.add_label(f"/axes/{name}/name", name, position=tip, anchor=_ANCHOR)
 
     def show(self, position: Floats, q: Floats, follow: int | None = None) -> None:
         """Put the bodies where they are; with the camera on one of them, or on the scene.
@@ -332,11 +333,12 @@ class Stage:
             return
         label, is_slow = self.arrow_names.get(name), False
         if len(vectors):
-            gap = 0.08 * self.size * vectors[0] / max(float(np.linalg.norm(vectors[0])), 1e-300)
+            gap = 0.04 * self.size * vectors[0] / max(float(np.linalg.norm(vectors[0])), 1e-300)
             place = self.on_page(start) + (-gap if name == "force" else vectors[0] + gap)
             if label is None:
-                label = self.server.scene.add_label(f"/arrows/{name}/name", _ARROW_NAMES[name])
-                self.arrow_names[name] = label
+                label = self.arrow_names[name] = self.server.scene.add_label(
+                    f"/arrows/{name}/name", _ARROW_NAMES[name], anchor=_ANCHOR
+                )
             way = float(np.linalg.norm(place - label.position))
             is_slow = name == "force" or way < _FAST_MOVE * self.size
             label.position = tuple(place.tolist())
