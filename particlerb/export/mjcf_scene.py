@@ -246,7 +246,7 @@ class _Writer:
         return text
 
     def add_contact(self, contact: SystemContact) -> None:
-        """What holds for all geoms that touch, and the walls."""
+        """What holds for all geoms that touch, and walls: these have no stiffness, the body's counts."""
         pairs = contact.pairs
         for name, values in pairs._asdict().items():
             if name != "can_meet" and np.unique(values[pairs.can_meet]).size > 1:
@@ -260,13 +260,12 @@ class _Writer:
         for wall in self.system.wall:
             for k, text in enumerate(geoms_of(wall)):
                 name = wall.name + (f" {k}" if k else "")
-                # Without a stiffness of its own, so that the body's counts.
                 ET.SubElement(self.world, "geom", text, name=name, contype="1", conaffinity="1")
         if contact.excluded.size:
             excluded = ET.SubElement(self.root, "contact")
-            for a, b in zip(*bodies_of_keys(contact.excluded), strict=True):
-                ends = {"body1": self.system.names[a], "body2": self.system.names[b]}
-                ET.SubElement(excluded, "exclude", ends)
+            for pair in zip(*bodies_of_keys(contact.excluded), strict=True):
+                a, b = (self.system.names[k] for k in pair)
+                ET.SubElement(excluded, "exclude", body1=a, body2=b)
 
     def add_joints(self, element: ET.Element, b: int, parent: int, joint: _Joint) -> list[float]:
         """Add what a joint of the tree leaves free; its speeds."""
