@@ -12,7 +12,7 @@ import hypothesis
 import numpy as np
 import pytest
 
-from particlerb.compiled import plain
+from particlerb.compiled import jit, plain
 
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
 hypothesis.settings.register_profile("search", deadline=None, max_examples=1000)
@@ -20,6 +20,7 @@ hypothesis.settings.load_profile("same")  # pytest --hypothesis-profile=search l
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 plain._Time.left = 0.0  # what is tested here is compiled, or plain Python throughout
+jit.WHEN_COMPILING.clear()  # what tests read on stderr is the same with cold and warm caches
 
 
 LONGEST = (

@@ -246,7 +246,7 @@ class _Writer:
         return text
 
     def add_contact(self, contact: SystemContact) -> None:
-        """What holds for all geoms that touch; walls have no stiffness, so that the body's counts."""
+        """What holds for all geoms that touch; walls have no stiffness: that of bodies counts."""
         pairs = contact.pairs
         for name, values in pairs._asdict().items():
             if name != "can_meet" and np.unique(values[pairs.can_meet]).size > 1:
