@@ -201,8 +201,8 @@ def lean(
     slides along what is bent leaves the middle of a step as it came there; without this, each step
     would take from its energy what the normal has turned towards it. No more than what came is
     given back, beside what walls and bodies that move as prescribed are accelerated by, and across
-    the normal only to what stuck in the step before. What goes on in contact over what is bent away
-    from it lies beyond in the middle: that is no gap.
+    the normal only to what stuck in the step before. What moves in contact over what is bent away
+    from it lies beyond in the middle, which is not counted as a gap.
 
     Parameters
     ----------
@@ -223,8 +223,7 @@ def lean(
     came, u, v = in_frame(rows.frame, c, velocity_between(partners.before, rows.frame, c, a, b))
     rows.limits[c, SLOW] += 4.0 * max(-n - n_by, 0.0)
     pressed, f, g = in_frame(rows.frame, c, force)
-    is_open = rows.frame[c, LEAST] < 0.0
-    if is_open and pressed <= 0.0:
+    if rows.frame[c, LEAST] < 0.0 and pressed <= 0.0:
         return
     n = n_by + min(max(came - n_by, min(n, 0.0)), max(n, 0.0))
     gap = rows.limits[c, GAP] - 0.25 * dt * max(n, 0.0)
