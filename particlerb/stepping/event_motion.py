@@ -33,7 +33,8 @@ from particlerb.stepping.saved_arrays import Saved, to_arrays
 
 _PER_CALL: Final = 100_000  # events: progress and Ctrl-C in between
 _REASONS: Final = {
-    ENDLESS: "impacts follow each other ever faster: give a longer contact.contact_time",
+    ENDLESS: "impacts follow each other ever faster: give a longer contact.contact_time, "
+    "or law = 'impulse' where something lies on something",
     FAR: "it has flown through as many cells as 32 bits number: begin nearer, or end earlier",
     OVERLAP: "it overlaps what it hits by more than rounding: an impact was missed",
 }

@@ -192,6 +192,14 @@ def test_without_a_contact_time_a_ball_that_comes_to_rest_ends_the_run():
 
 
 @plain
+def test_a_ball_that_lies_on_a_floor_ends_the_run_with_the_law_for_it():
+    """No contact time helps there: the ball would bounce without end, and not move."""
+    keys = {"wall": [plane()], "gravity": DOWN, "t_end": 0.2, "every": 0.1}
+    with pytest.raises(particlerb.RunError, match="law = 'impulse' where something lies"):
+        go(sphere(position=[0, 0, R]), contact=events(0.8), **keys)
+
+
+@plain
 def test_what_is_seen_changes_nothing_and_a_run_is_resumed_bit_for_bit(tmp_path):
     bodies, keys = clumps(4), {"contact": events(0.8, 0.3), "gravity": DOWN, "t_end": 1.0}
     keys["wall"] = [BOX | {"lower": [-2] * 3, "upper": [2] * 3}]
