@@ -25,11 +25,10 @@ BUDGETS = {
     "scenes and simulations in Python": 614,
     "sweeps": 1550,
     "one scene over ranks": 2132,
-    "reports, pictures, the page": 1678,
+    "reports, pictures, the page": 1675,
     "scenes for other programs": 472,
     "speed of compiling and of whole calls": 1247,
     "watches": 62,
-    "what new users missed: notes in plans, energies as tables": 32,
     "beside all these": 304,
 }
 """Lines of code that an ability took: see «Where things go» in docs/architecture.md."""
