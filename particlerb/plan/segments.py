@@ -320,9 +320,17 @@ def refuse_method(system: System, groups: list[GroupPlan]) -> None:
             if not refused or (is_closed and has_closed_form(group.bodies, segment.terms).all()):
                 continue
             acting = ", ".join(refused)
-            able = ", ".join(name for name in METHODS if accepts(name, segment.terms)) or "none"
+            able = _methods_for(segment.terms)
+            apart = "" if able else _methods_for(segment.terms._replace(contact=None))
             reason = f"{segment.method} does not accept what acts here: {acting}"
-            raise CaseError([problem_at(system, "run.method", reason, f"methods that do: {able}")])
+            hint = f"methods that do: {able or 'none'}"
+            hint += f"; without contact: {apart}" if apart else ""
+            raise CaseError([problem_at(system, "run.method", reason, hint)])
+
+
+def _methods_for(terms: Terms) -> str:
+    """Names of the methods that accept what acts."""
+    return ", ".join(name for name in METHODS if accepts(name, terms))
 
 
 def inside(groups: Sequence[GroupPlan], of: Range, begin: int = 0) -> list[GroupPlan]:

@@ -37,6 +37,14 @@ def test_what_impulses_do_not_know_is_refused(keys, words):
     assert "methods that do: moreau" in str(error.value) or "strang does" not in words
 
 
+@pytest.mark.parametrize("contact", [impulse(), HOOKE], ids=["impulse", "springs"])
+def test_what_no_method_takes_is_refused_with_what_to_leave_out(contact):
+    hinge = {"type": "hinge", "body": "ball", "axis": [0, 1, 0], "at": [1, 0, R]}
+    lift = {"type": "magnus", "body": "ball", "coefficient": 0.1}
+    with pytest.raises(CaseError, match="methods that do: none; without contact: dop853"):
+        go(BALL, contact=contact, joint=[hinge], force=[lift], wall=[plane()], dt=1e-3)
+
+
 def test_an_accuracy_is_refused_whatever_the_materials():
     """One ball alone has its material, so it has no partner of it; and impulses no stiffness."""
     slope = Path(__file__).parents[2] / "cases" / "impulse_slope.toml"
