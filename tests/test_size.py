@@ -25,7 +25,7 @@ BUDGETS = {
     "scenes and simulations in Python": 614,
     "sweeps": 1550,
     "one scene over ranks": 2132,
-    "reports, pictures, the page": 1680,
+    "reports, pictures, the page": 1697,
     "scenes for other programs": 472,
     "speed of compiling and of whole calls": 1247,
     "watches": 62,

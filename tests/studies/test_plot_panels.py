@@ -226,6 +226,28 @@ def test_a_linkage_is_drawn_by_its_joints(make, monkeypatch, at):
     assert np.ptp(ends[:, 1], axis=0).max() > 0.1
 
 
+def test_of_many_mechanisms_one_is_drawn(make, monkeypatch):
+    """Of 20 rods in pairs the fastest one and what it hangs on, each on its joints."""
+    rod = {"shape": {"type": "moments", "inertia": [1 / 12, 1 / 12, 1e-3]}, "mass": 1.0,
+           "count": 10}  # fmt: skip
+    row = np.array([[4.0 * k, 0.0, -0.5] for k in range(10)])
+    speed = [[-0.1 * k, 0.0, 0.0] for k in range(10)]
+    turning = [[0.0, 0.2 * k, 0.0] for k in range(10)]
+    bodies = [rod | {"name": "upper", "position": row.tolist()},
+              rod | {"name": "lower", "position": (row - [0, 0, 1.0]).tolist(), "velocity": speed,
+                     "angular_velocity": turning}]  # fmt: skip
+    hinge = {"type": "hinge", "axis": [0, 1, 0]}
+    joint = [hinge | {"body": "upper", "at": {"body": [0, 0, 0.5]}},
+             hinge | {"body": "lower", "to": "upper", "at": {"body": [0, 0, 0.5]}}]  # fmt: skip
+    case = make.case(*bodies, t_end=0.2, dt=0.05, joint=joint, gravity=GRAVITY)
+    figure, trajectory = drawn(case, monkeypatch)
+    assert "that of upper[9]" in figure.axes[0].get_title("left")
+    lines = [line.get_xydata() for line in figure.axes[0].lines]
+    paths = [line for line in lines if len(line) == trajectory.n_frames]
+    assert np.array_equal(paths, trajectory.position[:, [9, 19], ::2].swapaxes(0, 1))
+    assert len([line for line in lines if len(line) == 2]) == 3 * 3  # joints at three frames
+
+
 def test_a_rod_of_a_pendulum_is_a_line_from_its_pivot(make, monkeypatch):
     bob = make.body(position=[-1.0, 0.0, 0.0])
     rod = {"type": "distance", "body": "body", "at_to": [0.0, 0.0, 0.0]}

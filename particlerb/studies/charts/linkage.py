@@ -1,5 +1,6 @@
 """A linkage at some instants: its bodies, its joints, the rings of gimbals and wheels."""
 
+from collections.abc import Iterator
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -22,20 +23,29 @@ _MIN_DEPTH_RATIO: Final = 0.4  # depth over width of what is seen at an angle
 _End: TypeAlias = tuple[int, int, Floats]  # body, which of its points, place in the first frame
 
 
-def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
-    """All bodies at some instants, the last in colour, with their joints and the paths of centres.
+def mechanism_of(trajectory: Trajectory, body: int) -> list[int]:
+    """Bodies that joints connect with a body, itself among them, ascending."""
+    pairs = [{a, b} for *_, a, b in _joined(trajectory)]
+    members, found = {body}, {body}
+    while found:
+        found = {b for pair in pairs if pair & members for b in pair if b != _WORLD} - members
+        members |= found
+    return sorted(members)
+
+
+def draw_linkage(axes: Axes, trajectory: Trajectory, bodies: list[int]) -> None:
+    """Bodies at some instants, the last in colour, with their joints and the paths of centres.
 
     A body that is only its moments is drawn as lines from its centre to its joints, or as the ring
     that its hinges make of it, any other as its solid, else as a box around its particles. What
     keeps a distance all the time is a line between its ends.
     """
-    x = trajectory.read("position")
+    x = trajectory.read("position")[:, bodies]
     frames = np.unique(np.linspace(0, trajectory.n_frames - 1, 4).astype(int)).tolist()
-    points, distances, hinged = _joint_points(trajectory)
-    rings, shapes = _drawn_as(trajectory, points, hinged)
-    orientations = [
-        [rotation_matrix(q) for q in row] for row in trajectory.read("orientation")[frames]
-    ]
+    points, distances, hinged = _joint_points(trajectory, bodies)
+    rings, shapes = _drawn_as(trajectory, bodies, points, hinged)
+    q = trajectory.read("orientation")[frames][:, bodies]
+    orientations = [[rotation_matrix(each) for each in row] for row in q]
 
     def placed(local: Floats | list[Floats], k: int) -> list[Floats]:
         """Points of each body at an instant, world frame."""
@@ -78,7 +88,19 @@ def draw_linkage(axes: Axes, trajectory: Trajectory) -> None:
     axes.update_datalim((everywhere @ view.T)[:, :2])
     times = ", ".join(f"{trajectory.time[frame]:.3g}" for frame in frames)
     title = f"t = {times} s (blue); orange: paths of centres"
+    if len(bodies) < trajectory.n_bodies:
+        title = f"one of the mechanisms, that of {trajectory.names[bodies[0]]}\n{title}"
     finish_view(axes, title, *names)
+
+
+def _joined(trajectory: Trajectory) -> Iterator[tuple[dict[str, Any], int, int]]:
+    """Joints as the case has them, each with its body and the other one, or _WORLD."""
+    for joint in trajectory.parameter("case_resolved")["joint"]:
+        first, second = (_numbers(trajectory, joint[key]) for key in ("body", "to"))
+        if joint["chain"]:
+            first, second = first[1:], first[:-1]
+        for k, a in enumerate(first):
+            yield joint, a, second[k % len(second)] if second else _WORLD
 
 
 def _numbers(trajectory: Trajectory, names: list[str] | None) -> list[int]:
@@ -92,19 +114,19 @@ def _numbers(trajectory: Trajectory, names: list[str] | None) -> list[int]:
 
 
 def _drawn_as(
-    trajectory: Trajectory, points: list[Floats], hinged: list[list[Floats]]
+    trajectory: Trajectory, bodies: list[int], points: list[Floats], hinged: list[list[Floats]]
 ) -> tuple[list[Floats], list[SurfaceMesh]]:
     """Ring of each body, without points for most, and solid, without faces where it is lines."""
-    is_bar = _without_shape(trajectory)
+    is_bar, solids = _without_shape(trajectory)[bodies], shapes_of(trajectory)
     rings = [
-        _ring(trajectory, b, hinged[b], points[b]) if is_bar[b] else _NO_POINTS
-        for b in range(trajectory.n_bodies)
+        _ring(trajectory, b, hinged[k], points[k]) if is_bar[k] else _NO_POINTS
+        for k, b in enumerate(bodies)
     ]
     shapes = [
-        mesh._replace(faces=mesh.faces[:0])
-        if is_bar[b] and (len(rings[b]) or np.abs(points[b]).max(initial=0.0) > 0.0)
-        else mesh
-        for b, mesh in enumerate(shapes_of(trajectory))
+        solids[b]._replace(faces=solids[b].faces[:0])
+        if is_bar[k] and (len(rings[k]) or np.abs(points[k]).max(initial=0.0) > 0.0)
+        else solids[b]
+        for k, b in enumerate(bodies)
     ]
     return rings, shapes
 
@@ -119,12 +141,13 @@ def _without_shape(trajectory: Trajectory) -> Bools:
 
 
 def _joint_points(
-    trajectory: Trajectory,
+    trajectory: Trajectory, bodies: list[int]
 ) -> tuple[list[Floats], list[list[_End]], list[list[Floats]]]:
-    """Points of joints in each body, ends of distances, axes of hinges in each body.
+    """Points of joints in each of some bodies, ends of distances, axes of hinges in each body.
 
     In the frame of the body, from its centre of mass.
     """
+    row = {b: k for k, b in enumerate(bodies)} | {_WORLD: _WORLD}
     x, q = (trajectory.read(name, slice(0, 1))[0] for name in ("position", "orientation"))
     turns = [rotation_matrix(orientation) for orientation in q]
     points: list[list[Floats]] = [[] for _ in range(trajectory.n_bodies)]
@@ -136,28 +159,26 @@ def _joint_points(
         local = point["body"] if isinstance(point, dict) else (0.0, 0.0, 0.0)
         return np.array(point if isinstance(point, list) else x[b] + turns[b] @ local)
 
-    for joint in trajectory.parameter("case_resolved")["joint"]:
-        first, second = (_numbers(trajectory, joint[key]) for key in ("body", "to"))
-        if joint["chain"]:
-            first, second = first[1:], first[:-1]
+    for joint, a, other in _joined(trajectory):
+        if a not in row:
+            continue
         at, at_to = joint["at"], joint["at_to"]
         has_own = at_to is not None or joint["type"] in ("distance", "gear")
-        for k, a in enumerate(first):
-            here = placed(at, a)
-            ends = [(a, here)]
-            if second:
-                b = second[k % len(second)]
-                ends.append((b, placed(at_to, b) if has_own else here))
-            elif isinstance(at_to, list):
-                ends.append((_WORLD, np.array(at_to)))
-            for b, place in ends:
-                if b != _WORLD:
-                    points[b].append(turns[b].T @ (place - x[b]))
-                    if joint["type"] == "hinge":
-                        hinged[b].append(turns[b].T @ _axis_of(joint, turns[a]))
-            if joint["type"] == "distance" and not (joint["breaks_at"] or joint["during"]):
-                distances.append([(b, len(points[b]) - 1, place) for b, place in ends])
-    return [np.array(places).reshape(-1, 3) for places in points], distances, hinged
+        here = placed(at, a)
+        ends = [(a, here)]
+        if other != _WORLD:
+            ends.append((other, placed(at_to, other) if has_own else here))
+        elif isinstance(at_to, list):
+            ends.append((_WORLD, np.array(at_to)))
+        for b, place in ends:
+            if b != _WORLD:
+                points[b].append(turns[b].T @ (place - x[b]))
+                if joint["type"] == "hinge":
+                    hinged[b].append(turns[b].T @ _axis_of(joint, turns[a]))
+        if joint["type"] == "distance" and not (joint["breaks_at"] or joint["during"]):
+            distances.append([(row[b], len(points[b]) - 1, place) for b, place in ends])
+    found = [np.array(points[b]).reshape(-1, 3) for b in bodies]
+    return found, distances, [hinged[b] for b in bodies]
 
 
 def _axis_of(joint: dict[str, Any], turn: Floats) -> Floats:

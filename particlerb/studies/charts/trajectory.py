@@ -32,7 +32,7 @@ from particlerb.studies.charts.bodies import (
     spun_axis,
     upright,
 )
-from particlerb.studies.charts.linkage import draw_linkage
+from particlerb.studies.charts.linkage import draw_linkage, mechanism_of
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style, write_beside
 from particlerb.studies.text import count_of
 
@@ -173,11 +173,16 @@ def _draw_bodies(
     shown: list[int],
     is_scene: bool,
 ) -> None:
-    """A top by the path of its axis, a few by theirs or as a linkage; many, or contact: a view."""
+    """A top by the path of its axis, a few by theirs or as a linkage; many, or contact: a view.
+
+    Of many mechanisms that of the body is drawn, if it has few members.
+    """
     is_few = trajectory.n_bodies <= FEW
-    if is_scene and is_few and case["joint"] and trajectory.n_frames > 1:
-        draw_linkage(figure.add_subplot(place), trajectory)
-        return
+    if is_scene and case["joint"] and trajectory.n_frames > 1:
+        jointed = shown if is_few else mechanism_of(trajectory, body)
+        if 1 < len(jointed) <= FEW or is_few:
+            draw_linkage(figure.add_subplot(place), trajectory, jointed)
+            return
     if is_scene and not (is_few and case["contact"] is None):
         draw_side(figure.add_subplot(place), trajectory, trajectory.n_frames - 1)
         return
