@@ -67,11 +67,21 @@ def _deferred(kind: type) -> Any:
 
 
 def _make(this: Any) -> None:
-    """Make a dispatcher, once; who asks for it meanwhile in another thread waits."""
+    """Make a dispatcher, once; who asks for it meanwhile in another thread waits.
+
+    Interrupted, it is made when it is asked for again; not kept on disk, it is made nevertheless.
+    """
     with _MAKING_LOCK:
         if (to_do := vars(this).pop("_to_do", None)) is not None:
             compiler, keep = to_do
-            registry.CPUDispatcher.__init__(this, this.py_func, {}, this.targetoptions, compiler)
-            if keep is not None:
-                keep(this)
-            this.__class__ = type(this).__bases__[1]
+            try:
+                numbas = registry.CPUDispatcher
+                numbas.__init__(this, this.py_func, {}, this.targetoptions, compiler)
+            except BaseException:
+                vars(this)["_to_do"] = to_do
+                raise
+            try:
+                if keep is not None:
+                    keep(this)
+            finally:
+                this.__class__ = type(this).__bases__[1]

@@ -139,3 +139,22 @@ def test_threads_that_call_at_once_make_one_dispatcher(made, monkeypatch):
         one.join()
     assert found == [1.0] * 4
     assert made == ["_third"]
+
+
+@pytest.mark.parametrize("where", ["making", "keeping"])
+def test_what_is_interrupted_while_it_is_made_can_be_called_again(monkeypatch, where):
+    """As Ctrl-C, or a cache folder that cannot be written to where warnings are errors."""
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    function = kernel(_third.py_func)
+    if where == "making":
+        monkeypatch.setattr(deferred.registry.CPUDispatcher, "__init__", interrupt)
+    else:
+        compiler, _ = vars(function)["_to_do"]
+        vars(function)["_to_do"] = compiler, interrupt
+    with pytest.raises(KeyboardInterrupt):
+        function(3.0)
+    monkeypatch.undo()
+    assert function(3.0) == 1.0
