@@ -176,7 +176,8 @@ def _chosen_fields(
     """Fields that were asked for, or all recorded, of those that a format holds, in fixed order."""
     recorded = trajectory.fields + trajectory.other_fields
     derived = [name for name in FIELDS if is_known(trajectory, name)]
-    known = dict.fromkeys((*derived, *trajectory.other_fields, *LEDGER))
+    of_all = [name for name in LEDGER if name not in FIELDS]
+    known = dict.fromkeys((*derived, *trajectory.other_fields, *of_all))
     allowed = [name for name in known if name in held]
     for name in asked:
         if name not in allowed:

@@ -316,6 +316,9 @@ def test_a_field_that_the_format_needs(make, tmp_path):
                 export(t, tmp_path / "a", to)
         with pytest.raises(ExportError, match="velocity: no such field here"):
             export(t, tmp_path / "a", "npz", fields=["velocity"])
+        for to in ("npz", "csv"):
+            with pytest.raises(ExportError, match="linear_momentum: no such field here"):
+                export(t, tmp_path / "a", to, fields=["linear_momentum"])
         export(t, tmp_path / "a.csv", "csv")
 
 
