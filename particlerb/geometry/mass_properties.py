@@ -89,11 +89,11 @@ def mass_properties(particles: Particles) -> MassProperties:
     if particles.mass.size > _FEW_PARTICLES:
         return _summed(particles)
     content = tuple(array.tobytes() for array in particles)
-    if content not in _KNOWN:
-        if len(_KNOWN) == _MOST_KNOWN:
+    if (known := _KNOWN.get(content)) is None:
+        if len(_KNOWN) >= _MOST_KNOWN:
             _KNOWN.clear()
-        _KNOWN[content] = _summed(particles)
-    return MassProperties._make(array.copy() for array in _KNOWN[content])
+        known = _KNOWN[content] = _summed(particles)
+    return MassProperties._make(array.copy() for array in known)
 
 
 def _summed(particles: Particles) -> MassProperties:
