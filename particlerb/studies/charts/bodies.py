@@ -52,8 +52,9 @@ def side_axes(trajectory: Trajectory, x: Floats) -> list[int]:
     level = [c for c in range(3) if c != up]
     moved = motion_of_bodies(trajectory)
     extent = np.ptp(x, axis=0)
-    drums = [wall for wall in trajectory.case.wall if wall.type == "cylinder"]
-    if drums and (along := int(np.argmax(np.abs(drums[0].axis)))) != up:
+    walls = trajectory.parameter("case_resolved")["wall"]
+    drums = [wall["axis"] for wall in walls if wall["type"] == "cylinder" and wall["inside"]]
+    if drums and (along := int(np.argmax(np.abs(drums[0])))) != up:
         return [3 - along - up, up]
     first, second = sorted(level, key=lambda c: -float(moved[c]))
     is_line = moved[first] > _LINE_RATIO * max(moved[second], _FLAT_RATIO * extent.max())

@@ -23,11 +23,11 @@ _MIN_DEPTH_RATIO: Final = 0.4  # depth over width of what is seen at an angle
 _End: TypeAlias = tuple[int, int, Floats]  # body, which of its points, place in the first frame
 
 
-def mechanism_of(trajectory: Trajectory, body: int) -> list[int]:
-    """Bodies that joints connect with a body, itself among them, ascending."""
+def mechanism_of(trajectory: Trajectory, body: int, most: int) -> list[int]:
+    """Bodies that joints connect with a body, itself among them; where there are more, some."""
     pairs = [{a, b} for *_, a, b in _joined(trajectory)]
     members, found = {body}, {body}
-    while found:
+    while found and len(members) <= most:
         found = {b for pair in pairs if pair & members for b in pair if b != _WORLD} - members
         members |= found
     return sorted(members)

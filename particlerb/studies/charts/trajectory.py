@@ -179,8 +179,8 @@ def _draw_bodies(
     """
     is_few = trajectory.n_bodies <= FEW
     if is_scene and case["joint"] and trajectory.n_frames > 1:
-        jointed = shown if is_few else mechanism_of(trajectory, body)
-        if 1 < len(jointed) <= FEW or is_few:
+        jointed = shown if is_few else mechanism_of(trajectory, body, FEW)
+        if is_few or (case["contact"] is None and 1 < len(jointed) <= FEW):
             draw_linkage(figure.add_subplot(place), trajectory, jointed)
             return
     if is_scene and not (is_few and case["contact"] is None):
