@@ -90,9 +90,11 @@ def main(words: Sequence[str] | None = None) -> int:
         options.started = time.perf_counter()
         _tell_progress()
         gc.disable()  # what is imported stays: no garbage in it, now or at the end
-        module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
-        gc.freeze()
-        gc.enable()
+        try:
+            module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
+            gc.freeze()
+        finally:
+            gc.enable()
         code: int = getattr(module, f"{options.command}_command")(options)
         sys.stdout.flush()
         return code
