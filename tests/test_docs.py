@@ -29,7 +29,7 @@ SCENES = ["python.md", "forces.md"]
 SLOW = {
     f"tutorials/{name}.md"
     for name in ("accuracy", "calibrate", "heap", "hopper", "magnet", "satellite", "sweep")
-}
+} | {"forces.md"}
 
 
 def blocks(page):

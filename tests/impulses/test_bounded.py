@@ -138,7 +138,7 @@ def test_a_motor_presses_with_what_friction_leaves(end, x_end):
 
 def test_what_a_motor_presses_stays_where_it_is():
     """No gap is too small: neither the cart nor the ball sets out again once both are at rest."""
-    scene = pressed(0.25, rolling_friction=0.1, torsional_friction=0.1)
+    scene = pressed(0.25, rolling_friction=0.1, torsional_friction=0.1, iterations=100)
     scene["body"][1]["angular_velocity"] = [3.0, 5.0, -2.0]
     t, x = go(scene, 0.9, 0.03)
     assert np.ptp(x[-8:]) < 1e-12
