@@ -128,6 +128,7 @@ FRAGMENTS = [
 
 
 @pytest.mark.parametrize(("page", "text"), FRAGMENTS, ids=[page for page, _ in FRAGMENTS])
+@pytest.mark.plain
 def test_parts_of_cases_are_parts_of_a_case(page, text, tmp_path, monkeypatch, make):
     """Keys alone are those of a hinge; gears have hinges that hold them."""
     monkeypatch.chdir(tmp_path)
