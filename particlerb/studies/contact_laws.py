@@ -53,9 +53,10 @@ class LawStudy(Study):
 
     def find_reference(self, budget: float) -> Reference:
         """Impulses with ever shorter steps; their last change is the limit."""
-        step, start = self.first_step(), THREADS.local.clock()
-        before, floor = self.states("moreau", step), np.inf
-        while THREADS.local.clock() - start < budget and floor > 1e-12:
+        step, floor = self.first_step(), np.inf
+        before = self.states("moreau", step)  # compile
+        start = THREADS.local.clock()
+        while floor == np.inf or (THREADS.local.clock() - start < budget and floor > 1e-12):
             step *= 0.5
             after = self.states("moreau", step)
             before, floor = after, self.difference(before, after)

@@ -161,7 +161,7 @@ class Study:
         self.states(second, step)  # compile
         start = THREADS.local.clock()
         gaps, stays = [np.inf, np.inf], 0
-        while THREADS.local.clock() - start < budget and stays < 2:
+        while len(gaps) == 2 or (THREADS.local.clock() - start < budget and stays < 2):
             step *= 0.5
             gaps.append(self.difference(self.states(second, step), oracle))
             stays = stays + 1 if gaps[-1] > 0.5 * min(gaps[:-1]) and gaps[-1] < 1e-6 else 0
@@ -174,7 +174,7 @@ class Study:
         method, step, floor = self.contacts[0][0], self.first_step(), np.inf
         self.expected, self.scale = self.energies_by(method, step)  # compile
         start = THREADS.local.clock()
-        while THREADS.local.clock() - start < budget and not floor < 1e-12:
+        while floor == np.inf or (THREADS.local.clock() - start < budget and not floor < 1e-12):
             step *= 0.5
             before = self.expected
             self.expected, self.scale = self.energies_by(method, step)
