@@ -250,7 +250,7 @@ class _Writer:
         pairs = contact.pairs
         for name, values in pairs._asdict().items():
             if name != "can_meet" and np.unique(values[pairs.can_meet]).size > 1:
-                raise ExportError(f"{name} differs from pair to pair: MuJoCo has one for a body")
+                raise ExportError(f"{name} differs from pair to pair: in MJCF a body has one")
         self.geoms.set("friction", numbers(pairs.friction.max(), 0.0, 0.0))
         self.geoms.set("solref", numbers(_SOFT_TIME_STEPS * self.step, 1.0))
         is_spring = contact.record.law == "hooke"
