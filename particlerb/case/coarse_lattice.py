@@ -12,6 +12,7 @@ import numpy as np
 
 from particlerb.case.bodies import Body
 from particlerb.case.matter import size_of, solid_of
+from particlerb.case.placement import random_stream
 from particlerb.case.problems import Problem, problem_at
 from particlerb.case.shapes import AnyShape
 from particlerb.case.to_system import part_particles, turn_of
@@ -102,9 +103,9 @@ def _ideal_moments(system: System, i: int, body: Body) -> Floats:
         if mass is None:
             mass = (body.density or 0.0) * solid_of(body.shape).volume
         return np.asarray(np.linalg.eigvalsh(mass * solid_of(body.shape).tensor))
-    parts = []
+    parts, stream = [], random_stream(system.run.seed, i, "shape")
     for part in body.part:
-        particles = part_particles(system.files, system.run.seed, i, part).particles
+        particles = part_particles(system.files, part, stream).particles
         if not particles.mass.any():
             continue
         made = mass_properties(particles)

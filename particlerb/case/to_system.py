@@ -197,33 +197,27 @@ def _refuse_underflow(properties: MassProperties) -> None:
 
 
 def _particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tuple[str, str]]]:
-    """Particles of a block: one set, or one for each body where they are random clouds.
+    """Particles of a block: one set, or one for each body where they have random clouds.
 
     Also what is to be said of them: which part of the body, empty for the whole, and a line.
     """
-    if isinstance(body.shape, Cloud):
-        stream = random_stream(case.run.seed, i, "shape")
-        return concatenate([_cloud(body.shape, body.mass, stream) for _ in range(body.count)]), []
-    files = case.source.files
-    if body.shape is not None:
-        filled = _shape_particles(files, body.shape, body.mass, body.density)
-        return filled.particles, [("", line) for line in filled.lines]
-    parts = [part_particles(files, case.run.seed, i, part) for part in body.part]
-    lines = [(f", part {j}", line) for j, filled in enumerate(parts) for line in filled.lines]
-    return united(concatenate([filled.particles for filled in parts])), lines
+    files, stream = case.source.files, random_stream(case.run.seed, i, "shape")
+    sets, lines = list[Particles](), list[tuple[str, str]]()
+    for _ in range(body.count if body.is_drawn else 1):
+        if body.shape is not None:
+            filled = _shape_particles(files, body.shape, body.mass, body.density, stream)
+            sets.append(filled.particles)
+            lines = [("", line) for line in filled.lines]
+        else:
+            parts = [part_particles(files, part, stream) for part in body.part]
+            sets.append(united(concatenate([part.particles for part in parts])))
+            lines = [(f", part {j}", line) for j, part in enumerate(parts) for line in part.lines]
+    return concatenate(sets), lines
 
 
-def _cloud(shape: Cloud, mass: float | None, stream: np.random.Generator) -> Particles:
-    """Particles at random."""
-    return shapes.cloud(shape.n, shape.radius, mass or 0.0, stream)
-
-
-def part_particles(files: Files, seed: int, i: int, part: ShapePart) -> FilledShape:
-    """Particles of one part of record i, where it stands in its body."""
-    if isinstance(part.shape, Cloud):
-        filled = FilledShape(_cloud(part.shape, part.mass, random_stream(seed, i, "shape")))
-    else:
-        filled = _shape_particles(files, part.shape, part.mass, part.density)
+def part_particles(files: Files, part: ShapePart, stream: np.random.Generator) -> FilledShape:
+    """Particles of one part of a record, where it stands in its body."""
+    filled = _shape_particles(files, part.shape, part.mass, part.density, stream)
     placed = transformed(filled.particles, turn_of(part), part.position)
     return filled._replace(particles=placed)
 
@@ -234,9 +228,15 @@ def turn_of(part: ShapePart) -> Floats:
 
 
 def _shape_particles(
-    files: Files, shape: AnyShape, mass: float | None, density: float | None
+    files: Files,
+    shape: AnyShape,
+    mass: float | None,
+    density: float | None,
+    stream: np.random.Generator,
 ) -> FilledShape:
     """Particles of a shape in its own axes, and what is to be said of them."""
+    if isinstance(shape, Cloud):
+        return FilledShape(shapes.cloud(shape.n, shape.radius, mass or 0.0, stream))
     if isinstance(shape, PointsShape):
         if shape.file is not None:
             particles = read_points(files.read(shape.file))
@@ -263,7 +263,7 @@ def _kinds_of_bodies(case: Case, placement: Placement, first_kind: Ints) -> Ints
     """Kind of each body."""
     kind = first_kind[placement.block]
     for i, body in enumerate(case.body):
-        if isinstance(body.shape, Cloud):
+        if body.is_drawn:
             kind[placement.block == i] += np.arange(body.count)
     return np.asarray(kind, dtype=np.int64)
 

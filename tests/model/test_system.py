@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 import particlerb
 from particlerb.case.problems import problem_at
@@ -115,6 +115,23 @@ def test_bodies_of_the_same_shape_and_mass_are_of_one_kind_in_whatever_block(mak
     assert system.kind.tolist() == [0, 0, 1, 0, 2, 2, 3, 4]
     assert np.diff(system.particles.offset).tolist() == [6, 6, 6, 3, 3]
     assert system.summed.tolist() == [6, 6, 6, 3, 3]
+
+
+def test_clouds_are_drawn_anew_for_every_body_and_for_each_of_its_parts(make):
+    cloud = {"type": "cloud", "n": 5, "radius": 1.0}
+    box = {"type": "box", "size": [1, 2, 3], "n": 1}
+    parts = [
+        {"shape": cloud, "mass": 1.0},
+        {"shape": box, "mass": 1.0},
+        {"shape": cloud, "mass": 1},
+    ]
+    alone = to_system(make.case({"name": "a", "shape": cloud, "mass": 1.0}), keeps_all=True)
+    system = to_system(make.case({"name": "a", "part": parts, "count": 2} | GRID), keeps_all=True)
+    assert system.kind.tolist() == [0, 1]
+    com = np.repeat(system.properties.com, np.diff(system.particles.offset), axis=0)
+    drawn = (system.particles.position + com).reshape(2, 11, 3)[:, [*range(5), *range(6, 11)]]
+    assert_allclose(drawn[0, :5], alone.particles.position + alone.properties.com, rtol=1e-14)
+    assert len(np.unique(drawn.reshape(20, 3).round(9), axis=0)) == 20
 
 
 def test_all_bodies_of_a_kind_are_told_what_was_done_to_their_shape(make):
