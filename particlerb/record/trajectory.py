@@ -87,11 +87,15 @@ class Trajectory(LabelledReader):
     @property
     def velocity(self) -> Floats:
         """Velocities [m/s], world frame, shape (T, N, 3): P / M, by 1 / M as the solver."""
+        if "linear_momentum" not in self.fields:
+            return self.read("velocity")
         return self.linear_momentum * self.bodies.inv_mass[:, None]
 
     @property
     def angular_velocity(self) -> Floats:
         """Angular velocities [rad/s], world frame, shape (T, N, 3): R I⁻¹ Rᵀ L."""
+        if not {"orientation", "angular_momentum"} <= set(self.fields):
+            return self.read("angular_velocity")
         momenta = self.angular_momentum
         return derived(self.bodies, self.orientation, momenta, momenta)[1]
 
