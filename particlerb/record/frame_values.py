@@ -19,6 +19,18 @@ from particlerb.model.system import System
 from particlerb.record import schema
 
 
+class FrameError(Exception):
+    """A frame that a file cannot hold, or that is not the one that it holds: which."""
+
+
+def _stored(name: str, values: Any, kind: "np.dtype[Any]") -> Any:
+    """Numbers as a file holds them; FrameError where these are too large for their type."""
+    numbers = values.astype(kind, copy=False)
+    if numbers.dtype != values.dtype and np.isinf(numbers).any():
+        raise FrameError(f'{name} is too large for {kind}: take output.dtype = "float64"')
+    return numbers
+
+
 def contact_values(
     fields: Collection[str], touches: Sequence[ContactOutput], bodies: range
 ) -> dict[str, Floats | Ints]:
@@ -44,7 +56,8 @@ def contact_columns(
     columns = {}
     for name, column in schema.COLUMNS.items():
         parts = [np.empty((0, *column.width)), *(getattr(one, name) for one in touches)]
-        columns[name] = np.concatenate(parts).astype(schema.dtype_of(column, dtype))
+        values = np.concatenate(parts)
+        columns[name] = _stored(f"{name} of a contact", values, schema.dtype_of(column, dtype))
     return columns, np.cumsum([one.wall.size for one in touches], dtype=np.int64)
 
 
@@ -98,7 +111,7 @@ def values_of(system: System, new: NewFrames) -> dict[str, Any]:
             value = times
         else:
             value = table[name] if element.per or element.is_asked else getattr(balance, name)[rows]
-        values[path] = value.astype(schema.dtype_of(element, dtype), copy=False)
+        values[path] = _stored(name, value, schema.dtype_of(element, dtype))
     return values
 
 

@@ -20,7 +20,13 @@ from particlerb.model.system import System
 from particlerb.record import schema, vtkhdf
 from particlerb.record.checkpoint import count_from, write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
-from particlerb.record.frame_values import ContactDatasets, NewFrames, contact_columns, values_of
+from particlerb.record.frame_values import (
+    ContactDatasets,
+    FrameError,
+    NewFrames,
+    contact_columns,
+    values_of,
+)
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import laid_out, part_laid_out, write_rest
 from particlerb.record.output_file import OutputFile, new_file
@@ -35,10 +41,6 @@ MOST_WAITING = 4_000_000  # bytes of small arrays in memory
 _BODY_SERIES = {path for path, element in schema.SERIES.items() if element.per == "body"}
 
 _Rows = Floats | Ints | Words
-
-
-class OtherFrameError(Exception):
-    """A frame that was computed again is not the one in the file: which."""
 
 
 class Recorder:
@@ -231,14 +233,14 @@ class Recorder:
 
         Raises
         ------
-        OtherFrameError
+        FrameError
             If one is another.
         """
         n_known = min(max(self.n_before - first, 0), len(sums))
         stored: Words = self.series[schema.CHECKSUMS][first : first + n_known]
         other = np.flatnonzero(sums[:n_known] != stored)
         if other.size:
-            raise OtherFrameError(
+            raise FrameError(
                 f"frame {first + int(other[0])} comes out differently than it is in"
                 f" {self.output.path}: the file was changed, or written on another kind of"
                 " processor"

@@ -21,11 +21,12 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.ranks import ALONE, Ranks, as_agreed, end_all
 from particlerb.record.checkpoint import Checkpoint
+from particlerb.record.frame_values import FrameError
 from particlerb.record.layout import tables_of
 from particlerb.record.memory import Memory
 from particlerb.record.part_recorder import PartRecorder
 from particlerb.record.provenance import texts_of
-from particlerb.record.writer import OtherFrameError, Recorder
+from particlerb.record.writer import Recorder
 from particlerb.simulation.frame_times import Batch, batches
 from particlerb.simulation.group_run import tally_of
 from particlerb.simulation.joint_values import at_row, broken_joints, labels_of, refuse_checks
@@ -150,7 +151,7 @@ def advance(
     except BaseException as problem:
         end_all(ranks, problem)
         recorder.finish()
-        if isinstance(problem, OtherFrameError):
+        if isinstance(problem, FrameError):
             raise RunError(str(problem)) from None
         raise
     recorder.finish()

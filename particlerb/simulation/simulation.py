@@ -28,6 +28,7 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, derived, initial_state
 from particlerb.model.system import System
 from particlerb.plan.make_plan import make_plan
+from particlerb.record.frame_values import FrameError
 from particlerb.record.layout import tables_of
 from particlerb.record.provenance import texts_of
 from particlerb.record.writer import Recorder
@@ -350,13 +351,13 @@ class Simulation(Closing):
         """State and energy balance at the last of some ascending times."""
         try:
             frames, self._known, error = self._run.frames_at(times, is_frame)
-        except RunError:
+            rows = np.flatnonzero(is_frame[: len(frames.position)])
+            if self._recorder is not None and rows.size:
+                self._recorder.append(self._run.to_record(times, frames, rows, self._known))
+                self._recorder.commit_if_due(None)
+        except (RunError, FrameError) as problem:
             self.close()
-            raise
-        rows = np.flatnonzero(is_frame[: len(frames.position)])
-        if self._recorder is not None and rows.size:
-            self._recorder.append(self._run.to_record(times, frames, rows, self._known))
-            self._recorder.commit_if_due(None)
+            raise RunError(str(problem)) from None
         if error is not None:
             self.close()
             raise error
