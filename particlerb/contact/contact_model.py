@@ -1,12 +1,14 @@
 """What contacts of a group of bodies are made of: spheres, walls, law, lists, workspace."""
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 from particlerb.contact.law import Law
 from particlerb.contact.neighbour_list import Incidence
 from particlerb.contact.piston import Pistons
 from particlerb.contact.prescribed_motion import PrescribedBodies
-from particlerb.contact.records import Records
+from particlerb.contact.records import Records, history_record
 from particlerb.contact.walls import Walls
 from particlerb.impulses.records import EventRules, ImpulseRules, Impulses
 from particlerb.maths.vec3 import Bools, Floats, Indices, Ints
@@ -53,13 +55,18 @@ class GroupContact(NamedTuple):
     rules: ImpulseRules | None = None  # where contacts have no stiffness: how they are solved
     events: EventRules | None = None  # where bodies collide at the instants of their impacts
 
+    @property
+    def history_record(self) -> "np.dtype[Any]":
+        """Record of what a contact remembers."""
+        return history_record(self.model.law.rolling is not None, self.rules is not None)
+
 
 class ContactList(NamedTuple):
     """Pairs that touch or soon may, what they remember from step to step, and their forces."""
 
     first: Indices  # (m,) sphere
     second: Indices  # (m,) sphere, or primitive of a wall
-    history: Records  # (m,) HISTORY or ROLLING_HISTORY
+    history: Records  # (m,) see `GroupContact.history_record`
     forces: Records  # (m,) see `pair_force.forces_dtype`; only of those that are active
     active: Bools  # (m,) whether there is a force: far fewer have one, and only these are read
     shell_ends: Ints  # (N_SHELLS,) where each shell ends: see `neighbour_list.order_contacts`

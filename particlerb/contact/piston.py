@@ -39,6 +39,15 @@ def initial_piston_state(pistons: Pistons | None) -> Records:
     return state
 
 
+def continued(pistons: Pistons | None, before: Pistons | None) -> Pistons | None:
+    """Pistons that go on from where those of the same walls have come."""
+    if pistons is None or before is None:
+        return pistons
+    number = np.append(before.of_wall, np.full(pistons.of_wall.size, -1))[pistons.wall]
+    start = np.where((number < 0)[:, None], pistons.start, before.start[number])
+    return pistons._replace(start=start)
+
+
 @inline
 def piston_poses(pistons: Pistons | None, state: Records, ahead: float, poses: Records) -> None:
     """Displace the poses of walls that slide; `ahead` as for `pair_force.body_kinematics`."""

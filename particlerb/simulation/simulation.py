@@ -20,6 +20,8 @@ from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system, with_records
 from particlerb.case.values import plain
 from particlerb.compiled.threads import THREADS
+from particlerb.contact.records import to_floats
+from particlerb.contact.wall_motion import poses_at
 from particlerb.files import Closing, number_of
 from particlerb.files import path_of as file_path_of
 from particlerb.maths.vec3 import Floats
@@ -28,6 +30,7 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, derived, initial_state
 from particlerb.model.system import System
 from particlerb.plan.make_plan import make_plan
+from particlerb.plan.obstacles import middle, motion_of
 from particlerb.record.frame_values import FrameError
 from particlerb.record.layout import tables_of
 from particlerb.record.provenance import texts_of
@@ -38,6 +41,8 @@ from particlerb.simulation.frame_times import frame_times as frames_of
 from particlerb.simulation.joint_values import labels_of
 from particlerb.simulation.whole_run import Run, RunError
 
+_STATE_NAMES = "position", "orientation", "velocity", "angular_velocity"
+_JUMP_ROUNDING = 1e-12  # of the place of a wall
 _CHANGEABLE_TABLES = ("force", "gravity", "attraction", "contact", "wall", "run")
 
 
@@ -235,6 +240,7 @@ class Simulation(Closing):
         except LookupError as error:
             raise CaseError([problem_at(system, key, str(error.args[0]))]) from None
         changed = with_records(system, build(system.source._replace(raw=raw), ()))
+        self._refuse_jumps(changed)
         self._restart(changed, None)
 
     def set_state(
@@ -257,14 +263,14 @@ class Simulation(Closing):
         Raises
         ------
         ValueError
-            If a shape is wrong, a number not finite, or if joints hold the bodies.
+            If a shape is wrong, a number not finite, or if joints hold the bodies; if a body that
+            is fixed would get a velocity, or another state what moves as prescribed.
         """
         if self.system.joint:
             raise ValueError("set_state: joints hold these bodies; a state must fit them")
         given = position, orientation, velocity, angular_velocity
-        names = "position", "orientation", "velocity", "angular_velocity"
         values = []
-        for name, new in zip(names, given, strict=True):
+        for name, new in zip(_STATE_NAMES, given, strict=True):
             old = getattr(self._state, name)
             try:
                 array = np.array(old if new is None else new)
@@ -276,7 +282,35 @@ class Simulation(Closing):
             values.append(array)
         if not values[1].any(axis=1).all():
             raise ValueError("set_state: an orientation of zero is none; no turn is [1, 0, 0, 0]")
+        self._refuse_held(values)
         self._restart(self.system, initial_state(self.system.bodies, *values))
+
+    def _refuse_held(self, values: Sequence[Floats]) -> None:
+        """Raise ValueError for a new state of a body that nothing can give it."""
+        system = self.system
+        for b in np.flatnonzero(system.is_held).tolist():
+            if system.body[system.block[b]].motion is not None:
+                old = (getattr(self._state, name)[b] for name in _STATE_NAMES)
+                if not all(map(np.array_equal, old, (new[b] for new in values))):
+                    raise ValueError(f"set_state: {system.names[b]} moves as its `motion` says")
+            elif values[2][b].any() or values[3][b].any():
+                raise ValueError(f"set_state: {system.names[b]} is held and has no velocity")
+
+    def _refuse_jumps(self, changed: System) -> None:
+        """Raise CaseError where another motion, which counts from t = 0, would let a wall jump."""
+        pairs = zip(self.system.wall, changed.wall, strict=False)
+        for w, (before, after) in enumerate(pairs):
+            if before.model_copy(update={"motion": after.motion}) != after:
+                continue  # it is given another place by hand
+            old, new = (
+                poses_at([motion_of(wall.motion, middle(wall))], self.time)
+                for wall in (before, after)
+            )
+            apart = np.abs(to_floats(new)[0, :7] - to_floats(old)[0, :7]).max()
+            if apart > _JUMP_ROUNDING * np.abs(to_floats(old)[0, :7]).max():
+                reason = f"counts from t = 0 on: {after.name} would jump to another place now"
+                hint = "change the wall as a whole, its place too, so that it is where it was"
+                raise CaseError([problem_at(self.system, f"wall[{w}].motion", reason, hint)])
 
     def __repr__(self) -> str:
         """What it moves and how far it has come, in a line."""

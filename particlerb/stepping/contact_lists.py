@@ -95,8 +95,7 @@ class ContactLists:
         self.count_cost(n_spheres)
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
-        with_rolling = contact.model.law.rolling is not None
-        self.record = records.history_record(with_rolling, contact.rules is not None)
+        self.record = contact.history_record
         self.histories = histories or (empty_history(self.record),) * 2
         self._search = SphereSearch(spheres.radius, spheres.body, spheres.excluded, spheres.world)
         self._walls = WallSearch(walls, spheres.radius)

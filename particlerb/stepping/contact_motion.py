@@ -349,11 +349,12 @@ class ContactMotion(SteppedMotion):
 
     def contact_start(self) -> ContactStart:
         """What contacts keep, and pistons, for the next segment."""
-        pistons = self.contact.setup.pistons
+        setup, histories = self.contact.setup, self.lists.histories
+        pistons = setup.pistons
         if pistons is not None:
             start = to_floats(self.contact.memory.pistons)[:, :2].copy()
             pistons = pistons._replace(start=start)
-        return ContactStart(self.lists.histories, pistons, self.impulse_tally())
+        return ContactStart(histories, setup.history_record, pistons, self.impulse_tally())
 
     # Checkpoints
 

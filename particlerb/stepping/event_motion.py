@@ -55,7 +55,7 @@ class EventMotion(Motion):
         self.state = empty_state(n, n_moving, n_cells, columns)
         self.data = empty_data(int(np.diff(self.scene.kind[:, FIRST_SPHERE]).max()))
         if before is not None:
-            self.state.tally[:] = before.impulse_tally()
+            self.continue_tally(before.impulse_tally())
         self.state.tally[RENEWED] -= n_moving  # as each looks for its first event
         self.state.flight[:, BOUND] = bounds_of(group)[1][self.order]
         THREADS.alone(set_all, self.scene, self.state, self.order, state)

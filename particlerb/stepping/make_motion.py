@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from particlerb.contact.piston import continued
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Ints
 from particlerb.model.bodies import taken
@@ -76,10 +77,12 @@ def _contact_motion(
     keeps = None if before is None else before.contact_start()
     if keeps is None:
         return motion(method, group, state, start, dt)
-    contact = contact._replace(pistons=keeps.pistons)
+    contact = contact._replace(pistons=continued(contact.pistons, keeps.pistons))
     group = group._replace(terms=group.terms._replace(contact=contact))
-    begun = motion(method, group, state, start, dt, histories=keeps.histories)
-    begun.impulse_tally()[:] = keeps.tally
+    # Contacts begin anew where a change has brought another law:
+    histories = keeps.histories if keeps.record == contact.history_record else None
+    begun = motion(method, group, state, start, dt, histories=histories)
+    begun.continue_tally(keeps.tally)
     return begun
 
 

@@ -8,7 +8,7 @@ the last two with gravity's. The error of integration is the total less the init
 
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -87,6 +87,7 @@ class ContactStart(NamedTuple):
     """With what contacts begin a segment."""
 
     histories: tuple[ContactHistory, ContactHistory] | None  # between spheres, and with walls
+    record: "np.dtype[Any]"  # of what they have of each contact
     pistons: Pistons | None
     tally: Floats  # of impulses
 
@@ -149,6 +150,12 @@ class Motion(Protocol):
     def impulse_tally(self) -> Floats:
         """What is counted of impulses, (TALLY,); nothing where contacts are none."""
         return np.zeros(0)
+
+    def continue_tally(self, before: Floats) -> None:
+        """Count of impulses on from what was counted before, if it was these."""
+        tally = self.impulse_tally()
+        if tally.size == before.size:
+            tally[:] = before
 
     def contact_start(self) -> ContactStart | None:
         """What contacts keep at the end, for the next segment."""

@@ -332,7 +332,8 @@ class DiluteMotion(Motion):
 
     def contact_start(self) -> ContactStart:
         """What contacts keep at the end, for the next segment; there are no pistons."""
-        return ContactStart(self.histories, None, self.impulse_tally())
+        record, tally = self.contact.history_record, self.impulse_tally()
+        return ContactStart(self.histories, record, None, tally)
 
     def checkpoint(self) -> Saved:
         """The state at the start of the interval, and who is stepped in it: it is taken again."""

@@ -13,6 +13,7 @@ from particlerb.tables import (
     Box,
     ContactTable,
     ImpulseTable,
+    Output,
     PlaneWall,
     PushTable,
     RunTable,
@@ -198,6 +199,76 @@ def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
     assert np.array_equal(state.position, particlerb.run(turned_box()).position[-1])
     with pytest.raises(ValueError, match="joints hold"):
         Simulation(SCENES["joint"]()).set_state(velocity=[[0, 0, 0]])
+
+
+def over_a_floor(output=None, **wall) -> Simulation:
+    """A ball and a post far above a floor that moves, at t = 1 s."""
+    scene = Scene(RunTable(t_end=2.0, every=1.0, dt=0.125))
+    scene.add_body(name="ball", shape=Ball(radius=0.5), mass=1.0, position=(0, 0, 9))
+    scene.add_body(name="post", shape=Ball(radius=0.5), mass=1.0, position=(5, 0, 9), fixed=True)
+    scene.contact = ContactTable(stiffness=10.0, restitution=0.5, friction=0.4)
+    scene.add_wall(PlaneWall(name="floor", normal=(0, 0, 1), **wall))
+    scene.output = Output(fields=("position", "wall_position"))
+    simulation = Simulation(scene, output)
+    simulation.advance(1.0)
+    return simulation
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("key", "value", "acceleration"),
+    [("wall[0].piston.load", 6.0, 3.0), ("gravity", {"acceleration": (0, 0, -2.0)}, -1.0)],
+)
+def test_a_piston_goes_on_under_another_load(tmp_path, key, value, acceleration):
+    """From 0.5 m, with 1 m/s, to which F/M = 1 m/s² has brought it in 1 s: s = 0.5 + t + a t²/2."""
+    piston = {"mass": 2.0, "axis": (0, 0, 1), "load": 2.0}
+    with over_a_floor(tmp_path / "a.h5", piston=piston) as simulation:
+        simulation.change(key, value)
+        simulation.advance(2.0)
+        assert abs(simulation.energy_error) < 1e-12
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        z = trajectory.wall_position[:, 0, 2]
+    assert z == pytest.approx([0.0, 0.5, 1.5 + 0.5 * acceleration], rel=1e-12)
+
+
+@pytest.mark.plain
+def test_what_moves_as_prescribed_is_not_moved_by_hand():
+    """A motion counts from t = 0 on: another velocity alone would let the wall jump."""
+    simulation = over_a_floor(motion={"velocity": (0, 0, 0.5)})
+    with pytest.raises(CaseError, match="floor would jump to another place now"):
+        simulation.change("wall[0].motion.velocity", (0, 0, 0.25))
+    floor = {"type": "plane", "name": "floor", "normal": (0, 0, 1)}
+    floor |= {"point": (0, 0, 0.25), "motion": {"velocity": (0, 0, 0.25)}}
+    simulation.change("wall[0]", floor)
+    simulation.change("wall[0].motion.velocity", (0, 0, 0.25))
+    velocity = simulation.state.velocity.copy()
+    velocity[0, 2] = 1.0
+    simulation.set_state(velocity=velocity)
+    velocity[1, 2] = 1.0
+    with pytest.raises(ValueError, match="post is held and has no velocity"):
+        simulation.set_state(velocity=velocity)
+    scene = Scene(RunTable(t_end=1.0, every=0.5))
+    scene.contact = ContactTable(stiffness=10.0, restitution=0.5, friction=0.4)
+    scene.add_body(name="ball", shape=Ball(radius=0.1), mass=1.0, position=(0, 0, 9))
+    scene.add_body(name="paddle", shape=Ball(radius=0.1), mass=1.0, motion={"velocity": (1, 0, 0)})
+    simulation = Simulation(scene)
+    position = simulation.advance(0.5).position.copy()
+    position[0, 1] = 1.0
+    simulation.set_state(position=position)
+    position[1, 1] = 1.0
+    with pytest.raises(ValueError, match="paddle moves as its `motion` says"):
+        simulation.set_state(position=position)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("law", [{"law": "impulse"}, {"stiffness": 1e4, "rolling_friction": 0.1}])
+def test_contacts_begin_anew_with_another_law(law):
+    simulation = Simulation(bouncing(dt=1e-3))
+    simulation.advance(0.1)
+    before = simulation.energy_error
+    simulation.change("contact", {"restitution": 0.5, "friction": 0.4, **law})
+    assert simulation.energy_error == pytest.approx(before, abs=1e-12)
+    assert (simulation.advance(0.15).position[:, 2] > 0.08).all()  # they fall no deeper
 
 
 def test_a_motion_that_fails_at_its_start_is_a_failed_run():
