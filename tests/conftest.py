@@ -316,8 +316,10 @@ def python(code: str, **environment: str) -> str:
 
 
 def assembly(kernel, signature: tuple) -> str:
-    """Machine code of a kernel: of what LLVM made of it, be that made now or kept on disk."""
-    library = kernel.overloads[signature].library
+    """Machine code of a kernel, compiled anew: what is kept on disk lacks what LLVM made of it."""
+    anew = type(kernel)(kernel.py_func, kernel.targetoptions, kernel.make_copied, None)
+    anew.compile(signature)
+    library = anew.overloads[signature].library
     return str(library.codegen._tm.emit_assembly(library._get_module_for_linking()))
 
 

@@ -28,6 +28,7 @@ from particlerb.compiled.lowering import Compiler
 
 Compile: TypeAlias = Callable[[Function], Function]
 _MIN_LARGE_INSTRUCTIONS: Final = 100
+_NO_SYMBOLS: Final = ("particlerb.", "numba.np.arrayobj")  # modules that add none for LLVM
 _COPIED_OPTIONS: Final = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _CALLED_OPTIONS: Final = {"nogil": True, "no_cfunc_wrapper": True}
 
@@ -50,6 +51,13 @@ class _Code(codegen.JITCodeLibrary):
         self.link_large()
         self._final_module.verify()
         code._finalize_final_module()
+
+    def serialize_using_object_code(self) -> tuple[Any, ...]:
+        """What is kept on disk: nothing is linked with it, so its names stand for its bitcode."""
+        code: Any = self
+        names = "\n".join(f'@"{one.name}" = global i8 0' for one in code.get_defined_functions())
+        bitcode = binding.parse_assembly(names).as_bitcode()
+        return self.name, "object", (code._get_compiled_object(), bitcode)
 
     @cached_property
     def is_large(self) -> bool:
@@ -109,7 +117,7 @@ class _CopiedCode(_Code):
         code._finalize_dynamic_globals()
         self._finalized = True
 
-    def serialize_using_object_code(self) -> tuple[str, bytes, dict[str, bytes]]:
+    def serialize_using_object_code(self) -> tuple[Any, ...]:
         """What is kept on disk: there is no object."""
         code: Any = self
         large = {name: module.as_bitcode() for name, module in self.large.items()}
@@ -120,7 +128,20 @@ class _UnfusedCopiedCode(_UnfusedCode, _CopiedCode):
     """Both."""
 
 
-class KeptCode(caching.CompileResultCacheImpl):
+class KeptKernel(caching.CompileResultCacheImpl):
+    """How a kernel is kept on disk: modules to import are those that machine code may refer to."""
+
+    def reduce(self, result: Any) -> Any:
+        """What is kept of the result of a compilation."""
+        *kept, environments = result._reduce()
+        return *kept, tuple(
+            one
+            for one in environments
+            if one.consts or not one.globals["__name__"].startswith(_NO_SYMBOLS)
+        )
+
+
+class KeptCode(KeptKernel):
     """How a helper is kept on disk, and made again from there: by its optimised code."""
 
     def rebuild(self, context: Any, payload: Any) -> Any:

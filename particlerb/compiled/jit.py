@@ -30,12 +30,13 @@ from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import numba
 import numpy as np
+from llvmlite import binding
 from numba.core import caching
 from numba.core.event import install_timer
-from numba.core.runtime.nrt import rtsys
+from numba.core.runtime._nrt_python import c_helpers
 
 from particlerb.compiled.deferred import Dispatcher
-from particlerb.compiled.helper import AloneCompiler, Helper, KeptCode, Kernel
+from particlerb.compiled.helper import AloneCompiler, Helper, KeptCode, KeptKernel, Kernel
 from particlerb.compiled.plain import UnfusedKernel
 
 config: Any = numba.config
@@ -181,6 +182,13 @@ class _CheckedFiles(caching.IndexDataCacheFile):
         return None
 
 
+@functools.cache
+def find_runtime() -> None:
+    """Let code from disk find Numba's functions in C; those that are compiled it has itself."""
+    for name, address in c_helpers.items():
+        binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
+
+
 class _KernelCache(caching.FunctionCache):
     """Numba's cache of a kernel, that never ends a run.
 
@@ -188,8 +196,7 @@ class _KernelCache(caching.FunctionCache):
     """
 
     def __init__(self, dispatcher: Any) -> None:
-        if isinstance(dispatcher, Helper):
-            self._impl_class = KeptCode
+        self._impl_class = KeptCode if isinstance(dispatcher, Helper) else KeptKernel
         super().__init__(dispatcher.py_func)
         name = self._impl.filename_base + getattr(dispatcher, "kept_as", ".alone")
         stamp = self._impl.locator.get_source_stamp()
@@ -198,7 +205,7 @@ class _KernelCache(caching.FunctionCache):
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Compiled code of a signature; None where there is none that can be used."""
         with contextlib.suppress(Exception):  # of unpickling and linking: it is compiled anew
-            rtsys.initialize(context)  # what only compiling takes besides is not loaded: 0.3 s
+            find_runtime()  # what only compiling takes besides is not loaded: 0.3 s
             if (overload := cast(Any, self)._load_overload(signature, context)) is not None:
                 return overload
         while WHEN_COMPILING:
