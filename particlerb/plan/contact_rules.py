@@ -54,7 +54,7 @@ def events_of(system: System, touching: SystemContact) -> EventRules | None:
         speed = float(lengths(system.state.p * system.bodies.inv_mass).max())
         turns = lengths(omega_world(system.bodies, system.state))
         spin = float((turns * system.reach[system.kind]).max())
-        fall = math.sqrt(2.0 * float(np.linalg.norm(system.acceleration)) * smallest)
+        fall = math.sqrt(2.0 * math.hypot(*system.acceleration) * smallest)
         fastest = max(speed + spin, fall)
         time = CONTACT_SHARE * smallest / fastest if fastest > 0.0 else 0.0
     return EventRules(touching.pairs.restitution.ravel(), time, box)

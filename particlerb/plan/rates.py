@@ -75,9 +75,8 @@ def falling_speed(system: System, terms: Terms) -> float:
     g = terms.gravity.acceleration
     com = system.state.com
     extent = com.max(axis=1) - com.min(axis=1)
-    size = float(np.linalg.norm(g))
     lowest = np.abs(com).max(axis=1)  # the ground may lie at the origin
-    return math.sqrt(2.0 * max(float(np.abs(g) @ np.maximum(extent, lowest)), 0.0)) if size else 0.0
+    return math.sqrt(2.0 * max(float(np.abs(g) @ np.maximum(extent, lowest)), 0.0))
 
 
 def _attraction_rates(attraction: Attraction, com: Floats) -> Floats:

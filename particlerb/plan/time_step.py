@@ -152,7 +152,7 @@ def _longest_step(system: System, segment: Segment, speed: float) -> float:
     """Step [s] of impulses for bodies of a speed [m/s]."""
     assert segment.terms.contact is not None
     radius = float(segment.terms.contact.model.spheres.radius.min(initial=math.inf))
-    g = float(np.linalg.norm(system.acceleration))
+    g = math.hypot(*system.acceleration)  # squares of large ones overflow
     step = _MAX_PATH_RADII * radius / speed if speed > 0.0 else math.inf
     return min(step, _MAX_FALL_SHARE * math.sqrt(radius / g) if g > 0.0 else math.inf)
 

@@ -1482,6 +1482,16 @@ body = [{ name = "a", shape = { type = "sphere", radius = 0.2 }, mass = 1.0 }]
     prepare(to_system(parse(text)))
 
 
+def test_a_plan_is_told_under_gravity_whose_square_overflows(make):
+    """The longest step of impulses, which contacts by springs are compared with, came out as 0."""
+    gravity = {"acceleration": [1.4e193, 0, 0]}
+    case = make.case(
+        make.sphere(position=[0.5, 0, 1]),
+        t_end=1e-99, every=1e-99, gravity=gravity, contact=make.hooke(), wall=[make.plane()],
+    )  # fmt: skip
+    assert "springs" in prepare(to_system(load(case))).text
+
+
 @pytest.mark.parametrize("motor", ["fast", [1.0]])
 def test_a_motor_is_a_number_or_a_table(make, motor):
     hinge = {"type": "hinge", "name": "h", "body": "body", "at": [0, 0, 0], "axis": [0, 0, 1]}
