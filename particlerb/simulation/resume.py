@@ -21,7 +21,7 @@ from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.superblocks import own_parts
 from particlerb.ranks import ALONE, Ranks
-from particlerb.record.checked_reading import require_self_contained
+from particlerb.record.checked_reading import FAULTS, require_self_contained, trajectory_errors
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint, states_of
 from particlerb.record.output_file import DamagedError
 from particlerb.record.part_recorder import PartRecorder
@@ -124,7 +124,9 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
             )
         n_kept = _frames_that_stay(path, trajectory.time, system.run)
         total = frame_count(system.run)
-        if n_kept == total and is_finished(file, n):
+        with trajectory_errors(file):
+            is_done = n_kept == total and is_finished(file, n)
+        if is_done:
             raise ResumeError(
                 f"{path} has nothing left to do: all {n} frames until"
                 f" t = {system.run.t_end!r} s are there; --t-end prolongs the run"
@@ -201,7 +203,7 @@ def _text_in(file: h5py.File, name: str) -> str | None:
     """Text of /parameters; None where there is none."""
     try:
         value = file[f"{PARAMETERS}/{name}"][()]
-    except (KeyError, OSError, RuntimeError, AttributeError):
+    except FAULTS:
         return None
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else None
 

@@ -339,6 +339,28 @@ def test_states_that_overflow_are_a_flaw_and_no_warning(copy):
     assert "energy balance" in damaged(copy)
 
 
+@pytest.mark.parametrize("name", ["versions", "identity", "case_resolved"])
+def test_a_text_whose_characters_nobody_knows_is_one_message(copy, name, capsys):
+    """HDF5 keeps the number of a character set, and h5py makes no type of another than 0 and 1."""
+    with h5py.File(copy, "r+") as file:
+        text = file[f"parameters/{name}"][()].ljust(40_961)
+        del file[f"parameters/{name}"]
+        file.create_dataset(f"parameters/{name}", data=text, dtype=h5py.string_dtype(length=40_961))
+    utf8, size = b"\x13\x11\x00\x00", (40_961).to_bytes(4, "little")
+    data = copy.read_bytes()
+    assert data.count(utf8 + size) == 1
+    copy.write_bytes(data.replace(utf8 + size, b"\x13\x51\x00\x00" + size))
+    assert main(["resume", str(copy), "--t-end", "0.6"]) in (1, 2)
+    assert capsys.readouterr().err.count("harmed.h5") == 1
+
+
+def test_steps_of_vtk_that_are_missing_are_one_message(copy, capsys):
+    with h5py.File(copy, "r+") as file:
+        del file["VTKHDF/Steps/PartOffsets"]
+    assert main(["resume", str(copy)]) in (1, 2)
+    assert capsys.readouterr().err.count("harmed.h5") == 1
+
+
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
 def test_what_was_found_by_fuzzing(path, tmp_path):
     """Files that crashed HDF5, or sent it round in circles: the command ends with one message."""
