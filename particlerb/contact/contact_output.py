@@ -32,6 +32,7 @@ class ContactOutput(NamedTuple):
     overlap: Floats  # (m,) [m]
     centre: Floats  # (n_walls, 3) [m] of each wall: about which it turns
     velocity: Floats  # (n_walls, 3) [m/s] of the centre
+    within: Floats = np.zeros(0)  # [N or N m] of stops, motors and friction in joints, by impulses
 
 
 def wall_centres(motions: Sequence[PrescribedMotion], poses: Records) -> tuple[Floats, Floats]:

@@ -30,6 +30,7 @@ from particlerb.impulses.records import (
     B_MOST,
     B_OLD,
     B_RESTITUTION,
+    B_SHOWN,
     B_SLOW,
     B_WEIGHT,
     LOCKED_SHARE,
@@ -281,10 +282,13 @@ def keep_best_bounded(bounded: Bounded, goes_back: bool) -> None:
 
 
 @inline
-def keep_bounded(bounded: Bounded, dt: float) -> None:
-    """Keep the impulses of a step of dt [s] as forces, for the next one."""
+def keep_bounded(bounded: Bounded, dt: float, is_whole: bool) -> None:
+    """Keep the impulses of a step of dt [s] as forces: to be shown, and for the next whole one."""
+    values = bounded.values
     for k in range(bounded.kind.size):
-        bounded.values[k, B_FORCE] = bounded.values[k, B_IMPULSE] / dt
+        values[k, B_SHOWN] = (values[k, B_IMPULSE] + values[k, B_IMPACT]) / dt
+        if is_whole:
+            values[k, B_FORCE] = values[k, B_IMPULSE] / dt
 
 
 # Stops that bounce

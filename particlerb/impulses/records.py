@@ -54,7 +54,8 @@ B_DIRECTION: Final = 13  # of the conjugate gradients
 B_CHANGE: Final = 14  # c and
 B_SLOPE: Final = 15  # K of Newton's method; then on which side a stop is overrun, and by how much
 B_BEST: Final = 16  # impulse of the best solution so far
-_N_BOUNDED: Final = 17
+B_SHOWN: Final = 17  # impulse and impact of the last step over its length
+_N_BOUNDED: Final = 18
 
 # Numbers of a tally
 STEPS: Final = 0  # steps in which something was near

@@ -322,11 +322,9 @@ def _move_bodies(
 
 @inline
 def _keep_among_joints(jointed: Jointed | None, bounded: Bounded | None, dt: float) -> None:
-    """Keep what acts in joints within bounds for the next step, unless this goes to a frame."""
-    if jointed is None or bounded is None:
-        return
-    if dt == jointed.data.clock[1]:
-        keep_bounded(bounded, dt)
+    """Keep what acts in joints within bounds, for the next step unless this goes to a frame."""
+    if jointed is not None and bounded is not None:
+        keep_bounded(bounded, dt, dt == jointed.data.clock[1])
 
 
 @inline

@@ -160,7 +160,8 @@ def _contact_among(
         prescribed_among(touching.prescribed, members),
     )  # fmt: skip
     motions = motion_records(touching.motions)
-    is_shown = any(name in FIELDS_OF_CONTACT for name in system.output.fields)
+    asked = {*system.output.fields, *(check.quantity for check in system.check.value)}
+    is_shown = not asked.isdisjoint((*FIELDS_OF_CONTACT, "joint_force", "joint_torque"))
     is_fixed, pistons = touching.record.skin is not None, touching.pistons
     left_out, is_forced = int(may_touch.sum()) - owner.size, touching.record.allow_unstable
     return GroupContact(

@@ -5,13 +5,13 @@ an impulse acts. What a system does not use is neither computed nor compiled, an
 in words.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 import numpy as np
 
 from particlerb.case.coarse_lattice import coarse
-from particlerb.case.problems import Problem, problem_at, refuse
+from particlerb.case.problems import refuse
 from particlerb.maths.vec3 import Ints
 from particlerb.model.state import State
 from particlerb.model.system import System
@@ -89,20 +89,8 @@ def make_plan(
     if system.n_worlds > 1:  # nobody reads what else is said of them
         return Plan(groups, "", ())
     told = [*(coarse(system) if now is None else ()), *time_step.growing_contacts(system, groups)]
-    told += _unknown_loads(system, groups)
     warnings = (*map(time_step.as_warning, told), *time_step.step_warnings(system, groups))
     return Plan(groups, time_step.step_reason(system, groups, choice), warnings)
-
-
-def _unknown_loads(system: System, groups: Sequence[GroupPlan]) -> list[Problem]:
-    """Forces in joints that are to be recorded and that contact keeps from being known."""
-    terms = [segment.terms for group in groups for segment in group.segments]
-    asked = [name for name in ("joint_force", "joint_torque") if name in system.output.fields]
-    if not asked or not any(one.joints is not None and one.contact is not None for one in terms):
-        return []
-    reason = f"{asked[0]} is NaN on bodies on which contact, or its impulses, may act"
-    hint = "it is known without [contact]: stops with a stiffness, a motor of constant load"
-    return [problem_at(system, "output.fields", reason, hint)]
 
 
 def _links_on_hosts(system: System) -> list[AnyLink]:

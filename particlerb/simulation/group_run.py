@@ -266,7 +266,10 @@ class GroupRun:
             state = self.state_in(frames, row)
             turned = self.motion.coordinates[row] if self.motion.coordinates.size else None
             broken = self.motion.broken
-            self.reader.read(float(times[row]), state, turned, broken, values, row)
+            contacts = self.motion.contacts.get(row)
+            if self.motion.impulse_tally().size and times[row] == self.segment.start:
+                contacts = None  # no step has been taken
+            self.reader.read(float(times[row]), state, contacts, turned, broken, values, row)
 
     def state_in(self, frames: Frames, row: int) -> State:
         """State of the group in a frame."""

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from particlerb.case.problems import nearest, problem_at, refuse
+from particlerb.contact.contact_output import ContactOutput
 from particlerb.integrators import METHODS
 from particlerb.integrators.joint_slopes import add_actions
 from particlerb.integrators.joint_stages import set_prescribed
@@ -22,7 +23,8 @@ from particlerb.joints.reactions import (
     forces_of_joints,
     make_least,
 )
-from particlerb.joints.rows import rates, residuals
+from particlerb.joints.records import JointData
+from particlerb.joints.rows import add_impulses, rates, residuals
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, into_blocks
 from particlerb.model.state import Frames, State, state_in
@@ -158,7 +160,7 @@ class LoadReader:
             if (g, s) not in self.readers:
                 self.readers[g, s] = JointReader(group, group.segments[s], state)
             reader = self.readers[g, s]
-            reader.read(time, state, None, broken[reader.joints.number], values, k)
+            reader.read(time, state, None, None, broken[reader.joints.number], values, k)
 
 
 class JointReader:
@@ -167,6 +169,8 @@ class JointReader:
     def __init__(self, group: GroupPlan, segment: Segment, first: State) -> None:
         assert segment.terms.joints is not None
         self.segment, self.joints = segment, segment.terms.joints
+        rows = np.argsort(self.joints.order)
+        self.row_of = dict(zip(group.members.tolist(), rows.tolist(), strict=True))
         moving = group.group(segment)
         method = METHODS[segment.method]
         self.motion = SteppedMotion(method, moving, first, segment.start, segment.dt)
@@ -175,6 +179,7 @@ class JointReader:
         self,
         time: float,
         state: State,
+        contacts: ContactOutput | None,
         turned: Floats | None,
         broken: Floats,
         values: JointValues,
@@ -187,6 +192,8 @@ class JointReader:
         time : float [s]
         state : State
             Of the group.
+        contacts : ContactOutput, optional
+            Of the frame; None: not known, and joints of a group with contact carry NaN.
         turned : ndarray, shape (c, 3), or None
             Coordinates as the motion tracks them.
         broken : ndarray, shape (j,) [s]
@@ -208,10 +215,12 @@ class JointReader:
         set_prescribed(jointed.prescribed, jointed, data.clock[0], 0.0, 0, len(data.y))
         factorise_all(joints, data, data.clock[0])
         add_actions(None, jointed, data.change, 0)
+        if contacts is not None:
+            self._add_contacts(data, contacts)
         find_multipliers(joints, data, data.change)
         is_open = make_least(joints, data)
         carried, is_joint = forces_of_joints(joints, data, data.z), joints.number >= 0
-        if self.segment.terms.contact is not None:  # what contacts keep is not in the state
+        if contacts is None and self.segment.terms.contact is not None:
             carried[:], is_open[:] = np.nan, True
         numbers, is_known = joints.number[is_joint], ~is_open[is_joint]
         force, torque = np.hsplit(carried[is_joint], 2)
@@ -229,3 +238,18 @@ class JointReader:
         if turned is not None:
             coordinates = values_of(joints.coordinates, turned)
             values.joint_coordinate[row, joints.coordinates.number] = coordinates
+
+    def _add_contacts(self, data: JointData, contacts: ContactOutput) -> None:
+        """Add to the loads on bodies what contacts do, and what acts within bounds in joints."""
+        for k, force in enumerate(contacts.force):
+            for body, sign in zip(contacts.body[k].tolist(), (1.0, -1.0), strict=True):
+                row = self.row_of.get(body)
+                if row is not None:
+                    turning = np.cross(contacts.point[k] - data.y[row, :3], force)
+                    load = np.append(force, turning + contacts.rolling_torque[k])
+                    data.change[row] += sign * load
+        if self.joints.bounds is not None:
+            data.z[:] = 0.0
+            data.z[self.joints.bounds.row] = contacts.within
+            rows, n = self.joints.rows, data.z.size
+            add_impulses(rows, self.joints.inv_mass, data.gradient, data.z, 0, n, data.change, 0)

@@ -242,7 +242,12 @@ class ContactMotion(SteppedMotion):
             if (row := int(stop.frame[0])) >= 0:
                 lists, pistons = self.lists, self.frames.pistons[row]
                 shown = self.group.members, lists.numbers, lists.motions, pistons
-                self.contacts[row] = output_of(self.contact, *shown, self.contacts_to_show)
+                output = output_of(self.contact, *shown, self.contacts_to_show)
+                self.contacts[row] = output._replace(within=self.forces_in_joints())
+
+    def forces_in_joints(self) -> Floats:
+        """What impulses within bounds have been in joints, over the last step."""
+        return np.zeros(0)
 
     def contacts_to_show(self, contacts: ContactRows) -> ContactRows:
         """Contacts that are shown here, of those that were found here: all of them."""

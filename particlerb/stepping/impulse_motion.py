@@ -10,7 +10,14 @@ from particlerb.contact.pair_force import max_point_speed
 from particlerb.contact.piston import piston_energies, with_pistons
 from particlerb.forces import has_potential
 from particlerb.impulses.order import room_for_newton
-from particlerb.impulses.records import B_FORCE, TALLY, Impulses, room_for_partners, room_for_rows
+from particlerb.impulses.records import (
+    B_FORCE,
+    B_SHOWN,
+    TALLY,
+    Impulses,
+    room_for_partners,
+    room_for_rows,
+)
 from particlerb.joints.responses import bounded_of, mechanisms_of, pairs_through
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.contact_motion import ContactMotion
@@ -126,3 +133,9 @@ class ImpulseMotion(ContactMotion):
         impulses = self.contact.workspace.impulses
         bounded = None if impulses is None else impulses.rows.bounded
         return None if bounded is None else bounded.values[:, B_FORCE]
+
+    def forces_in_joints(self) -> Floats:
+        """As of `ContactMotion`."""
+        assert self.contact.workspace.impulses is not None
+        bounded = self.contact.workspace.impulses.rows.bounded
+        return np.zeros(0) if bounded is None else bounded.values[:, B_SHOWN].copy()

@@ -304,7 +304,7 @@ def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> No
         values = trajectory.joint_coordinate
         _draw_lines(axes, time, values, [f"coordinate {k}" for k in range(values.shape[1])])
         finish(axes, "joint coordinates", "angle [rad] or length [m]")
-    elif "joint_force" in fields and np.isfinite(trajectory.joint_force).all():
+    elif "joint_force" in fields and np.isfinite(trajectory.joint_force).any():
         names = [joint["name"] or f"joint {k}" for k, joint in enumerate(case["joint"])]
         _draw_lines(axes, time, np.linalg.norm(trajectory.joint_force, axis=2), names)
         finish(axes, "forces in joints", "|F| [N]")
