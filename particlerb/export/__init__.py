@@ -19,7 +19,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import derived
 from particlerb.record.output_path import output_path
-from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, LEDGER, OBSERVED
+from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, OBSERVED, SUMS
 from particlerb.record.trajectory import Contacts, Trajectory
 
 FORMATS: Final = {  # name: suffix of its files, and what it is, in words
@@ -144,7 +144,7 @@ def export(
         _chosen_frames(trajectory, frames),
         _chosen_bodies(trajectory, bodies),
         tuple(name for name in names if name in FIELDS or name in CONTACT_FIELDS),
-        tuple(name for name in names if name in (OBSERVED | LEDGER).keys() - FIELDS.keys()),
+        tuple(name for name in names if name in OBSERVED | SUMS),
         CONTACTS in names,
     )
     if to == "csv" and not fields and selection.fields:
@@ -176,8 +176,7 @@ def _chosen_fields(
     """Fields that were asked for, or all recorded, of those that a format holds, in fixed order."""
     recorded = trajectory.fields + trajectory.other_fields
     derived = [name for name in FIELDS if is_known(trajectory, name)]
-    of_all = [name for name in LEDGER if name not in FIELDS]
-    known = dict.fromkeys((*derived, *trajectory.other_fields, *of_all))
+    known = dict.fromkeys((*derived, *trajectory.other_fields, *SUMS))
     allowed = [name for name in known if name in held]
     for name in asked:
         if name not in allowed:

@@ -2,17 +2,18 @@
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
 from particlerb.export import ExportError, Selection
 from particlerb.maths.vec3 import Floats
-from particlerb.record.schema import COLUMNS, CONTACT_FIELDS, CONTACTS, FIELDS, LEDGER, OBSERVED
+from particlerb.record.schema import COLUMNS, CONTACT_FIELDS, CONTACTS, FIELDS, OBSERVED, SUMS
 from particlerb.record.trajectory import Trajectory
 
 NEEDS: Final = ()
-_ELEMENTS: Final = LEDGER | FIELDS | CONTACT_FIELDS | OBSERVED
+_ELEMENTS: Final = SUMS | FIELDS | CONTACT_FIELDS | OBSERVED
 HOLDS: Final = (*_ELEMENTS, CONTACTS)
 _CONTACT_HEADER: Final = ["body", "other", "wall", *(
     f"{name}_{letter}" for name in ("point", "force") for letter in "xyz"
@@ -39,7 +40,7 @@ def write(selection: Selection, path: Path) -> None:
         labels = list(enumerate(trajectory.names_of(per))) if per else [()]
         header = [*([per, "name"] if per else ()), *columns(selection.observed)]
         portions = selection.portions(len(labels))
-        values = trajectory.observed if per else trajectory.observable
+        values = trajectory.observed if per else partial(_sums, trajectory)
         rows = _labelled(trajectory, portions, labels, selection.observed, values)
     else:
         labels = [(int(b), trajectory.names[b]) for b in selection.bodies]
@@ -51,6 +52,11 @@ def write(selection: Selection, path: Path) -> None:
         table = csv.writer(file)
         table.writerow(["frame", "time", *header])
         table.writerows(rows)
+
+
+def _sums(trajectory: Trajectory, name: str, frames: slice) -> Floats:
+    """One of the sums over all bodies."""
+    return trajectory.observable(name.removeprefix("total_"), frames)
 
 
 def columns(names: tuple[str, ...]) -> list[str]:

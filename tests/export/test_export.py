@@ -230,6 +230,14 @@ def test_csv_of_momenta_is_of_bodies_though_there_are_sums(trajectory, tmp_path)
     assert "name" in rows[0]
 
 
+def test_csv_of_sums_has_the_momenta_of_all_bodies(pile, tmp_path):
+    rows = rows_of(pile, tmp_path / "a.csv", "energy", "total_angular_momentum")
+    names = [f"total_angular_momentum_{k}" for k in "xyz"]
+    assert list(rows[0]) == ["frame", "time", "energy", *names]
+    found = [[float(row[name]) for name in names] for row in rows]
+    assert found == pile.observable("angular_momentum").tolist()
+
+
 def test_csv_of_sums_over_all_bodies_has_a_row_per_frame(pile, tmp_path):
     rows = rows_of(pile, tmp_path / "a.csv", "energy", "linear_momentum_error", frames=slice(1, 9))
     momenta = [f"linear_momentum_error_{c}" for c in "xyz"]
