@@ -100,9 +100,12 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
     if kind == "extra_forbidden":
         keys = _table_keys(raw, path[:-1], root)
-        near = nearest(str(path[-1]), keys, "keys here")
-        form = "" if near.startswith("did you mean") else forms(path[:-1])
-        return Message(path, "unknown key", _home_of(raw, path, root) or form or near, True)
+        hint, where = nearest(str(path[-1]), keys, "keys here"), _elsewhere(path, root)
+        if where and not forms(path[:-1]):
+            hint = f"{where}; {hint[hint.find('keys here') :]}"
+        elif not hint.startswith("did you mean"):
+            hint = forms(path[:-1]) or hint
+        return Message(path, "unknown key", _home_of(raw, path, root) or hint, True)
     if kind == "missing":
         is_header = len(path) == 1 and root is Case
         keys = _table_keys(raw, path[:-1], root)
@@ -133,9 +136,26 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
 
 def _header_of(raw: Any, path: Path, root: type[Table]) -> str:
     """How a table of a case begins, and its keys."""
-    is_list = get_origin(root.model_fields[str(path[0])].annotation) is tuple
-    header = f"[[{path[0]}]]" if is_list else f"[{path[0]}]"
+    header = _header(str(path[0]), root)
     return f"write {header} with its keys: {', '.join(_table_keys(raw, path, root))}"
+
+
+def _header(name: str, root: type[Table]) -> str:
+    """How a table of a case, or one of several, begins."""
+    is_list = get_origin(root.model_fields[name].annotation) is tuple
+    return f"[[{name}]]" if is_list else f"[{name}]"
+
+
+def _elsewhere(path: Path, root: type[Table]) -> str:
+    """Other tables of the case that take an unknown key; empty where none does, or many do."""
+    homes, key, is_deep = [], str(path[-1]), sum(isinstance(part, str) for part in path) > 2
+    for name, field in root.model_fields.items() if root is Case else ():
+        tables = _tables(_alternatives(field.annotation), None)
+        if tables and name == key:
+            return f"{key} is a table of its own: {_header(name, root)}"
+        if (is_deep or name != path[0]) and any(key in table.model_fields for table in tables):
+            homes.append(_header(name, root))
+    return f"{key} is a key of {' or '.join(homes)}" if 0 < len(homes) < 4 else ""
 
 
 def _home_of(raw: Any, path: Path, root: type[Table]) -> str:

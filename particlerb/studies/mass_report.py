@@ -152,7 +152,7 @@ def text_of(record: dict[str, Any]) -> str:
         ("step", _step_text(record)),
         *(("" if k else "particles", note) for k, note in enumerate(record["notes"])),
     ]
-    head = f"{record['name']}: {record['rotor_class']}, {count_of(record['particles'], 'particle')}"
+    head = f"{record['name']}: {count_of(record['particles'], 'particle')}"
     return "\n".join([head, *(f"  {name:<19}  {text}" for name, text in rows)])
 
 

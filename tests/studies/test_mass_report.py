@@ -25,7 +25,7 @@ def test_text_states_every_number_in_full():
     text = text_of(record_of("potato", found, 0, 12, Matter()))
     numbers = [found.mass[0], *found.com[0], *found.inertia_tensor[0].flat, *found.moments[0]]
     assert all(repr(float(number)) in text for number in numbers)
-    assert "potato: asymmetric, 12 particles" in text
+    assert "potato: 12 particles" in text
     assert all(unit in text for unit in (" kg\n", " m\n", " kg m²"))
     assert "volume" not in text
 
