@@ -86,9 +86,14 @@ def summed(sums: Sequence[Floats], ranks: Ranks = ALONE) -> Floats:
     return total
 
 
-def sum_by_number(values: Floats, number: Ints, ranks: Ranks = ALONE) -> float:
-    """Sum of values of bodies, (n,), in the order of their numbers, superblock by superblock."""
-    room = np.zeros(int(number.max(initial=-1)) + 1)
+def sum_by_number(
+    values: Floats, number: Ints, ranks: Ranks = ALONE, size: int | None = None
+) -> float:
+    """Sum of values of bodies, (n,), in the order of their numbers, superblock by superblock.
+
+    `size` is one more than the largest number; left out, that is one of these.
+    """
+    room = np.zeros(int(number.max(initial=-1)) + 1 if size is None else size)
     room[number] = values
     sums = [room[first:stop].sum() for first, stop in superblocks(room.size)]
     return float(summed(sums, ranks))

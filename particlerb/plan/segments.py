@@ -380,9 +380,9 @@ def is_one(group: GroupPlan) -> bool:
     return is_coupled(group) and superblock_of(*ends) < 0
 
 
-def in_superblocks(groups: Sequence[GroupPlan], n_bodies: int) -> list[list[GroupPlan]]:
-    """Groups of each superblock by themselves; as they are where one cannot be cut."""
-    ranges = list(superblocks(n_bodies))
-    if len(ranges) == 1 or any(map(is_one, groups)):
-        return [list(groups)]
-    return [inside(groups, of) for of in ranges]
+def in_superblocks(groups: Sequence[GroupPlan], n_bodies: int) -> list[tuple[int, list[GroupPlan]]]:
+    """Groups that are one, with -1; those of each superblock by themselves, with its first body."""
+    together = [group for group in groups if is_one(group)]
+    others = [group for group in groups if not is_one(group)]
+    each = [(of.first, inside(others, of)) for of in superblocks(n_bodies)]
+    return [one for one in [(-1, together), *each] if one[1]]

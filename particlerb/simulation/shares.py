@@ -14,7 +14,7 @@ from particlerb.maths.vec3 import Ints
 from particlerb.model.bodies import taken
 from particlerb.model.bricks import shares_of_bricks
 from particlerb.model.load import STATE_ROWS
-from particlerb.model.superblocks import Range, own_parts, parts_of, range_of, superblocks
+from particlerb.model.superblocks import Range, own_parts, parts_of, range_of, superblocks, writers
 from particlerb.model.system import System
 from particlerb.plan.joint_ends import Ties, joint_name, pairs_of
 from particlerb.plan.links import AnyLink, components, links_of
@@ -31,9 +31,8 @@ BYTES_TOUCHING: Final = 2500  # for each sphere of a clump of four that touches,
 SENSIBLE_BODIES: Final = 2000  # that touch, of a rank at least: see docs/scale.md
 MOST_ATTRACTED: Final = 1_000_000  # particles: 1e12 pairs are some minutes of one core
 _COUPLING_WORDS: Final = {
-    "links": "springs between bodies",
-    "user_pairs": "forces between bodies",
-    "attraction": "attraction",
+    "links": "springs between bodies that touch",
+    "user_pairs": "forces between bodies that touch",
     "joints": "joints",
 }
 
@@ -70,16 +69,6 @@ def _told_of(system: System, ties: Sequence[AnyLink | Ties], members: Ints, bloc
         f" scene, to {system.names[last]}, body {last}, which are not among the same {block}: list"
         " the bodies of a mechanism next to each other in the case, or run it without --mpi"
     )
-
-
-def _coupling(system: System, all_terms: Sequence[Terms]) -> list[str]:
-    """What bodies do to each other without touching."""
-    names = [
-        name
-        for key, name in _COUPLING_WORDS.items()
-        if any(getattr(terms, key) is not None for terms in all_terms)
-    ]
-    return names + ["joints"] * bool(system.joint and "joints" not in names)
 
 
 def attraction_of(plan: Plan) -> Terms | None:
@@ -150,10 +139,9 @@ def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
     NoRanksError
         If bodies act on each other in a way that ranks cannot share, or ranks are too many.
     """
-    touching = [group for group in prepared.plan.groups if group.touches]
-    if touching:
+    if prepared.plan.contacts:
         refuse_contact(prepared, ranks)
-        return _part_of_touching(prepared, touching[0], ranks)
+        return _part_of_touching(prepared, touching_in(prepared.plan), ranks)
     if attraction_of(prepared.plan) is not None:
         refuse_attraction(prepared.plan, ranks)
         return _with_attraction_shared(prepared, ranks)
@@ -166,14 +154,15 @@ def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
 def _part_of_touching(prepared: Prepared, group: GroupPlan, ranks: Ranks) -> Prepared:
     """Bodies that a rank shows and writes; whom it moves changes on the way."""
     system = prepared.system
-    first, stop = range_of(system.n_bodies, ranks)
+    first, stop = of = range_of(system.n_bodies, ranks)
     indices = np.flatnonzero((group.members >= first) & (group.members < stop))
     all_bodies = group.group(group.segments[0])
-    shared = Shared(all_bodies, ranks, first)
+    shared = Shared(all_bodies, ranks, of, system.n_bodies)
     bodies, members = taken(group.bodies, indices), group.members[indices] - first
     segments = tuple(_shown(segment, indices) for segment in group.segments)
     shown = group._replace(members=members, bodies=bodies, segments=segments, shared=shared)
-    plan = prepared.plan._replace(groups=(shown,))
+    others = inside([one for one in prepared.plan.groups if not one.touches], of, first)
+    plan = prepared.plan._replace(groups=(shown, *others))
     return prepared._replace(system=system.part(first, stop), plan=plan, first=first)
 
 
@@ -185,32 +174,41 @@ def _shown(segment: Segment, indices: Ints) -> Segment:
 
 
 def refuse_contact(prepared: Prepared, ranks: Ranks) -> None:
-    """Raise NoRanksError where ranks cannot share what touches; it says what it is."""
-    unshared = list(dict.fromkeys(_unshared(prepared.system, prepared.plan.groups)))
+    """Raise NoRanksError where ranks cannot share a scene in which bodies touch; it says why."""
+    unshared = list(dict.fromkeys(_unshared(prepared)))
     if unshared:
         raise NoRanksError(
             f"--mpi shares clumps with springs in their contacts, and this case has"
             f" {', '.join(unshared)}: run it without --mpi"
         )
-    n = int((prepared.plan.groups[0].bodies.inv_mass > 0.0).sum())
+    refuse_coupled(prepared)
+    n = int((touching_in(prepared.plan).bodies.inv_mass > 0.0).sum())
     if ranks.count > n:
-        raise NoRanksError(f"{ranks.count} ranks are too many for {n} bodies that move")
+        raise NoRanksError(f"{ranks.count} ranks are too many for {n} bodies that touch and move")
 
 
-def _unshared(system: System, groups: tuple[GroupPlan, ...]) -> Iterator[str]:
+def touching_in(plan: Plan) -> GroupPlan:
+    """The bodies that touch: they are one group."""
+    return next(group for group in plan.groups if group.touches)
+
+
+def _unshared(prepared: Prepared) -> Iterator[str]:
     """What there is that ranks cannot share where bodies touch."""
-    all_terms = [segment.terms for group in groups for segment in group.segments]
-    yield from _coupling(system, all_terms)
-    for terms in all_terms:
-        contact = terms.contact
+    system, group = prepared.system, touching_in(prepared.plan)
+    ends = [end for table in system.joint for end in pairs_of(system, table)]
+    if any(np.isin(end, group.members).any() for end in ends):
+        yield _COUPLING_WORDS["joints"]
+    if attraction_of(prepared.plan) is not None:
+        yield "attraction"
+    for segment in group.segments:
+        terms, contact = segment.terms, segment.terms.contact
+        yield from (w for key, w in _COUPLING_WORDS.items() if getattr(terms, key) is not None)
         if contact is not None and not terms.has_springy_contact:
             yield f'the law "{system.contact.law}"' if system.contact else "contact by impulses"
         if contact is not None and contact.pistons is not None:
             yield "walls that slide under a load"
-    if len(groups) > 1:
-        yield "bodies that touch nothing beside those that do"
-    methods = {segment.method for group in groups for segment in group.segments}
-    yield from (f"the method {name}" for name in sorted(methods - {"strang"}))
+        if segment.method != "strang":
+            yield f"the method {segment.method}"
 
 
 class Shares(NamedTuple):
@@ -251,20 +249,22 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
     in_part = ranges[0].stop
     n_bytes = estimated_size(system, frame_count(system.run)) * in_part // system.n_bodies
     set_up, of_part = BYTES_SET_UP * system.n_bodies, n_bytes + 2 * BYTES_SAVED * in_part
-    touching = [group for group in prepared.plan.groups if group.touches]
-    if touching:
+    if prepared.plan.contacts:
         refuse_contact(prepared, ranks)
-        contact = touching[0].segments[0].terms.known_contact
-        model, n = contact.model, system.n_bodies
+        group = touching_in(prepared.plan)
+        contact = group.segments[0].terms.known_contact
+        model, n = contact.model, group.members.size
         is_free = model.inv_mass > 0.0
         reach = bounding_radii(model.spheres, n)
-        com = taken(system.state, touching[0].members).com[:, is_free]
+        com = taken(system.state, group.members).com[:, is_free]
         bodies, copies = shares_of_bricks(com, reach[is_free], contact.skin, ranks)
         n_spheres = model.spheres.radius.size * min((bodies + copies) / n, 1.0)
+        other = np.delete(np.arange(system.n_bodies), group.members)
+        others = int(np.bincount(writers(len(ranges), n_ranks)[other // in_part]).max(initial=0))
+        run_bytes = int(BYTES_TOUCHING * n_spheres) + BYTES_MOVED * others
         return Shares(
-            int(is_free.sum()), len(ranges), in_part, of_part, bodies, set_up,
-            int(BYTES_TOUCHING * n_spheres), copies, 8 * STATE_ROWS * copies,
-            max(1, int(is_free.sum()) // SENSIBLE_BODIES),
+            int(is_free.sum()), len(ranges), in_part, of_part, bodies + others, set_up, run_bytes,
+            copies, 8 * STATE_ROWS * copies, max(1, int(is_free.sum()) // SENSIBLE_BODIES),
         )  # fmt: skip
     terms = attraction_of(prepared.plan)
     if terms is not None and terms.attraction is not None:

@@ -12,7 +12,7 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import EnergyBalance, Entries
 from particlerb.model.bodies import taken
 from particlerb.model.state import Frames, State, as_frame, room_for
-from particlerb.model.superblocks import Range, summed, superblocks
+from particlerb.model.superblocks import Range, summed
 from particlerb.model.system import System
 from particlerb.model.totals import N_TOTALS, Totals, totals
 from particlerb.plan.joints import asked_of_joints, joints_of
@@ -92,15 +92,19 @@ class Run:
     def start(self, plan: Plan, state: State, motions: Mapping[bytes, Motion]) -> None:
         """Start by a plan, from a state of all bodies, after motions of the same bodies."""
         self.superblocks: list[list[GroupRun]] = []
-        self.group_runs: list[GroupRun] = []
-        for groups in in_superblocks(plan.groups, self.system.n_bodies):
+        self.firsts: list[int] = []  # bodies of each; -1: of all
+        for first, groups in in_superblocks(plan.groups, self.system.n_bodies):
             before = [motions.get(group.members.tobytes()) if motions else None for group in groups]
             states = [taken(state, group.members) for group in groups]
             with self.failing():
                 begun = [GroupRun(*one) for one in zip(groups, states, before, strict=True)]
             self.superblocks.append(begun)
+            self.firsts.append(first)
         self.group_runs = [run for runs in self.superblocks for run in runs]
-        self.sums_itself = [all(run.sums_itself for run in runs) for runs in self.superblocks]
+        is_cut = min(self.firsts) >= 0
+        self.sums_itself = [
+            is_cut and all(run.sums_itself for run in runs) for runs in self.superblocks
+        ]
         self.counted = counted(plan.groups, self.moving.bodies)
 
     def initial_energies(self, frame: Frames) -> Energies:
@@ -109,8 +113,13 @@ class Run:
         return Energies(*(self.over_ranks(values) for values in zip(*each, strict=True)))
 
     def over_ranks(self, parts: Sequence[Floats]) -> Floats:
-        """Sum over superblocks of all ranks of what their motions return."""
-        return summed(parts, ALONE if self.is_shared else self.adding)
+        """Sum over superblocks of all ranks of what their motions return.
+
+        What bodies that touch return is of all ranks.
+        """
+        n_shared = int(self.is_shared)
+        own = [part for each in self.adding.gathered(parts[n_shared:]) for part in each]
+        return summed([*parts[:n_shared], *own])
 
     def totals_of(self, frames: Frames, beside: Energies, sums: _Sums = ()) -> Totals:
         """Totals of frames, with the energies beside the bodies' own."""
@@ -149,14 +158,13 @@ class Run:
     @property
     def keyed_runs(self) -> list[tuple[int, str, GroupRun]]:
         """Runs of groups, with the number of the first body of their superblock, and a key."""
-        if self.is_shared:  # each is of all bodies
-            return [(-1, SHARED, run) for run in self.group_runs]
-        firsts = [self.number_of_first + block.first for block in superblocks(self.system.n_bodies)]
-        return [
-            (first, f"group.{first}.{k}", run)
-            for first, runs in zip(firsts, self.superblocks, strict=False)
-            for k, run in enumerate(runs)
-        ]
+        found = []
+        for first, runs in zip(self.firsts, self.superblocks, strict=True):
+            number = self.number_of_first + max(first, 0)
+            for k, run in enumerate(runs):
+                key = f"group.{number}.{k}" if first >= 0 else f"group.{k}"
+                found.append((-1, SHARED, run) if run.plan.shared else (number, key, run))
+        return found
 
     def checkpoints(self) -> Callable[[Range], Saved]:
         """What `checkpoint_of` returns; ranks that share a motion send what others save."""

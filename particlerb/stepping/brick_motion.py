@@ -244,8 +244,8 @@ class BrickMotion(SharedMotion):
 
     @property
     def _n_bins(self) -> int:
-        """Blocks of the bodies that are shown here."""
-        return -(-self.shown.members.size // BLOCK)
+        """Blocks of the bodies that are shown here, up to the last one that touches."""
+        return -(-self.exchange.shared.size // BLOCK)
 
     def room_for_frames(self, n: int, n_pistons: int) -> ContactFrames:
         """Room for what n frames show of contacts."""
@@ -303,4 +303,5 @@ class BrickMotion(SharedMotion):
     def gross_work(self) -> float:
         """Gross work of contacts without potential, and of walls, since the start [J]."""
         work = self.to_show(self.contact.workspace.gross_work[:, None])[:, 0]
-        return sum_by_number(work, self.shown.members, self.ranks)
+        size = self.exchange.shared.size
+        return sum_by_number(work, self.shown.members, self.ranks, size)

@@ -41,7 +41,7 @@ class Exchange:
         self.shared, self.group, self.ranks = shared, shared.group, shared.ranks
         self.model = self.group.terms.known_contact.model
         self.is_free = self.model.inv_mass > 0.0
-        parts = parts_of(self.group.members.size)
+        parts = parts_of(shared.n_bodies)
         writer = writers(len(parts), self.ranks.count)
         self.home = writer[self.group.members // parts[0].stop]
         self.places = shared.places(shown.members)

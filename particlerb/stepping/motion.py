@@ -22,7 +22,7 @@ from particlerb.model.block import BOOKED
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, cross_columns, state_of, states_in
-from particlerb.model.superblocks import SUPERBLOCK, sum_by_number
+from particlerb.model.superblocks import Range, sum_by_number, summed, superblock_of
 from particlerb.model.worlds import Worlds, over_all, over_bodies, part_of_worlds, shape_of
 from particlerb.ranks import ALONE, Ranks
 from particlerb.stepping.saved_arrays import Saved, under, within
@@ -45,16 +45,21 @@ class SegmentGroup(NamedTuple):
 
     @property
     def is_summed_by_number(self) -> bool:
-        """Whether sums over the bodies follow their numbers, over all ranks that share them."""
-        is_large = self.terms.contact is not None and self.members.size > SUPERBLOCK
-        return self.worlds is None and bool(is_large or self.shared)
+        """Whether sums over the bodies follow their numbers: they touch, in several superblocks."""
+        members = self.shared.group.members if self.shared else self.members
+        if self.worlds is not None or self.terms.contact is None:
+            return False
+        return superblock_of(int(members.min()), int(members.max())) < 0
 
     def total(self, values: Floats) -> Floats | float:
         """Sum of values of bodies (n,), of each world; over those of all ranks that share them."""
-        if not self.is_summed_by_number:
-            return over_bodies(values, self.worlds)
-        first, ranks = (self.shared.first, self.shared.ranks) if self.shared else (0, ALONE)
-        return sum_by_number(values, first + self.members, ranks)
+        ranks, size = (self.shared.ranks, self.shared.size) if self.shared else (ALONE, None)
+        if self.is_summed_by_number:
+            return sum_by_number(values, self.members, ranks, size)
+        total = over_bodies(values, self.worlds)
+        if self.shared is None:
+            return total
+        return summed([total] if self.members.size else [], ranks)  # all are shown on one rank
 
     def totals(self, values: Floats) -> Floats:
         """The same of several values (k, n): (k,), or (n_worlds, k)."""
@@ -68,7 +73,19 @@ class Shared(NamedTuple):
 
     group: SegmentGroup  # all of them, with numbers of the scene
     ranks: Ranks
-    first: int  # number of the first body that is shown here
+    shown: Range  # bodies of the scene that are shown here, with those that touch nothing
+    n_bodies: int  # of the scene
+
+    @property
+    def first(self) -> int:
+        """Number of the first body that is shown here."""
+        return self.shown.first
+
+    @property
+    def size(self) -> int:
+        """Bodies that are shown here, up to the last one of all ranks that touches."""
+        last = int(self.group.members.max())
+        return max(min(self.shown.stop, last + 1) - self.shown.first, 0)
 
     def places(self, members: Ints) -> Ints:
         """Where among all bodies some are that are shown here."""
