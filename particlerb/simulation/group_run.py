@@ -44,6 +44,7 @@ class GroupRun:
         self.before = np.zeros((*shape_of(plan.worlds), 7))  # booked in earlier segments
         self.turnover: Floats | float = 0.0  # [J] gross work of contacts in them
         self.number = 0
+        self.broken: dict[int, float] = {}  # joints that broke in earlier segments, and when [s]
         self.first = state  # of this segment
         self.angle = 0.0  # of the tree that sums the attraction, where it is fitted to the scene
         self.tree_error = 0.0  # the largest seen, of this tree
@@ -62,6 +63,7 @@ class GroupRun:
         if self.number:
             saved |= {"before": self.before.copy(), "turnover": np.array(self.turnover)}
             saved |= self._first_of(of) if self.plan.shared else {"first": np.vstack(self.first)}
+            saved |= {"broken": np.array([*self.broken.items()])} if self.broken else {}
         return saved | {"number": np.array(self.number), "angle": np.array(self.angle)}
 
     def _first_of(self, of: Range) -> Saved:
@@ -77,6 +79,7 @@ class GroupRun:
         self.number, self.angle = int(saved["number"]), float(saved["angle"])
         if self.number:
             self.before, self.turnover = saved["before"], float(saved["turnover"])
+            self.broken = {int(j): float(t) for j, t in saved.get("broken", ())}
             rows = within(OF_BODIES, saved).get("first")
             first = saved["first"] if rows is None else rows[np.argsort(rows[:, 0]), 1:].T
             self.first = state_of(first)
@@ -194,6 +197,9 @@ class GroupRun:
         Who connects a spring that is stretched gives its energy, and gets it who disconnects it.
         """
         state, booked = self.motion.finish(self.segment.stop)
+        joints, stop = self.segment.terms.joints, self.segment.stop
+        ends = () if joints is None else zip(joints.number, self.motion.broken, strict=False)
+        self.broken |= {int(j): float(t) for j, t in ends if j >= 0 and t <= stop}
         self.turnover = self.turned_over()
         self.before += booked
         self.before[..., 0] -= self.potential(state.com, state.q)
@@ -258,6 +264,8 @@ class GroupRun:
 
     def read_joints(self, times: Floats, rows: Ints, frames: Frames, values: JointValues) -> None:
         """Find what joints carry in rows of the frames, all of this segment."""
+        for number, time in self.broken.items():
+            values.joint_break_time[rows, number] = time
         if self.segment.terms.joints is None:
             return
         if self.reader is None or self.reader.segment is not self.segment:

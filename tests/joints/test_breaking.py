@@ -120,6 +120,23 @@ def test_frames_and_pauses_do_not_move_the_instant(tmp_path):
                 assert np.array_equal(*ends)
 
 
+@pytest.mark.parametrize("keys", [{"dt": 0.004}, {"method": "dop853", "tolerance": 1e-9}])
+def test_what_has_broken_stays_broken_when_its_time_is_over(keys, tmp_path):
+    """It snaps at 0.389 s and would be released at 0.41 s; another one is released first."""
+    late, early = (weight_on_a_wire(2 * 9.81, during=[0, end]) for end in (0.41, 0.388))
+    run = {"run": {"t_end": 0.6, "every": 0.05, **keys}}
+    with particlerb.run({**run, **late}) as trajectory:
+        whole = np.array(trajectory.joint_break_time)[:, 0]
+    assert whole[-1] == pytest.approx(instant(2 / 3), abs=5e-5)
+    assert (whole[8:] == whole[-1]).all()
+    path = tmp_path / "paused.h5"
+    particlerb.run({"run": run["run"] | {"t_end": 0.45}, **late}, path).close()
+    particlerb.resume(path, 0.6).close()
+    with particlerb.open(path) as resumed, particlerb.run({**run, **early}) as released:
+        assert np.array_equal(np.array(resumed.joint_break_time)[:, 0], whole)
+        assert not np.array(released.joint_break_time).any()
+
+
 def test_a_joint_that_carries_less_holds():
     with moved(weight_on_a_wire(30.0), 0.8, 0.004, every=0.1) as trajectory:
         assert (np.array(trajectory.joint_break_time) == 0.0).all()
