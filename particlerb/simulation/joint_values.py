@@ -205,7 +205,7 @@ class JointReader:
         loads = np.zeros((6, state.com.shape[1]))
         into_blocks(motion.blocks, COM, motion.spaced(np.vstack(state)))
         gather_loads(motion.moving, time - self.segment.start, loads)
-        data, m = joint_data_at(joints, state), joints.rows.kind.size
+        data = joint_data_at(joints, state)
         data.change[:-1] = loads.T[joints.order]
         data.clock[0] = time - self.segment.start
         is_broken = broken <= time
@@ -228,16 +228,22 @@ class JointReader:
         values.joint_force_determined[row, numbers] = is_known[:, :3]
         values.joint_torque_determined[row, numbers] = is_known[:, 3:]
         values.joint_break_time[row, numbers] = np.where(is_broken, broken, 0.0)[is_joint]
+        self._write_misfits(data, values, row)
+        if turned is not None:
+            coordinates = values_of(joints.coordinates, turned)
+            values.joint_coordinate[row, joints.coordinates.number] = coordinates
+
+    def _write_misfits(self, data: JointData, values: JointValues, row: int) -> None:
+        """Write by how much rows of joints are off, and how fast these errors grow."""
+        joints, m = self.joints, self.joints.rows.kind.size
         residuals(joints, data, 0, m, data.clock[0])
         rates(joints, data, 0, m)
-        start, size = joints.program.start[:-1], joints.rows.size
+        start, size, is_joint = joints.program.start[:-1], joints.rows.size, joints.number >= 0
+        numbers = joints.number[is_joint]
         misfit = np.maximum.reduceat(np.abs(data.g) / size, start)
         values.joint_misfit[row, numbers] = misfit[is_joint]
         rate = np.maximum.reduceat(np.abs(data.z) / size, start)
         values.joint_rate[row, numbers] = rate[is_joint]
-        if turned is not None:
-            coordinates = values_of(joints.coordinates, turned)
-            values.joint_coordinate[row, joints.coordinates.number] = coordinates
 
     def _add_contacts(self, data: JointData, contacts: ContactOutput) -> None:
         """Add to the loads on bodies what contacts do, and what acts within bounds in joints."""

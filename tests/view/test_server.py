@@ -120,7 +120,7 @@ def settled(page):
 
 
 def at_rest(page):
-    """The same, when a push of the test before has been shown: on a busy machine that takes time."""
+    """The same, once a push of the test before is shown: on a busy machine that takes time."""
     found, before = settled(page), None
     while found != before:
         time.sleep(0.5)
