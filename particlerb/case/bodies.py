@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from particlerb.case.contact import Prescribed
 from particlerb.case.shapes import Cloud, Shape
@@ -24,6 +24,7 @@ from particlerb.case.values import (
     Vector,
     Yes,
     broken,
+    require,
 )
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
@@ -85,6 +86,12 @@ AnyPlace = GridPlacement | RandomBox
 _Place = Annotated[AnyPlace, Field(discriminator="type")]
 
 
+_WITHOUT_BRACKETS = require(
+    lambda name: name.isprintable() and not {"[", "]"} & set(name),
+    "must be printable and without brackets",
+)  # so that it does not look like a reference
+
+
 class ShapePart(Table):
     """One shape of a body that is put together from several."""
 
@@ -100,17 +107,10 @@ class ShapePart(Table):
     """Shape to body axes: quaternion or { euler_deg = [..] }. [-]"""
 
 
-def _plain_name(name: str) -> str:
-    """Name that can be written in a file and does not look like a reference."""
-    if not name.isprintable() or "[" in name or "]" in name:
-        raise broken("must be printable and without brackets")
-    return name
-
-
 class Body(Table):
     """A body, or `count` bodies of the same kind."""
 
-    name: Annotated[Name, AfterValidator(_plain_name)]
+    name: Annotated[Name, _WITHOUT_BRACKETS]
     """Unique name. [-]"""
     shape: Shape | None = None
     """Table with `type`; this or [[body.part]]. [-]"""

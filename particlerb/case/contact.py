@@ -8,11 +8,12 @@ so which numbers must be there, is the business of `particlerb.plan.contact_setu
 import math
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, Strict, model_validator
+from pydantic import Field, Strict, model_validator
 
 from particlerb.case.values import (
     ORIGIN,
     Direction,
+    Label,
     Name,
     NonNegative,
     OneOrientation,
@@ -24,6 +25,7 @@ from particlerb.case.values import (
     broken,
     distinct,
     entries,
+    require,
 )
 
 _Share = Annotated[NonNegative, Field(le=1.0)]
@@ -34,7 +36,7 @@ _End = Literal["-", "+"]
 class Material(Table):
     """A material that bodies and walls are made of."""
 
-    name: Name
+    name: Label
     """Unique name. [-]"""
     young: Positive | None = None
     """Young's modulus, for hertz. [Pa]"""
@@ -107,11 +109,10 @@ class ContactTable(ContactNumbers):
 # Walls
 
 
-def _with_a_square(value: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Require a vector whose length can be found."""
-    if not math.isfinite(math.fsum(component * component for component in value)):
-        raise broken("is too large: its square overflows")
-    return value
+_WITH_A_SQUARE = require(
+    lambda vector: math.isfinite(math.fsum(component * component for component in vector)),
+    "is too large: its square overflows",
+)
 
 
 class Oscillation(Table):
@@ -130,7 +131,7 @@ class Prescribed(Table):
 
     velocity: Vector = ORIGIN
     """Of the centre, world frame. [m/s]"""
-    angular_velocity: Annotated[Vector, AfterValidator(_with_a_square)] = ORIGIN
+    angular_velocity: Annotated[Vector, _WITH_A_SQUARE] = ORIGIN
     """World frame. [rad/s]"""
     centre: Vector | None = None
     """Point of the axis at t = 0, world frame; default: its own. [m]"""
@@ -175,7 +176,7 @@ class WallTable(Table):
 
     type: str
     """Kind of wall. [-]"""
-    name: Name
+    name: Label
     """Unique name. [-]"""
     material: Name | None = None
     """Name of a [[material]]; default: the only one. [-]"""

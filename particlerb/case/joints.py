@@ -4,7 +4,7 @@ import math
 from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
-from pydantic import AfterValidator, Field, Strict, model_validator
+from pydantic import Field, Strict, model_validator
 
 from particlerb.case.forces import During
 from particlerb.case.values import (
@@ -12,6 +12,7 @@ from particlerb.case.values import (
     Array2,
     FloatArray,
     Forms,
+    Label,
     Name,
     Names,
     NonNegative,
@@ -24,6 +25,7 @@ from particlerb.case.values import (
     entries,
     first_out_of_order,
     nonzero,
+    require,
 )
 
 JointType = Literal[
@@ -61,24 +63,19 @@ _Point = Annotated[Vector | InFrame, Forms("list", "table")]
 _Direction = Annotated[_Point, nonzero("a direction")]
 
 
-def _mesh(teeth: tuple[int, int]) -> tuple[int, int]:
-    """Require teeth, of one ring at most, which has more of them than the other."""
-    if 0 in teeth or sum(teeth) == 0 or max(teeth) < 0 or max(map(abs, teeth)) > LARGEST_COUNT:
-        raise broken("must be numbers of teeth; negative one at most, of a ring, which has more")
-    return teeth
+def _mesh(teeth: tuple[int, int]) -> bool:
+    """Whether these are teeth, of one ring at most, which has more of them than the other."""
+    is_large = max(map(abs, teeth)) > LARGEST_COUNT
+    return not (0 in teeth or sum(teeth) == 0 or max(teeth) < 0 or is_large)
 
 
-def _is_not_zero(value: float) -> float:
-    """Require a number that is not 0."""
-    if value == 0.0:
-        raise broken("must not be 0")
-    return value
-
-
+_MESHES = require(
+    _mesh, "must be numbers of teeth; negative one at most, of a ring, which has more"
+)
 _Number = Annotated[int, Strict()]
 _TEETH_HINT = "give those of `body` and of the other side: teeth = [20, 40]"
-_Teeth = Annotated[tuple[_Number, _Number], entries(2, hint=_TEETH_HINT), AfterValidator(_mesh)]
-_Lead = Annotated[Real, AfterValidator(_is_not_zero)]
+_Teeth = Annotated[tuple[_Number, _Number], entries(2, hint=_TEETH_HINT), _MESHES]
+_Lead = Annotated[Real, require(bool, "must not be 0")]
 
 
 class JointSpring(Table):
@@ -181,7 +178,7 @@ class JointTable(Table):
 
     type: JointType
     """What it leaves free: see docs/joints.md. [-]"""
-    name: Name | None = None
+    name: Label | None = None
     """Of the joint; default: arm-base. [-]"""
     body: Names
     """Name of a [[body]] block, of one body, or a list. [-]"""

@@ -5,7 +5,7 @@ type here, so that the schema reads like the format. The docstring of a key ends
 """
 
 import ast
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from inspect import getsource
 from itertools import chain, pairwise
@@ -118,26 +118,26 @@ def entries(length: int, of: str = "numbers", hint: str = "") -> BeforeValidator
     return BeforeValidator(check)
 
 
-def distinct(of: str) -> AfterValidator:
-    """List that repeats none of its entries."""
+def require(holds: Callable[[Any], bool], reason: str, hint: str = "") -> AfterValidator:
+    """Value of which something holds; else the reason says what does not."""
 
-    def check(value: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(value)) < len(value):
-            raise broken(f"must not repeat a {of}")
+    def check(value: Any) -> Any:
+        if not holds(value):
+            raise broken(reason, hint=hint)
         return value
 
     return AfterValidator(check)
+
+
+def distinct(of: str) -> AfterValidator:
+    """List that repeats none of its entries."""
+    return require(lambda value: len(set(value)) == len(value), f"must not repeat a {of}")
 
 
 def nonzero(of: str, hint: str = "") -> AfterValidator:
     """Vector or quaternion that has a length; a vector may be a table, in the frame of a body."""
-
-    def check(value: Any) -> Any:
-        if not any(getattr(value, "body", value)):
-            raise broken(f"must not be zero: it is not {of}", hint=hint)
-        return value
-
-    return AfterValidator(check)
+    reason = f"must not be zero: it is not {of}"
+    return require(lambda value: any(getattr(value, "body", value)), reason, hint)
 
 
 def one_of(*choices: str) -> PlainValidator:
@@ -266,6 +266,7 @@ NonNegative = Annotated[float, Strict(), Field(ge=0)]
 Count = Annotated[int, Strict(), Field(ge=1, le=LARGEST_COUNT)]
 Yes = Annotated[bool, Strict()]
 Name = Annotated[str, Strict(), Field(min_length=1)]
+Label = Annotated[Name, require(str.isprintable, "must be printable")]
 Names = Annotated[tuple[Name, ...], Field(min_length=1), BeforeValidator(alone, Name | list[Name])]
 
 Knots = Annotated[tuple[NonNegative, ...], AfterValidator(_ascending)]

@@ -331,6 +331,17 @@ def test_message_never_holds_control_characters_or_megabytes():
     assert '"\\x1b[2J\\n"' in shown
 
 
+def test_names_can_be_written_and_told_apart():
+    """HDF5 would end a name at a NUL: two walls would have the same one."""
+    wall = {"type": "plane", "name": "a\0", "normal": [0, 0, 1]}
+    joint = {"type": "ball", "name": "a\nb", "body": "cube"}
+    named = {"wall": [wall], "joint": [joint], "material": [{"name": "\t"}]}
+    with pytest.raises(CaseError) as caught:
+        load({"run": {"t_end": 1.0, "every": 1.0}, "body": [{"name": "cube"}], **named})
+    wrong = {p.key for p in caught.value.problems if p.reason == "must be printable"}
+    assert wrong == {"wall[0].name", "joint[0].name", "material[0].name"}
+
+
 def test_keys_and_paths():
     path = ("body", 0, "shape", "size", 1)
     assert key_of(path) == "body[0].shape.size[1]"
