@@ -202,17 +202,17 @@ def _particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tupl
     Also what is to be said of them: which part of the body, empty for the whole, and a line.
     """
     files, stream = case.source.files, random_stream(case.run.seed, i, "shape")
-    sets, lines = list[Particles](), list[tuple[str, str]]()
-    for _ in range(body.count if body.is_drawn else 1):
+
+    def drawn() -> list[FilledShape]:
         if body.shape is not None:
-            filled = _shape_particles(files, body.shape, body.mass, body.density, stream)
-            sets.append(filled.particles)
-            lines = [("", line) for line in filled.lines]
-        else:
-            parts = [part_particles(files, part, stream) for part in body.part]
-            sets.append(united(concatenate([part.particles for part in parts])))
-            lines = [(f", part {j}", line) for j, part in enumerate(parts) for line in part.lines]
-    return concatenate(sets), lines
+            return [_shape_particles(files, body.shape, body.mass, body.density, stream)]
+        return [part_particles(files, part, stream) for part in body.part]
+
+    each = [drawn() for _ in range(body.count if body.is_drawn else 1)]
+    sets = [united(concatenate([part.particles for part in parts])) for parts in each]
+    names = [f", part {j}" for j in range(len(body.part))] or [""]
+    named = zip(names, each[0], strict=True)
+    return concatenate(sets), [(name, line) for name, part in named for line in part.lines]
 
 
 def part_particles(files: Files, part: ShapePart, stream: np.random.Generator) -> FilledShape:

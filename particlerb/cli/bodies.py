@@ -42,6 +42,11 @@ class _Named(NamedTuple):
     """[rad/s], the fastest of the bodies of this kind."""
 
 
+def is_case(name: str) -> bool:
+    """Whether a file is no table and no mesh of a single body."""
+    return find_case(name).suffix.lower() not in _READERS
+
+
 def holds_bodies(name: str) -> bool:
     """Whether a file is a case, a table or a mesh, rather than a trajectory."""
     path = Path(name)
@@ -65,21 +70,16 @@ def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[_Named
     Ending
         If the file or the body is wrong, or options do not go with it.
     """
-    path = find_case(options.file)
-    if path.suffix.lower() in _READERS:
-        return [_body_of_file(path, wanted, options)]
+    if not is_case(options.file):
+        return [_body_of_file(find_case(options.file), wanted, options)]
     for option in ("mass", "density", "scale", "spin"):
         if getattr(options, option, None) is not None:
             raise Ending(f"--{option}: a case says it itself; change it with --set")
-    options.case = options.file
-    return _bodies_of_case(read_case(options), wanted)
+    return _bodies_of_case(case_of(options), wanted)
 
 
-def case_of(options: argparse.Namespace) -> Case | None:
-    """The case of a command line; None where its file holds a body."""
-    path = find_case(options.file)
-    if path.suffix.lower() in _READERS:
-        return None
+def case_of(options: argparse.Namespace) -> Case:
+    """The case of a command line."""
     options.case = options.file
     return read_case(options)
 

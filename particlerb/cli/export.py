@@ -10,7 +10,7 @@ from typing import Final
 from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
-from particlerb.cli.bodies import case_of, holds_bodies, named_bodies
+from particlerb.cli.bodies import case_of, holds_bodies, is_case, named_bodies
 from particlerb.cli.common import opened, output_of, readable, to_write, writing
 from particlerb.cli.exit_codes import DONE, Ending, ending
 from particlerb.export import FORMATS, ExportError, export
@@ -40,8 +40,8 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
         )
     if options.frames != slice(None) or options.fields:
         raise Ending("--frames and --fields are for trajectories")
-    if options.to in _SCENE_SUFFIXES and not options.bodies and (case := case_of(options)):
-        return _export_scene(options, case)
+    if options.to in _SCENE_SUFFIXES and not options.bodies and is_case(options.file):
+        return _export_scene(options, case_of(options))
     bodies = [
         Exported(body.name, body.particles, body.properties)
         for name in options.bodies or [None]

@@ -31,16 +31,7 @@ from particlerb.export.scene import FREE_STEP, left_out, springs_of
 from particlerb.forces.links import WORLD
 from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import (
-    CONJUGATE,
-    axes_across,
-    body_orientation,
-    inertia_in_body,
-    omega_world,
-    quaternion_product,
-    rotate,
-    rotate_back,
-)
+from particlerb.model import state
 from particlerb.model.system import System
 from particlerb.plan.contact_setup import NOTHING, SystemContact, contact_of
 from particlerb.plan.joints import SystemJoints, joints_of
@@ -66,7 +57,7 @@ class _Body(NamedTuple):
 
     def turned_back(self, v: Floats) -> Floats:
         """A vector of the world in the frame of the body."""
-        return rotate_back(self.orientation, v)
+        return state.rotate_back(self.orientation, v)
 
     def local(self, x: Floats) -> Floats:
         """A point of the world in the frame of the body."""
@@ -122,8 +113,11 @@ class _Writer:
 
     def __init__(self, system: System, step: float) -> None:
         self.system, self.step = system, step
-        q = body_orientation(system.state.q, system.bodies.rotor_frame)
-        v, w = system.state.p * system.bodies.inv_mass, omega_world(system.bodies, system.state)
+        q = state.body_orientation(system.state.q, system.bodies.rotor_frame)
+        v, w = (
+            system.state.p * system.bodies.inv_mass,
+            state.omega_world(system.bodies, system.state),
+        )
         columns = (system.state.com.T, q.T, v.T, w.T)
         self.bodies = [_Body(*rows) for rows in zip(*columns, strict=True)]
         self.bodies.append(_Body(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)))
@@ -207,7 +201,9 @@ class _Writer:
         """Add a body to the one that it hangs from."""
         body, other = self.bodies[b], self.bodies[parent]
         place = numbers(other.local(body.position))
-        turned = numbers(quaternion_product(other.orientation * CONJUGATE[:, 0], body.orientation))
+        turned = numbers(
+            state.quaternion_product(other.orientation * state.CONJUGATE[:, 0], body.orientation)
+        )
         name = self.system.names[b]
         element = ET.SubElement(self.elements[parent], "body", name=name, pos=place, quat=turned)
         self.elements[b] = element
@@ -215,7 +211,7 @@ class _Writer:
         if j == _HELD_BODY:
             self.speeds[name] = []
             return
-        inertia = numbers(six(inertia_in_body(self.system.bodies, b)))
+        inertia = numbers(six(state.inertia_in_body(self.system.bodies, b)))
         mass = numbers(self.system.bodies.mass[b])
         ET.SubElement(element, "inertial", pos="0 0 0", mass=mass, fullinertia=inertia)
         if j == _FREE_BODY:
@@ -372,7 +368,7 @@ def _joint_of(system: System, setup: SystemJoints, j: int) -> _Joint:
     for b, k in zip(ends.tolist(), (0, 1), strict=True):
         vectors = setup.places[j, [k, k + 2]].T
         if b != WORLD:
-            vectors = rotate(np.repeat(system.state.q[:, [b]], 2, axis=1), vectors)
+            vectors = state.rotate(np.repeat(system.state.q[:, [b]], 2, axis=1), vectors)
             vectors = vectors + system.state.com[:, [b]] * np.array([1.0, 0.0])
         points.append(vectors.T)
     wheel = setup.rows.wheel[setup.start[j] : setup.start[j + 1]]
@@ -387,7 +383,7 @@ def _freedoms(joint: _Joint) -> list[tuple[str, Floats]]:
     """What a joint leaves free, the first next to the second body: kind and axis."""
     n, m = joint.axis, joint.axis_to
     if joint.type == "planar":
-        e, f = axes_across(n)
+        e, f = state.axes_across(n)
         return [("slide", e), ("slide", f), ("hinge", n)]
     kinds: dict[str, list[tuple[str, Floats]]] = {
         "hinge": [("hinge", n)],

@@ -15,7 +15,7 @@ from particlerb.case.problems import refuse
 from particlerb.maths.vec3 import Ints
 from particlerb.model.state import State
 from particlerb.model.system import System
-from particlerb.plan import time_step
+from particlerb.plan import segments, time_step
 from particlerb.plan.case_forces import impossible, loads_of
 from particlerb.plan.contact_setup import contact_of
 from particlerb.plan.groups import GroupForces, groups_of
@@ -23,21 +23,14 @@ from particlerb.plan.joints import joints_of
 from particlerb.plan.known_courses import Behind
 from particlerb.plan.links import AnyLink, Link, coincident, links_of
 from particlerb.plan.merging import merged, on_hosts
-from particlerb.plan.segments import (
-    GroupPlan,
-    Plan,
-    RegroupedError,
-    cut_into_segments,
-    refuse_method,
-)
 
 
 def make_plan(
     system: System,
-    choose: Callable[[GroupPlan], time_step.Stepping | None] = lambda group: None,
+    choose: Callable[[segments.GroupPlan], time_step.Stepping | None] = lambda group: None,
     now: tuple[float, State] | None = None,
     behind: Mapping[bytes, Behind] = MappingProxyType({}),
-) -> Plan:
+) -> segments.Plan:
     """Plan of a system.
 
     Parameters
@@ -73,9 +66,11 @@ def make_plan(
     grouped = groups_of(system, loads, links, touching, joints, _apart(behind, system.n_bodies))
     grouped = _after(behind, grouped) if behind else grouped
     setting = touching, start, now is None
-    cut = [part for group in grouped for part in cut_into_segments(system, group, *setting)]
+    cut = [
+        part for group in grouped for part in segments.cut_into_segments(system, group, *setting)
+    ]
     cut.sort(key=lambda group: int(group.members.min()))
-    refuse_method(system, cut)
+    segments.refuse_method(system, cut)
     stepped = tuple(time_step.with_steps(group, time_step.step(system, group)) for group in cut)
     time_step.refuse_endless(system, stepped)
     choice = [choose(group) for group in stepped]
@@ -87,10 +82,10 @@ def make_plan(
         time_step.refuse_endless(system, groups)
     time_step.refuse_unstable(system, groups)
     if system.n_worlds > 1:  # nobody reads what else is said of them
-        return Plan(groups, "", ())
+        return segments.Plan(groups, "", ())
     told = [*(coarse(system) if now is None else ()), *time_step.growing_contacts(system, groups)]
     warnings = (*map(time_step.as_warning, told), *time_step.step_warnings(system, groups))
-    return Plan(groups, time_step.step_reason(system, groups, choice), warnings)
+    return segments.Plan(groups, time_step.step_reason(system, groups, choice), warnings)
 
 
 def _links_on_hosts(system: System) -> list[AnyLink]:
@@ -113,5 +108,5 @@ def _after(behind: Mapping[bytes, Behind], groups: list[GroupForces]) -> list[Gr
     """The same groups with what they have left behind."""
     pasts = [behind.get(group.members.tobytes()) for group in groups]
     if None in pasts:
-        raise RegroupedError
+        raise segments.RegroupedError
     return [group._replace(behind=past) for group, past in zip(groups, pasts, strict=True)]

@@ -7,12 +7,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from particlerb.contact.contact_output import (
-    ContactOutput,
-    contact_numbers,
-    largest_overlaps,
-    wall_loads,
-)
+from particlerb.contact import contact_output
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, derived
 from particlerb.model.system import System
@@ -32,17 +27,17 @@ def _stored(name: str, values: Any, kind: "np.dtype[Any]") -> Any:
 
 
 def contact_values(
-    fields: Collection[str], touches: Sequence[ContactOutput], bodies: range
+    fields: Collection[str], touches: Sequence[contact_output.ContactOutput], bodies: range
 ) -> dict[str, Floats | Ints]:
     """Those of the fields that contacts decide, for some frames: (T, n), (T, n_walls, 3).
 
     The n bodies are those of a range of the scene.
     """
-    made: dict[str, Callable[[ContactOutput], Any]] = {
-        "contact_number": lambda one: contact_numbers(one, bodies),
-        "contact_overlap": lambda one: largest_overlaps(one, bodies),
-        "wall_force": lambda one: wall_loads(one)[0],
-        "wall_torque": lambda one: wall_loads(one)[1],
+    made: dict[str, Callable[[contact_output.ContactOutput], Any]] = {
+        "contact_number": lambda one: contact_output.contact_numbers(one, bodies),
+        "contact_overlap": lambda one: contact_output.largest_overlaps(one, bodies),
+        "wall_force": lambda one: contact_output.wall_loads(one)[0],
+        "wall_torque": lambda one: contact_output.wall_loads(one)[1],
         "wall_position": lambda one: one.centre,
         "wall_velocity": lambda one: one.velocity,
     }
@@ -50,7 +45,7 @@ def contact_values(
 
 
 def contact_columns(
-    touches: Sequence[ContactOutput], dtype: "np.dtype[Any]"
+    touches: Sequence[contact_output.ContactOutput], dtype: "np.dtype[Any]"
 ) -> tuple[dict[str, Floats | Ints], Ints]:
     """Contacts of some frames as a file holds them, by name, and the row behind each frame."""
     columns = {}
@@ -69,7 +64,7 @@ class ContactDatasets:
         self.offset = file[schema.OFFSET]
         self.dtype = self.columns["force"].dtype
 
-    def write(self, first: int, touches: Sequence[ContactOutput]) -> Ints:
+    def write(self, first: int, touches: Sequence[contact_output.ContactOutput]) -> Ints:
         """Write contacts of some frames from row `first` on; return where each frame ends."""
         columns, ends = contact_columns(touches, self.dtype)
         for name, values in columns.items():
@@ -92,7 +87,7 @@ class NewFrames(NamedTuple):
     frames: Frames
     rows: Ints  # (T,)
     balance: Any  # of all rows: `Entries`
-    contacts: Sequence[ContactOutput] = ()  # of these rows, where wanted
+    contacts: Sequence[contact_output.ContactOutput] = ()  # of these rows, where wanted
     others: Mapping[str, Floats | Ints] = MappingProxyType({})  # fields of joints and impulses
 
 

@@ -17,16 +17,9 @@ from particlerb.case.run import frame_count
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
-from particlerb.record import schema, vtkhdf
+from particlerb.record import frame_values, schema, vtkhdf
 from particlerb.record.checkpoint import count_from, write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
-from particlerb.record.frame_values import (
-    ContactDatasets,
-    FrameError,
-    NewFrames,
-    contact_columns,
-    values_of,
-)
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import laid_out, part_laid_out, write_rest
 from particlerb.record.output_file import OutputFile, new_file
@@ -154,7 +147,7 @@ class Recorder:
         lists_contacts = schema.CONTACTS in fields and not is_part
         paths += (schema.OFFSET,) if lists_contacts else ()
         self.series = {p: self.of_bodies.get(p) or opened(self.file, p) for p in paths}
-        self.contacts = ContactDatasets(self.file) if lists_contacts else None
+        self.contacts = frame_values.ContactDatasets(self.file) if lists_contacts else None
         self.n_frames = self.n_written = 0  # that were appended; and without those in `pending`
         self.pending: list[dict[str, _Rows]] = []  # small arrays that wait
         self.n_before = 0  # frames that were there before
@@ -190,23 +183,23 @@ class Recorder:
             return int(self.pending[-1][schema.OFFSET][-1])
         return int(self.contacts.offset[self.n_written])
 
-    def append(self, frames: NewFrames) -> None:
+    def append(self, frames: frame_values.NewFrames) -> None:
         """Append new frames, but for those that the file had before.
 
         Large arrays are written now, small ones when they are many, or at the next commit.
         """
-        values = values_of(self.system, frames)
+        values = frame_values.values_of(self.system, frames)
         sums = frame_checksums(len(frames.times), [*values.values(), *self.lists_of(frames)])
         self.put(frames, values, sums)
 
-    def lists_of(self, frames: NewFrames) -> list[Words]:
+    def lists_of(self, frames: frame_values.NewFrames) -> list[Words]:
         """Checksums of the lists of contacts of new frames, where they are to be recorded."""
         if self.contacts is None:
             return []
-        columns, ends = contact_columns(frames.contacts, self.contacts.dtype)
+        columns, ends = frame_values.contact_columns(frames.contacts, self.contacts.dtype)
         return [list_checksums(columns.values(), ends)]
 
-    def put(self, frames: NewFrames, values: dict[str, Any], sums: Words) -> None:
+    def put(self, frames: frame_values.NewFrames, values: dict[str, Any], sums: Words) -> None:
         """Append new frames by their arrays, those that the file has, and their checksums."""
         with self.output.writing():
             n, times = self.n_frames, frames.times
@@ -240,7 +233,7 @@ class Recorder:
         stored: Words = self.series[schema.CHECKSUMS][first : first + n_known]
         other = np.flatnonzero(sums[:n_known] != stored)
         if other.size:
-            raise FrameError(
+            raise frame_values.FrameError(
                 f"frame {first + int(other[0])} comes out differently than it is in"
                 f" {self.output.path}: the file was changed, or written on another kind of"
                 " processor"

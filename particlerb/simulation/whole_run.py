@@ -20,6 +20,7 @@ from particlerb.plan.merging import merged
 from particlerb.plan.segments import Plan, in_superblocks
 from particlerb.ranks import ALONE, Ranks
 from particlerb.record.frame_values import NewFrames
+from particlerb.simulation import joint_values
 from particlerb.simulation.group_run import (
     GroupRun,
     counted,
@@ -28,13 +29,6 @@ from particlerb.simulation.group_run import (
     record_all,
 )
 from particlerb.simulation.impulse_values import impulse_fields
-from particlerb.simulation.joint_values import (
-    JointValues,
-    LoadReader,
-    of_all_ranks,
-    recorded_values,
-    room_for_values,
-)
 from particlerb.simulation.outcome import Probe, TreeError, restored_probes, saved_probes
 from particlerb.simulation.state_checks import StateChecks
 from particlerb.stepping.motion import Energies, Motion, MotionError
@@ -83,8 +77,10 @@ class Run:
         asks = self.system.joint and asked_of_joints(self.system)
         self.setup = joints_of(self.system) if asks else None
         reads_loads = self.setup is not None and self.moving.merging is not None
-        self.loads = LoadReader(self.moving) if reads_loads else None
-        self.joints: JointValues | None = None  # in rows of the last frames, where asked for
+        self.loads = joint_values.LoadReader(self.moving) if reads_loads else None
+        self.joints: joint_values.JointValues | None = (
+            None  # in rows of the last frames, where asked for
+        )
         self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
         self.n_frames = 0  # that lie behind
         self.probes: list[Probe] = []
@@ -227,7 +223,7 @@ class Run:
         frames = self.room if is_whole else self.room.rows(slice(times.size))
         frames.is_frame[:] = is_frame
         if self.setup is not None:
-            self.joints = room_for_values(self.setup, times.size)
+            self.joints = joint_values.room_for_values(self.setup, times.size)
         booked_parts, beside, sums = self.ranks.together(lambda: self.record(times, frames))
         booked = self.over_ranks(booked_parts)
         energies = Energies(*(self.over_ranks(parts) for parts in zip(*beside, strict=True)))
@@ -258,7 +254,7 @@ class Run:
         if self.loads is not None and self.joints is not None:
             self.loads.read(times[:sound], frames, self.joints)
         if self.setup is not None and self.joints is not None:
-            self.joints = of_all_ranks(self.joints, self.setup, self.adding)
+            self.joints = joint_values.of_all_ranks(self.joints, self.setup, self.adding)
         return frames, entries, error
 
     def record(
@@ -312,7 +308,7 @@ class Run:
 
     def to_record(self, times: Floats, frames: Frames, rows: Ints, entries: Entries) -> NewFrames:
         """What is recorded of rows of the last frames, which are at these times [s]."""
-        fields = recorded_values(self.joints, self.system.output.fields, rows)
+        fields = joint_values.recorded_values(self.joints, self.system.output.fields, rows)
         fields |= impulse_fields(self.tallies, rows.tolist())
         asked = next((t.contacts for t in self.group_runs if t.contacts), {})
         contacts = [asked[row] for row in rows.tolist()] if asked else []

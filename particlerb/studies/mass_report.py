@@ -10,16 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from particlerb.case.matter import Matter
+from particlerb.geometry import mass_properties
 from particlerb.geometry.analytic import Analytic
 from particlerb.geometry.fill import differences
-from particlerb.geometry.mass_properties import (
-    MassProperties,
-    Ratios,
-    eigen_systems,
-    of_kind,
-    ratios,
-    tensor_off_com,
-)
 from particlerb.geometry.solid import impossible
 from particlerb.maths.vec3 import Floats
 from particlerb.rotors.rotor_class import NAMES, POINT
@@ -32,7 +25,7 @@ _PER_CENT: Final = 100.0
 
 def record_of(
     name: str,
-    properties: MassProperties,
+    properties: mass_properties.MassProperties,
     k: int,
     n_particles: int,
     matter: Matter,
@@ -76,7 +69,7 @@ def record_of(
         "density": None if matter.volume is None else float(mass) / matter.volume,
         "com": com.tolist(),
         "inertia_tensor": tensor.tolist(),
-        "inertia_about_origin": tensor_off_com(mass, tensor, com).tolist(),
+        "inertia_about_origin": mass_properties.tensor_off_com(mass, tensor, com).tolist(),
         "moments": moments.tolist(),
         "axes": axes.tolist(),
         "radii_of_gyration": np.sqrt(moments / mass).tolist(),
@@ -97,11 +90,11 @@ def _rounding_error(offset: float) -> float:
     return _UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))
 
 
-def _ratios_of(properties: MassProperties, k: int) -> Ratios:
+def _ratios_of(properties: mass_properties.MassProperties, k: int) -> mass_properties.Ratios:
     """Ratios that decided the rotor class of kind k."""
-    mass, com, tensor, *_ = of_kind(properties, k)
+    mass, com, tensor, *_ = mass_properties.of_kind(properties, k)
     with np.errstate(all="ignore"):
-        return ratios(mass, com, tensor, eigen_systems(tensor)[0])
+        return mass_properties.ratios(mass, com, tensor, mass_properties.eigen_systems(tensor)[0])
 
 
 def _solid_record(com: Floats, tensor: Floats, solid: Analytic | None) -> dict[str, float] | None:

@@ -21,19 +21,7 @@ from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.state import State, rotate_back
 from particlerb.rotors.moser_veselov import modified_inertia
-from particlerb.studies.stability_runs import (
-    ACCURATE,
-    MOMENTS,
-    TURNS,
-    StabilityScene,
-    bodies_of,
-    energy,
-    history,
-    row_of,
-    scene,
-    states,
-    unit_vectors,
-)
+from particlerb.studies import stability_runs
 
 _LINGERING_STEPS: Final = 100_000  # where growth sets in slowly beyond the limit
 
@@ -60,40 +48,40 @@ class Limit(NamedTuple):
         return abs(self.measured / self.theory - 1.0) if math.isfinite(self.theory) else math.nan
 
 
-def points(stiffness: Floats, rate: Floats | None = None) -> StabilityScene:
+def points(stiffness: Floats, rate: Floats | None = None) -> stability_runs.StabilityScene:
     """Points of 1 kg at (1, 0, 0) with p = (1, 0, 0), on springs to the origin, with drag."""
     n = stiffness.size
     zero = np.zeros((3, n))
     spring = Spring(zero, zero, stiffness, np.zeros(n))
     loads = (spring,) if rate is None else (Drag(rate, np.zeros(n)), spring)
-    moved = scene(np.zeros(3), np.zeros((n, 3)), Terms(loads=loads), (1.0, 0.0, 0.0))
+    moved = stability_runs.scene(np.zeros(3), np.zeros((n, 3)), Terms(loads=loads), (1.0, 0.0, 0.0))
     moved.state.p[0] = 1.0
     return moved
 
 
-def _oscillators(z: Floats, zeta: float = 0.0) -> StabilityScene:
+def _oscillators(z: Floats, zeta: float = 0.0) -> stability_runs.StabilityScene:
     """Points with hω = z for h = 1 s, and with drag 2ζω."""
     return points(z * z, 2.0 * zeta * z if zeta else None)
 
 
-def pairs(z: Floats) -> StabilityScene:
+def pairs(z: Floats) -> stability_runs.StabilityScene:
     """Pairs of points of 1 kg on springs of no length, with hω = z for h = 1 s: ω² = k (1/m + 1/m).
 
     The first of each pair come first; all have p = (1, 0, 0) or its reverse.
     """
     n = z.size
     first, zero = np.arange(n), np.zeros((3, n))
-    bodies = bodies_of(np.zeros((2 * n, 3)))
+    bodies = stability_runs.bodies_of(np.zeros((2 * n, 3)))
     springs = Links(
         first, n + first, zero, zero, 0.5 * z * z, np.zeros(n), None, bodies.inv_mass,
         bodies.inv_inertia,
     )  # fmt: skip
-    moved = scene(np.zeros(3), np.zeros((2 * n, 3)), Terms(links=springs))
+    moved = stability_runs.scene(np.zeros(3), np.zeros((2 * n, 3)), Terms(links=springs))
     moved.state.p[0] = np.repeat([1.0, -1.0], n)
     return moved
 
 
-def tops(omega: Floats, stiffness: Floats) -> StabilityScene:
+def tops(omega: Floats, stiffness: Floats) -> stability_runs.StabilityScene:
     """Tops, I = (1, 2, 3), in a uniform field: a torque k r × A, r = -A the body's axis 3 at first.
 
     A spring from (0, 0, -1) in the body to A = (0, 0, -1) in the world; the mass is so large that
@@ -101,30 +89,32 @@ def tops(omega: Floats, stiffness: Floats) -> StabilityScene:
     """
     n = stiffness.size
     hook = np.tile([[0.0], [0.0], [-1.0]], (1, n))
-    body_hook = rotate_back(bodies_of(np.tile(MOMENTS, (n, 1))).rotor_frame, hook)
+    body_hook = rotate_back(
+        stability_runs.bodies_of(np.tile(stability_runs.MOMENTS, (n, 1))).rotor_frame, hook
+    )
     spring = Spring(body_hook, hook, stiffness, np.zeros(n))
-    return scene(MOMENTS, omega, Terms(loads=(spring,)), mass=1e20)
+    return stability_runs.scene(stability_runs.MOMENTS, omega, Terms(loads=(spring,)), mass=1e20)
 
 
-def _pendulums(z: Floats) -> StabilityScene:
+def _pendulums(z: Floats) -> stability_runs.StabilityScene:
     """Tops that librate about axis 1 with hΩ = z for h = 1 s, by 1e-6 rad/s: Ω² = k/I₁."""
     return tops(np.tile([1e-6, 0.0, 0.0], (z.size, 1)), z * z)
 
 
-def _is_bounded(method: str, moved: StabilityScene, steps: int) -> Bools:
+def _is_bounded(method: str, moved: stability_runs.StabilityScene, steps: int) -> Bools:
     """Whether so many steps of 1 s leave momenta below 1e6 and tilts below 1e-3."""
-    frames = history(moved, method, 1.0, np.rint(steps * np.linspace(0.125, 1.0, 8)))
+    frames = stability_runs.history(moved, method, 1.0, np.rint(steps * np.linspace(0.125, 1.0, 8)))
     p, tilt = np.abs(frames.linear_momentum[..., 0]), np.abs(frames.orientation[..., 1])
     return np.asarray(((p < 1e6) & (tilt < 1e-3)).all(axis=0))
 
 
 def limit(
     method: str,
-    make: Callable[[Floats], StabilityScene],
+    make: Callable[[Floats], stability_runs.StabilityScene],
     low: float = 0.0,
     high: float = 10.0,
     steps: int = 20_000,
-    is_bounded: Callable[[str, StabilityScene, int], Bools] = _is_bounded,
+    is_bounded: Callable[[str, stability_runs.StabilityScene, int], Bools] = _is_bounded,
 ) -> float:
     """Smallest z with an unbounded motion, by bisection, 128 at a time; inf if none is."""
     for k in range(3):
@@ -139,31 +129,33 @@ def limit(
 
 def growth(
     method: str,
-    moved: StabilityScene,
-    quantity: Callable[[StabilityScene, State], float],
+    moved: stability_runs.StabilityScene,
+    quantity: Callable[[stability_runs.StabilityScene, State], float],
     steps: int = 20,
 ) -> float:
     """Factor of a quantity per step of 1 s, less 1; over the second half of 2N steps."""
-    frames = history(moved, method, 1.0, np.array([steps, 2.0 * steps]))
-    first, second = (quantity(moved, state) for state in states(moved, frames))
+    frames = stability_runs.history(moved, method, 1.0, np.array([steps, 2.0 * steps]))
+    first, second = (quantity(moved, state) for state in stability_runs.states(moved, frames))
     return float((second / first) ** (1.0 / steps) - 1.0)
 
 
 def gain(method: str, z: float, steps: int = 20) -> float:
     """Factor of the energy of an oscillator with hω = z per step, less 1."""
-    return growth(method, _oscillators(np.array([z])), lambda *one: energy(*one)[0], steps)
+    return growth(
+        method, _oscillators(np.array([z])), lambda *one: stability_runs.energy(*one)[0], steps
+    )
 
 
 def _top_gain(method: str, z: float) -> float:
     """Factor of a small |ω⊥|² of a symmetric top, I = (1, 1, 1.5), hω₃ = z, per step, less 1."""
-    top = scene(np.array([1.0, 1.0, 1.5]), np.array([[1e-4 * z, 0.0, z]]))
+    top = stability_runs.scene(np.array([1.0, 1.0, 1.5]), np.array([[1e-4 * z, 0.0, z]]))
     return growth(method, top, lambda _, s: (rotate_back(s.q, s.L)[:2] ** 2).sum())
 
 
 def _turn_in_a_step(method: str, z: float) -> float:
     """Angle [rad] by which a step with hω = z turns a body about its axis 3."""
-    moved = scene(MOMENTS, np.array([[0.0, 0.0, z]]))
-    w, *axis = history(moved, method, 1.0, np.array([1.0])).orientation[0, 0]
+    moved = stability_runs.scene(stability_runs.MOMENTS, np.array([[0.0, 0.0, z]]))
+    w, *axis = stability_runs.history(moved, method, 1.0, np.array([1.0])).orientation[0, 0]
     return 2.0 * math.atan2(math.hypot(*axis), w)
 
 
@@ -259,7 +251,7 @@ def _steady_limit() -> float:
     """Smallest turn [rad] about axis 3 that the plain map misses by more than 2 %."""
     turn = np.linspace(0.5, 3.0, 1001)
     spins = turn[:, None] * np.array([0.0, 0.0, 1.0])
-    v, _ = plain_map(np.tile(MOMENTS, (turn.size, 1)), spins)
+    v, _ = plain_map(np.tile(stability_runs.MOMENTS, (turn.size, 1)), spins)
     missed = ~(np.abs(2.0 * np.arctan(v[2]) / turn - 1.0) < 0.02)
     return float(turn[missed.argmax()])
 
@@ -267,16 +259,16 @@ def _steady_limit() -> float:
 def _tumbling_limit() -> float:
     """Smallest h|ω| for which the plain fixed point of some of 200 spins has not converged."""
     turn = np.linspace(0.5, 3.0, 251)
-    spins = (turn[:, None, None] * unit_vectors(200, seed=1)).reshape(-1, 3)
-    _, change = plain_map(np.tile(MOMENTS, (len(spins), 1)), spins, 300)
+    spins = (turn[:, None, None] * stability_runs.unit_vectors(200, seed=1)).reshape(-1, 3)
+    _, change = plain_map(np.tile(stability_runs.MOMENTS, (len(spins), 1)), spins, 300)
     missed = ~(change.reshape(turn.size, -1) < 1e-9).all(axis=1)
     return float(turn[missed.argmax()])
 
 
 def _cut_limit(pace: float = 64.0) -> float:
     """Inf if `rkn6`, which cuts long turns, stays accurate at this step; else the step."""
-    rows = row_of("rkn6", pace, 5, TURNS)
-    return math.inf if (rows.verdict == ACCURATE).all() else pace
+    rows = stability_runs.row_of("rkn6", pace, 5, stability_runs.TURNS)
+    return math.inf if (rows.verdict == stability_runs.ACCURATE).all() else pace
 
 
 # All of them

@@ -21,13 +21,7 @@ from particlerb.case.raw import (
     number,
     tables,
 )
-from particlerb.case.rules.bodies import (
-    body_rules,
-    count_rules,
-    file_rules,
-    held_rules,
-    shape_file_rules,
-)
+from particlerb.case.rules import bodies
 from particlerb.case.rules.contact import contact_rules
 from particlerb.case.rules.joints import driven_rules, joint_rules
 from particlerb.files import Files
@@ -47,7 +41,9 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
         if table is not None:
             yield from table.rules(("force", i), force, members(raw))
             path = ("force", i, table.load_key, "table")
-            yield from file_rules(path, entry_at(force, table.load_key, dict).get("table"), files)
+            yield from bodies.file_rules(
+                path, entry_at(force, table.load_key, dict).get("table"), files
+            )
     yield from _code_rules(raw, files)
     law = entry_at(raw.get("contact"), "law", str)
     for i, joint in tables(raw, "joint"):
@@ -56,12 +52,12 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     yield from _attraction_rules(raw.get("attraction"), members(raw))
     yield from contact_rules(raw)
     for i, body in tables(raw, "body"):
-        yield from body_rules(("body", i), body)
-        yield from held_rules(("body", i), body, raw)
-        yield from count_rules(("body", i), body)
-        yield from shape_file_rules(("body", i), body, files)
+        yield from bodies.body_rules(("body", i), body)
+        yield from bodies.held_rules(("body", i), body, raw)
+        yield from bodies.count_rules(("body", i), body)
+        yield from bodies.shape_file_rules(("body", i), body, files)
     for i, wall in tables(raw, "wall"):
-        yield from file_rules(("wall", i, "file"), wall.get("file"), files)
+        yield from bodies.file_rules(("wall", i, "file"), wall.get("file"), files)
 
 
 def _code_rules(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
@@ -76,7 +72,7 @@ def _code_rules(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
                 yield ("force", i, "function"), reason, ""
         elif isinstance(function, str) and force.get("type") == "python":
             file = force.get("file") or f"{function}.py"
-            yield from file_rules(("force", i, "file"), file, files)
+            yield from bodies.file_rules(("force", i, "file"), file, files)
     files.contents.update(texts)
 
 

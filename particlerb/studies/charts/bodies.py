@@ -13,15 +13,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.state import axes_across, rotate, rotation_matrix
 from particlerb.record import schema
 from particlerb.record.trajectory import Trajectory
-from particlerb.studies.charts.solids import (
-    ANGLED,
-    BODY,
-    draw_solids,
-    draw_walls,
-    solids_of,
-    view_along,
-    view_at_angle,
-)
+from particlerb.studies.charts import solids
 from particlerb.studies.charts.style import COLOURS, INK, finish_view, line_style
 
 _ATTITUDES: Final = 7
@@ -72,7 +64,9 @@ def motion_of_bodies(trajectory: Trajectory) -> Floats:
     return np.asarray(np.abs(np.stack(x) - x[0]).max(axis=(0, 1)))
 
 
-def draw_particles(axes: Axes, centres: Floats, radii: Floats, colours: object = BODY) -> None:
+def draw_particles(
+    axes: Axes, centres: Floats, radii: Floats, colours: object = solids.BODY
+) -> None:
     """Outlines of particles, in the units of the axes."""
     width = 2.0 * radii
     circles = EllipseCollection(
@@ -99,7 +93,7 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     colours = 1.0 - share * (1.0 - np.array(to_rgb(COLOURS[0]))) - 0.08 * (1.0 - share)
     radii = trajectory.particles.radius[particle][order]
     draw_particles(axes, centres[order][:, shown], np.maximum(radii, 0.003 * reach), colours)
-    draw_walls(axes, trajectory, frame, shown)
+    solids.draw_walls(axes, trajectory, frame, shown)
     if trajectory.n_bodies <= FEW:
         _draw_outlines(axes, trajectory, frame, (across, up))
         for path in np.moveaxis(trajectory.read("position")[: frame + 1], 1, 0):
@@ -114,16 +108,16 @@ def draw_at_rest(axes: Axes, trajectory: Trajectory, shown: list[int]) -> None:
     """Bodies whose centres rest, in the last frame, seen from above at an angle."""
     last = slice(trajectory.n_frames - 1, trajectory.n_frames)
     x, q = (trajectory.read(name, last, bodies=shown)[0] for name in ("position", "orientation"))
-    view = view_at_angle(upright(trajectory))
+    view = solids.view_at_angle(upright(trajectory))
     shapes = shapes_of(trajectory)
     placed = [
         shapes[b].moved(view @ rotation_matrix(orientation), view @ com)
         for b, orientation, com in zip(shown, q, x, strict=True)
     ]
-    draw_solids(axes, placed, "#a9cce3", 2.0)
+    solids.draw_solids(axes, placed, "#a9cce3", 2.0)
     title = f"t = {trajectory.time[-1]:.4g} s; the centres are at rest"
     up = "xyz"[upright(trajectory)]
-    finish_view(axes, title, ANGLED, f"upwards: {up} [m]")
+    finish_view(axes, title, solids.ANGLED, f"upwards: {up} [m]")
 
 
 def draw_paths(axes: Axes3D, trajectory: Trajectory, shown: list[int], body: int) -> None:
@@ -144,21 +138,21 @@ def _draw_outlines(axes: Axes, trajectory: Trajectory, frame: int, shown: tuple[
     x, q = (
         trajectory.read(name, slice(frame, frame + 1))[0] for name in ("position", "orientation")
     )
-    view = view_along(*shown)
+    view = solids.view_along(*shown)
     several = np.bincount(trajectory.constituents[0], minlength=trajectory.n_bodies) > 1
     placed = [
         mesh.moved(view @ rotation_matrix(q[b]), view @ x[b])
         for b, mesh in enumerate(shapes_of(trajectory))
         if several[b]
     ]
-    draw_solids(axes, placed, BODY, 0.5)
+    solids.draw_solids(axes, placed, solids.BODY, 0.5)
 
 
 def shapes_of(trajectory: Trajectory) -> list[SurfaceMesh]:
     """Surface of each body, in its frame from its centre of mass: a box where it has none."""
     edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))
-    solids = zip(solids_of(trajectory), edges, strict=True)
-    return [box(extent) if mesh is None else mesh for mesh, extent in solids]
+    made = zip(solids.solids_of(trajectory), edges, strict=True)
+    return [box(extent) if mesh is None else mesh for mesh, extent in made]
 
 
 def draw_trace(axes: Axes3D, trajectory: Trajectory, body: int, axis: int) -> None:
@@ -218,7 +212,7 @@ def draw_orientations(axes: Axes, trajectory: Trajectory, body: int) -> None:
         @ view
     )
     edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))[body]
-    solid = solids_of(trajectory)[body]
+    solid = solids.solids_of(trajectory)[body]
     mesh = box(edges) if solid is None else solid
     mesh = mesh._replace(vertices=mesh.vertices / np.linalg.norm(edges))
     arrow = np.outer([0.0, 0.5 * edges[spun] / np.linalg.norm(edges) + 0.2], np.eye(3)[spun])
@@ -228,7 +222,7 @@ def draw_orientations(axes: Axes, trajectory: Trajectory, body: int) -> None:
         tip = arrow @ to_picture.T
         shift = np.array([_APART * k, 0.0, 0.0])
         seen = to_picture[[0, 2, 1]]  # to the right, upwards, away
-        draw_solids(axes, [mesh.moved(seen, shift)], BODY, 2.0)
+        solids.draw_solids(axes, [mesh.moved(seen, shift)], solids.BODY, 2.0)
         in_front = 3.0 if tip[1, 1] < 0.0 else 1.0
         x, z = tip[:, 0] + _APART * k, tip[:, 2]
         axes.plot(x, z, color=COLOURS[1], lw=2.0, zorder=in_front)

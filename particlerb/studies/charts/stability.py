@@ -18,25 +18,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
 from particlerb.maths.vec3 import Bools, Floats
-from particlerb.studies.charts.style import (
-    INK,
-    METHOD_COLOURS,
-    bare,
-    finish_panel,
-    name_curves,
-    write_beside,
-    write_inside,
-)
+from particlerb.studies import stability
+from particlerb.studies.charts import style
 from particlerb.studies.resting_contacts import RATIOS, THEORY
-from particlerb.studies.stability import (
-    MOTIONS,
-    EnergyDrift,
-    Map,
-    Stability,
-    growth_exponent,
-    is_tolerance,
-    largest_pace,
-)
 from particlerb.studies.stability_limits import Limit
 from particlerb.studies.stability_runs import SMALL, UNSOLVABLE, VERDICTS
 from particlerb.studies.stability_table import number
@@ -60,7 +44,7 @@ FLOOR: Final = 1e-17  # lowest error drawn
 _MIN_DRIFT, _MAX_DRIFT = 1e-15, 30.0
 
 
-def pictures(study: Stability) -> dict[str, Callable[[Stability, Path], None]]:
+def pictures(study: stability.Stability) -> dict[str, Callable[[stability.Stability, Path], None]]:
     """What draws a study, by the end of the name of the file: what is not in it is left out."""
     drawings = {"maps": draw_maps, "limits": draw_limits, "drifts": draw_drifts}
     return {name: draw for name, draw in drawings.items() if getattr(study, name)}
@@ -69,7 +53,7 @@ def pictures(study: Stability) -> dict[str, Callable[[Stability, Path], None]]:
 # Maps
 
 
-def draw_maps(study: Stability, path: Path) -> None:
+def draw_maps(study: stability.Stability, path: Path) -> None:
     """Two maps per method; as PNG, SVG or PDF, by the suffix of the path."""
     methods = list(dict.fromkeys(one.method for one in study.maps))
     down = -(-len(methods) // _METHODS_PER_ROW)
@@ -81,40 +65,40 @@ def draw_maps(study: Stability, path: Path) -> None:
     for k, method in enumerate(methods):
         cell = cells.flat[k]
         heading = f"{method}\n{_headline(study, method)}"
-        cell.suptitle(heading, color=METHOD_COLOURS[method], fontsize=9.5)
+        cell.suptitle(heading, color=style.METHOD_COLOURS[method], fontsize=9.5)
         panels = cell.subplots(1, len(families), sharey=True, squeeze=False)[0]
         maps = [one for one in study.maps if one.method == method]
         for axes, one in zip(panels, maps, strict=True):
             _draw_map(axes, one)
-        if is_tolerance(maps[0]):
+        if stability.is_tolerance(maps[0]):
             panels[0].set_ylabel("tolerance", fontsize=9)
         elif k % _METHODS_PER_ROW == 0:
             panels[0].set_ylabel("h |ω|  [rad per step]", fontsize=9)
         elif k % _METHODS_PER_ROW == _METHODS_PER_ROW - 1:
             _mark_steps_per_turn(panels[-1])
     patches = [
-        Patch(facecolor=tint, edgecolor=INK, lw=0.5, label=text)
+        Patch(facecolor=tint, edgecolor=style.INK, lw=0.5, label=text)
         for tint, text in zip(_TINTS, MEANING.values(), strict=True)
     ]
     figure.legend(handles=patches, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     figure.savefig(path, dpi=_DPI)
 
 
-def _headline(study: Stability, method: str) -> str:
+def _headline(study: stability.Stability, method: str) -> str:
     """How far a method is accurate, over all its maps."""
     maps = [one for one in study.maps if one.method == method]
     if not maps[0].pace.any():
         return "no step, no limit"
-    pace = min(largest_pace(one, SMALL) for one in maps)
+    pace = min(stability.largest_pace(one, SMALL) for one in maps)
     if pace == 0.0:
         return "wrong at every step tried"
     if pace == maps[0].pace[-1]:
         return "within 0.1 % at every step tried"
-    what = "tolerance" if is_tolerance(maps[0]) else "h|ω|"
+    what = "tolerance" if stability.is_tolerance(maps[0]) else "h|ω|"
     return f"within 0.1 % up to {what} = {pace:.2g}"
 
 
-def _draw_map(axes: Axes, map_: Map) -> None:
+def _draw_map(axes: Axes, map_: stability.Map) -> None:
     """Colours of the verdicts, lines of equal error, names of the regions."""
     columns = np.arange(map_.across.size + 1) - 0.5
     norm = BoundaryNorm(np.arange(len(VERDICTS) + 1) - 0.5, len(VERDICTS))
@@ -126,7 +110,7 @@ def _draw_map(axes: Axes, map_: Map) -> None:
         _name_regions(axes, map_)
     else:
         text = f"closed form:\nno step\n\nworst error\n{map_.error.max():.0e}"
-        write_inside(axes, 0.5, 0.5, text, ha="center", va="center", fontsize=9)
+        style.write_inside(axes, 0.5, 0.5, text, ha="center", va="center", fontsize=9)
     _mark_across(axes, map_)
     _mark_pace(axes, map_)
 
@@ -137,20 +121,20 @@ def _edges_of(pace: Floats) -> Floats:
     return np.append(pace / half, pace[-1] * half)
 
 
-def _draw_levels(axes: Axes, map_: Map) -> None:
+def _draw_levels(axes: Axes, map_: stability.Map) -> None:
     """Lines of equal worst energy error, where it is finite."""
     height = np.log10(np.clip(map_.error, FLOOR, 1e3))
     levels = [level for level in _ERROR_LEVELS if height.min() < level < height.max()]
     if not levels or (map_.verdict == UNSOLVABLE).all():
         return
     lines = axes.contour(
-        np.arange(map_.across.size), map_.pace, height, levels=levels, colors=INK, linewidths=0.7,
-        linestyles="solid",
+        np.arange(map_.across.size), map_.pace, height, levels=levels, colors=style.INK,
+        linewidths=0.7, linestyles="solid",
     )  # fmt: skip
     axes.clabel(lines, fmt=lambda level: f"1e{level:.0f}", fontsize=6.5)
 
 
-def _name_regions(axes: Axes, map_: Map) -> None:
+def _name_regions(axes: Axes, map_: stability.Map) -> None:
     """The word of each verdict in the widest place of its region, and how soon all is lost."""
     for k, word in enumerate(MEANING):
         place = widest(map_.verdict == k)
@@ -161,7 +145,7 @@ def _name_regions(axes: Axes, map_: Map) -> None:
             weight="bold", color=_ink_on(k), zorder=5,
             bbox={"facecolor": _TINTS[k], "edgecolor": "none", "alpha": 0.9, "pad": 1.5},
         )  # fmt: skip
-    if largest_pace(map_, SMALL) > 0.0 or is_tolerance(map_):
+    if stability.largest_pace(map_, SMALL) > 0.0 or stability.is_tolerance(map_):
         return
     for row in (map_.pace.size // 10, 5 * map_.pace.size // 6):
         turns, verdict = map_.turns[row], int(map_.verdict[row].max())
@@ -197,7 +181,7 @@ def widest(region: Bools) -> tuple[int, int] | None:
     return int(r), int(c)
 
 
-def _mark_across(axes: Axes, map_: Map) -> None:
+def _mark_across(axes: Axes, map_: stability.Map) -> None:
     """What the columns are."""
     axes.xaxis.set_minor_locator(NullLocator())
     x = np.arange(map_.across.size, dtype=float)
@@ -209,16 +193,16 @@ def _mark_across(axes: Axes, map_: Map) -> None:
         return
     at = np.interp(list(_START_LABELS), map_.across, x).tolist()
     axes.set_xticks(at, list(_START_LABELS.values()), fontsize=8)
-    axes.axvline(at[1], color=INK, lw=0.8, ls=":")
+    axes.axvline(at[1], color=style.INK, lw=0.8, ls=":")
     axes.set_xlabel("start, I = (1, 2, 3)", fontsize=8)
 
 
-def _mark_pace(axes: Axes, map_: Map) -> None:
+def _mark_pace(axes: Axes, map_: stability.Map) -> None:
     """Ticks of the steps, and of the steps per turn; or of the tolerances."""
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.tick_params(axis="y", labelsize=8)
-    if is_tolerance(map_):
+    if stability.is_tolerance(map_):
         return
     axes.set_ylim(_STEPS[0], _STEPS[-1])
     axes.yaxis.set_major_locator(FixedLocator(_STEPS))
@@ -227,7 +211,9 @@ def _mark_pace(axes: Axes, map_: Map) -> None:
     if missing > 2.0:
         height = 0.5 * math.log(missing) / math.log(_STEPS[-1] / _STEPS[0])
         text = "not run:\nsmall steps\ncost too much"
-        write_inside(axes, 0.5, height, text, ha="center", va="center", fontsize=7, color=INK)
+        style.write_inside(
+            axes, 0.5, height, text, ha="center", va="center", fontsize=7, color=style.INK
+        )
 
 
 def _mark_steps_per_turn(axes: Axes) -> None:
@@ -242,7 +228,7 @@ def _mark_steps_per_turn(axes: Axes) -> None:
 # Limits
 
 
-def draw_limits(study: Stability, path: Path) -> None:
+def draw_limits(study: stability.Stability, path: Path) -> None:
     """Each limit beside theory, and those of resting contact over its damping."""
     on_contacts = [one for one in study.limits if math.isfinite(one.zeta)]
     others = [one for one in study.limits if not math.isfinite(one.zeta)]
@@ -261,27 +247,29 @@ def _draw_distances(axes: Axes, limits: Sequence[Limit]) -> None:
     """Each limit: its distance from theory in per cent, and both figures in words."""
     figures: dict[str, Any] = {"va": "center", "family": "monospace", "fontsize": 8.5}
     axes.axvspan(-1.0, 1.0, color="#eef2f6", lw=0)
-    axes.axvline(0.0, color=INK, lw=0.8)
+    axes.axvline(0.0, color=style.INK, lw=0.8)
     for y, limit in zip(range(len(limits), 0, -1), limits, strict=True):
-        colour = METHOD_COLOURS[limit.method]
+        colour = style.METHOD_COLOURS[limit.method]
         if math.isfinite(limit.theory):
             axes.plot(100.0 * (limit.measured / limit.theory - 1.0), y, "o", color=colour, ms=5)
         name = f"{limit.method}: {limit.name.replace(': largest', ',')}"
-        write_beside(axes, -0.02, y, name, ha="right", va="center", fontsize=8.5, color=colour)
+        style.write_beside(
+            axes, -0.02, y, name, ha="right", va="center", fontsize=8.5, color=colour
+        )
         text = f"{number(limit.theory):>12} {number(limit.measured):>12}"
-        write_beside(axes, 1.02, y, text, **figures)
+        style.write_beside(axes, 1.02, y, text, **figures)
     heading = f"{'theory':>12} {'measured':>12}"
-    write_beside(axes, 1.02, len(limits) + 1.0, heading, weight="bold", **figures)
+    style.write_beside(axes, 1.02, len(limits) + 1.0, heading, weight="bold", **figures)
     axes.set(xlim=(-1.3, 1.3), ylim=(0.3, len(limits) + 1.5), yticks=[])
     axes.set_xlabel("measured less theory [%]; shaded: 1 %")
     axes.set_title("limits of the step, and factors per step", loc="left", fontsize=11)
     axes.spines["left"].set_visible(False)
-    bare(axes)
+    style.bare(axes)
 
 
 def _draw_resting(axes: Axes, limits: Sequence[Limit]) -> None:
     """Limits of a body that rests on a contact over its damping: theory as lines, measured dots."""
-    finish_panel(
+    style.finish_panel(
         axes, "a ball that rests on the floor: hω above which it oscillates more and more"
         " (line: theory, dots: measured)",
         xlim=(-0.02, 1.35), ylim=(0.0, 3.2), xticks=RATIOS, ylabel="hω",
@@ -290,7 +278,7 @@ def _draw_resting(axes: Axes, limits: Sequence[Limit]) -> None:
     ends = []
     for method in dict.fromkeys(one.method for one in limits):
         dots = [one for one in limits if one.method == method]
-        colour, zeta = METHOD_COLOURS[method], np.linspace(0.0, RATIOS[-1], 101)
+        colour, zeta = style.METHOD_COLOURS[method], np.linspace(0.0, RATIOS[-1], 101)
         theory = [THEORY[method](ratio) for ratio in zeta.tolist()]
         axes.plot(zeta, theory, color=colour, lw=1.5)
         axes.plot([p.zeta for p in dots], [p.measured for p in dots], "o", color=colour, ms=6)
@@ -302,14 +290,16 @@ def _draw_resting(axes: Axes, limits: Sequence[Limit]) -> None:
 # Drift
 
 
-def draw_drifts(study: Stability, path: Path) -> None:
+def draw_drifts(study: stability.Stability, path: Path) -> None:
     """Energy error against time: one panel per motion."""
     drifts, figure = study.drifts, Figure(figsize=(_PAGE_WIDTH, 10.0), layout="constrained")
-    panels = figure.subplots(len(MOTIONS), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    for axes, motion in zip(panels, MOTIONS, strict=True):
+    panels = figure.subplots(len(stability.MOTIONS), 1, sharex=True, sharey=True, squeeze=False)[
+        :, 0
+    ]
+    for axes, motion in zip(panels, stability.MOTIONS, strict=True):
         of_motion = [one for one in drifts if one.motion == motion]
         longest = max(one.turns[-1] for one in of_motion)
-        finish_panel(
+        style.finish_panel(
             axes, f"{motion}, eight starts: every sample (dots), largest until then (line)",
             xscale="log", yscale="log", xlim=(0.1, 2e4 * longest), ylim=(_MIN_DRIFT, _MAX_DRIFT),
             xticks=[10.0**k for k in range(-1, round(math.log10(longest)) + 1)],
@@ -323,9 +313,9 @@ def draw_drifts(study: Stability, path: Path) -> None:
     figure.savefig(path, dpi=_DPI)
 
 
-def _draw_drift(axes: Axes, drift: EnergyDrift) -> None:
+def _draw_drift(axes: Axes, drift: stability.EnergyDrift) -> None:
     """Samples of the worst body, and the running maximum; a cross where it ends early."""
-    colour = METHOD_COLOURS[drift.method]
+    colour = style.METHOD_COLOURS[drift.method]
     is_finite = np.isfinite(drift.largest)
     turns, worst = drift.turns[is_finite], drift.error.max(axis=1)[is_finite]
     axes.plot(turns, np.maximum(worst, FLOOR), ".", color=colour, ms=2.5, alpha=0.5)
@@ -334,17 +324,17 @@ def _draw_drift(axes: Axes, drift: EnergyDrift) -> None:
         axes.plot(turns[-1], min(drift.largest[is_finite][-1], _MAX_DRIFT), "X", color=colour, ms=7)
 
 
-def _name_drifts(axes: Axes, drifts: Sequence[EnergyDrift]) -> None:
+def _name_drifts(axes: Axes, drifts: Sequence[stability.EnergyDrift]) -> None:
     """Names at the ends: how fast the error grows there, or when a curve breaks off (cross)."""
     ends = []
     for drift in drifts:
-        colour, is_finite = METHOD_COLOURS[drift.method], np.isfinite(drift.largest)
+        colour, is_finite = style.METHOD_COLOURS[drift.method], np.isfinite(drift.largest)
         name = f"{drift.method}, {drift.pace:g}:"
         if is_finite.all():
             level = min(max(float(drift.largest[-1]), _MIN_DRIFT), _MAX_DRIFT)
-            text = f"{name} p = {abs(growth_exponent(drift)[0]):.2f}"
+            text = f"{name} p = {abs(stability.growth_exponent(drift)[0]):.2f}"
             ends.append((float(drift.turns[-1]), level, text, colour))
         else:
             text = f"{name} NaN after {float(f'{drift.turns[is_finite][-1]:.1g}'):g} turns"
             ends.append((math.nan, _MIN_DRIFT, text, colour))
-    name_curves(axes, ends, 1.6 * max(drift.turns[-1] for drift in drifts), gap=1.2)
+    style.name_curves(axes, ends, 1.6 * max(drift.turns[-1] for drift in drifts), gap=1.2)

@@ -19,19 +19,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.state import derived, rotate
 from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.rotors.rotor_class import SYMMETRIC
-from particlerb.studies.charts.bodies import (
-    FEW,
-    KEYED,
-    direction,
-    draw_at_rest,
-    draw_orientations,
-    draw_paths,
-    draw_side,
-    draw_trace,
-    motion_of_bodies,
-    spun_axis,
-    upright,
-)
+from particlerb.studies.charts import bodies
 from particlerb.studies.charts.linkage import draw_linkage, mechanism_of
 from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style, write_beside
 from particlerb.studies.text import count_of
@@ -89,12 +77,12 @@ def _draw_panels(
 ) -> None:
     """Draw what fits the scene, or a body."""
     b = _fastest(trajectory) if body is None else trajectory.names.index(body)
-    shown = _shown(trajectory.n_bodies, FEW, b)
+    shown = _shown(trajectory.n_bodies, bodies.FEW, b)
     is_still = not np.ptp(trajectory.read("position", bodies=shown), axis=0).any()
     is_tumbling = is_still and not _is_top(trajectory, b) and trajectory.n_frames > 1
     if is_tumbling and trajectory.omega_body(b)[0].any():
         grid = figure.add_gridspec(2, 3, height_ratios=(0.6, 1.0), width_ratios=(1.0, 1.0, 1.3))
-        draw_orientations(figure.add_subplot(grid[0, :]), trajectory, b)
+        bodies.draw_orientations(figure.add_subplot(grid[0, :]), trajectory, b)
         places = [grid[1, 0], grid[1, 1], grid[1, 2]]
     else:
         grid = figure.add_gridspec(2, 2)
@@ -122,7 +110,7 @@ def _draw_motion(
         _draw_libration(below, trajectory, case)
     elif trajectory.n_bodies > 1 and not is_of_one:
         _draw_energies(above, trajectory)
-        is_coupled = trajectory.n_bodies > FEW or _couples(case)
+        is_coupled = trajectory.n_bodies > bodies.FEW or _couples(case)
         (_draw_heights if is_coupled else _draw_rates)(below, trajectory, case)
     elif _is_top(trajectory, b):
         _draw_angular_velocity(above, trajectory, b)
@@ -145,9 +133,9 @@ def _titled_figure(trajectory: Trajectory, case: dict[str, Any]) -> Figure:
     """Nothing but the title of a case, else name of its file; how many bodies and frames."""
     figure = Figure(figsize=(11, 7.2), layout="constrained")
     title = case["title"] or Path(trajectory.file.filename).name
-    bodies = count_of(trajectory.n_bodies, "body", "bodies")
+    counted = count_of(trajectory.n_bodies, "body", "bodies")
     frames = count_of(trajectory.n_frames, "frame", "frames")
-    figure.suptitle(f"{title}   ({bodies}, {frames})", color=INK)
+    figure.suptitle(f"{title}   ({counted}, {frames})", color=INK)
     return figure
 
 
@@ -177,23 +165,23 @@ def _draw_bodies(
 
     Of many mechanisms that of the body is drawn, if it has few members.
     """
-    is_few = trajectory.n_bodies <= FEW
+    is_few = trajectory.n_bodies <= bodies.FEW
     if is_scene and case["joint"] and trajectory.n_frames > 1:
-        jointed = shown if is_few else mechanism_of(trajectory, body, FEW)
-        if is_few or (case["contact"] is None and 1 < len(jointed) <= FEW):
+        jointed = shown if is_few else mechanism_of(trajectory, body, bodies.FEW)
+        if is_few or (case["contact"] is None and 1 < len(jointed) <= bodies.FEW):
             draw_linkage(figure.add_subplot(place), trajectory, jointed)
             return
     if is_scene and not (is_few and case["contact"] is None):
-        draw_side(figure.add_subplot(place), trajectory, trajectory.n_frames - 1)
+        bodies.draw_side(figure.add_subplot(place), trajectory, trajectory.n_frames - 1)
         return
-    if is_scene and not motion_of_bodies(trajectory).any() and not _is_top(trajectory, body):
-        draw_at_rest(figure.add_subplot(place), trajectory, shown)
+    if is_scene and not bodies.motion_of_bodies(trajectory).any() and not _is_top(trajectory, body):
+        bodies.draw_at_rest(figure.add_subplot(place), trajectory, shown)
         return
     axes = figure.add_subplot(place, projection="3d")
     if _is_top(trajectory, body):
-        draw_trace(axes, trajectory, body, _symmetry_axis(trajectory, body))
+        bodies.draw_trace(axes, trajectory, body, _symmetry_axis(trajectory, body))
     else:
-        draw_paths(axes, trajectory, shown, body)
+        bodies.draw_paths(axes, trajectory, shown, body)
 
 
 def _is_top(trajectory: Trajectory, body: int) -> bool:
@@ -227,7 +215,7 @@ def _centre(trajectory: Trajectory, case: dict[str, Any]) -> Floats | None:
 def _draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -> None:
     """A line for each of a few, else the median and the range that holds 80 % of them."""
     n = values.shape[1]
-    if n <= KEYED or (n <= _LINES and sum(map(len, names)) <= _LETTERS):
+    if n <= bodies.KEYED or (n <= _LINES and sum(map(len, names)) <= _LETTERS):
         for k, name in enumerate(names):
             axes.plot(time, values[:, k], lw=1.3, label=name, **line_style(k))
         return
@@ -260,7 +248,7 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
         _draw_lines(axes, time, trajectory.contact_number.astype(float), trajectory.names)
         finish(axes, "contacts of a body", "number")
     elif case["gravity"] and _rises(trajectory):
-        up, some = upright(trajectory), _shown(trajectory.n_bodies, _MAX_BODIES_SAMPLED, 0)
+        up, some = bodies.upright(trajectory), _shown(trajectory.n_bodies, _MAX_BODIES_SAMPLED, 0)
         heights = trajectory.read("position", bodies=some)[:, :, up]
         _draw_lines(axes, time, heights, trajectory.names)
         finish(axes, "height of bodies", f"{'xyz'[up]} [m]")
@@ -276,19 +264,23 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
 
 def _rises(trajectory: Trajectory) -> bool:
     """Whether heights of bodies change, beside how far they move at all, or all are at rest."""
-    moved = motion_of_bodies(trajectory)
+    moved = bodies.motion_of_bodies(trajectory)
     size = np.ptp(trajectory.read("position", slice(0, 1))[0], axis=0).max()
     is_still = moved.max() <= _STILL_SHARE * size
-    return bool(is_still or moved[upright(trajectory)] >= _LEVEL_SHARE * moved.max())
+    return bool(is_still or moved[bodies.upright(trajectory)] >= _LEVEL_SHARE * moved.max())
 
 
 def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
     """Angle of the axis of the least moment of each body with the line to what attracts it."""
-    angles, shown, centre = [], _shown(trajectory.n_bodies, KEYED, 0), _centre(trajectory, case)
+    angles, shown, centre = (
+        [],
+        _shown(trajectory.n_bodies, bodies.KEYED, 0),
+        _centre(trajectory, case),
+    )
     assert centre is not None
     for b in shown:
         least = _body_axis(trajectory, b, int(np.argmin(trajectory.bodies.inertia[:, b])))
-        axis, r = direction(trajectory, b, least), trajectory.read("position", bodies=b)
+        axis, r = bodies.direction(trajectory, b, least), trajectory.read("position", bodies=b)
         r = r.reshape(-1, 3) - centre
         across = np.linalg.norm(np.cross(axis, r), axis=1)
         angles.append(np.degrees(np.arctan2(across, np.abs((axis * r).sum(axis=1)))))
@@ -335,8 +327,8 @@ def _draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> Non
 
 def _draw_axis(axes: Axes, trajectory: Trajectory, body: int, is_free: bool) -> None:
     """Angle of the axis of a spin with the angular momentum, which is kept, or with its start."""
-    spun = spun_axis(trajectory, body)
-    axis = direction(trajectory, body, spun)
+    spun = bodies.spun_axis(trajectory, body)
+    axis = bodies.direction(trajectory, body, spun)
     momentum = trajectory.read("angular_momentum", bodies=body)
     is_free = is_free and bool(momentum[0].any())
     towards = momentum[0] if is_free else axis[0]
@@ -349,7 +341,10 @@ def _draw_axis(axes: Axes, trajectory: Trajectory, body: int, is_free: bool) -> 
 
 def _draw_nutation(axes: Axes, trajectory: Trajectory, body: int) -> None:
     """How far the axis of a top leans, and about the vertical how far it has come."""
-    axis, up = direction(trajectory, body, _symmetry_axis(trajectory, body)), upright(trajectory)
+    axis, up = (
+        bodies.direction(trajectory, body, _symmetry_axis(trajectory, body)),
+        bodies.upright(trajectory),
+    )
     across = [(up + 1) % 3, (up + 2) % 3]
     nutation = np.degrees(np.arccos(np.clip(axis[:, up], -1.0, 1.0)))
     precession = np.degrees(np.unwrap(np.arctan2(axis[:, across[1]], axis[:, across[0]])))

@@ -13,13 +13,7 @@ from matplotlib.patheffects import withStroke
 
 from particlerb.compiled.vector_width import processor
 from particlerb.maths.vec3 import Floats
-from particlerb.studies.charts.style import (
-    INK,
-    METHOD_COLOURS,
-    finish_panel,
-    write_beside,
-    write_inside,
-)
+from particlerb.studies.charts import style
 from particlerb.studies.points import Point, WorkPrecision
 from particlerb.studies.text import count_of
 from particlerb.studies.work_precision_table import advice, cheapest, frontier
@@ -67,21 +61,21 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
         [p.seconds for p in front], [height(p, chart.floor) for p in front],
         color="#ffd54f", lw=7, alpha=0.55, zorder=1, solid_capstyle="round",
     )  # fmt: skip
-    finish_panel(
+    style.finish_panel(
         axes, xscale="log", yscale="log", **limits(chart, drawn),
         xlabel=f"{chart.clock} in kernels for the whole run [s]   (faster to the left)",
         ylabel=f"largest {chart.measure}   (better below)",
     )  # fmt: skip
-    axes.set_title(advice(chart), fontsize=11, loc="left", color=INK, fontweight="bold")
+    axes.set_title(advice(chart), fontsize=11, loc="left", color=style.INK, fontweight="bold")
     _label_curves(axes, drawn, _mark_levels(axes, chart))
     _mark_failures(axes, chart.points)
     _mark_cheapest(axes, chart)
     bodies = count_of(chart.n_bodies, "body", "bodies")
     figure.suptitle(
         f"{chart.title}   ({bodies} to t = {chart.t_end:.6g} s, one thread, {processor()})",
-        color=INK, x=0.01, ha="left", fontsize=12,
+        color=style.INK, x=0.01, ha="left", fontsize=12,
     )  # fmt: skip
-    our_names = METHOD_COLOURS.keys()
+    our_names = style.METHOD_COLOURS.keys()
     absent = [f"{name}: left out, {why}" for name, why in chart.left_out if name not in our_names]
     if words := "\n".join((*chart.notes, *absent)):
         figure.supxlabel(words, fontsize=8, color=_PEER_COLOUR, x=0.01, ha="left")
@@ -96,8 +90,8 @@ def height(point: Point, floor: float) -> float:
 def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> _Curve | None:
     """Draw one curve, crosses for failed points; None where all failed."""
     first = points[0]
-    colour = _PEER_COLOUR if first.engine else METHOD_COLOURS.get(first.method, INK)
-    style, size, width = ("--", 3.2, 1.1) if first.engine else ("-", 4.5, 1.8)
+    colour = _PEER_COLOUR if first.engine else style.METHOD_COLOURS.get(first.method, style.INK)
+    dashes, size, width = ("--", 3.2, 1.1) if first.engine else ("-", 4.5, 1.8)
     marker, size = ("D", 9) if len(points) == 1 else (mark, size)
     failed = [p.seconds for p in points if p.failure]
     good = [(p.seconds, height(p, floor)) for p in points if not p.failure]
@@ -106,7 +100,7 @@ def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> _Cu
     if not good:
         return None
     x, y = zip(*good, strict=True)
-    axes.plot(x, y, style, marker=marker, ms=size, lw=width, color=colour)
+    axes.plot(x, y, dashes, marker=marker, ms=size, lw=width, color=colour)
     return _Curve(np.array(good), first.label, colour)
 
 
@@ -214,15 +208,15 @@ def _mark_levels(axes: Axes, chart: WorkPrecision) -> list[_Place]:
     if chart.floor > low:
         axes.axhspan(low, chart.floor, color="#eeeeee", zorder=0)
         words = "below the limit of the reference"
-        write_inside(axes, 0.995, 0.008, words, fontsize=8, color="#777777", ha="right")
+        style.write_inside(axes, 0.995, 0.008, words, fontsize=8, color="#777777", ha="right")
         took(low, words, True, 0.5)
-    axes.axhline(chart.target, color=INK, lw=0.9, ls=":")
+    axes.axhline(chart.target, color=style.INK, lw=0.9, ls=":")
     words = f"target: {chart.target:.3g}"
-    write_beside(axes, 0.005, chart.target, words, fontsize=8, color=INK, va="bottom")
+    style.write_beside(axes, 0.005, chart.target, words, fontsize=8, color=style.INK, va="bottom")
     took(chart.target, words, False, 0.5)
     for names, error in together(chart.published):
         axes.axhline(error, color="#b05020", lw=0.8, ls=(0, (6, 3)), zorder=0)
-        write_beside(axes, 0.995, error, names, fontsize=7.5, color="#b05020", ha="right",
+        style.write_beside(axes, 0.995, error, names, fontsize=7.5, color="#b05020", ha="right",
                      va="bottom")  # fmt: skip
         took(error, names, True, 0.5)
     return taken
@@ -236,8 +230,8 @@ def _mark_failures(axes: Axes, points: Sequence[Point]) -> None:
     throughout = sorted(failed - {p.label for p in points if not p.failure})
     words = f"; at every step: {', '.join(throughout)}" if throughout else ""
     axes.axhline(_FAILED, color="#cc3333", lw=0.8)
-    write_beside(axes, 0.005, _FAILED * 1.15, f"× failed: error above 1, or NaN{words}", fontsize=8,
-                 color="#cc3333", va="bottom")  # fmt: skip
+    text = f"× failed: error above 1, or NaN{words}"
+    style.write_beside(axes, 0.005, _FAILED * 1.15, text, fontsize=8, color="#cc3333", va="bottom")
 
 
 def _mark_cheapest(axes: Axes, chart: WorkPrecision) -> None:
@@ -246,4 +240,4 @@ def _mark_cheapest(axes: Axes, chart: WorkPrecision) -> None:
     if best is None:
         return
     where = best.seconds, height(best, chart.floor)
-    axes.plot(*where, "o", ms=13, mfc="none", mec=INK, mew=1.6, zorder=6)
+    axes.plot(*where, "o", ms=13, mfc="none", mec=style.INK, mew=1.6, zorder=6)
