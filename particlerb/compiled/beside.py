@@ -65,15 +65,21 @@ def may_copy() -> bool:
     )
 
 
-def job_of(kernel: Any, *arguments: Any) -> Job:
-    """Compile what kernels call of a kernel, for the types of these arguments."""
-    return kernel.copied, partial(kernel.copied.compile, tuple(map(numba.typeof, arguments)))
+def job_of(function: Any, *arguments: Any, is_called: bool = False) -> Job:
+    """Compile a function for the types of these arguments: as Python calls it, or as kernels do."""
+    chosen = function if is_called else getattr(function, "copied", function)
+    return chosen, partial(chosen.compile, tuple(map(numba.typeof, arguments)))
 
 
 def compile_beside(jobs: Sequence[Job]) -> None:
-    """Have a copy of this process do jobs, in the order in which functions will be reached."""
-    if not may_copy() or not all(function.is_new() for function, _ in jobs):
+    """Have a copy of this process do jobs, in the order in which functions will be reached.
+
+    Nothing is done where there is code of the first of these on disk; others that have some are
+    left out.
+    """
+    if not may_copy() or not jobs[0][0].is_new():
         return
+    jobs = [job for job in jobs if job[0].is_new()]
     words, say = os.pipe()
     try:
         with warnings.catch_warnings():

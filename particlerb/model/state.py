@@ -64,7 +64,7 @@ def as_frame(bodies: Bodies, state: State) -> Frames:
     """One state of all bodies as a frame."""
     n = state.com.shape[1]
     frames = room_for(1, n, np.zeros((n, 4)))  # nothing came before: q keeps its sign
-    _store_all(frames, 0, np.arange(n), bodies.rotor_frame, state)
+    store_all(frames, 0, np.arange(n), bodies.rotor_frame, state)
     return frames
 
 
@@ -128,11 +128,11 @@ def _store_rows(values: Floats, f: int, index: Ints, v: Rows3) -> None:
 
 def store_state(frames: Frames, f: int, index: Ints, rotor_frame: Floats, state: State) -> None:
     """Write bodies `index` of the scene into frame f."""
-    _store_all(frames.rows(slice(f, f + 1)), 0, index, rotor_frame, state)
+    store_all(frames.rows(slice(f, f + 1)), 0, index, rotor_frame, state)
 
 
 @unfused_kernel
-def _store_all(frames: Frames, f: int, index: Ints, rotor_frame: Floats, state: State) -> None:
+def store_all(frames: Frames, f: int, index: Ints, rotor_frame: Floats, state: State) -> None:
     """Write all bodies into frame f; a literal 0 would be a type of its own to the compiler."""
     n, (com, q, p, L) = index.size, state
     x, spin = rows3(com, 0, n), rows3(L, 0, n)

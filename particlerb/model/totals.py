@@ -162,7 +162,7 @@ def sum_block(of: BlockRows, g: Vec3, bins: Ints | None, k: int, sums: Floats, o
 
 
 @unfused_kernel
-def _sum_blocks(
+def sum_blocks(
     frames: Frames,
     bodies: Bodies,
     gravity: Floats,
@@ -205,13 +205,13 @@ def sums_over(
         first, stop = of or (0, n)
         k, last = first // BLOCK, -(-stop // BLOCK)
         blocks = np.zeros((n_frames, last, N_TOTALS))
-        add_up = partial(_sum_blocks, frames, bodies, gravity, None, blocks)
+        add_up = partial(sum_blocks, frames, bodies, gravity, None, blocks)
         THREADS.share(lambda lo, hi: add_up(k + lo, k + hi), last - k, (stop - first) * n_frames)
         return np.asarray(np.add.reduce(blocks[:, k:], axis=1))
     in_each = -(-(n // n_worlds) // BLOCK)
     blocks = np.zeros((n_frames, n_worlds * in_each, N_TOTALS))
     world, b = np.divmod(np.arange(n), n // n_worlds)
-    _sum_blocks(frames, bodies, gravity, in_each * world + b // BLOCK, blocks, 0, -(-n // BLOCK))
+    sum_blocks(frames, bodies, gravity, in_each * world + b // BLOCK, blocks, 0, -(-n // BLOCK))
     sums = blocks.reshape(n_frames, n_worlds, in_each, N_TOTALS)
     return np.asarray(sums[:, :, 0] if in_each == 1 else sums.sum(axis=2))
 

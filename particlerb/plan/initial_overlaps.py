@@ -5,6 +5,7 @@ Overlaps are found with the search of the contacts themselves, so that no step i
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -20,8 +21,9 @@ from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.forces.spring import places
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import lengths
+from particlerb.model.state import as_frame, lengths, store_all
 from particlerb.model.system import System
+from particlerb.model.totals import sum_blocks, totals
 from particlerb.plan.links import and_more, is_among, particles_of
 from particlerb.plan.obstacles import middle
 
@@ -46,7 +48,10 @@ def refuse_misplaced(system: System, contact: "SystemContact") -> None:
     """Raise CaseError with all that overlaps or lies beyond a wall at t = 0."""
     spheres = spheres_of(system, contact)
     if system.wall:
-        compile_beside([(find_bounds, lambda: list(_overlapping(system, contact, spheres)))])
+        first = partial(as_frame, system.bodies, system.state)
+        search = find_bounds, lambda: list(_overlapping(system, contact, spheres))
+        sums = sum_blocks, lambda: totals(first(), system.bodies, np.zeros(3))
+        compile_beside([search, (store_all, first), sums])
     wrong = [*_beyond_walls(system, contact, spheres), *_overlapping(system, contact, spheres)]
     refuse(wrong)
 

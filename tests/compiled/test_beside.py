@@ -44,6 +44,10 @@ except ChildProcessError:
 ONE = "beside.compile_beside([(function, work)])"
 DIES = "beside.compile_beside([(function, lambda: os._exit(1))])"
 FAILS = "beside.compile_beside([(function, lambda: 1 / 0)])"
+SOME = (
+    "beside.compile_beside([beside.job_of(copy_blocks, *arguments, is_called=True), "
+    "(function, lambda: os._exit(1))])"
+)
 ALONE = "THREADS.use(1)\n" + ONE
 
 
@@ -60,6 +64,12 @@ def said(jobs, cache):
 def test_what_the_copy_compiles_is_found_and_not_made_again(tmp_path):
     assert said(ONE, tmp_path) == ["forks 1 compiled 1", "none left"]
     assert said(ONE, tmp_path) == ["forks 0 compiled 1", "none left"]  # it is on disk
+
+
+def test_behind_the_first_what_is_on_disk_is_left_out(tmp_path):
+    said(ONE, tmp_path)
+    assert said(SOME, tmp_path) == ["forks 1 compiled 1"]
+    assert said(SOME, tmp_path) == ["forks 0 compiled 1", "none left"]
 
 
 @pytest.mark.parametrize("jobs", [DIES, FAILS])
