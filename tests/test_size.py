@@ -27,7 +27,7 @@ BUDGETS = {
     "one scene over ranks": 2153,
     "reports, pictures, the page": 1697,
     "scenes for other programs": 472,
-    "speed of compiling and of whole calls": 1258,
+    "speed of compiling and of whole calls": 1291,
     "watches": 62,
     "beside all these": 304,
 }
