@@ -111,6 +111,7 @@ class Rehearsal:
             self.loops[name] = partial(compiled_loop(method, False), moving)
         return self.loops[name]
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def poses(self, stepping: Stepping, times: Floats) -> Frames:
         """States at ascending times [s]."""
         n = self.block.size

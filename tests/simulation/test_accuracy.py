@@ -323,6 +323,17 @@ def test_a_choice_is_cheap_and_not_too_good(make, monkeypatch, scene, wanted, na
 
 
 @pytest.mark.plain
+def test_a_trial_whose_step_is_far_too_long_warns_of_nothing(make):
+    """Its numbers overflow, which the search sees; NumPy told it to the user, in its own words."""
+    spring = make.spring([1, 1, 1], 5.0, at=[0.1, 0, 0])
+    body = make.body(position=[1e8, 0, 0], angular_velocity=[1, 2, 3])
+    system = to_system(load(make.case(body, force=[spring])))
+    pilot = Pilot(system, prepare(system).plan.groups[0])
+    frames, _ = pilot.poses(Stepping("rkn6", 0.5, 0.0, ""), np.array([1.0]))
+    assert np.isnan(frames.angular_momentum).all()
+
+
+@pytest.mark.plain
 @pytest.mark.parametrize("method", ["strang", "rkn6"])
 def test_coupled_bodies_set_off_once_more_to_the_same_bits(make, method):
     """A motion that is used again, with another step in between, is like a new one."""
