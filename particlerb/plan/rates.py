@@ -72,11 +72,10 @@ def falling_speed(system: System, terms: Terms) -> float:
     """Speed [m/s] that bodies reach by falling through all of a system."""
     if terms.gravity is None:
         return 0.0
-    g = terms.gravity.acceleration
     com = system.state.com
     extent = com.max(axis=1) - com.min(axis=1)
     lowest = np.abs(com).max(axis=1)  # the ground may lie at the origin
-    return math.sqrt(2.0 * max(float(np.abs(g) @ np.maximum(extent, lowest)), 0.0))
+    return math.sqrt(2.0 * float(np.abs(terms.gravity.acceleration) @ np.maximum(extent, lowest)))
 
 
 def _attraction_rates(attraction: Attraction, com: Floats) -> Floats:

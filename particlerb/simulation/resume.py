@@ -125,12 +125,11 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
         n_kept = _frames_that_stay(path, trajectory.time, system.run)
         total = frame_count(system.run)
         with trajectory_errors(file):
-            is_done = n_kept == total and is_finished(file, n)
-        if is_done:
-            raise ResumeError(
-                f"{path} has nothing left to do: all {n} frames until"
-                f" t = {system.run.t_end!r} s are there; --t-end prolongs the run"
-            )
+            if n_kept == total and is_finished(file, n):
+                raise ResumeError(
+                    f"{path} has nothing left to do: all {n} frames until"
+                    f" t = {system.run.t_end!r} s are there; --t-end prolongs the run"
+                )
         try:
             checkpoint = read_checkpoint(file) if n and parts is None else None
         except CheckpointError as error:
