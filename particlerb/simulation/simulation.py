@@ -345,7 +345,7 @@ class Simulation(Closing):
         """The energy balance of now."""
         if self._known is None:
             with THREADS.using(self.system.run.threads):
-                self._state = self._look(np.array([self.time]), np.ones(1, np.bool_))
+                self._state = self._look(np.array([self.time]), np.zeros(1, np.bool_))
             assert self._known is not None
         return self._known
 

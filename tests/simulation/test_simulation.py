@@ -299,3 +299,15 @@ def test_a_change_at_the_start_repeats_no_impulse():
     simulation.change("force[1].force", (0.0, 1.0, 0.0))
     state = simulation.advance(0.5)
     assert state.velocity[0].tolist() == pytest.approx([1.0, 0.25, 0.0], abs=1e-15)
+
+
+def test_to_ask_for_the_energy_after_a_change_adds_no_frame_to_the_file(tmp_path):
+    scene = turned_box()
+    scene.add_force(TorqueTable(body="box", torque=(0, 0, 0)))
+    with Simulation(scene, tmp_path / "a.h5") as simulation:
+        simulation.advance(0.37)
+        simulation.change("force[0].torque", (0, 0, 0.1))
+        assert np.isfinite(simulation.energy)
+        simulation.advance(scene.run.t_end)
+    with particlerb.open(tmp_path / "a.h5") as t:
+        assert t.time == pytest.approx(np.arange(len(t.time)) * scene.run.every, abs=1e-12)
