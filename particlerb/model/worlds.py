@@ -57,9 +57,12 @@ def shape_of(worlds: Worlds | None) -> tuple[int, ...]:
 
 
 def over_bodies(values: Floats, worlds: Worlds | None) -> Floats:
-    """Sums over the last axis of (..., n): (...) of one scene, or (n_worlds, ...)."""
+    """Sums over the last axis of (..., n): (...) of one scene, or (n_worlds, ...).
+
+    NumPy's order of adding depends on the order of the axes in memory: that is always this one.
+    """
     if worlds is None:
-        return np.asarray(values.sum(axis=-1))
+        return np.asarray(np.ascontiguousarray(values).sum(axis=-1))
     by_world = np.ascontiguousarray(np.moveaxis(values[..., worlds.bodies], -2, 0))
     return np.asarray(by_world.sum(axis=-1))
 

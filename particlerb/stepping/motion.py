@@ -52,7 +52,10 @@ class SegmentGroup(NamedTuple):
         return superblock_of(int(members.min()), int(members.max())) < 0
 
     def total(self, values: Floats) -> Floats | float:
-        """Sum of values of bodies (n,), of each world; over those of all ranks that share them."""
+        """Sum of values of bodies (.., n), of each world; over those of all ranks that share them.
+
+        By number of values (n,) alone.
+        """
         ranks, size = (self.shared.ranks, self.shared.size) if self.shared else (ALONE, None)
         if self.is_summed_by_number:
             return sum_by_number(values, self.members, ranks, size)
@@ -65,7 +68,7 @@ class SegmentGroup(NamedTuple):
         """The same of several values (k, n): (k,), or (n_worlds, k)."""
         if self.is_summed_by_number:
             return np.stack([self.total(one) for one in values], axis=-1)
-        return over_bodies(values, self.worlds)
+        return np.asarray(self.total(values))
 
 
 class Shared(NamedTuple):
