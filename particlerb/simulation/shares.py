@@ -10,6 +10,7 @@ from particlerb.case.run import frame_count
 from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.forces import Terms, terms_on
 from particlerb.forces.attraction import TILE
+from particlerb.forces.links import WORLD
 from particlerb.maths.vec3 import Ints
 from particlerb.model.bodies import taken
 from particlerb.model.bricks import shares_of_bricks
@@ -26,6 +27,8 @@ from particlerb.stepping.motion import Shared
 
 BYTES_SET_UP: Final = 720  # of memory for each body of the scene, pushed: benchmarks/ranks.py
 BYTES_MOVED: Final = 2050  # beside these for each body that a rank moves, likewise
+BYTES_JOINT: Final = 9000  # in the set-up, for each joint of the scene: see docs/scale.md
+BYTES_TIED: Final = 10_500  # in the run, for each body of a rank that a joint ties
 BYTES_SAVED: Final = 200  # of a checkpoint for each body, likewise
 BYTES_TOUCHING: Final = 2500  # for each sphere of a clump of four that touches, of a small gas
 SENSIBLE_BODIES: Final = 2000  # that touch, of a rank at least: see docs/scale.md
@@ -234,6 +237,12 @@ class Shares(NamedTuple):
     """Ranks beyond which the exchange costs more than it saves; None: there is no exchange."""
 
 
+def _most_of_rank(bodies: Ints, n_bodies: int, n_ranks: int) -> int:
+    """How many of some bodies a rank has at most, where each has whole parts of the scene."""
+    ranges = parts_of(n_bodies)
+    return int(np.bincount(writers(len(ranges), n_ranks)[bodies // ranges[0].stop]).max(initial=0))
+
+
 def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
     """How so many ranks would share a prepared system.
 
@@ -249,6 +258,10 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
     in_part = ranges[0].stop
     n_bytes = estimated_size(system, frame_count(system.run)) * in_part // system.n_bodies
     set_up, of_part = BYTES_SET_UP * system.n_bodies, n_bytes + 2 * BYTES_SAVED * in_part
+    ends = [pairs_of(system, table) for table in system.joint]
+    set_up += BYTES_JOINT * sum(first.size for first, _ in ends)
+    tied = np.unique(np.concatenate([np.zeros(0, np.int64), *itertools.chain(*ends)]))
+    of_ties = BYTES_TIED * _most_of_rank(tied[tied != WORLD], system.n_bodies, n_ranks)
     if prepared.plan.contacts:
         refuse_contact(prepared, ranks)
         group = touching_in(prepared.plan)
@@ -260,8 +273,8 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
         bodies, copies = shares_of_bricks(com, reach[is_free], contact.skin, ranks)
         n_spheres = model.spheres.radius.size * min((bodies + copies) / n, 1.0)
         other = np.delete(np.arange(system.n_bodies), group.members)
-        others = int(np.bincount(writers(len(ranges), n_ranks)[other // in_part]).max(initial=0))
-        run_bytes = int(BYTES_TOUCHING * n_spheres) + BYTES_MOVED * others
+        others = _most_of_rank(other, system.n_bodies, n_ranks)
+        run_bytes = int(BYTES_TOUCHING * n_spheres) + BYTES_MOVED * others + of_ties
         return Shares(
             int(is_free.sum()), len(ranges), in_part, of_part, bodies + others, set_up, run_bytes,
             copies, 8 * STATE_ROWS * copies, max(1, int(is_free.sum()) // SENSIBLE_BODIES),
@@ -277,5 +290,5 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
     refuse_coupled(prepared)
     share_of(system.n_bodies, ranks)
     bodies = min(len(own_parts(len(ranges), ranks)) * in_part, system.n_bodies)
-    run_bytes = BYTES_MOVED * bodies
+    run_bytes = BYTES_MOVED * bodies + of_ties
     return Shares(len(ranges), len(ranges), in_part, of_part, bodies, set_up, run_bytes)

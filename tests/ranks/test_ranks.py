@@ -110,6 +110,8 @@ def test_a_mechanism_over_two_superblocks_is_refused_by_name(monkeypatch, capsys
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["ranks"]
     assert found["ranks_at_most"] == 4
+    assert found["run_bytes"] == 512 * shares.BYTES_MOVED + 5 * shares.BYTES_TIED
+    assert found["set_up_bytes"] == 785 * shares.BYTES_SET_UP + 11 * shares.BYTES_JOINT
     for change, name in (
         ("force.0.to=dust[0]", "force[0] and others tie 2, from dust[0], body 5 of the scene, to"),
         ("joint.5.to=link[0]", "joint[0] (pin[0]) and others tie 4, from link[0], body 0 of the"),
