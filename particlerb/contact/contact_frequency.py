@@ -9,13 +9,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.contact.contact_model import ContactList, ContactModel, GroupContact
+from particlerb.contact.contact_model import ContactList, ContactModel, GroupContact, NeighbourLists
 from particlerb.contact.sphere_search import neighbours
 from particlerb.contact.wall_motion import motion_in, poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.power_method import fastest_frequency
+from particlerb.model.power_method import Oscillating, fastest_frequency
 from particlerb.model.state import rotate
 
 _ITERATIONS: Final = 20  # of the power method: within a few per cent
@@ -87,7 +87,7 @@ def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, dep
     first, second, _ = WallSearch(model.walls, spheres.radius).pairs(x, poses, near)
     away = -gaps(model.walls, poses, x, first, second)
     outside = _initial_springs(model, (first, second), True, x, away, depth)
-    return _frequency_on(model, com, q, (between, outside))
+    return _frequency_on(model, com, q, (between, outside), Oscillating())
 
 
 def _initial_springs(
@@ -110,7 +110,7 @@ def _initial_springs(
 
 
 def contact_frequency(
-    model: ContactModel, com: Floats, q: Floats, spheres: ContactList, walls: ContactList
+    model: ContactModel, com: Floats, q: Floats, lists: NeighbourLists, among: Oscillating
 ) -> float:
     """Fastest frequency of bodies on their contacts [rad/s], by power iteration.
 
@@ -119,25 +119,30 @@ def contact_frequency(
     model : ContactModel
     com, q : ndarray, shapes (3, n) [m] and (4, n)
         Where the bodies are; the orientations are those of the rotor frames.
-    spheres, walls : ContactList
+    lists : NeighbourLists
         As the last evaluation of the forces left them.
+    among : Oscillating
+        Who has which of the bodies.
 
     Returns
     -------
     float
         Rayleigh's quotient: at most the true one. 0 where nothing presses.
     """
+    spheres, walls = lists.spheres, lists.walls
     parts = _contact_springs(model, spheres, False), _contact_springs(model, walls, True)
-    return _frequency_on(model, com, q, parts)
+    return _frequency_on(model, com, q, parts, among)
 
 
 def _frequency_on(
-    model: ContactModel, com: Floats, q: Floats, parts: tuple[_Springs, _Springs]
-) -> float:
+    model: ContactModel, com: Floats, q: Floats, parts: tuple[_Springs, _Springs],
+    among: Oscillating,
+) -> float:  # fmt: skip
     """Fastest frequency of bodies on springs between each other, and to walls [rad/s]."""
     first, second, point, *springs = (
         np.concatenate(pair, axis=-1) for pair in zip(*parts, strict=True)
     )
     places = np.column_stack([com, np.zeros(3)])  # the last is that of the world
     ends = [(body, point - places[:, body]) for body in (first, second)]
-    return fastest_frequency((model.inv_mass, model.inv_inertia), q, ends, springs, _ITERATIONS)
+    inverse = model.inv_mass, model.inv_inertia
+    return fastest_frequency(inverse, q, ends, springs, _ITERATIONS, among)

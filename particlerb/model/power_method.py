@@ -1,12 +1,41 @@
 """The fastest oscillation of bodies on springs, by power iteration on M⁻¹ K."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import rotate, rotate_back
+
+
+class Oscillating:
+    """Bodies whose fastest oscillation is looked for: all are here.
+
+    Parameters
+    ----------
+    total : callable
+        Sum of values of bodies, (n,).
+    """
+
+    own: Bools | slice = slice(None)  # bodies all of whose springs are known here
+
+    def __init__(self, total: Callable[[Floats], float] = np.sum) -> None:
+        self.total = total
+
+    def random(self, n: int) -> Floats:
+        """Velocities and spins of n bodies and of the world to begin with, (2, 3, n + 1)."""
+        return np.random.default_rng(0).standard_normal((2, 3, n + 1))
+
+    def complete(self, motion: Floats) -> None:
+        """Bring velocities and spins (2, 3, n + 1) of bodies that are not own."""
+
+    def largest(self, size: float) -> float:
+        """The largest of what is the largest of own bodies."""
+        return size
+
+
+_ALL_HERE = Oscillating()
 
 
 def fastest_frequency(
@@ -15,6 +44,7 @@ def fastest_frequency(
     ends: Sequence[tuple[Ints, Floats]],
     springs: Sequence[Floats],
     iterations: int,
+    among: Oscillating = _ALL_HERE,
 ) -> float:
     """Fastest frequency [rad/s]; 0 without springs.
 
@@ -33,13 +63,16 @@ def fastest_frequency(
         Direction of each spring, stiffness along it, and across it.
     iterations : int
         20 come within a few per cent, 60 within one.
+    among : Oscillating
+        Who has which of the bodies.
     """
     (inv_mass, inv_inertia), (normal, stiffness, shear) = inverse, springs
     n, (first, second) = inv_mass.size, ends
     signed = (*first, -1.0), (*second, 1.0)
     moves = np.append(inv_mass > 0.0, False)  # what is held, and the world, stand still
-    v, w = np.random.default_rng(0).standard_normal((2, 3, n + 1)) * moves
-    squared = 0.0
+    motion = among.random(n) * moves
+    (v, w), own = motion, among.own
+    power = stored = np.zeros(n)
     for _ in range(iterations):
         u = sum(
             sign * (v[:, body] + np.cross(w[:, body], arm, axis=0)) for body, arm, sign in signed
@@ -54,11 +87,12 @@ def fastest_frequency(
                 tau[c] += sign * np.bincount(body, turning[c], n + 1)
         moved = inv_mass * F[:, :-1]
         spun = rotate(q, inv_inertia * rotate_back(q, tau[:, :-1]))
-        numerator = (F[:, :-1] * moved).sum() + (tau[:, :-1] * spun).sum()
-        stored = (u * f).sum()
-        squared = float(numerator / stored) if stored > 0.0 else 0.0
-        size = max(float(np.abs(moved).max()), float(np.abs(spun).max()))
+        power = (F[:, :-1] * moved + tau[:, :-1] * spun).sum(axis=0)
+        stored = (v * F + w * tau).sum(axis=0)[:-1]
+        size = among.largest(float(np.abs([moved[:, own], spun[:, own]]).max(initial=0.0)))
         if not 0.0 < size < np.inf:
             break
         v[:, :-1], w[:, :-1] = moved / size, spun / size
-    return math.sqrt(squared)
+        among.complete(motion)
+    all_power, all_stored = among.total(power), among.total(stored)
+    return math.sqrt(all_power / all_stored) if all_stored > 0.0 else 0.0

@@ -24,11 +24,12 @@ from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare, Layout
 from particlerb.integrators.stages import MovingBodies
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import CHANGING, in_blocks, into_blocks
+from particlerb.model.block import CHANGING, in_blocks, into_blocks, out_of_blocks
 from particlerb.model.load import STATE_ROWS
+from particlerb.model.power_method import Oscillating
 from particlerb.model.state import Frames, State, state_of
 from particlerb.model.superblocks import over_blocks, sum_by_number, summed
-from particlerb.ranks import ending_all
+from particlerb.ranks import as_agreed, ending_all
 from particlerb.stepping.contact_frames import ContactRows
 from particlerb.stepping.contact_lists import Histories, WallsAhead
 from particlerb.stepping.contact_part import contact_part
@@ -200,7 +201,17 @@ class BrickMotion(SharedMotion):
     def check_lists(self, steps: int) -> None:
         """Raise MotionError where the run is wrong, after so many steps with the same lists."""
         self.ranks.together(lambda: super(BrickMotion, self).check_lists(steps))
-        self.contact_frequency = float(self.ranks.largest(np.array([self.contact_frequency]))[0])
+
+    def measure_frequency(self) -> float:
+        """Frequency of the bodies on all their contacts [rad/s]: the same on all ranks."""
+        try:
+            return super().measure_frequency()
+        except MotionError as error:
+            raise as_agreed(error) from None
+
+    def oscillating(self) -> Oscillating:
+        """Who has which of the bodies that swing."""
+        return _Oscillating(self)
 
     def check_steps(self) -> None:
         """Raise MotionError where the last steps were wrong."""
@@ -302,6 +313,35 @@ class BrickMotion(SharedMotion):
 
     def gross_work(self) -> float:
         """Gross work of contacts without potential, and of walls, since the start [J]."""
-        work = self.to_show(self.contact.workspace.gross_work[:, None])[:, 0]
-        size = self.exchange.shared.size
-        return sum_by_number(work, self.shown.members, self.ranks, size)
+        return self.sum_of(self.contact.workspace.gross_work)
+
+    def sum_of(self, values: Floats) -> float:
+        """Sum of values of bodies, (n,), in the order of their numbers."""
+        shown, size = self.to_show(values[:, None])[:, 0], self.exchange.shared.size
+        return sum_by_number(shown, self.shown.members, self.ranks, size)
+
+
+class _Oscillating(Oscillating):
+    """Bodies of this rank that swing, and ghosts."""
+
+    def __init__(self, motion: BrickMotion) -> None:
+        super().__init__(motion.sum_of)
+        self.own, self.motion = motion.is_own, motion
+
+    def random(self, n: int) -> Floats:
+        """Velocities and spins of bodies and of the world to begin with: those of one process."""
+        n = self.motion.is_free.size
+        return super().random(n)[..., np.append(self.motion.local, n)]
+
+    def complete(self, motion: Floats) -> None:
+        """Bring velocities and spins of ghosts."""
+        slots, n_slots = self.motion.slots, len(self.motion.blocks) * BLOCK
+        rows = self.motion.spaced(motion[..., :-1].reshape(6, -1))
+        blocks = in_blocks(n_slots, STATE_ROWS, [(0, rows)])
+        self.motion.domains.update_ghosts(blocks)
+        rows = out_of_blocks(blocks, 0, 6, n_slots)[:, slots]
+        motion[..., :-1] = rows.reshape(2, 3, -1)
+
+    def largest(self, size: float) -> float:
+        """The largest of what is the largest of own bodies."""
+        return float(self.motion.ranks.largest(np.array([size]))[0])

@@ -13,6 +13,7 @@ from particlerb.contact.missed_pairs import Missed, Watch, WatchedBodies, boundi
 from particlerb.contact.wall_motion import motion_in
 from particlerb.impulses.records import WORST_EVER
 from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.model.power_method import Oscillating
 from particlerb.stepping.motion import MotionError, SegmentGroup
 
 STABLE: Final = 2.0  # largest ω dt of a piston, and of contacts where no step is stable
@@ -68,10 +69,9 @@ class ContactChecks:
         self._bound = bounding_radii(spheres, n)
         self._motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
 
-    def stability(self, contact: MovingContact, y: Floats, now: float) -> float:
+    def stability(self, contact: MovingContact, y: Floats, now: float, among: Oscillating) -> float:
         """Frequency of bodies on all their contacts [rad/s]; MotionError where it is too fast."""
-        lists = contact.lists.spheres, contact.lists.walls
-        rate = contact_frequency(contact.setup.model, y[:3], y[3:7], *lists)
+        rate = contact_frequency(contact.setup.model, y[:3], y[3:7], contact.lists, among)
         if rate * self.dt > self.limit and not contact.setup.allow_unstable:
             raise MotionError(
                 f"at t = {now:.6g} s bodies oscillate on all their"

@@ -35,6 +35,8 @@ from particlerb.contact.records import (
 from particlerb.impulses.records import Impulses
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.model.load import STATE_ROWS
+from particlerb.model.power_method import Oscillating
 from particlerb.model.state import Frames, State, room_for
 from particlerb.model.superblocks import sum_by_number
 from particlerb.model.worlds import bins_of, shape_of
@@ -175,6 +177,8 @@ class ContactMotion(SteppedMotion):
         steps = self.grid_step - self.list_step  # for which the last lists were good
         lasted = ListLifetime(steps, time < self.contact.memory.valid_until, self.step_cost)
         self.part_of_step(POSES)
+        if self.checks_stability and self.lists.count > 0 and is_due(self.lists.count):
+            self.measure_frequency()
         self.check_lists(steps)
         poses = self.contact.workspace.poses
         ahead = self.lists.look_ahead(self.corners(), poses, self.start + time, lasted)
@@ -202,8 +206,6 @@ class ContactMotion(SteppedMotion):
         if steps > 0:
             cost = self.share * (self.lists.cost + steps * self.step_cost)
             self.checks.missed_pairs(contact, cost, self.now)
-        if self.checks_stability and self.lists.count > 0 and is_due(self.lists.count):
-            self.measure_frequency()
         self.checks.tunnelling(contact, self.values(0, 13), self.now)
 
     def corners(self) -> Floats:
@@ -226,9 +228,18 @@ class ContactMotion(SteppedMotion):
 
     def measure_frequency(self) -> float:
         """Frequency of the bodies on all their contacts [rad/s]."""
-        rate = self.checks.stability(self.contact, self.values(0, 13), self.now)
+        y, among = self.values(0, STATE_ROWS), self.oscillating()
+        rate = self.checks.stability(self.contact, y, self.now, among)
         self.contact_frequency = max(self.contact_frequency, rate)
         return rate
+
+    def oscillating(self) -> Oscillating:
+        """Who has which of the bodies that swing."""
+        return Oscillating(self.sum_of if self.group.worlds is None else np.sum)
+
+    def sum_of(self, values: Floats) -> float:
+        """Sum of values of bodies, (n,), in the order of their numbers."""
+        return sum_by_number(values, self.group.members)
 
     # Steps
 
@@ -348,7 +359,7 @@ class ContactMotion(SteppedMotion):
         """Gross work of contacts without potential, and of walls, since the start [J]."""
         work, worlds = self.contact.workspace.gross_work, self.group.worlds
         if worlds is None:
-            return sum_by_number(work, self.group.members)
+            return self.sum_of(work)
         number = self.group.members[worlds.bodies[0]]
         return np.array([sum_by_number(work[bodies], number) for bodies in worlds.bodies])
 
