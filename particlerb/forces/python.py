@@ -167,39 +167,40 @@ def _try(table: "PythonTable", rows: Floats, members: Ints, system: "System") ->
     load = _term_of(table, numbers, bodies, start)
     if wrong := wrong_result(force, given_to(load, bodies, state, 0), start):
         raise ForceError("function", wrong)
-    values = attempt(force, lambda: user_kicks.loads_in(load, bodies, state))
+    values = attempt(force.function, lambda: user_kicks.loads_in(load, bodies, state))
     turned = np.flatnonzero((bodies.rotor_class == POINT) & values[3:].any(axis=0))
     if turned.size:
         reason = f"{where}: {force.name} turns {{name}}, which is a point: nothing can turn it"
         raise ForceError("function", reason, "return a torque of zeros", int(turned[0]))
     if force.potential is not None:
+        attempt(force.potential, lambda: user_kicks.energies(load, state.com, state.q)[None])
         few = np.arange(0, members.size, -(-members.size // LOOKED_AT))
         load, bodies, state = type(load)(load.rows[:, few]), taken(bodies, few), taken(state, few)
         loads = partial(user_kicks.loads_in, load, bodies)
         compare(force, bodies, state, loads, lambda s: user_kicks.energies(load, s.com, s.q))
 
 
-def attempt(force: UserForce, evaluate: Callable[[], Floats]) -> Floats:
-    """Loads (rows, n) at the start.
+def attempt(function: Any, evaluate: Callable[[], Floats]) -> Floats:
+    """What a function, a force or its potential, comes to on n bodies at the start, (rows, n).
 
     Raises
     ------
     ForceError
-        If the function fails, the compiler does not take it, or they are no numbers.
+        If the function fails, the compiler does not take it, or it gives no numbers.
     """
-    where = place_of(force.function)
+    where = place_of(function)
     try:
         values = evaluate()
     except (NumbaError, UnsupportedBytecodeError) as error:
-        raise ForceError("function", _compilers_words(error, force)) from None
+        raise ForceError("function", _compilers_words(error, function)) from None
     except Exception as error:
         raise ForceError("function", told(error, where.rpartition(":")[0])) from None
     finite = np.isfinite(values).all(axis=0)
     if not finite.all():
         b = int(np.argmin(finite))
-        load = values[:6, b].tolist()
-        reason = f"{where}: {force.name} gives {load} for {{name}} at its start"
-        raise ForceError("function", reason, "force and torque must be finite", b)
+        numbers = values[:6, b].tolist()
+        reason = f"{where}: {function.__name__} gives {numbers} for {{name}} at its start"
+        raise ForceError("function", reason, "forces, torques and energies must be finite", b)
     return values
 
 
@@ -284,16 +285,17 @@ def compare(
                 raise ForceError("function", reason, hint, b)
 
 
-def _compilers_words(error: Exception, force: UserForce) -> str:
+def _compilers_words(error: Exception, function: Any) -> str:
     """What the compiler says against a function, with the last of the user's lines it names."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
-    file, line = place_of(force.function).rsplit(":", 1)
+    file, line = place_of(function).rsplit(":", 1)
     lines = re.findall(rf'File "{re.escape(Path(file).name)}", line (\d+)', text)
     lines += re.findall(rf"{re.escape(file)} \((\d+)\)", text)
     words = [one.strip() for one in text.splitlines() if one.strip()]
     first = next((k for k, one in enumerate(words) if not one.startswith(_BOILERPLATE)), 0)
     said = " ".join(words[first : first + 2 if words[first].endswith(":") else first + 1])
-    return f"{file}:{lines[-1] if lines else line}: the compiler does not take {force.name}: {said}"
+    line = lines[-1] if lines else line
+    return f"{file}:{line}: the compiler does not take {function.__name__}: {said}"
 
 
 FORCE: Final = Force(resolve, _term_of)

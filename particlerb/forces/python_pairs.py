@@ -126,7 +126,7 @@ def _try(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> None:
     if wrong := python.wrong_result(force, given_to_pair(pairs, bodies, state, 0), start):
         raise ForceError("function", wrong)
     bare = pairs._replace(turns=np.ones_like(pairs.turns))
-    values = python.attempt(force, lambda: loads_between(bare, state, start))
+    values = python.attempt(force.function, lambda: loads_between(bare, state, start))
     arm = lengths(state.com[:, pairs.second] - state.com[:, pairs.first]) * lengths(values[:3])
     for ends, torque in ((pairs.first, values[3:6]), (pairs.second, values[6:])):
         turned = (bodies.rotor_class[ends] == POINT) & (lengths(torque) > _TORQUE_ROUNDING * arm)
@@ -136,6 +136,7 @@ def _try(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> None:
             raise ForceError("function", reason, hint, int(np.argmax(turned)))
     if force.potential is None:
         return
+    python.attempt(force.potential, lambda: pair_energies(pairs, state.com, state.q)[None])
     few = np.arange(0, pairs.first.size, -(-pairs.first.size // python.LOOKED_AT))
     some = {name: getattr(pairs, name)[few] for name in ("first", "second", "kind")}
     apart = _Apart(pairs._replace(rows=pairs.rows[:, few], **some), bodies, state, start)

@@ -352,11 +352,11 @@ def own_forces_on(b: int, runs: Sequence[GroupRun], times: Floats, frames: Frame
         loads = [load for load in run.segment.terms.loads if isinstance(load, Written)]
         for load in loads if indices.size else ():
             words = f"; {place_of(load.force.function)}: {load.force.name} acts on it"
-            if f > 0:
-                state = run.state_in(frames, f - 1)
-                arguments = given_to(load, run.plan.bodies, state, int(indices[0]))
-                if wrong := wrong_result(load.force, arguments, float(times[f])):
-                    return f": {wrong}"
+            state = run.state_in(frames, max(f - 1, 0))
+            given = given_to(load, run.plan.bodies, state, int(indices[0]))
+            is_known = all(np.isfinite(given.get(name, 0.0)).all() for name in load.force.signature)
+            if is_known and (wrong := wrong_result(load.force, given, float(times[f]))):
+                return f": {wrong}"
         pairs = run.segment.terms.user_pairs
         if pairs is not None and indices.size:
             before = run.state_in(frames, f - 1) if f > 0 else None

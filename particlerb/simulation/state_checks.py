@@ -33,13 +33,13 @@ class StateChecks:
 
         Where all totals are finite, so are the states; the reverse does not hold, squares overflow.
         """
-        names = () if is_finite else STATE_FIELDS
-        for name in names:
-            values = getattr(frames, name)
-            if np.isfinite(values[-1]).all():  # what is not finite stays so
-                continue
-            finite = np.isfinite(values).all(axis=2)
-            f = int(np.argmin(finite.all(axis=1)))
+        lost_fields = []  # what is not finite stays so
+        for name in () if is_finite else STATE_FIELDS:
+            finite = np.isfinite(getattr(frames, name)).all(axis=2)
+            if not finite[-1].all():
+                lost_fields.append((int(np.argmin(finite.all(axis=1))), name, finite))
+        if lost_fields:
+            f, name, finite = min(lost_fields, key=lambda lost_field: lost_field[0])
             if why := lost(self.system, runs):
                 return f, f"by t = {float(times[f])!r} s {why}"
             b = int(np.argmin(finite[f]))

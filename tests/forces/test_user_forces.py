@@ -299,6 +299,29 @@ def no_root(t):
     return (np.sqrt(0.5 - t), 0.0, 0.0), NO_TORQUE
 
 
+def root_energy(x, k):
+    return k * (x[2] if x[2] > 5.0 else np.nan)
+
+
+@particlerb.force(potential=root_energy)
+def of_a_root(x, k):
+    return (0.0, 0.0, -k), NO_TORQUE
+
+
+def place_energy(x, k):
+    return scale(k, x)
+
+
+@particlerb.force(potential=place_energy)
+def of_a_place(x, k):
+    return (0.0, 0.0, -k), NO_TORQUE
+
+
+@particlerb.force
+def ends_on_a_frame(t, x):
+    return (x[2] if t < 0.25 else np.nan, 0.0, 0.0), NO_TORQUE
+
+
 @particlerb.force
 def no_torque(x):
     return x
@@ -322,6 +345,11 @@ def line_of(text):
          r"force \[N\] .* and its potential"),
         (table(too_late), RunError, '        raise ValueError("too late")', "ValueError: too late"),
         (table(no_root), RunError, None, r"no_root returns \[\[nan, 0.0, 0.0\]"),
+        (table(ends_on_a_frame), RunError, None,
+         r"momentum of body .* t = 0.25 s: .* ends_on_a_frame returns \[\[nan"),
+        (table(of_a_root, k=1.0), CaseError, "def root_energy(x, k):",
+         r"root_energy (gives|returns) \[nan\]"),
+        (table(of_a_place, k=1.0), CaseError, None, "place_energy|float"),
         (table(no_torque), CaseError, None, "return a force and a torque"),
         (table(own_spring, k=1.0), CaseError, None, "parameter anchor, which is missing"),
         (table(own_spring, k=1.0, anchor=(0, 0, 0), q=1), CaseError, None, "it has: anchor, k"),
