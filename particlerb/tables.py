@@ -39,6 +39,7 @@ from particlerb.case.output import Check as Check
 from particlerb.case.output import CheckValue as CheckValue
 from particlerb.case.output import Output as Output
 from particlerb.case.output import Published as Published
+from particlerb.case.output import SweepValue as SweepValue
 from particlerb.case.run import AttractionTable as AttractionTable
 from particlerb.case.run import Gravity as Gravity
 from particlerb.case.run import RunTable as RunTable
@@ -56,4 +57,6 @@ from particlerb.case.shapes import Shell as Shell
 from particlerb.case.shapes import SpheresShape as SpheresShape
 from particlerb.case.shapes import Tetrahedron as Tetrahedron
 from particlerb.case.shapes import Torus as Torus
+from particlerb.case.sweep import Spread as Spread
+from particlerb.case.sweep import SweepTable as SweepTable
 from particlerb.case.values import Euler as Euler

@@ -69,7 +69,7 @@ def _shape_of(value: Any) -> tuple[int, ...] | None:
         return None
 
 
-class Asked(Table):
+class SweepValue(Table):
     """A value of a run: of which body or joint, or of all contacts by impulses, what, and when."""
 
     body: Name | None = None
@@ -100,7 +100,7 @@ class Asked(Table):
         return self
 
 
-class CheckValue(Asked):
+class CheckValue(SweepValue):
     """A value that the run must reach."""
 
     value: Numbers

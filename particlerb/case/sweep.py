@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, Strict, model_validator
 
-from particlerb.case.output import Asked
+from particlerb.case.output import SweepValue
 from particlerb.case.problems import path_of
 from particlerb.case.values import Count, Forms, Name, Real, Table, Yes, broken
 
@@ -60,7 +60,7 @@ class SweepTable(Table):
     """Of what is drawn. [-]"""
     replicates: Count = 1
     """Of each run, with seeds from run.seed on. [-]"""
-    value: tuple[Asked, ...] = ()
+    value: tuple[SweepValue, ...] = ()
     """Columns, [[sweep.value]]. [-]"""
 
     @model_validator(mode="after")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from particlerb.case.output import Asked, Check, CheckValue
+from particlerb.case.output import Check, CheckValue, SweepValue
 from particlerb.case.placement import unit_vectors
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.balance import ConservationError
@@ -95,12 +95,12 @@ def _value_result(check: CheckValue, time: float, system: System, b: int, frames
     return Result(name, numbers(expected), numbers(value), error, check.tolerance)
 
 
-def quantity(check: Asked, system: System, b: int, frames: Frames) -> Floats:
+def quantity(check: SweepValue, system: System, b: int, frames: Frames) -> Floats:
     """Value of a quantity of body b."""
     return np.asarray(quantities(check, system, np.array([b]), frames)[0])
 
 
-def quantities(check: Asked, system: System, index: Ints, frames: Frames) -> Floats:
+def quantities(check: SweepValue, system: System, index: Ints, frames: Frames) -> Floats:
     """Value of a quantity of some bodies, (n, ...)."""
     bodies = taken(system.bodies, index)
     orientation, state = frames.orientation[0, index], state_in(frames, 0, index, bodies)
@@ -136,7 +136,7 @@ def _number_result(check: CheckValue, time: float, value: Floats) -> Result:
     return Result(name, numbers(expected), numbers(value), error, check.tolerance)
 
 
-def joint_quantity(check: Asked, setup: SystemJoints, values: JointValues | None) -> Floats:
+def joint_quantity(check: SweepValue, setup: SystemJoints, values: JointValues | None) -> Floats:
     """Value of a quantity of a joint."""
     assert check.joint is not None
     assert values is not None

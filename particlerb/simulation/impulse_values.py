@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.case.output import Asked
+from particlerb.case.output import SweepValue
 from particlerb.impulses import records
 from particlerb.maths.vec3 import Floats
 
@@ -28,6 +28,6 @@ def impulse_fields(tallies: Mapping[int, Floats], rows: list[int]) -> dict[str, 
     return {name: shown[:, now] for name, (now, _) in _TALLY_COLUMNS.items()}
 
 
-def impulse_quantity(asked: Asked, tally: Floats | None) -> Floats:
+def impulse_quantity(asked: SweepValue, tally: Floats | None) -> Floats:
     """The largest residual or overlap until a time, or the work until then, (1,)."""
     return np.zeros(1) if tally is None else tally[[_TALLY_COLUMNS[asked.quantity][1]]]

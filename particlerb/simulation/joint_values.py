@@ -62,7 +62,7 @@ def room_for_values(setup: SystemJoints, n: int) -> JointValues:
     return JointValues(force, torque, known[0], known[1], misfit, rate, coordinates, break_time)
 
 
-def refuse_checks(system: System) -> None:
+def refuse_checks(system: System, parent: str = "check") -> None:
     """Raise CaseError where a check names no joint, or numbers that a joint has not."""
     is_asked = any(check.joint is not None for check in system.check.value)
     setup = joints_of(system) if is_asked else None
@@ -73,7 +73,7 @@ def refuse_checks(system: System) -> None:
         if check.joint not in setup.names:
             reason = f'there is no joint "{check.joint}"'
             hint = nearest(check.joint, setup.names)
-            problems.append(problem_at(system, f"check.value[{k}].joint", reason, hint))
+            problems.append(problem_at(system, f"{parent}.value[{k}].joint", reason, hint))
         elif check.quantity == "joint_coordinate" and check.tolerance < math.inf:
             n = int(np.sum(setup.coordinates.joint == setup.names.index(check.joint)))
             if np.size(check.value) != n:

@@ -13,7 +13,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
-from particlerb.case.problems import CaseError, file_problem, path_of
+from particlerb.case.problems import CaseError, file_problem, path_of, problem_at
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
 from particlerb.case.sweep import SweepTable
@@ -21,14 +21,16 @@ from particlerb.case.to_system import to_system
 from particlerb.case.values import plain
 from particlerb.model.system import System
 from particlerb.plan.case_forces import loads_of
+from particlerb.simulation.joint_values import refuse_checks
 from particlerb.sweeping.designs import written_out
 from particlerb.sweeping.executors import processes
-from particlerb.sweeping.rows import Row, columns, failed
+from particlerb.sweeping.rows import Row, asked_as_checks, columns, failed
 from particlerb.sweeping.table import SweepRows, TableFile
 from particlerb.sweeping.together import may_share
 from particlerb.sweeping.variants import Variant, built, label, variants
 from particlerb.sweeping.worker import Task, work
 
+_T_END: Final = "run.t_end"
 _AXIS_HINT: Final = "give it a table [sweep], or --axis 'run.t_end=[1, 2]', in Python axes"
 _MAX_ATTEMPTS: Final = 3  # of a task whose worker dies
 _MAX_STARTS: Final = 20  # of workers that die before they do anything
@@ -88,8 +90,10 @@ def sweep(
     all_variants = variants(base, asked)
     system = to_system(built(base, list(map(path_of, asked.axes)), all_variants[0].values))
     loads_of(system)  # whose code may have to be allowed
-    names = [name for one in asked.value for name in columns(one, system)]
     path, heads = None if table is None else Path(table), [label(key) for key in asked.axes]
+    ends = [one.values[heads.index(_T_END)] for one in all_variants] if _T_END in heads else []
+    _refuse_values(base, asked, system, min(ends, default=base.run.t_end))
+    names = [name for one in asked.value for name in columns(one, system)]
     with TableFile(path, heads, names) as file:
         left = [variant for variant in all_variants if variant.hash not in file.known]
         progress(len(all_variants) - len(left))
@@ -111,8 +115,18 @@ def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
             wrong = file_problem(base.path, "says not what to vary", _AXIS_HINT)
             raise CaseError([wrong])
         return base.sweep
-    kept = base.sweep or SweepTable(axes=plain(axes))
-    return SweepTable(axes=plain(axes), value=kept.value, replicates=kept.replicates)
+    kept = {} if base.sweep is None else base.sweep.model_dump(include={"value", "replicates"})
+    return SweepTable(axes=plain(axes), **kept)
+
+
+def _refuse_values(base: Case, asked: SweepTable, system: System, t_end: float) -> None:
+    """Raise CaseError where what is asked for is of no joint, or of a time after the first end."""
+    for k, one in enumerate(asked.value):
+        if one.time is not None and one.time > t_end:
+            reason = f"must be <= run.t_end = {t_end!r}, got {one.time!r}"
+            raise CaseError([problem_at(base, f"sweep.value[{k}].time", reason)])
+    check = system.check.model_copy(update={"value": asked_as_checks(asked.value)})
+    refuse_checks(system._replace(check=check), "sweep")
 
 
 def _tasks(

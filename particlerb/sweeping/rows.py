@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from particlerb.case.output import Asked, CheckValue
+from particlerb.case.output import CheckValue, SweepValue
 from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
 
@@ -26,14 +26,14 @@ def failed(number: int, reason: str) -> Row:
     return Row(number, f"failed: {reason}", math.nan, 0, ())
 
 
-def asked_as_checks(asked: Sequence[Asked]) -> tuple[CheckValue, ...]:
+def asked_as_checks(asked: Sequence[SweepValue]) -> tuple[CheckValue, ...]:
     """What is asked for as checks that always hold, so that a run looks at it."""
     return tuple(
         CheckValue.model_construct(**dict(one), value=0.0, tolerance=math.inf) for one in asked
     )
 
 
-def columns(asked: Asked, system: System) -> list[str]:
+def columns(asked: SweepValue, system: System) -> list[str]:
     """Names of the numbers of a value that is asked for."""
     when = "" if asked.time is None else f"@{asked.time:g}"
     if asked.body is not None:

@@ -128,8 +128,12 @@ class TableFile(Closing):
             raise ValueError(f"{path} has other columns than this sweep: give another name")
         if not lines:
             self._append([self.columns])
-        self._order = [line[1] for line in lines[1:]]
-        self.known = {line[1]: _parsed(line) for line in lines[1:] if line[2] == "done"}
+        try:
+            self._order = [line[1] for line in lines[1:]]
+            self.known = {line[1]: _parsed(line) for line in lines[1:] if line[2] == "done"}
+        except (IndexError, ValueError):
+            self._lock.close()
+            raise ValueError(f"{path} has lines that are no rows: give another name") from None
 
     @staticmethod
     def _whole_lines(path: Path) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from particlerb.case.output import Asked
+from particlerb.case.output import SweepValue
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
@@ -36,7 +36,7 @@ def may_share(system: System) -> bool:
     return not any(body.is_drawn or body.motion is not None for body in system.body)
 
 
-def rows_together(numbers: Sequence[int], system: System, asked: Sequence[Asked]) -> list[Row]:
+def rows_together(numbers: Sequence[int], system: System, asked: Sequence[SweepValue]) -> list[Row]:
     """Rows of variants that are the worlds of a system.
 
     Raises
@@ -58,7 +58,7 @@ def rows_together(numbers: Sequence[int], system: System, asked: Sequence[Asked]
 
 
 def rows_of(
-    numbers: Sequence[int], system: System, asked: Sequence[Asked], outcome: Outcome
+    numbers: Sequence[int], system: System, asked: Sequence[SweepValue], outcome: Outcome
 ) -> list[Row]:
     """Rows of the worlds of a system that has run; a variant alone is one."""
     values = [_found(one, system, outcome) for one in asked]
@@ -93,7 +93,7 @@ def _refuse_different(system: System, group: GroupPlan) -> None:
             raise WorldsDifferError("bodies fly in closed form between their contacts")
 
 
-def _found(asked: Asked, system: System, outcome: Outcome) -> Floats:
+def _found(asked: SweepValue, system: System, outcome: Outcome) -> Floats:
     """Numbers of a value that is asked for, a row for each world."""
     time = system.run.t_end if asked.time is None else asked.time
     probe = next(probe for probe in outcome.probes if probe.time == time)
@@ -105,7 +105,7 @@ def _found(asked: Asked, system: System, outcome: Outcome) -> Floats:
     return values.reshape(system.n_worlds, -1)
 
 
-def _of_joints(asked: Asked, system: System, probe: Probe) -> Floats:
+def _of_joints(asked: SweepValue, system: System, probe: Probe) -> Floats:
     """Numbers of a joint that is asked for, a row for each world."""
     setup = joints_of(system)
     first = setup if system.n_worlds == 1 else joints_of(system.scene(0))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.case.output import Asked
+from particlerb.case.output import SweepValue
 from particlerb.case.overrides import with_values
 from particlerb.case.problems import CaseError, Path, Source
 from particlerb.case.reader import build
@@ -32,7 +32,7 @@ class Task(NamedTuple):
     values: tuple[tuple[Any, ...], ...]  # of the axes, for each
     paths: tuple[Path, ...]  # of the axes
     source: Source  # of the case that they are variants of
-    asked: tuple[Asked, ...]
+    asked: tuple[SweepValue, ...]
     is_batch: bool = False
     attempt: int = 0
 
@@ -76,7 +76,7 @@ def batch_of(task: Task) -> System:
     return side_by_side(task.source, task.paths, task.values)
 
 
-def _row(number: int, source: Source, asked: Sequence[Asked]) -> Row:
+def _row(number: int, source: Source, asked: Sequence[SweepValue]) -> Row:
     """Run a variant."""
     system = to_system(build(source, ()))
     check = system.check.model_copy(update={"value": asked_as_checks(asked)})

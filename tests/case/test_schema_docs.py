@@ -53,7 +53,7 @@ HEADINGS = {
     "[[check.value]]": "CheckValue",
     "[sweep]": "SweepTable",
     "axis of a sweep: { low = .., high = .. }": "Spread",
-    "[[sweep.value]]": "Asked",
+    "[[sweep.value]]": "SweepValue",
     "[chart]": "ChartTable",
     "[[chart.published]]": "Published",
 }

@@ -208,6 +208,39 @@ def test_rows_that_are_there_are_not_run_again(tmp_path, monkeypatch):
     assert [row[5] for row in more.rows] == [0.2, 0.4]
 
 
+@pytest.mark.parametrize(
+    ("value", "axes", "words"),
+    [
+        ({"body": "ball", "quantity": "position"}, {}, r'value\[0\].body: there is no body "ball"'),
+        ({"joint": "j", "quantity": "joint_force"}, {}, r"value\[0\].joint: there is no \[\[joint"),
+        ({"body": "box", "quantity": "position", "time": 3.0}, {"run.t_end": [4.0, 2.0]},
+         r"value\[0\].time: must be <= run.t_end = 2.0, got 3.0"),
+    ],
+)  # fmt: skip
+def test_what_no_variant_has_is_refused_before_anything_runs(value, axes, words, tmp_path):
+    scene = fallen()
+    scene.sweep = SweepTable(axes=axes or {DRAG: [0.1]}, value=[value])
+    with pytest.raises(CaseError, match=words):
+        in_threads(scene, tmp_path / "t.csv")
+    assert not (tmp_path / "t.csv").exists()
+
+
+def test_axes_may_be_any_iterable():
+    found = in_threads(fallen(), axes={DRAG: (k / 10 for k in (1, 2))})
+    assert found.column("force[0].translation") == [0.1, 0.2]
+
+
+@pytest.mark.parametrize("line", ["1", "x,abcd,done,0.0,0"])
+def test_a_table_with_lines_that_are_no_rows_is_left_alone(line, tmp_path):
+    path = tmp_path / "t.csv"
+    in_threads(fallen(), path)
+    text = f"{path.read_text().splitlines()[0]}\n{line}\n"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"t\.csv has lines that are no rows"):
+        in_threads(fallen(), path)
+    assert path.read_text() == text
+
+
 def test_a_table_of_another_sweep_is_left_alone(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("a,b\n1,2\n")
