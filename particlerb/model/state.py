@@ -82,8 +82,7 @@ def state_in(frames: Frames, row: int, index: Ints, bodies: Bodies) -> State:
 def states_in(frames: Frames, rows: Ints, index: Ints, bodies: Bodies) -> State:
     """The same in several rows: (k, T n), one state after the other."""
     x, q, p, L = (
-        np.moveaxis(values[rows[:, None], index], -1, 0).reshape(values.shape[-1], -1)
-        for values in frames[:4]
+        values[rows[:, None], index].reshape(-1, values.shape[-1]).T for values in frames[:4]
     )
     return State(x, quaternion_product(q, np.tile(bodies.rotor_frame, rows.size)), p, L)
 

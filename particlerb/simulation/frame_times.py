@@ -60,12 +60,13 @@ class Batch(NamedTuple):
     is_odd: bool  # whether it is the frame at t_end, which a longer run has not
 
 
-def batches(system: System, done: int = 0, ranks: Ranks = ALONE) -> Iterator[Batch]:
+def batches(system: System, done: int = 0, ranks: Ranks = ALONE, first: int = 0) -> Iterator[Batch]:
     """Times of a run, or of its rest behind some frames.
 
     As many as fit into the cache and take about half a second, so that a long run is written,
     shows progress and can be interrupted. Large ones end where chunks of the file do, as far as
-    their sizes allow: whole chunks are written without a copy. All ranks take the same.
+    their sizes allow: whole chunks are written without a copy. All ranks take the same. `first` is
+    how many frames the first has, if it is given.
     """
     most = int(min(max(_BATCH_BYTES // (max(system.n_bodies, 1) * 13 * 8), 1), BATCH_FRAMES))
     n, whole_frames = frame_count(system.run), _whole_frames(system.run)
@@ -73,7 +74,7 @@ def batches(system: System, done: int = 0, ranks: Ranks = ALONE) -> Iterator[Bat
     probes = np.unique(np.array(asked, dtype=np.float64))
     if done:
         probes = probes[probes > frame_times(system.run, done - 1, done)]
-    size = min(FIRST_BATCH, most)
+    size = min(first or FIRST_BATCH, most)
     while done < n:
         stop = whole_frames if done < whole_frames else n
         over = (done + size) % size if size >= _MIN_ALIGNED_FRAMES else 0
@@ -82,7 +83,8 @@ def batches(system: System, done: int = 0, ranks: Ranks = ALONE) -> Iterator[Bat
         times = np.union1d(frames, due) if due.size else frames
         start = time.monotonic()
         done += len(frames)
-        masks = np.isin(times, frames), np.isin(times, due)
+        none = (times >= 0.0, times < 0.0)
+        masks = (np.isin(times, frames), np.isin(times, due)) if due.size else none
         yield Batch(times, *masks, done == whole_frames, done > whole_frames)
         share = BATCH_SECONDS / max(time.monotonic() - start, 1e-9)
         size = min(ranks.gathered(int(min(max(size * min(share, 4.0), 1), most))))

@@ -27,7 +27,7 @@ from particlerb.record.memory import Memory
 from particlerb.record.part_recorder import PartRecorder
 from particlerb.record.provenance import texts_of
 from particlerb.record.writer import Recorder
-from particlerb.simulation.frame_times import Batch, batches
+from particlerb.simulation.frame_times import BATCH_FRAMES, Batch, batches
 from particlerb.simulation.group_run import tally_of
 from particlerb.simulation.joint_values import at_row, broken_joints, labels_of, refuse_checks
 from particlerb.simulation.outcome import Outcome, Probe, Progress, Reached
@@ -118,6 +118,7 @@ def advance(
     checkpoint: Checkpoint | None,
     progress: Progress,
     ranks: Ranks = ALONE,
+    first_batch: int = 0,
 ) -> Outcome:
     """Run a prepared system to its end, from its start or from a checkpoint.
 
@@ -135,7 +136,7 @@ def advance(
             recorder.save_checkpoint(state)
         else:
             ranks.together(lambda: _restore(run, checkpoint))
-        for batch in batches(prepared.system, run.n_frames, ranks):
+        for batch in batches(prepared.system, run.n_frames, ranks, first_batch):
             reached, error = _one_batch(run, recorder, batch)
             progress(reached)
             if error is not None:
@@ -229,4 +230,4 @@ class _Nowhere:
 def run_unrecorded(prepared: Prepared) -> Outcome:
     """Run a prepared system for its drift and its probes alone; raises as `run_prepared`."""
     with THREADS.using(prepared.system.run.threads):
-        return advance(prepared, _Nowhere(), None, lambda reached: None)
+        return advance(prepared, _Nowhere(), None, lambda reached: None, first_batch=BATCH_FRAMES)
