@@ -92,8 +92,7 @@ def sweep(
     loads_of(system)  # whose code may have to be allowed
     path, heads = None if table is None else Path(table), [label(key) for key in asked.axes]
     ends = [one.values[heads.index(_T_END)] for one in all_variants] if _T_END in heads else []
-    _refuse_values(base, asked, system, min(ends, default=base.run.t_end))
-    names = [name for one in asked.value for name in columns(one, system)]
+    names = _value_columns(base, asked, system, min(ends, default=base.run.t_end))
     with TableFile(path, heads, names) as file:
         left = [variant for variant in all_variants if variant.hash not in file.known]
         progress(len(all_variants) - len(left))
@@ -119,14 +118,15 @@ def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
     return SweepTable(axes=plain(axes), **kept)
 
 
-def _refuse_values(base: Case, asked: SweepTable, system: System, t_end: float) -> None:
-    """Raise CaseError where what is asked for is of no joint, or of a time after the first end."""
+def _value_columns(base: Case, asked: SweepTable, system: System, t_end: float) -> list[str]:
+    """Columns of what is asked for; CaseError where it is of no joint, or after the first end."""
     for k, one in enumerate(asked.value):
         if one.time is not None and one.time > t_end:
             reason = f"must be <= run.t_end = {t_end!r}, got {one.time!r}"
             raise CaseError([problem_at(base, f"sweep.value[{k}].time", reason)])
     check = system.check.model_copy(update={"value": asked_as_checks(asked.value)})
     refuse_checks(system._replace(check=check), "sweep")
+    return [name for one in asked.value for name in columns(one, system)]
 
 
 def _tasks(
