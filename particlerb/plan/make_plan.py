@@ -56,8 +56,7 @@ def make_plan(
     system = merged(system)
     loads = loads_of(system)
     links = _links_on_hosts(system)
-    problems = impossible(system, loads) + coincident(system)
-    refuse(problems)
+    refuse(impossible(system, loads) + coincident(system))
     touching, joints = contact_of(system), joints_of(system)
     start, state = now or (0.0, system.state)
     if now is not None and system.merging is not None:

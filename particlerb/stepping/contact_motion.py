@@ -11,6 +11,7 @@ import numpy as np
 
 from particlerb.compiled.barrier import ONE_THREAD, Team, together
 from particlerb.compiled.threads import BLOCK
+from particlerb.contact import records
 from particlerb.contact.contact_model import (
     ContactChanges,
     ContactFrames,
@@ -23,15 +24,6 @@ from particlerb.contact.contact_model import (
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.contact.missed_pairs import Watch
 from particlerb.contact.piston import initial_piston_state, piston_energies
-from particlerb.contact.records import (
-    BODY,
-    EXTREMES,
-    PISTON,
-    POSE,
-    STEP_START,
-    to_floats,
-    zero_records,
-)
 from particlerb.impulses.records import Impulses
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Bools, Floats, Ints
@@ -125,14 +117,15 @@ class ContactMotion(SteppedMotion):
         self.threads = len(self.blocks) if evaluation > WORTH_THREADS else 1
         self.lists = ContactLists(setup, dt, numbers, histories, method.takes_slopes, is_own)
         self.checks = ContactChecks(group, dt, watch, method.stability_limit, is_own)
-        poses = zero_records(POSE, len(setup.motions))
-        xyzr, bodies = np.zeros((n_spheres, 4)), zero_records(BODY, n)
-        deepest, step_start = np.zeros((len(self.blocks), 5)), zero_records(STEP_START, 1)
+        poses = records.zero_records(records.POSE, len(setup.motions))
+        xyzr, bodies = np.zeros((n_spheres, 4)), records.zero_records(records.BODY, n)
+        deepest = np.zeros((len(self.blocks), 5))
+        step_start = records.zero_records(records.STEP_START, 1)
         workspace = Workspace(
             xyzr, poses, bodies, deepest, np.zeros(n), step_start, self.impulses_of(setup)
         )
         y, pistons = np.vstack(state), initial_piston_state(setup.pistons)
-        extremes = zero_records(EXTREMES, 1)
+        extremes = records.zero_records(records.EXTREMES, 1)
         memory = ContactMemory(y[7:].copy(), y[:7].copy(), start, np.inf, pistons, extremes)
         self.origin = y[:3].copy()  # [m]
         self.frames = self.room_for_frames(0, len(pistons))
@@ -160,7 +153,8 @@ class ContactMotion(SteppedMotion):
 
     def room_for_frames(self, n: int, n_pistons: int) -> ContactFrames:
         """Room for what n frames show of contacts."""
-        pistons, tally = zero_records(PISTON, n, n_pistons), np.zeros((n, self.room_for_tally))
+        pistons = records.zero_records(records.PISTON, n, n_pistons)
+        tally = np.zeros((n, self.room_for_tally))
         elastic = np.zeros((n, int(self.bins.max(initial=-1)) + 1))
         return ContactFrames(elastic, np.zeros(self.bins.size), self.bins, pistons, tally)
 
@@ -368,7 +362,7 @@ class ContactMotion(SteppedMotion):
         setup, histories = self.contact.setup, self.lists.histories
         pistons = setup.pistons
         if pistons is not None:
-            start = to_floats(self.contact.memory.pistons)[:, :2].copy()
+            start = records.to_floats(self.contact.memory.pistons)[:, :2].copy()
             pistons = pistons._replace(start=start)
         return ContactStart(histories, setup.history_record, pistons, self.impulse_tally())
 
