@@ -41,11 +41,11 @@ class GroupRun:
         self.sums: Floats | None = None  # over its bodies, of these rows, where asked for
         self.reader: JointReader | None = None
         self.plan = plan
-        self.before = np.zeros((*shape_of(plan.worlds), 7))  # booked in earlier segments
-        self.turnover: Floats | float = 0.0  # [J] gross work of contacts in them
+        self.booked_before = np.zeros((*shape_of(plan.worlds), 7))  # in earlier segments
+        self.gross_work_before: Floats | float = 0.0  # [J] gross work of contacts in them
         self.number = 0
         self.broken: dict[int, float] = {}  # joints that broke in earlier segments, and when [s]
-        self.first = state  # of this segment
+        self.first_state = state  # of this segment
         self.angle = 0.0  # of the tree that sums the attraction, where it is fitted to the scene
         self.tree_error = 0.0  # the largest seen, of this tree
         self.pairs: PairForces | None = None
@@ -61,8 +61,13 @@ class GroupRun:
         kept = motion.checkpoint_of(of) if isinstance(motion, SharedMotion) else motion.checkpoint()
         saved = under("motion", kept)
         if self.number:
-            saved |= {"before": self.before.copy(), "turnover": np.array(self.turnover)}
-            saved |= self._first_of(of) if self.plan.shared else {"first": np.vstack(self.first)}
+            saved |= {
+                "before": self.booked_before.copy(),
+                "turnover": np.array(self.gross_work_before),
+            }
+            saved |= (
+                self._first_of(of) if self.plan.shared else {"first": np.vstack(self.first_state)}
+            )
             saved |= {"broken": np.array([*self.broken.items()])} if self.broken else {}
         return saved | {"number": np.array(self.number), "angle": np.array(self.angle)}
 
@@ -70,7 +75,7 @@ class GroupRun:
         """The first state of the segment, of some bodies of the scene, and who these are."""
         shared, members = self.plan.shared, self.plan.members
         assert shared is not None
-        rows = np.column_stack([shared.places(members), np.vstack(self.first).T])
+        rows = np.column_stack([shared.places(members), np.vstack(self.first_state).T])
         number = shared.first + members
         return under(OF_BODIES, {"first": rows[(number >= of.first) & (number < of.stop)]})
 
@@ -78,11 +83,11 @@ class GroupRun:
         """Go on from what was saved."""
         self.number, self.angle = int(saved["number"]), float(saved["angle"])
         if self.number:
-            self.before, self.turnover = saved["before"], float(saved["turnover"])
+            self.booked_before, self.gross_work_before = saved["before"], float(saved["turnover"])
             self.broken = {int(j): float(t) for j, t in saved.get("broken", ())}
             rows = within(OF_BODIES, saved).get("first")
             first = saved["first"] if rows is None else rows[np.argsort(rows[:, 0]), 1:].T
-            self.first = state_of(first)
+            self.first_state = state_of(first)
             self.pairs = self.pair_forces()
             self.motion = self.segment_motion(self.motion)
         self.motion.restore(within("motion", saved))
@@ -113,7 +118,7 @@ class GroupRun:
             return
         if tree is not None and sampled_error(tree) <= terms.tree_accuracy:
             return
-        y = np.vstack((self.first.com, self.first.q))
+        y = np.vstack((self.first_state.com, self.first_state.q))
         self.angle = fitting_angle(terms.attraction, y, terms.tree_accuracy)
 
     def pair_forces(self) -> PairForces | None:
@@ -175,8 +180,8 @@ class GroupRun:
         """Apply the impulses at the start of a segment; its motion, after another one."""
         for jump in segment.jumps:
             state, booked = apply_impulse(jump, self.plan.bodies, state)
-            self.before = self.before + self.plan.group(segment).totals(booked)
-        self.first = state
+            self.booked_before = self.booked_before + self.plan.group(segment).totals(booked)
+        self.first_state = state
         return self.segment_motion(before)
 
     def segment_motion(self, before: Motion | None = None) -> Motion:
@@ -185,7 +190,7 @@ class GroupRun:
         method = METHODS[segment.method]
         group = self.plan.group(segment)._replace(terms=self.terms)
         motion = make_motion(
-            method, group, self.first, segment.start, segment.dt, segment.tolerance, before
+            method, group, self.first_state, segment.start, segment.dt, segment.tolerance, before
         )
         if before is not None:
             motion.continue_joints(before)
@@ -200,23 +205,23 @@ class GroupRun:
         joints, stop = self.segment.terms.joints, self.segment.stop
         ends = () if joints is None else zip(joints.number, self.motion.broken, strict=False)
         self.broken |= {int(j): float(t) for j, t in ends if j >= 0 and t <= stop}
-        self.turnover = self.turned_over()
-        self.before += booked
-        self.before[..., 0] -= self.potential(state.com, state.q)
-        self.number, self.first = self.number + 1, state
+        self.gross_work_before = self.gross_work()
+        self.booked_before += booked
+        self.booked_before[..., 0] -= self.potential(state.com, state.q)
+        self.number, self.first_state = self.number + 1, state
         self.fit_tree()
         self.pairs = self.pair_forces()
-        self.before[..., 0] += self.potential(state.com, state.q)
+        self.booked_before[..., 0] += self.potential(state.com, state.q)
         self.motion = self.start_segment(self.segment, state, self.motion)
 
     def finish(self, time: float) -> tuple[State, Floats]:
         """State at a time of this segment [s], and (7,) booked until then."""
         state, booked = self.motion.finish(time)
-        return state, self.before + booked
+        return state, self.booked_before + booked
 
-    def turned_over(self) -> Floats | float:
+    def gross_work(self) -> Floats | float:
         """Gross work of contacts until the last frame [J]."""
-        return self.turnover + self.motion.gross_work()
+        return self.gross_work_before + self.motion.gross_work()
 
     def record(self, times: Floats, frames: Frames) -> tuple[Floats, Energies]:
         """Write rows 0.. of the frames at ascending times.
@@ -239,7 +244,7 @@ class GroupRun:
             if until > done:
                 rows, span = np.arange(done, until), slice(done, until)
                 self.motion.sums = None if self.sums is None else self.sums[span]
-                booked[span] = self.before + self.motion.record(times[span], rows, frames)
+                booked[span] = self.booked_before + self.motion.record(times[span], rows, frames)
                 self.motion.sums = None
                 if self.is_bound:
                     potential[span] = self.potentials(frames, rows)
@@ -269,7 +274,7 @@ class GroupRun:
         if self.segment.terms.joints is None:
             return
         if self.reader is None or self.reader.segment is not self.segment:
-            self.reader = JointReader(self.plan, self.segment, self.first)
+            self.reader = JointReader(self.plan, self.segment, self.first_state)
         for row in rows.tolist():
             state = self.state_in(frames, row)
             turned = self.motion.coordinates[row] if self.motion.coordinates.size else None

@@ -96,7 +96,7 @@ def states_at(part: BodySubset, times: Floats) -> tuple[Frames, _Books]:
     group_runs = [GroupRun(group, taken(part.state, group.members)) for group in part.groups]
     first = initial_energies(group_runs, initial)
     booked, later = record_all(group_runs, times, frames)
-    gross = sum(group_run.turned_over() for group_run in group_runs)
+    gross = sum(group_run.gross_work() for group_run in group_runs)
     return frames, _Books(booked, first, later, gross, float(times[-1]))
 
 

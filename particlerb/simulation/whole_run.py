@@ -71,8 +71,8 @@ class Run:
         self.checks = StateChecks(self.moving, plan)
         ranks.together(lambda: self.start(plan, self.moving.state, {}))
         self.balance = EnergyBalance(self.totals_of(initial, self.initial_energies(initial)))
-        self.before = np.zeros(7)  # booked before the last restart,
-        self.turned_over_before: Floats | float = 0.0  # and gross work of contacts [J]
+        self.booked_before = np.zeros(7)  # before the last restart,
+        self.gross_work_before: Floats | float = 0.0  # and gross work of contacts [J]
 
         asks = self.system.joint and asked_of_joints(self.system)
         self.setup = joints_of(self.system) if asks else None
@@ -127,10 +127,10 @@ class Run:
         all_states = State(*(values.copy() for values in self.moving.state))
         for group_run in self.group_runs:
             state, booked = group_run.finish(time)
-            self.before += booked
+            self.booked_before += booked
             for values, group_values in zip(all_states, state, strict=True):
                 values[:, group_run.plan.members] = group_values
-        self.turned_over_before += sum(t.turned_over() for t in self.group_runs)
+        self.gross_work_before += sum(t.gross_work() for t in self.group_runs)
         return all_states if self.moving.merging is None else self.moving.merging.apart(all_states)
 
     def restart(self, system: System, plan: Plan, state: State, last: Entries) -> None:
@@ -147,9 +147,9 @@ class Run:
         self.start(plan, state, motions)
         frame = as_frame(self.moving.bodies, state)
         now = self.totals_of(frame, self.initial_energies(frame))
-        self.before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
-        self.before[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
-        self.before[4:] += (now.angular_momentum - last.angular_momentum)[-1]
+        self.booked_before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
+        self.booked_before[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
+        self.booked_before[4:] += (now.angular_momentum - last.angular_momentum)[-1]
 
     @property
     def keyed_runs(self) -> list[tuple[int, str, GroupRun]]:
@@ -228,7 +228,7 @@ class Run:
         booked = self.over_ranks(booked_parts)
         energies = Energies(*(self.over_ranks(parts) for parts in zip(*beside, strict=True)))
         self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
-        booked += self.before
+        booked += self.booked_before
         now = self.totals_of(frames, energies, sums)
         is_finite = math.isfinite(np.add.reduce(now.sums, axis=None))
         verdict = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
@@ -247,8 +247,8 @@ class Run:
                 )
         if sound < times.size:
             frames, now = frames.rows(slice(sound)), Totals(now.sums[:sound])
-        turned_over = self.turned_over_before + sum(t.turned_over() for t in self.group_runs)
-        entries = self.balance.enter(now, booked[:sound], turned_over)
+        gross_work = self.gross_work_before + sum(t.gross_work() for t in self.group_runs)
+        entries = self.balance.enter(now, booked[:sound], gross_work)
         if self.moving.merging is not None:
             frames = self.moving.merging.shown(frames)
         if self.loads is not None and self.joints is not None:
