@@ -12,7 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 24712
+LINES_OF_CODE = 24706
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {

@@ -65,9 +65,7 @@ def make_plan(
     grouped = groups_of(system, loads, links, touching, joints, _apart(behind, system.n_bodies))
     grouped = _after(behind, grouped) if behind else grouped
     setting = touching, start, now is None
-    cut = [
-        part for group in grouped for part in segments.cut_into_segments(system, group, *setting)
-    ]
+    cut = [part for one in grouped for part in segments.cut_into_segments(system, one, *setting)]
     cut.sort(key=lambda group: int(group.members.min()))
     segments.refuse_method(system, cut)
     stepped = tuple(time_step.with_steps(group, time_step.step(system, group)) for group in cut)
