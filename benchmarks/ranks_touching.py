@@ -73,7 +73,7 @@ class Watch:
             self.calls[name] += 1
             if name == "swapped":
                 self.n_bytes += sum(rows.nbytes for rows in given[1].values())
-                self.copies += sum(len(rows) for rows in given[1].values())
+                self.copies += sum(rows.shape[-1] for rows in given[1].values())
             found = work(*given)
             if name == "sent":
                 self.n_moved += sum(rows.nbytes for rows in found)

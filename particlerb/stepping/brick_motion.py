@@ -104,7 +104,8 @@ class BrickMotion(SharedMotion):
         self.allocate_contact(state, numbers, histories, None, self.is_own)
         self.set_body_rows(values)
         self._count_costs()
-        self.domains.find_slots(lambda indices: self.slots[np.searchsorted(local, indices)])
+        width = self.blocks.shape[1]
+        self.domains.find_cells(lambda indices: self.slots[np.searchsorted(local, indices)], width)
 
     def _count_costs(self) -> None:
         """Costs of all bodies: who decides by them decides the same on all ranks."""
@@ -337,7 +338,8 @@ class _Oscillating(Oscillating):
         """Bring velocities and spins of ghosts."""
         slots, n_slots = self.motion.slots, len(self.motion.blocks) * BLOCK
         rows = self.motion.spaced(motion[..., :-1].reshape(6, -1))
-        blocks = in_blocks(n_slots, STATE_ROWS, [(0, rows)])
+        blocks = np.zeros_like(self.motion.blocks)
+        into_blocks(blocks, 0, rows)
         self.motion.domains.update_ghosts(blocks)
         rows = out_of_blocks(blocks, 0, 6, n_slots)[:, slots]
         motion[..., :-1] = rows.reshape(2, 3, -1)

@@ -100,7 +100,7 @@ class Domains:
         self.exchange, self.ranks = exchange, exchange.ranks
         self.bound = bounding_radii(exchange.model.spheres, exchange.is_free.size)
         self.reach = float(self.bound[exchange.is_free].max(initial=0.0))
-        self.border: dict[int, tuple[Ints, Floats]] = {}  # by rank: slots of bodies, buffer
+        self.border: dict[int, tuple[Ints, Floats]] = {}  # by rank: where they are, buffer
         self.ghosts: dict[int, tuple[Ints, Floats]] = {}
         self.fit(com)
 
@@ -149,23 +149,25 @@ class Domains:
         self.ghosts = {k: (of, rows[:0]) for k, of in enumerate(numbers) if of.size}
         return np.concatenate(received)[:, 1:], np.concatenate(numbers)
 
-    def find_slots(self, slots_of: Callable[[Ints], Ints]) -> None:
-        """Note in which slots of the blocks those are that are swapped, and make room for them."""
+    def find_cells(self, slots_of: Callable[[Ints], Ints], width: int) -> None:
+        """Note where in blocks of a width those are that are swapped, and make room for them."""
+        rows = STRIDE * np.arange(STATE_ROWS)[:, None]
         for swapped in (self.border, self.ghosts):
             for k, (bodies, _) in swapped.items():
-                swapped[k] = slots_of(bodies), np.empty((bodies.size, STATE_ROWS))
+                block, place = np.divmod(slots_of(bodies), BLOCK)
+                swapped[k] = block * width + place + rows, np.empty((STATE_ROWS, bodies.size))
 
     def update_ghosts(self, blocks: Floats) -> None:
         """Send states to ranks that have ghosts, and get those of the ghosts here."""
-        rows = blocks.reshape(len(blocks), -1, STRIDE)
-        for slots, out in self.border.values():
-            out[:] = rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK]
+        numbers = blocks.reshape(-1)
+        for cells, out in self.border.values():
+            np.take(numbers, cells, out=out, mode="clip")  # which is faster than to look
         self.ranks.swapped(
             {k: out for k, (_, out) in self.border.items()},
             {k: into for k, (_, into) in self.ghosts.items()},
         )
-        for slots, received in self.ghosts.values():
-            rows[slots // BLOCK, :STATE_ROWS, slots % BLOCK] = received
+        for cells, received in self.ghosts.values():
+            numbers[cells] = received
 
 
 def kept_of(history: ContactHistory) -> tuple[Ints, Floats]:
