@@ -24,7 +24,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2140,
     "scenes and simulations in Python": 614,
     "sweeps": 1550,
-    "one scene over ranks": 2210,
+    "one scene over ranks": 2225,
     "reports, pictures, the page": 1697,
     "scenes for other programs": 472,
     "speed of compiling and of whole calls": 1291,

@@ -111,7 +111,10 @@ def scatter_block(values: Floats, rows: Floats, at: int, first: int, lo: int, n:
             put(rows, at + c - first, b, row[b])
 
 
-def in_blocks(n: int, n_rows: int, parts: Sequence[tuple[int, Floats]]) -> Floats:
+def in_blocks(
+    n: int, n_rows: int, parts: Sequence[tuple[int, Floats]], before: Floats | None = None,
+    unused: tuple[int, int] = (0, 0),
+) -> Floats:  # fmt: skip
     """Blocks (n_blocks, n_rows * STRIDE) of n bodies.
 
     Parameters
@@ -120,9 +123,17 @@ def in_blocks(n: int, n_rows: int, parts: Sequence[tuple[int, Floats]]) -> Float
         Bodies, and rows of a block.
     parts : sequence of (int, ndarray of shape (rows, n))
         What goes into the rows, and the first of these rows; all others are zero.
+    before : ndarray, optional
+        Blocks of so many rows, whose memory is used again where there are as many or more.
+    unused : tuple of two int
+        Range of rows that nobody looks at: of memory used again they stay as they are.
     """
-    n_blocks = -(-n // BLOCK)
-    blocks = aligned_zeros(n_blocks * n_rows * STRIDE).reshape(n_blocks, n_rows * STRIDE)
+    n_blocks, (low, high) = -(-n // BLOCK), unused
+    if before is None or len(before) < n_blocks:
+        blocks = aligned_zeros(n_blocks * n_rows * STRIDE).reshape(n_blocks, n_rows * STRIDE)
+    else:
+        blocks = before[:n_blocks]
+        blocks[:, : low * STRIDE] = blocks[:, high * STRIDE :] = 0.0
     for at, values in parts:
         into_blocks(blocks, at, values)
     return blocks

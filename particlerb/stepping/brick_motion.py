@@ -101,6 +101,8 @@ class BrickMotion(SharedMotion):
         group, numbers = contact_part(self.exchange.group, local)
         state = state_of(values[:, :STATE_ROWS].T)
         SteppedMotion.__init__(self, self.method, group, state, self.start, self.dt)
+        if self.memory is None or len(self.memory) < len(self.blocks):
+            self.memory = self.blocks  # fresh memory costs more than what fills it
         self.allocate_contact(state, numbers, histories, None, self.is_own)
         self.set_body_rows(values)
         self._count_costs()

@@ -70,6 +70,7 @@ class SteppedMotion(JointedMotion):
     """A group of bodies on a grid of steps; see `motion.Motion`."""
 
     steps_done = 0  # of the segment
+    memory: Floats | None = None  # blocks that were here before
 
     def __init__(
         self, method: Method, group: SegmentGroup, state: State, start: float, dt: float
@@ -97,7 +98,8 @@ class SteppedMotion(JointedMotion):
         n_rows = STAGE + _STAGE_ROWS if acts_together else row_count(terms)
         assert row_count(terms) <= STAGE
         spaced = [(at, self.spaced(values)) for at, values in parts]
-        self.blocks = in_blocks(len(full) * BLOCK, n_rows, spaced)
+        unused = row_count(terms), STAGE
+        self.blocks = in_blocks(len(full) * BLOCK, n_rows, spaced, self.memory, unused)
         self.saved = np.empty((len(full), CHANGING * STRIDE))
         self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`,
         self.pose_loop: Callable[..., Position] | None = None  # and for it
