@@ -221,11 +221,12 @@ def _give_up(layout: Layout, vectors: CommonVectors) -> None:
 
 
 @caller_of_stages
-def _finish_step(bodies: CommonSteps, t: float, h: float) -> None:
-    """Bring the end of a step to where joints hold, and find the slopes there."""
+def _finish_step(bodies: CommonSteps, t: float, h: float, brings_back: bool) -> None:
+    """Slopes at the end of a step, which is brought to where joints hold, or not yet."""
     common = bodies.vectors
     _normalise_blocks(common.new, bodies.layout, common.width)
-    bring_back(bodies.jointed, common.new, common.width, t + h)
+    if brings_back:
+        bring_back(bodies.jointed, common.new, common.width, t + h)
     _take_slopes(bodies, t + h, common.new, common.K[END])
 
 
@@ -267,12 +268,12 @@ def _up_to_a_break(breaks: Breaks | None, bodies: CommonSteps, t: float, h: floa
     h *= after
     _take_stages(bodies, common.new, t, h, 1, END)
     _add_stages(h, END, common.K, common.y, common.new)
-    _finish_step(bodies, t, h)
+    _finish_step(bodies, t, h, True)
     return h
 
 
 @caller_of_stages
-def find_step(bodies: CommonSteps, t: float, h: float) -> tuple[float, float]:
+def find_step(bodies: CommonSteps, t: float, h: float, brings_back: bool) -> tuple[float, float]:
     """Longest step up to h that is accurate, and the one to try after it; K[0] is known."""
     layout, common = bodies.layout, bodies.vectors
     h = count_on(bodies.jointed, common.y, common.width, h)
@@ -283,7 +284,7 @@ def find_step(bodies: CommonSteps, t: float, h: float) -> tuple[float, float]:
         _add_stages(h, END, common.K, common.y, common.new)
         error = _error_of(bodies.blocks, layout, common, h, tolerance)
         if error < 1.0:
-            _finish_step(bodies, t, h)
+            _finish_step(bodies, t, h, brings_back)
             return _up_to_a_break(bodies.breaks, bodies, t, h), h * factor_of(error)
         h *= factor_of(error)
         if not h > LEAST_STEP * t:

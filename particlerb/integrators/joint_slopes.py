@@ -4,7 +4,7 @@
 
 Of trees joints/trees.py has the same without multipliers.
 The states drift off the joints by the error of the steps, and so does what is between them: at the
-end of a step, and in frames, they are brought back, in the metric of the masses.
+end of every fourth step, and in frames, they are brought back, in the metric of the masses.
 
 Source: Hairer and Wanner, Solving Ordinary Differential Equations II (1996), sections VII.1 and
 VII.2; the rows in joints/rows.py.

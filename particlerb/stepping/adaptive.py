@@ -110,15 +110,15 @@ class AdaptiveMotion(JointedMotion):
         return self.vectors.broken
 
     def checkpoint(self) -> Saved:
-        """States at the start of each step, when that is, and how long the step is."""
+        """States at the start of each step, when that is, how long it is, and which."""
         changing = out_of_blocks(self.blocks, 0, CHANGING, self.group.members.size)
-        saved = {"changing": changing, "clock": self.clock[:, :2].T.copy()}
+        saved = {"changing": changing, "clock": self.clock.T.copy()}
         return saved | self.kept_of_joints()
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
         into_blocks(self.blocks, 0, saved["changing"])
-        self.clock[:, :2] = saved["clock"].T
+        self.clock[:] = saved["clock"].T
         self.restore_joints(saved)
 
     def advance_some(self, leg: Leg, recording: Recording) -> None:

@@ -4,7 +4,7 @@ It stands before a step that it has found already, so that a frame can be shown 
 output. The loop over a grid of steps, in `loop`, stands behind one: see decision 28.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from particlerb.integrators.dop853_stages import (
     take_blocks,
     take_last_stages,
 )
-from particlerb.integrators.joint_slopes import store_coordinates
+from particlerb.integrators.joint_slopes import bring_back, store_coordinates
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import caller_of_stages
 from particlerb.maths.rows import rows3, rows4
@@ -30,6 +30,8 @@ from particlerb.model.block import BOOKED, COM, L, P, Q, assign
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import store_frame
 from particlerb.stepping.loop import Recording
+
+_BACK_EVERY: Final = 4.0  # steps: then joints are closed; frames and last steps always are
 
 
 class Leg(NamedTuple):
@@ -79,13 +81,13 @@ def advance_steps(bodies: CommonSteps, clock: Floats, leg: Leg, recording: Recor
     t, h, taken = clock[0], clock[1], clock[2]
     take_blocks(bodies.blocks, bodies.layout, bodies.vectors)
     first_slopes(bodies, t)
-    h, h_next = find_step(bodies, t, h)
+    h, h_next = find_step(bodies, t, h, taken % _BACK_EVERY == 0.0)
     is_dense = False
     for f in range(times.size):
         while times[f] > t + h:
             t, taken = t + h, taken + 1.0
             next_slopes(bodies, t)
-            h, h_next = find_step(bodies, t, h_next)
+            h, h_next = find_step(bodies, t, h_next, taken % _BACK_EVERY == 0.0)
             is_dense = False
         assign(bodies.vectors.out, bodies.vectors.y)
         if times[f] > t or not h > 0.0:
@@ -93,14 +95,16 @@ def advance_steps(bodies: CommonSteps, clock: Floats, leg: Leg, recording: Recor
                 take_last_stages(bodies, t, h)
                 is_dense = True
             show(bodies, t, h, (times[f] - t) / h)
+        elif taken > 0.0:
+            bring_back(bodies.jointed, bodies.vectors.out, bodies.vectors.width, t)
         _write(bodies, recording, rows[f])
     while t + h < until:
         t, taken = t + h, taken + 1.0
         next_slopes(bodies, t)
-        h, h_next = find_step(bodies, t, h_next)
+        h, h_next = find_step(bodies, t, h_next, taken % _BACK_EVERY == 0.0)
     h_next = h
     while t < stop < np.inf:  # the last step may have to be cut again
-        h, h_next = find_step(bodies, t, min(stop - t, h_next))
+        h, h_next = find_step(bodies, t, min(stop - t, h_next), True)
         ahead = stop if h >= stop - t else t + h
         next_slopes(bodies, ahead)
         if not h > 0.0:
