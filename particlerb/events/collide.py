@@ -119,12 +119,9 @@ def _row(R: Matrix, i: int) -> Vec3:
 @inline
 def _wall_partner(data: EventData) -> None:
     """Write a wall as the second partner of an impact."""
-    for k in range(7):
-        data.inverse[1, k] = 0.0
-    for k in range(6):
-        data.velocity[1, k] = 0.0
-    for k in range(3):
-        data.position[1, k] = 0.0
+    data.inverse[1:] = 0.0
+    data.velocity[1:] = 0.0
+    data.position[1:] = 0.0
 
 
 @inline

@@ -328,8 +328,7 @@ def attraction_potential(
     for tile in range(first, last):
         lo, hi, begin, end = _tile_of(fields, tile)
         targets, depths, bodies = rows3(point, lo, hi), depth[lo:hi], body[lo:hi]
-        for i in range(hi - lo):
-            depths[i] = 0.0
+        depths[:] = 0.0
         for j in range(begin, end):
             x = load3(sources, j)
             for i in range(hi - lo):

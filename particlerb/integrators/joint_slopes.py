@@ -60,8 +60,7 @@ def _give_slopes(jointed: Jointed, slope: Floats, w: int) -> None:
         for i in range(6):
             row[(P + i) * w + lane] = jointed.data.change[k, i]
         if jointed.joints.inv_mass[k] == 0.0:
-            for c in range(row.size // w):
-                row[c * w + lane] = 0.0
+            row[lane::w] = 0.0
 
 
 @inline

@@ -77,14 +77,6 @@ def pairs_through(mechanisms: Mechanisms | None, a: Ints, b: Ints) -> tuple[Ints
     return pair_a, pair_b
 
 
-@kernel
-def _clear(data: JointData, first: int, last: int) -> None:
-    """No impulse on bodies first to last."""
-    for k in range(first, last):
-        for i in range(6):
-            data.change[k, i] = 0.0
-
-
 @inline
 def _hold(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> None:
     """Add the impulses of rows lo to hi, those of mechanism c, that give what z asks for."""
@@ -126,7 +118,7 @@ def _respond(
     lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
     is_known[b] = True
     for i in range(6):
-        _clear(data, first, last)
+        data.change[first:last] = 0.0
         data.change[first + mechanisms.local[b], i] = 1.0
         for r in range(lo, hi):
             data.z[r] = -rate(joints, data.gradient, r, data.change, 0)
@@ -149,7 +141,7 @@ def _accelerate(
         first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
         lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
         factorise_cluster(joints, data, c, 0.0, data.clock[0])
-        _clear(data, first, last)
+        data.change[first:last] = 0.0
         accelerations(joints, data, lo, hi, data.change)
         for r in range(lo, hi):
             data.z[r] -= course(joints.drives, joints.rows.drive[r], data.clock[0])[2]
@@ -226,9 +218,7 @@ def move_to_joints(
     One step of Newton's method with the poses in `data`, weighed by the masses.
     """
     move, any_moved = partners.move, False
-    for b in range(move.shape[0]):
-        for i in range(6):
-            move[b, i] = 0.0
+    move[:] = 0.0
     for c in range(joints.clusters.body.size - 1):
         first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
         lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
@@ -239,7 +229,7 @@ def move_to_joints(
         if worst <= _RESIDUAL_ROUNDING:
             continue
         any_moved = True
-        _clear(data, first, last)
+        data.change[first:last] = 0.0
         for r in range(lo, hi):
             data.z[r] = -data.g[r]
         _hold(joints, data, c, lo, hi)

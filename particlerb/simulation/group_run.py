@@ -202,9 +202,9 @@ class GroupRun:
         Who connects a spring that is stretched gives its energy, and gets it who disconnects it.
         """
         state, booked = self.motion.finish(self.segment.stop)
-        joints, stop = self.segment.terms.joints, self.segment.stop
-        ends = () if joints is None else zip(joints.number, self.motion.broken, strict=False)
-        self.broken |= {int(j): float(t) for j, t in ends if j >= 0 and t <= stop}
+        if (joints := self.segment.terms.joints) is not None:
+            ends = zip(joints.number.tolist(), self.motion.broken.tolist(), strict=False)
+            self.broken |= {j: t for j, t in ends if j >= 0 and t <= self.segment.stop}
         self.gross_work_before = self.gross_work()
         self.booked_before += booked
         self.booked_before[..., 0] -= self.potential(state.com, state.q)
