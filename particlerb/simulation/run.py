@@ -48,8 +48,8 @@ def made_ready(system: System) -> System:
     return system
 
 
-def prepare(system: System) -> Prepared:
-    """Bodies and plan of a system.
+def prepare(system: System, describes: bool = True) -> Prepared:
+    """Bodies and plan of a system, which nobody may want described.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def prepare(system: System) -> Prepared:
     """
     system = made_ready(system)
     plan = make_plan(system)
-    return Prepared(system, plan, describe(system, plan))
+    return Prepared(system, plan, describe(system, plan) if describes else "")
 
 
 def run_prepared(

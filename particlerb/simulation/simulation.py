@@ -324,6 +324,7 @@ class Simulation(Closing):
         if recorder is not None:
             recorder.finish()
 
+    @np.errstate(over="ignore")  # found in the energy, where it is asked for
     def _restart(self, system: System, state: State | None) -> None:
         """Go on as another system, from the state of now or another one."""
         plan = make_plan(system, now=(self.time, state or self._state_now()))

@@ -294,9 +294,12 @@ class Run:
             self.single = self.room, self.room.rows(slice(1))
         frames = self.single[1]
         frames.is_frame[0] = True
-        with self.failing():
+        try:
             for group_run in self.group_runs:
                 group_run.pose_at(time, frames)
+        except Exception:
+            with self.failing():  # which takes a tenth of a call where nothing fails
+                raise
         is_finite = math.isfinite(sum(np.add.reduce(values, axis=None) for values in frames[:4]))
         problem = ""
         if not is_finite or self.checks.rods.size:

@@ -19,7 +19,7 @@ from particlerb.compiled.threads import THREADS
 from particlerb.model.system import System
 from particlerb.model.worlds import WorldsDifferError
 from particlerb.simulation.accuracy import prepare_accurately
-from particlerb.simulation.run import run_unrecorded
+from particlerb.simulation.run import prepare, run_unrecorded
 from particlerb.simulation.whole_run import RunError
 from particlerb.sweeping.rows import Row, asked_as_checks, failed
 from particlerb.sweeping.together import rows_of, rows_together
@@ -80,7 +80,9 @@ def _row(number: int, source: Source, asked: Sequence[SweepValue]) -> Row:
     """Run a variant."""
     system = to_system(build(source, ()))
     check = system.check.model_copy(update={"value": asked_as_checks(asked)})
-    prepared = prepare_accurately(system._replace(check=check))
+    system = system._replace(check=check)
+    is_free = system.run.accuracy is None
+    prepared = prepare(system, describes=False) if is_free else prepare_accurately(system)
     system = prepared.system.with_run(threads=1)
     outcome = run_unrecorded(prepared._replace(system=system))
     return rows_of((number,), system, asked, outcome)[0]
