@@ -43,6 +43,7 @@ from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, nor
 
 _MAX_SEARCH_STEPS: Final = 100_000
 _GAP_ROUNDING: Final = 5e-16
+_TIME_ROUNDING: Final = 2.3e-16
 _NO_SHIFT: Final = (0.0, 0.0, 0.0)
 _MIN_STEP_AWAY: Final = 1e-8  # from a contact that opens, over √(size/bend)
 LOST: Final = -1.0  # time of a search without an end
@@ -70,9 +71,10 @@ def soonest(gap: float, rate: float, bend: float, touch: float, size: float) -> 
 
 
 @inline
-def rounding(x: Vec3, size: float) -> float:
-    """Error of a gap [m] at a place."""
-    return _GAP_ROUNDING * (abs(x[0]) + abs(x[1]) + abs(x[2]) + 4.0 * size)
+def rounding(x: Vec3, size: float, path: float) -> float:
+    """Error of a gap [m] at a place, where a time times the speed then is a path [m]."""
+    length = abs(x[0]) + abs(x[1]) + abs(x[2]) + 4.0 * size
+    return _GAP_ROUNDING * length + _TIME_ROUNDING * path
 
 
 # Two bodies
@@ -144,10 +146,10 @@ def _nearest_spheres(
     xa, va = flight_at(scene, state, a, t)
     R, omega = posed(scene, state, a, t)
     bend, size = state.spin[a, BEND], min(state.flight[a, BOUND], state.flight[b, BOUND])
-    touch = rounding(xa, size)
     fastest = norm(subtract(va, vb)) + 1e-300
     fastest += state.spin[a, FASTEST] * scene.body[a, BODY_REACH]
     fastest += state.spin[b, FASTEST] * scene.body[b, BODY_REACH]
+    touch = rounding(xa, size, t * fastest)
     least, first, second, lo = math.inf, -1, -1, scene.kind[b, FIRST_SPHERE]
     for i in range(scene.kind[a, FIRST_SPHERE], scene.kind[a + 1, FIRST_SPHERE]):
         arm, radius = row3(scene.sphere, i), scene.sphere[i, SPHERE_RADIUS]
@@ -208,7 +210,7 @@ def balls_meet(scene: EventScene, state: EventState, flying: Flying, c: int) -> 
     xc, vc = flight_at(scene, state, c, flying.t)
     x, u = in_box(scene.box, subtract(xc, flying.x)), subtract(vc, flying.v)
     R = state.flight[flying.body, BOUND] + state.flight[c, BOUND]
-    return _balls_meet(x, u, R + rounding(flying.x, R))
+    return _balls_meet(x, u, R + rounding(flying.x, R, 0.0))
 
 
 @inline
@@ -292,7 +294,7 @@ def normal_to(wall: Primitive, x: Vec3) -> tuple[float, Vec3, bool]:
 
 @inline
 def _until_side(
-    wall: Primitive, x: Vec3, v: Vec3, radius: float, bend: float, fastest: float
+    wall: Primitive, x: Vec3, v: Vec3, radius: float, bend: float, fastest: float, touch: float
 ) -> float:
     """Time in which a sphere inside a tube does not touch its side or a rim of it [s].
 
@@ -306,21 +308,21 @@ def _until_side(
         return (length(subtract(x, nearest(wall, x))) - radius) / fastest
     speed = dot(across, across) if bend == 0.0 else fastest * fastest
     gap, rate = (R - rho) * (R + rho) / (2.0 * R), -rho * dot(away, across) / R
-    return soonest(gap, rate, speed / R + bend, rounding(x, radius), radius)
+    return soonest(gap, rate, speed / R + bend, touch, radius)
 
 
 @inline
 def _until_wall(
-    wall: Primitive, x: Vec3, v: Vec3, g: Vec3, radius: float, bend: float, fastest: float
+    wall: Primitive, x: Vec3, v: Vec3, g: Vec3, radius: float, bend: float, fastest: float, t: float
 ) -> float:
     """Time in which a sphere does not touch a primitive [s]; 0: it touches, and approaches."""
     distance, n, is_flat = normal_to(wall, x)
-    gap, touch = distance - radius, rounding(x, radius)
+    gap, touch = distance - radius, rounding(x, radius, t * fastest)
     rate = dot(n, v)
     if wall.kind == SIDE and gap > touch:
         _, rho, _ = radial(wall.a, wall.b, x)
         if rho < wall.c[0]:
-            return _until_side(wall, x, v, radius, bend + norm(g), fastest)
+            return _until_side(wall, x, v, radius, bend + norm(g), fastest, touch)
     curved = bend - dot(n, g) if is_flat else bend + norm(g)
     if wall.kind == SIDE and gap <= touch and rate >= 0.0:
         curved += fastest * fastest / max(wall.c[0] - radius, radius)
@@ -362,7 +364,7 @@ def _wall_meets(
             c = row3(data, k - lo)
             u = data[k - lo, 3], data[k - lo, 4], data[k - lo, 5]
             wait = _until_wall(
-                wall, c, u, g, scene.sphere[k, SPHERE_RADIUS], data[k - lo, 6], fastest
+                wall, c, u, g, scene.sphere[k, SPHERE_RADIUS], data[k - lo, 6], fastest, t + s
             )
             if wait < step:
                 step, best = wait, k

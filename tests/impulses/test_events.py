@@ -151,6 +151,21 @@ def test_bodies_of_other_shapes_keep_their_energy_among_walls(shape):
 
 
 @plain
+def test_gaps_are_closed_at_late_times_as_at_early_ones():
+    """Points of a body that turns fast move by more in the last digit of a time than rounding."""
+    rng = np.random.default_rng(2)
+    at = 0.5 * np.array([[1, 1, -1], [-1, 1, -1], [1, -1, 1], [-1, -1, 1]])
+    bodies = [
+        clump(f"c{k}", position=x.tolist(), velocity=rng.normal(size=3).tolist(),
+              angular_velocity=(8.0 * rng.normal(size=3)).tolist())
+        for k, x in enumerate(at)
+    ]  # fmt: skip
+    t = go(*bodies, contact=events(), wall=[BOX], t_end=12.0, every=4.0)
+    assert t.observable("impacts")[-1] > 100
+    assert t.observable("smallest_gap").min() >= -2e-15
+
+
+@plain
 def test_a_ball_in_a_tube_and_on_a_held_clump_keeps_its_energy():
     tube = {"type": "cylinder", "name": "tube", "radius": 1.0, "length": 2.0}
     held = clump("held", fixed=True)
