@@ -61,13 +61,10 @@ class GroupRun:
         kept = motion.checkpoint_of(of) if isinstance(motion, SharedMotion) else motion.checkpoint()
         saved = under("motion", kept)
         if self.number:
-            saved |= {
-                "before": self.booked_before.copy(),
-                "turnover": np.array(self.gross_work_before),
-            }
-            saved |= (
-                self._first_of(of) if self.plan.shared else {"first": np.vstack(self.first_state)}
-            )
+            first = {"first": np.vstack(self.first_state)}
+            saved |= self._first_of(of) if self.plan.shared else first
+            saved["before"] = self.booked_before.copy()
+            saved["turnover"] = np.array(self.gross_work_before)
             saved |= {"broken": np.array([*self.broken.items()])} if self.broken else {}
         return saved | {"number": np.array(self.number), "angle": np.array(self.angle)}
 
