@@ -146,6 +146,13 @@ def test_a_side_view_has_the_floor_and_the_walls(make, monkeypatch):
     assert np.array_equal(below, [[-1, -1], [3, -1]])
 
 
+def test_a_side_view_is_of_the_bodies_though_a_wall_is_far_larger(make, monkeypatch):
+    """A hall around a heap would make it as small as a dot."""
+    hall = {"name": "hall", "type": "box", "lower": [-30, -30, -1], "upper": [30, 30, 30]}
+    figure, _ = drawn(heap(make) | {"wall": [FLOOR, hall]}, monkeypatch)
+    assert np.ptp(figure.axes[0].dataLim.intervaly) < 3.0  # m; the balls are 1.4 m wide
+
+
 def test_energies_are_those_of_the_balance(make, monkeypatch):
     figure, trajectory = drawn(orbits(make), monkeypatch)
     lines = {line.get_label(): line.get_ydata() for line in panel(figure, "energies").lines}

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import to_rgb
+from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d import Axes3D
 
 from particlerb.export.surfaces import SurfaceMesh, box
@@ -22,6 +23,7 @@ _FLAT_RATIO: Final = 0.05  # height over width of what is seen from above
 _LINE_RATIO: Final = 3.0  # motion along an axis over that along the other
 _FRAMES: Final = 16  # that are looked at
 _STILL_SHARE: Final = 1e-3  # of the width, which bodies at rest would not move in the whole time
+_AROUND: Final = 0.25  # of the width of many bodies: how far around them walls are shown
 FEW: Final = 12  # bodies at most whose paths are drawn
 KEYED: Final = 6  # bodies at most that have a colour each
 
@@ -93,8 +95,11 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     colours = 1.0 - share * (1.0 - np.array(to_rgb(COLOURS[0]))) - 0.08 * (1.0 - share)
     radii = trajectory.particles.radius[particle][order]
     draw_particles(axes, centres[order][:, shown], np.maximum(radii, 0.003 * reach), colours)
+    near = axes.dataLim.padded(_AROUND * max(axes.dataLim.width, axes.dataLim.height))
     solids.draw_walls(axes, trajectory, frame, shown)
-    if trajectory.n_bodies <= FEW:
+    if trajectory.n_bodies > FEW:
+        axes.dataLim.set(Bbox.intersection(axes.dataLim, near) or near)
+    else:
         _draw_outlines(axes, trajectory, frame, (across, up))
         for path in np.moveaxis(trajectory.read("position")[: frame + 1], 1, 0):
             axes.plot(*path[:, shown].T, color=COLOURS[1], lw=0.9, alpha=0.7)
