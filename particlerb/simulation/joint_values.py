@@ -205,7 +205,7 @@ class JointReader:
         loads = np.zeros((6, state.com.shape[1]))
         into_blocks(motion.blocks, COM, motion.spaced(np.vstack(state)))
         gather_loads(motion.moving, time - self.segment.start, loads)
-        data = joint_data_at(joints, state)
+        data, m = joint_data_at(joints, state), joints.rows.kind.size
         data.change[:-1] = loads.T[joints.order]
         data.clock[0] = time - self.segment.start
         is_broken = broken <= time
@@ -215,8 +215,7 @@ class JointReader:
         set_prescribed(jointed.prescribed, jointed, data.clock[0], 0.0, 0, len(data.y))
         factorise_all(joints, data, data.clock[0])
         add_actions(None, jointed, data.change, 0)
-        if contacts is not None:
-            self._add_contacts(data, contacts)
+        self._add_contacts(data, contacts)
         find_multipliers(joints, data, data.change)
         is_open = make_least(joints, data)
         carried, is_joint = forces_of_joints(joints, data, data.z), joints.number >= 0
@@ -228,25 +227,19 @@ class JointReader:
         values.joint_force_determined[row, numbers] = is_known[:, :3]
         values.joint_torque_determined[row, numbers] = is_known[:, 3:]
         values.joint_break_time[row, numbers] = np.where(is_broken, broken, 0.0)[is_joint]
-        self._write_misfits(data, values, row)
+        residuals(joints, data, 0, m, data.clock[0])
+        rates(joints, data, 0, m)
+        start, size = joints.program.start[:-1], joints.rows.size
+        for of, found in ((values.joint_misfit, data.g), (values.joint_rate, data.z)):
+            of[row, numbers] = np.maximum.reduceat(np.abs(found) / size, start)[is_joint]
         if turned is not None:
             coordinates = values_of(joints.coordinates, turned)
             values.joint_coordinate[row, joints.coordinates.number] = coordinates
 
-    def _write_misfits(self, data: JointData, values: JointValues, row: int) -> None:
-        """Write by how much rows of joints are off, and how fast these errors grow."""
-        joints, m = self.joints, self.joints.rows.kind.size
-        residuals(joints, data, 0, m, data.clock[0])
-        rates(joints, data, 0, m)
-        start, size, is_joint = joints.program.start[:-1], joints.rows.size, joints.number >= 0
-        numbers = joints.number[is_joint]
-        misfit = np.maximum.reduceat(np.abs(data.g) / size, start)
-        values.joint_misfit[row, numbers] = misfit[is_joint]
-        rate = np.maximum.reduceat(np.abs(data.z) / size, start)
-        values.joint_rate[row, numbers] = rate[is_joint]
-
-    def _add_contacts(self, data: JointData, contacts: ContactOutput) -> None:
+    def _add_contacts(self, data: JointData, contacts: ContactOutput | None) -> None:
         """Add to the loads on bodies what contacts do, and what acts within bounds in joints."""
+        if contacts is None:
+            return
         for k, force in enumerate(contacts.force):
             for body, sign in zip(contacts.body[k].tolist(), (1.0, -1.0), strict=True):
                 row = self.row_of.get(body)
