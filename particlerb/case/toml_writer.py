@@ -27,9 +27,18 @@ def toml_text(raw: Mapping[str, Any], comments: Iterable[str] = ()) -> str:
 def _without_none(value: Any) -> Any:
     """Data as TOML has them: rows as lists, and nothing for what is None."""
     if isinstance(value, Mapping):
-        return {k: _without_none(entry) for k, entry in value.items() if entry is not None}
+        entries = {k: _without_none(entry) for k, entry in value.items() if entry is not None}
+        return _axes(entries) if any("." in key for key in entries) else entries
     if isinstance(value, list):
         return [_without_none(entry) for entry in value]
     if isinstance(value, UserForce):  # its text is to be a file beside the case
         return value.name
     return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _axes(entries: dict[str, Any]) -> Any:
+    """Axes of a sweep in their order, which is that of its rows: tables would come last."""
+    axes = tomlkit.table()
+    for key, entry in entries.items():
+        axes.append(key, tomlkit.item(entry, tomlkit.inline_table()))  # on one line
+    return axes

@@ -9,17 +9,30 @@ import pytest
 from particlerb import CaseError, Scene
 from particlerb.case.reader import load
 from particlerb.tables import (
+    AttractionTable,
     Ball,
     Body,
     Box,
+    BoxWall,
+    CentralTable,
     ContactTable,
+    CylinderWall,
+    DragTable,
+    ImpulseTable,
+    JointTable,
+    MagnusTable,
     PlaneWall,
     PointsShape,
     PushTable,
     RunTable,
     ShapePart,
     SpheresShape,
+    Spread,
     SpringTable,
+    SweepTable,
+    TimedLoad,
+    TorqueTable,
+    UniformField,
 )
 
 CASES = sorted((Path(__file__).parents[2] / "cases").glob("*.toml"))
@@ -85,6 +98,56 @@ def test_every_case_becomes_a_scene_and_a_text_again(path):
         tomllib.loads(scene.to_toml()) if not case.source.files.contents else scene
     )
     assert text_of(again) == text_of(case)
+
+
+def two_boxes(**tables):
+    """Two boxes with other tables."""
+    scene = Scene(RunTable(t_end=1.0, every=0.1))
+    for name, x in (("a", 0.0), ("b", 2.0)):
+        scene.add_body(name=name, shape=Box(size=(1, 1, 1), n=2), mass=1.0, position=(x, 0, 0))
+    for name, value in tables.items():
+        setattr(scene, name, value)
+    return scene
+
+
+AXES = {"axis": (0, 0, 1)}
+AT = {"at": (1, 0, 0), **AXES}
+JOINTS = {
+    "ball": {"at": (1, 0, 0)}, "hinge": AT, "slider": AXES, "cylindrical": AT,
+    "universal": AT | {"axis_to": (0, 1, 0)}, "planar": AXES, "fixed": {},
+    "distance": {"at": (0, 0, 0)}, "screw": AT | {"lead": 0.1},
+}  # fmt: skip
+FORCES = [
+    PushTable(body="a", force=TimedLoad(times=[0, 1], values=[[0, 0, 0], [0, 0, 1]])),
+    TorqueTable(body="a", torque=(0, 0, 1)), ImpulseTable(body="a", impulse=(0, 0, 1), time=0.5),
+    SpringTable(body="a", to="b", stiffness=1.0, damping=0.1), DragTable(body="a", translation=0.1),
+    UniformField(body="a", field=(0, 0, 1)), CentralTable(body="a", mu=1.0),
+    MagnusTable(body="a", coefficient=1.0),
+]  # fmt: skip
+WALLS = [
+    PlaneWall(name="w", normal=(0, 0, 1)), BoxWall(name="w", lower=(-9, -9, -9), upper=(9, 9, 9)),
+    CylinderWall(name="w", radius=9.0, axis=(0, 0, 1), length=9.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        *(two_boxes(force=[force]) for force in FORCES),
+        *(two_boxes(contact=ContactTable(stiffness=1e5), wall=[wall]) for wall in WALLS),
+        *(two_boxes(contact=ContactTable(law=law)) for law in ("impulse", "events")),
+        *(two_boxes(joint=[JointTable(name="j", type=kind, body="a", to="b", **keys)])
+          for kind, keys in JOINTS.items()),
+        two_boxes(attraction=AttractionTable(G=1.0), gravity=(0, 0, -1)),
+        two_boxes(sweep=SweepTable(axes={"run.dt": Spread(low=0.1, high=1, n=2), "run.seed": [1]})),
+        two_boxes(sweep=SweepTable(axes={"wall.0": [{"type": "plane"}], "run.seed": [1]})),
+    ],
+)  # fmt: skip
+def test_tables_of_all_kinds_are_those_of_their_text(scene):
+    text = scene.to_toml()
+    again = Scene.from_case(tomllib.loads(text))
+    assert again.to_toml() == text
+    assert load(again).model_dump_json() == load(scene).model_dump_json()
 
 
 def test_bodies_stand_for_their_names():
