@@ -12,7 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 24706
+LINES_OF_CODE = 24700
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
@@ -21,11 +21,11 @@ BUDGETS = {
     "contact with every method": 480,
     "contact by impulses": 3914,
     "collisions by events": 1712,
-    "forces: tables, gradients, written by users": 2140,
-    "scenes and simulations in Python": 614,
-    "sweeps": 1550,
+    "forces: tables, gradients, written by users": 2143,
+    "scenes and simulations in Python": 626,
+    "sweeps": 1570,
     "one scene over ranks": 2225,
-    "reports, pictures, the page": 1697,
+    "reports, pictures, the page": 1722,
     "scenes for other programs": 472,
     "speed of compiling and of whole calls": 1291,
     "watches": 62,
