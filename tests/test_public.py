@@ -1,7 +1,9 @@
 """What is public says what it takes and gives: parameters, results, shapes of arrays."""
 
 import inspect
+import re
 from functools import cached_property
+from pathlib import Path
 
 import pytest
 
@@ -57,3 +59,10 @@ def test_methods_that_add_records_show_their_keys(add):
     assert "name" in keys
     assert keys["name"].kind is inspect.Parameter.KEYWORD_ONLY
     assert method.__name__ == add
+
+
+def test_the_page_of_names_has_all_of_them():
+    """Cases and their tables are on the pages of case files and of scenes."""
+    page = (Path(__file__).parents[1] / "docs" / "api.md").read_text()
+    shown = set(re.findall(r":: particlerb\.(\w+)$", page, re.MULTILINE))
+    assert shown == set(particlerb.__all__) - {"__version__", "Case"}
