@@ -126,7 +126,7 @@ def tops(folder: Path) -> Iterator[Figure]:
     case = load("heavy_top", tuple(TOP[1::2]))
     values = tuple((w,) for w in np.linspace(140.0, 160.0, 1000).tolist())
     task = Task(tuple(range(1000)), values, (path_of(SPIN),), case.source, (), True)
-    merged, alone = merged_and_alone(case, task, 50)
+    merged, alone = merged_and_alone(case, task, 200)
     yield Figure("a top among 1000 in a batch, ms", merged, "0.1")
     yield Figure("a top by itself, no file, ms", alone, "5")
 
