@@ -88,6 +88,13 @@ class BodyNames(Sequence[str]):
         worlds = np.arange(self.n_worlds, dtype=np.int64)[:, None]
         return np.asarray((worlds * len(self.part) + inside).ravel())
 
+    def has(self, name: str) -> bool:
+        """Whether there is such a body."""
+        try:
+            return self._find_one(name).size > 0
+        except KeyError:
+            return False
+
     def _find_one(self, name: str) -> _Ints:
         match = REFERENCE.fullmatch(name)
         if match is None or match["name"] not in self._number:

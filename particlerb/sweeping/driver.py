@@ -30,7 +30,6 @@ from particlerb.sweeping.together import may_share
 from particlerb.sweeping.variants import Variant, built, label, variants
 from particlerb.sweeping.worker import Task, work
 
-_T_END: Final = "run.t_end"
 _AXIS_HINT: Final = "give it a table [sweep], or --axis 'run.t_end=[1, 2]', in Python axes"
 _MAX_ATTEMPTS: Final = 3  # of a task whose worker dies
 _MAX_STARTS: Final = 20  # of workers that die before they do anything
@@ -91,8 +90,7 @@ def sweep(
     system = to_system(built(base, list(map(path_of, asked.axes)), all_variants[0].values))
     loads_of(system)  # whose code may have to be allowed
     path, heads = None if table is None else Path(table), [label(key) for key in asked.axes]
-    ends = [one.values[heads.index(_T_END)] for one in all_variants] if _T_END in heads else []
-    names = _value_columns(base, asked, system, min(ends, default=base.run.t_end))
+    names = _value_columns(base, asked, system, _first_end(base, asked, all_variants))
     with TableFile(path, heads, names) as file:
         left = [variant for variant in all_variants if variant.hash not in file.known]
         progress(len(all_variants) - len(left))
@@ -118,14 +116,30 @@ def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
     return SweepTable(axes=plain(axes), **kept)
 
 
+def _first_end(base: Case, asked: SweepTable, all_variants: list[Variant]) -> float:
+    """Least run.t_end [s] of all variants: an axis may be the key, or all of [run]."""
+    ends = [base.run.t_end]
+    for k, key in enumerate(map(path_of, asked.axes)):
+        if key in {("run",), ("run", "t_end")}:
+            values = [one.values[k] for one in all_variants]
+            ends = [one["t_end"] if isinstance(one, Mapping) else one for one in values]
+    return float(min(ends))
+
+
 def _value_columns(base: Case, asked: SweepTable, system: System, t_end: float) -> list[str]:
-    """Columns of what is asked for; CaseError where it is of no joint, or after the first end."""
+    """Columns of what is asked for; CaseError where no variant has it, or the first has ended."""
     for k, one in enumerate(asked.value):
+        wrong = ()
         if one.time is not None and one.time > t_end:
-            reason = f"must be <= run.t_end = {t_end!r}, got {one.time!r}"
-            raise CaseError([problem_at(base, f"sweep.value[{k}].time", reason)])
+            wrong = "time", f"must be <= run.t_end = {t_end!r}, got {one.time!r}"
+        elif one.joint is not None and not system.joint:
+            wrong = "joint", "there is no [[joint]]"
+        elif one.body is not None and not system.names.has(one.body):
+            wrong = "body", f'there is no body "{one.body}"'
+        if wrong:
+            raise CaseError([problem_at(base, f"sweep.value[{k}].{wrong[0]}", wrong[1])])
     check = system.check.model_copy(update={"value": asked_as_checks(asked.value)})
-    refuse_checks(system._replace(check=check), "sweep")
+    refuse_checks(system._replace(check=check, source=base.source), "sweep")
     return [name for one in asked.value for name in columns(one, system)]
 
 

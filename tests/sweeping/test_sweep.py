@@ -225,6 +225,22 @@ def test_what_no_variant_has_is_refused_before_anything_runs(value, axes, words,
     assert not (tmp_path / "t.csv").exists()
 
 
+@pytest.mark.parametrize(
+    ("value", "axes"),
+    [
+        ({"body": "grain[5]", "quantity": "position"}, {"body[1].count": [6, 8]}),
+        ({"body": "box", "quantity": "position", "time": 3.0},
+         {"run": [{"t_end": t, "every": 1.0, "method": "strang", "dt": 0.25} for t in (3.0, 4.0)]}),
+    ],
+)  # fmt: skip
+def test_values_may_be_of_what_an_axis_brings(value, axes):
+    """As bodies and ends that the case alone has not."""
+    scene, grid = fallen(), {"type": "grid", "spacing": 2.0}
+    scene.add_body(name="grain", shape=Box(size=(1, 1, 2)), mass=1.0, count=2, place=grid)
+    scene.sweep = SweepTable(axes=axes, value=[value])
+    assert [row[2] for row in in_threads(scene).rows] == ["done", "done"]
+
+
 def test_axes_may_be_any_iterable():
     found = in_threads(fallen(), axes={DRAG: (k / 10 for k in (1, 2))})
     assert found.column("force[0].translation") == [0.1, 0.2]

@@ -119,7 +119,7 @@ def _name_rules(raw: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _reference_rules(raw: dict[str, Any]) -> Iterator[Finding]:
-    """Forces, checks and values of sweeps name bodies that are there."""
+    """Forces and checks name bodies that are there."""
     if "body" not in raw:
         return
     counts: dict[str, Any] = {}
@@ -134,12 +134,11 @@ def _reference_rules(raw: dict[str, Any]) -> Iterator[Finding]:
             yield from _named_body(("joint", i, key), joint.get(key), counts)
     named = entry_at(raw, "attraction", dict).get("body")
     yield from _named_body(("attraction", "body"), named, counts)
-    for parent in ("check", "sweep"):
-        for i, value in tables(raw.get(parent), "value"):
-            path: Path = (parent, "value", i)
-            yield from _named_body((*path, "body"), entry_at(value, "body", str), counts)
-            if has(value, "joint") and not tables(raw, "joint"):
-                yield (*path, "joint"), "there is no [[joint]]", "leave it out"
+    for i, check in tables(raw.get("check"), "value"):
+        path: Path = ("check", "value", i)
+        yield from _named_body((*path, "body"), entry_at(check, "body", str), counts)
+        if has(check, "joint") and not tables(raw, "joint"):
+            yield (*path, "joint"), "there is no [[joint]]", "leave it out"
 
 
 def _named_body(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Finding]:
