@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from difflib import SequenceMatcher
 from functools import reduce
 from types import NoneType, UnionType
 from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
@@ -23,6 +24,7 @@ _WORDS_OF_KINDS = {
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",
 }
+_CLOSE = 0.75  # likeness of a key and of the one that is guessed, as axis and axes
 _GUESS = r'did you mean "(.*?)"|\S+ is a key of (\w+)$'
 _EMPTY_KINDS = ("string_too_short", "too_short")
 _BOUND_KINDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"),
@@ -101,7 +103,7 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     if kind == "extra_forbidden":
         keys = _table_keys(raw, path[:-1], root)
         hint, where = nearest(str(path[-1]), keys, "keys here"), _elsewhere(path, root)
-        if where and not forms(path[:-1]):
+        if where and not forms(path[:-1]) and not _is_close(str(path[-1]), hint):
             hint = f"{where}; {hint[hint.find('keys here') :]}"
         elif not hint.startswith("did you mean"):
             hint = forms(path[:-1]) or hint
@@ -146,15 +148,25 @@ def _header(name: str, root: type[Table]) -> str:
     return f"[[{name}]]" if is_list else f"[{name}]"
 
 
+def _is_close(key: str, hint: str) -> bool:
+    """Whether the key that a hint guesses is nearly the same."""
+    guess = re.match(_GUESS, hint)
+    return guess is not None and SequenceMatcher(None, key, guess[1] or "").ratio() >= _CLOSE
+
+
 def _elsewhere(path: Path, root: type[Table]) -> str:
     """Other tables of the case that take an unknown key; empty where none does, or many do."""
     homes, key, is_deep = [], str(path[-1]), sum(isinstance(part, str) for part in path) > 2
     for name, field in root.model_fields.items() if root is Case else ():
         tables = _tables(_alternatives(field.annotation), None)
-        if tables and name == key:
+        is_own = name == path[0]
+        if tables and name == key and not is_own:
             return f"{key} is a table of its own: {_header(name, root)}"
-        if (is_deep or name != path[0]) and any(key in table.model_fields for table in tables):
-            homes.append(_header(name, root))
+        if any(key in table.model_fields for table in tables):
+            if is_own and not is_deep:  # that of another type
+                return ""
+            if is_own == is_deep:
+                homes.append(_header(name, root))
     return f"{key} is a key of {' or '.join(homes)}" if 0 < len(homes) < 4 else ""
 
 

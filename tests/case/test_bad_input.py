@@ -100,6 +100,14 @@ MISTAKES = [
         "unknown key",
         "mass is a key of [[body]]; keys here: type",
     ),
+    (
+        "every = 0.1",
+        "every = 0.1\n[output]\nfield = ['position']",
+        6,
+        "output.field",
+        "unknown key",
+        'did you mean "fields"?',
+    ),
     ("[run]\nt_end = 5.0", "t_end = 5.0\n[run]", 2, "t_end", "unknown key", "is a key of run"),
     ("[[force]]", f"{_FLOOR}\n[contacts]\n[[force]]", 20, "contacts", "unknown key", '"contact"?'),
     (
