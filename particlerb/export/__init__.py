@@ -180,7 +180,7 @@ def _chosen_fields(
     allowed = [name for name in known if name in held]
     for name in asked:
         if name not in allowed:
-            reason = f"{to} cannot hold it" if name in recorded else "no such field here"
+            reason = f"{to} cannot hold it" if name in known else "no such field here"
             raise ExportError(f"{name}: {reason}; there are {', '.join(allowed)}")
     return [name for name in allowed if name in (asked or recorded)]
 
