@@ -1,7 +1,7 @@
 """Measure collisions by events: what one costs, and what is conserved over many.
 
     python benchmarks/events.py [--spheres 1000,100000] [--clumps 512] [--impacts 200000]
-                                [--haff 10000] [--laws] [--exact] [--record]
+                                [--haff 10000 [--seeds 6]] [--laws] [--exact] [--record]
 
 Gases of frictionless balls, and of clumps of eight on the corners of a cube, fill a hundredth of a
 smooth elastic box. They first run for some impacts of each body; then the next `--impacts` are
@@ -44,7 +44,11 @@ BREAK = Path(__file__).parents[1] / "cases" / "billiard_break.toml"
 
 
 def gas(
-    n: int, is_clump: bool = False, restitution: float = ELASTIC, repeats: bool = False
+    n: int,
+    is_clump: bool = False,
+    restitution: float = ELASTIC,
+    repeats: bool = False,
+    seed: int = 1,
 ) -> dict:
     """Case of a gas in a smooth box, or in one that repeats."""
     volume = 4.0 / 3.0 * math.pi * R**3 * (8 if is_clump else 1)
@@ -56,7 +60,7 @@ def gas(
     body = {"name": "body", "shape": shape, "count": n, "place": place}
     body |= {"velocity": {"random": 1.0}}
     body |= {"angular_velocity": {"random": 1.0}} if is_clump else {"mass": 1.0}
-    run = {"t_end": 1.0, "every": 1.0, "seed": 1}
+    run = {"t_end": 1.0, "every": 1.0, "seed": seed}
     contact = {"law": "events", "restitution": restitution, "friction": 0.0}
     if repeats:
         return {"run": run, "body": [body], "contact": contact | {"periodic": [length] * 3}}
@@ -122,13 +126,13 @@ def costs(n: int, is_clump: bool, impacts: float) -> dict[str, float]:
     }
 
 
-def haff(n: int, repeats: bool) -> dict[str, float]:
+def haff(n: int, repeats: bool, seed: int) -> dict[str, float]:
     """Largest errors of the temperature of a gas that cools, until it is a quarter by Haff's law.
 
     A ball whose centre is nearer to a wall than 2 R has a part of the sphere in which others hit it
     beyond that wall, a quarter of it on average: 3 σ/2L of all impacts are missing in a box.
     """
-    one = Gas(gas(n, restitution=0.9, repeats=repeats))
+    one = Gas(gas(n, restitution=0.9, repeats=repeats, seed=seed))
     rules = one.motion.scene.rules[:, 0]
     kept = rules.copy()
     rules[:] = 1.0
@@ -151,7 +155,8 @@ def haff(n: int, repeats: bool) -> dict[str, float]:
             law = energy / (1.0 + 0.5 * (1.0 - part) * zeta * (one.now - start)) ** 2
             found[name] = max(found[name], abs(one.energy() / law - 1.0))
     where = "in a box that repeats" if repeats else "among walls"
-    return {f"haff, {n} balls {where}{name}: largest error of T": x for name, x in found.items()}
+    what = f"haff, {n} balls, seed {seed}, {where}"
+    return {f"{what}{name}: largest error of T": x for name, x in found.items()}
 
 
 def bouncing(contact: dict, **keys: float) -> float:
@@ -243,6 +248,7 @@ def main() -> None:
     parser.add_argument("--clumps", default="512")
     parser.add_argument("--impacts", type=float, default=2e5)
     parser.add_argument("--haff", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=1, help="of --haff, from 1 on")
     parser.add_argument("--laws", action="store_true")
     parser.add_argument("--exact", action="store_true")
     parser.add_argument("--record", action="store_true")
@@ -255,8 +261,8 @@ def main() -> None:
         found |= unfolded(1e4) | turned_around(0.7) | turned_around(1.5) | costs(1000, True, 1e6)
     if given.laws:
         found |= laws()
-    if given.haff:
-        found |= haff(given.haff, False) | haff(given.haff, True)
+    for seed in range(1, given.seeds + 1) if given.haff else ():
+        found |= haff(given.haff, False, seed) | haff(given.haff, True, seed)
     for name, value in found.items():
         print(f"{name:48} {value:.4g}")
     if given.record:
