@@ -129,14 +129,14 @@ def _first_end(base: Case, asked: SweepTable, all_variants: list[Variant]) -> fl
 def _value_columns(base: Case, asked: SweepTable, system: System, t_end: float) -> list[str]:
     """Columns of what is asked for; CaseError where no variant has it, or the first has ended."""
     for k, one in enumerate(asked.value):
-        wrong = ()
+        wrong: tuple[str, str] | None = None
         if one.time is not None and one.time > t_end:
             wrong = "time", f"must be <= run.t_end = {t_end!r}, got {one.time!r}"
         elif one.joint is not None and not system.joint:
             wrong = "joint", "there is no [[joint]]"
         elif one.body is not None and not system.names.has(one.body):
             wrong = "body", f'there is no body "{one.body}"'
-        if wrong:
+        if wrong is not None:
             raise CaseError([problem_at(base, f"sweep.value[{k}].{wrong[0]}", wrong[1])])
     check = system.check.model_copy(update={"value": asked_as_checks(asked.value)})
     refuse_checks(system._replace(check=check, source=base.source), "sweep")
