@@ -351,9 +351,9 @@ def _wall_meets(
     """`wall_meets` where the two come near each other."""
     wall, g = primitive_at(scene.wall_kind, scene.wall_parameter, p), pull(scene, a)
     _, v = flight_at(scene, state, a, t)
-    fastest = (
-        norm(v) + norm(g) * until + state.spin[a, FASTEST] * scene.body[a, BODY_REACH] + 1e-300
-    )
+    fastest = norm(v) + state.spin[a, FASTEST] * scene.body[a, BODY_REACH] + 1e-300
+    if norm(g) > 0.0:  # what is at rest stays for ever, and 0 times that is no number
+        fastest += norm(g) * until
     s, lo = 0.0, scene.kind[a, FIRST_SPHERE]
     for _ in range(_MAX_SEARCH_STEPS):
         if s >= until:

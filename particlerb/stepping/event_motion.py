@@ -56,6 +56,7 @@ class EventMotion(Motion):
         self.data = empty_data(int(np.diff(self.scene.kind[:, FIRST_SPHERE]).max()))
         if before is not None:
             self.continue_tally(before.impulse_tally())
+            self.state.tally[GROSS_WORK] = 0.0  # who has run the segment before has counted it
         self.state.tally[RENEWED] -= n_moving  # as each looks for its first event
         self.state.flight[:, BOUND] = bounds_of(group)[1][self.order]
         THREADS.alone(set_all, self.scene, self.state, self.order, state)

@@ -166,6 +166,36 @@ def test_gaps_are_closed_at_late_times_as_at_early_ones():
 
 
 @plain
+def test_a_clump_that_only_turns_meets_a_floor():
+    """Two balls on a rod of 1 m, 0.45 m above it: one comes down as the rod turns."""
+    shape = {"type": "points", "position": [[0.5, 0, 0], [-0.5, 0, 0]], "mass": [1.0, 1.0]}
+    body = {"name": "rod", "shape": shape | {"radius": [0.1, 0.1]}, "position": [0, 0, 0.45]}
+    body |= {"angular_velocity": [0, 1.0, 0]}
+    scene = {"run": {"t_end": 3.0, "every": 0.5}, "body": [body]}
+    scene |= {"wall": [plane()], "contact": {"law": "events", "restitution": 1.0, "friction": 0.0}}
+    with particlerb.run(scene) as trajectory:
+        assert trajectory.position[-1, 0, 2] > 0.46
+
+
+@plain
+def test_the_work_of_impacts_is_counted_once_where_segments_meet():
+    """A tiny impulse between two impacts parts the run."""
+    body = {"name": "a", "shape": {"type": "ball", "radius": 0.1}, "mass": 1.0}
+    body |= {"position": [0, 0, 0.5], "velocity": [0, 0, -1.0]}
+    walls = {"type": "box", "name": "b", "lower": [-1, -1, 0], "upper": [1, 1, 1]}
+    scene = {"run": {"t_end": 4.0, "every": 1.0}, "body": [body], "wall": [walls]}
+    scene |= {"contact": {"law": "events", "restitution": 0.9, "friction": 0.0}}
+    found = []
+    for time in (3.95, 2.0):
+        kick = {"type": "impulse", "body": "a", "impulse": [1e-9, 0, 0], "time": time}
+        run = Run(prepare(to_system(load(scene | {"force": [kick]}))))
+        run.frames_at(np.array([0.0, 1.0, 2.0, 3.0, 3.9]), np.ones(5, dtype=bool))
+        found.append(sum(float(group.gross_work()) for group in run.group_runs))
+    assert found[0] > 0.2
+    assert found[1] == pytest.approx(found[0], rel=1e-6)
+
+
+@plain
 def test_a_ball_in_a_tube_and_on_a_held_clump_keeps_its_energy():
     tube = {"type": "cylinder", "name": "tube", "radius": 1.0, "length": 2.0}
     held = clump("held", fixed=True)
