@@ -276,7 +276,7 @@ def _up_to_a_break(breaks: Breaks | None, bodies: CommonSteps, t: float, h: floa
 def find_step(bodies: CommonSteps, t: float, h: float, brings_back: bool) -> tuple[float, float]:
     """Longest step up to h that is accurate, and the one to try after it; K[0] is known."""
     layout, common = bodies.layout, bodies.vectors
-    h = count_on(bodies.jointed, common.y, common.width, h)
+    h = count_on(bodies.jointed, common.y, common.width, t, h)
     tolerance = bodies.equations.tolerance
     longest = h
     while True:

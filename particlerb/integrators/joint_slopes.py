@@ -225,11 +225,12 @@ def _spin(jointed: Jointed, k: int) -> float:
     """Size of the angular velocity of body k [rad/s]; of what stands still 0."""
     y, inverse = jointed.data.y, jointed.joints.inv_inertia
     w = by_inverse_inertia(inverse, orientation(y, k), k, row3_at(y, k, L))
+    w = add(w, row3_at(jointed.data.motion, k, 3))  # of what moves as prescribed
     return dot(w, w) ** 0.5
 
 
 @kernel
-def count_on(jointed: Jointed | None, states: Floats, w: int, h: float) -> float:
+def count_on(jointed: Jointed | None, states: Floats, w: int, t: float, h: float) -> float:
     """Take the coordinates of joints on to these states; a step h, or the longest that counts them.
 
     In it no two bodies of a joint turn against each other by half a turn.
@@ -237,6 +238,7 @@ def count_on(jointed: Jointed | None, states: Floats, w: int, h: float) -> float
     if jointed is None:
         return h
     _put_state(jointed, states, w)
+    set_prescribed(jointed.prescribed, jointed, t, 0.0, 0, jointed.block.size)
     count_turns(jointed.joints.coordinates, jointed.data.y, jointed.data.turned)
     rows, fastest = jointed.joints.rows, 0.0
     for r in range(rows.kind.size):

@@ -54,6 +54,18 @@ def test_a_driven_cart_swings_its_pendulum():
         )
 
 
+def test_turns_against_a_driven_body_are_counted():
+    """A disc that rests on the axis of a crank turns against it by -ω t."""
+    ball = {"type": "moments", "inertia": [1.0, 1.0, 1.0]}
+    crank = {"name": "crank", "shape": ball, "mass": 1.0}
+    bodies = [crank | {"motion": {"angular_velocity": [0, 0, 5.0]}}, crank | {"name": "disc"}]
+    scene = case(bodies, [joint("hinge", "disc", "crank", [0, 0, 0], Z)])
+    scene["output"] = {"fields": [*OUTPUT["fields"], "joint_coordinate"]}
+    with adaptive(scene, 4.0, 1e-8, every=1.0) as trajectory:
+        turned = np.array(trajectory.joint_coordinate)[:, 0]
+        assert turned == pytest.approx(-5.0 * trajectory.time, abs=1e-9)
+
+
 def acted_on():
     """Rods on a motor, a damper and a bearing, in drag, with a push that turns with its body."""
     bodies = [
