@@ -20,8 +20,6 @@ from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system, with_records
 from particlerb.case.values import plain
 from particlerb.compiled.threads import THREADS
-from particlerb.contact.records import to_floats
-from particlerb.contact.wall_motion import poses_at
 from particlerb.files import Closing, number_of
 from particlerb.files import path_of as file_path_of
 from particlerb.maths.vec3 import Floats
@@ -30,7 +28,6 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, derived, initial_state
 from particlerb.model.system import System
 from particlerb.plan.make_plan import make_plan
-from particlerb.plan.obstacles import middle, motion_of
 from particlerb.record.frame_values import FrameError
 from particlerb.record.layout import tables_of
 from particlerb.record.provenance import texts_of
@@ -39,10 +36,10 @@ from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.frame_times import BATCH_FRAMES, multiples
 from particlerb.simulation.frame_times import frame_times as frames_of
 from particlerb.simulation.joint_values import labels_of
+from particlerb.simulation.wall_changes import refuse_jumps
 from particlerb.simulation.whole_run import Run, RunError
 
 _STATE_NAMES = "position", "orientation", "velocity", "angular_velocity"
-_JUMP_ROUNDING = 1e-12  # of the place of a wall
 _CHANGEABLE_TABLES = ("force", "gravity", "attraction", "contact", "wall", "run")
 
 
@@ -240,7 +237,7 @@ class Simulation(Closing):
         except LookupError as error:
             raise CaseError([problem_at(system, key, str(error.args[0]))]) from None
         changed = with_records(system, build(system.source._replace(raw=raw), ()))
-        self._refuse_jumps(changed)
+        refuse_jumps(system, changed, self.time, self._recorder is not None)
         self._restart(changed, None)
 
     def set_state(
@@ -295,18 +292,6 @@ class Simulation(Closing):
                     raise ValueError(f"set_state: {system.names[b]} moves as its `motion` says")
             elif values[2][b].any() or values[3][b].any():
                 raise ValueError(f"set_state: {system.names[b]} is held and has no velocity")
-
-    def _refuse_jumps(self, changed: System) -> None:
-        """Raise CaseError where another motion, which counts from t = 0, would let a wall jump."""
-        walls = zip(self.system.wall, changed.wall, strict=False)
-        for w, (before, after) in enumerate(walls):
-            motions = [motion_of(wall.motion, middle(wall)) for wall in (before, after)]
-            old, new = to_floats(poses_at(motions, self.time))[:, :7]
-            has_stayed = np.abs(new - old).max() <= _JUMP_ROUNDING * np.abs(old).max()
-            if not has_stayed and before.model_copy(update={"motion": after.motion}) == after:
-                reason = f"counts from t = 0 on: {after.name} would jump to another place now"
-                hint = "change the wall as a whole, its place too, so that it is where it was"
-                raise CaseError([problem_at(self.system, f"wall[{w}].motion", reason, hint)])
 
     def __repr__(self) -> str:
         """What it moves and how far it has come, in a line."""

@@ -232,6 +232,33 @@ def test_a_piston_goes_on_under_another_load(tmp_path, key, value, acceleration)
 
 
 @pytest.mark.plain
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("wall[0].piston.axis", (0, 1, 0)), ("wall[0].piston", None), ("wall", "one in front")],
+)
+def test_a_piston_does_not_jump_back(key, value):
+    """Nor does it take the number of another wall."""
+    piston = {"mass": 2.0, "axis": (0, 0, 1), "load": 2.0}
+    simulation = over_a_floor(piston=piston)
+    if key == "wall":
+        floor = {"type": "plane", "name": "floor", "normal": (0, 0, 1), "piston": piston}
+        value = [{"type": "plane", "name": "low", "normal": (0, 0, 1), "point": (0, 0, -5)}, floor]
+    with pytest.raises(CaseError, match="floor has slid and would jump back"):
+        simulation.change(key, value)
+    simulation.change("wall[0].piston.load", 6.0)
+    assert simulation.advance(1.5).time == 1.5
+
+
+@pytest.mark.plain
+def test_a_file_has_room_for_the_walls_that_it_began_with(tmp_path):
+    with over_a_floor(tmp_path / "a.h5") as simulation:
+        floor = {"type": "plane", "name": "floor", "normal": (0, 0, 1)}
+        more = [floor, floor | {"name": "low", "point": (0, 0, -5)}]
+        with pytest.raises(CaseError, match="the file has 1 walls in each frame"):
+            simulation.change("wall", more)
+
+
+@pytest.mark.plain
 def test_what_moves_as_prescribed_is_not_moved_by_hand():
     """A motion counts from t = 0 on: another velocity alone would let the wall jump."""
     simulation = over_a_floor(motion={"velocity": (0, 0, 0.5)})

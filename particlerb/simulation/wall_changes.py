@@ -1,0 +1,55 @@
+"""Changes of walls in a running simulation that would let them jump."""
+
+from typing import Final
+
+import numpy as np
+
+from particlerb.case.problems import CaseError, Problem, problem_at
+from particlerb.contact.records import to_floats
+from particlerb.contact.wall_motion import poses_at
+from particlerb.model.system import System
+from particlerb.plan.obstacles import middle, motion_of
+
+_ROUNDING: Final = 1e-12  # of the place of a wall
+
+
+def refuse_jumps(system: System, changed: System, time: float, is_recorded: bool) -> None:
+    """Raise CaseError where a wall would jump at a time [s], or a file has no room for it.
+
+    A motion counts from t = 0, and a piston goes on along its axis from where it is.
+    """
+    if is_recorded and len(changed.wall) != len(system.wall):
+        reason = f"the file has {len(system.wall)} walls in each frame"
+        raise CaseError([problem_at(system, "wall", reason)])
+    for w in range(min(len(system.wall), len(changed.wall))):
+        problem = _piston_jumps(system, changed, w) if time > 0.0 else None
+        if problem := problem or _motion_jumps(system, changed, w, time):
+            raise CaseError([problem])
+
+
+def _piston_jumps(system: System, changed: System, w: int) -> Problem | None:
+    """What is wrong where a piston would slide back at once."""
+    before, after = system.wall[w], changed.wall[w]
+    if before.piston is None:
+        return None
+    axis = None if after.piston is None else after.piston.axis
+    is_same = before.model_copy(update={"piston": after.piston}) == after
+    is_elsewhere = before.name in [wall.name for k, wall in enumerate(changed.wall) if k != w]
+    if not is_elsewhere and not (is_same and axis != before.piston.axis):
+        return None
+    reason = f"{before.name} has slid and would jump back to another place now"
+    hint = "leave its number among the walls, its piston and their axis as they are"
+    return problem_at(system, f"wall[{w}].piston", reason, hint)
+
+
+def _motion_jumps(system: System, changed: System, w: int, time: float) -> Problem | None:
+    """What is wrong where another motion would have brought a wall to another place."""
+    before, after = system.wall[w], changed.wall[w]
+    motions = [motion_of(wall.motion, middle(wall)) for wall in (before, after)]
+    old, new = to_floats(poses_at(motions, time))[:, :7]
+    has_stayed = np.abs(new - old).max() <= _ROUNDING * np.abs(old).max()
+    if has_stayed or before.model_copy(update={"motion": after.motion}) != after:
+        return None
+    reason = f"counts from t = 0 on: {after.name} would jump to another place now"
+    hint = "change the wall as a whole, its place too, so that it is where it was"
+    return problem_at(system, f"wall[{w}].motion", reason, hint)
