@@ -126,6 +126,9 @@ def _attraction_among(system: System, members: Ints, bodies: Bodies) -> Attracti
     )
 
 
+_LOADS = "joint_force", "joint_torque", "joint_force_determined", "joint_torque_determined"
+
+
 def _contact_among(
     system: System, members: Ints, bodies: Bodies, touching: SystemContact
 ) -> GroupContact:
@@ -161,7 +164,7 @@ def _contact_among(
     )  # fmt: skip
     motions = motion_records(touching.motions)
     asked = {*system.output.fields, *(check.quantity for check in system.check.value)}
-    is_shown = not asked.isdisjoint((*FIELDS_OF_CONTACT, "joint_force", "joint_torque"))
+    is_shown = not asked.isdisjoint((*FIELDS_OF_CONTACT, *_LOADS))
     is_fixed, pistons = touching.record.skin is not None, touching.pistons
     left_out, is_forced = int(may_touch.sum()) - owner.size, touching.record.allow_unstable
     return GroupContact(

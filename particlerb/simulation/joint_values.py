@@ -249,6 +249,6 @@ class JointReader:
                     data.change[row] += sign * load
         if self.joints.bounds is not None:
             data.z[:] = 0.0
-            data.z[self.joints.bounds.row] = contacts.within
+            np.add.at(data.z, self.joints.bounds.row, contacts.within)
             rows, n = self.joints.rows, data.z.size
             add_impulses(rows, self.joints.inv_mass, data.gradient, data.z, 0, n, data.change, 0)

@@ -89,10 +89,11 @@ def test_a_lever_on_the_floor_leaves_a_third_of_its_weight_on_the_hinge(law, tol
         {"limit": {"range": [-1.0, 0.0]}},
         {"friction": 20.0},
         {"motor": {"speed": 0.0, "largest": 20.0}},
+        {"limit": {"range": [-1.0, 0.0]}, "friction": 0.5},
     ],
 )
 def test_what_a_joint_holds_by_impulses_it_carries_too(held):
-    """A level rod that a stop, friction or a motor holds: all of its weight, not a quarter."""
+    """A level rod that a stop, friction, a motor or two of them hold: all of its weight."""
     rod = bar("rod", [0, 0, 0], [1, 0, 0], 3.0) | {"contact": False}
     pivot = joint("hinge", "rod", None, [0, 0, 0], [0, 1, 0], **held)
     scene = case([rod], [pivot], contact=IMPULSES, output=CARRIED)
@@ -113,6 +114,20 @@ def test_a_motor_with_a_largest_torque_is_carried_while_the_rod_falls():
         force = np.array(t.joint_force)[1, 0]
     turning = (3.0 * G * 0.5 + 2.0) / (3.0 / 12 * 1.01 + 0.75)
     assert force == pytest.approx([0.0, 0.0, 3.0 * (G - 0.5 * turning)], abs=1e-2)
+
+
+@pytest.mark.plain
+def test_what_is_determined_is_so_where_nothing_else_is_asked():
+    """Beside contact, too."""
+    shape = {"type": "points", "position": [[0, 0, 0], [1, 0, 0]], "mass": [1.0, 2.0],
+             "radius": [0.0, 0.1]}  # fmt: skip
+    lever = {"name": "lever", "shape": shape, "position": [2 / 3, 0, 0.1]}
+    floor = {"name": "floor", "type": "plane", "normal": [0, 0, 1]}
+    scene = case([lever], [joint("ball", "lever", None, [0, 0, 0.1])], wall=[floor])
+    for fields in (CARRIED["fields"], CARRIED["fields"][:4]):
+        scene |= {"contact": IMPULSES, "output": {"fields": [*fields, "joint_force_determined"]}}
+        with moved(scene, 0.02, 0.01, method="auto") as t:
+            assert np.array(t.joint_force_determined)[1:].all()
 
 
 def test_a_door_at_rest_hangs_on_both_hinges():
