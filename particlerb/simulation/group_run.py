@@ -2,6 +2,7 @@
 
 import traceback
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from particlerb.forces.user_kicks import Written
 from particlerb.integrators import METHODS
 from particlerb.joints.reactions import energy_of_joints
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, state_in, state_of, states_in
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
@@ -31,6 +31,8 @@ from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import OF_BODIES, Saved, under, within
 from particlerb.stepping.shared_motion import SharedMotion
 from particlerb.user_force import place_of, told
+
+_STEP_ROUNDING: Final = 1e-9  # share of a step that is none
 
 
 class GroupRun:
@@ -199,9 +201,7 @@ class GroupRun:
         Who connects a spring that is stretched gives its energy, and gets it who disconnects it.
         """
         state, booked = self.motion.finish(self.segment.stop)
-        if (joints := self.segment.terms.joints) is not None:
-            ends = zip(joints.number.tolist(), self.motion.broken.tolist(), strict=False)
-            self.broken |= {j: t for j, t in ends if j >= 0 and t <= self.segment.stop}
+        self.broken = self.broken_until(self.segment.stop)
         self.gross_work_before = self.gross_work()
         self.booked_before += booked
         self.booked_before[..., 0] -= self.potential(state.com, state.q)
@@ -210,6 +210,13 @@ class GroupRun:
         self.pairs = self.pair_forces()
         self.booked_before[..., 0] += self.potential(state.com, state.q)
         self.motion = self.start_segment(self.segment, state, self.motion)
+
+    def broken_until(self, time: float) -> dict[int, float]:
+        """Joints that have broken by a time of this segment [s], and when [s]."""
+        if (joints := self.segment.terms.joints) is None:
+            return self.broken
+        ends = zip(joints.number.tolist(), self.motion.broken.tolist(), strict=False)
+        return self.broken | {j: t for j, t in ends if j >= 0 and t <= time}
 
     def finish(self, time: float) -> tuple[State, Floats]:
         """State at a time of this segment [s], and (7,) booked until then."""
@@ -277,25 +284,14 @@ class GroupRun:
             turned = self.motion.coordinates[row] if self.motion.coordinates.size else None
             broken = self.motion.broken
             contacts = self.motion.contacts.get(row)
-            if self.motion.impulse_tally().size and times[row] == self.segment.start:
+            is_first = times[row] - self.segment.start <= _STEP_ROUNDING * self.segment.dt
+            if self.motion.impulse_tally().size and is_first:
                 contacts = None  # no step has been taken
             self.reader.read(float(times[row]), state, contacts, turned, broken, values, row)
 
     def state_in(self, frames: Frames, row: int) -> State:
         """State of the group in a frame."""
         return state_in(frames, row, self.plan.members, self.plan.bodies)
-
-
-def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
-    """Bodies as the energy balance counts them: those that are held have no mass."""
-    if bodies.mass.all() and all(group.bodies.mass.all() for group in groups):
-        return bodies
-    mass, inv_mass = bodies.mass.copy(), bodies.inv_mass.copy()
-    for group in groups:
-        mass[group.members], inv_mass[group.members] = group.bodies.mass, group.bodies.inv_mass
-    return bodies._replace(
-        mass=mass, inv_mass=inv_mass, inv_inertia=bodies.inv_inertia * (mass > 0)
-    )
 
 
 def record_all(

@@ -25,7 +25,8 @@ from particlerb.model.system import System
 from particlerb.model.totals import totals
 from particlerb.plan.rates import rates
 from particlerb.plan.segments import GroupPlan, Plan, Segment, chosen, has_step, is_adaptive
-from particlerb.simulation.group_run import GroupRun, counted, initial_energies, record_all
+from particlerb.simulation.group_run import GroupRun, initial_energies, record_all
+from particlerb.simulation.whole_run import counted
 from particlerb.stepping.make_motion import make_motion
 from particlerb.stepping.motion import CompositeMotion, Energies
 from particlerb.stepping.stepped_motion import SteppedMotion

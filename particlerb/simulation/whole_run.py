@@ -10,24 +10,18 @@ import numpy as np
 
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import EnergyBalance, Entries
-from particlerb.model.bodies import taken
+from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.superblocks import Range, summed
 from particlerb.model.system import System
 from particlerb.model.totals import N_TOTALS, Totals, totals
 from particlerb.plan.joints import asked_of_joints, joints_of
 from particlerb.plan.merging import merged
-from particlerb.plan.segments import Plan, in_superblocks
+from particlerb.plan.segments import GroupPlan, Plan, in_superblocks
 from particlerb.ranks import ALONE, Ranks
 from particlerb.record.frame_values import NewFrames
 from particlerb.simulation import joint_values
-from particlerb.simulation.group_run import (
-    GroupRun,
-    counted,
-    initial_energies,
-    own_failure,
-    record_all,
-)
+from particlerb.simulation.group_run import GroupRun, initial_energies, own_failure, record_all
 from particlerb.simulation.impulse_values import impulse_fields
 from particlerb.simulation.outcome import Probe, TreeError, restored_probes, saved_probes
 from particlerb.simulation.state_checks import StateChecks
@@ -88,7 +82,7 @@ class Run:
     def start(self, plan: Plan, state: State, motions: Mapping[bytes, Motion]) -> None:
         """Start by a plan, from a state of all bodies, after motions of the same bodies."""
         self.superblocks: list[list[GroupRun]] = []
-        self.firsts: list[int] = []  # bodies of each; -1: of all
+        self.firsts: list[int] = []  # body of each; -1: of groups that are one
         for first, groups in in_superblocks(plan.groups, self.system.n_bodies):
             before = [motions.get(group.members.tobytes()) if motions else None for group in groups]
             states = [taken(state, group.members) for group in groups]
@@ -97,7 +91,7 @@ class Run:
             self.superblocks.append(begun)
             self.firsts.append(first)
         self.group_runs = [run for runs in self.superblocks for run in runs]
-        is_cut = min(self.firsts) >= 0
+        is_cut = min(self.firsts) >= 0 or self.system.n_worlds > 1
         self.sums_itself = [
             is_cut and all(run.sums_itself for run in runs) for runs in self.superblocks
         ]
@@ -125,8 +119,10 @@ class Run:
     def finish(self, time: float) -> State:
         """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
         all_states = State(*(values.copy() for values in self.moving.state))
+        self.broken: dict[int, float] = {}  # joints that have broken until then, and when [s]
         for group_run in self.group_runs:
             state, booked = group_run.finish(time)
+            self.broken |= group_run.broken_until(time)
             self.booked_before += booked
             for values, group_values in zip(all_states, state, strict=True):
                 values[:, group_run.plan.members] = group_values
@@ -145,6 +141,8 @@ class Run:
             state = self.moving.merging.together(state)
         self.checks = StateChecks(self.moving, plan)
         self.start(plan, state, motions)
+        for run in self.group_runs:
+            run.broken = dict(self.broken)
         frame = as_frame(self.moving.bodies, state)
         now = self.totals_of(frame, self.initial_energies(frame))
         self.booked_before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
@@ -316,3 +314,15 @@ class Run:
         asked = next((t.contacts for t in self.group_runs if t.contacts), {})
         contacts = [asked[row] for row in rows.tolist()] if asked else []
         return NewFrames(times[rows], frames, rows, entries, contacts, fields)
+
+
+def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
+    """Bodies as the energy balance counts them: those that are held have no mass."""
+    if bodies.mass.all() and all(group.bodies.mass.all() for group in groups):
+        return bodies
+    mass, inv_mass = bodies.mass.copy(), bodies.inv_mass.copy()
+    for group in groups:
+        mass[group.members], inv_mass[group.members] = group.bodies.mass, group.bodies.inv_mass
+    return bodies._replace(
+        mass=mass, inv_mass=inv_mass, inv_inertia=bodies.inv_inertia * (mass > 0)
+    )

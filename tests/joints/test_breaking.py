@@ -137,6 +137,20 @@ def test_what_has_broken_stays_broken_when_its_time_is_over(keys, tmp_path):
         assert not np.array(released.joint_break_time).any()
 
 
+def test_what_has_broken_stays_broken_through_a_change(tmp_path):
+    """Of a simulation, after the time of the joint."""
+    scene = weight_on_a_wire(2 * 9.81, during=[0, 0.41])
+    run = {"run": {"t_end": 0.6, "every": 0.05, "dt": 0.004}, **scene}
+    with particlerb.Simulation(run, tmp_path / "a.h5") as simulation:
+        simulation.advance(0.45)
+        simulation.change("gravity.acceleration", (0, 0, -5.0))
+        simulation.advance(0.6)
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        found = np.array(trajectory.joint_break_time)[:, 0]
+    assert found[-1] == pytest.approx(instant(2 / 3), abs=5e-5)
+    assert (found[8:] == found[-1]).all()
+
+
 def test_a_joint_that_carries_less_holds():
     with moved(weight_on_a_wire(30.0), 0.8, 0.004, every=0.1) as trajectory:
         assert (np.array(trajectory.joint_break_time) == 0.0).all()
