@@ -176,9 +176,9 @@ def test_contacts_are_what_the_checkpoint_keeps(make, tmp_path):
     particlerb.run(touching(make, t_end=0.3), tmp_path / "a.h5").close()
     with h5py.File(tmp_path / "a.h5") as file:
         arrays = read_checkpoint(file).arrays
-    kept = [arrays[f"group.0.0.motion.lists.{which}.history"] for which in ("walls", "spheres")]
+    kept = [arrays[f"group.0.motion.lists.{which}.history"] for which in ("walls", "spheres")]
     assert max(np.abs(one[:, :3]).max(initial=0.0) for one in kept) > 0.0
-    assert arrays["group.0.0.motion.list_step"] > 0  # when lists were made
+    assert arrays["group.0.motion.list_step"] > 0  # when lists were made
 
 
 def test_fields_precision_and_values_that_were_checked_go_on(make, tmp_path, monkeypatch, capsys):
