@@ -29,6 +29,7 @@ def test_heights_of_bounces_follow_restitution_to_the_order_of_the_step():
     assert misses[1] < 0.5 * misses[0]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("k", [1, 2, 3])
 def test_newtons_cradle_hands_on_as_many_balls_as_come_in(k):
     balls = [
