@@ -330,6 +330,7 @@ class _Oscillating(Oscillating):
     def __init__(self, motion: BrickMotion) -> None:
         super().__init__(motion.sum_of)
         self.own, self.motion = motion.is_own, motion
+        self.blocks = np.zeros(motion.blocks.shape)  # memory that is touched where it is needed
 
     def random(self, n: int) -> Floats:
         """Velocities and spins of bodies and of the world to begin with: those of one process."""
@@ -340,10 +341,9 @@ class _Oscillating(Oscillating):
         """Bring velocities and spins of ghosts."""
         slots, n_slots = self.motion.slots, len(self.motion.blocks) * BLOCK
         rows = self.motion.spaced(motion[..., :-1].reshape(6, -1))
-        blocks = np.zeros_like(self.motion.blocks)
-        into_blocks(blocks, 0, rows)
-        self.motion.domains.update_ghosts(blocks)
-        rows = out_of_blocks(blocks, 0, 6, n_slots)[:, slots]
+        into_blocks(self.blocks, 0, rows)
+        self.motion.domains.update_ghosts(self.blocks)
+        rows = out_of_blocks(self.blocks, 0, 6, n_slots)[:, slots]
         motion[..., :-1] = rows.reshape(2, 3, -1)
 
     def largest(self, size: float) -> float:
