@@ -30,6 +30,7 @@ from particlerb.plan.groups import GroupForces
 from particlerb.plan.links import AnyLink, Link, UserLink, attracted, particles_of, tree_accuracy
 
 SKIN: Final = 0.6  # default skin, in units of the smallest radius
+_LOADS: Final = "joint_force", "joint_torque", "joint_force_determined", "joint_torque_determined"
 _INTERIOR_DEPTH: Final = 0.1  # overlap at which nothing inside is touched, in smallest radii
 
 
@@ -124,9 +125,6 @@ def _attraction_among(system: System, members: Ints, bodies: Bodies) -> Attracti
         np.searchsorted(owner, np.arange(members.size + 1)),
         system.attraction.softening * system.attraction.softening,  # inf is no force, and no error
     )
-
-
-_LOADS = "joint_force", "joint_torque", "joint_force_determined", "joint_torque_determined"
 
 
 def _contact_among(

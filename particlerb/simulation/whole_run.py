@@ -72,9 +72,8 @@ class Run:
         self.setup = joints_of(self.system) if asks else None
         reads_loads = self.setup is not None and self.moving.merging is not None
         self.loads = joint_values.LoadReader(self.moving) if reads_loads else None
-        self.joints: joint_values.JointValues | None = (
-            None  # in rows of the last frames, where asked for
-        )
+        self.joints: joint_values.JointValues | None = None  # of the last frames, if asked for
+        self.broken: dict[int, float] = {}  # joints that broke before a restart, and when [s]
         self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
         self.n_frames = 0  # that lie behind
         self.probes: list[Probe] = []
@@ -119,7 +118,6 @@ class Run:
     def finish(self, time: float) -> State:
         """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
         all_states = State(*(values.copy() for values in self.moving.state))
-        self.broken: dict[int, float] = {}  # joints that have broken until then, and when [s]
         for group_run in self.group_runs:
             state, booked = group_run.finish(time)
             self.broken |= group_run.broken_until(time)
