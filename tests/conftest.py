@@ -68,7 +68,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     reason = "NUMBA_DISABLE_JIT is set" if PLAIN else "takes long to compile, and shows no more"
     for item in items:
         marks = {mark.name for mark in item.iter_markers()}
-        if "plain" in marks and marks & {"slow", "compiled"}:
+        if "plain" in marks and marks & {"slow", "compiled", "once"}:
             raise pytest.UsageError(f"{item.nodeid} runs in no tier: it is plain, and {marks}")
         if marker in marks:
             item.add_marker(pytest.mark.skip(reason=reason))

@@ -10,6 +10,8 @@ import pytest
 import particlerb
 from particlerb.case.schema import Case
 
+pytestmark = pytest.mark.once
+
 INSIDE = {
     "count", "contact_rows", "momentum_sizes", "names_of", "patiently", "portions", "require",
     "series", "table",

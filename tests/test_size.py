@@ -7,7 +7,12 @@ count. Of modules and functions all lines count.
 import ast
 import io
 import tokenize
+from functools import cache
 from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.once
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
@@ -46,11 +51,17 @@ LONG_FUNCTIONS = {
 SILENT = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
 
 
+@cache
+def parsed(source: str) -> ast.Module:
+    """Tree of a source: two tests read those of the whole package."""
+    return ast.parse(source)
+
+
 def code_lines(source: str) -> int:
     """Number of lines of code."""
     documented = {
         line
-        for node in ast.walk(ast.parse(source))
+        for node in ast.walk(parsed(source))
         if isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)
         and isinstance(node.value.value, str)
@@ -74,7 +85,7 @@ def functions() -> dict[str, int]:
     """Lines of all functions, from `def` on; of the same name in a module, the longest."""
     found: dict[str, int] = {}
     for path in PACKAGE:
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(parsed(path.read_text())):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 name = f"{path.relative_to(ROOT)}:{node.name}"
                 lines = node.end_lineno - node.lineno + 1

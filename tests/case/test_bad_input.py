@@ -12,6 +12,8 @@ from particlerb.case.reader import CaseError, Problem, load, parse
 from particlerb.case.to_system import to_system
 from particlerb.simulation.run import prepare
 
+pytestmark = pytest.mark.once
+
 GOOD = """\
 title = "a cube and a clump"
 [run]

@@ -15,6 +15,8 @@ from particlerb.case.positions import extents
 from particlerb.case.problems import key_of, path_of, problem_at
 from particlerb.case.reader import CaseError, load, parse
 
+pytestmark = pytest.mark.once
+
 TEXT = """\
 title = "two cubes"   # a comment with "quotes" and [brackets]
 

@@ -132,6 +132,7 @@ def test_the_period_of_a_heavy_lid_on_light_balls_is_that_of_springs_in_a_row(ma
     assert zeros.size > 1
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("e", [1.0, 0.6])
 def test_a_ball_shares_its_momentum_with_a_free_lid_by_the_restitution(make, e):
     """v' = (m - e M) v/(m + M), u' = (1 + e) m v/(m + M): damping takes both masses."""

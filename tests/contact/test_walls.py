@@ -160,6 +160,7 @@ def test_nothing_closes_an_open_face_but_its_rim():
     assert np.allclose(near, [[-0.1, -0.2, 0.2]], atol=1e-15)
 
 
+@pytest.mark.plain
 @settings(max_examples=30 if PLAIN else 200)
 @given(seeds)
 def test_a_convex_body_of_triangles_is_touched_once_from_outside(seed):

@@ -167,6 +167,7 @@ TIE = {"type": "spring", "body": "clump[0]", "to": "clump[1]", "at": [0, 0, 0.15
        "to_at": [0.1, 0, 0], "stiffness": 30.0, "damping": 1.0, "rest_length": 0.9}  # fmt: skip
 
 
+@pytest.mark.plain
 def test_springs_pull_in_mujoco_as_here():
     scene = FREE | {"force": [ANCHOR, TIE], "run": FREE["run"] | {"method": "rk4"}}
     position, _ = in_mujoco(scene)

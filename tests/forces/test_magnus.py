@@ -71,6 +71,7 @@ STEPS = {"strang": (2, 0.1), "rk4": (4, 0.1)}
 FIRST_ORDER = ["semi_implicit_euler", "explicit_euler", "momentum_euler"]
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("method", [*STEPS, *FIRST_ORDER])
 def test_methods_keep_their_order_with_it(make, method):
     """Beside drag, a push and gravity, on an asymmetric body; the work is then that of drag."""

@@ -78,6 +78,7 @@ FIRST_ORDER = ["semi_implicit_euler", "explicit_euler", "momentum_euler"]
 END = 1.6
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("tied", [False, True])
 @pytest.mark.parametrize("method", [*STEPS, *FIRST_ORDER])
 def test_methods_keep_their_order_and_the_ledger_closes_at_it(make, method, tied):

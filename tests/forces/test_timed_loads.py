@@ -127,6 +127,7 @@ def test_the_angular_impulse_of_a_torque_is_its_integral(make, method):
     assert L[-1] - L[0] == pytest.approx(INTEGRAL, abs=1e-14)
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("loop", ["tied", "contact"])
 def test_of_bodies_that_act_on_each_other_it_reaches_those_it_names(make, loop):
     bodies = [make.sphere("body"), make.sphere("other", position=[9.0, 0, 0])]

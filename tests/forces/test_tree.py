@@ -199,6 +199,7 @@ def moved(y: Floats, b: int, axis: int, h: float, is_turn: bool) -> Floats:
     return z
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("softening", [0.0, 0.2])
 @pytest.mark.parametrize("counts", [[12, 7], [40, 1], [40, 35]])
 def test_loads_are_the_derivatives_of_the_potential(counts, softening):

@@ -43,6 +43,7 @@ def angle(trajectory, b=0):
     return 2 * np.arctan2(y, w)
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("c", [0.05, 3.0])
 def test_a_damper_slows_a_hinge_down(c):
     """ω = ω₀ exp(-c t / I)."""
@@ -120,6 +121,7 @@ def test_a_motor_gives_what_it_takes():
         assert np.abs(trajectory.ledger.energy_error).max() < 5e-5
 
 
+@pytest.mark.slow
 def test_stops_turn_a_flap_back():
     limit = {"range": [-0.5, 0.2], "stiffness": 2e3}
     with moved(hinged(1.0, limit=limit), 1.1, 5e-4, every=0.01) as trajectory:
@@ -132,6 +134,7 @@ def test_stops_turn_a_flap_back():
     assert np.abs(energy).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_a_stop_that_damps_ends_a_fall():
     limit = {"range": [-1.0, 0.4], "stiffness": 500.0, "damping": 20.0}
     with moved(hinged(0.0, (0, 0, -9.81), limit=limit), 3.0, 2e-3, every=0.02) as trajectory:

@@ -137,6 +137,7 @@ def test_flags_agree_with_null_vectors_of_the_laws_of_balance():
     assert is_open.any()
 
 
+@pytest.mark.slow
 def test_a_run_with_fields_of_joints_goes_on_bit_for_bit(tmp_path):
     scene, path = asking(SCENES["bricard"]()), tmp_path / "run.h5"
     scene["body"].append(body("wheel", 1.0, [1, 1, 1], [9, 0, 0], spin=[0, 0, -6.0]))

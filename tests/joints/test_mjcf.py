@@ -52,6 +52,7 @@ TREES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flipped", [False, True])
 @pytest.mark.parametrize("kind", TREES)
 def test_a_tree_moves_in_mujoco_as_here(kind, flipped):
@@ -127,6 +128,7 @@ def on_wheels(kind):
     return case(bodies, [hinge, slider, rack])
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("kind", ["gear", "rack", "screw"])
 def test_what_rolls_is_an_equality_of_two_coordinates(kind):
     """MuJoCo keeps it softly; without it bodies would be more than 0.1 m elsewhere."""

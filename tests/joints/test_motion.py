@@ -265,6 +265,7 @@ def in_the_plane_of_x_and_y(source):
     return source | {"run": run, "body": bodies, "joint": joints, "gravity": gravity}
 
 
+@pytest.mark.slow
 def test_a_linkage_passes_the_pose_in_which_all_its_links_are_in_one_line():
     """IFToMM A02: at order 2; all links turn as one."""
     source = tomllib.loads((CASES / "four_bar.toml").read_text())

@@ -291,6 +291,7 @@ def test_a_named_method_steps_a_top_and_exact_takes_it(make):
         plan_of(both | {"run": both["run"] | {"method": "exact"}})
 
 
+@pytest.mark.plain
 def test_bodies_that_a_spring_has_tied_stay_together(make):
     """Once it has ended only one of them has a closed form: the spring still knows both."""
     bodies = make.body("a", (1.0, 1.0, 1.0)), make.body("b", position=[1, 0, 0])

@@ -23,6 +23,8 @@ from particlerb.record.atomic import (
 )
 from particlerb.record.writer_lock import WriterLock
 
+pytestmark = pytest.mark.once
+
 
 def claimed(path):
     """A file for HDF5."""

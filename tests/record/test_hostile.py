@@ -26,6 +26,8 @@ from particlerb.record.schema import FIELDS, PARAMETERS
 from particlerb.record.trajectory import TrajectoryError
 from particlerb.record.verify import verify
 
+pytestmark = pytest.mark.once
+
 FUZZ = Path(__file__).parents[1] / "fuzz"
 FOUND = sorted((FUZZ / "found").glob("*.xz"))
 MASS = "particles/trajectory/mass"
@@ -139,7 +141,6 @@ def stored(dataset):
     return dataset.id.get_chunk_info(0).byte_offset, row * min(len(dataset), dataset.chunks[0])
 
 
-@pytest.mark.plain
 def test_a_changed_byte_of_any_dataset_is_found(make, tmp_path):
     """In a file that has everything: contacts, walls, both slots of the checkpoint."""
     path, places = tmp_path / "run.h5", {}

@@ -20,6 +20,8 @@ from particlerb.record.checksums import seal
 from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
 from particlerb.record.trajectory import TrajectoryError
 
+pytestmark = pytest.mark.once
+
 CASE = """
 run = { t_end = 0.02, every = 0.005, dt = 1e-3 }
 contact = { stiffness = 1e3, restitution = 0.5, friction = 0.1 }

@@ -11,6 +11,8 @@ import pytest
 
 import particlerb
 
+pytestmark = pytest.mark.once
+
 PAGE = Path(__file__).parents[2] / "docs" / "opening_files.md"
 BRICKS = [[1, 0.6, 0.25], [1, 0.9, 0.1], [1.2, 0.15, 0.15]]  # m
 

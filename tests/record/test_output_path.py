@@ -13,6 +13,8 @@ from particlerb.cli import main
 from particlerb.record.output_path import output_path
 from particlerb.record.trajectory import TrajectoryError
 
+pytestmark = pytest.mark.once
+
 CASE = """run = { t_end = 0.2, every = 0.1 }
 [[body]]
 name = "b"

@@ -259,6 +259,10 @@ def test_every_optional_output_is_read_by_netcdf(optional):
             assert whole[name].dimensions[:2] == ("time", part) or not name.endswith("/value")
 
 
+TREES = [pytest.param("joints", marks=plain), pytest.param("all", marks=plain), "all, float32"]
+
+
+@pytest.mark.parametrize("optional", TREES, indirect=True)
 @pytest.mark.parametrize("engine", [{"engine": "netcdf4"}, {"engine": "h5netcdf"}])
 def test_xarray_opens_the_tree_with_every_optional_output(optional, engine):
     import xarray

@@ -190,6 +190,7 @@ def files(make, tmp_path_factory):
     return found
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("name", SORTS)
 def test_what_a_file_holds_is_on_the_page(files, name):
     listed, described = page()

@@ -76,6 +76,7 @@ def test_without_a_file_it_comes_to_the_same_and_knows_its_energy_when_asked(nam
     assert abs(simulation.energy_error) < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_in_any_pieces_it_comes_to_the_states_of_one_run(name, tmp_path):
     scene = SCENES[name]()

@@ -338,6 +338,7 @@ def test_a_spread_is_even_or_in_equal_ratios():
 # The picture
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("n_axes", "panels"), [(1, 2), (2, 2), (3, 6)])
 def test_a_picture_has_a_panel_for_each_value_that_changes(n_axes, panels, tmp_path, monkeypatch):
     drawn = []
@@ -361,6 +362,7 @@ def test_axes_in_equal_ratios_are_logarithmic():
     assert found == ["log", "linear", "log", "linear", "linear"]
 
 
+@pytest.mark.once
 def test_values_have_their_units_beside_them(tmp_path, monkeypatch):
     labels = []
     draw_panel = sweep_chart.finish_panel

@@ -328,6 +328,7 @@ def test_worlds_of_which_some_are_off_the_line_run_alone():
         rows_together(task.numbers, batch_of(task), ())
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(
     ("case", "why"),
     [

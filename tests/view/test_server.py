@@ -24,6 +24,8 @@ from particlerb.view.live import MOST_SAVED, Live
 from particlerb.view.messages import Sieve
 from particlerb.view.server import finite, listening, vector
 
+pytestmark = pytest.mark.once
+
 CASES = Path(__file__).parents[2] / "cases"
 NAN = float("nan")
 PAUSE = 0.1  # [s] between messages
