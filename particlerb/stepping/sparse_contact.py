@@ -104,12 +104,6 @@ class _Interval:
             self.motions.append((flying, FreeMotion(free, taken(state, flying), start)))
         self.together = CompositeMotion(tuple(self.motions))
 
-    def frequency(self) -> float:
-        """How fast the bodies swing on the contacts of the last step [rad/s]."""
-        if self.contact is None:
-            return 0.0
-        return self.contact.measure_frequency()
-
     def gross_work(self) -> float:
         """Gross work of contacts since the start [J]."""
         return 0.0 if self.contact is None else float(self.contact.gross_work())
@@ -164,7 +158,7 @@ class DiluteMotion(Motion):
         self.contacts: dict[int, ContactOutput] = {}
         self.state = state
         # at the end of the interval
-        self.next: tuple[State, Floats, Histories | None, float, Watch] | None = None
+        self.next: tuple[State, Floats, Histories | None, float, Watch, float] | None = None
         self.previous_work = 0.0  # [J] gross work of contacts until the interval
         self.done, self.steps = 0, 0
         self.booked = np.zeros(7)
@@ -205,8 +199,7 @@ class DiluteMotion(Motion):
             after, booked = interval.together.finish(self.time(self.done + steps))
             is_far = interval.farthest() + 0.5 * self.contact.skin > 0.5 * self.skin
             if not is_far and not has_moved(y, np.vstack(after), self.no_reach, 0.5 * self.skin):
-                histories = interval.histories()
-                self.next = after, booked, histories, interval.gross_work(), interval.watch
+                self.next = self.kept_of(interval, after, booked)
                 break
             steps //= 2
         self.steps = steps
@@ -242,17 +235,28 @@ class DiluteMotion(Motion):
         """The interval that begins now."""
         return _Interval(self, self.state, self.time(self.done), self.active, self.histories)
 
+    def kept_of(
+        self, interval: _Interval, state: State, booked: Floats
+    ) -> tuple[State, Floats, Histories | None, float, Watch, float]:
+        """What an interval that has ended in a state leaves behind, as `next` has it.
+
+        Now and then that is how fast bodies swing on the contacts of its last step [rad/s].
+        """
+        frequency = 0.0
+        if interval.contact is not None and is_due(self.count + 1):
+            frequency = interval.contact.measure_frequency()
+        kept = interval.histories(), interval.gross_work(), interval.watch
+        return state, booked, *kept, frequency
+
     def cross(self) -> None:
         """Go to the end of the interval."""
-        self.count += 1
         if self.next is None:
-            shown = self.shown
-            assert shown is not None
-            if is_due(self.count):
-                self.contact_frequency = max(self.contact_frequency, shown.frequency())
-            state, booked = shown.together.finish(self.time(self.done + self.steps))
-            self.next = state, booked, shown.histories(), shown.gross_work(), shown.watch
-        self.state, booked, self.histories, work, self.watch = self.next
+            assert self.shown is not None
+            ended = self.shown.together.finish(self.time(self.done + self.steps))
+            self.next = self.kept_of(self.shown, *ended)
+        self.state, booked, self.histories, work, self.watch, frequency = self.next
+        self.count += 1
+        self.contact_frequency = max(self.contact_frequency, frequency)
         self.booked += booked
         self.previous_work += work
         self.done += self.steps
@@ -325,9 +329,9 @@ class DiluteMotion(Motion):
         """State at the end of the segment, and (7,) booked until then."""
         while self.time(self.done + self.steps) <= stop:
             self.cross()
-        shown = self.shown or self.interval()
-        state, gained = shown.together.finish(stop)
-        self.histories = shown.histories()
+        self.shown = self.shown or self.interval()
+        state, gained = self.shown.together.finish(stop)
+        self.histories = self.shown.histories()
         return state, self.booked + gained
 
     def contact_start(self) -> ContactStart:

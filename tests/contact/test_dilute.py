@@ -6,6 +6,8 @@ import pytest
 import particlerb
 from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
+from particlerb.model.state import as_frame
+from particlerb.simulation.group_run import GroupRun
 from particlerb.simulation.run import prepare, run_prepared
 from particlerb.stepping import sparse_contact as dilute
 
@@ -82,3 +84,51 @@ def test_only_bodies_under_nothing_but_gravity_fly():
     case["force"] = [{"type": "drag", "body": "d", "translation": 0.1}]
     group = prepare(to_system(case)).plan.groups[0]
     assert not dilute.can_fly(METHODS["strang"], group.segments[0].terms, group.members.size)
+
+
+def among_flying_ones(**ball) -> dict:
+    """A ball of 1 kg above a floor, beside twelve dumbbells that meet nothing."""
+    case = gas(1, every=0.3, dt=1e-3) | {"gravity": {"acceleration": [0, 0, -9.81]}}
+    case["body"][0] |= {"count": 12, "place": {"type": "grid", "spacing": 2.0}}
+    case["body"][0]["velocity"] = {"random": 0.1}
+    shape = {"type": "ball", "radius": 0.1, "arrangement": "exact"}
+    case["body"].append({"name": "ball", "shape": shape, "mass": 1.0} | ball)
+    case["contact"] = {"stiffness": 1e4, "restitution": 0.3, "friction": 0.3, "overlap": 1e-3}
+    case["wall"] = [{"name": "floor", "type": "plane", "normal": [0, 0, 1], "point": [0, 0, -30]}]
+    return case
+
+
+def dilute_motion(case: dict) -> dilute.DiluteMotion:
+    """Motion of the first group of a case."""
+    motion = GroupRun(prepare(to_system(case)).plan.groups[0], to_system(case).state).motion
+    assert isinstance(motion, dilute.DiluteMotion)
+    return motion
+
+
+@pytest.mark.plain
+def test_what_contacts_have_lost_is_counted_where_no_frame_was_looked_at(monkeypatch):
+    monkeypatch.setattr(dilute, "LEAST_BODIES", 10)
+    case = among_flying_ones(position=[0, 0, -29.65], velocity=[0, 0, -3.0])
+    looked_at, unseen = dilute_motion(case), dilute_motion(case)
+    frames = as_frame(to_system(case).bodies, to_system(case).state)
+    for time in (0.1, 0.2):
+        looked_at.record(np.array([time]), np.zeros(1, dtype=int), frames)
+        looked_at.finish(time)
+        unseen.finish(time)
+        assert looked_at.active.sum() == 1  # the others fly
+        assert looked_at.gross_work() == unseen.gross_work() > 3.0  # J, of 0.5·3²
+
+
+@pytest.mark.plain
+def test_swings_of_the_few_that_touch_are_seen_also_after_a_checkpoint(monkeypatch):
+    monkeypatch.setattr(dilute, "LEAST_BODIES", 10)
+    case = among_flying_ones(position=[0, 0, -29.9 - 9.81e-4])
+    motion, resumed = dilute_motion(case), dilute_motion(case)
+    motion.finish(0.05)
+    assert motion.active.sum() == 1
+    resumed.restore(motion.checkpoint())
+    for one in (motion, resumed):
+        one.finish(0.2)
+    assert motion.count > 2
+    assert motion.contact_frequency == pytest.approx(100.0, rel=0.01)  # √(k/m), from below
+    assert resumed.contact_frequency == motion.contact_frequency
