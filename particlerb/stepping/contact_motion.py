@@ -37,7 +37,7 @@ from particlerb.stepping.contact_checks import ContactChecks, is_due
 from particlerb.stepping.contact_frames import ContactRows, output_of
 from particlerb.stepping.contact_lists import ContactLists, Histories, ListLifetime, WallsAhead
 from particlerb.stepping.loop import FORCES, FRAME, POSES, Copies, Position, Recording, Schedule
-from particlerb.stepping.motion import ContactStart, Energies, Motion, SegmentGroup
+from particlerb.stepping.motion import ContactStart, Energies, SegmentGroup
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -325,10 +325,6 @@ class ContactMotion(SteppedMotion):
         booked = super().record(times, rows, frames)
         booked[..., 0].T[:] += [self.frames.pistons[row].booked_work.sum() for row in rows.tolist()]
         return booked
-
-    def pose(self, time: float, frames: Frames) -> None:
-        """Write the states at a time [s] into the first row of the frames."""
-        Motion.pose(self, time, frames)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""

@@ -172,7 +172,8 @@ class SteppedMotion(JointedMotion):
         """Write the states at a time [s] into the first row of the frames, and book nothing."""
         steps, partial = grid_stop(time - self.start, self.dt, self.start)
         count = steps - self.steps_done
-        if count * self.cost > NANOSECONDS_PER_CALL or self.turned.size:
+        touches = self.group.terms.contact is not None
+        if touches or count * self.cost > NANOSECONDS_PER_CALL or self.turned.size:
             super().pose(time, frames)
             return
         if self.single is None or self.single[0] is not frames:
@@ -182,9 +183,8 @@ class SteppedMotion(JointedMotion):
         schedule.steps[0], schedule.partial[0] = count, partial
         recording.sums.fill(0.0)
         if self.pose_loop is None:
-            loop = compiled_loop(self.method, self.is_coupled)
             arguments = self._arguments(schedule, recording)
-            self.pose_loop = for_types_of(loop, *arguments, 1, 0, 1)
+            self.pose_loop = for_types_of(self.loop_over_steps(), *arguments, 1, 0, 1)
         self._run_through_loop(self.pose_loop, schedule, recording)
         self.steps_done = steps
 
@@ -222,7 +222,7 @@ class SteppedMotion(JointedMotion):
 
     def run(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule."""
-        self._run_through_loop(compiled_loop(self.method, self.is_coupled), schedule, recording)
+        self._run_through_loop(self.loop_over_steps(), schedule, recording)
 
     def _arguments(self, schedule: Schedule, recording: Recording) -> tuple[Any, ...]:
         """What the loop takes before its range of blocks."""
@@ -232,14 +232,14 @@ class SteppedMotion(JointedMotion):
     def _run_through_loop(
         self, loop: Callable[..., Position], schedule: Schedule, recording: Recording
     ) -> None:
-        """Go through a schedule; forces that are large bring a loop of their own."""
+        """Go through a schedule with the loop of `loop_over_steps`."""
         n, n_blocks = self.group.members.size, len(self.blocks)
         arguments = self._arguments(schedule, recording)
         if not self.is_coupled:
             stops = sum(schedule.steps.tolist()) + schedule.steps.size
             THREADS.share(partial(loop, *arguments, 1), n_blocks, n * stops)
         elif self.is_spread:
-            self.loop_over_steps()(*arguments, n_blocks, 0, n_blocks)
+            loop(*arguments, n_blocks, 0, n_blocks)
         else:
             THREADS.alone(loop, *arguments, n_blocks, 0, n_blocks)
 

@@ -8,7 +8,9 @@ import pytest
 
 import particlerb
 from particlerb import CaseError, Scene, Simulation
+from particlerb.stepping import stepped_motion
 from particlerb.tables import (
+    AttractionTable,
     Ball,
     Box,
     ContactTable,
@@ -339,3 +341,21 @@ def test_to_ask_for_the_energy_after_a_change_adds_no_frame_to_the_file(tmp_path
         simulation.advance(scene.run.t_end)
     with particlerb.open(tmp_path / "a.h5") as t:
         assert t.time == pytest.approx(np.arange(len(t.time)) * scene.run.every, abs=1e-12)
+
+
+@pytest.mark.plain
+def test_looks_between_frames_make_no_loop_beside_that_of_the_tree(monkeypatch):
+    """Who walks a tree has a loop in Python: to compile the other one would be in vain."""
+
+    def compiled_loop(*of):
+        raise AssertionError(f"asked for the loop of {of}")
+
+    monkeypatch.setattr(stepped_motion, "compiled_loop", compiled_loop)
+    tree = AttractionTable(G=1.0, softening=0.1, sum="tree", opening_angle=0.5)
+    scene = Scene(RunTable(t_end=1.0, every=1.0, dt=0.1), attraction=tree)
+    places = np.random.default_rng(5).uniform(-1.0, 1.0, (20, 3)).tolist()
+    scene.add_body(name="star", shape=Ball(radius=0.01), mass=1.0, count=20, position=places)
+    straight, simulation = particlerb.run(scene), Simulation(scene)
+    for time in (0.25, 0.5, 1.0):
+        state = simulation.advance(time)
+    assert np.array_equal(state.position, straight.position[-1])
