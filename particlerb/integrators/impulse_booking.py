@@ -90,14 +90,15 @@ def _changed_of(jointed: Jointed, partners: Partners, k: int, at: int) -> Vec3:
 
 
 @inline
-def _correct_work(
-    books: Flag, keeps_kick: Flag, jointed: Jointed, partners: Partners, blocks: Floats, dt: float
+def book_among_joints(
+    books: Flag, jointed: Jointed | None, partners: Partners, blocks: Floats, dt: float
 ) -> None:
     """Book the work of motors and forces without potential along what the solve has changed.
 
-    The second half kick has booked it with the velocities before.
+    The second half kick has booked it with the velocities before, and kept what it gave: beside
+    contact joints always do.
     """
-    if books is None or keeps_kick is None:
+    if books is None or jointed is None:
         return
     joints, gradient = jointed.joints, jointed.data.gradient
     for r in range(joints.rows.kind.size):
@@ -112,12 +113,3 @@ def _correct_work(
     for k in range(joints.order.size):
         rows, lane = blocks[jointed.block[k]], jointed.lane[k]
         _book_along(books, rows, lane, partners, joints.order[k])
-
-
-@inline
-def book_among_joints(
-    books: Flag, jointed: Jointed | None, partners: Partners, blocks: Floats, dt: float
-) -> None:
-    """Do the work of `_correct_work`, if there are joints."""
-    if jointed is not None:
-        _correct_work(books, jointed.keeps_kick, jointed, partners, blocks, dt)

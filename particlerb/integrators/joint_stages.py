@@ -38,21 +38,10 @@ from particlerb.model.load import STATE_ROWS
 
 @inline
 def keep_kick(
-    jointed: Jointed | None, acting: Acting, rows: Floats, b: int, R: Matrix, dt: float,
-    old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
-) -> None:  # fmt: skip
-    """Keep what forces without potential gave body b in a kick, if joints hold its group."""
-    if jointed is None:
-        return
-    _keep(jointed.keeps_kick, acting, rows, b, R, dt, old, new)
-
-
-@inline
-def _keep(
     keeps_kick: Flag, acting: Acting, rows: Floats, b: int, R: Matrix, dt: float,
     old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
 ) -> None:  # fmt: skip
-    """Do the work of `keep_kick`, if there are any."""
+    """Keep what forces without potential gave body b in a kick, if there are any among joints."""
     if keeps_kick is None:
         return
     put3(rows, STAGE + 6, b, subtract(new[0], old[0]))

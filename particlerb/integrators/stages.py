@@ -68,6 +68,7 @@ class MovingBodies(NamedTuple):
     jointed: Jointed | None = None  # None: no joint holds them
     contact: MovingContact | None = None  # None: nothing touches anything
     damps: Flag = None  # whether something damps jointed bodies
+    keeps_kick: Flag = None  # whether they keep what a kick without potential gave: `Jointed`
     team: Team | None = None  # threads that share each step; None: blocks do not wait for others
 
 
@@ -192,7 +193,7 @@ def kick(moving: MovingBodies, first: int, last: int, dt: float) -> None:
         for b in range(n):
             old = get3(rows, P, b), get3(rows, L, b)
             p, spin, R = kick_body(moving.acting, moving.books, rows, b, dt)
-            keep_kick(moving.jointed, moving.acting, rows, b, R, dt, old, (p, spin))
+            keep_kick(moving.keeps_kick, moving.acting, rows, b, R, dt, old, (p, spin))
 
 
 @stages
