@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from particlerb.compiled.barrier import ONE_THREAD, Team, together
+from particlerb.compiled.barrier import Team, together
 from particlerb.compiled.threads import BLOCK
 from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
-from particlerb.contact.contact_model import ContactFrames, Instant, NeighbourLists
-from particlerb.contact.records import PISTON, zero_records
+from particlerb.contact.contact_model import ContactFrames, Instant
 from particlerb.integrators.contact_stages import keep_extremes, kinematics_at, note_step_start
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare, Layout
@@ -27,24 +26,14 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import CHANGING, in_blocks, into_blocks, out_of_blocks
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.power_method import Oscillating
-from particlerb.model.state import Frames, State, state_of
+from particlerb.model.state import State, state_of
 from particlerb.model.superblocks import over_blocks, sum_by_number, summed
-from particlerb.ranks import as_agreed, ending_all
+from particlerb.ranks import ending_all
 from particlerb.stepping.contact_frames import ContactRows
-from particlerb.stepping.contact_lists import Histories, WallsAhead
+from particlerb.stepping.contact_lists import Histories
 from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.exchange import Domains, Exchange, kept_of
-from particlerb.stepping.loop import (
-    POSES,
-    Copies,
-    Position,
-    Recording,
-    Schedule,
-    compiled_parts,
-    grid_position,
-    loop_over_ranks,
-    store_blocks,
-)
+from particlerb.stepping.loop import POSES, Position, Recording, loop_over_ranks, store_blocks
 from particlerb.stepping.motion import ForceAccount, MotionError, SegmentGroup, Shared
 from particlerb.stepping.shared_motion import GROSS, SharedMotion, initial_rows
 from particlerb.stepping.stepped_motion import SteppedMotion
@@ -55,6 +44,8 @@ class BrickMotion(SharedMotion):
 
     All that is returned is of all bodies; frames are of those that this rank shows.
     """
+
+    is_spread = True  # the loop enters kernels with all threads
 
     def __init__(
         self, method: Method, shared: Shared, shown: SegmentGroup, state: State, start: float,
@@ -67,7 +58,6 @@ class BrickMotion(SharedMotion):
         m = shown.members.size
         first = np.arange(0, m, BLOCK)
         self.shown_layout = Layout(first, np.minimum(first + BLOCK, m) - first, 0)
-        self.shown_bins = shown.members // BLOCK
         self.shown_blocks = in_blocks(max(m, 1), CHANGING, [])
         self.account_shown = ForceAccount(shown, state)
         with ending_all(self.ranks):
@@ -101,6 +91,7 @@ class BrickMotion(SharedMotion):
         group, numbers = contact_part(self.exchange.group, local)
         state = state_of(values[:, :STATE_ROWS].T)
         SteppedMotion.__init__(self, self.method, group, state, self.start, self.dt)
+        self.account, self.bins = self.account_shown, self.shown.members // BLOCK
         if self.memory is None or len(self.memory) < len(self.blocks):
             self.memory = self.blocks  # fresh memory costs more than what fills it
         self.allocate_contact(state, numbers, histories, None, self.is_own)
@@ -159,11 +150,10 @@ class BrickMotion(SharedMotion):
 
     # Steps
 
-    def part_of_step(self, what: int, row: int = 0) -> None:
-        """Do a part of a step at the time of now, with the momenta of now; without other ranks."""
-        moving = self.moving._replace(contact=self.contact, team=ONE_THREAD)
-        position, time = Position(what, row, self.grid_step), self.grid_step * self.dt
-        compiled_parts(self.method)(moving, 0, len(self.blocks), position, time)
+    def loop_over_steps(self, touches: bool = False) -> Callable[..., Position]:
+        """The loop, in Python."""
+        del touches
+        return self.loop
 
     def enter(
         self, kernel: Callable[..., Any], moving: MovingBodies, first: int, last: int, *others: Any
@@ -192,80 +182,20 @@ class BrickMotion(SharedMotion):
         reached = self.ranks.largest(np.array(self.enter(here, moving, first, last)))
         return bool(keep_extremes(contact, instant, *reached.tolist()))
 
-    def until_used_up(
-        self, schedule: Schedule, recording: Recording, saved: Copies, position: Position
-    ) -> Position:
-        """Go on from a position, to the end or to where new lists have to be made."""
-        moving, n = self.moving._replace(contact=self.contact, team=ONE_THREAD), len(self.blocks)
-        return self.loop(moving, schedule, recording, saved, position, n, 0, n)
-
-    # New lists and checks, on all ranks together
-
-    def check_lists(self, steps: int) -> None:
-        """Raise MotionError where the run is wrong, after so many steps with the same lists."""
-        self.ranks.together(lambda: super(BrickMotion, self).check_lists(steps))
-
-    def measure_frequency(self) -> float:
-        """Frequency of the bodies on all their contacts [rad/s]: the same on all ranks."""
-        try:
-            return super().measure_frequency()
-        except MotionError as error:
-            raise as_agreed(error) from None
-
     def oscillating(self) -> Oscillating:
         """Who has which of the bodies that swing."""
         return _Oscillating(self)
 
-    def check_steps(self) -> None:
-        """Raise MotionError where the last steps were wrong."""
-        self.ranks.together(super().check_steps)
-
-    def corners(self) -> Floats:
-        """Of the box around the centres of all spheres, (3, 2) [m]."""
-        low, high = super().corners().T
-        low, high = self.ranks.largest(np.stack([-low, high]))
-        return np.stack([-low, high], axis=1)
-
-    def new_lists(self, time: float, ahead: WallsAhead) -> tuple[NeighbourLists, float]:
-        """Lists of now, and until when they hold [s]."""
-        lists = self.ranks.together(lambda: super(BrickMotion, self).new_lists(time, ahead))
-        self.lists.n_pairs = int(self.ranks.added(np.array([self.lists.n_pairs]))[0])
-        return lists
-
     # What is shown
 
-    def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Write the states at these times into rows of the frames; return (T, 7) booked."""
-        with ending_all(self.ranks):
-            self.frames, self.contacts = self.room_for_frames(len(frames.position), 0), {}
-            self.contact = self.contact._replace(frames=self.frames)
-            elapsed = times - self.start
-            sums = self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)
-            return self.account_shown.of_frames(elapsed, rows, frames, sums)
-
-    def finish(self, stop: float) -> tuple[State, Floats]:
-        """State of the bodies that are shown at the end of the segment, and (7,) booked of all."""
-        with ending_all(self.ranks):
-            self.close(stop)
-            values = self.to_show(self.values(0, CHANGING).T).T
-            return self.account_shown.at_end(values, stop - self.start)
-
-    def recording(self, frames: Frames) -> Recording:
-        """Where frames go, with room for what is booked."""
-        sums = np.zeros((len(frames.position), self._n_bins, 7))
-        where = self.shown.bodies.rotor_frame, self.shown.members, frames, sums, self.shown_bins
-        return Recording(*where, np.zeros((len(frames.position), 0, 3)))
-
     @property
-    def _n_bins(self) -> int:
+    def n_bins(self) -> int:
         """Blocks of the bodies that are shown here, up to the last one that touches."""
         return -(-self.exchange.shared.size // BLOCK)
 
-    def room_for_frames(self, n: int, n_pistons: int) -> ContactFrames:
-        """Room for what n frames show of contacts."""
-        elastic, stored = np.zeros((n, self._n_bins)), np.zeros(self.shown.members.size)
-        pistons = zero_records(PISTON, n, n_pistons)
-        return ContactFrames(elastic, stored, self.shown_bins, pistons, np.zeros((n, 0)))
+    def shown_values(self) -> Floats:
+        """As of `SteppedMotion`."""
+        return self.to_show(self.values(0, CHANGING).T).T
 
     def to_show(self, values: Floats) -> Floats:
         """Rows of the bodies that are shown here, where each rank has (n, ..) of its own."""
@@ -296,15 +226,14 @@ class BrickMotion(SharedMotion):
         find_stored_energy(self.contact.setup.model, self.contact.lists, stored)
         frames.stored[:] = self.to_show(stored[:, None])[:, 0]
         frames.elastic[frame] = 0.0
-        sum_in_bins(frames.stored, self.shown_bins, frames.elastic[frame])
+        sum_in_bins(frames.stored, self.bins, frames.elastic[frame])
 
     def store(
         self, moving: MovingBodies, first: int, last: int, recording: Recording, frame: int
     ) -> None:
         """Write bodies and contacts into a frame, each on the rank that shows it."""
         del first, last
-        values = self.to_show(self.values(0, CHANGING).T)
-        into_blocks(self.shown_blocks, 0, np.ascontiguousarray(values.T))
+        into_blocks(self.shown_blocks, 0, np.ascontiguousarray(self.shown_values()))
         layout = self.shown_layout
         n = layout.first.size
         store_blocks(self.shown_blocks, layout, moving.books, recording, frame, 0, n)
@@ -313,10 +242,6 @@ class BrickMotion(SharedMotion):
     def total(self, sums: Floats) -> Floats:
         """Sums of bins, (T, bins, ..), over all bodies."""
         return summed(list(over_blocks(sums)), self.ranks)
-
-    def gross_work(self) -> float:
-        """Gross work of contacts without potential, and of walls, since the start [J]."""
-        return self.sum_of(self.contact.workspace.gross_work)
 
     def sum_of(self, values: Floats) -> float:
         """Sum of values of bodies, (n,), in the order of their numbers."""

@@ -14,6 +14,7 @@ from particlerb.contact.wall_motion import motion_in
 from particlerb.impulses.records import WORST_EVER
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.power_method import Oscillating
+from particlerb.ranks import as_agreed
 from particlerb.stepping.motion import MotionError, SegmentGroup
 
 STABLE: Final = 2.0  # largest ω dt of a piston, and of contacts where no step is stable
@@ -73,13 +74,14 @@ class ContactChecks:
         """Frequency of bodies on all their contacts [rad/s]; MotionError where it is too fast."""
         rate = contact_frequency(contact.setup.model, y[:3], y[3:7], contact.lists, among)
         if rate * self.dt > self.limit and not contact.setup.allow_unstable:
-            raise MotionError(
+            text = (
                 f"at t = {now:.6g} s bodies oscillate on all their"
                 f" contacts together with {rate:.3g} rad/s: a step of {self.dt:.3g} s is above"
                 f" {self.limit / rate:.3g} s, where that grows without bound;"
                 f" dt = {0.1 * STABLE / rate:.2g} s or less is right, and"
                 " contact.allow_unstable = true takes it anyway"
             )
+            raise as_agreed(MotionError(text))
         return rate
 
     def missed_pairs(self, contact: MovingContact, cost: float, now: float) -> None:

@@ -18,7 +18,6 @@ from particlerb.contact.contact_model import (
     ContactMemory,
     GroupContact,
     MovingContact,
-    NeighbourLists,
     Workspace,
 )
 from particlerb.contact.contact_output import ContactOutput
@@ -32,6 +31,7 @@ from particlerb.model.power_method import Oscillating
 from particlerb.model.state import Frames, State, room_for
 from particlerb.model.superblocks import sum_by_number
 from particlerb.model.worlds import bins_of, shape_of
+from particlerb.ranks import ALONE, Ranks, ending_all
 from particlerb.stepping.beside_contact import compile_steps_beside
 from particlerb.stepping.contact_checks import ContactChecks, is_due
 from particlerb.stepping.contact_frames import ContactRows, output_of
@@ -70,6 +70,7 @@ class ContactMotion(SteppedMotion):
     checks_stability = True  # now and then, when lists are made
     room_for_tally = 0  # numbers that are counted of impulses
     share = 1.0  # of the costs that are this process's own
+    ranks: Ranks = ALONE  # that share the bodies
 
     def __init__(
         self,
@@ -155,7 +156,7 @@ class ContactMotion(SteppedMotion):
         """Room for what n frames show of contacts."""
         pistons = records.zero_records(records.PISTON, n, n_pistons)
         tally = np.zeros((n, self.room_for_tally))
-        elastic = np.zeros((n, int(self.bins.max(initial=-1)) + 1))
+        elastic = np.zeros((n, self.n_bins))
         return ContactFrames(elastic, np.zeros(self.bins.size), self.bins, pistons, tally)
 
     @property
@@ -173,7 +174,7 @@ class ContactMotion(SteppedMotion):
         self.part_of_step(POSES)
         if self.checks_stability and self.lists.count > 0 and is_due(self.lists.count):
             self.measure_frequency()
-        self.check_lists(steps)
+        self.ranks.together(lambda: self.check_lists(steps))
         poses = self.contact.workspace.poses
         ahead = self.lists.look_ahead(self.corners(), poses, self.start + time, lasted)
         self.migrate()
@@ -189,7 +190,9 @@ class ContactMotion(SteppedMotion):
         memory.extremes.displacement[:] = memory.extremes.ahead[:] = 0.0
         path = np.sqrt(((y[:3] - self.origin) ** 2).sum(axis=0)).max()
         self.farthest, self.list_step = max(self.farthest, float(path)), self.grid_step
-        lists, until = self.new_lists(time, ahead)
+        of = contact.workspace, memory, time, ahead
+        lists, until = self.ranks.together(lambda: self.lists.make(*of))
+        self.lists.n_pairs = int(self.ranks.added(np.array([self.lists.n_pairs]))[0])
         setup = contact.setup._replace(skin=self.lists.skin)
         memory = memory._replace(valid_until=until)
         self.contact = contact._replace(setup=setup, lists=lists, memory=memory)
@@ -205,14 +208,11 @@ class ContactMotion(SteppedMotion):
     def corners(self) -> Floats:
         """Of the box around the centres of all spheres, (3, 2) [m]."""
         points = self.contact.workspace.xyzr[:, :3]
-        return np.stack([points.min(axis=0), points.max(axis=0)], axis=1)
+        low, high = self.ranks.largest(np.stack([-points.min(axis=0), points.max(axis=0)]))
+        return np.stack([-low, high], axis=1)
 
     def migrate(self) -> None:
         """Take bodies over that come near, before new lists; here all are there."""
-
-    def new_lists(self, time: float, ahead: WallsAhead) -> tuple[NeighbourLists, float]:
-        """Lists of now, and until when they hold [s]."""
-        return self.lists.make(self.contact.workspace, self.contact.memory, time, ahead)
 
     def part_of_step(self, what: int, row: int = 0) -> None:
         """Do a part of a step at the time of now, with the momenta of now."""
@@ -264,7 +264,7 @@ class ContactMotion(SteppedMotion):
         while True:
             position = self.until_used_up(schedule, recording, self._copies(), position)
             self.grid_step = position.steps_done
-            self.check_steps()
+            self.ranks.together(self.check_steps)
             if position.stop == schedule.steps.size or self.lost_joints():
                 break
             self.make_lists()
@@ -322,13 +322,15 @@ class ContactMotion(SteppedMotion):
         n, n_pistons = frames.position.shape[0], len(self.contact.memory.pistons)
         self.frames, self.contacts = self.room_for_frames(n, n_pistons), {}
         self.contact = self.contact._replace(frames=self.frames)
-        booked = super().record(times, rows, frames)
+        with ending_all(self.ranks):
+            booked = super().record(times, rows, frames)
         booked[..., 0].T[:] += [self.frames.pistons[row].booked_work.sum() for row in rows.tolist()]
         return booked
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
-        state, booked = super().finish(stop)
+        with ending_all(self.ranks):
+            state, booked = super().finish(stop)
         booked[..., 0] += self.contact.memory.pistons.booked_work.sum()
         return state, booked
 

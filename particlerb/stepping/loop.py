@@ -345,12 +345,11 @@ def _one_part(
 
 
 @cache
-def compiled_parts(method: Method) -> Callable[..., None]:
-    """Parts of a step `(moving, first, last, position, time)`, for ranks that share bodies."""
-    names = _parts_of_step(method, True)
-    part, growth = names["part_of_step"], names["GROWTH"]
-    made: Any = kernel_from(_one_part, f"{method.name}_touching", part_of_step=part)
-    return lambda *asked: made(*asked, growth)
+def _compiled_parts(method: Method) -> dict[str, Any]:
+    """How parts of a step are done where ranks share bodies, each by itself."""
+    parts = _parts_of_step(method, True)
+    part = kernel_from(_one_part, f"{method.name}_touching", part_of_step=parts["part_of_step"])
+    return parts | {"part_of_step": part}
 
 
 def loop_over_ranks(
@@ -374,6 +373,7 @@ def loop_over_ranks(
     one_step = partial(enter, kernel_from(_one_step, name, step=_step_of(method, True)))
     closing = over_threads(_close_at, kinematics=kinematics, close=partial(enter, close))
     names = {"step": one_step, "finish": closing, "CLOSING_KICK": method.closing_kick}
+    names |= _compiled_parts(method)
     return over_threads(advance, kinematics=kinematics, _store=store, **names)
 
 

@@ -147,6 +147,11 @@ class SteppedMotion(JointedMotion):
             layout = _layout_of(in_own_blocks[worlds.bodies[0]])
         return bins_of(np.repeat(np.arange(layout.size.size), layout.size), worlds)
 
+    @property
+    def n_bins(self) -> int:
+        """Bins in which bodies are summed."""
+        return int(self.bins.max(initial=-1)) + 1
+
     def values(self, at: int, count: int) -> Floats:
         """Some rows of all bodies, (count, n)."""
         n = len(self.blocks) * BLOCK
@@ -192,7 +197,11 @@ class SteppedMotion(JointedMotion):
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
         self.close(stop)
-        return self.account.at_end(self.values(0, CHANGING), stop - self.start)
+        return self.account.at_end(self.shown_values(), stop - self.start)
+
+    def shown_values(self) -> Floats:
+        """What changes of the bodies that are shown here, (CHANGING, n)."""
+        return self.values(0, CHANGING)
 
     def close(self, stop: float) -> None:
         """Go to the end of the segment, where the last kick is closed."""
@@ -215,10 +224,10 @@ class SteppedMotion(JointedMotion):
 
     def recording(self, frames: Frames) -> Recording:
         """Where frames go, with room for what is booked and for coordinates of joints."""
-        n_frames = len(frames.position)
-        sums = np.zeros((n_frames, int(self.bins.max()) + 1, 7))
+        n_frames, shown = len(frames.position), self.account.group
+        sums = np.zeros((n_frames, self.n_bins, 7))
         self.coordinates = np.zeros((n_frames, *self.turned.shape))
-        where = self.group.bodies.rotor_frame, self.group.members, frames, sums, self.bins
+        where = shown.bodies.rotor_frame, shown.members, frames, sums, self.bins
         return Recording(*where, self.coordinates)
 
     def run(self, schedule: Schedule, recording: Recording) -> None:
