@@ -179,9 +179,3 @@ def state_rows(state: State, bodies: Bodies) -> list[tuple[int, Floats]]:
         (INV_MASS, bodies.inv_mass[None]),
         (INV_INERTIA, bodies.inv_inertia),
     ]
-
-
-def state_of(blocks: Floats, n: int) -> State:
-    """State of n bodies."""
-    com, q = out_of_blocks(blocks, COM, 3, n), out_of_blocks(blocks, Q, 4, n)
-    return State(com, q, out_of_blocks(blocks, P, 3, n), out_of_blocks(blocks, L, 3, n))

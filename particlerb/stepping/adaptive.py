@@ -23,7 +23,6 @@ from particlerb.integrators.stages import over_threads
 from particlerb.joints.trees import tree_of
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import (
-    BOOKED,
     CHANGING,
     STRIDE,
     get,
@@ -31,7 +30,6 @@ from particlerb.model.block import (
     into_blocks,
     out_of_blocks,
     put,
-    state_of,
     state_rows,
 )
 from particlerb.model.load import STATE_ROWS
@@ -150,13 +148,10 @@ class AdaptiveMotion(JointedMotion):
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) booked until then."""
-        elapsed, n = stop - self.start, self.group.members.size
-        none = room_for(0, 0, np.empty((0, 4)))
+        elapsed, none = stop - self.start, room_for(0, 0, np.empty((0, 4)))
         self.advance(np.empty(0), np.empty(0, dtype=np.int64), elapsed, none)
-        state = state_of(self.blocks, n)
-        sums = out_of_blocks(self.blocks, BOOKED, 7, n).sum(axis=1)
-        arguments = np.array([elapsed]), state.com, state.q, state.L, sums[None]
-        return state, self.account.of_states(*arguments)[0]
+        values = out_of_blocks(self.blocks, 0, CHANGING, self.group.members.size)
+        return self.account.at_end(values, elapsed)
 
     def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
         """Through all times; sums of what was booked, for each row of the frames."""

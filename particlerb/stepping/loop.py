@@ -148,24 +148,18 @@ def _close_at(
 
 
 @stages
-def _nothing_open(
-    moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant
-) -> None:
-    """Do nothing: there is no open kick, and nothing touches."""
+def finish(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+    """Close the last step, for a frame or the end; where nothing is open, there is nothing to do.
+
+    Stands for that of a method.
+    """
 
 
 @stages
 def part_of_step(
     moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
 ) -> None:
-    """Do nothing: nothing touches."""
-
-
-@stages
-def _kinematics_part(
-    moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
-) -> None:
-    """Find where spheres and walls are, and how fast."""
+    """Find where spheres and walls are, and how fast; stands for all that may be asked for."""
     kinematics(moving, first, last, Instant(0.0, 0.0, time, 0.0))
 
 
@@ -194,12 +188,6 @@ def _ratio(a: float, b: float) -> float:
 @inline
 def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
     """Advance blocks by dt; stands for the step of a method."""
-    raise NotImplementedError
-
-
-@inline
-def finish(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
-    """Close the last step, for a frame or the end; stands for that of a method."""
     raise NotImplementedError
 
 
@@ -280,15 +268,14 @@ def _finish_of(method: Method, touches: bool) -> Step:
     """How the last step is closed."""
     if method.closing_kick > 0.0:
         return _close_at
-    return method.show if touches and method.show is not None else _nothing_open
+    return method.show if touches and method.show is not None else finish
 
 
 def _parts_of_step(method: Method, touches: bool) -> dict[str, Any]:
-    """How parts of a step are done for bodies that touch."""
-    if not touches:
+    """How parts of a step are done for bodies that touch by springs."""
+    if not touches or method.takes_impulses:
         return {}
-    chosen = _kinematics_part if method.takes_impulses else _part_with_contacts
-    return {"part_of_step": chosen, "GROWTH": growth_at_rest(method)}
+    return {"part_of_step": _part_with_contacts, "GROWTH": growth_at_rest(method)}
 
 
 def growth_at_rest(method: Method) -> Growth:
