@@ -9,14 +9,13 @@ Hairer, Lubich, Wanner, Geometric Numerical Integration, V.3.2.
 """
 
 from collections.abc import Sequence
-from types import FunctionType
 from typing import Final
 
 from particlerb.contact.contact_model import NOW
 from particlerb.forces.kinds import BODIES, JOINTS, POSE
-from particlerb.integrators.method import Method, Step
+from particlerb.integrators.method import Method
 from particlerb.integrators.rattle import METHOD
-from particlerb.integrators.stages import MovingBodies, constrained_drift, kick, loads, stages
+from particlerb.integrators.stages import MovingBodies, constrained_drift, kick, loads, stages_with
 
 WEIGHTS: Final = (1.0,)  # stands for those of a method
 
@@ -30,13 +29,6 @@ def _coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float,
         kick(moving, first, last, 0.5 * h + open_kick)
         constrained_drift(moving, 0.5 * h + open_kick, ahead, h)
         open_kick, ahead = 0.5 * h, ahead + h
-
-
-def _with_weights(function: Step, weights: tuple[float, ...]) -> Step:
-    """A step with weights of its own."""
-    assert isinstance(function, FunctionType)
-    names = function.__globals__ | {"WEIGHTS": weights}
-    return stages(FunctionType(function.__code__, names, function.__name__))
 
 
 def composed(name: str, order: int, limit: float, first: Sequence[float]) -> Method:
@@ -55,5 +47,5 @@ def composed(name: str, order: int, limit: float, first: Sequence[float]) -> Met
         stability_limit=limit,
         closing_kick=0.5 * weights[-1],
         weights=weights,
-        coupled_step=_with_weights(_coupled_step, weights),
+        coupled_step=stages_with(_coupled_step, WEIGHTS=weights),
     )

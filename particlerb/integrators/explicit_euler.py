@@ -7,7 +7,7 @@ because its rates advance in its own axes, I ω̇ = Rᵀτ - ω × I ω. See doc
 
 from typing import Final
 
-from particlerb.contact.contact_model import OLD_VELOCITIES, Instant, LoadTimes
+from particlerb.contact.contact_model import OLD_VELOCITIES, LoadTimes
 from particlerb.forces.kinds import CONTACT, PISTONS
 from particlerb.integrators.contact_limits import explicit
 from particlerb.integrators.contact_stages import drift_walls, kick_walls
@@ -22,7 +22,7 @@ from particlerb.integrators.slopes import (
     put_pose,
     slopes,
 )
-from particlerb.integrators.stages import MovingBodies, kinematics, loads, stage, stages
+from particlerb.integrators.stages import MovingBodies, loads, shown_at, stage, stages
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.vec3 import add_scaled, component_product, cross
 from particlerb.model.block import INV_INERTIA, get3
@@ -55,13 +55,6 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     _advance_rates(moving, first, last, dt)
 
 
-@stages
-def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
-    """Contacts at a frame."""
-    kinematics(moving, first, last, instant)
-    loads(moving, first, last, LoadTimes(0.0, 0.0, OLD_VELOCITIES, None))
-
-
 METHOD: Final = Method(
     name="explicit_euler",
     summary="order 1, baseline; explicit Euler on rates in the body; energy grows; any force",
@@ -73,6 +66,6 @@ METHOD: Final = Method(
     stability_limit=0.0,
     max_turn=0.5,
     step=step,
-    show=show,
+    show=shown_at(LoadTimes(0.0, 0.0, OLD_VELOCITIES, None)),
     contact_limit=explicit,
 )

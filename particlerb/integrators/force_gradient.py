@@ -11,7 +11,6 @@ Source: Suzuki, Phys. Lett. A 201, 425 (1995), and Omelyan, Mryglod, Folk, Compu
 151, 272 (2003), for the family; A is where the errors of random tops are least.
 """
 
-from functools import lru_cache
 from typing import Final
 
 from particlerb.compiled.jit import kernel
@@ -27,7 +26,7 @@ from particlerb.integrators.stages import MovingBodies, loads, stages
 from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import ZERO, Floats
 from particlerb.model.block import COM, Q, get3, get4
-from particlerb.rotors.moser_veselov import LONGEST_PIECE, modified_inertia
+from particlerb.rotors.moser_veselov import cost_of_maps, modified_inertia
 
 A: Final = 0.2775
 DRIFTS: Final = (A, 1.0 - 2.0 * A, A)
@@ -42,15 +41,7 @@ _SPREAD: Final = sum(
     for other, s in zip(_ALL_KICKS, _KICK_TIMES, strict=True)
 )
 GRADIENT: Final = 0.25 * (1.0 / 3.0 - _SPREAD)  # 2κ of the second and the third kick
-_ASYMMETRIC_COST: Final = 1.35  # of a body with one map per drift, over that of others
 _NO_SHARE: Final = 0.0  # no drift is cut for its share of the step: maps of order 8 are good enough
-
-
-@lru_cache
-def _asymmetric_cost(turn: float) -> float:
-    """Of the Moser-Veselov maps per drift of a step in which a body turns so far [rad], about."""
-    maps = sum(max(1.0, share * turn / LONGEST_PIECE) for share in DRIFTS) / len(DRIFTS)
-    return _ASYMMETRIC_COST * maps
 
 
 @kernel
@@ -104,5 +95,5 @@ METHOD: Final = Method(
     closing_kick=CLOSING_KICK,
     step=step,
     rotor_constants=modified_inertia,
-    asymmetric_cost=_asymmetric_cost,
+    asymmetric_cost=cost_of_maps(1.35, DRIFTS),
 )

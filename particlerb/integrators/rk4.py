@@ -9,7 +9,7 @@ the form; Kutta 1901 for the method.
 
 from typing import Final
 
-from particlerb.contact.contact_model import BY_SLOPES, Instant, LoadTimes, Slope
+from particlerb.contact.contact_model import BY_SLOPES, LoadTimes, Slope
 from particlerb.forces.kernels import shift_time
 from particlerb.forces.kinds import CONTACT
 from particlerb.forces.registry import STAGE
@@ -27,9 +27,9 @@ from particlerb.integrators.slopes import (
 )
 from particlerb.integrators.stages import (
     MovingBodies,
-    kinematics,
     kinematics_later,
     loads,
+    shown_at,
     stage,
     stages,
 )
@@ -119,13 +119,6 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
         _one_slope(moving, first, last, k, dt)
 
 
-@stages
-def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
-    """Contacts at a frame."""
-    kinematics(moving, first, last, instant)
-    loads(moving, first, last, LoadTimes(0.0, 0.0, BY_SLOPES, Slope(0.0, 0.0, 0.0, True)))
-
-
 METHOD: Final = Method(
     name="rk4",
     summary="order 4, baseline; Runge-Kutta on (x, Q, P, L); energy drifts; any force",
@@ -137,7 +130,7 @@ METHOD: Final = Method(
     max_turn=0.5,
     step=step,
     coupled_step=coupled_step,
-    show=show,
+    show=shown_at(LoadTimes(0.0, 0.0, BY_SLOPES, Slope(0.0, 0.0, 0.0, True))),
     takes_slopes=True,
     contact_limit=four_slopes,
 )

@@ -11,7 +11,6 @@ of a step, are cut into pieces (rotors/moser_veselov.py).
 Source: Blanes and Moan, J. Comput. Appl. Math. 142, 313 (2002), coefficients SRKN₁₁ᵇ.
 """
 
-from functools import lru_cache
 from typing import Final
 
 from particlerb.contact.contact_model import NOW
@@ -19,7 +18,7 @@ from particlerb.forces.kinds import BODIES, POSE, TIME
 from particlerb.integrators.method import Method
 from particlerb.integrators.rotor_drift import KickAndDrift, kick_and_rotor_drift
 from particlerb.integrators.stages import MovingBodies, loads, shift_pairs, stages
-from particlerb.rotors.moser_veselov import LARGEST_SHARE, LONGEST_PIECE, modified_inertia
+from particlerb.rotors.moser_veselov import LARGEST_SHARE, cost_of_maps, modified_inertia
 
 KICKS: Final = (
     0.0414649985182624,
@@ -49,15 +48,6 @@ DRIFTS: Final = (
 )
 _KICK_TIMES: Final = tuple(sum(DRIFTS[:k], 0.0) for k in range(len(DRIFTS)))  # in steps
 CLOSING_KICK: Final = KICKS[0]
-_ASYMMETRIC_COST: Final = 1.55  # of a body with one map per drift, over that of others
-
-
-@lru_cache
-def _asymmetric_cost(turn: float) -> float:
-    """Of the Moser-Veselov maps per drift of a step in which a body turns so far [rad], about."""
-    largest = max(turn / LONGEST_PIECE, 1.0 / LARGEST_SHARE)
-    maps = sum(max(1.0, abs(share) * largest) for share in DRIFTS) / len(DRIFTS)
-    return _ASYMMETRIC_COST * maps
 
 
 @stages
@@ -85,5 +75,5 @@ METHOD: Final = Method(
     closing_kick=CLOSING_KICK,
     step=step,
     rotor_constants=modified_inertia,
-    asymmetric_cost=_asymmetric_cost,
+    asymmetric_cost=cost_of_maps(1.55, DRIFTS, LARGEST_SHARE),
 )

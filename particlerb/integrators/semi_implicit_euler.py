@@ -11,7 +11,7 @@ others use.
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.contact.contact_model import NEW_VELOCITIES, Instant, LoadTimes
+from particlerb.contact.contact_model import NEW_VELOCITIES, LoadTimes
 from particlerb.forces.kernels import (
     kick_others,
     kick_potential,
@@ -25,7 +25,7 @@ from particlerb.integrators.contact_stages import drift_walls, kick_walls
 from particlerb.integrators.external_work import book, entry_of_kick
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
-from particlerb.integrators.stages import MovingBodies, kinematics, loads, stage, stages
+from particlerb.integrators.stages import MovingBodies, loads, shown_at, stage, stages
 from particlerb.maths.quaternion import (
     add_scaled4,
     matrix,
@@ -96,13 +96,6 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     drift_walls(moving.contact, moving.team, dt)
 
 
-@stages
-def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
-    """Contacts at a frame."""
-    kinematics(moving, first, last, instant)
-    loads(moving, first, last, LoadTimes(0.0, 0.0, NEW_VELOCITIES, None))
-
-
 METHOD: Final = Method(
     name="semi_implicit_euler",
     summary="order 1, baseline; the game standard, implicit gyroscopic term; damps; any force",
@@ -114,6 +107,6 @@ METHOD: Final = Method(
     stability_limit=2.0,
     max_turn=0.5,
     step=step,
-    show=show,
+    show=shown_at(LoadTimes(0.0, 0.0, NEW_VELOCITIES, None)),
     contact_limit=old_velocity,
 )

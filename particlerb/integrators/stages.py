@@ -98,6 +98,11 @@ inlined_caller = _remembering(inline)
 """The same as a helper: a call hands some hundred arrays over, in half a microsecond."""
 
 
+def stages_with(function: Callable[..., None], **names: Any) -> Callable[..., None]:
+    """A list of stages whose globals of these names are to be others."""
+    return stages(in_python(function, **names))
+
+
 def over_threads(function: Function, **names: Any) -> Function:
     """A function made of stages, as Python that spreads each of them over threads.
 
@@ -263,6 +268,20 @@ def gather_loads(moving: MovingBodies, t: float, out: Floats) -> None:
             for i in range(3):
                 out[i, lo + b] = F[i]
                 out[3 + i, lo + b] = tau[i]
+
+
+TIMES: Final = NOW  # stands for those of a method
+
+
+def _show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+    """Contacts at a frame."""
+    kinematics(moving, first, last, instant)
+    loads(moving, first, last, TIMES)
+
+
+def shown_at(times: LoadTimes) -> Callable[..., None]:
+    """What shows contacts at a frame, of a method that ends its steps with no kick."""
+    return stages_with(_show, TIMES=times)
 
 
 @kernel

@@ -18,6 +18,9 @@ Source: Moser and Veselov, Commun. Math. Phys. 139, 217 (1991); Hairer and Vilma
 13225 (2006), for the modified inertia up to order 8.
 """
 
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -100,6 +103,22 @@ def polynomial(c: Cubic, N: float, H: float) -> float:
 def pieces_of(turn: float, share: float) -> int:
     """Number of maps for a drift that turns by so many radians, and takes this share of a step."""
     return min(max(int(turn / LONGEST_PIECE), int(share / LARGEST_SHARE)) + 1, MOST_PIECES)
+
+
+def cost_of_maps(
+    least: float, drifts: Sequence[float], largest_share: float = math.inf
+) -> Callable[[float], float]:
+    """Cost of an asymmetric body over that of others, from its turn in a step [rad], about.
+
+    It is `least` with one map for each of these drifts; no map takes more than a share of the step.
+    """
+
+    @lru_cache
+    def cost(turn: float) -> float:
+        largest = max(turn / LONGEST_PIECE, 1.0 / largest_share)
+        return least * sum(max(1.0, abs(share) * largest) for share in drifts) / len(drifts)
+
+    return cost
 
 
 @inline
