@@ -34,7 +34,7 @@ from particlerb.stepping.contact_lists import Histories
 from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.exchange import Domains, Exchange, kept_of
 from particlerb.stepping.loop import POSES, Position, Recording, loop_over_ranks, store_blocks
-from particlerb.stepping.motion import ForceAccount, MotionError, SegmentGroup, Shared
+from particlerb.stepping.motion import ForceAccount, MotionError, SegmentGroup
 from particlerb.stepping.shared_motion import GROSS, SharedMotion, initial_rows
 from particlerb.stepping.stepped_motion import SteppedMotion
 
@@ -48,10 +48,11 @@ class BrickMotion(SharedMotion):
     is_spread = True  # the loop enters kernels with all threads
 
     def __init__(
-        self, method: Method, shared: Shared, shown: SegmentGroup, state: State, start: float,
-        dt: float, before: SharedMotion | None = None,
+        self, method: Method, shown: SegmentGroup, state: State, start: float, dt: float,
+        histories: Histories | None = None,
     ) -> None:  # fmt: skip
-        self.exchange, self.shown, self.ranks = Exchange(shared, shown), shown, shared.ranks
+        self.exchange, self.shown = Exchange(shown), shown
+        self.ranks = self.exchange.ranks
         self.method, self.start, self.dt = method, start, dt
         exchange, number = self.exchange, self.ranks.number
         self.model, self.is_free = exchange.model, exchange.is_free
@@ -67,7 +68,7 @@ class BrickMotion(SharedMotion):
             self.domains = Domains(exchange, com[:, self.is_free][:, turns])
             owner = self.domains.owners(np.arange(com.shape[1]), com)
             bodies = np.flatnonzero(owner == number)
-            kept = [] if before is None else [kept_of(each) for each in before.lists.histories]
+            kept = [kept_of(each) for each in histories or ()]
             histories = exchange.routed(kept, owner) if kept else None
             skin = exchange.group.terms.known_contact.skin
             self.rebuild(bodies, self.initial[bodies], skin, histories)

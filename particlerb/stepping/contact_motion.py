@@ -308,9 +308,9 @@ class ContactMotion(SteppedMotion):
         self.part_of_step(FORCES)
         memory.extremes.displacement[:] = 0.0
         lists.spheres.history[:], lists.walls.history[:] = histories
-        frame = self.room_for_frames(1, memory.pistons.size)
-        self.show(frame, 0)
-        return self._energies_in(frame, np.zeros(1, np.int64))
+        self.frames = self.room_for_frames(1, memory.pistons.size)
+        self.show(self.frames, 0)
+        return self.contact_energies(np.zeros(1, np.int64))
 
     def show(self, frames: ContactFrames, frame: int) -> None:
         """Write what contacts have now into a frame."""
@@ -335,12 +335,9 @@ class ContactMotion(SteppedMotion):
         return state, booked
 
     def contact_energies(self, rows: Ints) -> Energies:
-        """Of contacts and pistons, in rows of the frames of the last `record`."""
-        return self._energies_in(self.frames, rows)
-
-    def _energies_in(self, shown: ContactFrames, rows: Ints) -> Energies:
-        """Of contacts and pistons, in rows of these frames; (T, n_worlds) where there are some."""
+        """Of contacts and pistons, in rows of the last frames; (T, n_worlds) of several worlds."""
         pistons, each = self.contact.setup.pistons, (rows.size, *shape_of(self.group.worlds))
+        shown = self.frames
         energies = [piston_energies(pistons, shown.pistons[row]) for row in rows.tolist()]
         kinetic, potential = np.array(energies).reshape(-1, 2).T[..., None]
         elastic = self.total(shown.elastic)[rows].reshape(rows.size, -1)

@@ -21,7 +21,7 @@ from particlerb.model.state import State, state_of
 from particlerb.model.superblocks import parts_of, writers
 from particlerb.ranks import Rows
 from particlerb.stepping.contact_lists import Histories
-from particlerb.stepping.motion import SegmentGroup, Shared
+from particlerb.stepping.motion import SegmentGroup
 
 _DISTANCE_MARGIN: Final = 1.0 + 1e-6  # of a distance that decides who is a ghost: it rounds
 
@@ -31,13 +31,13 @@ class Exchange:
 
     Parameters
     ----------
-    shared : Shared
-        All bodies.
     shown : SegmentGroup
-        Those that this rank shows.
+        Bodies that this rank shows, of those that are shared.
     """
 
-    def __init__(self, shared: Shared, shown: SegmentGroup) -> None:
+    def __init__(self, shown: SegmentGroup) -> None:
+        shared = shown.shared
+        assert shared is not None
         self.shared, self.group, self.ranks = shared, shared.group, shared.ranks
         self.model = self.group.terms.known_contact.model
         self.is_free = self.model.inv_mass > 0.0

@@ -67,13 +67,11 @@ def _contact_motion(
 ) -> Motion:  # fmt: skip
     """The same of bodies that touch, by a fixed step."""
     contact, shared = group.terms.known_contact, group.shared
-    if shared is not None:  # all are stepped
-        of_ranks = BrickMotion if shared.ranks.count > 1 else SharedMotion
-        earlier = before if isinstance(before, SharedMotion) else None
-        return of_ranks(method, shared, group, state, start, dt, earlier)
     flies = group.worlds is None and can_fly(method, group.terms, group.members.size)
-    motion = DiluteMotion if flies else ContactMotion
+    motion: type[DiluteMotion | ContactMotion] = DiluteMotion if flies else ContactMotion
     motion = motion if group.terms.has_springy_contact else ImpulseMotion
+    if shared is not None:  # all are stepped, by springs
+        motion = BrickMotion if shared.ranks.count > 1 else SharedMotion
     keeps = None if before is None else before.contact_start()
     if keeps is None:
         return motion(method, group, state, start, dt)

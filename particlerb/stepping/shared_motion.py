@@ -17,11 +17,11 @@ from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import State
 from particlerb.model.superblocks import Range
 from particlerb.ranks import ending_all
-from particlerb.stepping.contact_lists import WallsAhead
+from particlerb.stepping.contact_lists import Histories, WallsAhead
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.exchange import Exchange, histories_of, kept_of
 from particlerb.stepping.loop import POSES
-from particlerb.stepping.motion import SegmentGroup, Shared
+from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.saved_arrays import OF_BODIES, Saved, under, within
 
 MOMENTA: Final = CHANGING  # column of a body from which on those of the drift before the last are,
@@ -37,26 +37,18 @@ class SharedMotion(ContactMotion):
 
     Parameters
     ----------
-    method : Method
-    shared : Shared
-        All bodies.
-    shown : SegmentGroup
-        Those that this rank shows.
-    state : State
-        Of these.
-    start, dt : float [s]
-    before : SharedMotion, optional
-        Of the segment before.
+    method, shown, state, start, dt, histories :
+        As for `ContactMotion`; the group is of bodies that this rank shows.
     """
 
     def __init__(
-        self, method: Method, shared: Shared, shown: SegmentGroup, state: State, start: float,
-        dt: float, before: "SharedMotion | None" = None,
+        self, method: Method, shown: SegmentGroup, state: State, start: float, dt: float,
+        histories: Histories | None = None,
     ) -> None:  # fmt: skip
-        self.exchange, self.shown, self.ranks = Exchange(shared, shown), shown, shared.ranks
+        self.exchange, self.shown = Exchange(shown), shown
+        self.ranks = self.exchange.ranks
         n = self.exchange.home.size
         self.local, self.is_own = np.arange(n), np.ones(n, dtype=np.bool_)
-        histories = None if before is None else before.lists.histories
         super().__init__(method, shown, state, start, dt, histories=histories)
 
     # Checkpoints
