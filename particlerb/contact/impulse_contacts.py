@@ -23,26 +23,8 @@ from particlerb.contact.walls import (
     normal_rate,
     primitive_at,
 )
-from particlerb.impulses.records import (
-    ARM,
-    B_LARGEST,
-    DEEPEST,
-    DEEPEST_NOW,
-    FRICTION,
-    GAP,
-    INVERSE,
-    LEAST,
-    MOTOR,
-    NORMAL,
-    RADIUS,
-    REST_KICKS,
-    RESTITUTION,
-    SLOW,
-    Bounded,
-    Impulses,
-    Partners,
-    Rolling,
-)
+from particlerb.impulses import records as col
+from particlerb.impulses.records import Bounded, Impulses, Partners, Rolling
 from particlerb.impulses.rolling import ABOUT, ACROSS
 from particlerb.impulses.rows import in_world, lean, write_frame
 from particlerb.maths.quaternion import Quat, to_body, to_world
@@ -85,8 +67,8 @@ def _note_motors(partners: Partners, bounded: Bounded | None) -> None:
         return
     speeds = partners.speeds
     for k in range(bounded.kind.size):
-        if bounded.kind[k] == MOTOR:
-            half = 0.5 * bounded.values[k, B_LARGEST]
+        if bounded.kind[k] == col.MOTOR:
+            half = 0.5 * bounded.values[k, col.B_LARGEST]
             for j in range(bounded.start[k], bounded.start[k + 1]):
                 b = bounded.member[j]
                 speeds[b, 2] += half * length(row3_at(bounded.response, j, 0))
@@ -98,7 +80,7 @@ def _by_turning(impulses: Impulses, a: int, arm: float) -> tuple[float, float]:
     """Speeds [m/s] of a body's points by turning, and by what half a kick gives in four."""
     speeds = impulses.partners.speeds
     turning, kick = arm * speeds[a, 1], speeds[a, 2] + arm * speeds[a, 3]
-    return turning, REST_KICKS * kick + _REST_SPEED_SHARE * (speeds[a, 0] + turning)
+    return turning, col.REST_KICKS * kick + _REST_SPEED_SHARE * (speeds[a, 0] + turning)
 
 
 @inline
@@ -115,7 +97,7 @@ def _is_near(
         turning_b, slow_b = _by_turning(impulses, b, setup.max_arm[b] + radii)
         turning, slow = turning + turning_b, max(slow, slow_b)
     else:
-        slow = max(slow, REST_KICKS * impulses.partners.speeds[b, 2])
+        slow = max(slow, col.REST_KICKS * impulses.partners.speeds[b, 2])
     return gap <= impulses.rules.slop + dt * (length(between) + turning + slow), slow
 
 
@@ -129,21 +111,21 @@ def _take_in(
     count[0] = k + 1
     rows.first[k], rows.second[k], rows.entry[k] = near.first, near.second, entry
     write_frame(partners, rows, k, near.normal, near.point)
-    rows.frame[k, LEAST] = -gap / dt if gap > impulses.rules.slop else 0.0
-    rows.frame[k, FRICTION] = setup.model.law.friction[pair]
-    rows.limits[k, GAP], rows.limits[k, SLOW] = gap, near.slow
-    rows.limits[k, RADIUS] = near.radius
-    rows.limits[k, RESTITUTION] = impulses.rules.restitution[pair]
+    rows.frame[k, col.LEAST] = -gap / dt if gap > impulses.rules.slop else 0.0
+    rows.frame[k, col.FRICTION] = setup.model.law.friction[pair]
+    rows.limits[k, col.GAP], rows.limits[k, col.SLOW] = gap, near.slow
+    rows.limits[k, col.RADIUS] = near.radius
+    rows.limits[k, col.RESTITUTION] = impulses.rules.restitution[pair]
     c = entry if entry >= 0 else ~entry
     force = row3(contacts.history.force, c)
     put_row3_at(rows.impulse, k, 0, scale(dt, force))
     acc_a, acc_b = row3_at(partners.before, near.first, 6), row3_at(partners.before, near.second, 6)
-    changes = add(near.changes, cross(acc_a, row3_at(rows.frame, k, ARM)))
-    changes = subtract(changes, cross(acc_b, row3_at(rows.frame, k, ARM + 3)))
+    changes = add(near.changes, cross(acc_a, row3_at(rows.frame, k, col.ARM)))
+    changes = subtract(changes, cross(acc_b, row3_at(rows.frame, k, col.ARM + 3)))
     lean(partners, rows, k, changes, force, dt, impulses.rules.slop)
     put_row3_at(rows.impact, k, 0, ZERO)
     _take_in_rolling(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
-    for deepest in (DEEPEST, DEEPEST_NOW):
+    for deepest in (col.DEEPEST, col.DEEPEST_NOW):
         tally[deepest] = max(tally[deepest], -gap)
 
 
@@ -357,11 +339,11 @@ def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) 
     history, forces, rows = contacts.history, contacts.forces, impulses.rows
     pressed, impact = row3_at(rows.impulse, k, 0), row3_at(rows.impact, k, 0)
     put_row3(history.force, c, scale(1.0 / dt, in_world(rows.frame, k, pressed)))
-    history.inv_effective_mass[c] = rows.frame[k, INVERSE]
+    history.inv_effective_mass[c] = rows.frame[k, col.INVERSE]
     total = scale(1.0 / dt, add(pressed, impact))
-    put_row3(forces.elastic, c, scale(total[0], row3_at(rows.frame, k, NORMAL)))
+    put_row3(forces.elastic, c, scale(total[0], row3_at(rows.frame, k, col.NORMAL)))
     put_row3(forces.other, c, in_world(rows.frame, k, (0.0, total[1], total[2])))
-    arm, position = row3_at(rows.frame, k, ARM), impulses.partners.position
+    arm, position = row3_at(rows.frame, k, col.ARM), impulses.partners.position
     put_row3(forces.point, c, add(arm, row3_at(position, rows.first[k], 0)))
     _keep_rolling(rows.rolling, contacts, c, impulses, k, dt)
     contacts.active[c] = True

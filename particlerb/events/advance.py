@@ -6,36 +6,11 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.sphere_search import LARGEST_NUMBER
+from particlerb.events import records as col
 from particlerb.events.collide import collide
 from particlerb.events.predict import cross, predict
-from particlerb.events.records import (
-    AT_ONCE,
-    CELL,
-    DONE,
-    ENDLESS,
-    EPOCH,
-    EXIT,
-    FAR,
-    HIT,
-    HITS,
-    INSTANT,
-    LEAVE,
-    MORE,
-    OTHER,
-    OVERLAP,
-    OWN,
-    PARTNER,
-    REMEMBERED,
-    SINCE,
-    STAMP,
-    TURNED,
-    UNFOUND,
-    WALL,
-    EventData,
-    EventScene,
-    EventState,
-)
-from particlerb.impulses.records import RENEWED
+from particlerb.events.records import EventData, EventScene, EventState
+from particlerb.impulses import records as impulses
 
 _MAX_IMPACTS: Final = 1000  # of a body in an instant, on average: more are taken for endless
 _INSTANT_SHARE: Final = 1e-5  # of the period
@@ -45,30 +20,30 @@ _INSTANT_SHARE: Final = 1e-5  # of the period
 def _hit(scene: EventScene, state: EventState, data: EventData, b: int, c: int, t: float) -> int:
     """Let the impact of body b with c happen; how that ends."""
     instant = _INSTANT_SHARE * scene.period if scene.period < np.inf else 0.0
-    if t - state.sums[INSTANT] > instant:
-        state.sums[INSTANT], state.sums[AT_ONCE] = t, 0.0
-    state.sums[AT_ONCE] += 1.0
-    if state.sums[AT_ONCE] > _MAX_IMPACTS * scene.n_moving:
-        return ENDLESS
+    if t - state.sums[col.INSTANT] > instant:
+        state.sums[col.INSTANT], state.sums[col.AT_ONCE] = t, 0.0
+    state.sums[col.AT_ONCE] += 1.0
+    if state.sums[col.AT_ONCE] > _MAX_IMPACTS * scene.n_moving:
+        return col.ENDLESS
     first, second = (b, c) if c < 0 else (min(b, c), max(b, c))
-    sphere, other = int(np.int64(state.info[b, OWN])), int(np.int64(state.info[b, OTHER]))
-    return DONE if collide(scene, state, data, first, second, sphere, other, t) else OVERLAP
+    sphere, other = int(np.int64(state.info[b, col.OWN])), int(np.int64(state.info[b, col.OTHER]))
+    return col.DONE if collide(scene, state, data, first, second, sphere, other, t) else col.OVERLAP
 
 
 @inline
 def _count_anew(scene: EventScene, state: EventState) -> None:
     """Count times from a period later on."""
     for b in range(state.place.size):
-        state.flight[b, SINCE] -= scene.period
-        state.spin[b, TURNED] -= scene.period
-        state.at[b, HIT] -= scene.period
-        state.at[b, LEAVE] -= scene.period
-        for k in range(REMEMBERED):
+        state.flight[b, col.SINCE] -= scene.period
+        state.spin[b, col.TURNED] -= scene.period
+        state.at[b, col.HIT] -= scene.period
+        state.at[b, col.LEAVE] -= scene.period
+        for k in range(col.REMEMBERED):
             state.contact_at[b, k] -= scene.period
     for k in range(state.heap.size):
         state.heap_time[k] -= scene.period
-    state.sums[INSTANT] -= scene.period
-    state.sums[EPOCH] += scene.period
+    state.sums[col.INSTANT] -= scene.period
+    state.sums[col.EPOCH] += scene.period
 
 
 @kernel
@@ -77,25 +52,25 @@ def advance(
 ) -> tuple[int, int]:
     """Take all events until a time [s], but no more than so many; how that ends, and whose."""
     for _ in range(most):
-        if state.heap.size == 0 or state.heap_time[0] + state.sums[EPOCH] > until:
-            return DONE, -1
+        if state.heap.size == 0 or state.heap_time[0] + state.sums[col.EPOCH] > until:
+            return col.DONE, -1
         if state.heap_time[0] > 2.0 * scene.period:
             _count_anew(scene, state)
         b, t = int(np.int64(state.heap[0])), state.heap_time[0]
-        c, partner, side = int(np.int64(state.info[b, PARTNER])), -1, -1
-        if state.at[b, LEAVE] < state.at[b, HIT]:
-            side = int(np.int64(state.info[b, EXIT]))
-            if abs(np.int64(state.info[b, CELL + side // 2])) >= LARGEST_NUMBER:
-                return FAR, b
+        c, partner, side = int(np.int64(state.info[b, col.PARTNER])), -1, -1
+        if state.at[b, col.LEAVE] < state.at[b, col.HIT]:
+            side = int(np.int64(state.info[b, col.EXIT]))
+            if abs(np.int64(state.info[b, col.CELL + side // 2])) >= LARGEST_NUMBER:
+                return col.FAR, b
             cross(scene, state, b)
-        elif c == WALL or state.info[b, STAMP] == state.info[c, HITS]:
+        elif c == col.WALL or state.info[b, col.STAMP] == state.info[c, col.HITS]:
             result = _hit(scene, state, data, b, c, t)
-            if result != DONE:
+            if result != col.DONE:
                 return result, b
             partner = c if c < scene.n_moving else -1
         else:
-            state.tally[RENEWED] += 1.0
+            state.tally[impulses.RENEWED] += 1.0
         for body in (b, partner):
             if body >= 0 and not predict(scene, state, data.centre, body, t, side):
-                return UNFOUND, b
-    return MORE, -1
+                return col.UNFOUND, b
+    return col.MORE, -1

@@ -11,41 +11,12 @@ from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.walls import primitive_at
+from particlerb.events import records as col
 from particlerb.events.flight import bring, flight_at, in_box, orientation_at, posed, set_spin
-from particlerb.events.records import (
-    BODY_INV_INERTIA,
-    BODY_INV_MASS,
-    BODY_REACH,
-    BOUND,
-    FASTEST,
-    FLIGHT_V,
-    HITS,
-    MATERIAL,
-    REMEMBERED,
-    SPHERE_RADIUS,
-    SUM_BOOKED,
-    WALL,
-    EventData,
-    EventScene,
-    EventState,
-)
+from particlerb.events.records import EventData, EventScene, EventState
 from particlerb.events.search import normal_to
+from particlerb.impulses import records as impulses
 from particlerb.impulses.impacts import impact
-from particlerb.impulses.records import (
-    ARM,
-    DEEPEST,
-    DEEPEST_NOW,
-    ELASTIC,
-    FRICTION,
-    FRICTION_WORK,
-    GRAZING,
-    GROSS_WORK,
-    IMPACT_WORK,
-    IMPACTS,
-    LARGEST_GAP,
-    SMALLEST_GAP,
-    WALL_IMPACTS,
-)
 from particlerb.impulses.rows import (
     in_frame,
     in_world,
@@ -62,6 +33,7 @@ from particlerb.maths.vec3 import (
     add_scaled,
     component_product,
     cross,
+    divide,
     dot,
     norm,
     scale,
@@ -79,11 +51,11 @@ def _restitution(
 ) -> float:
     """Restitution of a contact of body a: 1 where it hits again within the contact time."""
     oldest = 0
-    for k in range(REMEMBERED):
+    for k in range(col.REMEMBERED):
         if state.contact[a, k] == key:
             before, state.contact_at[a, k] = state.contact_at[a, k], t
             if t - before < scene.contact_time:
-                state.tally[ELASTIC] += 1.0
+                state.tally[impulses.ELASTIC] += 1.0
                 return 1.0
             return float(scene.rules[pair, 0])
         if state.contact_at[a, k] < state.contact_at[a, oldest]:
@@ -99,11 +71,11 @@ def _partner(
     """Write a body, or its image that is shifted, as partner `at` of an impact."""
     x, _ = flight_at(scene, state, b, t)
     R, omega = posed(scene, state, b, t)
-    moments = row3_at(scene.body, b, BODY_INV_INERTIA)
+    moments = row3_at(scene.body, b, col.BODY_INV_INERTIA)
     put_row3_at(data.position, at, 0, add(x, shift))
-    put_row3_at(data.velocity, at, 0, row3_at(state.flight, b, FLIGHT_V))
+    put_row3_at(data.velocity, at, 0, row3_at(state.flight, b, col.FLIGHT_V))
     put_row3_at(data.velocity, at, 3, omega)
-    data.inverse[at, 0], column = scene.body[b, BODY_INV_MASS], 1
+    data.inverse[at, 0], column = scene.body[b, col.BODY_INV_MASS], 1
     for i in range(3):
         for j in range(i, 3):
             data.inverse[at, column] = dot(component_product(moments, _row(R, i)), _row(R, j))
@@ -130,8 +102,8 @@ def _apply_impulse(scene: EventScene, state: EventState, data: EventData, b: int
     """Let a body go on with what an impact has given it."""
     if b >= scene.n_moving:
         return
-    put_row3_at(state.flight, b, FLIGHT_V, row3_at(data.velocity, at, 0))
-    torque = cross(row3_at(data.frame, 0, ARM + 3 * at), p)
+    put_row3_at(state.flight, b, col.FLIGHT_V, row3_at(data.velocity, at, 0))
+    torque = cross(row3_at(data.frame, 0, impulses.ARM + 3 * at), p)
     spin = add(row3(state.spin, b), torque)
     set_spin(scene, state, b, t, orientation_at(scene, state, b, t), spin)
 
@@ -141,7 +113,7 @@ def _sphere(
     around: Flag, scene: EventScene, state: EventState, b: int, i: int, x: Vec3, t: float
 ) -> Vec3:
     """Centre of sphere i of body b, whose centre of mass is at x."""
-    if around is None or scene.body[b, BODY_REACH] == 0.0:
+    if around is None or scene.body[b, col.BODY_REACH] == 0.0:
         return x
     R, _ = posed(scene, state, b, t)
     return add(x, turn(R, row3(scene.sphere, i)))
@@ -156,9 +128,9 @@ def _geometry(
     By the shift [m] the image of b is away that hits a.
     """
     x, _ = flight_at(scene, state, a, t)
-    c, r = _sphere(scene.around, scene, state, a, i, x, t), scene.sphere[i, SPHERE_RADIUS]
+    c, r = _sphere(scene.around, scene, state, a, i, x, t), scene.sphere[i, col.SPHERE_RADIUS]
     size = abs(c[0]) + abs(c[1]) + abs(c[2]) + r
-    if b == WALL:
+    if b == col.WALL:
         wall = primitive_at(scene.wall_kind, scene.wall_parameter, j)
         distance, n, _ = normal_to(wall, c)
         return n, add_scaled(-distance, n, c), distance - r, size, ZERO
@@ -166,7 +138,7 @@ def _geometry(
     apart = subtract(c, _sphere(scene.around, scene, state, b, j, y, t))
     d = in_box(scene.box, apart)
     distance = norm(d)
-    n, radius = (d[0] / distance, d[1] / distance, d[2] / distance), scene.sphere[j, SPHERE_RADIUS]
+    n, radius = divide(d, distance), scene.sphere[j, col.SPHERE_RADIUS]
     gap = distance - r - radius
     return n, add_scaled(-r - 0.5 * gap, n, c), gap, size + radius, subtract(apart, d)
 
@@ -174,41 +146,40 @@ def _geometry(
 @inline
 def _fastest(state: EventState, b: int) -> float:
     """Speed of any point of a body [m/s], at most."""
-    return norm(row3_at(state.flight, b, FLIGHT_V)) + float(
-        state.spin[b, FASTEST] * state.flight[b, BOUND]
-    )
+    turning: float = state.spin[b, col.FASTEST] * state.flight[b, col.BOUND]
+    return norm(row3_at(state.flight, b, col.FLIGHT_V)) + turning
 
 
 @inline
 def _watch(scene: EventScene, state: EventState, i: int, b: int, j: int, gap: float) -> None:
     """Keep what gaps were at impacts."""
-    radius = scene.sphere[i, SPHERE_RADIUS]
-    if b != WALL:
-        radius = min(radius, scene.sphere[j, SPHERE_RADIUS])
+    radius = scene.sphere[i, col.SPHERE_RADIUS]
+    if b != col.WALL:
+        radius = min(radius, scene.sphere[j, col.SPHERE_RADIUS])
     tally = state.tally
-    tally[SMALLEST_GAP] = min(tally[SMALLEST_GAP], gap / radius)
-    tally[LARGEST_GAP] = max(tally[LARGEST_GAP], gap / radius)
-    tally[DEEPEST] = max(tally[DEEPEST], -gap)
-    tally[DEEPEST_NOW] = max(tally[DEEPEST_NOW], -gap)
+    tally[impulses.SMALLEST_GAP] = min(tally[impulses.SMALLEST_GAP], gap / radius)
+    tally[impulses.LARGEST_GAP] = max(tally[impulses.LARGEST_GAP], gap / radius)
+    tally[impulses.DEEPEST] = max(tally[impulses.DEEPEST], -gap)
+    tally[impulses.DEEPEST_NOW] = max(tally[impulses.DEEPEST_NOW], -gap)
 
 
 @inline
 def _count(state: EventState, is_wall: bool, normal: float, rubbed: float, grazes: bool) -> None:
     """Count an impact and its work [J]."""
-    state.tally[IMPACTS] += 1.0
-    state.tally[WALL_IMPACTS] += 1.0 if is_wall else 0.0
-    state.tally[GRAZING] += 1.0 if grazes else 0.0
-    state.tally[IMPACT_WORK] += normal
-    state.tally[FRICTION_WORK] += rubbed
-    state.tally[GROSS_WORK] += abs(normal) + abs(rubbed)
-    state.sums[SUM_BOOKED] += normal + rubbed
+    state.tally[impulses.IMPACTS] += 1.0
+    state.tally[impulses.WALL_IMPACTS] += 1.0 if is_wall else 0.0
+    state.tally[impulses.GRAZING] += 1.0 if grazes else 0.0
+    state.tally[impulses.IMPACT_WORK] += normal
+    state.tally[impulses.FRICTION_WORK] += rubbed
+    state.tally[impulses.GROSS_WORK] += abs(normal) + abs(rubbed)
+    state.sums[col.SUM_BOOKED] += normal + rubbed
 
 
 @inline
 def _give_outside(state: EventState, point: Vec3, p: Vec3) -> None:
     """Sum the impulse [N s] that a wall or a held body has given, at a point."""
     for k in range(3):
-        state.sums[SUM_BOOKED + 1 + k] += p[k]
+        state.sums[col.SUM_BOOKED + 1 + k] += p[k]
     _give_spin(state, point, p)
 
 
@@ -217,26 +188,26 @@ def _give_spin(state: EventState, arm: Vec3, p: Vec3) -> None:
     """Sum the angular impulse [N m s] from outside, or between a body and an image of another."""
     spin = cross(arm, p)
     for k in range(3):
-        state.sums[SUM_BOOKED + 4 + k] += spin[k]
+        state.sums[col.SUM_BOOKED + 4 + k] += spin[k]
 
 
 @inline
 def _hit_of_balls(scene: EventScene, state: EventState, a: int, b: int, n: Vec3, e: float) -> Vec3:
     """Frictionless impact along a normal through both centres of mass; the impulse on a."""
-    u = row3_at(state.flight, a, FLIGHT_V)
-    w = scene.body[a, BODY_INV_MASS]
-    if b != WALL:
-        u, w = subtract(u, row3_at(state.flight, b, FLIGHT_V)), w + scene.body[b, BODY_INV_MASS]
+    v, w_a = row3_at(state.flight, a, col.FLIGHT_V), scene.body[a, col.BODY_INV_MASS]
+    other, w_b = ZERO, 0.0
+    if b != col.WALL:
+        other, w_b = row3_at(state.flight, b, col.FLIGHT_V), scene.body[b, col.BODY_INV_MASS]
+    u = subtract(v, other)
     before = dot(u, n)
-    p = -(1.0 + e) * before / w
-    after = add_scaled(p * scene.body[a, BODY_INV_MASS], n, row3_at(state.flight, a, FLIGHT_V))
-    put_row3_at(state.flight, a, FLIGHT_V, after)
-    if b != WALL:
-        other = add_scaled(-p * scene.body[b, BODY_INV_MASS], n, row3_at(state.flight, b, FLIGHT_V))
-        put_row3_at(state.flight, b, FLIGHT_V, other)
-        after = subtract(after, other)
-    work = 0.5 * p * (before + dot(after, n))
-    _count(state, b == WALL, work, 0.0, abs(before) < _GRAZING_SHARE * norm(u))
+    p = -(1.0 + e) * before / (w_a + w_b)
+    after = add_scaled(p * w_a, n, v)
+    put_row3_at(state.flight, a, col.FLIGHT_V, after)
+    if b != col.WALL:
+        other = add_scaled(-p * w_b, n, other)
+        put_row3_at(state.flight, b, col.FLIGHT_V, other)
+    work = 0.5 * p * (before + dot(subtract(after, other), n))
+    _count(state, b == col.WALL, work, 0.0, abs(before) < _GRAZING_SHARE * norm(u))
     return scale(p, n)
 
 
@@ -258,12 +229,12 @@ def _hit(scene: EventScene, state: EventState, data: EventData, of: Impact) -> V
     """Impact of any two; the impulse on a."""
     a, b, t, frame = of.a, of.b, of.t, data.frame
     _partner(scene, state, data, a, 0, ZERO, t)
-    if b == WALL:
+    if b == col.WALL:
         _wall_partner(data)
     else:
         _partner(scene, state, data, b, 1, of.shift, t)
     write_frame_of(frame, data.inverse, data.position, 0, (0, 1), of.normal, of.point)
-    frame[0, FRICTION] = of.friction
+    frame[0, impulses.FRICTION] = of.friction
     u = in_frame(frame, 0, velocity_between(data.velocity, frame, 0, 0, 1))
     r = impact(frame, 0, u, of.restitution)
     p = in_world(frame, 0, r)
@@ -271,9 +242,9 @@ def _hit(scene: EventScene, state: EventState, data: EventData, of: Impact) -> V
     after = in_frame(frame, 0, velocity_between(data.velocity, frame, 0, 0, 1))
     normal = 0.5 * r[0] * (u[0] + after[0])
     rubbed = 0.5 * (r[1] * (u[1] + after[1]) + r[2] * (u[2] + after[2]))
-    _count(state, b == WALL, normal, rubbed, abs(u[0]) < _GRAZING_SHARE * norm(u))
+    _count(state, b == col.WALL, normal, rubbed, abs(u[0]) < _GRAZING_SHARE * norm(u))
     _apply_impulse(scene, state, data, a, 0, p, t)
-    if b != WALL:
+    if b != col.WALL:
         _apply_impulse(scene, state, data, b, 1, scale(-1.0, p), t)
     return p
 
@@ -285,8 +256,8 @@ def _hit_of_any(
     """Impact of any two, where some may change how a body turns, or none; the impulse on a."""
     if rubs is None:
         return _hit_of_balls(scene, state, of.a, of.b, of.normal, of.restitution)
-    is_round = scene.body[of.a, BODY_REACH] == 0.0 and (
-        of.b == WALL or scene.body[of.b, BODY_REACH] == 0.0
+    is_round = scene.body[of.a, col.BODY_REACH] == 0.0 and (
+        of.b == col.WALL or scene.body[of.b, col.BODY_REACH] == 0.0
     )
     if of.friction == 0.0 and is_round:
         return _hit_of_balls(scene, state, of.a, of.b, of.normal, of.restitution)
@@ -303,24 +274,24 @@ def collide(
     False: they overlap by more than rounding, and nothing was done.
     """
     bring(scene, state, a, t)
-    if b != WALL:
+    if b != col.WALL:
         bring(scene, state, b, t)
     n, point, gap, size, shift = _geometry(scene, state, a, b, i, j, t)
     _watch(scene, state, i, b, j, gap)
-    speed = _fastest(state, a) + (_fastest(state, b) if b != WALL else 0.0)
+    speed = _fastest(state, a) + (_fastest(state, b) if b != col.WALL else 0.0)
     if gap < -_GAP_ROUNDING * size - _TIME_ROUNDING * t * speed:
         return False
-    material = scene.wall_material[j] if b == WALL else scene.kind[b, MATERIAL]
-    pair = scene.pair_of[scene.kind[a, MATERIAL], material]
+    material = scene.wall_material[j] if b == col.WALL else scene.kind[b, col.MATERIAL]
+    pair = scene.pair_of[scene.kind[a, col.MATERIAL], material]
     n_spheres = scene.sphere.shape[0]
-    key = i * (n_spheres + scene.wall_kind.size) + (j + n_spheres if b == WALL else j)
+    key = i * (n_spheres + scene.wall_kind.size) + (j + n_spheres if b == col.WALL else j)
     e, mu = _restitution(scene, state, a, key, pair, t), scene.rules[pair, 1]
     of = Impact(a, b, n, point, shift, e, mu, t)
     p = _hit_of_any(scene.rubs, scene, state, data, of)
-    state.info[a, HITS] += 1
-    if b != WALL:
-        state.info[b, HITS] += 1
-    if b == WALL or b >= scene.n_moving:
+    state.info[a, col.HITS] += 1
+    if b != col.WALL:
+        state.info[b, col.HITS] += 1
+    if b == col.WALL or b >= scene.n_moving:
         _give_outside(state, point, p)
     elif scene.box is not None:
         _give_spin(state, shift, p)

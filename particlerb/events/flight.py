@@ -5,24 +5,8 @@ import math
 import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel
-from particlerb.events.records import (
-    BEND,
-    BODY_CURVED,
-    BODY_INERTIA,
-    BODY_INV_INERTIA,
-    BODY_INV_MASS,
-    BODY_MASS,
-    FASTEST,
-    FLIGHT_V,
-    FLIGHT_X,
-    IS_ASYMMETRIC,
-    MOMENT,
-    SINCE,
-    SPIN_L,
-    TURNED,
-    EventScene,
-    EventState,
-)
+from particlerb.events import records as col
+from particlerb.events.records import EventScene, EventState
 from particlerb.maths.quaternion import Matrix, Quat, matrix, normalised, to_body, turn, turn_back
 from particlerb.maths.rows import put_row3_at, row3, row3_at
 from particlerb.maths.vec3 import (
@@ -51,8 +35,8 @@ def pull(scene: EventScene, b: int) -> Vec3:
 @inline
 def flight_at(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Vec3, Vec3]:
     """Centre of mass [m] and velocity [m/s] of a body at a time."""
-    x, v, g = row3(state.flight, b), row3_at(state.flight, b, FLIGHT_V), pull(scene, b)
-    h = t - state.flight[b, SINCE]
+    x, v, g = row3(state.flight, b), row3_at(state.flight, b, col.FLIGHT_V), pull(scene, b)
+    h = t - state.flight[b, col.SINCE]
     mean = add_scaled(0.5 * h, g, v)
     return add_scaled(h, mean, x), add_scaled(h, g, v)
 
@@ -74,8 +58,8 @@ def in_box(box: tuple[Vec3, Vec3] | None, d: Vec3) -> Vec3:
 def _turned(turns: Flag, state: EventState, b: int, t: float) -> Quat:
     """`orientation_at`, where some body is asymmetric or none."""
     if turns is None:
-        return steadily_turned(state.turn, b, t - state.spin[b, TURNED])
-    return turned(state.turn, b, t - state.spin[b, TURNED])
+        return steadily_turned(state.turn, b, t - state.spin[b, col.TURNED])
+    return turned(state.turn, b, t - state.spin[b, col.TURNED])
 
 
 @inline
@@ -90,13 +74,13 @@ def _set_turn(
 ) -> None:
     """Write the turn of a body, where some is asymmetric or none."""
     inertia, inverse = (
-        row3_at(scene.body, b, BODY_INERTIA),
-        row3_at(scene.body, b, BODY_INV_INERTIA),
+        row3_at(scene.body, b, col.BODY_INERTIA),
+        row3_at(scene.body, b, col.BODY_INV_INERTIA),
     )
     if turns is None:
         set_steady_turn(state.turn, b, inverse, q, spin)
     else:
-        is_asymmetric = scene.kind[b, IS_ASYMMETRIC] == 1
+        is_asymmetric = scene.kind[b, col.IS_ASYMMETRIC] == 1
         set_turn(state.turn, b, inertia, inverse, is_asymmetric, q, spin)
 
 
@@ -104,7 +88,7 @@ def _set_turn(
 def angular_velocity(scene: EventScene, state: EventState, b: int, R: Matrix) -> Vec3:
     """Angular velocity [rad/s] of a body that is turned by R, world axes."""
     m = turn_back(R, row3(state.spin, b))
-    return turn(R, component_product(row3_at(scene.body, b, BODY_INV_INERTIA), m))
+    return turn(R, component_product(row3_at(scene.body, b, col.BODY_INV_INERTIA), m))
 
 
 @inline
@@ -115,16 +99,16 @@ def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, sp
     ω̇_i = (I_j - I_k) ω_j ω_k / I_i, so that |ω̇| <= max |I_j - I_k|/I_i |ω|²/√3; points at r
     are accelerated by (|ω̇| + |ω|²) r at most.
     """
-    q, inverse = normalised(q), row3_at(scene.body, b, BODY_INV_INERTIA)
-    put_row3_at(state.spin, b, SPIN_L, spin)
-    state.spin[b, TURNED] = t
+    q, inverse = normalised(q), row3_at(scene.body, b, col.BODY_INV_INERTIA)
+    put_row3_at(state.spin, b, col.SPIN_L, spin)
+    state.spin[b, col.TURNED] = t
     _set_turn(scene.turns, scene, state, b, q, spin)
     m = to_body(q, spin)
     largest = max(inverse[0], inverse[1], inverse[2])
     fastest = math.sqrt(largest * dot(m, component_product(inverse, m)))
     fastest = min(fastest, largest * norm(spin))
-    state.spin[b, FASTEST] = fastest
-    state.spin[b, BEND] = scene.body[b, BODY_CURVED] * fastest * fastest
+    state.spin[b, col.FASTEST] = fastest
+    state.spin[b, col.BEND] = scene.body[b, col.BODY_CURVED] * fastest * fastest
 
 
 @inline
@@ -133,18 +117,18 @@ def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
     if b >= scene.n_moving:
         return
     x, v = flight_at(scene, state, b, t)
-    add_moment(scene, state, b, t, state.sums, MOMENT)
-    put_row3_at(state.flight, b, FLIGHT_X, x)
-    put_row3_at(state.flight, b, FLIGHT_V, v)
-    state.flight[b, SINCE] = t
+    add_moment(scene, state, b, t, state.sums, col.MOMENT)
+    put_row3_at(state.flight, b, col.FLIGHT_X, x)
+    put_row3_at(state.flight, b, col.FLIGHT_V, v)
+    state.flight[b, col.SINCE] = t
 
 
 @inline
 def add_moment(scene: EventScene, state: EventState, b: int, t: float, to: Floats, at: int) -> None:
     """Add m ∫ x dt of a flight until a time [kg m s] to three numbers from `at` on."""
-    h = t - state.flight[b, SINCE]
-    x, v, g = row3(state.flight, b), row3_at(state.flight, b, FLIGHT_V), pull(scene, b)
-    mass = scene.body[b, BODY_MASS]
+    h = t - state.flight[b, col.SINCE]
+    x, v, g = row3(state.flight, b), row3_at(state.flight, b, col.FLIGHT_V), pull(scene, b)
+    mass = scene.body[b, col.BODY_MASS]
     path = scale(mass * h, x)
     path = add_scaled(0.5 * mass * h * h, v, path)
     path = add_scaled(mass * h * h * h / 6.0, g, path)
@@ -164,15 +148,16 @@ def states_at(
         Column of `out` of each body.
     """
     for k in range(3):
-        moment[k] = state.sums[MOMENT + k]
+        moment[k] = state.sums[col.MOMENT + k]
     for b in range(state.place.size):
         i = to[b]
         x, v = flight_at(scene, state, b, t)
         q, spin = orientation_at(scene, state, b, t), row3(state.spin, b)
         if b < scene.n_moving:
             add_moment(scene, state, b, t, moment, 0)
+        p = scale(scene.body[b, col.BODY_MASS], v)
         for k in range(3):
-            out.com[k, i], out.p[k, i], out.L[k, i] = x[k], scene.body[b, BODY_MASS] * v[k], spin[k]
+            out.com[k, i], out.p[k, i], out.L[k, i] = x[k], p[k], spin[k]
         for k in range(4):
             out.q[k, i] = q[k]
 
@@ -183,8 +168,8 @@ def set_flight(scene: EventScene, state: EventState, b: int, initial: State, i: 
     x = (initial.com[0, i], initial.com[1, i], initial.com[2, i])
     p = (initial.p[0, i], initial.p[1, i], initial.p[2, i])
     spin = (initial.L[0, i], initial.L[1, i], initial.L[2, i])
-    put_row3_at(state.flight, b, FLIGHT_X, x)
-    put_row3_at(state.flight, b, FLIGHT_V, scale(scene.body[b, BODY_INV_MASS], p))
+    put_row3_at(state.flight, b, col.FLIGHT_X, x)
+    put_row3_at(state.flight, b, col.FLIGHT_V, scale(scene.body[b, col.BODY_INV_MASS], p))
     q = (initial.q[0, i], initial.q[1, i], initial.q[2, i], initial.q[3, i])
     set_spin(scene, state, b, 0.0, q, spin)
 

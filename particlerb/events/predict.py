@@ -12,26 +12,12 @@ import math
 import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.events import records as col
 from particlerb.events.flight import flight_at, pull, set_flight
 from particlerb.events.queue import put
-from particlerb.events.records import (
-    CELL,
-    EXIT,
-    HIT,
-    HITS,
-    LEAVE,
-    NOBODY,
-    OTHER,
-    OWN,
-    PARTNER,
-    PREVIOUS,
-    STAMP,
-    WALL,
-    EventScene,
-    EventState,
-)
+from particlerb.events.records import EventScene, EventState
 from particlerb.events.search import LOST, Flying, balls_meet, bodies_meet, soonest, wall_meets
-from particlerb.impulses.records import CROSSINGS
+from particlerb.impulses import records as impulses
 from particlerb.maths.vec3 import Floats, Ints, Vec3
 from particlerb.model.state import State
 
@@ -53,7 +39,7 @@ def _within(i: int, n: int) -> int:
 def _home(scene: EventScene, state: EventState, b: int) -> tuple[int, int, int]:
     """Cell that a body is in, its numbers modulo the numbers of cells."""
     nx, ny, nz = scene.cells
-    i, j, k = state.info[b, CELL], state.info[b, CELL + 1], state.info[b, CELL + 2]
+    i, j, k = state.info[b, col.CELL], state.info[b, col.CELL + 1], state.info[b, col.CELL + 2]
     return int(np.int64(i) % nx), int(np.int64(j) % ny), int(np.int64(k) % nz)
 
 
@@ -63,31 +49,31 @@ def _enter_cell(scene: EventScene, state: EventState, b: int) -> None:
     i, j, k = _home(scene, state, b)
     c = _cell(scene, i, j, k)
     first = state.head[c]
-    state.next[b], state.info[b, PREVIOUS] = first, -1 - c
+    state.next[b], state.info[b, col.PREVIOUS] = first, -1 - c
     if first >= 0:
-        state.info[first, PREVIOUS] = b
+        state.info[first, col.PREVIOUS] = b
     state.head[c] = b
 
 
 @inline
 def _leave_cell(state: EventState, b: int) -> None:
     """Take a body out of the list of its cell."""
-    before, after = state.info[b, PREVIOUS], state.next[b]
+    before, after = state.info[b, col.PREVIOUS], state.next[b]
     if before >= 0:
         state.next[before] = after
     else:
         state.head[-1 - before] = after
     if after >= 0:
-        state.info[after, PREVIOUS] = before
+        state.info[after, col.PREVIOUS] = before
 
 
 @inline
 def cross(scene: EventScene, state: EventState, b: int) -> None:
     """Let a body go into the next cell."""
     _leave_cell(state, b)
-    state.info[b, CELL + state.info[b, EXIT] // 2] += 2 * (state.info[b, EXIT] % 2) - 1
+    state.info[b, col.CELL + state.info[b, col.EXIT] // 2] += 2 * (state.info[b, col.EXIT] % 2) - 1
     _enter_cell(scene, state, b)
-    state.tally[CROSSINGS] += 1.0
+    state.tally[impulses.CROSSINGS] += 1.0
 
 
 @inline
@@ -98,7 +84,7 @@ def _until_crossing(
     g, best, leaves = pull(scene, b), math.inf, 0
     for k in range(3):
         w = scene.cell_width[k]
-        low = x[k] - (scene.origin[k] + w * state.info[b, CELL + k])
+        low = x[k] - (scene.origin[k] + w * state.info[b, col.CELL + k])
         if g[k] == 0.0:
             ahead = w - low if v[k] > 0.0 else low
             s = max(ahead, 0.0) / abs(v[k]) if v[k] != 0.0 else math.inf
@@ -125,11 +111,11 @@ def _earlier(t: float, s: float) -> float:
 def _note(state: EventState, b: int, t: float, s: float, hit: tuple[int, int, int]) -> None:
     """Make an impact after a time s that of body b, if it comes earlier than what it has."""
     time = _earlier(t, s)
-    if time < state.at[b, HIT]:
-        state.at[b, HIT] = time
-        state.info[b, PARTNER], state.info[b, OWN], state.info[b, OTHER] = hit
+    if time < state.at[b, col.HIT]:
+        state.at[b, col.HIT] = time
+        state.info[b, col.PARTNER], state.info[b, col.OWN], state.info[b, col.OTHER] = hit
         if hit[0] >= 0:
-            state.info[b, STAMP] = state.info[hit[0], HITS]
+            state.info[b, col.STAMP] = state.info[hit[0], col.HITS]
 
 
 @inline
@@ -142,7 +128,7 @@ def _look(
     if around is None:
         _note(state, b, flying.t, balls_meet(scene, state, flying, c), (c, min(b, c), max(b, c)))
         return True
-    until = min(state.at[b, HIT] - flying.t, stays)
+    until = min(state.at[b, col.HIT] - flying.t, stays)
     s, sphere, other = bodies_meet(scene, state, data, flying, c, until)
     _note(state, b, flying.t, s, (c, sphere, other))
     return s != LOST
@@ -156,9 +142,10 @@ def _look_at_walls(
     ended, b = True, flying.body
     for n in range(scene.wall_first[home], scene.wall_first[home + 1]):
         p = int(np.int64(scene.wall_near[n]))
-        s, i = wall_meets(scene, state, data, flying, p, min(state.at[b, HIT] - flying.t, stays))
+        until = min(state.at[b, col.HIT] - flying.t, stays)
+        s, i = wall_meets(scene, state, data, flying, p, until)
         ended = ended and s != LOST
-        _note(state, b, flying.t, s, (WALL, i, p))
+        _note(state, b, flying.t, s, (col.WALL, i, p))
     return ended
 
 
@@ -182,11 +169,11 @@ def predict(
     """
     x, v = flight_at(scene, state, b, t)
     flying, ended = Flying(b, t, x, v), True
-    stays, state.info[b, EXIT] = _until_crossing(scene, state, b, x, v)
-    state.at[b, LEAVE] = t + stays
+    stays, state.info[b, col.EXIT] = _until_crossing(scene, state, b, x, v)
+    state.at[b, col.LEAVE] = t + stays
     if side < 0 or scene.around is not None:
         side = -1
-        state.at[b, HIT], state.info[b, PARTNER] = math.inf, NOBODY
+        state.at[b, col.HIT], state.info[b, col.PARTNER] = math.inf, col.NOBODY
     nx, ny, nz = scene.cells
     i0, j0, k0 = _home(scene, state, b)
     (i1, i2), (j1, j2) = _first_and_last(side, 0), _first_and_last(side, 1)
@@ -201,11 +188,11 @@ def predict(
                         ended = _look(scene.around, scene, state, data, flying, c, stays) and ended
                     c = int(np.int64(state.next[c]))
     home = _cell(scene, i0, j0, k0)
-    i, j, k = state.info[b, CELL], state.info[b, CELL + 1], state.info[b, CELL + 2]
+    i, j, k = state.info[b, col.CELL], state.info[b, col.CELL + 1], state.info[b, col.CELL + 2]
     if i != i0 or j != j0 or k != k0:
         home = state.head.size
     ended = _look_at_walls(scene, state, data, flying, home, stays) and ended
-    put(state, b, min(state.at[b, HIT], state.at[b, LEAVE]))
+    put(state, b, min(state.at[b, col.HIT], state.at[b, col.LEAVE]))
     return ended
 
 
@@ -216,5 +203,5 @@ def set_all(scene: EventScene, state: EventState, columns: Ints, initial: State)
         set_flight(scene, state, b, initial, columns[b])
         for k in range(3):
             along = state.flight[b, k] - scene.origin[k]
-            state.info[b, CELL + k] = math.floor(along / scene.cell_width[k])
+            state.info[b, col.CELL + k] = math.floor(along / scene.cell_width[k])
         _enter_cell(scene, state, b)

@@ -26,19 +26,11 @@ from particlerb.contact.walls import (
     radial,
     side,
 )
+from particlerb.events import records as col
 from particlerb.events.flight import flight_at, in_box, posed, pull
-from particlerb.events.records import (
-    BEND,
-    BODY_REACH,
-    BOUND,
-    FASTEST,
-    FIRST_SPHERE,
-    SPHERE_RADIUS,
-    EventScene,
-    EventState,
-)
+from particlerb.events.records import EventScene, EventState
 from particlerb.maths.quaternion import turn
-from particlerb.maths.rows import row3
+from particlerb.maths.rows import row3, row3_at
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, norm, scale, subtract
 
 _MAX_SEARCH_STEPS: Final = 100_000
@@ -109,14 +101,14 @@ def _ready(
     x, v = flight_at(scene, state, b, t)
     x = add(x, shift)
     R, omega = posed(scene, state, b, t)
-    lo = scene.kind[b, FIRST_SPHERE]
-    for k in range(lo, scene.kind[b + 1, FIRST_SPHERE]):
+    lo = scene.kind[b, col.FIRST_SPHERE]
+    for k in range(lo, scene.kind[b + 1, col.FIRST_SPHERE]):
         arm = row3(scene.sphere, k)
         r = turn(R, arm)
         u = cross(omega, r)
         for i in range(3):
             data[k - lo, i], data[k - lo, 3 + i] = x[i] + r[i], v[i] + u[i]
-        data[k - lo, 6] = state.spin[b, BEND] * norm(arm)
+        data[k - lo, 6] = state.spin[b, col.BEND] * norm(arm)
     return x, v
 
 
@@ -145,28 +137,27 @@ def _nearest_spheres(
     xb, vb = _ready(scene, state, data, b, shift, t)
     xa, va = flight_at(scene, state, a, t)
     R, omega = posed(scene, state, a, t)
-    bend, size = state.spin[a, BEND], min(state.flight[a, BOUND], state.flight[b, BOUND])
+    bend = state.spin[a, col.BEND]
+    size = min(state.flight[a, col.BOUND], state.flight[b, col.BOUND])
     fastest = norm(subtract(va, vb)) + 1e-300
-    fastest += state.spin[a, FASTEST] * scene.body[a, BODY_REACH]
-    fastest += state.spin[b, FASTEST] * scene.body[b, BODY_REACH]
+    fastest += state.spin[a, col.FASTEST] * scene.body[a, col.BODY_REACH]
+    fastest += state.spin[b, col.FASTEST] * scene.body[b, col.BODY_REACH]
     touch = rounding(xa, size, t * fastest)
-    least, first, second, lo = math.inf, -1, -1, scene.kind[b, FIRST_SPHERE]
-    for i in range(scene.kind[a, FIRST_SPHERE], scene.kind[a + 1, FIRST_SPHERE]):
-        arm, radius = row3(scene.sphere, i), scene.sphere[i, SPHERE_RADIUS]
+    least, first, second, lo = math.inf, -1, -1, scene.kind[b, col.FIRST_SPHERE]
+    for i in range(scene.kind[a, col.FIRST_SPHERE], scene.kind[a + 1, col.FIRST_SPHERE]):
+        arm, radius = row3(scene.sphere, i), scene.sphere[i, col.SPHERE_RADIUS]
         r = turn(R, arm)
         c, v = add(xa, r), add(va, cross(omega, r))
         d = subtract(c, xb)
-        if fall == 0.0 and norm(d) - radius - state.flight[b, BOUND] > least * fastest:
+        if fall == 0.0 and norm(d) - radius - state.flight[b, col.BOUND] > least * fastest:
             continue
         curved = bend * norm(arm) + fall
-        for j in range(lo, scene.kind[b + 1, FIRST_SPHERE]):
+        for j in range(lo, scene.kind[b + 1, col.FIRST_SPHERE]):
             k = j - lo
-            centre, velocity = row3(data, k), (
-                data[k, 3], data[k, 4], data[k, 5]
-            )  # fmt: skip
+            centre, velocity = row3(data, k), row3_at(data, k, 3)
             d = subtract(c, centre)
             distance = norm(d)
-            gap = distance - radius - scene.sphere[j, SPHERE_RADIUS]
+            gap = distance - radius - scene.sphere[j, col.SPHERE_RADIUS]
             if fall == 0.0 and gap > least * fastest:
                 continue
             rate = dot(d, subtract(v, velocity)) / distance
@@ -209,7 +200,7 @@ def balls_meet(scene: EventScene, state: EventState, flying: Flying, c: int) -> 
     """Time [s] until a ball and ball c touch and approach, both in free flight; inf: never."""
     xc, vc = flight_at(scene, state, c, flying.t)
     x, u = in_box(scene.box, subtract(xc, flying.x)), subtract(vc, flying.v)
-    R = state.flight[flying.body, BOUND] + state.flight[c, BOUND]
+    R = state.flight[flying.body, col.BOUND] + state.flight[c, col.BOUND]
     return _balls_meet(x, u, R + rounding(flying.x, R, 0.0))
 
 
@@ -235,18 +226,16 @@ def bodies_meet(
     """
     b, t = flying.body, flying.t
     fall = norm(pull(scene, b)) if c >= scene.n_moving else 0.0
-    if fall == 0.0 and scene.body[b, BODY_REACH] == 0.0 and scene.body[c, BODY_REACH] == 0.0:
+    are_balls = scene.body[b, col.BODY_REACH] == 0.0 and scene.body[c, col.BODY_REACH] == 0.0
+    if fall == 0.0 and are_balls:
         s, i, j = balls_meet(scene, state, flying, c), min(b, c), max(b, c)
-        return (
-            (s if s < until else math.inf),
-            scene.kind[i, FIRST_SPHERE],
-            scene.kind[j, FIRST_SPHERE],
-        )
+        s = s if s < until else math.inf
+        return s, scene.kind[i, col.FIRST_SPHERE], scene.kind[j, col.FIRST_SPHERE]
     xc, vc = flight_at(scene, state, c, t)
     apart, u = subtract(xc, flying.x), subtract(vc, flying.v)
     x = in_box(scene.box, apart)
     shift = subtract(x, apart)
-    R = state.flight[b, BOUND] + state.flight[c, BOUND]
+    R = state.flight[b, col.BOUND] + state.flight[c, col.BOUND]
     span = (0.0, until)
     if fall == 0.0:
         s, last = _span(x, u, R * (1.0 + 1e-9))
@@ -334,7 +323,7 @@ def _ready_for_wall(
     around: Flag, scene: EventScene, state: EventState, data: Floats, b: int, t: float
 ) -> None:
     """`_ready`, of balls without how they turn."""
-    if around is not None and scene.body[b, BODY_REACH] != 0.0:
+    if around is not None and scene.body[b, col.BODY_REACH] != 0.0:
         _ready(scene, state, data, b, _NO_SHIFT, t)
         return
     x, v = flight_at(scene, state, b, t)
@@ -351,20 +340,20 @@ def _wall_meets(
     """`wall_meets` where the two come near each other."""
     wall, g = primitive_at(scene.wall_kind, scene.wall_parameter, p), pull(scene, a)
     _, v = flight_at(scene, state, a, t)
-    fastest = norm(v) + state.spin[a, FASTEST] * scene.body[a, BODY_REACH] + 1e-300
+    fastest = norm(v) + state.spin[a, col.FASTEST] * scene.body[a, col.BODY_REACH] + 1e-300
     if norm(g) > 0.0:  # what is at rest stays for ever, and 0 times that is no number
         fastest += norm(g) * until
-    s, lo = 0.0, scene.kind[a, FIRST_SPHERE]
+    s, lo = 0.0, scene.kind[a, col.FIRST_SPHERE]
     for _ in range(_MAX_SEARCH_STEPS):
         if s >= until:
             return math.inf, -1
         _ready_for_wall(scene.around, scene, state, data, a, t + s)
         step, best = math.inf, -1
-        for k in range(lo, scene.kind[a + 1, FIRST_SPHERE]):
+        for k in range(lo, scene.kind[a + 1, col.FIRST_SPHERE]):
             c = row3(data, k - lo)
-            u = data[k - lo, 3], data[k - lo, 4], data[k - lo, 5]
+            u = row3_at(data, k - lo, 3)
             wait = _until_wall(
-                wall, c, u, g, scene.sphere[k, SPHERE_RADIUS], data[k - lo, 6], fastest, t + s
+                wall, c, u, g, scene.sphere[k, col.SPHERE_RADIUS], data[k - lo, 6], fastest, t + s
             )
             if wait < step:
                 step, best = wait, k
@@ -393,7 +382,7 @@ def wall_meets(
     As `bodies_meet`.
     """
     wall = primitive_at(scene.wall_kind, scene.wall_parameter, p)
-    reach = state.flight[flying.body, BOUND]
+    reach = state.flight[flying.body, col.BOUND]
     reach += (norm(flying.v) + norm(pull(scene, flying.body)) * until) * until
     if _at_least_away(wall, flying.x) > reach:
         return math.inf, -1

@@ -6,17 +6,9 @@ potential says.
 """
 
 from particlerb.compiled.jit import inline, kernel
+from particlerb.impulses import records as col
 from particlerb.impulses.bounded_effects import book_bounded
-from particlerb.impulses.records import (
-    ARM,
-    BOUNDARY_WORK,
-    FRICTION_WORK,
-    IMPACT_WORK,
-    PRESSING_WORK,
-    Bounded,
-    Impulses,
-    Partners,
-)
+from particlerb.impulses.records import Bounded, Impulses, Partners
 from particlerb.impulses.rolling import rolled
 from particlerb.impulses.rows import in_frame, in_world, velocity_between
 from particlerb.maths.rows import put_row3_at, row3_at
@@ -63,16 +55,16 @@ def book_impulses(impulses: Impulses, bounded: Bounded | None) -> None:
         rubbed = pressed[1] * u[1] + pressed[2] * u[2] + resisted
         mine, moved, p = a, 0.0, in_world(frame, k, r)
         if inverse[b, 0] == 0.0 or rows.entry[k] < 0:
-            moved = _book_outside(partners, frame, k, a, b, ARM + 3, p, m)
+            moved = _book_outside(partners, frame, k, a, b, col.ARM + 3, p, m)
             moved = moved if inverse[b, 0] == 0.0 else 0.0  # a piston has energy of its own
         elif inverse[a, 0] == 0.0:
             mine = b
-            moved = _book_outside(partners, frame, k, b, a, ARM, scale(-1.0, p), scale(-1.0, m))
+            moved = _book_outside(partners, frame, k, b, a, col.ARM, scale(-1.0, p), scale(-1.0, m))
         booked[mine, 0] += bounced + normal + rubbed + moved
         booked[mine, 7] += abs(bounced) + abs(normal) + abs(rubbed) + abs(moved)
-        tally[IMPACT_WORK] += bounced
-        tally[PRESSING_WORK] += normal
-        tally[FRICTION_WORK] += rubbed
-        tally[BOUNDARY_WORK] += moved
+        tally[col.IMPACT_WORK] += bounced
+        tally[col.PRESSING_WORK] += normal
+        tally[col.FRICTION_WORK] += rubbed
+        tally[col.BOUNDARY_WORK] += moved
     if bounded is not None:
         book_bounded(bounded, partners, tally)

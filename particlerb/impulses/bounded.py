@@ -17,29 +17,8 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.impulses.records import (
-    B_BEST,
-    B_DIRECTION,
-    B_FORCE,
-    B_GAP,
-    B_IMPACT,
-    B_IMPULSE,
-    B_INVERSE,
-    B_LARGEST,
-    B_LEAST,
-    B_MOST,
-    B_OLD,
-    B_RESTITUTION,
-    B_SHOWN,
-    B_SLOW,
-    B_WEIGHT,
-    LOCKED_SHARE,
-    REST_KICKS,
-    STOP,
-    Bounded,
-    Mechanisms,
-    Partners,
-)
+from particlerb.impulses import records as col
+from particlerb.impulses.records import Bounded, Mechanisms, Partners
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Floats, Vec3, dot
 
@@ -67,21 +46,21 @@ def push_along(bounded: Bounded, velocity: Floats, k: int, r: float) -> None:
 @inline
 def ends_of(values: Floats, k: int, u: float) -> tuple[float, float]:
     """Impulses of row k by which its rate would be the least one, and the most."""
-    r, inverse = values[k, B_IMPULSE], values[k, B_INVERSE]
-    return r - (u - values[k, B_LEAST]) / inverse, r - (u - values[k, B_MOST]) / inverse
+    r, inverse = values[k, col.B_IMPULSE], values[k, col.B_INVERSE]
+    return r - (u - values[k, col.B_LEAST]) / inverse, r - (u - values[k, col.B_MOST]) / inverse
 
 
 @inline
 def inverse_of(values: Floats, k: int) -> float:
     """Sum of the inverse masses of both bodies of row k [1/kg]; 0 where it is left out."""
-    weight = values[k, B_WEIGHT]
-    return values[k, B_INVERSE] / weight if weight > 0.0 else 0.0
+    weight = values[k, col.B_WEIGHT]
+    return values[k, col.B_INVERSE] / weight if weight > 0.0 else 0.0
 
 
 @inline
 def within(values: Floats, k: int, r: float) -> float:
     """r, or the nearest impulse that row k may have."""
-    largest = values[k, B_LARGEST]
+    largest = values[k, col.B_LARGEST]
     return max(-largest, min(largest, r))
 
 
@@ -138,10 +117,10 @@ def write_response(
     for b, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
         for i in range(6):
             inverse += bounded.gradient[k, at + i] * response[first + mechanisms.local[b], i]
-    is_free = inverse > LOCKED_SHARE * free
-    values[k, B_INVERSE], values[k, B_WEIGHT] = 1.0, 0.0
+    is_free = inverse > col.LOCKED_SHARE * free
+    values[k, col.B_INVERSE], values[k, col.B_WEIGHT] = 1.0, 0.0
     if is_free:
-        values[k, B_INVERSE], values[k, B_WEIGHT] = inverse, inverse / mass
+        values[k, col.B_INVERSE], values[k, col.B_WEIGHT] = inverse, inverse / mass
 
 
 @inline
@@ -162,15 +141,15 @@ def write_bounds(
     values = bounded.values
     before = rate_along(bounded, partners.before, k)
     after = rate_along(bounded, partners.velocity, k)
-    values[k, B_LEAST] = values[k, B_MOST] = speed
-    if bounded.kind[k] == STOP:
-        values[k, B_LEAST] = -max(values[k, B_GAP], 0.0) / dt
-        values[k, B_MOST] = max(values[k, B_GAP + 1], 0.0) / dt
-    values[k, B_LARGEST] = largest
-    if values[k, B_WEIGHT] == 0.0:
-        values[k, B_LARGEST] = values[k, B_RESTITUTION] = 0.0
-    values[k, B_SLOW] = REST_KICKS * abs(after - before) + _REST_RATE_SHARE * abs(after)
-    values[k, B_IMPULSE], values[k, B_IMPACT] = dt * values[k, B_FORCE], 0.0
+    values[k, col.B_LEAST] = values[k, col.B_MOST] = speed
+    if bounded.kind[k] == col.STOP:
+        values[k, col.B_LEAST] = -max(values[k, col.B_GAP], 0.0) / dt
+        values[k, col.B_MOST] = max(values[k, col.B_GAP + 1], 0.0) / dt
+    values[k, col.B_LARGEST] = largest
+    if values[k, col.B_WEIGHT] == 0.0:
+        values[k, col.B_LARGEST] = values[k, col.B_RESTITUTION] = 0.0
+    values[k, col.B_SLOW] = col.REST_KICKS * abs(after - before) + _REST_RATE_SHARE * abs(after)
+    values[k, col.B_IMPULSE], values[k, col.B_IMPACT] = dt * values[k, col.B_FORCE], 0.0
 
 
 # What the solver does with them
@@ -180,12 +159,12 @@ def write_bounds(
 def warm_start_bounded(bounded: Bounded, velocity: Floats) -> None:
     """Take the forces of the step before."""
     for k in range(bounded.kind.size):
-        r = within(bounded.values, k, bounded.values[k, B_IMPULSE])
-        if r > 0.0 and bounded.values[k, B_LEAST] == -math.inf:
+        r = within(bounded.values, k, bounded.values[k, col.B_IMPULSE])
+        if r > 0.0 and bounded.values[k, col.B_LEAST] == -math.inf:
             r = 0.0
-        if r < 0.0 and bounded.values[k, B_MOST] == math.inf:
+        if r < 0.0 and bounded.values[k, col.B_MOST] == math.inf:
             r = 0.0
-        bounded.values[k, B_IMPULSE] = r
+        bounded.values[k, col.B_IMPULSE] = r
         push_along(bounded, velocity, k, r)
 
 
@@ -194,13 +173,13 @@ def sweep_bounded(bounded: Bounded, velocity: Floats) -> float:
     """One step of each row; the sum of all squared changes [(N s)²]."""
     values, changed = bounded.values, 0.0
     for k in range(bounded.kind.size):
-        old = values[k, B_IMPULSE]
-        values[k, B_OLD] = old
+        old = values[k, col.B_IMPULSE]
+        values[k, col.B_OLD] = old
         r = _nearest(values, k, rate_along(bounded, velocity, k))
         if r != old:
-            values[k, B_IMPULSE] = r
+            values[k, col.B_IMPULSE] = r
             push_along(bounded, velocity, k, r - old)
-        changed += values[k, B_WEIGHT] * (r - old) * (r - old)
+        changed += values[k, col.B_WEIGHT] * (r - old) * (r - old)
     return changed
 
 
@@ -209,11 +188,12 @@ def mix_bounded(bounded: Bounded, velocity: Floats, beta: float, is_last: bool) 
     """Go on along the direction of before: see `solver`."""
     values = bounded.values
     for k in range(bounded.kind.size):
-        change, on = values[k, B_IMPULSE] - values[k, B_OLD], beta * values[k, B_DIRECTION]
+        change = values[k, col.B_IMPULSE] - values[k, col.B_OLD]
+        on = beta * values[k, col.B_DIRECTION]
         if not is_last and on != 0.0:
-            values[k, B_IMPULSE] += on
+            values[k, col.B_IMPULSE] += on
             push_along(bounded, velocity, k, on)
-        values[k, B_DIRECTION] = on + change
+        values[k, col.B_DIRECTION] = on + change
 
 
 @inline
@@ -221,8 +201,8 @@ def miss_of_bounded(bounded: Bounded, velocity: Floats) -> tuple[float, float]:
     """Squares of how far these impulses are from a solution [(N s)², (m/s)²]."""
     off, left, values = 0.0, 0.0, bounded.values
     for k in range(bounded.kind.size):
-        miss = values[k, B_IMPULSE] - _nearest(values, k, rate_along(bounded, velocity, k))
-        square = values[k, B_WEIGHT] * miss * miss
+        miss = values[k, col.B_IMPULSE] - _nearest(values, k, rate_along(bounded, velocity, k))
+        square = values[k, col.B_WEIGHT] * miss * miss
         off += square
         left += inverse_of(values, k) ** 2 * square
     return off, left
@@ -234,11 +214,11 @@ def speed_of_bounded(bounded: Bounded, velocity: Floats, floor: float) -> float:
     size, values = 0.0, bounded.values
     for k in range(bounded.kind.size):
         u = rate_along(bounded, velocity, k)
-        off = max(values[k, B_LEAST] - u, u - values[k, B_MOST], 0.0)
-        off = min(off, values[k, B_LARGEST] * values[k, B_INVERSE])
-        least = floor * values[k, B_SLOW]
-        if values[k, B_WEIGHT] > 0.0:
-            size += (off * off + least * least) / values[k, B_WEIGHT]
+        off = max(values[k, col.B_LEAST] - u, u - values[k, col.B_MOST], 0.0)
+        off = min(off, values[k, col.B_LARGEST] * values[k, col.B_INVERSE])
+        least = floor * values[k, col.B_SLOW]
+        if values[k, col.B_WEIGHT] > 0.0:
+            size += (off * off + least * least) / values[k, col.B_WEIGHT]
     return size
 
 
@@ -247,7 +227,7 @@ def size_of_bounded(bounded: Bounded) -> float:
     """Square of the size of these impulses [(N s)²]."""
     size = 0.0
     for k in range(bounded.kind.size):
-        size += bounded.values[k, B_WEIGHT] * bounded.values[k, B_IMPULSE] ** 2
+        size += bounded.values[k, col.B_WEIGHT] * bounded.values[k, col.B_IMPULSE] ** 2
     return size
 
 
@@ -255,7 +235,7 @@ def size_of_bounded(bounded: Bounded) -> float:
 def push_by_bounded(bounded: Bounded, velocity: Floats) -> None:
     """Change velocities by all of these impulses."""
     for k in range(bounded.kind.size):
-        push_along(bounded, velocity, k, bounded.values[k, B_IMPULSE])
+        push_along(bounded, velocity, k, bounded.values[k, col.B_IMPULSE])
 
 
 @inline
@@ -270,13 +250,13 @@ def _give(bounded: Bounded, momenta: Floats, k: int, r: float) -> None:
 def give_bounded(bounded: Bounded, momenta: Floats) -> None:
     """Give the momenta of all of these impulses."""
     for k in range(bounded.kind.size):
-        _give(bounded, momenta, k, bounded.values[k, B_IMPULSE])
+        _give(bounded, momenta, k, bounded.values[k, col.B_IMPULSE])
 
 
 @inline
 def keep_best_bounded(bounded: Bounded, goes_back: bool) -> None:
     """Keep these impulses, or go back to those that are kept."""
-    here, there = (B_BEST, B_IMPULSE) if goes_back else (B_IMPULSE, B_BEST)
+    here, there = (col.B_BEST, col.B_IMPULSE) if goes_back else (col.B_IMPULSE, col.B_BEST)
     for k in range(bounded.kind.size):
         bounded.values[k, there] = bounded.values[k, here]
 
@@ -286,9 +266,9 @@ def keep_bounded(bounded: Bounded, dt: float, is_whole: bool) -> None:
     """Keep the impulses of a step of dt [s] as forces: to be shown, and for the next whole one."""
     values = bounded.values
     for k in range(bounded.kind.size):
-        values[k, B_SHOWN] = (values[k, B_IMPULSE] + values[k, B_IMPACT]) / dt
+        values[k, col.B_SHOWN] = (values[k, col.B_IMPULSE] + values[k, col.B_IMPACT]) / dt
         if is_whole:
-            values[k, B_FORCE] = values[k, B_IMPULSE] / dt
+            values[k, col.B_FORCE] = values[k, col.B_IMPULSE] / dt
 
 
 # Stops that bounce
@@ -297,7 +277,7 @@ def keep_bounded(bounded: Bounded, dt: float, is_whole: bool) -> None:
 @inline
 def _approach(values: Floats, k: int, u: float) -> tuple[float, float]:
     """Gap of the stop of row k that the rate u leads to, and the speed towards it."""
-    return (values[k, B_GAP], -u) if u < 0.0 else (values[k, B_GAP + 1], u)
+    return (values[k, col.B_GAP], -u) if u < 0.0 else (values[k, col.B_GAP + 1], u)
 
 
 @inline
@@ -305,7 +285,7 @@ def time_since_stop(bounded: Bounded, velocity: Floats, k: int) -> float:
     """Since when row k is beyond its stop [s], if it goes on there and is to bounce; else -1."""
     values, u = bounded.values, rate_along(bounded, velocity, k)
     gap, speed = _approach(values, k, u)
-    if values[k, B_RESTITUTION] > 0.0 and gap <= 0.0 and speed > values[k, B_SLOW]:
+    if values[k, col.B_RESTITUTION] > 0.0 and gap <= 0.0 and speed > values[k, col.B_SLOW]:
         return -gap / speed
     return -1.0
 
@@ -316,10 +296,10 @@ def bounce_at_stop(bounded: Bounded, partners: Partners, k: int) -> bool:
     if time_since_stop(bounded, partners.velocity, k) < 0.0:
         return False
     u, values = rate_along(bounded, partners.velocity, k), bounded.values
-    r = -(1.0 + values[k, B_RESTITUTION]) * u / values[k, B_INVERSE]
+    r = -(1.0 + values[k, col.B_RESTITUTION]) * u / values[k, col.B_INVERSE]
     push_along(bounded, partners.velocity, k, r)
     _give(bounded, partners.impulse, k, r)
-    values[k, B_IMPACT] += r
+    values[k, col.B_IMPACT] += r
     return True
 
 
@@ -330,5 +310,5 @@ def leave_out_stops(bounded: Bounded, velocity: Floats) -> None:
     for k in range(bounded.kind.size):
         u = rate_along(bounded, velocity, k)
         gap, speed = _approach(values, k, u)
-        if values[k, B_RESTITUTION] > 0.0 and gap > 0.0 and speed > values[k, B_SLOW]:
-            values[k, B_LEAST if u < 0.0 else B_MOST] = -math.inf if u < 0.0 else math.inf
+        if values[k, col.B_RESTITUTION] > 0.0 and gap > 0.0 and speed > values[k, col.B_SLOW]:
+            values[k, col.B_LEAST if u < 0.0 else col.B_MOST] = -math.inf if u < 0.0 else math.inf

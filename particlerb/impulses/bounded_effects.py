@@ -4,27 +4,9 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline
+from particlerb.impulses import records as col
 from particlerb.impulses.bounded import push_along, rate_along
-from particlerb.impulses.records import (
-    B_CHANGE,
-    B_GAP,
-    B_IMPACT,
-    B_IMPULSE,
-    B_INVERSE,
-    B_LARGEST,
-    B_LEAST,
-    B_MOST,
-    B_OLD,
-    B_SLOPE,
-    B_SLOW,
-    BOUNDARY_WORK,
-    FRICTION_WORK,
-    IMPACT_WORK,
-    MOTOR_WORK,
-    PRESSING_WORK,
-    Bounded,
-    Partners,
-)
+from particlerb.impulses.records import Bounded, Partners
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Bools, Floats, add_scaled, cross, dot, scale
 
@@ -37,14 +19,14 @@ def find_overrun(bounded: Bounded, velocity: Floats, dt: float) -> bool:
     values, is_overrun = bounded.values, False
     for k in range(bounded.kind.size):
         u = rate_along(bounded, velocity, k)
-        lower, upper = values[k, B_GAP] + dt * u, values[k, B_GAP + 1] - dt * u
-        parts, slow = u if lower < upper else -u, values[k, B_SLOW]
-        is_left = values[k, B_LEAST] == -math.inf or values[k, B_MOST] == math.inf
-        is_left |= parts > slow and values[k, B_IMPULSE] == 0.0
-        is_left |= values[k, B_LARGEST] == 0.0
+        lower, upper = values[k, col.B_GAP] + dt * u, values[k, col.B_GAP + 1] - dt * u
+        parts, slow = u if lower < upper else -u, values[k, col.B_SLOW]
+        is_left = values[k, col.B_LEAST] == -math.inf or values[k, col.B_MOST] == math.inf
+        is_left |= parts > slow and values[k, col.B_IMPULSE] == 0.0
+        is_left |= values[k, col.B_LARGEST] == 0.0
         gap = math.inf if is_left else min(lower, upper)
-        values[k, B_OLD], values[k, B_SLOPE] = 0.0, gap
-        values[k, B_CHANGE] = 1.0 if lower < upper else -1.0
+        values[k, col.B_OLD], values[k, col.B_SLOPE] = 0.0, gap
+        values[k, col.B_CHANGE] = 1.0 if lower < upper else -1.0
         is_overrun = is_overrun or gap < -_MAX_OVERRUN
     return is_overrun
 
@@ -54,14 +36,14 @@ def push_back_from_stops(bounded: Bounded, move: Floats, has_moved: Bools, share
     """Moves that take away a share of that."""
     values = bounded.values
     for k in range(bounded.kind.size):
-        gap, sign = values[k, B_SLOPE], values[k, B_CHANGE]
+        gap, sign = values[k, col.B_SLOPE], values[k, col.B_CHANGE]
         if gap == math.inf or (gap >= -_MAX_OVERRUN and not has_moved[bounded.first[k]]):
             continue
         comes = sign * rate_along(bounded, move, k)
-        push = values[k, B_OLD] - (share * gap + comes) / values[k, B_INVERSE]
-        more = max(push, 0.0) - values[k, B_OLD]
+        push = values[k, col.B_OLD] - (share * gap + comes) / values[k, col.B_INVERSE]
+        more = max(push, 0.0) - values[k, col.B_OLD]
         if more != 0.0:
-            values[k, B_OLD] += more
+            values[k, col.B_OLD] += more
             push_along(bounded, move, k, sign * more)
             for j in range(bounded.start[k], bounded.start[k + 1]):
                 has_moved[bounded.member[j]] = True
@@ -77,12 +59,12 @@ def book_bounded(bounded: Bounded, partners: Partners, tally: Floats) -> None:
     for k in range(bounded.kind.size):
         u = 0.5 * rate_along(bounded, partners.before, k)
         u += 0.5 * rate_along(bounded, partners.velocity, k)
-        hit, pressed = values[k, B_IMPACT], values[k, B_IMPULSE]
-        kinds = PRESSING_WORK, MOTOR_WORK, FRICTION_WORK
-        tally[IMPACT_WORK] += hit * u
+        hit, pressed = values[k, col.B_IMPACT], values[k, col.B_IMPULSE]
+        kinds = col.PRESSING_WORK, col.MOTOR_WORK, col.FRICTION_WORK
+        tally[col.IMPACT_WORK] += hit * u
         tally[kinds[bounded.kind[k]]] += pressed * u
         moved = _book_outside(bounded, partners, k, hit + pressed)
-        tally[BOUNDARY_WORK] += moved
+        tally[col.BOUNDARY_WORK] += moved
         mine = bounded.first[k]
         if partners.inverse[mine, 0] == 0.0:
             mine = bounded.second[k]

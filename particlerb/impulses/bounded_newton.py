@@ -1,21 +1,10 @@
 """Newton's method for rows within bounds: their parts of what newton.py does for contacts."""
 
 from particlerb.compiled.jit import inline
+from particlerb.impulses import records as col
 from particlerb.impulses.bounded import ends_of, inverse_of, rate_along, within
 from particlerb.impulses.mechanisms import has_response
-from particlerb.impulses.records import (
-    B_CHANGE,
-    B_DIRECTION,
-    B_IMPULSE,
-    B_INVERSE,
-    B_LARGEST,
-    B_OLD,
-    B_SLOPE,
-    B_WEIGHT,
-    Bounded,
-    Mechanisms,
-    Newton,
-)
+from particlerb.impulses.records import Bounded, Mechanisms, Newton
 from particlerb.maths.vec3 import Floats
 
 
@@ -43,13 +32,13 @@ def linearise_bounded(
         u = rate_along(bounded, velocity, k)
         by_least, by_most = ends_of(values, k, u)
         r = max(by_least, min(by_most, 0.0))
-        miss = values[k, B_IMPULSE] - within(values, k, r)
-        values[k, B_CHANGE], values[k, B_SLOPE] = miss / (1.0 + small), 0.0
-        if r in (by_least, by_most) and abs(r) < values[k, B_LARGEST]:
-            values[k, B_CHANGE] = miss / small
-            values[k, B_SLOPE] = 1.0 / (small * values[k, B_INVERSE])
+        miss = values[k, col.B_IMPULSE] - within(values, k, r)
+        values[k, col.B_CHANGE], values[k, col.B_SLOPE] = miss / (1.0 + small), 0.0
+        if r in (by_least, by_most) and abs(r) < values[k, col.B_LARGEST]:
+            values[k, col.B_CHANGE] = miss / small
+            values[k, col.B_SLOPE] = 1.0 / (small * values[k, col.B_INVERSE])
         cluster = _cluster_of(bounded, newton, k)
-        square = values[k, B_WEIGHT] * miss * miss
+        square = values[k, col.B_WEIGHT] * miss * miss
         newton.clusters[cluster, size] += square * (1.0 + (mass * inverse_of(values, k)) ** 2)
 
 
@@ -68,14 +57,14 @@ def add_bounded(
             if at < 0:
                 continue
             for i in range(6):
-                newton.change[at + i] -= values[k, B_CHANGE] * bounded.gradient[k, of + i]
+                newton.change[at + i] -= values[k, col.B_CHANGE] * bounded.gradient[k, of + i]
             for j in range(bounded.start[k], bounded.start[k + 1]):
                 source = bounded.member[j]
                 column = newton.first_row[source]
                 if column < 0 or not has_response(mechanisms, source):
                     continue
                 for c in range(6):
-                    by = values[k, B_SLOPE] * bounded.response[j, c]
+                    by = values[k, col.B_SLOPE] * bounded.response[j, c]
                     for i in range(6):
                         away = column + c - at - i
                         matrix[at + i, away + bandwidth] += bounded.gradient[k, of + i] * by
@@ -95,10 +84,10 @@ def step_bounded(
         j = _cluster_of(bounded, newton, k)
         share, state = newton.clusters[j, columns[0]], newton.clusters[j, columns[1]]
         if state == states[0]:
-            step = values[k, B_CHANGE] + values[k, B_SLOPE] * rate_along(bounded, move, k)
-            values[k, B_DIRECTION], values[k, B_OLD] = -step, values[k, B_IMPULSE]
+            step = values[k, col.B_CHANGE] + values[k, col.B_SLOPE] * rate_along(bounded, move, k)
+            values[k, col.B_DIRECTION], values[k, col.B_OLD] = -step, values[k, col.B_IMPULSE]
         if state != states[1]:
-            values[k, B_IMPULSE] = values[k, B_OLD] + share * values[k, B_DIRECTION]
+            values[k, col.B_IMPULSE] = values[k, col.B_OLD] + share * values[k, col.B_DIRECTION]
 
 
 @inline
@@ -107,5 +96,5 @@ def end_bounded(bounded: Bounded, newton: Newton, state: int, done: float) -> No
     values = bounded.values
     for k in range(bounded.kind.size):
         if newton.clusters[_cluster_of(bounded, newton, k), state] != done:
-            values[k, B_IMPULSE] = values[k, B_OLD]
-        values[k, B_IMPULSE] = within(values, k, values[k, B_IMPULSE])
+            values[k, col.B_IMPULSE] = values[k, col.B_OLD]
+        values[k, col.B_IMPULSE] = within(values, k, values[k, col.B_IMPULSE])

@@ -9,7 +9,7 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.impulses.records import COUPLING, FRICTION, INVERSE, SCHUR
+from particlerb.impulses import records as col
 from particlerb.maths.vec3 import ZERO, Floats, Vec3
 
 _MAX_ITERATIONS: Final = 40  # of Newton's method and of halving
@@ -29,9 +29,9 @@ def impulse_alone(frame: Floats, k: int, u: Vec3, least: float) -> Vec3:
     least : float [m/s]
         Normal velocity that is asked for.
     """
-    w, mu = frame[k, INVERSE], frame[k, FRICTION]
-    a1, a2 = frame[k, COUPLING], frame[k, COUPLING + 1]
-    s1, s2 = frame[k, SCHUR], frame[k, SCHUR + 1]
+    w, mu = frame[k, col.INVERSE], frame[k, col.FRICTION]
+    a1, a2 = frame[k, col.COUPLING], frame[k, col.COUPLING + 1]
+    s1, s2 = frame[k, col.SCHUR], frame[k, col.SCHUR + 1]
     b = u[0] - least
     if b >= 0.0:
         return ZERO
@@ -52,9 +52,9 @@ def impulse_alone(frame: Floats, k: int, u: Vec3, least: float) -> Vec3:
 @inline
 def _slide(frame: Floats, k: int, b: float, c1: float, c2: float) -> float:
     """s [1/kg] of a contact that slides: Newton on 1/|r_t| - 1/(μ r_n), kept in a bracket."""
-    w, mu = frame[k, INVERSE], frame[k, FRICTION]
-    a1, a2 = frame[k, COUPLING], frame[k, COUPLING + 1]
-    s1, s2 = frame[k, SCHUR], frame[k, SCHUR + 1]
+    w, mu = frame[k, col.INVERSE], frame[k, col.FRICTION]
+    a1, a2 = frame[k, col.COUPLING], frame[k, col.COUPLING + 1]
+    s1, s2 = frame[k, col.SCHUR], frame[k, col.SCHUR + 1]
     mean, c = 0.5 * (s1 + s2), math.sqrt(c1 * c1 + c2 * c2)
     s: float
     s, low, high = max(-c * w / (mu * b) - mean, 0.0), 0.0, math.inf

@@ -14,20 +14,10 @@ contact and dry friction in finite freedom dynamics (1988), for restitution in t
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel
+from particlerb.impulses import records as col
 from particlerb.impulses.bounded import bounce_at_stop, time_since_stop
 from particlerb.impulses.cone import impulse_alone
-from particlerb.impulses.records import (
-    COUPLING,
-    GAP,
-    IMPACTS,
-    INVERSE,
-    RESTITUTION,
-    SCHUR,
-    SLOW,
-    UNENDED,
-    Bounded,
-    Impulses,
-)
+from particlerb.impulses.records import Bounded, Impulses
 from particlerb.impulses.rolling import bounce_rolling
 from particlerb.impulses.rows import approach, change_by, give
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
@@ -41,12 +31,12 @@ _WORK_ROUNDING: Final = 1e-14
 @inline
 def _changed(frame: Floats, k: int, u: Vec3, r: Vec3) -> Vec3:
     """u + W r of contact k."""
-    w, a1, a2 = frame[k, INVERSE], frame[k, COUPLING], frame[k, COUPLING + 1]
+    w, a1, a2 = frame[k, col.INVERSE], frame[k, col.COUPLING], frame[k, col.COUPLING + 1]
     mixed = a1 * a2 / w
     return (
         u[0] + w * r[0] + a1 * r[1] + a2 * r[2],
-        u[1] + a1 * r[0] + (frame[k, SCHUR] + a1 * a1 / w) * r[1] + mixed * r[2],
-        u[2] + a2 * r[0] + mixed * r[1] + (frame[k, SCHUR + 1] + a2 * a2 / w) * r[2],
+        u[1] + a1 * r[0] + (frame[k, col.SCHUR] + a1 * a1 / w) * r[1] + mixed * r[2],
+        u[2] + a2 * r[0] + mixed * r[1] + (frame[k, col.SCHUR + 1] + a2 * a2 / w) * r[2],
     )
 
 
@@ -72,11 +62,11 @@ def _find_impacts(impulses: Impulses, bounded: Bounded | None) -> int:
     _, partners, rows, count, _, _ = impulses
     limits, order, n = rows.limits, rows.order, 0
     for k in range(count[0]):
-        if limits[k, GAP] > 0.0 or limits[k, RESTITUTION] == 0.0:
+        if limits[k, col.GAP] > 0.0 or limits[k, col.RESTITUTION] == 0.0:
             continue
         speed = -approach(partners, rows, k)[0]
-        if speed > limits[k, SLOW]:
-            order[n, 0], order[n, 1] = -limits[k, GAP] / speed, k
+        if speed > limits[k, col.SLOW]:
+            order[n, 0], order[n, 1] = -limits[k, col.GAP] / speed, k
             n += 1
     if bounded is not None:
         for k in range(bounded.kind.size):
@@ -104,9 +94,9 @@ def _bounce(impulses: Impulses, k: int) -> bool:
     """Let contact k bounce, if it still approaches; whether it did."""
     _, partners, rows, _, _, _ = impulses
     u = approach(partners, rows, k)
-    if u[0] >= -rows.limits[k, SLOW]:
+    if u[0] >= -rows.limits[k, col.SLOW]:
         return False
-    r = impact(rows.frame, k, u, rows.limits[k, RESTITUTION])
+    r = impact(rows.frame, k, u, rows.limits[k, col.RESTITUTION])
     change_by(partners, rows, k, r)
     give(partners, rows, k, r)
     bounce_rolling(rows.rolling, partners, rows, k, r[0])
@@ -127,7 +117,7 @@ def take_impacts(impulses: Impulses, bounded: Bounded | None) -> None:
         for i in range(n):
             k = int(order[i, 1])
             if k >= 0:
-                tally[IMPACTS] += _bounce(impulses, k)
+                tally[col.IMPACTS] += _bounce(impulses, k)
             elif bounded is not None:
-                tally[IMPACTS] += bounce_at_stop(bounded, impulses.partners, ~k)
-    tally[UNENDED] += 1.0
+                tally[col.IMPACTS] += bounce_at_stop(bounded, impulses.partners, ~k)
+    tally[col.UNENDED] += 1.0

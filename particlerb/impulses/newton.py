@@ -22,6 +22,7 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel
+from particlerb.impulses import records as col
 from particlerb.impulses.band import solve_band
 from particlerb.impulses.bounded import push_by_bounded
 from particlerb.impulses.bounded_newton import (
@@ -32,19 +33,7 @@ from particlerb.impulses.bounded_newton import (
 )
 from particlerb.impulses.cone import nearest_in_cone, on_disc
 from particlerb.impulses.mechanisms import count_members, has_response, member, through_joints
-from particlerb.impulses.records import (
-    ARM,
-    FRICTION,
-    INVERSE,
-    LEAST,
-    NEWTON_STEPS,
-    SHARE,
-    Bounded,
-    ImpulseRows,
-    Impulses,
-    Newton,
-    Partners,
-)
+from particlerb.impulses.records import Bounded, ImpulseRows, Impulses, Newton, Partners
 from particlerb.impulses.rolling import into_the_discs, push_by_rolling
 from particlerb.impulses.rolling_newton import (
     linearise_rolling,
@@ -127,9 +116,9 @@ def _linearise(
     slides, g across the edge and none else.
     """
     frame, u, r = rows.frame, approach_at_end(partners, rows, k), row3_at(rows.impulse, k, 0)
-    mu, share = frame[k, FRICTION], frame[k, SHARE]
+    mu, share = frame[k, col.FRICTION], frame[k, col.SHARE]
     speed = math.sqrt(u[1] * u[1] + u[2] * u[2])
-    n = r[0] - share * (u[0] - frame[k, LEAST] + mu * speed)
+    n = r[0] - share * (u[0] - frame[k, col.LEAST] + mu * speed)
     x, y = r[1] - share * u[1], r[2] - share * u[2]
     f, t = subtract(r, nearest_in_cone(n, x, y, mu)), max(math.sqrt(x * x + y * y), _FRICTION_FLOOR)
     up = mu / speed if speed > 0.0 else 0.0
@@ -149,7 +138,7 @@ def _linearise(
         el = scale(stiff, (e[0], e[0] * lift[1] + e[1], e[0] * lift[2] + e[2]))
         k1, k2 = add_scaled(-soft * a2, across, scale(e[1], el)), scale(e[2], el)
         _put_slopes(newton.slopes, k, c, scale(e[0], el), k1, add_scaled(soft * a1, across, k2))
-    return dot(f, f) * measured(frame[k, INVERSE], mass)
+    return dot(f, f) * measured(frame[k, col.INVERSE], mass)
 
 
 @inline
@@ -192,7 +181,7 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
     a, b = rows.first[k], rows.second[k]
     row_a, row_b = newton.first_row[a], newton.first_row[b]
     for other in range(2):
-        body, arm = (a, ARM) if other == 0 else (b, ARM + 3)
+        body, arm = (a, col.ARM) if other == 0 else (b, col.ARM + 3)
         if newton.first_row[body] < 0:
             continue
         sign, arms = 1.0 - 2.0 * other, row3_at(frame, k, arm)
@@ -205,10 +194,10 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
                 p, omega = in_world(frame, k, r), in_frame(frame, k, scale(sign, omega))
                 m = rolling_by(rows.rolling, rows, k, omega, -r[0])
                 if row_a >= 0:
-                    turn = add(cross(row3_at(frame, k, ARM), p), m)
+                    turn = add(cross(row3_at(frame, k, col.ARM), p), m)
                     _add_column(newton, row_a, column + i, p, turn)
                 if row_b >= 0:
-                    turn = add(cross(row3_at(frame, k, ARM + 3), p), m)
+                    turn = add(cross(row3_at(frame, k, col.ARM + 3), p), m)
                     _add_column(newton, row_b, column + i, scale(-1.0, p), scale(-1.0, turn))
 
 
@@ -222,7 +211,7 @@ def _evaluate(
     for j in range(clusters.shape[0]):
         clusters[j, _SIZE] = 0.0
     for k in range(count):
-        cluster, inverse = _cluster_of(newton, rows, k), rows.frame[k, INVERSE]
+        cluster, inverse = _cluster_of(newton, rows, k), rows.frame[k, col.INVERSE]
         clusters[cluster, _SIZE] += _linearise(partners, rows, newton, k, mass, small)
         rolls = linearise_rolling(rows.rolling, partners, rows, k, small)
         clusters[cluster, _SIZE] += rolls * measured(inverse, mass)
@@ -266,7 +255,7 @@ def _solve_for_bodies(
         _add_contact(partners, rows, newton, k)
         c = row3_at(newton.slopes, k, 0)
         p, turn = scale(-1.0, in_world(rows.frame, k, c)), rolling_c(rows.rolling, rows, k, -c[0])
-        for body, arm, sign in ((rows.first[k], ARM, 1.0), (rows.second[k], ARM + 3, -1.0)):
+        for body, arm, sign in ((rows.first[k], col.ARM, 1.0), (rows.second[k], col.ARM + 3, -1.0)):
             at = newton.first_row[body]
             if at >= 0:
                 m = add(cross(row3_at(rows.frame, k, arm), p), turn)
@@ -318,7 +307,7 @@ def _into_the_cones(rows: ImpulseRows, count: int) -> None:
     for k in range(count):
         n, x, y = row3_at(rows.impulse, k, 0)
         n = max(n, 0.0)
-        x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
+        x, y = on_disc(x, y, rows.frame[k, col.FRICTION] * n)
         put_row3_at(rows.impulse, k, 0, (n, x, y))
     into_the_discs(rows.rolling, rows, count)
 
@@ -353,7 +342,7 @@ def take_newton_steps(
     for j in range(clusters.shape[0]):
         clusters[j, _BEST], clusters[j, _SHARE], clusters[j, _STATE] = math.inf, 1.0, _TO_SOLVE
     for _ in range(_MAX_EVALUATIONS):
-        tally[NEWTON_STEPS] += 1.0
+        tally[col.NEWTON_STEPS] += 1.0
         _evaluate(partners, rows, bounded, newton, count, size / speed, small)
         goes_on = _decide(newton, tolerance * size, _RESIDUAL_ROUNDING * size)
         if not goes_on:

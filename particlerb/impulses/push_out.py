@@ -9,21 +9,10 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel
+from particlerb.impulses import records as col
 from particlerb.impulses.bounded_effects import find_overrun, push_back_from_stops
 from particlerb.impulses.mechanisms import all_have_moved
-from particlerb.impulses.records import (
-    GAP,
-    INVERSE,
-    LEAN,
-    LEAST,
-    NEVER,
-    NORMAL,
-    RADIUS,
-    SHARE,
-    SLOW,
-    Bounded,
-    Impulses,
-)
+from particlerb.impulses.records import Bounded, Impulses
 from particlerb.impulses.rows import approach, in_frame, push_apart, velocity_between
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import scale
@@ -43,11 +32,11 @@ def _find_overlaps(impulses: Impulses, dt: float) -> bool:
     is_deep, count[1] = False, -1
     for k in range(count[0]):
         u = approach(partners, rows, k)
-        gap = rows.limits[k, GAP] + dt * (u[0] + rows.limits[k, LEAN])
-        if gap < -max(_MAX_OVERLAP_SHARE * rows.limits[k, RADIUS], rules.allowed):
+        gap = rows.limits[k, col.GAP] + dt * (u[0] + rows.limits[k, col.LEAN])
+        if gap < -max(_MAX_OVERLAP_SHARE * rows.limits[k, col.RADIUS], rules.allowed):
             count[1] = k
-        parts = u[0] > rows.limits[k, SLOW] and rows.impulse[k, 0] == 0.0
-        if parts or rows.frame[k, LEAST] == NEVER:
+        parts = u[0] > rows.limits[k, col.SLOW] and rows.impulse[k, 0] == 0.0
+        if parts or rows.frame[k, col.LEAST] == col.NEVER:
             gap = math.inf
         rows.old[k, 0], rows.old[k, 1] = 0.0, gap
         is_deep = is_deep or gap < -rules.slop
@@ -76,16 +65,16 @@ def push_out(impulses: Impulses, bounded: Bounded | None, dt: float) -> bool:
                 continue
             wanted = -rules.push_out * (gap + rules.slop)
             comes = in_frame(frame, k, velocity_between(move, frame, k, a, b))[0]
-            push = max(rows.old[k, 0] + frame[k, SHARE] * (wanted - comes), 0.0)
+            push = max(rows.old[k, 0] + frame[k, col.SHARE] * (wanted - comes), 0.0)
             more = push - rows.old[k, 0]
             if more != 0.0:
                 rows.old[k, 0] = push
                 for moved in (a, b):
                     has_moved[moved] |= partners.inverse[moved, 0] > 0.0
                     all_have_moved(partners.mechanisms, has_moved, moved)
-                p = scale(more, row3_at(frame, k, NORMAL))
+                p = scale(more, row3_at(frame, k, col.NORMAL))
                 push_apart(move, partners.inverse, partners.mechanisms, frame, k, a, b, p)
-                largest = max(largest, abs(more) * frame[k, INVERSE])
+                largest = max(largest, abs(more) * frame[k, col.INVERSE])
         if bounded is not None:
             push_back_from_stops(bounded, move, has_moved, rules.push_out)
         if largest <= _MIN_MOVE_SHARE * rules.slop:
