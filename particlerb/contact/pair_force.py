@@ -292,7 +292,7 @@ def sphere_contact_forces(
         Lengths of the drifts before and after this instant; 0 where there is none.
     growth : Growth
     v, w : float [m/s, rad/s]
-        Largest of all bodies, see `max_speeds`.
+        Largest of all points of bodies, and of all bodies.
     first, end, thread : int
         Contacts, `end` excluded, and the thread that is at them.
     """
@@ -308,7 +308,7 @@ def sphere_contact_forces(
         far = stretch * touching + margin  # for all bodies, without reading these
         is_far = square >= far * far
         if not is_far and square >= touching * touching:
-            is_far = not _comes_near(bodies, body[i], body[j], square, touching, longer)
+            is_far = not _comes_near(bodies, xyzr, (i, j), (body[i], body[j]), square, longer)
         if not is_far:
             _sphere_pair_force(on, c, d)
         elif active[c]:
@@ -372,13 +372,24 @@ def boundary_velocity(
 
 @inline
 def _comes_near(
-    bodies: Records, a: int, b: int, square: float, touching: float, longer: float
-) -> bool:
+    bodies: Records, xyzr: Floats, pair: tuple[int, int], owners: tuple[int, int], square: float,
+    longer: float,
+) -> bool:  # fmt: skip
     """Whether two spheres that do not touch do so within half of the longer drift around now.
 
-    `square` is that of their distance, `touching` the sum of their radii.
+    `square` is that of their distance.
     """
+    (i, j), (a, b) = pair, owners
+    touching = xyzr[i, 3] + xyzr[j, 3]
     v = subtract(row3(bodies.velocity, a), row3(bodies.velocity, b))
-    w = bodies.angular_speed[a] + bodies.angular_speed[b]
-    far = touching + 0.5 * longer * (math.sqrt(dot(v, v)) + 4.0 * w * touching)
+    turning = bodies.angular_speed[a] * _lever(bodies, a, row3(xyzr, i), touching)
+    turning += bodies.angular_speed[b] * _lever(bodies, b, row3(xyzr, j), touching)
+    far = touching + 0.5 * longer * (math.sqrt(dot(v, v)) + turning)
     return square < far * far
+
+
+@inline
+def _lever(bodies: Records, b: int, x: Vec3, touching: float) -> float:
+    """From a centre of mass to where a sphere at x touches [m], or more."""
+    arm = subtract(x, row3(bodies.position, b))
+    return max(4.0 * touching, math.sqrt(dot(arm, arm)) + touching)

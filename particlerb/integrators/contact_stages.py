@@ -279,7 +279,8 @@ def find_contact_forces(
 ) -> None:
     """Find the forces of contacts in shells that have come into reach, each shared out equally."""
     model, spheres, walls, skin = setup.model, lists.spheres, lists.walls, setup.skin
-    reached, v, w = extremes.displacement[0], extremes.speed[0], extremes.angular_speed[0]
+    reached, w = extremes.displacement[0], extremes.angular_speed[0]
+    v = extremes.speed[0] + w * lists.max_contact_arm
     end_spheres, end_walls = 0, 0
     for s in range(N_SHELLS):
         if SHELL_GAPS[s] * skin <= 2.0 * reached:  # both may come
