@@ -459,3 +459,14 @@ def test_the_tip_of_a_rod_bounces_as_asked_however_thin_the_rod_is(half):
     the tip: 20 steps leave 5e-4, and 2e-2 where it begins at the touch."""
     off = [abs(restitution_at_a_tip(half, phase) - 0.5) for phase in (0.1, 0.3, 0.5, 0.7, 0.9)]
     assert max(off) < 1e-3
+
+
+@plain
+def test_balls_that_touch_without_overlap_begin_to_press():
+    """Their distance is 0.2 m to the last bit, and k̇/k of hertz there 0/0."""
+    placed = [-0.09999999999999996, 0.17320508075688776, 0.0]
+    bodies = ball(position=[0, 0, 0], fixed=True), ball(name="b", position=placed)
+    pull = -10.0 * np.array(placed)
+    run = ran("rk4", 2e-4, 0.01, *bodies, wall=(), gravity=pull, friction=0.5, **HERTZ)
+    assert 0.0 < 0.2 - np.linalg.norm(run.x[-1, 1]) < 1e-3
+    assert np.abs(run.ledger.energy_error).max() < 1e-6
