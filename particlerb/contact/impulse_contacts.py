@@ -266,12 +266,13 @@ def _wall_contact(
         distance, away = dot(subtract(y, primitive.a), primitive.b), primitive.b
     else:
         away = scale(1.0 / distance, away) if distance > 0.0 else (0.0, 0.0, 1.0)
-    gap = distance - radius
-    if not is_nearest or model.inv_mass[a] == 0.0:
+    gap, b = distance - radius, model.inv_mass.size + w
+    is_held = model.inv_mass[a] == 0.0 and impulses.partners.inverse[b, 0] == 0.0
+    if not is_nearest or is_held:
         _forget(contacts, c, impulses.rows.rolling)
         return
     normal = to_world(q, away)
-    point, b = add_scaled(-(radius + 0.5 * gap), normal, x), model.inv_mass.size + w
+    point = add_scaled(-(radius + 0.5 * gap), normal, x)
     velocity, arm = impulses.partners.velocity, subtract(point, row3(poses.position, w))
     moving = add_scaled(1.0, cross(row3_at(velocity, b, 3), arm), row3_at(velocity, b, 0))
     between = subtract(row3_at(velocity, a, 0), moving)

@@ -54,12 +54,12 @@ def book_impulses(impulses: Impulses, bounded: Bounded | None) -> None:
         m, resisted = rolled(rows.rolling, partners, rows, k)
         rubbed = pressed[1] * u[1] + pressed[2] * u[2] + resisted
         mine, moved, p = a, 0.0, in_world(frame, k, r)
-        if inverse[b, 0] == 0.0 or rows.entry[k] < 0:
+        if inverse[a, 0] == 0.0:
+            moved = _book_outside(partners, frame, k, b, a, col.ARM, scale(-1.0, p), scale(-1.0, m))
+            mine = b if rows.entry[k] >= 0 else a  # what walls have booked is not summed
+        elif inverse[b, 0] == 0.0 or rows.entry[k] < 0:
             moved = _book_outside(partners, frame, k, a, b, col.ARM + 3, p, m)
             moved = moved if inverse[b, 0] == 0.0 else 0.0  # a piston has energy of its own
-        elif inverse[a, 0] == 0.0:
-            mine = b
-            moved = _book_outside(partners, frame, k, b, a, col.ARM, scale(-1.0, p), scale(-1.0, m))
         booked[mine, 0] += bounced + normal + rubbed + moved
         booked[mine, 7] += abs(bounced) + abs(normal) + abs(rubbed) + abs(moved)
         tally[col.IMPACT_WORK] += bounced

@@ -104,3 +104,19 @@ def test_a_run_with_a_piston_that_is_resumed_has_the_same_bits(tmp_path):
     assert (often.position[::15] == whole.position).all()
     assert np.abs(whole.observable("energy_error")).max() < 1e-12
     assert math.isfinite(whole.energy[-1])
+
+
+@pytest.mark.parametrize("keys", [{"fixed": True}, {"motion": {"velocity": [0.3, 0, 0.1]}}])
+def test_a_lid_comes_down_on_a_ball_that_impulses_do_not_move(keys):
+    """It falls by 0.1 m on one held, comes on the other, and leaves e times as fast."""
+    lid = plane((0, 0, -1), point=[0, 0, 0.2], piston={"mass": 3.0, "axis": [0, 0, 1]})
+    other = sphere("other", position=[5, 0, 0])
+    t = go(sphere(position=[0, 0, 0]) | keys, other, contact=exact(0.5), wall=[lid], gravity=DOWN,
+           dt=1e-3, t_end=0.2, every=0.01, output={"fields": FIELDS})  # fmt: skip
+    rate = 0.0 if "fixed" in keys else 0.1
+    hit = (math.sqrt(rate**2 + 2.0 * G * 0.1) - rate) / G
+    left = rate + 0.5 * (G * hit + rate)
+    after = t.time[t.time > hit + 2e-3] - hit
+    speeds = t.wall_velocity[-after.size :, 0, 2]
+    assert speeds == pytest.approx(left - G * after, abs=0.02)
+    assert errors(t)[0] < 1e-12
