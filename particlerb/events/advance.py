@@ -72,5 +72,5 @@ def advance(
             state.tally[impulses.RENEWED] += 1.0
         for body in (b, partner):
             if body >= 0 and not predict(scene, state, data.centre, body, t, side):
-                return col.UNFOUND, b
+                return col.UNFOUND, body
     return col.MORE, -1

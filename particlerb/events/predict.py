@@ -109,13 +109,27 @@ def _earlier(t: float, s: float) -> float:
 
 @inline
 def _note(state: EventState, b: int, t: float, s: float, hit: tuple[int, int, int]) -> None:
-    """Make an impact after a time s that of body b, if it comes earlier than what it has."""
+    """Make an impact after a time s that of body b, if it comes earlier than what it has.
+
+    Where the search for it has not come to an end, the body looks again then.
+    """
     time = _earlier(t, s)
     if time < state.at[b, col.HIT]:
         state.at[b, col.HIT] = time
         state.info[b, col.PARTNER], state.info[b, col.OWN], state.info[b, col.OTHER] = hit
-        if hit[0] >= 0:
+        if hit[1] == LOST:
+            state.info[b, col.PARTNER], state.info[b, col.STAMP] = b, col.AGAIN
+        elif hit[0] >= 0:
             state.info[b, col.STAMP] = state.info[hit[0], col.HITS]
+
+
+@inline
+def _goes_on(scene: EventScene, state: EventState, b: int, c: int, s: float, sphere: int) -> bool:
+    """Whether a search has come to an end, or as far as clumps that turn by a radian."""
+    turning = state.spin[b, col.FASTEST] if scene.body[b, col.BODY_REACH] > 0.0 else 0.0
+    if c >= 0 and scene.body[c, col.BODY_REACH] > 0.0:
+        turning += state.spin[c, col.FASTEST]
+    return sphere != LOST or s * turning >= 1.0
 
 
 @inline
@@ -131,7 +145,7 @@ def _look(
     until = min(state.at[b, col.HIT] - flying.t, stays)
     s, sphere, other = bodies_meet(scene, state, data, flying, c, until)
     _note(state, b, flying.t, s, (c, sphere, other))
-    return s != LOST
+    return _goes_on(scene, state, b, c, s, sphere)
 
 
 @inline
@@ -144,7 +158,7 @@ def _look_at_walls(
         p = int(np.int64(scene.wall_near[n]))
         until = min(state.at[b, col.HIT] - flying.t, stays)
         s, i = wall_meets(scene, state, data, flying, p, until)
-        ended = ended and s != LOST
+        ended = _goes_on(scene, state, b, col.WALL, s, i) and ended
         _note(state, b, flying.t, s, (col.WALL, i, p))
     return ended
 

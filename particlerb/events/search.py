@@ -38,7 +38,7 @@ _GAP_ROUNDING: Final = 5e-16
 _TIME_ROUNDING: Final = 2.3e-16
 _NO_SHIFT: Final = (0.0, 0.0, 0.0)
 _MIN_STEP_AWAY: Final = 1e-8  # from a contact that opens, over √(size/bend)
-LOST: Final = -1.0  # time of a search without an end
+LOST: Final = -2  # sphere that is hit where a search has not come to an end
 
 
 @inline
@@ -183,7 +183,7 @@ def _spheres_meet(
         if touches or (step < last and (t + s) + step == t + s):
             return s, i, j
         s += step
-    return LOST, -1, -1
+    return s, LOST, LOST
 
 
 class Flying(NamedTuple):
@@ -220,9 +220,10 @@ def bodies_meet(
     Returns
     -------
     time : float [s]
-        inf: not before `until`; LOST: the search did not end.
+        inf: not before `until`.
     first, second : int
-        Spheres, of the body with the lower number and of the other one.
+        Spheres, of the body with the lower number and of the other one; LOST: the search did not
+        end, and they do not touch before that time.
     """
     b, t = flying.body, flying.t
     fall = norm(pull(scene, b)) if c >= scene.n_moving else 0.0
@@ -360,7 +361,7 @@ def _wall_meets(
         if step == 0.0 or (step < until and (t + s) + step == t + s):
             return s, best
         s += step
-    return LOST, -1
+    return s, LOST
 
 
 @inline

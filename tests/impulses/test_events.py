@@ -22,7 +22,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
-from particlerb.events import advance
+from particlerb.events import advance, search
 from particlerb.impulses.records import IMPACTS
 from particlerb.simulation.run import Run, prepare
 
@@ -175,6 +175,20 @@ def test_a_clump_that_only_turns_meets_a_floor():
     scene |= {"wall": [plane()], "contact": {"law": "events", "restitution": 1.0, "friction": 0.0}}
     with particlerb.run(scene) as trajectory:
         assert trajectory.position[-1, 0, 2] > 0.46
+
+
+@plain
+def test_clumps_may_turn_in_one_place_beside_what_they_do_not_touch(monkeypatch):
+    """The search for an impact has no end there: it goes on where it was left."""
+    monkeypatch.setattr(search, "_MAX_SEARCH_STEPS", 200)
+    shape = {"type": "points", "position": [[0.5, 0, 0], [-0.5, 0, 0]], "mass": 1.0, "radius": R}
+    rods = [{"name": f"r{k}", "shape": shape, "position": [0, 0, 0.65 + k],
+             "angular_velocity": [0, 1.0, 3.0 * k]} for k in range(2)]  # fmt: skip
+    ball = sphere(position=[0, 0.3, 0.65])
+    t = go(*rods, ball, contact=events(), wall=[plane()], t_end=100.0, every=50.0)
+    assert t.observable("impacts")[-1] == 0
+    assert (t.position[-1] == t.position[0]).all()
+    assert max(errors(t)) < 1e-12
 
 
 @plain
