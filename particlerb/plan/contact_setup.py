@@ -90,7 +90,9 @@ def contact_of(system: System) -> SystemContact | None:
         [codes.get(w.material or names[0], 0) for w in system.wall], dtype=np.int64
     )
     first_world = slice(system.in_each)
-    can_meet = _meetings(len(names), material[first_world], fixed[first_world], wall_material)
+    slides = np.array([wall.piston is not None for wall in system.wall], dtype=np.bool_)
+    ends = material[first_world], fixed[first_world], wall_material, slides
+    can_meet = _meetings(len(names), *ends)
     if not problems and not can_meet.any() and not _is_for_joints(system):
         reason = "this takes two bodies, or a body and a wall, of which one can move"
         hint = "add a [[wall]] or a body, or leave [contact] out"
@@ -148,7 +150,7 @@ def _without_material(system: System, names: Sequence[str]) -> list[Problem]:
     ]
 
 
-def _meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints) -> Bools:
+def _meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints, slides: Bools) -> Bools:
     """Which pairs of materials can meet, (k, k).
 
     Parameters
@@ -157,16 +159,19 @@ def _meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints) -> Bo
         k.
     material, fixed : ndarray, shape (n_bodies,)
         As in `SystemContact`.
-    walls : ndarray, shape (n_walls,)
-        Code of each wall.
+    walls, slides : ndarray, shape (n_walls,)
+        Code of each wall, and whether it has a piston: then fixed bodies meet it too.
     """
     touches = material != NOTHING
     moving = np.bincount(material[touches & ~fixed], minlength=n_materials)
     still = np.bincount(material[touches & fixed], minlength=n_materials)
+    sliding = np.bincount(walls[slides], minlength=n_materials)
+    by_sliding = (still[:, None] > 0) & (sliding[None, :] > 0)
     still += np.bincount(walls, minlength=n_materials)
     met = (moving[:, None] > 0) & ((moving + still)[None, :] > 0)
     with_itself = (moving > 1) | ((moving == 1) & (still > 0))
     np.fill_diagonal(met, with_itself)
+    met |= by_sliding
     return np.asarray(met | met.T)
 
 

@@ -250,3 +250,22 @@ def test_a_piston_that_cannot_be_is_an_error_at_its_key(make, piston, key):
     case["wall"][1]["piston"] |= piston
     with pytest.raises(CaseError, match=rf"wall\[1\]\.piston\.{key}"):
         load(case)
+
+
+@pytest.mark.plain
+def test_what_a_lid_and_a_fixed_body_are_made_of_has_to_meet(make):
+    """Without a stiffness of both the lid fell through the body."""
+    lid = make.plane([0, 0, -1], "lid", point=[0, 0, 0.11], material="steel")
+    lid["piston"] = {"mass": 2.0, "axis": [0, 0, 1]}
+    bodies = [make.sphere("held", position=[0, 0, 0], fixed=True, material="wood"),
+              make.sphere(position=[5, 0, -1.0], material="cork")]  # fmt: skip
+    pairs = [{"materials": ["cork", name], "stiffness": K} for name in ("wood", "steel")]
+    case = {"run": {"t_end": 0.2, "every": 0.01, "dt": 2e-4}, "body": bodies, "wall": [lid]}
+    case |= {"gravity": {"acceleration": [0, 0, -G]}, "output": {"fields": FIELDS}}
+    case["material"] = [{"name": name} for name in ("wood", "steel", "cork")]
+    case["contact"] = {"law": "hooke", "restitution": 0.5, "friction": 0.5, "pair": pairs}
+    with pytest.raises(CaseError, match="wood with steel, which can touch, has no `stiffness`"):
+        particlerb.run(case)
+    pairs.append({"materials": ["wood", "steel"], "stiffness": K})
+    with particlerb.run(case) as t:
+        assert t.wall_position[:, 0, 2].min() > 0.1 - 2e-3
