@@ -1,5 +1,6 @@
 """Joints of a group of bodies, from rows and the constants of the bodies."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
@@ -21,6 +22,7 @@ from particlerb.joints.records import (
     Joints,
     Program,
 )
+from particlerb.maths.components import labels
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
 
@@ -62,7 +64,7 @@ def joints_among(
     """
     n = bodies.mass.size
     a, b = rows.a[start[:-1]], rows.b[start[:-1]]
-    label = _labels(n, a, b)
+    label = labels(n + 1, a, np.where(b < n, b, a))[:n]  # the world ties nothing
     order = np.argsort(label, kind="stable")
     place = np.empty(n + 1, dtype=np.int64)
     place[order], place[n] = np.arange(n), n
@@ -119,20 +121,6 @@ def _beside(rows: ConstraintRows) -> Bools:
     return np.asarray(is_equal & (rows.kind == WORLD_ALONG))
 
 
-def _labels(n: int, a: Ints, b: Ints) -> Ints:
-    """First body of the cluster of each body, (n,)."""
-    label = np.arange(n + 1)
-    inside = b < n
-    a, b = a[inside], b[inside]
-    while (label[a] != label[b]).any():
-        low = np.minimum(label[a], label[b])
-        for ends in (a, b):
-            np.minimum.at(label, label[ends], low)
-        while (label[label] != label).any():
-            label = label[label]
-    return label[:n]
-
-
 def _programs(
     first: Ints,
     of_joint: Ints,
@@ -145,26 +133,29 @@ def _programs(
     """Programs of all clusters, one behind the other; equal ones are made once."""
     labels = of_body[first[:-1]]
     joint = np.append(np.searchsorted(of_joint, labels), of_joint.size)
-    programs: dict[bytes, Program] = {}
-    parts: list[Program] = []
-    pivot = np.zeros(labels.size)
+    made: dict[bytes, tuple[Program, float]] = {}
+    parts = list[tuple[Program, float]]()
     for c, (lo, hi) in enumerate(pairwise(joint)):
         n = first[c + 1] - first[c]
         a, b = rows.a[start[lo:hi]], rows.b[start[lo:hi]]
-        is_world = b == inv_mass.size - 1
-        a, b = a - first[c], np.where(is_world, n, b - first[c])
+        a, b = a - first[c], np.where(b == inv_mass.size - 1, n, b - first[c])
         masses = np.append(inv_mass[first[c] : first[c + 1]], 0.0)
         own_start = start[lo : hi + 1] - start[lo]
-        sign = b"".join(values.tobytes() for values in (a, b, own_start, masses))
-        if sign not in programs:
-            programs[sign] = program_of(a, b, own_start, masses)
-        parts.append(programs[sign])
-        stands = masses == 0.0  # held bodies, and the world
-        is_tied = bool(stands[:n].any() or is_world.any())
-        has_loop = holds[lo:hi].sum() > n - stands[:n].sum() - 1 + int(is_tied)
-        pivot[c] = _LOOP_PIVOT if has_loop else 0.0
-    block = _offsets([len(part.pair) for part in parts])
-    return Clusters(first, joint, block, pivot), _joined(parts, joint, block, start)
+        sign = b"".join(values.tobytes() for values in (a, b, own_start, masses, holds[lo:hi]))
+        if sign not in made:
+            pivot = _LOOP_PIVOT if _has_loop(a[holds[lo:hi]], b[holds[lo:hi]], masses) else 0.0
+            made[sign] = program_of(a, b, own_start, masses), pivot
+        parts.append(made[sign])
+    programs, pivots = zip(*parts, strict=True)
+    block = _offsets([len(program.pair) for program in programs])
+    return Clusters(first, joint, block, np.array(pivots)), _joined(programs, joint, block, start)
+
+
+def _has_loop(a: Ints, b: Ints, inv_mass: Floats) -> bool:
+    """Whether joints that hold close a loop, all that stands still being one body: the last."""
+    n = inv_mass.size
+    ends = (np.where(inv_mass[end] == 0.0, n - 1, end) for end in (a, b))
+    return bool(a.size > n - np.unique(labels(n, *ends)).size)
 
 
 def _offsets(sizes: list[int]) -> Ints:
@@ -172,7 +163,7 @@ def _offsets(sizes: list[int]) -> Ints:
     return np.cumsum([0, *sizes], dtype=np.int64)
 
 
-def _joined(parts: list[Program], joint: Ints, block: Ints, start: Ints) -> Program:
+def _joined(parts: Sequence[Program], joint: Ints, block: Ints, start: Ints) -> Program:
     """One program of those of all clusters."""
     below = _offsets([part.below.size for part in parts])
     update = _offsets([len(part.updates) for part in parts])

@@ -17,6 +17,7 @@ from particlerb.forces.python import with_code
 from particlerb.forces.python_pairs import numbers_of_pairs, try_pairs
 from particlerb.forces.spring import places
 from particlerb.geometry.particles import rows_of_kinds
+from particlerb.maths.components import labels
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
@@ -356,22 +357,8 @@ def components(
         Ends in the world tie nothing.
     attracted : ndarray, shape (k,)
         Bodies that attract each other.
-
-    References
-    ----------
-    Shiloach and Vishkin, J. Algorithms 3, 57 (1982): roots are hooked to smaller ones, then every
-    body is made to point to its root; the number of rounds grows with the logarithm of n.
     """
     first = np.concatenate([*(link.first for link in links), attracted[1:], touching[1:]])
     second = np.concatenate([*(link.second for link in links), attracted[:-1], touching[:-1]])
-    first, second = first[second != WORLD], second[second != WORLD]
-    label = np.arange(n_bodies)
-    while True:
-        a, b = label[first], label[second]
-        apart = a != b
-        if not apart.any():
-            return label
-        first, second, a, b = first[apart], second[apart], a[apart], b[apart]
-        np.minimum.at(label, np.maximum(a, b), np.minimum(a, b))
-        while (label[label] != label).any():
-            label = label[label]
+    inside = second != WORLD
+    return labels(n_bodies, first[inside], second[inside])

@@ -176,3 +176,23 @@ def test_trajectories_without_joints_have_no_loads():
         pytest.raises(KeyError, match="has no joints"),
     ):
         joint_loads(t)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("method", ["rattle", "dop853"])
+def test_a_loop_is_one_beside_a_body_that_a_dashpot_alone_ties(method):
+    """A door on two hinges with a ball that pushes against it through air, if hardly."""
+    door = bar("door", [0, 0, 0], [1, 0.2, 0.1], 2.0)
+    hinges = [joint("hinge", "door", None, [0, 0, z], [0, 0, 1]) for z in (-0.4, 0.4)]
+    ball = body("ball", 0.3, [0.01, 0.01, 0.01], [1.5, 0.3, 0.5])
+    link = {"type": "spring", "body": "ball", "to": "door", "stiffness": 1e-12, "damping": 1e-12}
+    times = {"t_end": 0.4, "every": 0.4, "method": method}
+    times |= {"dt": 0.01} if method == "rattle" else {"tolerance": 1e-9}
+    found = []
+    for bodies, force in (([door], []), ([door, ball], [link | {"rest_length": "initial"}])):
+        scene = case(bodies, hinges, (0.3, 0.5, -G), force=force)
+        with run({"run": times, **scene}) as trajectory:
+            loads = joint_loads(trajectory)
+            found.append((np.array(trajectory.position)[:, 0], loads.force, loads.torque))
+    for alone, beside in zip(*found, strict=True):
+        assert beside == pytest.approx(alone, abs=1e-6)
