@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from particlerb.contact.walls import DISC, EDGE, FACE, PLANE, RIM, SIDE, VERTEX, Walls
+from particlerb.maths.components import labels
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 _COPLANAR_SINE: Final = 1e-6  # of the angle between faces of one plane: STL has single precision
@@ -168,13 +169,7 @@ def _smoothed(
         for v in third
     ]
     is_flat &= turn[0] * turn[1] < 0.0  # not folded back on itself
-    left, right = left[is_flat], right[is_flat]
-    patch = np.arange(len(faces))
-    while (patch[left] != patch[right]).any():
-        lower = np.minimum(patch[left], patch[right])
-        np.minimum.at(patch, left, lower)
-        np.minimum.at(patch, right, lower)
-        patch = patch[patch]
+    patch = labels(len(faces), left[is_flat], right[is_flat])
     sign = np.sign(np.einsum("ij,ij->i", normal, normal[patch]))
     total = np.zeros_like(normal)
     np.add.at(total, patch, (area * sign)[:, None] * normal)
