@@ -198,25 +198,27 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
     """
     if jointed is None:
         return
-    joints, data = jointed.joints, jointed.data
+    joints, data, n = jointed.joints, jointed.data, jointed.block.size
+    joint, body, start = joints.clusters.joint, joints.clusters.body, joints.program.start
     _put_state(jointed, states, w)
-    set_prescribed(jointed.prescribed, jointed, t, 0.0, 0, jointed.block.size)
-    for c in range(joints.clusters.body.size - 1):
-        joint, body = joints.clusters.joint, joints.clusters.body
-        lo, hi = joints.program.start[joint[c]], joints.program.start[joint[c + 1]]
-        first, last = body[c], body[c + 1]
-        for k in range(first, last):
-            for i in range(6):
-                data.change[k, i], data.y[k, P + i] = data.y[k, P + i], 0.0
+    set_prescribed(jointed.prescribed, jointed, t, 0.0, 0, n)
+    data.motion[:] = 0.0  # else teeth would be passed meanwhile
+    for k in range(n):
+        for i in range(6):
+            data.change[k, i], data.y[k, P + i] = data.y[k, P + i], 0.0
+    for c in range(body.size - 1):
         constrained_drift(joints, data, c, 0.0, t - 1.0, 1.0)
-        for k in range(first, last):
-            for i in range(6):
-                data.y[k, P + i] = data.change[k, i]
+    for k in range(n):
+        for i in range(6):
+            data.y[k, P + i] = data.change[k, i]
+    set_prescribed(jointed.prescribed, jointed, t, 0.0, 0, n)
+    for c in range(body.size - 1):
+        lo, hi = start[joint[c]], start[joint[c + 1]]
         linearise(joints, data, lo, hi)
         set_moving(joints, data, lo, hi, t)
         keep_rates(joints, data, c, lo, hi)
         if data.failed_row[c] > 0:
-            data.y[first:last] = nan
+            data.y[body[c] : body[c + 1]] = nan
     _give_state(jointed, states, w)
 
 

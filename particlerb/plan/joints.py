@@ -309,7 +309,8 @@ def assembled(system: System) -> System:
         residuals(joints, data, 0, m, 0.0)
         off = np.abs(data.g) / joints.rows.size
         _refuse_misfits(system, setup, joints, off, "{name} does not fit where its bodies start:")
-    before = data.y.copy()
+    before, motion = data.y.copy(), data.motion.copy()
+    data.motion[:] = 0.0  # else teeth would be passed meanwhile
     for c, cluster_rows in enumerate(rows):
         bodies = slice(joints.clusters.body[c], joints.clusters.body[c + 1])
         if cluster_rows.start < cluster_rows.stop and off[cluster_rows].max() > 0.0:
@@ -317,6 +318,7 @@ def assembled(system: System) -> System:
             constrained_drift(joints, data, c, 0.0, -1.0, 1.0)
             data.y[bodies, 7:] = before[bodies, 7:]
             _refuse_apart(system, setup, joints, data, cluster_rows)
+    data.motion[:] = motion
     _refuse_fast(system, setup, joints, data)
     for c in range(len(rows)):
         project_momenta(joints, data, c, 0.0, 0.0, 0.0)

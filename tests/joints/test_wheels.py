@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from scenes import X, Y, Z, body, case, joint
+from scipy.spatial.transform import Rotation
 
 import particlerb
 from particlerb import CaseError, RunError, joint_loads
 from particlerb.case.to_system import to_system
+from particlerb.model.bodies import quaternions
 from particlerb.simulation.run import prepare
 
 METHODS = {
@@ -150,6 +152,44 @@ def test_a_rack_is_pushed_by_its_pinion():
     rate = 1.0 / (0.5 + 3 * 0.2**2)
     assert x == pytest.approx(0.5 * 0.2 * rate * t * t, abs=1e-12)
     assert loads.force[:, 2, 0] == pytest.approx(-3 * 0.2 * rate, rel=1e-9)
+
+
+def turned(scene, R, shift):
+    """A scene turned and shifted as a whole."""
+    (q,), at = quaternions(R[None]), {"position", "at", "at_to"}
+    own = [b | {"orientation": q.tolist()} for b in scene["body"]]
+    motion = {"angular_velocity", "velocity", "axis", "axis_to"}
+
+    def moved_table(table):
+        vectors = {k: (R @ table[k]).tolist() for k in motion & table.keys()}
+        return table | vectors | {k: (R @ table[k] + shift).tolist() for k in at & table.keys()}
+
+    own = [moved_table(b | ({"motion": moved_table(b["motion"])} if "motion" in b else {}))
+           for b in own]  # fmt: skip
+    return scene | {"body": own, "joint": [moved_table(j) for j in scene["joint"]]}
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("method", ["rattle", "dop853"])
+@pytest.mark.parametrize("kind", ["gear", "rack"])
+def test_a_wheel_in_mesh_with_a_driven_body_begins_where_it_is_placed(kind, method):
+    """It turns by what the other side does; whatever the attitude of the whole, to rounding."""
+    wheel = body("wheel", 1, [1, 1, 2], [0.3, 0, 0], spin=(0, 0, -4.5))
+    other = body("driven", 1, [1, 1, 2], [0, 0, 0]) | {"motion": {"angular_velocity": [0, 0, 2.25]}}
+    teeth = {"type": "gear", "teeth": [20, 40]}
+    if kind == "rack":
+        other |= {"motion": {"velocity": [0, 0.9, 0]}, "position": [0.1, -0.5, 0]}
+        teeth = {"type": "rack", "axis_to": Y, "at_to": [0.1, 0, 0]}
+    joints = [joint("hinge", "wheel", None, [0.3, 0, 0], Z)]
+    joints.append({"body": "wheel", "to": "driven", "axis": Z, **teeth})
+    R = Rotation.from_rotvec([0.7, -1.1, 0.4]).as_matrix()
+    scene = turned(case([wheel, other], joints, (0, 0, 0)), R, np.array([0.3, -1.7, 0.9]))
+    times = {"dt": 0.01} if method == "rattle" else {"tolerance": 1e-9}
+    with moved(scene, 1.0, method, 0.25, **times) as trajectory:
+        q = np.array(trajectory.orientation)[0, 0]
+        assert abs(q @ scene["body"][0]["orientation"]) == pytest.approx(1.0, abs=1e-13)
+        coordinate = np.array(trajectory.joint_coordinate)[:, 0]
+        assert coordinate == pytest.approx(-4.5 * trajectory.time, abs=1e-12)
 
 
 def floating(kind):
