@@ -141,6 +141,8 @@ class Run:
         self.start(plan, state, motions)
         for run in self.group_runs:
             run.broken = dict(self.broken)
+            for before in () if run.plan.members.tobytes() in motions else motions.values():
+                run.motion.continue_joints(before)
         frame = as_frame(self.moving.bodies, state)
         now = self.totals_of(frame, self.initial_energies(frame))
         self.booked_before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]

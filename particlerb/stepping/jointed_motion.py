@@ -82,12 +82,13 @@ class JointedMotion(Motion):
                 array[:] = saved[name]
 
     def continue_joints(self, before: Motion) -> None:
-        """Count the turns of joints on from where the segment before has left them."""
+        """Count turns on from where another motion has left them; what broke there stays broken."""
         old = before.group.terms.joints if isinstance(before, JointedMotion) else None
         new = self.group.terms.joints
         if old is None or new is None or not isinstance(before, JointedMotion):
             return
-        break_times = dict(zip(old.number.tolist(), before.broken.tolist(), strict=True))
-        self.broken[:] = [break_times.get(number, np.inf) for number in new.number.tolist()]
-        stayed = np.isin(old.coordinates.number, new.coordinates.number)
-        self.turned[:] = before.turned[stayed]
+        _, mine, its = np.intersect1d(new.number, old.number, return_indices=True)
+        self.broken[mine] = before.broken[its]
+        of_new, of_old = new.coordinates.number, old.coordinates.number
+        _, mine, its = np.intersect1d(of_new, of_old, return_indices=True)
+        self.turned[mine] = before.turned[its]

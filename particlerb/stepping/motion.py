@@ -152,7 +152,7 @@ class Motion(Protocol):
         return {}
 
     def continue_joints(self, before: "Motion") -> None:
-        """Count the turns of joints on from where the segment before has left them."""
+        """Count turns on from where another motion has left them; what broke there stays broken."""
         return
 
     def contact_energies(self, rows: Ints) -> Energies:

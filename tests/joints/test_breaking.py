@@ -151,6 +151,28 @@ def test_what_has_broken_stays_broken_through_a_change(tmp_path):
     assert (found[8:] == found[-1]).all()
 
 
+@pytest.mark.parametrize("keys", [{"dt": 0.005}, {"method": "dop853", "tolerance": 1e-9}])
+def test_what_a_change_puts_together_or_apart_goes_on(keys, tmp_path):
+    """Two tops, of which the load of one breaks its hinge; then what acts on both is alike."""
+    tops = body("top", 1.0, [0.1, 0.1, 0.1], [0, 0, 0], spin=(0, 0, 9.0))
+    tops |= {"count": 2, "position": [[0, 0, 0], [5.0, 0, 0]]}
+    hinge = {"type": "hinge", "body": "top", "at": {"body": [0, 0, 0]}, "axis": Z}
+    load = {"type": "push", "body": "top[0]", "force": [0, 0, -1.0]}
+    scene = case([tops], [hinge | {"breaks_at": {"force": 9.9}}], force=[load])
+    scene["output"] = {"fields": ["position", "joint_coordinate", "joint_break_time"]}
+    run = {"run": {"t_end": 1.0, "every": 0.25, **keys}, **scene}
+    with particlerb.Simulation(run, tmp_path / "a.h5") as simulation:
+        simulation.advance(0.5)
+        simulation.change("force", [])
+        assert simulation.advance(1.0).position[:, 2] == pytest.approx(
+            [-10.81 * 0.375 - 9.81 / 8, 0], abs=0.1
+        )
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        assert (np.array(trajectory.joint_break_time)[1:] > 0.0).tolist() == [[True, False]] * 4
+        turned = np.array(trajectory.joint_coordinate)
+        assert turned[:, 1] == pytest.approx(9.0 * trajectory.time, abs=1e-8)
+
+
 def test_a_joint_that_carries_less_holds():
     with moved(weight_on_a_wire(30.0), 0.8, 0.004, every=0.1) as trajectory:
         assert (np.array(trajectory.joint_break_time) == 0.0).all()
