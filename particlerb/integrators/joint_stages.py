@@ -219,7 +219,7 @@ def drift_clusters(
         _correct_work(books, jointed.keeps_kick, jointed, blocks, c, kick_dt)
         _scatter(jointed, blocks, c)
     meet_all(team)
-    if first == 0:
+    if team is None or team.thread == 0:
         count_turns(jointed.joints.coordinates, jointed.data.y, jointed.data.turned)
 
 

@@ -5,15 +5,18 @@ import csv
 import numpy as np
 import pytest
 from holds import misfits
-from scenes import SCENES, X, Z, bar, body, case, joint, moved
+from scenes import SCENES, X, Z, bar, body, case, hinge_chain, joint, moved
 
 import particlerb
 from particlerb import CaseError, joint_loads
 from particlerb.case.output import FIELDS_OF_JOINTS
 from particlerb.case.to_system import to_system
+from particlerb.compiled.barrier import Team
 from particlerb.export import export
+from particlerb.integrators import METHODS, joint_stages
 from particlerb.simulation.checks import results
 from particlerb.simulation.run import prepare, run_prepared
+from particlerb.stepping.make_motion import make_motion
 
 STATE = ["position", "orientation", "linear_momentum", "angular_momentum"]
 
@@ -243,3 +246,25 @@ def test_checks_take_what_joints_carry_and_where_they_are(tmp_path):
 def test_checks_of_joints_that_cannot_be_are_named(check, words):
     with pytest.raises(CaseError, match=words):
         prepare(to_system({"run": {"t_end": 1.0, "every": 0.5, "dt": 0.1}, **weighed(check)}))
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("size", [1, 2, 3, 5])
+def test_one_thread_counts_turns_however_many_share_a_mechanism(size, monkeypatch):
+    """Two at once would count a turn twice."""
+    counts = []
+    monkeypatch.setattr(joint_stages, "meet", lambda team: None)
+    monkeypatch.setattr(joint_stages, "meet_all", lambda team: None)
+    monkeypatch.setattr(joint_stages, "count_turns", lambda *_: counts.append(1))
+    run = {"t_end": 1.0, "every": 1.0, "dt": 0.1}
+    prepared = prepare(to_system({"run": run, **asking(hinge_chain(3), "joint_coordinate")}))
+    (group,) = prepared.plan.groups
+    segment = group.segments[0]
+    motion = make_motion(
+        METHODS["rattle"], group.group(segment), prepared.system.state, 0.0, segment.dt, 0.0
+    )
+    meetings, values = np.zeros(32, dtype=np.int64), np.zeros((size, 16))
+    for thread in range(size):
+        team = Team(size, thread, meetings, values)
+        joint_stages.drift_clusters(motion.jointed, team, None, motion.blocks, 0.05, 0.0, 0.1)
+    assert counts == [1]
