@@ -89,8 +89,7 @@ def make_least(joints: Joints, data: JointData) -> Bools:
         something there.
     """
     is_open = np.zeros((joints.number.size, 6), dtype=np.bool_)
-    is_turning = (joints.rows.kind == DOT) | (joints.rows.kind >= TURN)
-    sizes = np.where(is_turning, _joint_sizes(joints), 1.0)
+    sizes = np.where(_is_turning(joints), _joint_sizes(joints), 1.0)
     for c in np.flatnonzero(joints.clusters.smallest_pivot > 0.0):
         lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
         null = null_vectors(joints, data, int(c))
@@ -108,10 +107,16 @@ def make_least(joints: Joints, data: JointData) -> Bools:
     return is_open
 
 
+def _is_turning(joints: Joints) -> Bools:
+    """Which rows have torques for multipliers."""
+    return np.asarray((joints.rows.kind == DOT) | (joints.rows.kind >= TURN))
+
+
 def _joint_sizes(joints: Joints) -> Floats:
     """Size of the joint of each row [m]; 1 where all of its rows are of directions."""
-    start = joints.program.start
-    return np.repeat(np.maximum.reduceat(joints.rows.size, start[:-1]), np.diff(start))
+    start, size = joints.program.start, np.where(_is_turning(joints), 0.0, joints.rows.size)
+    largest = np.maximum.reduceat(size, start[:-1])
+    return np.repeat(np.where(largest > 0.0, largest, 1.0), np.diff(start))
 
 
 def forces_of_joints(joints: Joints, data: JointData, z: Floats) -> Floats:

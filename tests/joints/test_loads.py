@@ -196,3 +196,20 @@ def test_a_loop_is_one_beside_a_body_that_a_dashpot_alone_ties(method):
             found.append((np.array(trajectory.position)[:, 0], loads.force, loads.torque))
     for alone, beside in zip(*found, strict=True):
         assert beside == pytest.approx(alone, abs=1e-6)
+
+
+@pytest.mark.plain
+def test_loads_that_redundant_rows_leave_open_do_not_depend_on_units():
+    """All lengths and gravity in thousandths: forces are those, torques too with their arms."""
+    small, scene, found = 1e-3, SCENES["bricard"](), []
+    for scale in (1.0, small):
+        moments = (scale**2 * np.array([b["shape"]["inertia"] for b in scene["body"]])).tolist()
+        bodies = [b | {"position": (scale * np.array(b["position"])).tolist()}
+                  | {"shape": b["shape"] | {"inertia": own}}
+                  for b, own in zip(scene["body"], moments, strict=True)]  # fmt: skip
+        joints = [j | {"at": (scale * np.array(j["at"])).tolist()} for j in scene["joint"]]
+        with moved(case(bodies, joints, (0, -G * scale, 0)), 0.02, 0.01) as trajectory:
+            found.append(joint_loads(trajectory))
+    large, small_loads = found
+    assert small_loads.force / small == pytest.approx(large.force, abs=1e-7)
+    assert small_loads.torque / small**2 == pytest.approx(large.torque, abs=1e-7)
