@@ -68,6 +68,7 @@ from particlerb.maths.vec3 import (
 )
 
 _WHOLE_TURN: Final = 2.0 * pi
+_FAR_TURNED: Final = 1e-4  # times far over size: rounding of places there turns bodies to and fro
 Three: TypeAlias = tuple[Vec3, Vec3, Vec3]
 
 
@@ -184,12 +185,13 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
     worst, where, d = 0.0, lo, (0.0, 0.0, 0.0)
     if lo == hi:
         return worst, where
-    R, far = rotations(rows, y, lo), 0.0
+    R, far, turned = rotations(rows, y, lo), 0.0, 1.0
     for r in range(lo, hi):
         kind = rows.kind[r]
         if is_of_other_bodies(rows, lo, r):
             x, R = row3_at(y, rows.a[r], X), rotations(rows, y, r)
             far = abs(x[0]) + abs(x[1]) + abs(x[2])
+            turned = max(1.0, _FAR_TURNED * far / rows.size[r])
         if data.compliance[r] != 0.0:
             g[r] = 0.0
         elif kind == WORLD_ALONG:
@@ -204,7 +206,7 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
             g[r] = rolled(joints.rolls, rows, r, R, u, d)
         else:
             g[r] = residual(rows, joints.drives, y, r, t)
-        share = abs(g[r]) / (rows.size[r] + (0.0 if is_of_directions(kind) else far))
+        share = abs(g[r]) / (turned if is_of_directions(kind) else rows.size[r] + far)
         if not share <= worst:
             worst, where = share, r
     return worst, where

@@ -47,7 +47,8 @@ _RESIDUAL_ROUNDING: Final = 1e-15  # residuals, over their size, that are as goo
 _LAST_RESIDUAL: Final = 1e-10  # below it an iteration that gains little is the last
 _GAIN_RATIO: Final = 0.5  # of a residual by that before: with more an iteration gains little
 _MAX_MIXED: Final = 1e-2  # residual: farther off, mixed iterations might end in another branch
-_STRAYED_RATIO: Final = 100.0  # times the least residual so far: a loop leaves for another branch
+_STRAYED_RATIO: Final = 100.0  # times the least residual so far, or the last: a loop leaves for
+# another branch
 _MAX_PASSES: Final = 4  # of a projection of momenta
 _MAX_PIVOT_DECADES: Final = 7  # by which the pivot below which rows rest grows, from 1e-8 on
 _MAX_RESTING: Final = 1e-4  # residual of a row that rests, over its size
@@ -228,7 +229,10 @@ def _pass_singular_pose(joints: Joints, data: JointData, c: int, t: float, dt: f
             if joints.rows.action[r] == HOLDS:
                 data.compliance[r] = 0.0
         leave_out(joints.breaks, joints, data, c, t)
-        worst, where = residuals(joints, data, lo, hi, t + dt)
+        _, where = residuals(joints, data, lo, hi, t + dt)
+        worst = 0.0
+        for r in range(lo, hi):
+            worst = max(worst, abs(data.g[r]) / joints.rows.size[r])
         if data.failed_row[c] == 0 and worst <= _MAX_RESTING and _is_weak(joints, data, c, lo, hi):
             break
         data.failed_row[c] = 1 + where
@@ -295,7 +299,7 @@ def _fly_to_joints(joints: Joints, data: JointData, c: int, t: float, dt: float)
             return
         if not mixes and worst > _STRAYED_RATIO * least:
             break
-        least = min(least, worst)
+        least = max(min(least, worst), _LAST_RESIDUAL)
         share = _share_of_last(joints, data, lo, hi) if mixes and before < _MAX_MIXED else 0.0
         before = worst
         for r in range(lo, hi):
