@@ -32,6 +32,7 @@ from particlerb.geometry.particle_files import read_points
 from particlerb.geometry.particles import (
     Particles,
     concatenate,
+    one_kind,
     scaled_to_mass,
     transformed,
     united,
@@ -241,7 +242,7 @@ def _shape_particles(
         if shape.file is not None:
             particles = read_points(files.read(shape.file))
         else:
-            particles = shapes.points(shape.position or (), shape.mass or (), shape.radius)
+            particles = one_kind(shape.position or (), shape.mass or (), shape.radius)
         return FilledShape(particles if mass is None else scaled_to_mass(particles, mass))
     if isinstance(shape, SpheresShape):
         return FilledShape(spheres(*spheres_of(files, shape), mass, density, shape.overlap))

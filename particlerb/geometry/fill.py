@@ -21,7 +21,7 @@ from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.mesh import TriangleMesh, mesh_solid
 from particlerb.geometry.overlapping_spheres import union_solid
 from particlerb.geometry.packing import packing
-from particlerb.geometry.particles import Particles, with_surface
+from particlerb.geometry.particles import Particles, checked_mass, with_surface
 from particlerb.geometry.solid import UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Floats
 
@@ -191,15 +191,10 @@ def mesh_particles(
     Raises
     ------
     ValueError
-        If not one of mass and density is given and positive, the arrangement is none of these, n
-        is too small, or the error is not met.
+        If the mass is not positive and finite, n is too small, or the error is not met.
     """
     solid = mesh_solid(mesh)
-    if (mass is None) == (density is None):
-        raise ValueError(f"mass {mass} and density {density}: one of them is needed")
-    total = float(density or 0.0) * solid.volume if mass is None else mass
-    if not 0.0 < total < math.inf:
-        raise ValueError(f"mass is {total} kg: positive and finite is needed")
+    total = checked_mass((density or 0.0) * solid.volume if mass is None else mass)
     if arrangement == "exact":
         return FilledShape(equimomental_points(solid, total), (), mesh.notes)
     if arrangement == "cells":
@@ -208,8 +203,6 @@ def mesh_particles(
             return FilledShape(make(n), (), mesh.notes)
         analytic = per_mass(solid)
         return coarsest_within(analytic, inertia_error, make)._replace(notes=mesh.notes)
-    if arrangement != "spheres":
-        raise ValueError(f"arrangement is {arrangement!r}: exact, cells or spheres is needed")
     filled = _spheres_in(mesh, solid, total, n, inertia_error)
     return filled._replace(notes=mesh.notes)
 

@@ -61,13 +61,11 @@ def spheres(
     Raises
     ------
     ValueError
-        If not exactly one of mass and density is given and positive, a number is not finite, a
-        radius not positive, there is no sphere, or spheres overlap and must not.
+        If a number is not finite, there is no sphere, radii are out of range, or spheres overlap
+        and must not.
     """
     centre, R = _checked(position, radius)
-    amount = mass if density is None else density
-    if amount is None or (mass is not None and density is not None) or not 0 <= amount < math.inf:
-        raise ValueError(f"mass {mass} and density {density}: one of them, positive, is needed")
+    amount = (mass if density is None else density) or 0.0
     overlapping = overlaps(centre, R)
     if overlapping.pairs and overlap == "error":
         raise ValueError(refusal(centre, R, overlapping))
@@ -85,9 +83,6 @@ def spheres(
 def _checked(position: ArrayLike, radius: ArrayLike) -> tuple[Floats, Floats]:
     """Centres (n, 3) and radii (n,) as float64; ValueError where they are no spheres."""
     particles = one_kind(position, 1.0, radius)
-    if not (particles.radius > 0.0).all():
-        i = int(np.argmin(particles.radius > 0.0))
-        raise ValueError(f"radius of sphere {i} is {particles.radius[i]}: positive is needed")
     largest = float(particles.radius.max())
     if not 1.0 / _HUGE < largest < _HUGE:
         raise ValueError(
@@ -108,7 +103,7 @@ def union_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
     Raises
     ------
     ValueError
-        If a number is not finite, a radius not positive, or there is no sphere.
+        If a number is not finite, radii are out of range, or there is no sphere.
 
     References
     ----------

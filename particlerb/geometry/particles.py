@@ -73,6 +73,13 @@ def _per_particle(name: str, value: ArrayLike, n: int) -> Floats:
     return array
 
 
+def checked_mass(mass: float) -> float:
+    """The mass; ValueError unless it is positive and finite."""
+    if not 0.0 < mass < math.inf:
+        raise ValueError(f"mass is {mass}: positive and finite is needed")
+    return mass
+
+
 def check(particles: Particles) -> None:
     """ValueError that names the first kind which has no mass properties, and says why."""
     position, mass, radius, offset = particles
@@ -154,18 +161,9 @@ def transformed(particles: Particles, rotation: ArrayLike, translation: ArrayLik
         Proper or improper orthogonal matrix; columns are the old axes in the new frame.
     translation : array_like, shape (3,) [m]
         In the new frame.
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, or R Rᵀ is not 1 within 1e-9.
     """
-    R, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
-    if R.shape != (3, 3) or t.shape != (3,):
-        raise ValueError(f"rotation {R.shape} and translation {t.shape}, not (3, 3) and (3,)")
-    if not np.abs(R @ R.T - np.eye(3)).max() < 1e-9:
-        raise ValueError("rotation is not an orthogonal matrix")
-    return particles._replace(position=particles.position @ R.T + t)
+    turned = particles.position @ np.asarray(rotation, dtype=np.float64).T
+    return particles._replace(position=turned + np.asarray(translation, dtype=np.float64))
 
 
 def scaled_to_mass(particles: Particles, mass: ArrayLike) -> Particles:
@@ -180,13 +178,11 @@ def scaled_to_mass(particles: Particles, mass: ArrayLike) -> Particles:
     Raises
     ------
     ValueError
-        If a wanted mass is not positive and finite, or a kind has no mass to scale.
+        If a kind has no mass to scale.
     """
     bounds = zip(particles.offset[:-1].tolist(), particles.offset[1:].tolist(), strict=True)
     total = np.array([math.fsum(particles.mass[lo:hi]) for lo, hi in bounds])
     wanted = np.broadcast_to(np.asarray(mass, dtype=np.float64), total.shape)
-    if not (np.isfinite(wanted).all() and (wanted > 0.0).all()):
-        raise ValueError(f"mass {wanted}: positive and finite is needed")
     if not (total > 0.0).all():
         raise ValueError(f"kind {int(np.argmin(total > 0.0))} has no mass to scale")
     share = particles.mass / np.repeat(total, np.diff(particles.offset))

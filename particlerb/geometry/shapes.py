@@ -1,8 +1,9 @@
 """Shapes filled with mass particles: one function per shape, numbers in, one kind out.
 
 Common to all: positions in the shape's own axes, centred unless the function says otherwise; SI
-units; `mass` [kg] is the total, shared equally unless said otherwise; sizes and masses must be
-positive and finite. ValueError says which argument is wrong.
+units; `mass` [kg] is the total, shared equally unless said otherwise. Sizes, numbers of particles
+and arrangements are those that the tables of `particlerb.case.shapes` allow; ValueError for a mass
+that is not positive and finite, as one from a density may be, and for what shows here alone.
 
 Lattice: the bounding box is cut into cells, n along its largest extent and as near to cubes as
 whole numbers along the other extents allow; a particle sits in the centre of every cell whose
@@ -20,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from particlerb.geometry.particles import Particles, one_kind
+from particlerb.geometry.particles import Particles, checked_mass, one_kind
 from particlerb.geometry.sections import BALL, CONE, Profile, hollow, ring, section_particles, tube
 from particlerb.maths.vec3 import Floats
 
@@ -32,23 +33,6 @@ _TRIANGLE_ROUNDING = 8 * np.finfo(np.float64).eps  # of I_max: moments that come
 # Lattices
 
 
-def positive(name: str, value: ArrayLike, shape: tuple[int, ...] = ()) -> Floats:
-    """Float64 array of this shape; ValueError unless every value is positive and finite."""
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}, not {shape}")
-    if not (np.isfinite(array).all() and (array > 0.0).all()):
-        raise ValueError(f"{name} is {array.tolist()}: positive and finite is needed")
-    return array
-
-
-def _at_least(n: int, least: int) -> int:
-    """n as an int; ValueError if it is no whole number or below the least."""
-    if not math.isfinite(n) or int(n) != n or n < least:
-        raise ValueError(f"n is {n}: a whole number of {least} or more is needed")
-    return int(n)
-
-
 def _cell_centres(n: int) -> Floats:
     """Centres of n equal cells of [-1, 1]: (2i + 1 − n) / n, antisymmetric to the bit."""
     return (2.0 * np.arange(n) + (1.0 - n)) / n
@@ -56,7 +40,7 @@ def _cell_centres(n: int) -> Floats:
 
 def equal(position: Floats, mass: float) -> Particles:
     """Point particles of equal mass M / n."""
-    return one_kind(position, positive("mass", mass) / len(position))
+    return one_kind(position, checked_mass(mass) / len(position))
 
 
 def filled(
@@ -79,26 +63,17 @@ def filled(
     Raises
     ------
     ValueError
-        If no cell centre lies inside, or the arrangement is another.
+        If no cell centre lies inside.
     """
-    one_of(arrangement, "lattice", "cells")
     if arrangement == "cells":
-        cells = _at_least(n, 2)
-        return section_particles(profile, half_size, float(positive("mass", mass)), cells)
-    share = half_size / half_size.max()
-    counts = np.maximum(1, np.rint(_at_least(n, 1) * share)).astype(np.int64)
+        return section_particles(profile, half_size, checked_mass(mass), n)
+    counts = np.maximum(1, np.rint(n * (half_size / half_size.max()))).astype(np.int64)
     centres = [_cell_centres(int(count)) for count in counts]
     chosen = np.argwhere(profile.inside(*np.ix_(*centres)))
     if len(chosen) == 0:
         raise ValueError(f"{name}: none of the cell centres for n = {n} lies inside; raise n")
     position = np.stack([centres[k][chosen[:, k]] * half_size[k] for k in range(3)], axis=1)
     return equal(position, mass)
-
-
-def one_of(arrangement: str, *allowed: str) -> None:
-    """ValueError for an arrangement that a shape has not."""
-    if arrangement not in allowed:
-        raise ValueError(f"arrangement is {arrangement!r}: {' or '.join(allowed)} is needed")
 
 
 # Solids
@@ -112,13 +87,10 @@ def box(
     Lattice: I_x = (M/12) (b² (1 − 1/n_y²) + c² (1 − 1/n_z²)). Exact: at (±a, ±b, ±c) / (2√3),
     where Σ m x² = M a²/12 and products cancel.
     """
-    one_of(arrangement, "lattice", "exact")
-    half_size = 0.5 * positive("size", size, (3,))
+    half_size = 0.5 * np.asarray(size, dtype=np.float64)
     if arrangement == "exact":
         return equal(CORNERS * half_size / math.sqrt(3.0), mass)
-    if np.shape(n) not in {(), (3,)}:
-        raise ValueError(f"n is {n}: one number or three")
-    counts = [_at_least(k, 1) for k in np.broadcast_to(n, (3,)).tolist()]
+    counts = np.broadcast_to(n, (3,)).tolist()
     grid = np.meshgrid(*(_cell_centres(count) for count in counts), indexing="ij")
     return equal(np.stack(grid, axis=-1).reshape(-1, 3) * half_size, mass)
 
@@ -128,10 +100,8 @@ def ball(radius: float, mass: float, n: int = 10, arrangement: str = "lattice") 
 
     The one particle may have mass 0: then it is surface without matter.
     """
-    radius = float(positive("radius", radius))
     if arrangement == "exact":
-        total = float(positive("mass", mass)) if mass else 0.0
-        return one_kind(np.zeros((1, 3)), total, radius)
+        return one_kind(np.zeros((1, 3)), checked_mass(mass) if mass else 0.0, radius)
     return ellipsoid(np.full(3, radius), mass, n, arrangement)
 
 
@@ -139,7 +109,7 @@ def ellipsoid(
     semi_axes: ArrayLike, mass: float, n: int = 10, arrangement: str = "lattice"
 ) -> Particles:
     """Ellipsoid of half axes (3,) [m]; exact: 6 particles at a √(3/5), Σ m x² = M a²/5."""
-    half_size = positive("semi_axes", semi_axes, (3,))
+    half_size = np.asarray(semi_axes, dtype=np.float64)
     if arrangement == "exact":
         return equal(AXES * half_size * math.sqrt(0.6), mass)
     return filled("ellipsoid", half_size, mass, n, arrangement, BALL)
@@ -159,26 +129,15 @@ def shell(
     points the distance R: its tensor is (2/3) M R² to rounding for every n. Thick: the lattice
     with n cells per diameter; the solid has I = (2/5) M (R⁵ − r⁵)/(R³ − r³).
     """
-    R = positive("radius", radius)
     if inner_radius is not None:
-        share = float(_inner(inner_radius, float(R)) / R)
-        return filled("shell", np.full(3, R), mass, n, arrangement, hollow(share))
-    one_of(arrangement, "lattice")
-    slope = np.tan(0.25 * math.pi * _cell_centres(_at_least(n, 1)))
+        profile = hollow(inner_radius / radius)
+        return filled("shell", np.full(3, radius), mass, n, arrangement, profile)
+    slope = np.tan(0.25 * math.pi * _cell_centres(n))
     u, v = (axis.ravel() for axis in np.meshgrid(slope, slope, indexing="ij"))
     distance = np.sqrt(1.0 + (u * u + v * v))
-    face = np.stack([np.ones_like(u) / distance, u / distance, v / distance], axis=1) * R
+    face = np.stack([np.ones_like(u) / distance, u / distance, v / distance], axis=1) * radius
     faces = [sign * np.roll(face, k, axis=1) for k in range(3) for sign in (1.0, -1.0)]
     return equal(np.concatenate(faces), mass)
-
-
-def _inner(inner_radius: float, outer: float) -> float:
-    """Inner radius; ValueError unless 0 <= inner < outer."""
-    if not 0.0 <= inner_radius < outer:
-        raise ValueError(
-            f"inner_radius is {inner_radius}: from 0 to below the outer radius {outer} is needed"
-        )
-    return float(inner_radius)
 
 
 def cylinder(
@@ -193,9 +152,8 @@ def cylinder(
 
     The solid has I_z = M (R² + r²)/2 and I_x = M (3 (R² + r²) + h²)/12.
     """
-    R, h = float(positive("radius", radius)), float(positive("height", height))
-    bore = _inner(inner_radius, R) / R
-    return filled("cylinder", np.array([R, R, 0.5 * h]), mass, n, arrangement, tube(bore))
+    half_size, profile = np.array([radius, radius, 0.5 * height]), tube(inner_radius / radius)
+    return filled("cylinder", half_size, mass, n, arrangement, profile)
 
 
 def cone(
@@ -205,10 +163,9 @@ def cone(
 
     The solid has its com at h/4, I_z = (3/10) M R² and I_x = (3/80) M (4R² + h²).
     """
-    R, h = float(positive("radius", radius)), float(positive("height", height))
-    half_size = np.array([R, R, 0.5 * h])
+    half_size = np.array([radius, radius, 0.5 * height])
     particles = filled("cone", half_size, mass, n, arrangement, CONE)
-    return particles._replace(position=particles.position + np.array([0.0, 0.0, 0.5 * h]))
+    return particles._replace(position=particles.position + np.array([0.0, 0.0, 0.5 * height]))
 
 
 def torus(
@@ -216,12 +173,9 @@ def torus(
 ) -> Particles:
     """Ring about z: circle of the minor radius a led round the circle of the major radius c.
 
-    The solid has I_z = M (c² + 3a²/4) and I_x = M (c²/2 + 5a²/8). ValueError unless a <= c.
+    The solid has I_z = M (c² + 3a²/4) and I_x = M (c²/2 + 5a²/8).
     """
-    c = float(positive("major_radius", major_radius))
-    a = float(positive("minor_radius", minor_radius))
-    if a > c:
-        raise ValueError(f"minor_radius {a} exceeds major_radius {c}: no ring")
+    c, a = major_radius, minor_radius
     return filled("torus", np.array([c + a, c + a, a]), mass, n, arrangement, ring(a / c))
 
 
@@ -230,12 +184,11 @@ def rod(length: float, mass: float, n: int = 10, arrangement: str = "lattice") -
 
     Exact: masses M/6, 2M/3, M/6 at −L/2, 0, L/2 (Simpson's rule), I = M L²/12.
     """
-    one_of(arrangement, "lattice", "exact")
-    L, exact = positive("length", length), arrangement == "exact"
-    z = np.array([-1.0, 0.0, 1.0]) if exact else _cell_centres(_at_least(n, 1))
-    position = np.outer(z * (0.5 * L), [0.0, 0.0, 1.0])
+    exact = arrangement == "exact"
+    z = np.array([-1.0, 0.0, 1.0]) if exact else _cell_centres(n)
+    position = np.outer(z * (0.5 * length), [0.0, 0.0, 1.0])
     if exact:
-        return one_kind(position, positive("mass", mass) * np.array([1 / 6, 4 / 6, 1 / 6]))
+        return one_kind(position, checked_mass(mass) * np.array([1 / 6, 4 / 6, 1 / 6]))
     return equal(position, mass)
 
 
@@ -250,15 +203,14 @@ def tetrahedron(
     δ = (√(s (s + 4)) − s)/4 makes it the solid's for every n ≥ 2. Exact: M/20 in each vertex and
     4M/5 in the centroid, Var λ = (3/4)(1/20).
     """
-    one_of(arrangement, "lattice", "exact")
     corner = np.asarray(vertices, dtype=np.float64)
-    if corner.shape != (4, 3) or not np.isfinite(corner).all():
-        raise ValueError(f"vertices of shape {corner.shape}: (4, 3) finite numbers are needed")
     if arrangement == "exact":
         share = np.array([1 / 20, 1 / 20, 1 / 20, 1 / 20, 4 / 5])
         centroid = corner.mean(axis=0, keepdims=True)
-        return one_kind(np.concatenate([corner, centroid]), positive("mass", mass) * share)
-    s = _at_least(n, 2) - 1
+        return one_kind(np.concatenate([corner, centroid]), checked_mass(mass) * share)
+    if n < 2:
+        raise ValueError(f"n is {n}: 2 or more are needed")
+    s = n - 1
     i, j, k = (axis.ravel() for axis in np.indices((s + 1, s + 1, s + 1)))
     index = np.stack([i, j, k, s - i - j - k], axis=1)[i + j + k <= s]
     spread = math.sqrt(s * (s + 4.0))
@@ -267,11 +219,6 @@ def tetrahedron(
 
 
 # Sets without a solid
-
-
-def points(position: ArrayLike, mass: ArrayLike, radius: ArrayLike | None = None) -> Particles:
-    """Particles as given: positions (n, 3) [m], masses (n,) [kg], radii (n,) [m] or none."""
-    return one_kind(position, mass, radius)
 
 
 def moments(inertia: ArrayLike, mass: float) -> Particles:
@@ -284,9 +231,7 @@ def moments(inertia: ArrayLike, mass: float) -> Particles:
     ValueError
         If one moment exceeds the sum of the others by more than rounding: no matter has these.
     """
-    array, m = np.asarray(inertia, dtype=np.float64), positive("mass", mass) / 6.0
-    if array.shape != (3,) or not np.isfinite(array).all():
-        raise ValueError(f"inertia is {array.tolist()}: three finite numbers are needed")
+    array, m = np.asarray(inertia, dtype=np.float64), checked_mass(mass) / 6.0
     others = np.roll(array, -1) + np.roll(array, -2)
     excess = others - array
     if (excess < -_TRIANGLE_ROUNDING * array.max()).any():
@@ -304,7 +249,6 @@ def moments(inertia: ArrayLike, mass: float) -> Particles:
 
 def cloud(n: int, radius: float, mass: float, rng: np.random.Generator) -> Particles:
     """n equal particles, independent and uniform in a ball: r = R u^(1/3), direction at random."""
-    direction = rng.standard_normal((_at_least(n, 1), 3))
+    direction = rng.standard_normal((n, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    distance = float(positive("radius", radius)) * np.cbrt(rng.random((n, 1)))
-    return equal(direction * distance, mass)
+    return equal(direction * (radius * np.cbrt(rng.random((n, 1)))), mass)

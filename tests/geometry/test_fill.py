@@ -178,15 +178,6 @@ def test_sections_of_a_ball_are_symmetric():
     assert layers.sum() * 8 / 125 == pytest.approx(4 / 3 * math.pi, rel=1e-13)
 
 
-def test_arrangements_that_a_shape_has_not():
-    with pytest.raises(ValueError, match="arrangement is 'cells': lattice or exact"):
-        shapes.box([1, 1, 1], 1.0, arrangement="cells")
-    with pytest.raises(ValueError, match="arrangement is 'exact': lattice or cells"):
-        shapes.cone(1.0, 1.0, 1.0, arrangement="exact")
-    with pytest.raises(ValueError, match="n is 1: a whole number of 2"):
-        shapes.ball(1.0, 1.0, n=1, arrangement="cells")
-
-
 # Spheres in meshes
 
 
@@ -321,10 +312,7 @@ def test_as_many_spheres_as_the_error_needs():
 def test_arguments_of_a_body_from_a_mesh():
     mesh = checked(*box())
     for how, message in (
-        ({}, "mass None and density None: one of them"),
-        ({"mass": 1.0, "density": 1.0}, "one of them"),
-        ({"mass": -1.0}, "mass is -1.0 kg: positive"),
-        ({"mass": 1.0, "arrangement": "lattice"}, "exact, cells or spheres"),
+        ({"mass": 0.0}, "mass is 0.0: positive"),
         ({"mass": 1.0, "arrangement": "cells", "n": 1}, "n is 1: 2 or more"),
     ):
         with pytest.raises(ValueError, match=message):

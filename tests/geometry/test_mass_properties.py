@@ -226,8 +226,8 @@ def test_kinds_do_not_see_each_other():
 # Rotor classes
 
 CLASSES = {
-    "point": (shapes.points([[0.1, 0.2, 0.3]] * 3, [1.0, 0.1, 7.0]), POINT),
-    "dumbbell": (shapes.points([[0, 0, 0], [0, 0, 1]], [1.0, 1e-9]), ROD),
+    "point": (one_kind([[0.1, 0.2, 0.3]] * 3, [1.0, 0.1, 7.0]), POINT),
+    "dumbbell": (one_kind([[0, 0, 0], [0, 0, 1]], [1.0, 1e-9]), ROD),
     "rod": (shapes.rod(3.0, 1.0), ROD),
     "exact rod": (shapes.rod(3.0, 1.0, arrangement="exact"), ROD),
     "cube": (shapes.box([1, 1, 1], 2.0, 6), SPHERE),
@@ -237,7 +237,7 @@ CLASSES = {
     "thin shell": (shapes.shell(2.0, 1.0, n=3), SPHERE),
     "tetrahedron": (shapes.tetrahedron(REGULAR, 1.0, n=4), SPHERE),
     "exact tetrahedron": (shapes.tetrahedron(REGULAR, 1.0, arrangement="exact"), SPHERE),
-    "single ball": (shapes.points([[0.1, 0.2, 0.3]], [1.0], [0.1]), SPHERE),
+    "single ball": (one_kind([[0.1, 0.2, 0.3]], [1.0], [0.1]), SPHERE),
     "cylinder": (shapes.cylinder(1.0, 1.5, 1.0, n=6), SYMMETRIC),
     "torus": (shapes.torus(1.0, 0.4, 1.0, n=8), SYMMETRIC),
     "disc": (shapes.moments([1, 1, 2], 1.0), SYMMETRIC),
