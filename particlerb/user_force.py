@@ -9,6 +9,8 @@ import ast
 import hashlib
 import inspect
 import linecache
+import math
+import sys
 import textwrap
 import traceback
 from collections.abc import Callable, Iterator
@@ -80,6 +82,11 @@ class UserForce:
         """The function, under the name that compiled functions have for it."""
         return self.function
 
+    @property
+    def _functions(self) -> tuple[Callable[..., Any], ...]:
+        """The function, and the potential if there is one."""
+        return (self.function,) if self.potential is None else (self.function, self.potential)
+
     def _all(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Names of what the body has, or of what both have."""
         of_pair = (f"{name}{end}" for end in (1, 2) for name in names)
@@ -101,13 +108,26 @@ class UserForce:
         """Name of the file of its text, where it has no other."""
         return f"{self.name}.py"
 
+    def constants(self) -> str:
+        """What it, its potential, and functions that these reach name now, in full precision."""
+        found, known = list[Any](), list(filter(None, map(python_of, self._functions)))
+        for function in known:
+            found += [function.__code__, function.__defaults__]
+            for name, value in reached(function):
+                plain = python_of(value)
+                if plain is None:
+                    found.append((name, value))
+                elif plain not in known:
+                    known.append(plain)
+        with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+            return repr(found)
+
     def text(self) -> str | None:
         """Module that stands alone with what it reaches now; None where something has no text."""
         closed = _Closed()
         try:
-            closed.add(self.function)
-            if self.potential is not None:
-                closed.add(self.potential)
+            for function in self._functions:
+                closed.add(function)
         except (_NotClosedError, OSError, SyntaxError, TypeError, ValueError):
             return None
         return closed.module(self)
@@ -255,17 +275,31 @@ def _is_library(module: str | None) -> bool:
 
 
 @lru_cache(maxsize=256)
-def _source_of(function: Callable[..., Any]) -> tuple[str, list[str], str]:
-    """Name of a function, names in the defaults of its arguments, and its source as one writes it.
-
-    Decorators, comments and spaces are left out.
-    """
+def _tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
+    """Source of a function without decorators, comments and spaces."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
     if not isinstance(tree, ast.FunctionDef):
         raise _NotClosedError
     tree.decorator_list = []
-    defaults = [node.id for node in ast.walk(tree.args) if isinstance(node, ast.Name)]
-    return tree.name, defaults, ast.unparse(tree) + "\n"
+    return tree
+
+
+def _expression(value: Any) -> str:
+    """Source that gives back a number, a text, a list of these, or an array."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        plain = value.tolist()
+        if isinstance(plain, np.generic):  # longer than what Python has
+            raise _NotClosedError
+        scalar = "[()]" if isinstance(value, np.generic) else ""
+        return f"numpy.array({_expression(plain)}, '{value.dtype}'){scalar}"
+    if type(value) in (list, tuple):
+        entries = "".join(f"{_expression(entry)}, " for entry in value)
+        return f"[{entries}]" if type(value) is list else f"({entries})"
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"float('{value}')"
+    if type(value) in (bool, int, float, str, type(None)):
+        return repr(value)
+    raise _NotClosedError
 
 
 class _Closed:
@@ -273,58 +307,54 @@ class _Closed:
 
     def __init__(self) -> None:
         self.lines: dict[str, str] = {}  # by the name that they define
-        self.values: dict[str, Any] = {}
+        self.functions: dict[str, Callable[..., Any]] = {}
 
     def add(self, function: Callable[..., Any]) -> None:
-        """Add a function, after what it reaches."""
-        own_name, defaults, text = _source_of(function)
-        if not self._is_new(own_name, function):
+        """Add a function, after what it reaches; defaults are the values that they have."""
+        tree = _tree_of(function)
+        if self.functions.get(tree.name) is function:
             return
-        around = [(name, function.__globals__.get(name)) for name in defaults]
-        for name, value in (*reached(function), *around):
+        if self.functions.setdefault(tree.name, function) is not function:
+            raise _NotClosedError
+        for name, value in reached(function):
             plain = python_of(value)
-            if not self._is_new(name, plain or value, marks=plain is None):
-                continue
             if plain is None:
-                self.lines[name] = self._line_of(name, value)
-            elif plain.__name__ == name:
-                self.add(plain)
-            else:
+                self._define(name, self._line_of(name, value))
+            elif plain.__name__ != name:
                 raise _NotClosedError
-        self.lines[own_name] = text
+            else:
+                self.add(plain)
+        by_name = function.__kwdefaults__ or {}
+        given = [by_name.get(one.arg, ...) for one in tree.args.kwonlyargs]
+        tree.args.defaults = [self._default(value) for value in function.__defaults__ or ()]
+        tree.args.kw_defaults = [None if one is ... else self._default(one) for one in given]
+        self._define(tree.name, ast.unparse(tree) + "\n")
 
-    def _is_new(self, name: str, value: Any, marks: bool = True) -> bool:
-        """Whether a name is not known yet; of another value it may not be."""
-        if name not in self.values:
-            if marks:
-                self.values[name] = value
-            return True
-        previous = self.values[name]
-        if previous is value or (type(previous) is type(value) and repr(previous) == repr(value)):
-            return False
-        raise _NotClosedError
+    def _default(self, value: Any) -> ast.expr:
+        """Default of an argument."""
+        return ast.parse(_expression(value), mode="eval").body
+
+    def _define(self, name: str, line: str) -> None:
+        """Give a name its meaning; it may not have another one."""
+        if self.lines.setdefault(name, line) != line:
+            raise _NotClosedError
 
     def _line_of(self, name: str, value: Any) -> str:
         """Line that gives a name its value."""
-        if isinstance(value, (bool, int, float, str, tuple, type(None))):
-            ast.literal_eval(repr(value))  # raises ValueError where a number is not finite
-            return f"{name} = {value!r}\n"
-        if isinstance(value, np.ndarray):
-            return f"import numpy\n{name} = numpy.array({value.tolist()!r}, '{value.dtype}')\n"
-        if isinstance(value, ModuleType) and _is_library(value.__name__):
-            return f"import {value.__name__} as {name}\n"
         home, value_name = getattr(value, "__module__", None), getattr(value, "__name__", None)
+        if isinstance(value, ModuleType) and _is_library(value.__name__):
+            return f"import {value_name} as {name}\n"
         if _is_library(home) and value_name:
             return f"from {home} import {value_name} as {name}\n"
         if isinstance(value, (BuiltinFunctionType, np.ufunc)):
             return f"from {home or 'numpy'} import {value_name} as {name}\n"
-        raise _NotClosedError
+        return f"{name} = {_expression(value)}\n"
 
     def module(self, force: UserForce) -> str:
         """Text of it, with the decorator before the force."""
         potential = "" if force.potential is None else f"potential={force.potential.__name__}"
         source = self.lines.pop(force.name)
-        head = ["from __future__ import annotations\n", "import particlerb\n"]
+        head = ["from __future__ import annotations\n", "import numpy\n", "import particlerb\n"]
         return "".join([*head, *self.lines.values(), f"@particlerb.force({potential})\n", source])
 
 

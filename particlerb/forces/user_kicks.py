@@ -181,7 +181,7 @@ def sign_of(force: UserForce, lengths_: Lengths) -> tuple[str, bool]:
         sign = digest_of(text)
     else:
         count = len(_NUMBER_WITHOUT_TEXT)
-        number = _NUMBER_WITHOUT_TEXT.setdefault((force, repr([*reached(force.function)])), count)
+        number = _NUMBER_WITHOUT_TEXT.setdefault((force, force.constants()), count)
         sign = f"without_text_{number}"
         if number == count:
             warnings.warn(CacheWarning(_UNCACHED_WARNING.format(force=force)), stacklevel=2)

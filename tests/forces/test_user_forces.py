@@ -443,10 +443,72 @@ def test_two_functions_of_one_name_are_refused_as_their_texts_would_be_one_file(
         particlerb.run(scene(table(first, k=1.0), table(other, k=1.0)))
 
 
+ROOT = np.sqrt(2.0)
+STEPS = np.array([1.0, math.inf])
+COARSE = np.float32(0.1), -math.inf
+
+
+@particlerb.force
+def by_constants(a):
+    return (a * ROOT, min(STEPS[0], STEPS[1]), float(COARSE[0])), NO_TORQUE
+
+
+def test_constants_of_numpy_and_without_bound_are_in_the_text():
+    names = {}
+    exec(by_constants.text(), names)
+    assert names["by_constants"](3.0) == by_constants(3.0)
+    assert names["COARSE"] == COARSE
+    assert names["COARSE"][0].dtype == np.float32
+
+
+STRENGTH, SHARES = 2.0, np.array([0.5, 0.25])
+
+
+def test_the_text_has_defaults_as_they_are_and_not_as_their_names_are_now(monkeypatch):
+    def made_with(k):
+        @particlerb.force
+        def with_defaults(x, a=STRENGTH, b=k, c=SHARES):
+            return scale(a * b * c[1], x), NO_TORQUE
+
+        return with_defaults
+
+    force = made_with(7.0)
+    monkeypatch.setitem(globals(), "STRENGTH", 5.0)
+    names = {}
+    exec(force.text(), names)
+    x = (1.0, 2.0, 3.0)
+    assert names["with_defaults"](x) == force(x) == ((3.5, 7.0, 10.5), NO_TORQUE)
+    assert made_with(8.0).text() != force.text()
+
+
+@pytest.mark.filterwarnings("ignore:.*no source that stands alone")
+def test_what_a_function_without_text_reaches_tells_it_apart_too():
+    """A constant of a helper, or of the potential, changes between two runs."""
+    code = """
+def size(x):
+    return FACTOR * x[0]
+def energy(x):
+    return OFFSET
+@particlerb.force(potential=energy)
+def pull(x):
+    return (size(x), 0.0, 0.0), (0.0, 0.0, 0.0)
+"""
+    names = {"particlerb": particlerb, "FACTOR": 1.0, "OFFSET": 0.0}
+    exec(code, names)
+    force = names["pull"]
+    assert force.text() is None
+    classes = [class_of(force, ())]
+    assert class_of(force, ()) is classes[0]
+    for changed in ("FACTOR", "OFFSET"):
+        names[changed] = 2.0
+        classes.append(class_of(force, ()))
+    assert len(set(classes)) == 3
+
+
 def test_what_reaches_beyond_has_no_text():
     alone = CODE.format(factor=2.0, comment="")
     assert loaded(alone).text() is not None
-    assert loaded(alone.replace("FACTOR = 2.0", "FACTOR = float('inf')")).text() is None
+    assert loaded(alone.replace("FACTOR = 2.0", "FACTOR = object()")).text() is None
     unknown = alone.replace("import math", "import json as math\nmath.sqrt = lambda x: x")
     assert loaded(unknown).text() is None
 
