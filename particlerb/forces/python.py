@@ -6,6 +6,7 @@
 import re
 from collections.abc import Callable
 from functools import partial
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -80,6 +81,8 @@ def parameters_of(
         for key in entries.keys() - defaults.keys():
             reason = f"{force.name} ({where}) has no parameter of this name"
             raise ForceError(f"{kind}.{key}", reason, f"it has: {', '.join(defaults) or 'none'}")
+    for key in table.parameters.keys() & table.per_body.keys():
+        raise ForceError(f"per_body.{key}", "is in parameters too", "give one of them")
     numbers: dict[str, Floats] = {}
     for name, default in defaults.items():
         if name in table.per_body:
@@ -89,7 +92,11 @@ def parameters_of(
         if value is ...:
             reason = f"{force.name} ({where}) has a parameter {name}, which is missing"
             raise ForceError("parameters", reason, f"give parameters = {{ {name} = .. }}")
-        numbers[name] = np.asarray(value, dtype=np.float64)[None]
+        array = np.asarray(value, dtype=object)
+        if array.ndim > 1 or not array.size or not all(isinstance(x, Real) for x in array.flat):
+            reason = f"{force.name} ({where}) has the default {name} = {value!r:.60}"
+            raise ForceError("function", reason, "a default is a number or a list of numbers")
+        numbers[name] = array.astype(np.float64)[None]
     return numbers
 
 
@@ -124,7 +131,8 @@ def resolve(
 
     def per_body(name: str, values: Floats) -> Floats:
         refuse_length(name, values, members.size)
-        return values[np.argsort(system.names.find_in_order(table.body)[: members.size])]
+        named = dict.fromkeys(system.names.find_in_order(table.body).tolist())
+        return values[np.argsort([*named][: members.size])]
 
     n = members.size if table.per_body else 1
     rows = np.hstack([np.ones((n, 1)), in_rows(parameters_of(table, per_body), n)])

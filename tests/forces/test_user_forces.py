@@ -223,6 +223,11 @@ def own_lift():
     return (0.0, 0.0, 3.0), NO_TORQUE
 
 
+@particlerb.force
+def shifted(a):
+    return (a, 0.0, 0.0), NO_TORQUE
+
+
 PLACES = {"count": 2, "position": np.array([[0.0, 0, 0], [1.0, 0, 0]])}
 
 
@@ -373,6 +378,32 @@ def test_what_the_compiler_does_not_take_is_said_with_its_line():
 def test_a_list_of_parameters_is_as_long_as_that_of_the_bodies():
     with pytest.raises(CaseError, match=r"force\[0\].per_body.k: has 2 entries, .* on 1 bodies"):
         particlerb.run(scene(table(own_spring, anchor=(0, 0, 0), per_body={"k": [1.0, 2.0]})))
+
+
+@plain
+def test_a_body_that_is_named_twice_keeps_the_order_of_parameters():
+    pull = table(shifted, ["body[2]", "body[2]", "body[0]"], per_body={"a": [1.0, 2.0]})
+    made = scene(pull, count=3, position=np.diag([0.5, 1.0, 2.0]), velocity=(0, 0, 0))
+    with particlerb.run(made) as t:
+        assert t.velocity[-1, :, 0] == pytest.approx([1.0, 0.0, 0.5], abs=1e-14)  # a t/m
+
+
+@plain
+def test_a_parameter_is_given_once():
+    both = {"anchor": (0, 0, 0), "k": 1.0, "per_body": {"k": [2.0]}}
+    with pytest.raises(CaseError, match=r"force\[0\].per_body.k: is in parameters too"):
+        particlerb.run(scene(table(own_spring, **both)))
+
+
+@plain
+@pytest.mark.parametrize("default", ["q", None, (), ((1, 2), (3, 4)), ((1, 2), (3,))])
+def test_a_default_is_a_number_or_a_list_of_numbers(default):
+    @particlerb.force
+    def with_default(x, a=default):
+        return NO_TORQUE, NO_TORQUE
+
+    with pytest.raises(CaseError, match=r"has the default a = .*\n.*a number or a list of numbers"):
+        particlerb.run(scene(table(with_default)))
 
 
 @plain
