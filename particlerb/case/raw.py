@@ -41,7 +41,8 @@ def finite(value: Any) -> float | None:
 
 def has(table: dict[str, Any], key: str) -> bool:
     """Whether a table has a key that says something."""
-    return table.get(key) is not None and table[key] != []
+    value = table.get(key)
+    return value is not None and not (isinstance(value, list) and not value)
 
 
 def members(raw: dict[str, Any]) -> dict[str, range]:

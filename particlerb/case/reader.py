@@ -28,7 +28,7 @@ from particlerb.case.problems import (
 from particlerb.case.rules import findings
 from particlerb.case.schema import Case
 from particlerb.case.values import plain
-from particlerb.files import Files
+from particlerb.files import Files, is_file
 
 __all__ = ["CaseError", "Problem", "load", "parse"]
 
@@ -108,6 +108,9 @@ def _loaded(
     if not isinstance(source, (str, PathLike)):
         kinds = "a path, the name of an example, a mapping or a Case"
         raise TypeError(f"a case must be {kinds}, got {type(source).__name__}")
+    if "\n" in str(source):
+        reason = "is given as a text, not as the path of a file"
+        raise CaseError([file_problem(None, reason, "give tomllib.loads(text)")])
     path = case_path(source) if isinstance(source, str) else FilePath(source)
     if path is None:
         wrong = file_problem(FilePath(source), "there is no such file or case")
@@ -166,7 +169,8 @@ def _missing_file(path: FilePath) -> Problem:
         return file_problem(path, "is not a regular file")
     if not path.parent.is_dir():
         return file_problem(path, "there is no such folder")
-    if path.parent == FilePath() and case_path(path.stem) is not None:
+    example = case_path(path.stem)
+    if path.parent == FilePath() and example is not None and is_file(example):
         return file_problem(path, "there is no such file", f"the example is called {path.stem}")
     files = sorted(entry.name for entry in path.parent.glob("*.toml"))
     return file_problem(path, "there is no such file", nearest(path.name, files))

@@ -35,6 +35,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 LARGEST_COUNT = 2**31 - 1
 _PLAIN_TYPES: Final = frozenset((float, int, str, bool))  # what is as a case has it
+_KEYS_WITH_ROWS: Final = ("position", "orientation", "velocity", "angular_velocity")
 _MIN_KNOT_INTERVAL = 1e-300  # [s]: its inverse is finite
 
 
@@ -244,15 +245,16 @@ def _nested_numbers(value: Any) -> Any:
 def plain(value: Any, keeps_rows: bool = False, keeps_tables: bool = False) -> Any:
     """Plain dicts, lists and numbers of what Python callers pass.
 
-    Two-dimensional arrays stay where they may be rows for many bodies: in tables without `type`.
+    Two-dimensional arrays stay where they may be rows for many bodies, and nowhere else: rules read
+    plain data.
     """
     if type(value) in _PLAIN_TYPES:
         return value
     if isinstance(value, BaseModel):
         return value if keeps_tables else plain(value.model_dump(exclude_unset=True))
     if isinstance(value, Mapping):
-        has_rows = "type" not in value
-        return {str(key): plain(entry, has_rows, keeps_tables) for key, entry in value.items()}
+        rows_at = () if "type" in value else _KEYS_WITH_ROWS
+        return {str(k): plain(entry, k in rows_at, keeps_tables) for k, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(entry, keeps_tables=keeps_tables) for entry in value]
     if isinstance(value, np.ndarray) and not (keeps_rows and value.ndim == 2):

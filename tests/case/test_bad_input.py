@@ -1465,6 +1465,24 @@ def test_file_that_cannot_be_a_case(tmp_path):
     assert "error" in message_of_file(Path("a\0b"))
 
 
+def test_names_that_no_file_can_have(tmp_path, monkeypatch):
+    """A text in place of a path, a name that is too long, and one that no example has."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CaseError, match=r"given as a text.*\n.*tomllib\.loads"):
+        load(GOOD)
+    with pytest.raises(CaseError, match="there is no such file or case"):
+        load("x" * 300)
+    with pytest.raises(CaseError) as caught:
+        load("pyramid.v2.toml")
+    assert "example is called" not in str(caught.value)
+
+
+def test_an_index_that_is_too_long_for_a_number():
+    with pytest.raises(CaseError) as caught:
+        parse(GOOD, overrides=[f"body.{'9' * 5000}.mass=2"])
+    assert caught.value.problems[0].reason.startswith("there is no entry '999")
+
+
 def test_dict_has_keys_and_no_lines(everything):
     case = everything()
     case["run"]["t_end"] = -1.0
@@ -1493,6 +1511,41 @@ def test_rows_from_python_are_checked(rows, reason, everything):
     with pytest.raises(CaseError) as caught:
         load(case)
     assert [(p.key, p.reason) for p in caught.value.problems] == [("body[0].position", reason)]
+
+
+@pytest.mark.parametrize(
+    ("path", "reason"),
+    [
+        (("contact", "tolerance"), "must be a number, got a list"),
+        (("check", "energy_drift"), "must be a number, got a list"),
+        (("joint",), "must be a table, got a list"),
+        (("material",), "must be a table, got a list"),
+        (("body", 0, "name"), "must be a text, got a list"),
+    ],
+)
+def test_an_array_where_there_are_no_rows_is_a_list(path, reason, everything):
+    case = table = everything()
+    for key in path[:-1]:
+        table = table[key]
+    table[path[-1]] = np.ones((2, 3))
+    with pytest.raises(CaseError) as caught:
+        load(case)
+    assert reason in [p.reason for p in caught.value.problems]
+
+
+@pytest.mark.parametrize(
+    ("key", "others", "reason"),
+    [
+        ("velocity", {"fixed": True}, "a fixed body does not move"),
+        ("position", {"place": {"type": "grid", "spacing": 1.0}}, "given beside place"),
+    ],
+)
+def test_arrays_of_rows_are_judged_beside_other_keys(key, others, reason, everything):
+    case = everything()
+    case["body"][0] |= {"count": 4, key: np.ones((4, 3)), **others}
+    with pytest.raises(CaseError) as caught:
+        load(case)
+    assert reason in [p.reason for p in caught.value.problems]
 
 
 def test_rows_of_orientations_are_not_zero(everything):
