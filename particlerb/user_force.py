@@ -77,6 +77,13 @@ class UserForce:
         """Name and place."""
         return f"<force {self.name}, {place_of(self.function)}>"
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """By its text, so that another process has it too: that of a variant of a sweep."""
+        text = self.text()
+        if text is None:
+            return super().__reduce_ex__(protocol)
+        return load_force, (File(self.file, text.encode()), self.name)
+
     @property
     def py_func(self) -> Callable[..., Any]:
         """The function, under the name that compiled functions have for it."""

@@ -2,11 +2,13 @@
 from a case or a trajectory where nobody has allowed it.
 """
 
+import copy
 import json
 import math
 import os
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +32,8 @@ from particlerb.tables import (
     PythonTable,
     RunTable,
     SpringTable,
+    SweepTable,
+    SweepValue,
     TimedLoad,
     UniformField,
 )
@@ -534,6 +538,23 @@ def pull(x):
         names[changed] = 2.0
         classes.append(class_of(force, ()))
     assert len(set(classes)) == 3
+
+
+@plain
+def test_variants_of_a_sweep_have_the_function_in_processes_of_their_own():
+    """x = c t²/2 of a force c = 1, 2 N on 2 kg; what has no text cannot go there, and is copied."""
+    made = scene(table(shifted, a=1.0), velocity=(0, 0, 0), position=(0, 0, 0))
+    made.sweep = SweepTable(
+        axes={"force.0.parameters.a": [1.0, 2.0]},
+        value=[SweepValue(body="body", quantity="position")],
+    )
+    with ProcessPoolExecutor(1) as executor:
+        rows = particlerb.sweep(made, executor=executor).rows
+    assert [row[2] for row in rows] == ["done", "done"]
+    assert [row[-3] for row in rows] == pytest.approx([0.25, 0.5], rel=1e-12)
+    names = {"particlerb": particlerb}
+    exec("@particlerb.force\ndef pull(x):\n    return (1.0, 0, 0), (0, 0, 0)", names)
+    assert copy.deepcopy(names["pull"])((0, 0, 0)) == ((1.0, 0, 0), (0, 0, 0))
 
 
 def test_what_reaches_beyond_has_no_text():
