@@ -124,17 +124,14 @@ def coarsest_within(
         If a million particles are too few; with the table of what was tried.
     """
     trials: list[_Trial] = []
-    n, refusal = 1, None
+    n = 1
     while True:
         try:
             particles = make(n)
             made = _Trial(n, len(particles.mass), *errors(particles, analytic))
-        except ValueError as error:  # none of the cells is inside, or all lie in a plane
-            if trials:
+        except ValueError:  # none of the cells is inside, or all lie in a plane
+            if trials or n > _CELLS_RATIO**20:
                 raise
-            refusal = error
-            if n > _CELLS_RATIO**20:
-                raise refusal from None
         else:
             trials.append(made)
             if made.error <= wanted:

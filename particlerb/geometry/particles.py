@@ -151,39 +151,29 @@ def with_surface(matter: Particles, position: Floats, radius: Floats) -> Particl
     return united(concatenate([one_kind(position, 0.0, radius), matter]))
 
 
-def transformed(particles: Particles, rotation: ArrayLike, translation: ArrayLike) -> Particles:
+def transformed(particles: Particles, rotation: Floats, translation: ArrayLike) -> Particles:
     """Every particle turned, then moved: x = R p + t.
 
     Parameters
     ----------
     particles : Particles
-    rotation : array_like, shape (3, 3)
+    rotation : ndarray, shape (3, 3)
         Proper or improper orthogonal matrix; columns are the old axes in the new frame.
     translation : array_like, shape (3,) [m]
         In the new frame.
     """
-    turned = particles.position @ np.asarray(rotation, dtype=np.float64).T
-    return particles._replace(position=turned + np.asarray(translation, dtype=np.float64))
+    return particles._replace(position=particles.position @ rotation.T + np.asarray(translation))
 
 
-def scaled_to_mass(particles: Particles, mass: ArrayLike) -> Particles:
-    """Every particle mass times one factor per kind, so that kinds have the given masses.
-
-    Parameters
-    ----------
-    particles : Particles
-    mass : array_like, shape () or (n_kinds,) [kg]
-        Wanted total of each kind; positive.
+def scaled_to_mass(particles: Particles, mass: float) -> Particles:
+    """Particles of one kind, their masses times one factor, so that it has a mass [kg].
 
     Raises
     ------
     ValueError
-        If a kind has no mass to scale.
+        If it has no mass to scale.
     """
-    bounds = zip(particles.offset[:-1].tolist(), particles.offset[1:].tolist(), strict=True)
-    total = np.array([math.fsum(particles.mass[lo:hi]) for lo, hi in bounds])
-    wanted = np.broadcast_to(np.asarray(mass, dtype=np.float64), total.shape)
-    if not (total > 0.0).all():
-        raise ValueError(f"kind {int(np.argmin(total > 0.0))} has no mass to scale")
-    share = particles.mass / np.repeat(total, np.diff(particles.offset))
-    return particles._replace(mass=share * np.repeat(wanted, np.diff(particles.offset)))
+    total = math.fsum(particles.mass)
+    if total == 0.0:
+        raise ValueError("it has no mass to scale")
+    return particles._replace(mass=particles.mass / total * mass)

@@ -43,14 +43,11 @@ def equal(position: Floats, mass: float) -> Particles:
     return one_kind(position, checked_mass(mass) / len(position))
 
 
-def filled(
-    name: str, half_size: Floats, mass: float, n: int, arrangement: str, profile: Profile
-) -> Particles:
+def filled(half_size: Floats, mass: float, n: int, arrangement: str, profile: Profile) -> Particles:
     """Particles of cells, or equal ones in the cell centres inside a shape.
 
     Parameters
     ----------
-    name : for the message
     half_size : ndarray, shape (3,) [m]
         Of the bounding box about the origin.
     mass : float [kg]
@@ -71,7 +68,7 @@ def filled(
     centres = [_cell_centres(int(count)) for count in counts]
     chosen = np.argwhere(profile.inside(*np.ix_(*centres)))
     if len(chosen) == 0:
-        raise ValueError(f"{name}: none of the cell centres for n = {n} lies inside; raise n")
+        raise ValueError(f"none of the cell centres for n = {n} lies inside; raise n")
     position = np.stack([centres[k][chosen[:, k]] * half_size[k] for k in range(3)], axis=1)
     return equal(position, mass)
 
@@ -112,7 +109,7 @@ def ellipsoid(
     half_size = np.asarray(semi_axes, dtype=np.float64)
     if arrangement == "exact":
         return equal(AXES * half_size * math.sqrt(0.6), mass)
-    return filled("ellipsoid", half_size, mass, n, arrangement, BALL)
+    return filled(half_size, mass, n, arrangement, BALL)
 
 
 def shell(
@@ -130,8 +127,7 @@ def shell(
     with n cells per diameter; the solid has I = (2/5) M (R⁵ − r⁵)/(R³ − r³).
     """
     if inner_radius is not None:
-        profile = hollow(inner_radius / radius)
-        return filled("shell", np.full(3, radius), mass, n, arrangement, profile)
+        return filled(np.full(3, radius), mass, n, arrangement, hollow(inner_radius / radius))
     slope = np.tan(0.25 * math.pi * _cell_centres(n))
     u, v = (axis.ravel() for axis in np.meshgrid(slope, slope, indexing="ij"))
     distance = np.sqrt(1.0 + (u * u + v * v))
@@ -153,7 +149,7 @@ def cylinder(
     The solid has I_z = M (R² + r²)/2 and I_x = M (3 (R² + r²) + h²)/12.
     """
     half_size, profile = np.array([radius, radius, 0.5 * height]), tube(inner_radius / radius)
-    return filled("cylinder", half_size, mass, n, arrangement, profile)
+    return filled(half_size, mass, n, arrangement, profile)
 
 
 def cone(
@@ -164,7 +160,7 @@ def cone(
     The solid has its com at h/4, I_z = (3/10) M R² and I_x = (3/80) M (4R² + h²).
     """
     half_size = np.array([radius, radius, 0.5 * height])
-    particles = filled("cone", half_size, mass, n, arrangement, CONE)
+    particles = filled(half_size, mass, n, arrangement, CONE)
     return particles._replace(position=particles.position + np.array([0.0, 0.0, 0.5 * height]))
 
 
@@ -176,7 +172,7 @@ def torus(
     The solid has I_z = M (c² + 3a²/4) and I_x = M (c²/2 + 5a²/8).
     """
     c, a = major_radius, minor_radius
-    return filled("torus", np.array([c + a, c + a, a]), mass, n, arrangement, ring(a / c))
+    return filled(np.array([c + a, c + a, a]), mass, n, arrangement, ring(a / c))
 
 
 def rod(length: float, mass: float, n: int = 10, arrangement: str = "lattice") -> Particles:
