@@ -101,16 +101,17 @@ def resume_command(options: argparse.Namespace) -> int:
             pending = look_at(path, options.t_end, options.threads, options.allow_code, ranks)
         _warn(options, list(pending.warnings))
         system, start = pending.prepared.system, pending.start
+        total = frame_count(system.run)
         ranks.together(lambda: _warn(options, _disk_warnings(system, path, pending.n_before)))
         if not (options.quiet or options.json):
             again = f", the last {pending.n_before - start} of them to be computed again"
-            counts = f"{pending.n_before} of {pending.total} frames"
+            counts = f"{pending.n_before} of {total} frames"
             rest = again if start < pending.n_before else ""
             print(f"{system.title or path.stem}\n\n{path} has {counts}{rest}\n", flush=True)
 
         run = partial(resume_pending, pending, ranks=ranks)
         with ending(ResumeError):
-            outcome = _execute(run, path, options, pending.total, start, ranks=ranks)
+            outcome = _execute(run, path, options, total, start, ranks=ranks)
         return _conclude(pending.prepared, outcome, path, options, ranks)
 
 

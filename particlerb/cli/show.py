@@ -10,7 +10,7 @@ import particlerb
 from particlerb.cli.common import PICTURES, amount, opened, output_of, readable, writing
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
 from particlerb.model.state import STATE_FIELDS
-from particlerb.record.parts import folder_beside, parts_in
+from particlerb.record.parts import part_paths
 from particlerb.record.provenance import this_machine
 from particlerb.record.schema import CONTACTS
 from particlerb.record.trajectory import Trajectory
@@ -74,9 +74,8 @@ def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
 
 def _size_of(trajectory: Trajectory) -> int:
     """Bytes of a file, and of its parts."""
-    path, parts = Path(trajectory.file.filename), parts_in(trajectory.file)
-    names = parts.names if parts else []
-    return sum(of.stat().st_size for of in (path, *(folder_beside(path) / n for n in names)))
+    paths = Path(trajectory.file.filename), *part_paths(trajectory.file)
+    return sum(path.stat().st_size for path in paths)
 
 
 def _shortened(words: str) -> str:

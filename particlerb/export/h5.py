@@ -10,7 +10,7 @@ import numpy as np
 from particlerb.export import ExportError, Selection
 from particlerb.record import schema
 from particlerb.record.checked_reading import dataset_at, has, trajectory_errors
-from particlerb.record.checkpoint import read_checkpoint, states_of, write_checkpoint
+from particlerb.record.checkpoint import slots_in, states_of, write_checkpoint
 from particlerb.record.checksums import tables_in
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import laid_out, write_rest
@@ -96,10 +96,7 @@ def _copy_contacts(trajectory: Trajectory, made: h5py.File) -> None:
 
 def _copy_state(file: h5py.File, made: h5py.File, n_frames: int) -> None:
     """Copy the last state of the run, where there is one."""
-    by_part = [states_of(path) for path in part_paths(file)]
-    common = set(range(n_frames + 1)).intersection(*by_part) if by_part else ()
+    each = [states_of(path) for path in part_paths(file)] or [slots_in(file)]
+    common = set(range(n_frames + 1)).intersection(*each)
     if common:
-        write_checkpoint(made, max(common), joined([states[max(common)] for states in by_part]))
-    elif not by_part and schema.CHECKPOINT in file:
-        state = read_checkpoint(file)
-        write_checkpoint(made, state.n_frames, state.arrays)
+        write_checkpoint(made, max(common), joined([states[max(common)] for states in each]))

@@ -270,18 +270,10 @@ def text_at(file: h5py.File | Memory, path: str) -> str:
     TrajectoryError
         If it is not there, or no text.
     """
+    held = dataset_at(file, path, "S", ())
     with trajectory_errors(file):
-        if isinstance(file, Memory):
-            value = file[path]
-        else:
-            dataset = object_at(file, path)
-            if not isinstance(dataset, h5py.Dataset) or dataset.shape != ():
-                raise ValueError(f"{path} is not a text")
-            require_own_storage(file, dataset, path)
-            value = dataset[()]
-        if not isinstance(value, bytes):
-            raise ValueError(f"{path} is not a text")
-        return value.decode(errors="replace")
+        words: bytes = held if isinstance(held, bytes) else held[()]
+        return words.decode(errors="replace")
 
 
 def attribute(place: Any, name: str, kinds: str) -> Any:

@@ -112,10 +112,10 @@ class PartRecorder:
 
     def open_parts(self, path: Path, opened: Callable[[Path, System, Range], Recorder]) -> None:
         """Make or open the parts of this rank."""
-        folder = folder_beside(path)
+        paths = self.parts.paths(path)
         for k in self.numbers:
             of = self.parts.ranges[k]
-            self.in_parts.append((of, opened(folder / self.parts.names[k], self.system, of)))
+            self.in_parts.append((of, opened(paths[k], self.system, of)))
 
     def make_master(self, path: Path, content: Mapping[str, Any], overwrite: bool) -> None:
         """Make the master, on the first rank, and its folder, without any parts in it.
@@ -208,7 +208,8 @@ class PartRecorder:
             self.in_order(Recorder.finish)
             return
         for recorder in self.recorders:
-            recorder.leave()
+            if not recorder.output.is_broken:
+                recorder.output.abandon()
         for _, recorder in self.in_parts if each[0][1] else ():  # the master has committed nothing
             with suppress(OSError):
                 recorder.output.path.unlink(missing_ok=True)

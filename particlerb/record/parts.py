@@ -46,6 +46,10 @@ class Parts(NamedTuple):
         """Files, from where the master is."""
         return [f"{self.folder}/{k:04d}.h5" for k in range(len(self.ranges))]
 
+    def paths(self, master: Path) -> list[Path]:
+        """The same, from anywhere."""
+        return [folder_beside(master) / name for name in self.names]
+
     @property
     def n_bodies(self) -> int:
         """Bodies of all parts."""
@@ -78,8 +82,7 @@ def masters_of(folder: Path) -> list[Path]:
 def parts_used_by(path: Path) -> list[Path]:
     """Parts of a file, those of them that are its alone; none where it has none."""
     parts = _looked_up(path, parts_in)
-    each = zip(parts.names, parts.ranges, strict=True) if parts else ()
-    named = [(folder_beside(path) / name, of) for name, of in each]
+    named = zip(parts.paths(path), parts.ranges, strict=True) if parts else ()
     used = [used for used, of in named if parts and _looked_up(used, range_in) == (of, parts.run)]
     copies = [other for other in masters_of(used[0].parent) if other != path] if used else []
     if copies:
@@ -131,7 +134,7 @@ def parts_in(file: Any) -> Parts | None:
 def part_paths(file: Any) -> list[Path]:
     """Files of the parts of a file that is not trusted; none where it is whole."""
     parts = parts_in(file)
-    return [folder_beside(Path(file.filename)) / name for name in (parts.names if parts else ())]
+    return parts.paths(Path(file.filename)) if parts else []
 
 
 def range_in(file: h5py.File) -> tuple[Range, str] | None:

@@ -285,11 +285,6 @@ class Recorder:
             write_checkpoint(self.file, *self.waiting)
             self.waiting = None
 
-    def leave(self) -> None:
-        """Close without a commit."""
-        if not self.output.is_broken:
-            self.output.abandon()
-
     def finish(self) -> None:
         """Commit and close; after an error there is nothing to do."""
         if self.output.is_broken:

@@ -21,14 +21,14 @@ from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.superblocks import own_parts
 from particlerb.ranks import ALONE, Ranks
-from particlerb.record.checked_reading import FAULTS, require_self_contained, trajectory_errors
+from particlerb.record.checked_reading import require_self_contained, text_at, trajectory_errors
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint, states_of
 from particlerb.record.output_file import DamagedError
 from particlerb.record.part_recorder import PartRecorder
-from particlerb.record.parts import Parts, folder_beside, parts_in
+from particlerb.record.parts import Parts, parts_in
 from particlerb.record.provenance import stored_case, versions
 from particlerb.record.schema import PARAMETERS
-from particlerb.record.trajectory import open_trajectory
+from particlerb.record.trajectory import TrajectoryError, open_trajectory
 from particlerb.record.vtkhdf import is_finished
 from particlerb.record.writer import Recorder
 from particlerb.record.writer_lock import InUseError
@@ -58,7 +58,6 @@ class _Pending(NamedTuple):
     checkpoint: Checkpoint | None  # None: from the start
     start: int  # frames that lie behind it
     n_before: int  # frames of the file that stay
-    total: int  # frames that there will be
     is_prolonged: bool  # whether it ends at another time than it was to
     warnings: tuple[str, ...]
     parts: Parts | None  # where the bodies lie, if these are several files
@@ -123,9 +122,8 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
                 " changed in the file; run it anew"
             )
         n_kept = _frames_that_stay(path, trajectory.time, system.run)
-        total = frame_count(system.run)
         with trajectory_errors(file):
-            if n_kept == total and is_finished(file, n):
+            if n_kept == frame_count(system.run) and is_finished(file, n):
                 raise ResumeError(
                     f"{path} has nothing left to do: all {n} frames until"
                     f" t = {system.run.t_end!r} s are there; --t-end prolongs the run"
@@ -141,7 +139,7 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
     warnings = prepared.plan.warnings
     if is_prolonged and system.run.accuracy is not None:
         warnings = (*warnings, _UNVERIFIED_WARNING)
-    return _Pending(path, prepared, checkpoint, start, n_kept, total, is_prolonged, warnings, parts)
+    return _Pending(path, prepared, checkpoint, start, n_kept, is_prolonged, warnings, parts)
 
 
 def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
@@ -150,8 +148,8 @@ def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
     is_copied = attraction_of(pending.prepared.plan) is not None
     numbers = every if is_copied else own_parts(len(every), ranks)
     looked_at = numbers or range(1)
-    folder = folder_beside(pending.path)
-    saved = ranks.together(lambda: [states_of(folder / parts.names[k]) for k in looked_at])
+    paths = parts.paths(pending.path)
+    saved = ranks.together(lambda: [states_of(paths[k]) for k in looked_at])
     each = [set(states) for rank in ranks.gathered([list(one) for one in saved]) for states in rank]
     common = [n for n in set.intersection(*each) if n <= pending.n_before]
     if not common:
@@ -161,7 +159,7 @@ def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
         )
     start = max(common)
     state = joined([states[start] for states in saved])
-    checkpoint = Checkpoint(start, state if numbers else of_no_body(state), "")
+    checkpoint = Checkpoint(start, state if numbers else of_no_body(state))
     return pending._replace(checkpoint=checkpoint, start=start)
 
 
@@ -177,7 +175,7 @@ def resume_pending(
     KeyboardInterrupt, OSError, RunError
         As in `simulate.advance`.
     """
-    path, prepared, checkpoint, start, n_kept, _, is_prolonged, _, _ = pending
+    path, prepared, checkpoint, start, n_kept, is_prolonged, _, _ = pending
     system = prepared.system
     recorder: Recorder | PartRecorder
     try:
@@ -201,10 +199,9 @@ def resume_pending(
 def _text_in(file: h5py.File, name: str) -> str | None:
     """Text of /parameters; None where there is none."""
     try:
-        value = file[f"{PARAMETERS}/{name}"][()]
-    except FAULTS:
+        return text_at(file, f"{PARAMETERS}/{name}")
+    except TrajectoryError:
         return None
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else None
 
 
 def _refuse_other_version(path: Path, stored: str | None, revision: str | None) -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
+import numpy as np
 from tqdm import tqdm
 
 import particlerb
@@ -45,7 +46,10 @@ def contents(path: Path) -> dict[str, Any]:
     with h5py.File(path, "r", locking=False) as file:
         file.visititems(note)
         found["committed"] = int(file.attrs["n_frames"])
-        found["state"] = read_checkpoint(file).digest
+        found["state"] = {
+            name: np.asarray(values).tobytes()
+            for name, values in read_checkpoint(file).arrays.items()
+        }
     return found
 
 

@@ -331,6 +331,10 @@ def test_a_damaged_checkpoint_leaves_the_one_before(finished):
             read_checkpoint(file)
     with pytest.raises(ResumeError, match=r"damaged.*run the case anew"):
         look_at(finished, 1.0)
+    made = finished.with_name("made.h5")  # all but the state is there still
+    assert main(["export", str(finished), "--to", "h5", "-o", str(made)]) == 0
+    with particlerb.open(made) as t:
+        assert t.n_frames == 6
 
 
 # Interrupts, and disks that are full
