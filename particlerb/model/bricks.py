@@ -19,12 +19,13 @@ _MAX_IMBALANCE: Final = 1.2  # bodies of the fullest brick, over the mean, from 
 
 
 class _Node(NamedTuple):
-    """A box that is cut."""
+    """A box that is cut, or a brick."""
 
     number: int
     first: int  # of the bricks in it,
     bricks: int  # and how many there are
     points: Ints  # in it
+    box: Floats  # (2, 3) [m] its corners
 
     @property
     def lower(self) -> int:
@@ -47,23 +48,32 @@ class Bricks:
         self.axis = np.zeros(self.count, dtype=np.int64)
         self.place = np.zeros(self.count)
         points = points[:, np.isfinite(points).all(axis=0)]
-        level = self._root(points)
-        while level:
-            self._cut(points, level, ranks)
-            level = [part for node in level for part in self._parts(points, node)]
-        self.boxes = np.array([*self._boxes(0, 0, self.count, np.array([[-np.inf], [np.inf]]))])
+        self.boxes = np.empty((self.count, 2, 3))
+        for level in self._levels(points):
+            for node in level:
+                self.boxes[node.first] = node.box
+            if inner := [node for node in level if node.bricks > 1]:
+                self._cut(points, inner, ranks)
 
-    def _root(self, points: Floats) -> list[_Node]:
-        """All of space, where it is to be cut."""
-        return [_Node(0, 0, self.count, np.arange(points.shape[1]))] if self.count > 1 else []
+    def _levels(self, points: Floats) -> Iterator[list[_Node]]:
+        """All of space, then the parts of its cut, and so on: a brick comes after what holds it."""
+        space = np.array([[-np.inf] * 3, [np.inf] * 3])
+        level = [_Node(0, 0, self.count, np.arange(points.shape[1]), space)]
+        while level:
+            yield level
+            level = [part for node in level for part in self._parts(points, node)]
 
     def _parts(self, points: Floats, node: _Node) -> Iterator[_Node]:
-        """The two boxes of a cut, those of them that are to be cut again."""
-        number, first, bricks, index = node
-        is_below = points[self.axis[number], index] < self.place[number]
-        below = _Node(number + 1, first, node.lower, index[is_below])
-        beyond = number + node.lower, first + node.lower, bricks - node.lower
-        yield from (part for part in (below, _Node(*beyond, index[~is_below])) if part.bricks > 1)
+        """The two boxes of a cut; none of a brick."""
+        number, first, bricks, index, box = node
+        if bricks == 1:
+            return
+        axis, place, lower = self.axis[number], self.place[number], node.lower
+        is_below = points[axis, index] < place
+        below, beyond = box.copy(), box.copy()
+        below[1, axis] = beyond[0, axis] = place
+        yield _Node(number + 1, first, lower, index[is_below], below)
+        yield _Node(number + lower, first + lower, bricks - lower, index[~is_below], beyond)
 
     def _cut(self, points: Floats, level: list[_Node], ranks: Ranks) -> None:
         """Cut boxes of a level, all ranks together."""
@@ -90,8 +100,9 @@ class Bricks:
         """
         counts = np.zeros((len(level), _N_BINS + 2), dtype=np.int64)
         edges = np.linspace(ends[:, 0], ends[:, 1], _N_BINS + 1, axis=1)
-        for k, (number, _, _, index) in enumerate(level):
-            place = np.searchsorted(edges[k], points[self.axis[number], index], side="right")
+        for k, node in enumerate(level):
+            along = points[self.axis[node.number], node.points]
+            place = np.searchsorted(edges[k], along, side="right")
             counts[k] = np.bincount(place, minlength=_N_BINS + 2)
         below: Ints = np.cumsum(ranks.added(counts), axis=1)  # each edge, all at the end
         is_near = True
@@ -105,28 +116,12 @@ class Bricks:
             ends[k] = edges[k, at : at + 2]
         return is_near
 
-    def _boxes(self, number: int, first: int, count: int, box: Floats) -> Iterator[Floats]:
-        """Corners of the bricks in a box."""
-        box = np.broadcast_to(box, (2, 3))
-        if count == 1:
-            yield box
-            return
-        lower, axis = count // 2, self.axis[number]
-        below, beyond = box.copy(), box.copy()
-        below[1, axis] = beyond[0, axis] = self.place[number]
-        yield from self._boxes(number + 1, first, lower, below)
-        yield from self._boxes(number + lower, first + lower, count - lower, beyond)
-
     def owners(self, points: Floats) -> Ints:
         """Ranks in whose bricks points (3, n) are; what is not a number is in one of them too."""
         owner = np.zeros(points.shape[1], dtype=np.int64)
-        level = self._root(points)
-        while level:
+        for level in self._levels(points):
             for node in level:
-                is_below = points[self.axis[node.number], node.points] < self.place[node.number]
-                owner[node.points[is_below]] = node.first
-                owner[node.points[~is_below]] = node.first + node.lower
-            level = [part for node in level for part in self._parts(points, node)]
+                owner[node.points] = node.first
         return owner
 
     def distances(self, points: Floats, k: int) -> Floats:
