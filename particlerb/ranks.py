@@ -50,15 +50,9 @@ class Ranks:
         """What a function returns on this rank; where it fails on one, it fails on all."""
         return work()
 
-    def agreed(self, error: BaseException) -> bool:
-        """Whether all ranks raise an error: what they do together may still be done."""
-        del error
-        return True
-
     def named(self, number: int, words: str) -> str:
         """Words about a rank, which say which one."""
-        del number
-        return words
+        return f"{words} (rank {number})" if self.count > 1 else words
 
     def largest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The largest of each number on all ranks."""
@@ -115,14 +109,6 @@ class _RanksOfMPI(Ranks):
         if not is_usage and sum(sent is not None for sent in failures) < self.count:
             first = _with_rank(first, number)
         raise as_agreed(first)
-
-    def agreed(self, error: BaseException) -> bool:
-        """Whether all ranks raise an error: what they do together may still be done."""
-        return self.count == 1 or getattr(error, _AGREED_ATTRIBUTE, False)
-
-    def named(self, number: int, words: str) -> str:
-        """Words about a rank, which say which one."""
-        return f"{words} (rank {number})" if self.count > 1 else words
 
     def largest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The largest of each number on all ranks."""
@@ -230,7 +216,8 @@ def ending_all(ranks: Ranks) -> Iterator[None]:
 
 def end_all(ranks: Ranks, error: BaseException) -> None:
     """End all ranks, unless all of them raise this error: the others would wait for this one."""
-    if isinstance(ranks, _RanksOfMPI) and not ranks.agreed(error):
+    is_agreed = ranks.count == 1 or getattr(error, _AGREED_ATTRIBUTE, False)
+    if isinstance(ranks, _RanksOfMPI) and not is_agreed:
         is_asked = isinstance(error, KeyboardInterrupt)
         what = "interrupted" if is_asked else f"{type(error).__name__}: {error}"
         print(ranks.named(ranks.number, f"particlerb: {what}"), file=sys.__stderr__, flush=True)

@@ -275,20 +275,16 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
         other = np.delete(np.arange(system.n_bodies), group.members)
         others = _most_of_rank(other, system.n_bodies, n_ranks)
         run_bytes = int(BYTES_TOUCHING * n_spheres) + BYTES_MOVED * others + of_ties
-        return Shares(
-            int(is_free.sum()), len(ranges), in_part, of_part, bodies + others, set_up, run_bytes,
-            copies, 8 * STATE_ROWS * copies, max(1, int(is_free.sum()) // SENSIBLE_BODIES),
-        )  # fmt: skip
-    terms = attraction_of(prepared.plan)
-    if terms is not None and terms.attraction is not None:
-        most, swapped = refuse_attraction(prepared.plan, ranks), 24 * terms.attraction.mass.size
-        run_bytes = BYTES_MOVED * system.n_bodies
-        return Shares(
-            most, len(ranges), in_part, of_part, system.n_bodies, set_up, run_bytes, 0, swapped,
-            most,
-        )  # fmt: skip
-    refuse_coupled(prepared)
-    share_of(system.n_bodies, ranks)
-    bodies = min(len(own_parts(len(ranges), ranks)) * in_part, system.n_bodies)
-    run_bytes = BYTES_MOVED * bodies + of_ties
-    return Shares(len(ranges), len(ranges), in_part, of_part, bodies, set_up, run_bytes)
+        most, bodies = int(is_free.sum()), bodies + others
+        sensible = max(1, most // SENSIBLE_BODIES)
+        exchanged: tuple[int, ...] = copies, 8 * STATE_ROWS * copies, sensible
+    elif (terms := attraction_of(prepared.plan)) is not None and terms.attraction is not None:
+        most, bodies = refuse_attraction(prepared.plan, ranks), system.n_bodies
+        run_bytes = BYTES_MOVED * bodies
+        exchanged = 0, 24 * terms.attraction.mass.size, most
+    else:
+        refuse_coupled(prepared)
+        share_of(system.n_bodies, ranks)
+        bodies = min(len(own_parts(len(ranges), ranks)) * in_part, system.n_bodies)
+        most, run_bytes, exchanged = len(ranges), BYTES_MOVED * bodies + of_ties, ()
+    return Shares(most, len(ranges), in_part, of_part, bodies, set_up, run_bytes, *exchanged)
