@@ -9,9 +9,8 @@ from particlerb.cli.exit_codes import DONE
 from particlerb.studies.text import aligned
 
 
-def cases_command(options: argparse.Namespace) -> int:
+def cases_command(_: argparse.Namespace) -> int:
     """`cases`: the examples, each with its title."""
-    del options
     shown: dict[str, str] = {}
     for folder in case_folders():
         for path in sorted(folder.glob("*.toml")):
@@ -24,9 +23,8 @@ def cases_command(options: argparse.Namespace) -> int:
     return DONE
 
 
-def methods_command(options: argparse.Namespace) -> int:
+def methods_command(_: argparse.Namespace) -> int:
     """`methods`: the integrators."""
-    del options
     from particlerb.integrators import METHODS
 
     default = "closed form where a body is free, strang where a force drives it (default)"
@@ -35,9 +33,8 @@ def methods_command(options: argparse.Namespace) -> int:
     return DONE
 
 
-def schema_command(options: argparse.Namespace) -> int:
+def schema_command(_: argparse.Namespace) -> int:
     """`schema`: JSON schema of a case file."""
-    del options
     from particlerb.case.schema import case_json_schema
 
     print(json.dumps(case_json_schema(), indent=2, ensure_ascii=False))

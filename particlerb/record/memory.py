@@ -16,7 +16,27 @@ from particlerb.record import schema
 from particlerb.record.frame_values import NewFrames, contact_columns, values_of
 
 
-class Memory:
+class Nowhere:
+    """Takes frames from a run, and forgets them."""
+
+    @property
+    def file(self) -> Any:
+        """What is left in the end: nothing."""
+
+    def append(self, frames: NewFrames) -> None:
+        """Forget frames."""
+
+    def save_checkpoint(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
+        """Do nothing: it ends with the process."""
+
+    def commit_if_due(self, checkpoint: Callable[[], Mapping[str, Any]] | None) -> None:
+        """Do nothing."""
+
+    def finish(self) -> None:
+        """Do nothing."""
+
+
+class Memory(Nowhere):
     """Content of a trajectory.
 
     Parameters
@@ -75,12 +95,6 @@ class Memory:
             self.content[path][new] = values
         self.n_frames = new.stop
         self.touches += frames.contacts if schema.CONTACTS in self.system.output.fields else ()
-
-    def save_checkpoint(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
-        """Do nothing: it ends with the process."""
-
-    def commit_if_due(self, checkpoint: Callable[[], Mapping[str, Any]] | None) -> None:
-        """Do nothing."""
 
     def finish(self) -> None:
         """Put the contacts of all frames one after the other."""

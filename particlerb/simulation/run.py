@@ -7,7 +7,7 @@ nothing in the motion, so a run can be prolonged, or recorded more finely, witho
 
 import hashlib
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from particlerb.ranks import ALONE, Ranks, as_agreed, end_all
 from particlerb.record.checkpoint import Checkpoint
 from particlerb.record.frame_values import FrameError
 from particlerb.record.layout import tables_of
-from particlerb.record.memory import Memory
+from particlerb.record.memory import Memory, Nowhere
 from particlerb.record.part_recorder import PartRecorder
 from particlerb.record.provenance import texts_of
 from particlerb.record.writer import Recorder
@@ -209,25 +209,7 @@ def identity(prepared: Prepared) -> str:
     return hasher.hexdigest()
 
 
-class _Nowhere:
-    """Takes frames in place of a recorder, and forgets them."""
-
-    file: Final = None
-
-    def append(self, frames: Any) -> None:
-        """Forget frames."""
-
-    def save_checkpoint(self, state: Any) -> None:
-        """Forget a checkpoint."""
-
-    def commit_if_due(self, state: Any) -> None:
-        """Do nothing."""
-
-    def finish(self) -> None:
-        """Do nothing."""
-
-
 def run_unrecorded(prepared: Prepared) -> Outcome:
     """Run a prepared system for its drift and its probes alone; raises as `run_prepared`."""
     with THREADS.using(prepared.system.run.threads):
-        return advance(prepared, _Nowhere(), None, lambda reached: None, first_batch=BATCH_FRAMES)
+        return advance(prepared, Nowhere(), None, lambda reached: None, first_batch=BATCH_FRAMES)
