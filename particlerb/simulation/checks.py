@@ -24,8 +24,7 @@ from particlerb.model.system import System
 from particlerb.plan.joints import SystemJoints, joints_of
 from particlerb.ranks import ALONE, Ranks
 from particlerb.simulation.impulse_values import impulse_quantity
-from particlerb.simulation.joint_values import JointValues
-from particlerb.simulation.outcome import Outcome
+from particlerb.simulation.outcome import Outcome, Probe
 
 
 class Result(NamedTuple):
@@ -67,12 +66,9 @@ def results(system: System, outcome: Outcome, ranks: Ranks = ALONE) -> list[Resu
             values.append(of_body)
         elif ranks.number:  # the first has what there is once
             values.append([])
-        elif check.joint is None:
-            number = impulse_quantity(check, probes[time].tally)
+        else:
+            number = bodiless_quantity(check, system, setup, probes[time])[0]
             values.append([_number_result(check, time, number)])
-        elif setup is not None:
-            measured = joint_quantity(check, setup, probes[time].joints)
-            values.append([_number_result(check, time, measured)])
     of_checks = zip(*ranks.gathered(values), strict=True)
     value_results = [result for of_ranks in of_checks for of_rank in of_ranks for result in of_rank]
     return limits(system.check, outcome.drift) + value_results
@@ -81,7 +77,7 @@ def results(system: System, outcome: Outcome, ranks: Ranks = ALONE) -> list[Resu
 def _value_result(check: CheckValue, time: float, system: System, b: int, frames: Frames) -> Result:
     """One expected value of one body."""
     expected = np.array(check.value, dtype=np.float64)
-    value = quantity(check, system, b, frames)
+    value = quantities(check, system, np.array([b]), frames)[0]
     if check.quantity == "inertia" and expected.ndim == 1:
         expected = np.diag(expected)
     error = float(np.abs(value - expected).max())
@@ -93,11 +89,6 @@ def _value_result(check: CheckValue, time: float, system: System, b: int, frames
     when = "" if check.quantity == "inertia" else f" at {time:.9g} s"
     name = f"{check.quantity} of {system.names[b]}{when}{frame}"
     return Result(name, numbers(expected), numbers(value), error, check.tolerance)
-
-
-def quantity(check: SweepValue, system: System, b: int, frames: Frames) -> Floats:
-    """Value of a quantity of body b."""
-    return np.asarray(quantities(check, system, np.array([b]), frames)[0])
 
 
 def quantities(check: SweepValue, system: System, index: Ints, frames: Frames) -> Floats:
@@ -136,13 +127,23 @@ def _number_result(check: CheckValue, time: float, value: Floats) -> Result:
     return Result(name, numbers(expected), numbers(value), error, check.tolerance)
 
 
-def joint_quantity(check: SweepValue, setup: SystemJoints, values: JointValues | None) -> Floats:
-    """Value of a quantity of a joint."""
-    assert check.joint is not None
-    assert values is not None
-    j = setup.names.index(check.joint)
-    columns = setup.coordinates.joint == j if check.quantity == "joint_coordinate" else j
-    return np.atleast_1d(getattr(values, check.quantity)[0, columns])
+def bodiless_quantity(
+    asked: SweepValue, system: System, setup: SystemJoints | None, probe: Probe
+) -> Floats:
+    """Numbers of a quantity of a joint, or of all contacts by impulses, a row for each world."""
+    if asked.joint is None:
+        return impulse_quantity(asked, probe.tally)[None]
+    first = setup if system.n_worlds == 1 else joints_of(system.scene(0))
+    assert setup is not None
+    assert first is not None
+    j = first.names.index(str(asked.joint))
+    record = first.record[j]
+    place = j - int(np.searchsorted(first.record, record))
+    columns = np.flatnonzero(setup.record == record).reshape(system.n_worlds, -1)[:, place]
+    if asked.quantity == "joint_coordinate":
+        columns = np.flatnonzero(np.isin(setup.coordinates.joint, columns))
+    values: Floats = getattr(probe.joints, asked.quantity)[0, columns]
+    return values.reshape(system.n_worlds, -1)
 
 
 def numbers(values: Floats) -> str:

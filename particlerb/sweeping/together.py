@@ -17,9 +17,8 @@ from particlerb.model.worlds import WorldsDifferError
 from particlerb.plan.joints import assembled, joints_of
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
-from particlerb.simulation.checks import quantities
-from particlerb.simulation.impulse_values import impulse_quantity
-from particlerb.simulation.outcome import Outcome, Probe
+from particlerb.simulation.checks import bodiless_quantity, quantities
+from particlerb.simulation.outcome import Outcome
 from particlerb.simulation.run import run_unrecorded
 from particlerb.simulation.whole_run import Prepared
 from particlerb.stepping.sparse_contact import can_fly
@@ -97,26 +96,7 @@ def _found(asked: SweepValue, system: System, outcome: Outcome) -> Floats:
     """Numbers of a value that is asked for, a row for each world."""
     time = system.run.t_end if asked.time is None else asked.time
     probe = next(probe for probe in outcome.probes if probe.time == time)
-    if asked.joint is not None:
-        return _of_joints(asked, system, probe)
     if asked.body is None:
-        return impulse_quantity(asked, probe.tally)[None]
+        return bodiless_quantity(asked, system, joints_of(system), probe)
     values = quantities(asked, system, system.names.find(asked.body), probe.frame)
-    return values.reshape(system.n_worlds, -1)
-
-
-def _of_joints(asked: SweepValue, system: System, probe: Probe) -> Floats:
-    """Numbers of a joint that is asked for, a row for each world."""
-    setup = joints_of(system)
-    first = setup if system.n_worlds == 1 else joints_of(system.scene(0))
-    assert setup is not None
-    assert first is not None
-    assert probe.joints is not None
-    j = first.names.index(str(asked.joint))
-    record = first.record[j]
-    place = j - int(np.searchsorted(first.record, record))
-    columns = np.flatnonzero(setup.record == record).reshape(system.n_worlds, -1)[:, place]
-    if asked.quantity == "joint_coordinate":
-        columns = np.flatnonzero(np.isin(setup.coordinates.joint, columns))
-    values: Floats = getattr(probe.joints, asked.quantity)[0, columns]
     return values.reshape(system.n_worlds, -1)
