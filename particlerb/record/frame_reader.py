@@ -172,7 +172,7 @@ class FrameReader(Closing):
         frames : slice, optional
             Left out: all. With a positive stride.
         bodies : int, slice or sequence of int, optional
-            Numbers of bodies, ascending and each once. Left out: all.
+            Numbers of bodies, or whether each is asked for. Left out: all.
 
         Returns
         -------
@@ -194,9 +194,7 @@ class FrameReader(Closing):
         elif isinstance(bodies, slice):
             pick = bodies
         else:
-            pick = np.asarray(bodies, dtype=np.int64)
-            if pick.size and not 0 <= pick.min() <= pick.max() < self.n_bodies:
-                raise IndexError(f"bodies are numbered 0 to {self.n_bodies - 1}")
+            pick = np.arange(self.n_bodies)[np.asarray(bodies) if len(bodies) else []]
         path = f"{schema.TRAJECTORY}/{name}/value"
         if isinstance(pick, np.ndarray):  # HDF5 is slow in picking one by one
             return self.series(path, frames)[:, pick]

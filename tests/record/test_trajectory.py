@@ -136,6 +136,19 @@ def test_frames_are_counted_from_either_end(written):
                 t.particle_positions(frame)
 
 
+def test_bodies_are_chosen_by_numbers_or_by_a_mask(written):
+    with particlerb.open(written) as t:
+        every, n = t.position, t.n_bodies
+        mask = np.arange(n) % 2 == 1
+        assert n > 2
+        assert np.array_equal(t.read("position", bodies=mask), every[:, mask])
+        assert np.array_equal(t.read("position", bodies=[n - 1, 0]), every[:, [n - 1, 0]])
+        assert t.read("position", bodies=[]).shape == (t.n_frames, 0, 3)
+        for wrong in ([n], [0.5], mask[1:]):
+            with pytest.raises(IndexError):
+                t.read("position", bodies=wrong)
+
+
 def test_uncommitted_frames_do_not_count(written, tmp_path):
     copy = tmp_path / "copy.h5"
     copy.write_bytes(written.read_bytes())
