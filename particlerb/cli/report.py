@@ -26,13 +26,13 @@ _SECONDS_BETWEEN: Final = {"lines": 10.0, "log": 1.0}  # lines
 def _new_log(path: Path) -> TextIO:
     """File for lines, with its head; what is there may only be another log."""
     try:
-        data = path.read_bytes() if path.exists() else b""
+        data = path.read_bytes() if path.is_file() else b""
         if data and not data.startswith(_LOG_HEAD.encode()):
             raise Ending(f"--log {path} exists and is not a log: give another name")
         file = path.open("w", encoding="utf-8")
+        print(_LOG_HEAD, file=file, flush=True)
     except OSError as error:
         raise Ending(f"--log {path} cannot be written: {error.strerror}") from None
-    print(_LOG_HEAD, file=file, flush=True)
     return file
 
 
@@ -91,18 +91,18 @@ class Report(Closing):
     def _write(self, name: str, output: TextIO) -> None:
         """Write a line."""
         assert self.last is not None
-        if name == "lines":
-            if not self.lines:
-                print(_LOG_HEAD, file=output)
-            self.lines += 1
+        head = f"{_LOG_HEAD}\n" if name == "lines" and not self.lines else ""
+        self.lines += name == "lines"
         elapsed, done = time.monotonic() - self.start, self.done - self.first
         left = f"{elapsed * (self.total - self.done) / done:10.0f}" if done else f"{'':>10}"
-        print(
+        line = (
             f"{self.last.time:14.6g} {self.done:>7}/{self.total:<6} {self.last.energy:18.10g}"
-            f" {self.last.energy_error:11.2e} {elapsed:12.1f} {left}",
-            file=output,
-            flush=True,
+            f" {self.last.energy_error:11.2e} {elapsed:12.1f} {left}"
         )
+        try:
+            print(f"{head}{line}", file=output, flush=True)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, output.name) from None
 
     def close(self) -> None:
         """End the bar, and the log with what was reached last."""

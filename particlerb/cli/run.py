@@ -227,13 +227,14 @@ def stoppable() -> Iterator[None]:
         THREADS.is_ending = THREADS.is_stopping = False
 
 
-def ask_to_stop(number: int, frame: object) -> None:
+def ask_to_stop(number: int, _: object) -> None:
     """End the run behind the frame that is computed; the second time, behind the kernel."""
-    del frame
-
     if not THREADS.is_ending:
         THREADS.is_ending = True
-        print("\nfinishing this frame; interrupt again to stop now", file=sys.stderr, flush=True)
+        with contextlib.suppress(OSError, RuntimeError):  # stderr is gone, or is just being written
+            print(
+                "\nfinishing this frame; interrupt again to stop now", file=sys.stderr, flush=True
+            )
         return
     THREADS.is_stopping = True
     signal.signal(number, signal.default_int_handler)

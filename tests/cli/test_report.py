@@ -1,11 +1,18 @@
 """What a run says on its way, where there is no terminal, and in a log."""
 
+import os
 import time
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+import particlerb
 from particlerb.cli import main, report
 from particlerb.cli.exit_codes import Ending
+from particlerb.cli.run import ask_to_stop
+from particlerb.compiled.threads import THREADS
 from particlerb.simulation.outcome import Reached
 
 
@@ -64,3 +71,52 @@ def test_the_command_writes_a_log(tmp_path, capsys):
     assert capsys.readouterr().err == ""
     last = path.read_text().splitlines()[-1].split()
     assert last[:2] == ["5", "101/101"]
+
+
+@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="pipes have no names here")
+def test_a_log_may_be_a_pipe_which_is_not_read(monkeypatch):
+    """It would wait for ever: `--log /dev/stdout | tee log.txt`."""
+    monkeypatch.setattr(Path, "read_bytes", raising(AssertionError))
+    reader, writer = os.pipe()
+    report.Report(10, 0, True, f"/dev/fd/{writer}").close()
+    assert os.read(reader, 1000).startswith(report._LOG_HEAD.encode())
+    os.close(reader)
+    os.close(writer)
+
+
+def test_a_log_that_takes_nothing_more_is_named(tmp_path, capsys, monkeypatch):
+    """And not `None`; the frames so far are kept."""
+    path, log = tmp_path / "a.toml", SimpleNamespace(name="a.log", close=lambda: None)
+    log.write = raising(partial(OSError, 28, "No space left on device"))
+    path.write_text(SPINNING)
+    monkeypatch.setattr(report, "_new_log", lambda path: log)
+    assert main(["run", str(path), "-q", "-o", str(tmp_path / "a.h5"), "--log", "a.log"]) == 1
+    assert "cannot write a.log: No space left on device" in capsys.readouterr().err
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        assert trajectory.n_frames > 0
+
+
+SPINNING = """run = { t_end = 1.0, every = 0.5 }
+[[body]]
+name = "a"
+shape = { type = "moments", inertia = [1.0, 2.0, 2.5] }
+mass = 1.0
+"""
+
+
+def test_an_interrupt_is_heeded_where_no_message_can_be_written(monkeypatch):
+    """As behind `| head`, or where it comes between two halves of a line."""
+    for error in (BrokenPipeError, RuntimeError):  # the second: in the middle of another one
+        monkeypatch.setattr("sys.stderr", SimpleNamespace(write=raising(error)))
+        monkeypatch.setattr(THREADS, "is_ending", False)
+        ask_to_stop(2, None)
+        assert THREADS.is_ending
+
+
+def raising(error):
+    """A function that only raises."""
+
+    def raises(*_: object) -> None:
+        raise error()
+
+    return raises
