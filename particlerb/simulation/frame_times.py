@@ -43,13 +43,6 @@ def multiples(every: float, first: int, stop: int) -> Floats:
     return np.where(k * above <= _MAX_EXACT_INTEGER, k * above / below, every * k)
 
 
-def _whole_frames(run: RunTable) -> int:
-    """Number of frames that a run to any later end has as well: all, or all but that at t_end."""
-    n = frame_count(run)
-    is_multiple = multiples(run.every, n - 1, n)[0] == run.t_end
-    return n if is_multiple else n - 1
-
-
 class Batch(NamedTuple):
     """Times that are computed together."""
 
@@ -60,6 +53,11 @@ class Batch(NamedTuple):
     is_odd: bool  # whether it is the frame at t_end, which a longer run has not
 
 
+def frames_at_once(system: System) -> int:
+    """Frames that are held before they are written."""
+    return int(min(max(_BATCH_BYTES // (max(system.n_bodies, 1) * 13 * 8), 1), BATCH_FRAMES))
+
+
 def batches(system: System, done: int = 0, ranks: Ranks = ALONE, first: int = 0) -> Iterator[Batch]:
     """Times of a run, or of its rest behind some frames.
 
@@ -68,8 +66,9 @@ def batches(system: System, done: int = 0, ranks: Ranks = ALONE, first: int = 0)
     their sizes allow: whole chunks are written without a copy. All ranks take the same. `first` is
     how many frames the first has, if it is given.
     """
-    most = int(min(max(_BATCH_BYTES // (max(system.n_bodies, 1) * 13 * 8), 1), BATCH_FRAMES))
-    n, whole_frames = frame_count(system.run), _whole_frames(system.run)
+    most, n = frames_at_once(system), frame_count(system.run)
+    is_multiple = multiples(system.run.every, n - 1, n)[0] == system.run.t_end
+    whole_frames = n if is_multiple else n - 1  # that a run to any later end has as well
     asked = [system.run.t_end if v.time is None else v.time for v in system.check.value]
     probes = np.unique(np.array(asked, dtype=np.float64))
     if done:

@@ -5,6 +5,7 @@ run, bit for bit. A change is an edge: the last step ends there, and a new grid 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -33,9 +34,9 @@ from particlerb.record.layout import tables_of
 from particlerb.record.provenance import texts_of
 from particlerb.record.writer import Recorder
 from particlerb.simulation.accuracy import prepare_accurately
-from particlerb.simulation.frame_times import BATCH_FRAMES, multiples
-from particlerb.simulation.frame_times import frame_times as frames_of
+from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples
 from particlerb.simulation.joint_values import labels_of
+from particlerb.simulation.state_changes import new_state
 from particlerb.simulation.wall_changes import refuse_jumps
 from particlerb.simulation.whole_run import Run, RunError
 
@@ -112,12 +113,13 @@ class Simulation(Closing):
         path = None if output is None else file_path_of(output, "output")
         prepared = prepare_accurately(to_system(load(scene, overrides, allow_code)))
         system = prepared.system
+        self._is_cut_off = False  # by an error or an interrupt, while bodies moved
+        self._run, self._due = Run(prepared), 0  # frame that comes next
         self._recorder: Recorder | None = None
         if path is not None:
             content = tables_of(system, labels_of(system))
             content |= texts_of(system, {"plan": prepared.text})
             self._recorder = Recorder(path, system, content, overwrite)
-        self._run, self._due = Run(prepared), 0  # frame that comes next
         self._known: Entries | None = None  # the energy balance of now, where it has been asked for
         self._state = self._go_to(0.0)
 
@@ -133,7 +135,14 @@ class Simulation(Closing):
 
     @property
     def state(self) -> BodyStates:
-        """All bodies now; views, which the next `advance` writes over."""
+        """All bodies now; views, which the next `advance` writes over.
+
+        Raises
+        ------
+        RunError
+            If an error or an interrupt has cut off an `advance`, as from all that moves bodies.
+        """
+        self._refuse_if_cut_off()
         return self._state
 
     @property
@@ -166,7 +175,8 @@ class Simulation(Closing):
         ValueError
             If it lies before now, or beyond `run.t_end`.
         RunError
-            If the motion fails; the frames until then are in the file.
+            If the motion fails; the frames until then are in the file. Also afterwards, or where an
+            interrupt has cut an `advance` off: bodies then have no time in common.
         """
         t_end, until = self.system.run.t_end, number_of(until, "advance: until")
         if not self.time <= until <= t_end:
@@ -176,7 +186,7 @@ class Simulation(Closing):
             )
         if until > self.time:
             self._state = self._go_to(until)
-        return self._state
+        return self.state
 
     def frames(self, every: float) -> Iterator[BodyStates]:
         """States at the multiples of `every` [s] that lie ahead, until `run.t_end`; now first.
@@ -200,7 +210,7 @@ class Simulation(Closing):
         """
         if not 0.0 < number_of(every, "frames: every") < np.inf:
             raise ValueError(f"frames(every={every!r}): must be above 0 s, and finite")
-        yield self._state
+        yield self.state
         k = int(self.time / every)
         while (time := float(multiples(every, k, k + 1)[0])) <= self.system.run.t_end:
             if time > self.time:
@@ -261,37 +271,13 @@ class Simulation(Closing):
         ------
         ValueError
             If a shape is wrong, a number not finite, or if joints hold the bodies; if a body that
-            is fixed would get a velocity, or another state what moves as prescribed.
+            is fixed would get a velocity, another state what moves as prescribed, or a spin what
+            has no moment of inertia about it.
         """
-        if self.system.joint:
-            raise ValueError("set_state: joints hold these bodies; a state must fit them")
+        old = {name: getattr(self.state, name) for name in _STATE_NAMES}
         given = position, orientation, velocity, angular_velocity
-        values = []
-        for name, new in zip(_STATE_NAMES, given, strict=True):
-            old = getattr(self._state, name)
-            try:
-                array = np.array(old if new is None else new)
-                array = array.astype(np.float64, casting="same_kind")
-            except (TypeError, ValueError):  # no real numbers, or rows of several lengths
-                array = np.zeros(())
-            if array.shape != old.shape or not np.isfinite(array).all():
-                raise ValueError(f"set_state: {name} must be finite, of shape {old.shape}")
-            values.append(array)
-        if not values[1].any(axis=1).all():
-            raise ValueError("set_state: an orientation of zero is none; no turn is [1, 0, 0, 0]")
-        self._refuse_held(values)
-        self._restart(self.system, initial_state(self.system.bodies, *values))
-
-    def _refuse_held(self, values: Sequence[Floats]) -> None:
-        """Raise ValueError for a new state of a body that nothing can give it."""
-        system = self.system
-        for b in np.flatnonzero(system.is_held).tolist():
-            if system.body[system.block[b]].motion is not None:
-                old = (getattr(self._state, name)[b] for name in _STATE_NAMES)
-                if not all(map(np.array_equal, old, (new[b] for new in values))):
-                    raise ValueError(f"set_state: {system.names[b]} moves as its `motion` says")
-            elif values[2][b].any() or values[3][b].any():
-                raise ValueError(f"set_state: {system.names[b]} is held and has no velocity")
+        new = new_state(self.system, old, dict(zip(_STATE_NAMES, given, strict=True)))
+        self._restart(self.system, new)
 
     def __repr__(self) -> str:
         """What it moves and how far it has come, in a line."""
@@ -314,38 +300,52 @@ class Simulation(Closing):
         """Go on as another system, from the state of now or another one."""
         plan = make_plan(system, now=(self.time, state or self._state_now()))
         entries = self._entries
-        with THREADS.using(system.run.threads):
+        with self._moving(system):
             reached = self._run.finish(self.time)
             self._run.restart(system, plan, state or reached, entries)
             self._state = self._glance(self.time)
 
     def _state_now(self) -> State:
         """State of now, as a system has it at its start."""
-        _, position, orientation, _, _, _ = now = self._state
+        _, position, orientation, _, _, _ = now = self.state
         return initial_state(
             self.system.bodies, position, orientation, now.velocity, now.angular_velocity
         )
+
+    def _refuse_if_cut_off(self) -> None:
+        """Raise RunError where bodies have no time in common."""
+        if self._is_cut_off:
+            raise RunError("an error or an interrupt has cut this simulation off: begin another")
+
+    @contextmanager
+    def _moving(self, system: System) -> Iterator[None]:
+        """Move all bodies; where that is cut off they have no time in common, and never will."""
+        self._refuse_if_cut_off()
+        self._is_cut_off = True
+        with THREADS.using(system.run.threads):
+            yield
+        self._is_cut_off = False
 
     @property
     def _entries(self) -> Entries:
         """The energy balance of now."""
         if self._known is None:
-            with THREADS.using(self.system.run.threads):
+            with self._moving(self.system):
                 self._state = self._look(np.array([self.time]), np.zeros(1, np.bool_))
             assert self._known is not None
         return self._known
 
     def _go_to(self, until: float) -> BodyStates:
         """State at a time; frames in between go to the file."""
-        run = self._run.system.run
-        with THREADS.using(run.threads):
+        run, most = self.system.run, frames_at_once(self.system)
+        with self._moving(self.system):
             if self._recorder is None:
                 return self._glance(until)
             while True:
-                stop = min(self._due + BATCH_FRAMES, frame_count(run))
-                due = frames_of(run, self._due, stop) if self._due < stop else np.zeros(0)
+                stop = min(self._due + most, frame_count(run))
+                due = frame_times(run, self._due, stop) if self._due < stop else np.zeros(0)
                 due = due[due <= until]
-                is_last = due.size < BATCH_FRAMES
+                is_last = due.size < most
                 times = np.union1d(due, [until]) if is_last else due
                 state = self._look(times, np.isin(times, due))
                 self._due += due.size

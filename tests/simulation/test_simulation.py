@@ -8,6 +8,7 @@ import pytest
 
 import particlerb
 from particlerb import CaseError, Scene, Simulation
+from particlerb.simulation import frame_times
 from particlerb.stepping import stepped_motion
 from particlerb.tables import (
     AttractionTable,
@@ -17,7 +18,9 @@ from particlerb.tables import (
     ImpulseTable,
     Output,
     PlaneWall,
+    PointsShape,
     PushTable,
+    Rod,
     RunTable,
     TorqueTable,
 )
@@ -359,3 +362,72 @@ def test_looks_between_frames_make_no_loop_beside_that_of_the_tree(monkeypatch):
     for time in (0.25, 0.5, 1.0):
         state = simulation.advance(time)
     assert np.array_equal(state.position, straight.position[-1])
+
+
+@pytest.mark.plain
+def test_what_was_cut_off_while_bodies_moved_goes_no_further(monkeypatch, tmp_path):
+    """One group has moved on, the other has not: no time is common to both."""
+    scene = turned_box(dt=0.05, method="strang")
+    scene.add_body(name="still", shape=Box(size=(1, 2, 3), n=2), mass=1.0, velocity=(1, 0, 0))
+    simulation = Simulation(scene, tmp_path / "a.h5")
+    simulation.advance(2.0)
+    monkeypatch.setattr(simulation._run.group_runs[1].motion, "record", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        simulation.advance(9.0)
+    monkeypatch.undo()
+    for go_on in (
+        lambda: simulation.advance(3.0),
+        lambda: simulation.state,
+        lambda: next(simulation.frames(every=1.0)),
+        lambda: simulation.set_state(velocity=np.zeros((2, 3))),
+        lambda: simulation.change("force[0].torque", TORQUE),
+    ):
+        with pytest.raises(particlerb.RunError, match="has cut this simulation off"):
+            go_on()
+    simulation.close()
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        assert trajectory.time.tolist() == [0.0, 1.0, 2.0]
+
+
+def interrupted(*_) -> None:
+    """What Ctrl-C does to whatever runs."""
+    raise KeyboardInterrupt
+
+
+@pytest.mark.plain
+def test_frames_are_held_only_until_they_are_many(monkeypatch, tmp_path):
+    """As in a run: not a thousand of a million bodies."""
+    monkeypatch.setattr(frame_times, "_BATCH_BYTES", 300)  # of three frames
+    scene = turned_box()
+    with Simulation(scene, tmp_path / "a.h5") as simulation:
+        simulation.advance(9.5)
+        assert len(simulation._run.room.position) <= 3
+        simulation.advance(10.0)
+    with particlerb.open(tmp_path / "a.h5") as pieces:
+        straight = particlerb.run(scene)
+        for field in (*STATES, "time"):
+            assert np.array_equal(getattr(pieces, field), getattr(straight, field)), field
+
+
+@pytest.mark.plain
+def test_a_spin_that_a_body_cannot_have_is_refused():
+    scene = Scene(RunTable(t_end=1.0, every=1.0))
+    scene.add_body(name="rod", shape=Rod(length=1.0), mass=1.0)
+    scene.add_body(name="mote", shape=PointsShape(position=[[0, 0, 0]], mass=1.0))
+    simulation = Simulation(scene)
+    for spins, name in (([[0, 1, 2], [0, 0, 0]], "rod"), ([[1, 0, 0], [0, 1, 0]], "mote")):
+        with pytest.raises(ValueError, match=f"{name} has no inertia about the axis of its spin"):
+            simulation.set_state(angular_velocity=spins)
+    across = [[0.0, 2.0, 0.0], [0.0, 0.0, 0.0]]
+    simulation.set_state(angular_velocity=across, orientation=[[0.9, 0, 0.3, 0], [1, 0, 0, 0]])
+    assert simulation.state.angular_velocity == pytest.approx(np.array(across), abs=1e-15)
+
+
+@pytest.mark.plain
+def test_a_simulation_that_cannot_begin_leaves_no_file(tmp_path):
+    scene = bouncing(dt=2e-4)
+    scene.add_body(name="fast", shape=Ball(radius=0.1), mass=1.0, position=(3, 0, 1),
+                   velocity=(0, 0, -900))  # fmt: skip
+    with pytest.raises(particlerb.RunError):
+        Simulation(scene, tmp_path / "a.h5")
+    assert not list(tmp_path.iterdir())

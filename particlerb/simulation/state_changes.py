@@ -1,0 +1,60 @@
+"""States that a user gives bodies of a running simulation, and those that bodies cannot have."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from particlerb.maths.vec3 import Floats
+from particlerb.model.state import State, initial_state, omega_world
+from particlerb.model.system import System
+from particlerb.rotors.rotor_class import POINT, ROD
+
+_SPIN_ROUNDING: Final = 1e-9  # share of an angular velocity that is none
+
+
+def new_state(system: System, old: Mapping[str, Floats], given: Mapping[str, Any]) -> State:
+    """State of all bodies from what is given; what is None stays.
+
+    Parameters
+    ----------
+    system : System
+    old : mapping of str to ndarray
+        position, orientation, velocity and angular_velocity of now, (n, 3) or (n, 4).
+    given : mapping of str to array_like
+        The same names.
+
+    Raises
+    ------
+    ValueError
+        As `Simulation.set_state`.
+    """
+    if system.joint:
+        raise ValueError("set_state: joints hold these bodies; a state must fit them")
+    new = {name: _array_of(name, values, given[name]) for name, values in old.items()}
+    if not new["orientation"].any(axis=1).all():
+        raise ValueError("set_state: an orientation of zero is none; no turn is [1, 0, 0, 0]")
+    for b in np.flatnonzero(system.is_held).tolist():
+        if system.body[system.block[b]].motion is not None:
+            if not all(np.array_equal(old[name][b], new[name][b]) for name in old):
+                raise ValueError(f"set_state: {system.names[b]} moves as its `motion` says")
+        elif new["velocity"][b].any() or new["angular_velocity"][b].any():
+            raise ValueError(f"set_state: {system.names[b]} is held and has no velocity")
+    state, spin = initial_state(system.bodies, *new.values()), new["angular_velocity"]
+    lost = np.abs(omega_world(system.bodies, state).T - spin).max(axis=1)
+    is_thin = np.isin(system.bodies.rotor_class, (POINT, ROD))
+    for b in np.flatnonzero(is_thin & (lost > _SPIN_ROUNDING * np.abs(spin).max(axis=1))).tolist():
+        raise ValueError(f"set_state: {system.names[b]} has no inertia about the axis of its spin")
+    return state
+
+
+def _array_of(name: str, old: Floats, given: Any) -> Floats:
+    """An array of the shape of the old one."""
+    try:
+        array = np.array(old if given is None else given)
+        array = array.astype(np.float64, casting="same_kind")
+    except (TypeError, ValueError):  # no real numbers, or rows of several lengths
+        array = np.zeros(())
+    if array.shape != old.shape or not np.isfinite(array).all():
+        raise ValueError(f"set_state: {name} must be finite, of shape {old.shape}")
+    return array
