@@ -36,6 +36,8 @@ class Spread(Table):
 
     def at(self, share: float) -> float:
         """Value at a share of the distance from low to high."""
+        if share == 1.0:  # which may round beside it
+            return self.high
         if self.log:
             return float(self.low * (self.high / self.low) ** share)
         return self.low + share * (self.high - self.low)

@@ -7,6 +7,7 @@ import sys
 import tomllib
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -39,13 +40,12 @@ def _sweep(options: argparse.Namespace, workers: Workers | None) -> int:
     stem = case.path.stem if case.path else "case"
     path = named_output(options, Path("output") / f"{stem}_sweep.csv")
     path = to_write(path, True, case.path)
-    if options.overwrite:
-        path.unlink(missing_ok=True)
     axes = dict(_axis(text) for text in options.axes) or None
     with ending(CaseError, ValueError), tqdm(unit="run", delay=0.5, disable=None) as bar:
         try:
             executor, n = workers or (None, options.workers)
-            table = sweep(case, path, axes=axes, executor=executor, workers=n, progress=bar.update)
+            run = partial(sweep, executor=executor, workers=n, progress=bar.update)
+            table = run(case, path, axes=axes, overwrite=options.overwrite)
         except KeyboardInterrupt:
             again = f"particlerb {shlex.join(sys.argv[1:])}"
             rest = f"{path} has the rows so far; the same command continues: {again}"

@@ -3,17 +3,16 @@
 A dead worker costs its tasks an attempt; a case that kills its worker each time costs its own row.
 """
 
-import contextlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from functools import partial
 from os import PathLike
-from pathlib import Path
 from typing import Any, Final
 
-from particlerb.case.problems import CaseError, file_problem, path_of, problem_at
+from particlerb.case.problems import CaseError, Path, file_problem, path_of, problem_at
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
 from particlerb.case.sweep import SweepTable
@@ -41,13 +40,14 @@ _SECONDS_PER_BODY_STEP: Final = 2e-8
 _SECONDS_PER_CONTACT_STEP: Final = 4e-7  # of a body that may touch
 
 Progress = Callable[[int], object]
-Pool = Callable[[], AbstractContextManager[Executor]]
+Pool = Callable[[], AbstractContextManager[Any]]  # makes an executor
 
 
 def sweep(
     case: str | PathLike[str] | Mapping[str, Any] | Case,
     table: str | PathLike[str] | None = None,
     *,
+    overwrite: bool = False,
     axes: Mapping[str, Any] | None = None,
     executor: Executor | None = None,
     workers: int | None = None,
@@ -63,6 +63,8 @@ def sweep(
     table : path, optional
         CSV file of the rows: those that it has are not run again, so what was stopped goes on.
         With replicates their means are beside it, in table_means.csv.
+    overwrite : bool
+        Whether to forget what a table has that is there.
     axes : mapping, optional
         Keys of the case and their values, in place of [sweep.axes]: all combinations.
     executor : concurrent.futures.Executor, optional
@@ -87,11 +89,8 @@ def sweep(
     base = load(case, (), allow_code)
     asked = written_out(base, _asked(base, axes))
     all_variants = variants(base, asked)
-    system = to_system(built(base, list(map(path_of, asked.axes)), all_variants[0].values))
-    loads_of(system)  # whose code may have to be allowed
-    path, heads = None if table is None else Path(table), [label(key) for key in asked.axes]
-    names = _value_columns(base, asked, system, _first_end(base, asked, all_variants))
-    with TableFile(path, heads, names) as file:
+    system, names = _first_system(base, asked, all_variants)
+    with TableFile(table, list(map(label, asked.axes)), names, overwrite) as file:
         left = [variant for variant in all_variants if variant.hash not in file.known]
         progress(len(all_variants) - len(left))
 
@@ -101,7 +100,7 @@ def sweep(
 
         if left:
             n = workers or os.cpu_count() or 1
-            _drive(_pool(executor, n), _tasks(base, system, asked, left, n), 2 * n, take)
+            _drive(executor, _tasks(base, system, asked, left, n), n, take)
         return file.finish(all_variants, asked.replicates)
 
 
@@ -116,18 +115,44 @@ def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
     return SweepTable(axes=plain(axes), **kept)
 
 
-def _first_end(base: Case, asked: SweepTable, all_variants: list[Variant]) -> float:
-    """Least run.t_end [s] of all variants: an axis may be the key, or all of [run]."""
-    ends = [base.run.t_end]
-    for k, key in enumerate(map(path_of, asked.axes)):
-        if key in {("run",), ("run", "t_end")}:
-            values = [one.values[k] for one in all_variants]
-            ends = [one["t_end"] if isinstance(one, Mapping) else one for one in values]
-    return float(min(ends))
+def _first_system(
+    base: Case, asked: SweepTable, all_variants: list[Variant]
+) -> tuple[System, list[str]]:
+    """System of the first variant, and columns of what is asked for.
+
+    Raises
+    ------
+    CaseError
+        If its code is not allowed, or if a variant has other columns, or has ended by then.
+    """
+    paths = list(map(path_of, asked.axes))
+    system = to_system(built(base, paths, all_variants[0].values))
+    loads_of(system)  # whose code may have to be allowed
+    first = _columns_of(base, asked, system)
+    matters = [k for k, path in enumerate(paths) if _matters(path)]
+    others = all_variants[:0:-1] if matters else []
+    for variant in {repr([one.values[k] for k in matters]): one for one in others}.values():
+        try:
+            other = to_system(built(base, paths, variant.values))
+        except CaseError:
+            continue  # it costs its own row
+        for k, names in enumerate(_columns_of(base, asked, other)):
+            if names != first[k]:
+                reason = f"has {len(first[k])} columns in one run, and {len(names)}, or others, in"
+                hint = "name one body, which all runs have"
+                raise CaseError([problem_at(base, f"sweep.value[{k}]", f"{reason} another", hint)])
+    return system, [name for names in first for name in names]
 
 
-def _value_columns(base: Case, asked: SweepTable, system: System, t_end: float) -> list[str]:
-    """Columns of what is asked for; CaseError where no variant has it, or the first has ended."""
+def _matters(path: Path) -> bool:
+    """Whether values of a key may bring other bodies, joints or names, or another end."""
+    is_whole = path[0] == "body" and (len(path) < 3 or path[2] in ("count", "name"))
+    return is_whole or path[0] == "joint" or path in {("run",), ("run", "t_end")}
+
+
+def _columns_of(base: Case, asked: SweepTable, system: System) -> list[list[str]]:
+    """Columns of each value that is asked for; CaseError where a system has none, or has ended."""
+    t_end = system.run.t_end
     for k, one in enumerate(asked.value):
         wrong: tuple[str, str] | None = None
         if one.time is not None and one.time > t_end:
@@ -140,7 +165,7 @@ def _value_columns(base: Case, asked: SweepTable, system: System, t_end: float) 
             raise CaseError([problem_at(base, f"sweep.value[{k}].{wrong[0]}", wrong[1])])
     check = system.check.model_copy(update={"value": asked_as_checks(asked.value)})
     refuse_checks(system._replace(check=check, source=base.source), "sweep")
-    return [name for one in asked.value for name in columns(one, system)]
+    return [columns(one, system) for one in asked.value]
 
 
 def _tasks(
@@ -167,24 +192,18 @@ def _tasks(
             yield Task(numbers, values, paths, source, asked.value, share)
 
 
-def _pool(executor: Executor | None, n: int) -> Pool:
-    """What makes the executor, and makes it anew where it breaks."""
-    if executor is not None:
-        return lambda: contextlib.nullcontext(executor)
-    return lambda: processes(n)
-
-
 def _drive(
-    pool: Pool, tasks: Iterator[Task], ahead: int, take: Callable[[list[Row]], None]
+    executor: Executor | None, tasks: Iterator[Task], n: int, take: Callable[[list[Row]], None]
 ) -> None:
-    """Keep some tasks under way until all are done.
+    """Keep some tasks under way until all are done: on an executor, or in so many processes.
 
     The first one runs alone, as it compiles, and so does who was there when a worker died.
     """
     waiting, lost = deque(tasks), list[tuple[Task, str]]()
     running: dict[Future[list[Row]], Task] = {}
     at_once, is_broken = 1, False
-    with contextlib.ExitStack() as stack:
+    pool: Pool = partial(processes, n) if executor is None else partial(nullcontext, executor)
+    with ExitStack() as stack:
         executor = _awake(stack, pool)
         while waiting or running:
             while waiting and not lost and len(running) < _room(waiting[0], running, at_once):
@@ -198,13 +217,15 @@ def _drive(
             for future in done:
                 task = running.pop(future)
                 try:
-                    take(future.result())
-                    at_once = ahead
+                    rows = future.result()
                 except BrokenExecutor:
                     lost.append((task, _DIED))
                     is_broken = True
                 except Exception as error:  # a killed worker of dask, or a fault of ours
                     lost.append((task, f"{type(error).__name__}: {error}".splitlines()[0]))
+                else:
+                    take(rows)
+                    at_once = 2 * n
             if is_broken:
                 lost += [(task, _DIED) for task in running.values()]
                 running.clear()
@@ -216,7 +237,7 @@ def _drive(
             lost.clear()
 
 
-def _awake(stack: contextlib.ExitStack, pool: Pool) -> Executor:
+def _awake(stack: ExitStack, pool: Pool) -> Executor:
     """An executor with a worker that has started: who dies before costs no task an attempt."""
     for _ in range(_MAX_STARTS):
         executor = stack.enter_context(pool())

@@ -35,7 +35,8 @@ def asked_as_checks(asked: Sequence[SweepValue]) -> tuple[CheckValue, ...]:
 
 def columns(asked: SweepValue, system: System) -> list[str]:
     """Names of the numbers of a value that is asked for."""
-    when = "" if asked.time is None else f"@{asked.time:g}"
+    when = "" if asked.time is None else f"@{asked.time!r}".removesuffix(".0")
+    axes = ".body" if asked.frame == "body" else ""
     if asked.body is not None:
         owners = [system.names[int(b)] for b in system.names.find(asked.body)]
         size = {"orientation": 4, "kinetic_energy": 1, "inertia": 9}.get(asked.quantity, 3)
@@ -49,4 +50,4 @@ def columns(asked: SweepValue, system: System) -> list[str]:
         if asked.quantity == "joint_coordinate":
             size = int((setup.coordinates.joint == setup.names.index(owners[0])).sum())
     parts = [""] if size == 1 else [f".{one}" for one in _COMPONENT_NAMES.get(size, range(size))]
-    return [f"{owner}.{asked.quantity}{part}{when}" for owner in owners for part in parts]
+    return [f"{owner}.{asked.quantity}{axes}{part}{when}" for owner in owners for part in parts]

@@ -5,6 +5,7 @@ import io
 import math
 import os
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from particlerb.record.writer_lock import WriterLock
 from particlerb.sweeping.rows import Row
 from particlerb.sweeping.variants import Variant
 
+_Table = str | PathLike[str] | None
 _FIRST_COLUMNS = ("run", "hash", "status", "energy_drift", "checks_missed")
 
 
@@ -112,8 +114,11 @@ class TableFile(Closing):
         If it cannot be read or written, or if another sweep writes it.
     """
 
-    def __init__(self, path: Path | None, axes: Sequence[str], values: Sequence[str]) -> None:
-        self.path, self.columns, self.n_axes = path, (*_FIRST_COLUMNS, *axes, *values), len(axes)
+    def __init__(
+        self, table: _Table, axes: Sequence[str], values: Sequence[str], overwrite: bool
+    ) -> None:
+        self.columns, self.n_axes = (*_FIRST_COLUMNS, *axes, *values), len(axes)
+        self.path = path = None if table is None else Path(table)
         self.known: dict[str, tuple[Any, ...]] = {}  # rows that are done, by their hash
         self._order: list[str] = []  # hashes in the file
         self._lock: WriterLock | None = None
@@ -121,28 +126,31 @@ class TableFile(Closing):
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         self._lock = WriterLock(path)
-        text = self._whole_lines(path)
-        lines = list(csv.reader(io.StringIO(text)))
+        try:
+            self._read(path, overwrite)
+        except BaseException:
+            self.close()
+            raise
+
+    def _read(self, path: Path, overwrite: bool) -> None:
+        """Note what the file has, which gets its first line if it has none."""
+        content = path.read_bytes()
+        end = 0 if overwrite else content.rfind(b"\n") + 1
+        if end < len(content):  # behind it is a last line that was torn
+            os.truncate(path, end)
+        lines = list(csv.reader(io.StringIO(content[:end].decode("utf-8", "replace"))))
         if lines and tuple(lines[0]) != self.columns:
-            self._lock.close()
             raise ValueError(f"{path} has other columns than this sweep: give another name")
         if not lines:
             self._append([self.columns])
+        rows = [line for line in lines[1:] if line[2:3] == ["done"]]
         try:
+            if any(len(row) != len(self.columns) for row in rows):
+                raise ValueError
             self._order = [line[1] for line in lines[1:]]
-            self.known = {line[1]: _parsed(line) for line in lines[1:] if line[2] == "done"}
+            self.known = {row[1]: _parsed(row) for row in rows}
         except (IndexError, ValueError):
-            self._lock.close()
             raise ValueError(f"{path} has lines that are no rows: give another name") from None
-
-    @staticmethod
-    def _whole_lines(path: Path) -> str:
-        """Text of a file, of which a last line that was torn is cut off."""
-        content = path.read_bytes()
-        kept = content[: content.rfind(b"\n") + 1]
-        if len(kept) < len(content):
-            os.truncate(path, len(kept))
-        return kept.decode("utf-8", "replace")
 
     def _append(self, lines: Sequence[Sequence[Any]]) -> None:
         """Append lines, which are on the disk when this returns."""
@@ -156,7 +164,7 @@ class TableFile(Closing):
         """Add rows."""
         lines, hashes = list[tuple[Any, ...]](), [variant.hash for variant, _ in rows]
         for variant, (number, status, drift, missed, values) in rows:
-            axes = [x if isinstance(x, (float, str, int)) else repr(x) for x in variant.values]
+            axes = _cells_of(variant)
             lines.append((number, variant.hash, status, drift, missed, *axes, *values))
         self.known.update(zip(hashes, lines, strict=True))
         self._order += hashes
@@ -168,8 +176,13 @@ class TableFile(Closing):
 
         Means over replicates are written beside it.
         """
-        rows = tuple((v.number, *self.known[v.hash][1:]) for v in variants)
-        numbers = [self.known[v.hash][0] for v in variants]
+        first, stop = len(_FIRST_COLUMNS), len(_FIRST_COLUMNS) + self.n_axes
+        known = [self.known[v.hash] for v in variants]
+        rows = tuple(
+            (v.number, *row[1:first], *_cells_of(v), *row[stop:])
+            for v, row in zip(variants, known, strict=True)
+        )
+        numbers = [row[0] for row in known]
         if self.path is not None and (
             self._order != [v.hash for v in variants] or numbers != list(range(len(variants)))
         ):
@@ -184,6 +197,11 @@ class TableFile(Closing):
         """Let others write it."""
         if self._lock is not None:
             self._lock.close()
+
+
+def _cells_of(variant: Variant) -> list[Any]:
+    """Values of the axes as a table has them."""
+    return [x if isinstance(x, (float, str, int)) else repr(x) for x in variant.values]
 
 
 def _parsed(line: Sequence[str]) -> tuple[Any, ...]:

@@ -265,6 +265,95 @@ def test_a_table_of_another_sweep_is_left_alone(tmp_path):
     assert path.read_text() == "a,b\n1,2\n"
 
 
+@pytest.mark.parametrize(
+    ("axes", "told"),
+    [
+        ({"body.1.count": [2, 3]}, "has 6 columns in one run, and 9, or others, in another"),
+        ({"body.1.name": ["grain", "dust"]}, 'there is no body "grain"'),
+    ],
+)
+def test_variants_have_the_same_columns(axes, told, tmp_path):
+    """Else numbers of one body stood under the name of another."""
+    scene, grid = fallen(), {"type": "grid", "spacing": 2.0}
+    scene.add_body(name="grain", shape=Box(size=(1, 1, 2)), mass=1.0, count=2, place=grid)
+    values = [{"body": "grain", "quantity": "position"}, {"body": "box", "quantity": "velocity"}]
+    scene.sweep = SweepTable(axes=axes, value=values)
+    with pytest.raises(CaseError, match=told):
+        in_threads(scene, tmp_path / "t.csv")
+    assert not list(tmp_path.iterdir())
+
+
+def test_values_in_two_frames_and_at_near_instants_have_columns_of_their_own():
+    scene, spin = fallen(), {"body": "box", "quantity": "angular_velocity"}
+    times = 0.1234567, 0.1234568
+    scene.sweep = SweepTable(
+        axes={"body.0.angular_velocity": [[1, 2, 3]]},
+        value=[spin, spin | {"frame": "body"}, *(spin | {"time": time} for time in times)],
+    )
+    found = in_threads(scene)
+    assert len(set(found.columns)) == len(found.columns)
+    alone = particlerb.run(scene, overrides=["body.0.angular_velocity=[1, 2, 3]"])
+    assert found.column("box.angular_velocity.x") == [alone.angular_velocity[-1, 0, 0]]
+    in_body = [found.column(f"box.angular_velocity.body.{k}")[0] for k in "xyz"]
+    assert in_body == pytest.approx(alone.omega_body(0)[-1], rel=1e-12)
+    assert found.column("box.angular_velocity.x@0.1234567") != found.column(
+        "box.angular_velocity.x@0.1234568"
+    )
+
+
+def test_a_progress_that_raises_ends_the_sweep_and_costs_no_row(tmp_path, monkeypatch):
+    path, ran = tmp_path / "t.csv", []
+    monkeypatch.setattr(driver, "work", lambda task: ran.append(task.numbers) or work(task))
+
+    def fails(n: int) -> None:
+        if n:
+            raise RuntimeError("the bar is full")
+
+    with pytest.raises(RuntimeError, match="the bar is full"):
+        in_threads(fallen(), path, progress=fails)
+    assert ran == [(0,)]
+    with path.open() as file:
+        assert [row["status"] for row in csv.DictReader(file)] == ["done"]
+    assert in_threads(fallen(), path).column("status") == ["done"] * 3
+    assert ran == [(0,), (1,), (2,)]
+
+
+def test_a_table_that_is_begun_anew_is_lost_only_if_the_sweep_can_be_run(tmp_path):
+    path = tmp_path / "t.csv"
+    whole = in_threads(fallen(), path)
+    text = path.read_text()
+    with pytest.raises(CaseError, match="unknown key"):
+        in_threads(fallen(), path, axes={"run.dtt": [1.0]}, overwrite=True)
+    assert path.read_text() == text
+    path.write_text(text.replace(f"{whole.rows[0][6]!r}", "17.0"))
+    assert in_threads(fallen(), path).rows != whole.rows
+    assert in_threads(fallen(), path, overwrite=True) == whole
+    assert path.read_text() == text
+
+
+def test_values_of_axes_are_those_that_were_given_also_where_rows_were_known(tmp_path):
+    """And not what the text of the table might be, as 7 for a body that is called 007."""
+    scene, path = fallen(), tmp_path / "t.csv"
+    scene.add_body(name="007", shape=Box(size=(1, 1, 2)), mass=1.0, position=(9, 0, 0))
+    axes = {"force.0.body": ["box", "007"], "output.durable": [True, False]}
+    first, again = (in_threads(scene, path, axes=axes) for _ in range(2))
+    assert again == first
+    assert first.column("force[0].body") == ["box", "box", "007", "007"]
+    assert again.column("output.durable") == [True, False, True, False]
+
+
+def test_a_row_with_numbers_of_another_is_no_row(tmp_path):
+    """As a disk leaves it that was full in the middle of a line."""
+    path = tmp_path / "t.csv"
+    in_threads(fallen(), path)
+    head, first, second, third = path.read_text().splitlines()
+    path.write_text("\n".join([head, first[:-3] + second, third, ""]))
+    with pytest.raises(ValueError, match=r"t\.csv has lines that are no rows"):
+        in_threads(fallen(), path)
+    path.unlink()
+    assert in_threads(fallen(), path).column("status") == ["done"] * 3  # nobody has it any more
+
+
 # Workers that die
 
 
@@ -332,6 +421,7 @@ def test_a_sweep_that_keeps_no_results_says_so():
 def test_a_spread_is_even_or_in_equal_ratios():
     even, ratios = Spread(low=1.0, high=9.0), Spread(low=1.0, high=9.0, log=True)
     assert [even.at(s) for s in (0.0, 0.5, 1.0)] == [1.0, 5.0, 9.0]
+    assert Spread(low=0.09, high=1.0, log=True).at(1.0) == 1.0  # 0.9999999999999999 by the formula
     assert [ratios.at(s) for s in (0.0, 0.5, 1.0)] == pytest.approx([1.0, 3.0, 9.0], rel=1e-15)
 
 
