@@ -1,6 +1,8 @@
 """The picture of a trajectory has the panels that fit the scene, and these show what happened."""
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -334,3 +336,25 @@ def test_a_gimbal_is_drawn_as_the_ring_through_its_bearings(make, monkeypatch):
         size = radius * np.linalg.norm(view[:, plane], axis=1)
         assert np.allclose(np.ptp(ring, axis=0) / 2.0, size, rtol=3e-3)
     assert trajectory.n_bodies == 2
+
+
+def test_names_and_titles_stand_in_a_picture_as_they_are(make, tmp_path):
+    """A `$` begins no formula, and a `_` at the beginning keeps no name out of the legend."""
+    case = apart(make) | {"title": "what $x_{ costs, in $"}
+    for body, name in zip(case["body"], ("_left", "$right^$"), strict=True):
+        body["name"] = name
+    figure = particlerb.plot(particlerb.run(case), tmp_path / "a.png")
+    legend = panel(figure, "angular velocities").get_legend()
+    texts = [figure.get_suptitle(), *(text.get_text() for text in legend.get_texts())]
+    shown = [text.replace(r"\$", "$").strip() for text in texts]
+    assert shown == ["what $x_{ costs, in $   (2 bodies, 3 frames)", "_left", "$right^$"]
+
+
+def test_drawing_leaves_the_pictures_of_the_user_where_they_are_shown():
+    """Another backend would keep pyplot from showing anything, in a notebook for instance."""
+    code = (
+        "import matplotlib; matplotlib.use('svg'); import particlerb.studies.charts.trajectory;"
+        "print(matplotlib.get_backend())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "svg"

@@ -15,7 +15,7 @@ from particlerb.model.state import axes_across, rotate, rotation_matrix
 from particlerb.record import schema
 from particlerb.record.trajectory import Trajectory
 from particlerb.studies.charts import solids
-from particlerb.studies.charts.style import COLOURS, INK, finish_view, line_style
+from particlerb.studies.charts.style import COLOURS, INK, finish_view, line_style, plain
 
 _ATTITUDES: Final = 7
 _APART: Final = 1.25  # of orientations, in diagonals of the body
@@ -166,7 +166,7 @@ def draw_trace(axes: Axes3D, trajectory: Trajectory, body: int, axis: int) -> No
     axes.plot(*points.T, lw=0.9, color=COLOURS[1])
     axes.plot(*points[-1:].T, "o", ms=3.5, color=COLOURS[1])
     title = f"path of the {'xyz'[axis]} axis of {trajectory.names[body]} on the unit sphere"
-    axes.set_title(title, fontsize=10, color=INK)
+    axes.set_title(plain(title), fontsize=10, color=INK)
     set_equal_scale(axes, points, "")
 
 
@@ -237,7 +237,7 @@ def draw_orientations(axes: Axes, trajectory: Trajectory, body: int) -> None:
     axes.set_axis_off()
     name = trajectory.names[body] if solid is not None else f"box around {trajectory.names[body]}"
     title = f"{name}; its angular momentum is upwards, its {'xyz'[spun]} axis orange"
-    axes.set_title(title, fontsize=10, color=INK)
+    axes.set_title(plain(title), fontsize=10, color=INK)
 
 
 def _instants(trajectory: Trajectory, body: int, height: Floats) -> list[int]:

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from particlerb.maths.vec3 import Floats
 from particlerb.record.trajectory import Contacts, Trajectory
 from particlerb.studies.charts.bodies import draw_particles, side_axes
-from particlerb.studies.charts.style import COLOURS, INK, bare
+from particlerb.studies.charts.style import COLOURS, INK, bare, plain
 from particlerb.studies.text import count_of
 
 _FIGURE_WIDTH = 11.0  # inches
@@ -59,7 +59,7 @@ def draw_contacts(trajectory: Trajectory, path: Path) -> None:
     title = trajectory.parameter("case_resolved")["title"] or path.stem
     time = float(trajectory.time[k])
     text = f"{title}: force chains at t = {time:.6g} s\n{summary(contacts)}"
-    figure.suptitle(text, color=INK, fontsize=10, x=0.01, ha="left")
+    figure.suptitle(plain(text), color=INK, fontsize=10, x=0.01, ha="left")
     if contacts.wall.size:
         figure.legend(handles=_key(contacts), loc="outside lower center", ncols=3, frameon=False)
     figure.savefig(path, dpi=110)

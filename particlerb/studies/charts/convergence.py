@@ -9,6 +9,7 @@ particles that some errors need. Nothing is computed here.
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
@@ -81,7 +82,7 @@ def title(curve: Curve) -> str:
     return name if math.isnan(p) else f"{name}, 1/n^{p:.2f}"
 
 
-def finish(axes: Axes, heading: str = "", **settings: object) -> None:
+def finish(axes: Axes, heading: str = "", **settings: Any) -> None:
     """What all panels have in common."""
     finish_panel(axes, heading, xscale="log", yscale="log", **settings)
     axes.xaxis.set_minor_formatter(NullFormatter())

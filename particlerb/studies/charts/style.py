@@ -9,8 +9,6 @@ from matplotlib.axes import Axes
 
 from particlerb.maths.vec3 import Floats
 
-mpl.use("Agg")
-
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73")  # told apart also by the colour-blind
 METHOD_COLOURS: Final = {
     "exact": "#333333",
@@ -45,16 +43,21 @@ def viridis(share: Floats) -> Any:
     return mpl.colormaps["viridis"](share, bytes=True)[:, :3]
 
 
+def plain(text: str) -> str:
+    """A name or title as it stands: no `$` begins a formula, no `_` keeps it out of a legend."""
+    return " " * text.startswith("_") + text.replace("$", r"\$")
+
+
 def bare(axes: Axes) -> None:
     """Leave out what carries nothing: the frame at the top and at the right."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
 
 
-def finish_panel(axes: Axes, title: str = "", **settings: Any) -> None:
+def finish_panel(axes: Axes, title: str = "", pad: float | None = None, **settings: Any) -> None:
     """Set the title, the grid and what `Axes.set` takes: labels, scales, limits, ticks."""
-    axes.set(**settings)
-    axes.set_title(title, fontsize=10, loc="left", color=INK)
+    axes.set(**{k: plain(v) if k in ("xlabel", "ylabel") else v for k, v in settings.items()})
+    axes.set_title(plain(title), fontsize=10, loc="left", color=INK, pad=pad)
     axes.grid(color=GRID, lw=0.6)
     bare(axes)
 
@@ -69,7 +72,7 @@ def finish_view(axes: Axes, title: str, across: str, up: str) -> None:
 
 def write_beside(axes: Axes, x: float, y: float, text: str, **style: Any) -> None:
     """Write at a share x of the width of the panel, and at a value y of its axis."""
-    axes.text(x, y, text, transform=axes.get_yaxis_transform(), **style)
+    axes.text(x, y, plain(text), transform=axes.get_yaxis_transform(), **style)
 
 
 def write_inside(axes: Axes, x: float, y: float, text: str, **style: Any) -> None:

@@ -21,7 +21,14 @@ from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.rotors.rotor_class import SYMMETRIC
 from particlerb.studies.charts import bodies
 from particlerb.studies.charts.linkage import draw_linkage, mechanism_of
-from particlerb.studies.charts.style import COLOURS, INK, finish_panel, line_style, write_beside
+from particlerb.studies.charts.style import (
+    COLOURS,
+    INK,
+    finish_panel,
+    line_style,
+    plain,
+    write_beside,
+)
 from particlerb.studies.text import count_of
 
 _MIN_TURN: Final = 1e-6  # rad in the whole time
@@ -135,7 +142,7 @@ def _titled_figure(trajectory: Trajectory, case: dict[str, Any]) -> Figure:
     title = case["title"] or Path(trajectory.file.filename).name
     counted = count_of(trajectory.n_bodies, "body", "bodies")
     frames = count_of(trajectory.n_frames, "frame", "frames")
-    figure.suptitle(f"{title}   ({counted}, {frames})", color=INK)
+    figure.suptitle(f"{plain(title)}   ({counted}, {frames})", color=INK)
     return figure
 
 
@@ -217,7 +224,7 @@ def _draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) 
     n = values.shape[1]
     if n <= bodies.KEYED or (n <= _LINES and sum(map(len, names)) <= _LETTERS):
         for k, name in enumerate(names):
-            axes.plot(time, values[:, k], lw=1.3, label=name, **line_style(k))
+            axes.plot(time, values[:, k], lw=1.3, label=plain(name), **line_style(k))
         return
     low, middle, high = np.percentile(values, (10.0, 50.0, 90.0), axis=1)
     axes.fill_between(time, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="10 to 90 %")
@@ -293,12 +300,11 @@ def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> No
     """Joint coordinates or forces, if they were recorded, else angular velocities."""
     time, fields = trajectory.time, trajectory.other_fields
     if "joint_coordinate" in fields and trajectory.joint_coordinate.size:
-        values = trajectory.joint_coordinate
-        _draw_lines(axes, time, values, [f"coordinate {k}" for k in range(values.shape[1])])
+        _draw_lines(axes, time, trajectory.joint_coordinate, trajectory.coordinate_names)
         finish(axes, "joint coordinates", "angle [rad] or length [m]")
     elif "joint_force" in fields and np.isfinite(trajectory.joint_force).any():
-        names = [joint["name"] or f"joint {k}" for k, joint in enumerate(case["joint"])]
-        _draw_lines(axes, time, np.linalg.norm(trajectory.joint_force, axis=2), names)
+        forces = np.linalg.norm(trajectory.joint_force, axis=2)
+        _draw_lines(axes, time, forces, trajectory.joint_names)
         finish(axes, "forces in joints", "|F| [N]")
     else:
         _draw_rates(axes, trajectory, case)
@@ -383,8 +389,7 @@ def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
 
 def finish(axes: Axes, title: str, label: str) -> None:
     """What all panels over time have in common: a legend below the title, values that differ."""
-    finish_panel(axes, xlabel="t [s]", ylabel=label)
-    axes.set_title(title, fontsize=10, loc="left", color=INK, pad=18)
+    finish_panel(axes, title, 18, xlabel="t [s]", ylabel=label)
     axes.legend(
         fontsize=7.5, ncols=_LINES, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False,
         handlelength=1.4, columnspacing=1.0, borderaxespad=0.2, borderpad=0.0,

@@ -71,10 +71,9 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     _mark_failures(axes, chart.points)
     _mark_cheapest(axes, chart)
     bodies = count_of(chart.n_bodies, "body", "bodies")
-    figure.suptitle(
-        f"{chart.title}   ({bodies} to t = {chart.t_end:.6g} s, one thread, {processor()})",
-        color=style.INK, x=0.01, ha="left", fontsize=12,
-    )  # fmt: skip
+    how = f"{bodies} to t = {chart.t_end:.6g} s, one thread, {processor()}"
+    title = style.plain(f"{chart.title}   ({how})")
+    figure.suptitle(title, color=style.INK, x=0.01, ha="left", fontsize=12)
     our_names = style.METHOD_COLOURS.keys()
     absent = [f"{name}: left out, {why}" for name, why in chart.left_out if name not in our_names]
     if words := "\n".join((*chart.notes, *absent)):
