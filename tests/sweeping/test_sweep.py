@@ -465,3 +465,19 @@ def test_values_have_their_units_beside_them(tmp_path, monkeypatch):
     values = [(name, x) for name in ("a.velocity.x", "velocity.angular_velocity.y", "hinge.count")]
     sweep_chart.draw_sweep("Title", [("key", x)], values, tmp_path / "a.png")
     assert labels == ["[m/s]", "[rad/s]", ""]
+
+
+def test_a_map_has_the_mean_of_each_place_in_a_cell_around_it(tmp_path, monkeypatch):
+    """Of an axis in equal ratios too; a run that failed counts in no mean."""
+    figures = []
+    monkeypatch.setattr(sweep_chart.Figure, "savefig", lambda self, *_, **__: figures.append(self))
+    grid = np.stack(np.meshgrid([1e-3, 1e-2, 1e-1], [1.0, 3.0], indexing="ij")).reshape(2, 6)
+    x, y = np.repeat(grid, 3, axis=1)
+    value = np.arange(18.0)
+    value[[0, 7]] = np.nan
+    sweep_chart.draw_sweep("$", [("a$b$", x), ("c", y)], [("v$_$", value)], tmp_path / "a.png")
+    (cells,) = figures[0].axes[0].collections
+    assert np.ma.getdata(cells.get_array()).T.ravel().tolist() == [1.5, 4, 7, 10, 13, 16]
+    edges = cells.get_coordinates()
+    assert np.allclose(np.log10(edges[0, :, 0]), [-3.5, -2.5, -1.5, -0.5], rtol=0, atol=1e-12)
+    assert np.allclose(edges[:, 0, 1], [0.0, 2.0, 4.0], rtol=0, atol=1e-12)

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
-from particlerb.maths.vec3 import Bools, Floats
+from particlerb.maths.vec3 import Bools
 from particlerb.studies import stability
 from particlerb.studies.charts import style
 from particlerb.studies.resting_contacts import RATIOS, THEORY
@@ -102,7 +102,8 @@ def _draw_map(axes: Axes, map_: stability.Map) -> None:
     """Colours of the verdicts, lines of equal error, names of the regions."""
     columns = np.arange(map_.across.size + 1) - 0.5
     norm = BoundaryNorm(np.arange(len(VERDICTS) + 1) - 0.5, len(VERDICTS))
-    edges = _edges_of(map_.pace) if map_.pace.size > 1 else np.array([_STEPS[0], _STEPS[-1]])
+    is_one = map_.pace.size == 1
+    edges = np.array([_STEPS[0], _STEPS[-1]]) if is_one else style.cell_edges(map_.pace, True)
     axes.pcolormesh(columns, edges, map_.verdict, cmap=ListedColormap(_TINTS), norm=norm)
     axes.set_yscale("log")
     if map_.pace.any():
@@ -113,12 +114,6 @@ def _draw_map(axes: Axes, map_: stability.Map) -> None:
         style.write_inside(axes, 0.5, 0.5, text, ha="center", va="center", fontsize=9)
     _mark_across(axes, map_)
     _mark_pace(axes, map_)
-
-
-def _edges_of(pace: Floats) -> Floats:
-    """Edges of cells on a logarithmic axis."""
-    half = math.sqrt(pace[1] / pace[0])
-    return np.append(pace / half, pace[-1] * half)
 
 
 def _draw_levels(axes: Axes, map_: stability.Map) -> None:

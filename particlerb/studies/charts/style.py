@@ -70,6 +70,15 @@ def finish_view(axes: Axes, title: str, across: str, up: str) -> None:
     axes.grid(visible=False)
 
 
+def cell_edges(places: Floats, is_log: bool) -> Floats:
+    """Edges (n + 1,) of cells about n ascending places, two at least, halfway between them."""
+    at = np.log(places) if is_log else places
+    between = 0.5 * (at[1:] + at[:-1])
+    ends = 2.0 * at[[0, -1]] - between[[0, -1]]
+    edges = np.concatenate([ends[:1], between, ends[1:]])
+    return np.exp(edges) if is_log else edges
+
+
 def write_beside(axes: Axes, x: float, y: float, text: str, **style: Any) -> None:
     """Write at a share x of the width of the panel, and at a value y of its axis."""
     axes.text(x, y, plain(text), transform=axes.get_yaxis_transform(), **style)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from particlerb.maths.vec3 import Floats
-from particlerb.studies.charts.style import COLOURS, INK, finish_panel
+from particlerb.studies.charts.style import COLOURS, INK, cell_edges, finish_panel, plain
 
 _MAX_PANELS: Final = 12
 _WIDTH, _HEIGHT = 4.6, 3.2  # [in] of a panel
@@ -39,16 +39,16 @@ def draw_sweep(
     across = len(axes) if len(axes) > 2 else min(len(shown), 3)
     down = len(shown) if len(axes) > 2 else -(-len(shown) // across)
     figure = Figure(figsize=(_WIDTH * across, _HEIGHT * down + 0.4), layout="constrained")
-    figure.suptitle(title, color=INK, fontsize=12)
+    figure.suptitle(plain(title), color=INK, fontsize=12)
     panels = figure.subplots(down, across, squeeze=False)
     if len(axes) > 2:
         for row, (name, numbers) in zip(panels, shown, strict=True):
             for panel, axis in zip(row, axes, strict=True):
-                _draw_points(panel, axis, name, numbers)
+                _draw_points(panel, axis, name, numbers, False)
     else:
         for panel, (name, numbers) in zip(panels.flat, shown, strict=False):
             if len(axes) == 1:
-                _draw_line(panel, axes[0], name, numbers)
+                _draw_points(panel, axes[0], name, numbers, True)
             else:
                 _draw_map(figure, panel, axes, name, numbers)
         for panel in panels.flat[len(shown) :]:
@@ -56,38 +56,46 @@ def draw_sweep(
     figure.savefig(path, dpi=110)
 
 
-def _draw_line(panel: Axes, axis: tuple[str, Floats], name: str, values: Floats) -> None:
-    """A value over the only axis; with replicates, their mean as the line."""
+def _draw_points(
+    panel: Axes, axis: tuple[str, Floats], name: str, values: Floats, is_only: bool
+) -> None:
+    """A value over an axis; a line through the means of replicates if it is the only one."""
     label, x = axis
     x, values = x[np.isfinite(values)], values[np.isfinite(values)]
-    places = np.unique(x)
-    means = np.array([values[x == place].mean() for place in places])
-    panel.plot(places, means, color=COLOURS[0], lw=1.2)
-    panel.plot(x, values, "o", color=COLOURS[0], ms=4)
+    if is_only:
+        panel.plot(*_means(x[:, None], values), color=COLOURS[0], lw=1.2)
+    panel.plot(x, values, "o", color=COLOURS[0], ms=4 if is_only else 2)
     finish_panel(panel, name, xlabel=label, ylabel=_unit(name), xscale=_scale(x))
 
 
-def _draw_points(panel: Axes, axis: tuple[str, Floats], name: str, values: Floats) -> None:
-    """A value beside one of several axes."""
-    label, x = axis
-    panel.plot(x, values, ".", color=COLOURS[0], ms=4)
-    finish_panel(panel, name, xlabel=label, ylabel=_unit(name), xscale=_scale(x))
+def _means(x: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Places (m, k) among x (n, k), ascending, and means of values there; NaN where none is."""
+    places, place = np.unique(x, axis=0, return_inverse=True)
+    is_done = np.isfinite(values)
+    at = place.ravel()[is_done]
+    with np.errstate(invalid="ignore"):
+        means = np.bincount(at, values[is_done], len(places)) / np.bincount(at, None, len(places))
+    return places, means
 
 
 def _draw_map(
     figure: Figure, panel: Axes, axes: Sequence[tuple[str, Floats]], name: str, values: Floats
 ) -> None:
-    """A value over two axes: cells where they form a grid, else coloured points."""
+    """A value over two axes: cells where they form a grid, else points; means of replicates."""
     (across, x), (up, y) = axes
-    columns, rows = np.unique(x), np.unique(y)
-    if columns.size * rows.size == values.size and min(columns.size, rows.size) > 1:
-        grid = np.full((rows.size, columns.size), np.nan)
-        grid[np.searchsorted(rows, y), np.searchsorted(columns, x)] = values
-        drawn: Any = panel.pcolormesh(columns, rows, grid, cmap="viridis", shading="nearest")
+    places, means = _means(np.stack([x, y], axis=1), values)
+    columns, rows, scales = np.unique(x), np.unique(y), (_scale(x), _scale(y))
+    if columns.size * rows.size == len(places) and min(columns.size, rows.size) > 1:
+        edges = (
+            cell_edges(ends, scale == "log")
+            for ends, scale in zip((columns, rows), scales, strict=True)
+        )
+        grid = means.reshape(columns.size, rows.size).T
+        drawn: Any = panel.pcolormesh(*edges, grid, cmap="viridis")
     else:
-        drawn = panel.scatter(x, y, c=values, cmap="viridis", s=16)
+        drawn = panel.scatter(places[:, 0], places[:, 1], c=means, cmap="viridis", s=16)
     figure.colorbar(drawn, ax=panel, label=_unit(name))
-    finish_panel(panel, name, xlabel=across, ylabel=up, xscale=_scale(x), yscale=_scale(y))
+    finish_panel(panel, name, xlabel=across, ylabel=up, xscale=scales[0], yscale=scales[1])
     panel.grid(visible=False)
 
 
