@@ -358,3 +358,43 @@ def test_drawing_leaves_the_pictures_of_the_user_where_they_are_shown():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "svg"
+
+
+def test_attitudes_of_a_solid_are_whole_and_apart(make, monkeypatch):
+    """Its particles, which are eight in a box, lie far below its surface."""
+    box = {"name": "box", "shape": BAR | {"size": [0.2, 0.6, 1.0]}, "mass": 1.0}
+    case = make.case(box | {"angular_velocity": [1.0, 2.0, 3.0]}, t_end=6.0)
+    figure, _ = drawn(case, monkeypatch)
+    strip = figure.axes[0]
+    ends = [
+        np.concatenate([path.vertices for path in solid.get_paths()]) for solid in strip.collections
+    ]
+    low, high = (np.array([f(each, axis=0) for each in ends]) for f in (np.min, np.max))
+    assert len(ends) == 7
+    assert (low[1:, 0] > high[:-1, 0]).all()
+    assert (low[:, 1] > strip.get_ylim()[0]).all()
+    assert (high[:, 1] < strip.get_ylim()[1]).all()
+
+
+def test_panels_over_time_begin_and_end_together(make, monkeypatch):
+    """Also where there is no error to be drawn."""
+    figure, trajectory = drawn(points_apart(make), monkeypatch)
+    assert not trajectory.ledger.energy_error.any()
+    limits = panel(figure, "speeds").get_xlim()
+    assert panel(figure, ERRORS).get_xlim() == pytest.approx(limits, rel=1e-12)
+
+
+def test_each_joint_of_a_chain_has_its_line_and_its_name(make, monkeypatch):
+    rod = {"shape": {"type": "rod", "length": 1.0, "arrangement": "exact"}, "mass": 1.0}
+    places = [[0, 0, -0.5 - k] for k in range(3)]
+    chain = {"name": "chain", "count": 3, "position": places, **rod}
+    link = {"name": "link", "type": "ball", "body": "chain", "chain": True,
+            "at": {"body": [0, 0, 0.5]}}  # fmt: skip
+    hook = {"name": "hook", "type": "ball", "body": "chain[0]", "at": [0, 0, 0]}
+    case = make.case(chain, t_end=0.1, dt=0.05, joint=[hook, link], gravity=GRAVITY)
+    recorded = {"fields": ["position", "orientation", "linear_momentum", "angular_momentum",
+                           "joint_force"]}  # fmt: skip
+    figure, trajectory = drawn(case | {"output": recorded}, monkeypatch)
+    lines = panel(figure, "forces in joints").lines
+    assert len(lines) == 3
+    assert [line.get_label() for line in lines] == list(trajectory.joint_names)

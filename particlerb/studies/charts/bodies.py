@@ -115,10 +115,7 @@ def draw_at_rest(axes: Axes, trajectory: Trajectory, shown: list[int]) -> None:
     x, q = (trajectory.read(name, last, bodies=shown)[0] for name in ("position", "orientation"))
     view = solids.view_at_angle(upright(trajectory))
     shapes = shapes_of(trajectory)
-    placed = [
-        shapes[b].moved(view @ rotation_matrix(orientation), view @ com)
-        for b, orientation, com in zip(shown, q, x, strict=True)
-    ]
+    placed = solids.placed([shapes[b] for b in shown], view, q, x)
     solids.draw_solids(axes, placed, "#a9cce3", 2.0)
     title = f"t = {trajectory.time[-1]:.4g} s; the centres are at rest"
     up = "xyz"[upright(trajectory)]
@@ -144,12 +141,9 @@ def _draw_outlines(axes: Axes, trajectory: Trajectory, frame: int, shown: tuple[
         trajectory.read(name, slice(frame, frame + 1))[0] for name in ("position", "orientation")
     )
     view = solids.view_along(*shown)
-    several = np.bincount(trajectory.constituents[0], minlength=trajectory.n_bodies) > 1
-    placed = [
-        mesh.moved(view @ rotation_matrix(q[b]), view @ x[b])
-        for b, mesh in enumerate(shapes_of(trajectory))
-        if several[b]
-    ]
+    several = np.flatnonzero(np.bincount(trajectory.constituents[0]) > 1)
+    shapes = shapes_of(trajectory)
+    placed = solids.placed([shapes[b] for b in several], view, q[several], x[several])
     solids.draw_solids(axes, placed, solids.BODY, 0.5)
 
 
@@ -219,6 +213,7 @@ def draw_orientations(axes: Axes, trajectory: Trajectory, body: int) -> None:
     edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))[body]
     solid = solids.solids_of(trajectory)[body]
     mesh = box(edges) if solid is None else solid
+    edges = np.ptp(mesh.vertices, axis=0)  # particles may lie far below a surface
     mesh = mesh._replace(vertices=mesh.vertices / np.linalg.norm(edges))
     arrow = np.outer([0.0, 0.5 * edges[spun] / np.linalg.norm(edges) + 0.2], np.eye(3)[spun])
     orientations = trajectory.read("orientation", bodies=body)[frames]

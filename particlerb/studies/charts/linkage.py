@@ -12,7 +12,7 @@ from particlerb.model.state import axes_across, rotation_matrix
 from particlerb.record.trajectory import Trajectory
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.studies.charts.bodies import shapes_of, side_axes
-from particlerb.studies.charts.solids import ANGLED, draw_solids, view_along, view_at_angle
+from particlerb.studies.charts.solids import ANGLED, draw_solids, placed, view_along, view_at_angle
 from particlerb.studies.charts.style import COLOURS, INK, finish_view
 
 _NO_POINTS: Final = np.zeros((0, 3))
@@ -47,16 +47,16 @@ def draw_linkage(axes: Axes, trajectory: Trajectory, bodies: list[int]) -> None:
     q = trajectory.read("orientation")[frames][:, bodies]
     orientations = [[rotation_matrix(each) for each in row] for row in q]
 
-    def placed(local: Floats | list[Floats], k: int) -> list[Floats]:
+    def points_at(local: Floats | list[Floats], k: int) -> list[Floats]:
         """Points of each body at an instant, world frame."""
         turns = zip(local, orientations[k], x[frames[k]], strict=True)
         return [body_points @ R.T + com for body_points, R, com in turns]
 
     corners = [
-        placed([m.vertices[np.unique(m.faces)] for m in shapes], k) for k in range(len(frames))
+        points_at([m.vertices[np.unique(m.faces)] for m in shapes], k) for k in range(len(frames))
     ]
-    circles = [placed(rings, k) for k in range(len(frames))]
-    hinges = [placed(points, k) for k in range(len(frames))]
+    circles = [points_at(rings, k) for k in range(len(frames))]
+    hinges = [points_at(points, k) for k in range(len(frames))]
     fixed = [place[None] for ends in distances for b, _, place in ends if b == _WORLD]
     joined = [p for rows in (corners, circles, hinges) for row in rows for p in row]
     everywhere = np.concatenate([*joined, *fixed])
@@ -65,12 +65,9 @@ def draw_linkage(axes: Axes, trajectory: Trajectory, bodies: list[int]) -> None:
         axes.plot(*path[:, :2].T, color=COLOURS[1], lw=0.9, alpha=0.7, zorder=1.0)
     for k in range(len(frames)):
         is_last = k == len(frames) - 1
-        moved = [
-            mesh.moved(view @ R, view @ com)
-            for mesh, R, com in zip(shapes, orientations[k], x[frames[k]], strict=True)
-        ]
         fill, edge = ("#a9cce3", INK) if is_last else (None, "#b8c0c8")
-        draw_solids(axes, moved, fill, 2.0 + 0.1 * k, edge)
+        solids = placed(shapes, view, q[k], x[frames[k]])
+        draw_solids(axes, solids, fill, 2.0 + 0.1 * k, edge)
         line: dict[str, Any] = {
             "color": COLOURS[0] if is_last else "#9aa5b1",
             "zorder": 2.05 + 0.1 * k,

@@ -72,6 +72,12 @@ def view_along(across: int, up: int) -> Floats:
     return np.stack([axis[across], axis[up], np.cross(axis[up], axis[across])])
 
 
+def placed(solids: Sequence[SurfaceMesh], view: Floats, q: Floats, x: Floats) -> list[SurfaceMesh]:
+    """Solids at orientations (n, 4) and places (n, 3), with the vertices of a view."""
+    poses = zip(solids, q, x, strict=True)
+    return [mesh.moved(view @ rotation_matrix(turn), view @ com) for mesh, turn, com in poses]
+
+
 def _has_surface(body: Body) -> bool:
     """Whether all of a body are shapes with a surface."""
     shapes: list[Any] = [part.shape for part in body.part] or [body.shape]

@@ -382,8 +382,8 @@ def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
     text = "machine epsilon"
     write_beside(axes, 0.99, 0.9 * epsilon, text, fontsize=8, color=INK, ha="right", va="top")
     axes.set_ylim(_MIN_ERROR, max(axes.get_ylim()[1], 1e-14))
-    axes.set_xlim(left=min(time[0], axes.get_xlim()[0]))
-    axes.set_xlim(right=max(time[-1], axes.get_xlim()[1]))
+    axes.update_datalim([(t, epsilon) for t in time[[0, -1]]])  # where there is no error
+    axes.autoscale_view(scaley=False)
     finish(axes, "conservation errors: largest so far", "relative, work of forces counted")
 
 
