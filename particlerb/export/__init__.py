@@ -63,7 +63,7 @@ class Selection(NamedTuple):
     frames: range
     bodies: Ints
     fields: tuple[str, ...]  # of bodies
-    observed: tuple[str, ...] = ()  # fields of walls, joints or their coordinates, or sums
+    observed: tuple[str, ...] = ()  # fields of walls, joints, their coordinates, impulses, or sums
     has_contacts: bool = False  # whether the contacts of each frame are asked for
 
     def portions(self, rows: int = 0) -> Iterator[slice]:

@@ -20,9 +20,7 @@ from particlerb.record.vtkhdf import STEP_STARTS, STEP_TIMES, count_steps, resiz
 from particlerb.simulation.outcome import joined
 
 NEEDS: Final = ()
-HOLDS: Final = (
-    *schema.FIELDS, *schema.CONTACT_FIELDS, *schema.OBSERVED, *schema.IMPULSES, schema.CONTACTS
-)  # fmt: skip
+HOLDS: Final = (*schema.FIELDS, *schema.CONTACT_FIELDS, *schema.OBSERVED, schema.CONTACTS)
 
 
 def write(selection: Selection, path: Path) -> None:

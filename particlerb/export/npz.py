@@ -36,7 +36,7 @@ def write(selection: Selection, path: Path) -> None:
             shape = (len(selection.frames), *first.shape[1:])
             pieces = (selection.values(name, frames) for frames in selection.portions())
             add(archive, name, shape, first.dtype, pieces)
-        for per in dict.fromkeys(OBSERVED[name].per for name in selection.observed):
+        for per in {OBSERVED[name].per: 0 for name in selection.observed if OBSERVED[name].per}:
             names = np.array(trajectory.names_of(per))
             add(archive, f"{per}_name", names.shape, names.dtype, [names])
         for name in selection.observed:

@@ -216,9 +216,9 @@ class FrameReader(Closing):
 
     @property
     def other_fields(self) -> list[str]:
-        """Names of the recorded fields of contacts, walls and joints."""
+        """Names of the recorded fields of contacts, walls, joints and impulses."""
         places = dict.fromkeys(schema.CONTACT_FIELDS, schema.TRAJECTORY)
-        places |= dict.fromkeys((*schema.OBSERVED, *schema.IMPULSES), schema.OBSERVABLES)
+        places |= dict.fromkeys(schema.OBSERVED, schema.OBSERVABLES)
         with trajectory_errors(self.file):
             fields = [f for f, place in places.items() if has(self.file, f"{place}/{f}/value")]
             return fields + ([schema.CONTACTS] if has(self.file, schema.OFFSET) else [])

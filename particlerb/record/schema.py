@@ -76,15 +76,15 @@ CONTACT_FIELDS: Final = _elements("touching body", "body")  # where there is con
 WALLS: Final = _elements("wall", "wall")
 JOINTS: Final = _elements("joint", "joint")
 COORDINATES: Final = _elements("coordinate", "coordinate")
-IMPULSES: Final = _elements("impulse", is_asked=True) | _elements("event", is_asked=True)
+_IMPULSES: Final = _elements("impulse", is_asked=True) | _elements("event", is_asked=True)
 LEDGER: Final = _elements("total")
 SUMS: Final = {f"total_{name}" if name in FIELDS else name: one for name, one in LEDGER.items()}
-OBSERVED: Final = WALLS | JOINTS | COORDINATES  # what has entries that are not of bodies
+OBSERVED: Final = WALLS | JOINTS | COORDINATES | _IMPULSES  # whose entries are not of bodies
 SERIES: Final[dict[str, Element]] = {  # by their datasets, in the order of the checksums
     **{f"{TRAJECTORY}/{name}/value": one for name, one in (FIELDS | CONTACT_FIELDS).items()},
     TIME: Element("", "s", "of each frame; linked into every element"),
     **{f"{OBSERVABLES}/{name}/value": element for name, element in LEDGER.items()},
-    **{f"{OBSERVABLES}/{name}/value": one for name, one in (OBSERVED | IMPULSES).items()},
+    **{f"{OBSERVABLES}/{name}/value": one for name, one in OBSERVED.items()},
 }
 
 

@@ -261,6 +261,26 @@ def test_npz_holds_contacts_and_walls(pile, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:Guessed all Masses")  # MDAnalysis 2.8
+def test_what_impacts_did_goes_into_all_formats_that_hold_sums(make, tmp_path):
+    """Also where the file is copied whole."""
+    contact = {"law": "events", "restitution": 0.5, "friction": 0.3}
+    fall = {"contact": contact, "wall": [make.plane()], "gravity": {"acceleration": [0, 0, -9.81]}}
+    ball = make.sphere(position=[0, 0, 0.105], velocity=[0, 0, -1.0])
+    case = make.case(ball, t_end=0.1, every=0.02, **fall)
+    with particlerb.run(case, tmp_path / "a.h5") as t:
+        for to in ("h5", "npz"):
+            export(t, tmp_path / f"made.{to}", to)
+        export(t, tmp_path / "made.csv", "csv", fields=["impacts", "energy"])
+        impacts, energy = t.observed("impacts"), t.energy
+    assert impacts[-1] > impacts[0]
+    with particlerb.open(tmp_path / "made.h5") as whole:
+        assert np.array_equal(whole.observed("impacts"), impacts)
+    assert np.array_equal(np.load(tmp_path / "made.npz")["impacts"], impacts)
+    with (tmp_path / "made.csv").open() as file:
+        rows = [(float(row["impacts"]), float(row["energy"])) for row in csv.DictReader(file)]
+    assert rows == list(zip(impacts.tolist(), energy.tolist(), strict=True))
+
+
 def test_lammps_dump_is_read_by_mdanalysis(trajectory, tmp_path):
     import MDAnalysis
 

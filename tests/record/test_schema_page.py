@@ -17,7 +17,6 @@ from particlerb.record.schema import (
     CONTACT_FIELDS,
     FIELDS,
     FILES,
-    IMPULSES,
     LEDGER,
     OBSERVABLES,
     OBSERVED,
@@ -125,7 +124,7 @@ def shown(place, key, value) -> tuple[str, str]:
 def frame_of(path: str) -> str:
     name = path.removesuffix("/value").rpartition("/")[2]
     if path.endswith("/value"):
-        of_bodies, others = path.startswith(TRAJECTORY), {**LEDGER, **OBSERVED, **IMPULSES}
+        of_bodies, others = path.startswith(TRAJECTORY), {**LEDGER, **OBSERVED}
         return ({**FIELDS, **CONTACT_FIELDS} if of_bodies else others)[name].frame
     return STATIC[path].frame if path in STATIC else ""
 
