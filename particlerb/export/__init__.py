@@ -22,15 +22,12 @@ from particlerb.record.output_path import output_path
 from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, OBSERVED, SUMS
 from particlerb.record.trajectory import Contacts, Trajectory
 
-FORMATS: Final = {  # name: suffix of its files, and what it is, in words
-    "gsd": (".gsd", "HOOMD's schema: one oriented particle per body; OVITO, freud"),
-    "csv": (".csv", "one row per frame and body; spreadsheets, pandas, R"),
-    "particles": (".vtkhdf", "every particle in the world frame, H5MD and VTKHDF; ParaView, VMD"),
-    "contacts": (".vtkhdf", "a line for each contact, with its force, VTKHDF; ParaView"),
-    "lammps": (".lammpstrj", "text dump of LAMMPS, one atom per body; OVITO, VMD"),
-    "npz": (".npz", "NumPy arrays"),
-    "h5": (".h5", "the whole trajectory as one plain file, where its bodies lie in parts"),
-}
+FORMATS: Final = {
+    "gsd": ".gsd", "csv": ".csv", "particles": ".vtkhdf", "contacts": ".vtkhdf",
+    "lammps": ".lammpstrj", "npz": ".npz", "h5": ".h5",
+}  # fmt: skip
+"""Suffixes of files, by the names of formats, each of which is a module here."""
+_BOX_MARGIN: Final = 1.01  # times the positions
 _DERIVED_FROM: Final = {
     "velocity": ("linear_momentum",),
     "angular_velocity": ("orientation", "angular_momentum"),
@@ -87,6 +84,14 @@ class Selection(NamedTuple):
         q = trajectory.read("orientation", frames, bodies)
         L = trajectory.read("angular_momentum", frames, bodies)
         return derived(taken(trajectory.bodies, self.bodies), q, L, L)[1]
+
+    def box_edges(self) -> list[float]:
+        """Edges [m] of a box about the origin that holds the bodies in all frames."""
+        reach = np.zeros(3)
+        for frames in self.portions():
+            reach = np.maximum(reach, np.abs(self.values("position", frames)).max(axis=(0, 1)))
+        reach = np.where(reach > 0.0, reach, max(float(reach.max()), 1.0))
+        return (2.0 * _BOX_MARGIN * reach).tolist()
 
     def contacts(self, frame: int) -> Contacts:
         """Contacts of the chosen bodies in a frame, with each other and with all else."""

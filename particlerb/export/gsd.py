@@ -14,7 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from particlerb.export import Selection, gsd_hoomd, is_known, sphere_union
+from particlerb.export import Selection, gsd_hoomd, sphere_union
+from particlerb.export.surfaces import equal_ellipsoid
 from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies, taken
@@ -25,8 +26,6 @@ from particlerb.record.trajectory import Trajectory
 NEEDS: Final = ("position", "orientation")
 HOLDS: Final = tuple(FIELDS)
 _MAX_SPHERES_OF_SHAPE: Final = 1000
-_MIN_AXIS_SHARE: Final = 0.02  # of the longest axis of an ellipsoid: rods and points are to be seen
-_BOX_MARGIN: Final = 1.01  # times the positions
 
 
 def write(selection: Selection, path: Path) -> None:
@@ -35,7 +34,7 @@ def write(selection: Selection, path: Path) -> None:
     trajectory = selection.trajectory
     bodies = taken(trajectory.bodies, selection.bodies)
     kinds, types = np.unique(trajectory.kind[selection.bodies], return_inverse=True)
-    edges = _box_edges(selection)
+    edges = selection.box_edges()
     names = [_type_name(trajectory, int(kind)) for kind in kinds]
     shapes = [_type_shape(trajectory, int(kind)) for kind in kinds]
     with hoomd.open(path, "w") as file:
@@ -58,7 +57,7 @@ def write(selection: Selection, path: Path) -> None:
 
 def _per_body(selection: Selection, bodies: Bodies, frames: slice) -> dict[str, Floats]:
     """Columns of some frames, each (T, n, ...)."""
-    fields = {name for name in selection.fields if is_known(selection.trajectory, name)}
+    fields = set(selection.fields)
     position = selection.values("position", frames)
     body_frame = selection.values("orientation", frames)
     q = np.stack([quaternion_product(frame.T, bodies.rotor_frame).T for frame in body_frame])
@@ -80,15 +79,6 @@ def _momentum_quaternion(q: Floats, L: Floats) -> Floats:
     return 2.0 * quaternion_product(q, spin)
 
 
-def _box_edges(selection: Selection) -> list[float]:
-    """Edges of a box about the origin that holds all positions."""
-    reach = np.zeros(3)
-    for frames in selection.portions():
-        reach = np.maximum(reach, np.abs(selection.values("position", frames)).max(axis=(0, 1)))
-    reach = np.where(reach > 0.0, reach, max(float(reach.max()), 1.0))
-    return (2.0 * _BOX_MARGIN * reach).tolist()
-
-
 def _type_name(trajectory: Trajectory, kind: int) -> str:
     """Name of the block of the first body of a kind; HOOMD wants each once."""
     body = int(np.argmax(trajectory.kind == kind))
@@ -106,12 +96,6 @@ def _type_shape(trajectory: Trajectory, kind: int) -> dict[str, Any]:
         frame = trajectory.bodies.rotor_frame[:, [body]]
         centres = rotate_back(frame, particles.position[is_sphere].T).T
         return sphere_union(centres, radius)
-    a, b, c = ellipsoid(trajectory.bodies.inertia[:, body], float(trajectory.mass[body]))
+    moments, mass = trajectory.bodies.inertia[:, body], float(trajectory.mass[body])
+    a, b, c = equal_ellipsoid(moments, mass).tolist()
     return {"type": "Ellipsoid", "a": a, "b": b, "c": c}
-
-
-def ellipsoid(moments: Floats, mass: float) -> list[float]:
-    """Semi-axes [m] of the solid ellipsoid with these principal moments: I1 = m (b² + c²) / 5."""
-    squares = 2.5 / mass * (moments.sum() - 2.0 * moments)
-    axes = np.sqrt(np.maximum(squares, 0.0))
-    return np.maximum(axes, _MIN_AXIS_SHARE * (axes.max() or 1.0)).tolist()

@@ -1,17 +1,17 @@
 """Text dump of LAMMPS: one atom per body, its type the kind of body.
 
 OVITO, VMD and MDAnalysis read it; columns have the names of `dump custom`, of which OVITO takes
-quatw, quati, quatj, quatk for the orientation. The time step is the number of the frame; the bounds
-of the box are those of the positions.
+quatw, quati, quatj, quatk for the orientation. The time step is the number of the frame. The box is
+the same in all frames and about the origin: MDAnalysis counts positions from its corner.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, TextIO
 
 import numpy as np
 
 from particlerb.export import Selection
-from particlerb.maths.vec3 import Floats
 from particlerb.record.schema import FIELDS
 
 NEEDS: Final = ("position",)
@@ -39,11 +39,12 @@ def write(selection: Selection, path: Path) -> None:
     masses = trajectory.mass[bodies].tolist()
     head = " ".join(["id", "type", "mass", *labels])
     line = "%d %d %.17g" + " %.17g" * len(labels) + "\n"
+    edges = selection.box_edges()
     with path.open("w", encoding="ascii") as file:
         for frames in selection.portions():
             values = np.concatenate([selection.values(name, frames) for name in fields], axis=2)
             for frame, rows in zip(range(trajectory.n_frames)[frames], values, strict=True):
-                write_header(file, frame, rows[:, :3])
+                write_header(file, frame, len(rows), edges)
                 file.write(f"ITEM: ATOMS {head}\n")
                 entries: list[Any] = [
                     entry
@@ -53,9 +54,8 @@ def write(selection: Selection, path: Path) -> None:
                 file.write(line * len(rows) % tuple(entries))
 
 
-def write_header(file: TextIO, frame: int, position: Floats) -> None:
-    """What stands before the atoms of a frame; MDAnalysis reads no ITEM: TIME."""
-    file.write(f"ITEM: TIMESTEP\n{frame}\nITEM: NUMBER OF ATOMS\n{len(position)}\n")
-    file.write("ITEM: BOX BOUNDS ss ss ss\n")
-    for low, high in zip(position.min(axis=0), position.max(axis=0), strict=True):
-        file.write(f"{low:.17g} {high:.17g}\n")
+def write_header(file: TextIO, frame: int, n: int, edges: Sequence[float]) -> None:
+    """What stands before the n atoms of a frame; MDAnalysis reads no ITEM: TIME."""
+    file.write(f"ITEM: TIMESTEP\n{frame}\nITEM: NUMBER OF ATOMS\n{n}\n")
+    file.write("ITEM: BOX BOUNDS ff ff ff\n")
+    file.writelines(f"{-0.5 * edge:.17g} {0.5 * edge:.17g}\n" for edge in edges)

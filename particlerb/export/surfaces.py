@@ -19,9 +19,11 @@ from particlerb.files import Files
 from particlerb.geometry.mesh import read_mesh, triangles_of
 from particlerb.geometry.particles import kind_of
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import taken
 from particlerb.model.state import axes_across, rotate_back, rotation_matrix
 from particlerb.model.system import System
 
+_MIN_AXIS_SHARE: Final = 0.02  # of the longest axis of an ellipsoid: rods and points are to be seen
 _MARKER_RADIUS: Final = 0.08  # of a particle without one, in units of the body's extent
 _ROD_THICKNESS: Final = 0.02  # in units of its length
 _PLANE_SIZE: Final = 2.0  # in units of the scene
@@ -96,7 +98,8 @@ class Surfaces:
             if kinds.size == 1:
                 self.layers.append(_Layer(self.of_kind(kinds[0]).mesh, members, None, None))
             else:
-                axes = np.array([equal_ellipsoid(system, b) for b in members.tolist()])
+                bodies = taken(system.bodies, members)
+                axes = equal_ellipsoid(bodies.inertia, bodies.mass).T
                 frame = system.bodies.rotor_frame[:, members]
                 self.layers.append(_Layer(ball(1.0, members.size), members, frame, axes))
 
@@ -289,19 +292,22 @@ def _particles_surface(system: System, body: Body, kind: int, copies: int) -> _S
     return surface
 
 
-def equal_ellipsoid(system: System, b: int) -> Floats:
-    """Semi-axes (3,) [m] of the solid ellipsoid with mass and moments of a body, rotor frame."""
-    inertia = system.bodies.inertia[:, b]
-    squares = 2.5 * (inertia.sum() - 2.0 * inertia) / system.bodies.mass[b]
-    largest = max(float(squares.max()), np.finfo(np.float64).tiny)
-    return np.asarray(np.sqrt(np.maximum(squares, 1e-4 * largest)))
+def equal_ellipsoid(moments: Floats, mass: Any) -> Floats:
+    """Semi-axes (3, ...) [m] of solid ellipsoids with these masses and principal moments (3, ...).
+
+    I1 = m (b² + c²)/5; none is so thin, or so small where it is a point, that it is not seen.
+    """
+    axes = np.sqrt(np.maximum(2.5 / mass * (moments.sum(axis=0) - 2.0 * moments), 0.0))
+    longest = axes.max(axis=0)
+    return np.maximum(axes, _MIN_AXIS_SHARE * np.where(longest > 0.0, longest, 1.0))
 
 
 def _ellipsoid_surface(system: System, b: int) -> _Surface:
     """A body that shares its shape with no other, as the ellipsoid with its mass and moments."""
     unit = ball(1.0, _MANY_COPIES)
     R = rotation_matrix(system.bodies.rotor_frame[:, b])
-    mesh = unit._replace(vertices=unit.vertices * equal_ellipsoid(system, b))
+    axes = equal_ellipsoid(system.bodies.inertia[:, b], system.bodies.mass[b])
+    mesh = unit._replace(vertices=unit.vertices * axes)
     return triangles(mesh.moved(R, np.zeros(3)))
 
 

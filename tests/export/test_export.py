@@ -12,7 +12,7 @@ import particlerb
 from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.cli import main
 from particlerb.export import ExportError, export
-from particlerb.export.gsd import ellipsoid
+from particlerb.export.surfaces import equal_ellipsoid
 from particlerb.record.schema import SERIES
 from particlerb.record.trajectory import Trajectory
 
@@ -103,8 +103,9 @@ def test_gsd_shapes_are_what_the_bodies_are(trajectory, tmp_path, make):
 
 
 def test_an_ellipsoid_of_a_rod_can_be_seen():
-    assert ellipsoid(np.array([2.0, 2.0, 0.0]), 2.0)[:2] == pytest.approx([0.02 * 5**0.5] * 2)
-    assert ellipsoid(np.zeros(3), 2.0) == [0.02] * 3
+    rod = equal_ellipsoid(np.array([2.0, 2.0, 0.0]), 2.0)
+    assert rod[:2] == pytest.approx([0.02 * 5**0.5] * 2)
+    assert equal_ellipsoid(np.zeros(3), 2.0).tolist() == [0.02] * 3
 
 
 def test_particles_are_those_of_all_bodies(path, tmp_path):
@@ -260,7 +261,6 @@ def test_npz_holds_contacts_and_walls(pile, tmp_path):
             assert (found[f"contacts_{name}"][offset[row] : offset[row + 1]] == values).all()
 
 
-@pytest.mark.filterwarnings("ignore:Guessed all Masses")  # MDAnalysis 2.8
 def test_what_impacts_did_goes_into_all_formats_that_hold_sums(make, tmp_path):
     """Also where the file is copied whole."""
     contact = {"law": "events", "restitution": 0.5, "friction": 0.3}
@@ -281,6 +281,7 @@ def test_what_impacts_did_goes_into_all_formats_that_hold_sums(make, tmp_path):
     assert rows == list(zip(impacts.tolist(), energy.tolist(), strict=True))
 
 
+@pytest.mark.filterwarnings("ignore:Guessed all Masses")  # MDAnalysis 2.8
 def test_lammps_dump_is_read_by_mdanalysis(trajectory, tmp_path):
     import MDAnalysis
 
@@ -290,10 +291,11 @@ def test_lammps_dump_is_read_by_mdanalysis(trajectory, tmp_path):
         str(out), format="LAMMPSDUMP", topology_format="LAMMPSDUMP", dt=0.1, convert_units=False
     )
     assert len(universe.trajectory) == 11
-    for k, _ in enumerate(universe.trajectory):
-        x = trajectory.position[k]  # MDAnalysis counts from the corner of the box
-        assert universe.atoms.positions == pytest.approx(x - x.min(axis=0), rel=1e-6, abs=1e-6)
     lines = out.read_text().splitlines()
+    corner = np.array([float(line.split()[0]) for line in lines[5:8]])
+    for k, _ in enumerate(universe.trajectory):  # MDAnalysis counts from the corner of the box
+        x = trajectory.position[k] - corner
+        assert universe.atoms.positions == pytest.approx(x, rel=1e-6, abs=1e-6)
     first = dict(zip(lines[8].split()[2:], lines[9].split(), strict=True))
     q = [float(first[c]) for c in ("quatw", "quati", "quatj", "quatk")]
     assert q == trajectory.orientation[0, 0].tolist()
