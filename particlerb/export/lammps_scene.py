@@ -11,6 +11,7 @@ centre of its atoms, which is why the rigid fix takes it (keyword gravity).
 """
 
 import math
+import shlex
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
@@ -30,6 +31,8 @@ from particlerb.rotors.rotor_class import POINT
 
 _FACES: Final = {"-x": 1, "+x": 2, "-y": 3, "+y": 4, "-z": 5, "+z": 6, "-": 1, "+": 2}
 _SKIN_SHARE: Final = 0.3  # of the largest radius: skin of the lists of neighbours
+_MIN_RADIUS_SHARE: Final = 0.5  # of the room that each atom has: else lists have too many cells
+_MAX_GROUPS: Final = 31  # beside `all`
 _BALL_TOLERANCE: Final = 1e-12  # how well 2/5 m R² is met by a ball, relative
 
 
@@ -53,7 +56,11 @@ def lammps_scene(system: System, step: float, stem: str) -> dict[str, str]:
     contact = contact_of(system)
     _refuse(system, contact)
     atoms = _Atoms(system, contact)
-    texts = {".in": _input(system, contact, atoms, step, stem), ".data": atoms.data()}
+    lines = _input(system, contact, atoms, step, stem)
+    groups = {line.split()[1] for line in lines if line.startswith("group ")}
+    if len(groups) > _MAX_GROUPS:
+        raise ExportError(f"a group for each spring makes {len(groups)}: LAMMPS has {_MAX_GROUPS}")
+    texts = {".in": "\n".join(lines) + "\n", ".data": atoms.data()}
     if atoms.is_rigid.any():
         texts[".rigid"] = _infile(system, np.flatnonzero(atoms.is_rigid))
     return texts
@@ -108,6 +115,8 @@ class _Atoms:
         self.place: Floats = (rotate(q[:, self.body], local.T) + system.state.com[:, self.body]).T
         extent = max(float(system.reach.max()), 1e-3)
         self.diameter: Floats = np.where(radius > 0.0, 2.0 * radius, SMALLEST * extent)
+        room = max(extent, float(np.ptp(self.place, axis=0).max())) / len(self.place) ** (1.0 / 3.0)
+        self.skin = _SKIN_SHARE * max(float(radius.max()), _MIN_RADIUS_SHARE * room)
         velocity = (system.state.p * bodies.inv_mass).T
         spin = omega_world(bodies, system.state).T
         arm = self.place - system.state.com.T[self.body]
@@ -123,7 +132,7 @@ class _Atoms:
     def data(self) -> str:
         """Data file, `atom_style sphere`, with the number of its body for each atom."""
         low, high = self.place.min(axis=0), self.place.max(axis=0)
-        room = float(self.diameter.max()) + 1e-3 * float((high - low).max())
+        room = float(self.diameter.max()) + self.skin
         density = self.mass / (math.pi / 6.0 * self.diameter**3)
         edges = zip("xyz", low - room, high + room, strict=True)
         rows = zip(
@@ -177,23 +186,22 @@ def _infile(system: System, bodies: Ints) -> str:
 
 def _input(
     system: System, contact: SystemContact | None, atoms: _Atoms, step: float, stem: str
-) -> str:
+) -> list[str]:
     """Commands of the run."""
-    skin = _SKIN_SHARE * float(atoms.diameter.max()) / 2.0
-    reach = 2.0 * float(system.reach.max()) + skin
+    reach = 2.0 * float(system.reach.max()) + atoms.skin
     masks = {"rigid": atoms.is_rigid, "single": atoms.is_single, "held": atoms.is_held}
     excluded = ["molecule/intra all"] if len(atoms.body) > 1 else []
     excluded += ["group held held"] if atoms.is_held.any() else []
-    lines = [
-        f"# {system.title or stem}: {COMMENT}",
-        *(f"# left out: {line}" for line in left_out(system, tethers_of(system))),
+    return [
+        _comment(f"{system.title or stem}: {COMMENT}"),
+        *(_comment(f"left out: {line}") for line in left_out(system, tethers_of(system))),
         *("units si", "atom_style sphere", "atom_modify map yes", "newton off", "boundary m m m"),
         f"comm_modify vel yes cutoff {numbers(reach)}",
         "fix body all property/atom mol",
-        f"read_data {stem}.data fix body NULL Molecules",
+        f"read_data {_file(stem, '.data')} fix body NULL Molecules",
         *(f"group {g} molecule {atoms.molecules(mask)}" for g, mask in masks.items() if mask.any()),
-        *_pairs(contact, atoms, skin),
-        f"neighbor {numbers(skin)} bin",
+        *_pairs(contact, atoms),
+        f"neighbor {numbers(atoms.skin)} bin",
         "neigh_modify delay 0 every 1 check yes",
         *(f"neigh_modify exclude {pairs}" for pairs in excluded),
         *_walls(system, contact),
@@ -203,7 +211,16 @@ def _input(
         *_output(system, atoms, step, stem),
         f"run {round(system.run.t_end / step)}",
     ]
-    return "\n".join(lines) + "\n"
+
+
+def _comment(text: str) -> str:
+    """A comment in one line, which no `&` at its end joins to the next."""
+    return f"# {' '.join(text.split())}".rstrip("& ")
+
+
+def _file(stem: str, suffix: str) -> str:
+    """Name of a file as one word."""
+    return shlex.quote(stem + suffix)
 
 
 def _law(contact: SystemContact, a: int, b: int) -> str:
@@ -222,10 +239,10 @@ def _law(contact: SystemContact, a: int, b: int) -> str:
     return f"{normal} tangential {tangential} {friction} damping coeff_restitution{ends}"
 
 
-def _pairs(contact: SystemContact | None, atoms: _Atoms, skin: float) -> Iterable[str]:
+def _pairs(contact: SystemContact | None, atoms: _Atoms) -> Iterable[str]:
     """Forces between atoms; those of no material touch nothing."""
     if contact is None:
-        return [f"pair_style zero {numbers(skin)} nocoeff", "pair_coeff * *"]
+        return [f"pair_style zero {numbers(atoms.skin)} nocoeff", "pair_coeff * *"]
     apart = [t for t in range(1, atoms.n_types + 1) if t > atoms.n_materials]
     can_meet = contact.pairs.can_meet
     met = [tuple(two) for two in np.argwhere(np.triu(can_meet)).tolist()]
@@ -247,7 +264,7 @@ def _walls(system: System, contact: SystemContact | None) -> Iterable[str]:
     for k, (wall, material) in enumerate(
         zip(system.wall, contact.wall_material.tolist(), strict=True), 1
     ):
-        yield f"region wall{k} {_region(wall)}  # {wall.name}"
+        yield f"region wall{k} {_region(wall)}  {_comment(wall.name)}"
         for code in np.flatnonzero(contact.pairs.can_meet[material]).tolist():
             law = f"granular {_law(contact, code, material)} region wall{k}"
             if (contact.material[~contact.fixed] == code).any():
@@ -297,14 +314,15 @@ def _integration(system: System, atoms: _Atoms, stem: str) -> Iterable[str]:
             yield "# before 22 July 2025, update 2, the first half step misses this weight"
             yield f"fix pull rigid {weight} disable"
         pull = " gravity pull" if size else ""
-        yield f"fix clumps rigid rigid/nve/small molecule infile {stem}.rigid{pull}"
+        yield f"fix clumps rigid rigid/nve/small molecule infile {_file(stem, '.rigid')}{pull}"
 
 
 def _output(system: System, atoms: _Atoms, step: float, stem: str) -> Sequence[str]:
     """Frames as text dumps: atoms, and centres and orientations of rigid bodies."""
     every: Any = max(1, round(system.run.every / step))
+    frames, bodies = (_file(stem, suffix) for suffix in (".lammpstrj", ".bodies"))
     lines = [
-        f"dump atoms all custom {every} {stem}.lammpstrj id mol type radius x y z vx vy vz",
+        f"dump atoms all custom {every} {frames} id mol type radius x y z vx vy vz",
         "dump_modify atoms sort id format float %.17g",
         *("thermo_style custom step time atoms", f"thermo {every}"),
     ]
@@ -313,7 +331,7 @@ def _output(system: System, atoms: _Atoms, step: float, stem: str) -> Sequence[s
         rows = " ".join(f"c_bodies[{k + 1}]" for k in range(len(columns.split())))
         lines += [
             f"compute bodies all rigid/local clumps {columns}",
-            f"dump bodies all local {every} {stem}.bodies {rows}",
+            f"dump bodies all local {every} {bodies} {rows}",
             "dump_modify bodies format float %.17g",
         ]
     return lines

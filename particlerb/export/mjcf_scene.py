@@ -215,7 +215,7 @@ class _Writer:
         mass = numbers(self.system.bodies.mass[b])
         ET.SubElement(element, "inertial", pos="0 0 0", mass=mass, fullinertia=inertia)
         if j == _FREE_BODY:
-            ET.SubElement(element, "freejoint", name=name)
+            ET.SubElement(element, "freejoint")  # a joint may have the name of a body
             self.speeds[name] = [*body.velocity.tolist(), *body.turned_back(body.spin).tolist()]
         else:
             self.speeds[name] = self.add_joints(element, b, parent, self.joints[j])

@@ -114,6 +114,39 @@ def test_free_bodies_move_in_lammps_as_here(lammps, tmp_path, monkeypatch):
     assert (tmp_path / "scene.bodies").read_text().count("ITEM: TIMESTEP") == 3
 
 
+THIN = [
+    {"name": "rod", "shape": {"type": "rod", "length": 1.0, "arrangement": "exact"}, "mass": 1.0,
+     "velocity": [0, 1.0, 0], "angular_velocity": [1.0, 2.0, 0]},
+    {"name": "plate", "position": [9, 0, 0], "angular_velocity": [1.0, 2.0, 3.0],
+     "shape": {"type": "points", "position": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "mass": 1.0}},
+    {"name": "point", "shape": {"type": "points", "position": [[0, 0, 0]], "mass": 1.0},
+     "position": [0, 5, 0], "velocity": [1.0, 0, 0]},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("bodies", [*([body] for body in THIN), THIN], ids=lambda b: str(len(b)))
+def test_bodies_without_a_radius_move_in_lammps_as_here(lammps, tmp_path, monkeypatch, bodies):
+    """Its lists of neighbours are cut to the room that there is."""
+    scene = {"run": FREE["run"] | {"t_end": 0.1, "every": 0.1}, "gravity": WEIGHT, "body": bodies}
+    steps = set_up(lammps, scene, tmp_path, monkeypatch)
+    lammps.command(f"run {steps}")
+    expected = particlerb.run(scene).particle_positions(-1)
+    assert np.abs(atoms(lammps, "x") - expected).max() < 1e-6
+
+
+def test_an_input_runs_in_lammps_whatever_things_are_called(lammps, tmp_path, monkeypatch):
+    """A line that ends in `&` goes on in the next one: the floor would hold nothing."""
+    run = REST["run"] | {"t_end": 0.5, "every": 0.5}
+    scene = REST | {"title": "a brick &\nits floor &", "run": run}
+    scene |= {"wall": [REST["wall"][0] | {"name": "floor &"}]}
+    monkeypatch.chdir(tmp_path)
+    for suffix, text in lammps_scene(*made(scene), "a brick").items():
+        Path(f"a brick{suffix}").write_text(text)
+    lammps.file("a brick.in")
+    assert atoms(lammps, "x")[:, 2].min() > 0.09
+    assert Path("a brick.lammpstrj").exists()
+
+
 def test_the_first_impact_in_lammps_has_the_same_largest_force(lammps, tmp_path, monkeypatch):
     """Against the closed form of the damped spring that starts with SPEED."""
     steps = set_up(lammps, HIT, tmp_path, monkeypatch)
@@ -190,6 +223,15 @@ def test_a_tether_pulls_in_lammps_and_a_hollow_ball_falls(lammps, tmp_path, monk
     assert "# left out: force[1], spring" in lammps_scene(*made(both), "scene")[".in"]
 
 
+def test_a_joint_may_have_the_name_of_a_body_in_mujoco():
+    """There a free body has a joint too."""
+    shape = {"type": "ball", "radius": 0.1}
+    bar = {"name": "bar", "shape": shape, "mass": 1.0, "position": [9, 0, 0]}
+    hinge = {"name": "ball", "type": "hinge", "body": "bar", "at": [9, 0, 1], "axis": [0, 1, 0]}
+    position, _ = in_mujoco(FREE | {"body": [*FREE["body"], bar], "joint": [hinge]})
+    assert np.linalg.norm(position[3] - [9, 0, 1]) == pytest.approx(1.0, abs=1e-9)
+
+
 def test_fixed_bodies_and_boxes_stand_in_mujoco():
     position, _ = in_mujoco(HIT | {"gravity": WEIGHT, "run": {"t_end": 1.0, "every": 1.0,
                                                               "dt": 1e-3}})  # fmt: skip
@@ -222,6 +264,9 @@ REFUSED = [
     ("lammps", {"wall": [REST["wall"][0] | {"motion": MOVING}]}, "floor moves as prescribed"),
     ("lammps", {"wall": [TUBE | {"axis": [1, 0, 1]}]}, "lies along x, y or z"),
     ("lammps", {"joint": [LINK]}, "no joints"),
+    ("lammps", {"body": [FREE["body"][1] | {"name": "ball", "count": 40,
+                                            "position": [[k, 3.0, 1.0] for k in range(40)]}],
+                "contact": None, "wall": [], "force": [ANCHOR]}, "LAMMPS has 31"),
     ("mjcf", {"wall": [TUBE]}, "tube is hollow"),
     ("mjcf", {"wall": [REST["wall"][0] | {"motion": MOVING}]}, "floor moves"),
     ("mjcf", {"body": [REST["body"][0] | {"shape": {"type": "ball", "radius": 0.1},
