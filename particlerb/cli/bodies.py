@@ -4,7 +4,7 @@ import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -14,32 +14,19 @@ from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import find_case, read_case
 from particlerb.cli.exit_codes import DONE, Ending, ending
+from particlerb.export.bodies import NamedBody
 from particlerb.geometry.fill import mesh_particles
-from particlerb.geometry.mass_properties import MassProperties, mass_properties, of_kind
+from particlerb.geometry.mass_properties import mass_properties, of_kind
 from particlerb.geometry.mesh import MESH_SUFFIXES, read_mesh
 from particlerb.geometry.overlapping_spheres import spheres
 from particlerb.geometry.particle_files import POINTS, columns_of, read_points, read_spheres
 from particlerb.geometry.particles import Particles, kind_of, scaled_to_mass
 from particlerb.model.state import omega_world
-from particlerb.plan.time_step import RADIANS_PER_STEP
 from particlerb.studies.mass_report import record_of, text_of
 
 _TABLE_SUFFIXES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
 _HDF5_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _DEFAULT_DENSITY: Final = 1.0  # [kg/m³] where neither the file nor an option says one
-
-
-class _Named(NamedTuple):
-    """One kind of body."""
-
-    name: str
-    particles: Particles
-    """All of this kind, in the axes in which they are given."""
-    properties: MassProperties
-    """Arrays of length one."""
-    matter: Matter
-    spin: float
-    """[rad/s], the fastest of the bodies of this kind."""
 
 
 def is_case(name: str) -> bool:
@@ -62,7 +49,7 @@ def is_hdf5(path: Path) -> bool:
         return False
 
 
-def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[_Named]:
+def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[NamedBody]:
     """Kinds of bodies of a command line: of its file, or the wanted one.
 
     Raises
@@ -84,7 +71,7 @@ def case_of(options: argparse.Namespace) -> Case:
     return read_case(options)
 
 
-def _bodies_of_case(case: Case, wanted: str | None) -> list[_Named]:
+def _bodies_of_case(case: Case, wanted: str | None) -> list[NamedBody]:
     """One body of each name and kind of a case."""
     with ending(CaseError):
         system = to_system(case, keeps_all=True)
@@ -105,13 +92,12 @@ def _bodies_of_case(case: Case, wanted: str | None) -> list[_Named]:
         body = system.body[system.block[b]]
         notes = [line for name, line in system.notes if name.partition(", part ")[0] == body.name]
         matter = matter_of(system.files, body)._replace(notes=tuple(notes))
-        named.append(
-            _Named(system.names[b], particles, of_kind(system.properties, k), matter, spin)
-        )
+        properties = of_kind(system.properties, k)
+        named.append(NamedBody(system.names[b], particles, properties, matter, spin))
     return named
 
 
-def _body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) -> _Named:
+def _body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) -> NamedBody:
     """The one body of a file."""
     if wanted is not None:
         raise Ending(f"{wanted}: {path} is one body; only a case has names")
@@ -120,7 +106,7 @@ def _body_of_file(path: Path, wanted: str | None, options: argparse.Namespace) -
     try:
         particles, matter = _READERS[path.suffix.lower()](path, options)
         spin = getattr(options, "spin", None) or 0.0
-        return _Named(path.stem, particles, mass_properties(particles), matter, spin)
+        return NamedBody(path.stem, particles, mass_properties(particles), matter, spin)
     except OSError as error:
         raise Ending(f"{path}: {error.strerror or error}") from None
     except ValueError as error:
@@ -164,9 +150,8 @@ def mass_command(options: argparse.Namespace) -> int:
     """`mass`: mass properties of the bodies of a case, of a table of points or spheres."""
     records = []
     for body in named_bodies(options, options.body):
-        values = body.name, body.properties, 0, len(body.particles.mass), body.matter, body.spin
         with ending(ValueError, about=options.file):
-            records.append(record_of(*values, RADIANS_PER_STEP))
+            records.append(record_of(body))
     if options.json:
         print(json.dumps(records))
     else:

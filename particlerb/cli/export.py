@@ -14,7 +14,7 @@ from particlerb.cli.bodies import case_of, holds_bodies, is_case, named_bodies
 from particlerb.cli.common import opened, output_of, readable, to_write, writing
 from particlerb.cli.exit_codes import DONE, Ending, ending
 from particlerb.export import FORMATS, ExportError, export
-from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies, file_name
+from particlerb.export.bodies import BODY_FORMATS, export_bodies, file_name
 from particlerb.studies.text import count_of
 
 _SCENE_SUFFIXES: Final = {"mjcf": ".xml", "lammps": ".in"}  # of formats that hold a whole case
@@ -42,11 +42,7 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
         raise Ending("--frames and --fields are for trajectories")
     if options.to in _SCENE_SUFFIXES and not options.bodies and is_case(options.file):
         return _export_scene(options, case_of(options))
-    bodies = [
-        Exported(body.name, body.particles, body.properties)
-        for name in options.bodies or [None]
-        for body in named_bodies(options, name)
-    ]
+    bodies = [body for name in options.bodies or [None] for body in named_bodies(options, name)]
     stem = file_name(bodies[0].name if len(bodies) == 1 else Path(options.file).stem)
     path = output_of(options, Path(stem + BODY_FORMATS[options.to].suffix), Path(options.file))
     if options.to == "lammps":
@@ -91,7 +87,7 @@ def _export_trajectory(options: argparse.Namespace) -> int:
     source = Path(options.file)
     added = {"particles": "_particles", "h5": "_whole"}.get(options.to, "")
     named = source.with_name(f"{source.stem}{added}{source.suffix}")
-    path = output_of(options, named.with_suffix(FORMATS[options.to][0]), Path(options.file))
+    path = output_of(options, named.with_suffix(FORMATS[options.to]), Path(options.file))
     with opened(options.file) as trajectory, readable(), ending(ExportError), writing(path):
         n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)
     print(f"written: {path} ({count_of(n, 'frame')})")

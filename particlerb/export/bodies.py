@@ -17,6 +17,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from particlerb.case.matter import Matter
 from particlerb.export import ExportError, gsd_hoomd, sphere_union
 from particlerb.geometry.mass_properties import MassProperties
 from particlerb.geometry.particles import Particles, one_kind
@@ -28,14 +29,18 @@ COMMENT: Final = "made by particlerb; SI units"
 SMALLEST: Final = 1e-6  # diameter of a point in LAMMPS, of the size of its body
 
 
-class Exported(NamedTuple):
-    """One body."""
+class NamedBody(NamedTuple):
+    """One kind of body, as a case, a table or a mesh gives it."""
 
     name: str
     particles: Particles
     """In the axes in which it was given."""
     properties: MassProperties
     """Arrays of length one, in the same axes."""
+    matter: Matter = Matter()
+    """What is known beside the sums."""
+    spin: float = 0.0
+    """[rad/s], the fastest of the bodies of this kind."""
 
 
 def carriers(particles: Particles, total: float) -> Particles:
@@ -53,22 +58,22 @@ def carriers(particles: Particles, total: float) -> Particles:
     return one_kind(position, mass, radius)
 
 
-def _carriers_of(body: Exported) -> Particles:
+def _carriers_of(body: NamedBody) -> Particles:
     """The same of an exported body."""
     return carriers(body.particles, float(body.properties.mass[0]))
 
 
-def _in_principal_axes(body: Exported, position: Floats) -> Floats:
+def _in_principal_axes(body: NamedBody, position: Floats) -> Floats:
     """Positions (n, 3) [m] from the com, in the principal axes."""
     return np.asarray((position - body.properties.com[0]) @ body.properties.axes[0])
 
 
-def export_bodies(bodies: Sequence[Exported], path: Path, to: str) -> list[Path]:
+def export_bodies(bodies: Sequence[NamedBody], path: Path, to: str) -> list[Path]:
     """Write bodies for another program.
 
     Parameters
     ----------
-    bodies : sequence of Exported
+    bodies : sequence of NamedBody
     path : Path
         File to write; a second one beside it differs in its suffix.
     to : str
@@ -108,7 +113,7 @@ def six(tensor: Floats) -> Floats:
     return tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def only(bodies: Sequence[Exported], to: str) -> Exported:
+def only(bodies: Sequence[NamedBody], to: str) -> NamedBody:
     """The one body that a file of a format holds."""
     if len(bodies) != 1:
         names = ", ".join(body.name for body in bodies)
@@ -116,14 +121,14 @@ def only(bodies: Sequence[Exported], to: str) -> Exported:
     return bodies[0]
 
 
-def _refuse_degenerate(body: Exported, to: str, *classes: int) -> None:
+def _refuse_degenerate(body: NamedBody, to: str, *classes: int) -> None:
     """ExportError for a body without extent in a code that does not have such."""
     code = int(body.properties.rotor_class[0])
     if code in classes:
         raise ExportError(f"{body.name} is a {NAMES[code]}: {to} needs three positive moments")
 
 
-def lammps(bodies: Sequence[Exported]) -> dict[str, str]:
+def lammps(bodies: Sequence[NamedBody]) -> dict[str, str]:
     """A molecule file, and the infile of `fix rigid` for one such molecule where the file has it.
 
     In principal axes with the com at the origin, because the products of inertia in the header of a
@@ -169,7 +174,7 @@ def lammps(bodies: Sequence[Exported]) -> dict[str, str]:
     return {".mol": "\n\n".join(molecule) + "\n", ".rigid": "\n".join(infile) + "\n"}
 
 
-def mjcf(bodies: Sequence[Exported]) -> dict[str, str]:
+def mjcf(bodies: Sequence[NamedBody]) -> dict[str, str]:
     """An MJCF model: a free body each, its spheres as geoms without mass, points as sites."""
     root = ET.Element("mujoco", model=bodies[0].name)
     root.append(ET.Comment(f" {COMMENT} "))
@@ -193,7 +198,7 @@ def mjcf(bodies: Sequence[Exported]) -> dict[str, str]:
     return {".xml": ET.tostring(root, encoding="unicode") + "\n"}
 
 
-def yade(bodies: Sequence[Exported]) -> dict[str, str]:
+def yade(bodies: Sequence[NamedBody]) -> dict[str, str]:
     """Clumps for ymport.textClumps: x y z r id, in principal axes with the com at the origin.
 
     Mass and moments stand in comments, with the lines that set them.
@@ -219,7 +224,7 @@ def yade(bodies: Sequence[Exported]) -> dict[str, str]:
     return {".txt": "\n".join(lines) + "\n"}
 
 
-def _write_gsd(bodies: Sequence[Exported], path: Path) -> None:
+def _write_gsd(bodies: Sequence[NamedBody], path: Path) -> None:
     """One frame with one particle per body, turned to its principal axes; float64 in the log."""
     hoomd = gsd_hoomd()
     frame = hoomd.Frame()
@@ -240,7 +245,7 @@ def _write_gsd(bodies: Sequence[Exported], path: Path) -> None:
         file.append(frame)
 
 
-def _shape_of(body: Exported) -> dict[str, Any]:
+def _shape_of(body: NamedBody) -> dict[str, Any]:
     """Shape of a body for OVITO; none where it has no radius."""
     carrying = _carriers_of(body)
     if not carrying.radius.any():
@@ -252,7 +257,7 @@ class _Format(NamedTuple):
     """One format of bodies."""
 
     suffix: str
-    write: Callable[[Sequence[Exported]], dict[str, str]]
+    write: Callable[[Sequence[NamedBody]], dict[str, str]]
 
 
 BODY_FORMATS: Final = {

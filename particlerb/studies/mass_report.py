@@ -10,11 +10,13 @@ from typing import Any, Final
 import numpy as np
 
 from particlerb.case.matter import Matter
+from particlerb.export.bodies import NamedBody
 from particlerb.geometry import mass_properties
 from particlerb.geometry.analytic import Analytic
 from particlerb.geometry.fill import differences
 from particlerb.geometry.solid import impossible
 from particlerb.maths.vec3 import Floats
+from particlerb.plan.time_step import RADIANS_PER_STEP
 from particlerb.rotors.rotor_class import NAMES, POINT
 from particlerb.studies.text import count_of
 
@@ -23,47 +25,24 @@ _MAX_DEFICIT: Final = 64 * _UNIT_ROUNDOFF  # of I3: below 0 by so much is roundi
 _PER_CENT: Final = 100.0
 
 
-def record_of(
-    name: str,
-    properties: mass_properties.MassProperties,
-    k: int,
-    n_particles: int,
-    matter: Matter,
-    spin: float = 0.0,
-    radians_per_step: float = 0.05,
-) -> dict[str, Any]:
-    """Everything that is known of kind k.
-
-    Parameters
-    ----------
-    name : str
-        What to call it.
-    properties : MassProperties
-    k : int
-        Kind.
-    n_particles : int
-        That were summed.
-    matter : Matter
-        What is known beside the sums.
-    spin : float [rad/s]
-        Fastest angular velocity of bodies of this kind.
-    radians_per_step : float
-        Of the default step.
+def record_of(body: NamedBody) -> dict[str, Any]:
+    """Everything that is known of a kind of body.
 
     Raises
     ------
     ValueError
         If no body has such moments; with the name and all digits.
     """
-    mass, com, tensor, moments, axes, code = (array[k] for array in properties)
+    mass, com, tensor, moments, axes, code = (array[0] for array in body.properties)
+    name, matter, spin = body.name, body.matter, body.spin
     excess = float(moments[0] + moments[1] - moments[2])
     if moments[0] < 0.0 or excess < -_MAX_DEFICIT * moments[2]:
         raise ValueError(f"{name}: {impossible(moments)}")
-    ratio = {key: float(value[0]) for key, value in _ratios_of(properties, k)._asdict().items()}
+    ratio = {key: float(value[0]) for key, value in _ratios_of(body)._asdict().items()}
     rounding = _rounding_error(0.0 if code == POINT else ratio["offset"])
     return {
         "name": name,
-        "particles": n_particles,
+        "particles": len(body.particles.mass),
         "mass": float(mass),
         "volume": matter.volume,
         "density": None if matter.volume is None else float(mass) / matter.volume,
@@ -80,7 +59,7 @@ def record_of(
         "solid": _solid_record(com, tensor / mass, matter.solid),
         "plain_sum": _plain_record(matter, float(mass)),
         "spin": spin,
-        "advised_step": radians_per_step / spin if spin > 0.0 else None,
+        "advised_step": RADIANS_PER_STEP / spin if spin > 0.0 else None,
         "notes": list(matter.notes),
     }
 
@@ -90,9 +69,9 @@ def _rounding_error(offset: float) -> float:
     return _UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))
 
 
-def _ratios_of(properties: mass_properties.MassProperties, k: int) -> mass_properties.Ratios:
-    """Ratios that decided the rotor class of kind k."""
-    mass, com, tensor, *_ = mass_properties.of_kind(properties, k)
+def _ratios_of(body: NamedBody) -> mass_properties.Ratios:
+    """Ratios that decided its rotor class."""
+    mass, com, tensor, *_ = body.properties
     with np.errstate(all="ignore"):
         return mass_properties.ratios(mass, com, tensor, mass_properties.eigen_systems(tensor)[0])
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from particlerb.cli import main
 from particlerb.export import ExportError
-from particlerb.export.bodies import BODY_FORMATS, Exported, export_bodies
+from particlerb.export.bodies import BODY_FORMATS, NamedBody, export_bodies
 from particlerb.export.bodies import carriers as carriers_of
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.overlapping_spheres import spheres
@@ -23,18 +23,18 @@ RADIUS = np.array([0.4, 0.35, 0.3, 0.25])
 def clump():
     """A clump of overlapping spheres, oblique, off the origin."""
     particles = spheres(CENTRE, RADIUS, density=2500.0)
-    return Exported("clump", particles, mass_properties(particles))
+    return NamedBody("clump", particles, mass_properties(particles))
 
 
 def cloud():
     rng = np.random.default_rng(2)
     particles = one_kind(rng.normal(size=(7, 3)), rng.random(7))
-    return Exported("cloud", particles, mass_properties(particles))
+    return NamedBody("cloud", particles, mass_properties(particles))
 
 
 def needle():
     particles = one_kind([[0, 0, 0], [1, 2, 3], [2, 4, 6]], 1.0)
-    return Exported("needle", particles, mass_properties(particles))
+    return NamedBody("needle", particles, mass_properties(particles))
 
 
 def carriers(body):
