@@ -18,7 +18,6 @@ AXES: Final = {
     for sign in "+-"
     for k, axis in enumerate("xyz")
 }
-_LABEL_COLOURS: Final = ("#d1495b", "#2e8b57", "#1f6fb5")
 _LABELS: Final = {"force": "last force", "omega": "ω", "L": "L", "axes": "principal axes",
                 "trail": "trail of the point"}  # fmt: skip
 
@@ -95,8 +94,8 @@ def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
     """A strip chart over time."""
     empty = tuple(np.zeros(1) for _ in range(len(labels) + 1))
     lines = [
-        {"label": label, "stroke": colour, "width": 1.5}
-        for label, colour in zip(labels, _LABEL_COLOURS, strict=False)
+        {"label": label, "stroke": f"rgb{colour}", "width": 1.5}
+        for label, colour in zip(labels, AXIS_COLOURS, strict=False)
     ]
     return gui.add_uplot(
         empty,
