@@ -62,13 +62,11 @@ def range_of(n: int, ranks: Ranks) -> Range:
     return Range(ranges[parts[0]].first, ranges[parts[-1]].stop)
 
 
-def over_blocks(blocks: Floats) -> Floats:
-    """Sums of blocks of bodies, (T, n_blocks, ..), over each superblock, (S, T, ..)."""
-    ranges = list(superblocks(blocks.shape[1] * BLOCK))
-    sums = np.empty((len(ranges), blocks.shape[0], *blocks.shape[2:]))
-    for total, (first, stop) in zip(sums, ranges, strict=True):
-        np.add.reduce(blocks[:, first // BLOCK : stop // BLOCK], axis=1, out=total)
-    return sums
+def over_blocks(blocks: Floats) -> list[Floats]:
+    """Sums of blocks of bodies, (T, n_blocks, ..), over each superblock, (T, ..)."""
+    size = SUPERBLOCK // BLOCK
+    firsts = range(0, blocks.shape[1], size)
+    return [np.add.reduce(blocks[:, first : first + size], axis=1) for first in firsts]
 
 
 def summed(sums: Sequence[Floats], ranks: Ranks = ALONE) -> Floats:

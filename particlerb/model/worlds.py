@@ -118,6 +118,6 @@ def over_bins(sums: Floats, worlds: Worlds | None) -> Floats:
     Those of one scene are blocks of 256 bodies, and are summed by superblocks.
     """
     if worlds is None:
-        return summed(list(over_blocks(sums)))
+        return summed(over_blocks(sums))
     n_worlds, (n_frames, bins, *width) = len(worlds.bodies), sums.shape
     return np.asarray(sums.reshape(n_frames, n_worlds, bins // n_worlds, *width).sum(axis=2))

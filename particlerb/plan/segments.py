@@ -376,13 +376,14 @@ def is_one(group: GroupPlan) -> bool:
     """Whether a group is not to be cut into superblocks: its bodies act on others elsewhere."""
     if group.touches or group.worlds is not None:
         return True
-    ends = int(group.members.min()), int(group.members.max())
-    return is_coupled(group) and superblock_of(*ends) < 0
+    members = group.members
+    return is_coupled(group) and superblock_of(int(members.min()), int(members.max())) < 0
 
 
 def in_superblocks(groups: Sequence[GroupPlan], n_bodies: int) -> list[tuple[int, list[GroupPlan]]]:
     """Groups that are one, with -1; those of each superblock by themselves, with its first body."""
     together = [group for group in groups if is_one(group)]
-    others = [group for group in groups if not is_one(group)]
-    each = [(of.first, inside(others, of)) for of in superblocks(n_bodies)]
+    apart = [group for group in groups if not is_one(group)]
+    ranges = list(superblocks(n_bodies))
+    each = [(of.first, inside(apart, of) if len(ranges) > 1 else apart) for of in ranges]
     return [one for one in [(-1, together), *each] if one[1]]

@@ -242,7 +242,7 @@ class BrickMotion(SharedMotion):
 
     def total(self, sums: Floats) -> Floats:
         """Sums of bins, (T, bins, ..), over all bodies."""
-        return summed(list(over_blocks(sums)), self.ranks)
+        return summed(over_blocks(sums), self.ranks)
 
     def sum_of(self, values: Floats) -> float:
         """Sum of values of bodies, (n,), in the order of their numbers."""
