@@ -124,13 +124,12 @@ class SteppedMotion(JointedMotion):
         self.cost += 0.0 if self.forces is None else method.evaluations * self.forces.cost
 
     def reset(self, first: Floats, dt: float) -> None:
-        """Start once more, with what changes in blocks as it was at first, and another step."""
+        """Start once more, with what changes in blocks as it was at first, and another step.
+
+        Joints keep more than that: bodies that they hold cannot.
+        """
+        assert self.jointed is None
         changing(self.blocks)[:], self.dt, self.steps_done = first, dt, 0
-        if self.jointed is not None:
-            self.jointed.data.clock[1] = dt
-            self.jointed.data.broken[:] = np.inf
-            self.jointed.data.load[:] = -1.0
-            self.jointed.data.past[:] = np.nan
 
     def spaced(self, values: Floats) -> Floats:
         """Rows of all bodies with the gaps of the blocks between them."""
