@@ -75,7 +75,7 @@ def can_fly(method: Method, terms: Terms, n: int) -> bool:
     return method.closing_kick > 0.0 and n >= LEAST_BODIES and not is_moved and not others
 
 
-class _Interval:
+class _Interval(CompositeMotion):
     """Bodies of a group during some steps: those that are stepped, and those that fly."""
 
     def __init__(
@@ -87,7 +87,7 @@ class _Interval:
         histories: Histories | None,
     ) -> None:
         stepped, flying = np.flatnonzero(active), np.flatnonzero(~active)
-        self.motions: list[tuple[Ints, Motion]] = []
+        motions: list[tuple[Ints, Motion]] = []
         self.contact: ContactMotion | None = None
         self.watch = copy(parent.watch)  # it is taken on where the interval is the one that counts
         group = parent.group
@@ -97,16 +97,17 @@ class _Interval:
                 parent.method, part, taken(state, stepped), start, parent.dt, spheres, histories,
                 self.watch,
             )  # fmt: skip
-            self.motions.append((stepped, self.contact))
+            motions.append((stepped, self.contact))
         if flying.size:
             terms = terms_on(group.terms._replace(contact=None), flying)
             free = SegmentGroup(group.members[flying], taken(group.bodies, flying), terms)
-            self.motions.append((flying, FreeMotion(free, taken(state, flying), start)))
-        self.together = CompositeMotion(tuple(self.motions))
+            motions.append((flying, FreeMotion(free, taken(state, flying), start)))
+        super().__init__(tuple(motions))
+        self.stepped = motions[0][1]  # where none is stepped: one without contacts
 
     def gross_work(self) -> float:
         """Gross work of contacts since the start [J]."""
-        return 0.0 if self.contact is None else float(self.contact.gross_work())
+        return float(self.stepped.gross_work())
 
     def histories(self) -> Histories | None:
         """What contacts keep at the end."""
@@ -115,12 +116,6 @@ class _Interval:
     def farthest(self) -> float:
         """Longest way of a stepped body from where it began, whenever lists were made [m]."""
         return 0.0 if self.contact is None else self.contact.farthest
-
-    def energies(self, rows: Ints) -> Floats:
-        """Elastic energy in frames that were recorded [J]."""
-        if self.contact is None:
-            return np.zeros(rows.size)
-        return self.contact.contact_energies(rows).potential
 
 
 class DiluteMotion(Motion):
@@ -196,7 +191,7 @@ class DiluteMotion(Motion):
                 self.shown = self.interval()
                 break
             interval = self.interval()
-            after, booked = interval.together.finish(self.time(self.done + steps))
+            after, booked = interval.finish(self.time(self.done + steps))
             is_far = interval.farthest() + 0.5 * self.contact.skin > 0.5 * self.skin
             if not is_far and not has_moved(y, np.vstack(after), self.no_reach, 0.5 * self.skin):
                 self.next = self.kept_of(interval, after, booked)
@@ -252,7 +247,7 @@ class DiluteMotion(Motion):
         """Go to the end of the interval."""
         if self.next is None:
             assert self.shown is not None
-            ended = self.shown.together.finish(self.time(self.done + self.steps))
+            ended = self.shown.finish(self.time(self.done + self.steps))
             self.next = self.kept_of(self.shown, *ended)
         self.state, booked, self.histories, work, self.watch, frequency = self.next
         self.count += 1
@@ -299,9 +294,9 @@ class DiluteMotion(Motion):
                 if self.shown is None:
                     self.shown = self.interval()
                 shown = rows[done:until]
-                gained = self.shown.together.record(times[done:until], shown, frames)
+                gained = self.shown.record(times[done:until], shown, frames)
                 booked[done:until] = self.booked + gained
-                self.elastic[shown] = self.shown.energies(shown)
+                self.elastic[shown] = self.shown.stepped.contact_energies(shown).potential
                 self.contacts |= self._outputs_in(times[done:until], shown)
                 done = until
             if done < times.size:
@@ -330,7 +325,7 @@ class DiluteMotion(Motion):
         while self.time(self.done + self.steps) <= stop:
             self.cross()
         self.shown = self.shown or self.interval()
-        state, gained = self.shown.together.finish(stop)
+        state, gained = self.shown.finish(stop)
         self.histories = self.shown.histories()
         return state, self.booked + gained
 
