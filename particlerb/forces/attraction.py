@@ -261,12 +261,16 @@ collect, add_attraction = inline(_collect), kernel(_collect)
 
 
 @kernel
-def attraction_loads(attraction: Attraction, fields: Fields, y: Floats, load: Floats) -> None:
-    """Add the loads on all bodies at y: the three parts, by this thread alone.
+def attraction_loads(
+    attraction: Attraction | None, fields: Fields | None, y: Floats, load: Floats
+) -> None:
+    """Add the loads on all bodies at y, if any attract: the three parts, by this thread alone.
 
     The parts stand in this kernel themselves: a call with so many arrays takes as long as two pairs
     of points.
     """
+    if attraction is None or fields is None:
+        return
     n_bodies = attraction.offset.size - 1
     place_particles(attraction, fields, y, 0, n_bodies)
     pull(attraction, fields, 0, len(fields.tile))

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
+from particlerb.forces.registry import PAIR
 from particlerb.integrators.dop853_step import (
     LEAST_STEP,
     Equations,
@@ -23,7 +24,7 @@ from particlerb.integrators.dop853_step import (
 )
 from particlerb.integrators.dop853_table import END, NODES, STAGES, A
 from particlerb.integrators.joint_slopes import add_reactions, bring_back, count_on
-from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter_loads
+from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter
 from particlerb.integrators.stages import caller_of_stages, inlined_caller
 from particlerb.joints.breaking import break_by_multipliers, let_go, may_break
 from particlerb.joints.records import Breaks, Jointed
@@ -130,7 +131,7 @@ def _put_loads(
     spread_out(y, layout, w, states)
     clock[0] = clock[2] + t
     pair_loads(links, user_pairs, attraction, fields, with_dashpots, clock, states, load)
-    scatter_loads(load, blocks, layout)
+    scatter(load, blocks, layout, PAIR, 0)
 
 
 @inlined_caller

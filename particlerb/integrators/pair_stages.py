@@ -54,28 +54,18 @@ class PairTerms(NamedTuple):
     booked: Floats  # (13, n) the same rows, of flows
 
 
-@inline
-def _gather(blocks: Floats, layout: Layout, y: Floats) -> None:
+@kernel
+def gather_states(blocks: Floats, layout: Layout, y: Floats) -> None:
     """States of all blocks, into y (13, n)."""
     for k in range(layout.first.size):
         gather_block(blocks[k], y, layout.first[k], layout.size[k])
 
 
-@inline
+@kernel
 def scatter(values: Floats, blocks: Floats, layout: Layout, at: int, first: int) -> None:
     """Rows of values (rows, n) from `first` on, into the rows of all blocks from `at` on."""
     for k in range(layout.first.size):
         scatter_block(values, blocks[k], at, first, layout.first[k], layout.size[k])
-
-
-@inline
-def _attraction_into(
-    attraction: Attraction | None, fields: Fields | None, y: Floats, load: Floats
-) -> None:
-    """Add the loads of a direct sum, if there is one."""
-    if attraction is None or fields is None:
-        return
-    attraction_loads(attraction, fields, y, load)
 
 
 @inline
@@ -121,7 +111,7 @@ def pair_loads(
     clear(load)
     link_loads(links, y, load, with_dashpots)
     user_pair_loads(user_pairs, clock[0], y, load, with_dashpots)
-    _attraction_into(attraction, fields, y, load)
+    attraction_loads(attraction, fields, y, load)
 
 
 @inline
@@ -136,23 +126,11 @@ def put_pair_loads(
         return
     links, user_pairs, attraction, fields, with_dashpots, clock, y, load, _ = pairs
     if team is None:
-        _gather(blocks, layout, y)
+        gather_states(blocks, layout, y)
         pair_loads(links, user_pairs, attraction, fields, with_dashpots, clock, y, load)
         scatter(load, blocks, layout, PAIR, 0)
     elif team.thread == 0:
         pair_loads(links, user_pairs, attraction, fields, with_dashpots, clock, y, load)
-
-
-@kernel
-def gather_states(blocks: Floats, layout: Layout, y: Floats) -> None:
-    """`_gather`, for loops that run as Python."""
-    _gather(blocks, layout, y)
-
-
-@kernel
-def scatter_loads(load: Floats, blocks: Floats, layout: Layout) -> None:
-    """`scatter` into the rows PAIR, for such loops."""
-    scatter(load, blocks, layout, PAIR, 0)
 
 
 @kernel
@@ -174,7 +152,7 @@ def flow_pairs(
     meet_all(team)
     if _is_first(team):
         links, user_pairs, _, _, _, clock, y, _, booked = pairs
-        _gather(blocks, layout, y)
+        gather_states(blocks, layout, y)
         clear(booked)
         if backwards:
             flow_user_pairs(user_pairs, clock[0], y, booked, dt, backwards)

@@ -15,17 +15,12 @@ import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel, kernel_from
 from particlerb.contact.contact_model import NO_GROWTH, ContactChanges, Growth, Instant, Slope
+from particlerb.forces.registry import PAIR
 from particlerb.integrators.contact_copies import restore_contacts, save_contacts, store_contacts
 from particlerb.integrators.contact_stages import close_prescribed, find_contact_forces
 from particlerb.integrators.external_work import store_sums
 from particlerb.integrators.method import Method, Step
-from particlerb.integrators.pair_stages import (
-    BlockShare,
-    Layout,
-    PairTerms,
-    gather_states,
-    scatter_loads,
-)
+from particlerb.integrators.pair_stages import BlockShare, Layout, PairTerms, gather_states, scatter
 from particlerb.integrators.stages import (
     MovingBodies,
     close,
@@ -309,7 +304,7 @@ def loop_over_threads(
             gather_states(blocks, layout, pairs.y)
         forces.evaluate()
         if team is None:
-            scatter_loads(pairs.load, blocks, layout)
+            scatter(pairs.load, blocks, layout, PAIR, 0)
 
     others = {"put_pair_loads": put_pair_loads, "CLOSING_KICK": method.closing_kick}
     chosen = over_threads(_step_of(method, True), **others)
