@@ -20,6 +20,7 @@ from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.forces.central import Central
 from particlerb.maths.quaternion import Quat
 from particlerb.maths.rows import load3, rows3, store3
+from particlerb.maths.trig import logarithm
 from particlerb.maths.vec3 import Floats, add_scaled, cross, scale
 from particlerb.model.state import State, cross_columns
 from particlerb.stepping.motion import SegmentGroup
@@ -30,6 +31,7 @@ _FALLEN_SHARE: Final = 1e-14  # of the distance at which a body passes through t
 _MAX_SERIES_ARGUMENT: Final = 0.5  # below it Stumpff's series are summed
 _EVEN_SERIES: Final = tuple(1.0 / math.factorial(2 * k + 2) for k in range(9, -1, -1))
 _ODD_SERIES: Final = tuple(1.0 / math.factorial(2 * k + 3) for k in range(9, -1, -1))
+_MAX_HYPERBOLIC: Final = 250.0  # of w: from more a hundred steps, each of 5/3, do not come back
 _MAX_CORRECTIONS: Final = 100  # corrections of s
 _SURE_CHANGE: Final = 1e-7  # relative correction after which one more reaches rounding
 
@@ -76,8 +78,15 @@ def _powers(s: float, beta: float) -> Quat:
 
 @inline
 def _anomaly(tau: float, r0: float, eta: float, mu: float, beta: float) -> float:
-    """The s of a time τ ≥ 0: it grows with τ, so a bracket holds Laguerre's steps."""
-    low, high = 0.0, math.pow(6.0 * tau / mu, 1.0 / 3.0)
+    """The s of a time τ ≥ 0: it grows with τ, so a bracket holds Laguerre's steps.
+
+    Far along hyperbolas the cube root bounds w = s k, k² = -β, by too much, and Laguerre's steps
+    come down by 5/3 each: there (μ + r₀ k²) sinh w - μ w = k³ τ, and w ≤ sinh(w)/3 from 3 on,
+    bound it by a logarithm.
+    """
+    low, high, k = 0.0, math.pow(6.0 * tau / mu, 1.0 / 3.0), math.sqrt(max(-beta, 0.0))
+    if k * high > _MAX_HYPERBOLIC:
+        high = (3.0 + logarithm(1.0 + 3.0 * k * k * k * tau / (mu + r0 * k * k))) / k
     _, G1, G2, G3 = _powers(high, beta)
     while r0 * G1 + eta * G2 + mu * G3 < tau:
         low, high = high, 2.0 * high

@@ -32,6 +32,9 @@ ORBITS = {  # μ, place and velocity relative to the centre, t
     "next to a parabola": (2.0, (1, 0, 0), (-1.2, 1.6000000001, 0), 50.0),
     "hyperbola": (1.0, (1, 2, 0), (0.5, 1.0, -1.0), 100.0),
     "hyperbola, from afar and back": (1.0, (1000, 1, 0), (-1, 0, 0.0), 2000.0),
+    "hardly bent": (1.3e-10, (-1, 1, 0), (0.1, 0, 0), 3.0),
+    "hardly bent, for long": (1.3e-10, (-1, 1, 0), (0.1, 0, 0), 1e3),
+    "hardly bent, not far": (1.3e-10, (-1, 1, 0), (0.1, 0, 0), 0.3),
     "earth": (3.986004418e14, (7e6, 0, 0), (0, 7000.0, 3500.0), 1e6),
     "nearly a fall": (1.0, (1, 0, 0), (0, 1e-5, 0), 1.0),
 }
