@@ -19,7 +19,6 @@ from particlerb.contact.walls import (
     Primitive,
     euler_count,
     gap_vector,
-    length,
     normal_rate,
     primitive_at,
 )
@@ -29,7 +28,18 @@ from particlerb.impulses.rolling import ABOUT, ACROSS
 from particlerb.impulses.rows import in_world, lean, write_frame
 from particlerb.maths.quaternion import Quat, to_body, to_world
 from particlerb.maths.rows import put_row3, put_row3_at, row3, row3_at, row4
-from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import (
+    ZERO,
+    Floats,
+    Vec3,
+    add,
+    add_scaled,
+    cross,
+    dot,
+    norm,
+    scale,
+    subtract,
+)
 
 _REST_SPEED_SHARE: Final = 1e-12  # of the speeds: what approaches no faster is at rest
 
@@ -55,9 +65,9 @@ def _note_speeds(partners: Partners, a: int) -> None:
     """Write speeds of a body, and by how much the half kick has changed its velocities."""
     velocity, before, speeds = partners.velocity, partners.before, partners.speeds
     v, w = row3_at(velocity, a, 0), row3_at(velocity, a, 3)
-    speeds[a, 0], speeds[a, 1] = length(v), length(w)
-    speeds[a, 2] = length(subtract(v, row3_at(before, a, 0)))
-    speeds[a, 3] = length(subtract(w, row3_at(before, a, 3)))
+    speeds[a, 0], speeds[a, 1] = norm(v), norm(w)
+    speeds[a, 2] = norm(subtract(v, row3_at(before, a, 0)))
+    speeds[a, 3] = norm(subtract(w, row3_at(before, a, 3)))
 
 
 @inline
@@ -71,8 +81,8 @@ def _note_motors(partners: Partners, bounded: Bounded | None) -> None:
             half = 0.5 * bounded.values[k, col.B_LARGEST]
             for j in range(bounded.start[k], bounded.start[k + 1]):
                 b = bounded.member[j]
-                speeds[b, 2] += half * length(row3_at(bounded.response, j, 0))
-                speeds[b, 3] += half * length(row3_at(bounded.response, j, 3))
+                speeds[b, 2] += half * norm(row3_at(bounded.response, j, 0))
+                speeds[b, 3] += half * norm(row3_at(bounded.response, j, 3))
 
 
 @inline
@@ -98,7 +108,7 @@ def _is_near(
         turning, slow = turning + turning_b, max(slow, slow_b)
     else:
         slow = max(slow, col.REST_KICKS * impulses.partners.speeds[b, 2])
-    return gap <= impulses.rules.slop + dt * (length(between) + turning + slow), slow
+    return gap <= impulses.rules.slop + dt * (norm(between) + turning + slow), slow
 
 
 @inline
@@ -231,7 +241,7 @@ def _sphere_contact(
     if square > far * far or is_held:
         _forget(contacts, c, impulses.rows.rolling)
         return
-    distance = length(d)
+    distance = norm(d)
     gap, between = distance - touching, subtract(row3_at(velocity, a, 0), row3_at(velocity, b, 0))
     is_near, slow = _is_near(setup, impulses, a, b, touching, gap, between, dt)
     if not is_near:
@@ -261,7 +271,7 @@ def _wall_contact(
     y = to_body(q, subtract(x, row3(poses.position, w)))
     away = gap_vector(primitive, y)
     _, is_nearest = euler_count(primitive, walls.around, y)
-    distance = length(away)
+    distance = norm(away)
     if primitive.kind == PLANE:
         distance, away = dot(subtract(y, primitive.a), primitive.b), primitive.b
     else:

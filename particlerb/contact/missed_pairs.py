@@ -15,15 +15,9 @@ from particlerb.contact.contact_model import ContactModel, ContactSpheres, Neigh
 from particlerb.contact.records import Records
 from particlerb.contact.sphere_search import KEY_BITS
 from particlerb.contact.wall_motion import PrescribedMotion, wall_displacement
-from particlerb.contact.walls import (
-    gap_and_velocity,
-    in_frame_of,
-    length,
-    primitive_at,
-    squared_distance,
-)
+from particlerb.contact.walls import gap_and_velocity, in_frame_of, primitive_at, squared_distance
 from particlerb.maths.rows import load3, row3, rows3
-from particlerb.maths.vec3 import Bools, Floats, Ints, dot, subtract
+from particlerb.maths.vec3 import Bools, Floats, Ints, dot, norm, subtract
 
 _BODIES_PER_LOOK: Final = 256
 MAX_SHARE: Final = 0.01  # of the time, that looking may take
@@ -117,16 +111,16 @@ def _missed_pairs(
             is_other = is_other or (is_left_out[a] and is_left_out[b])
             if dot(apart, apart) >= most * most or is_other:
                 continue
-            comes = length(subtract(load3(v, a), load3(v, b))) + extra[a] + extra[b]
+            comes = norm(subtract(load3(v, a), load3(v, b))) + extra[a] + extra[b]
             comes += bound[a] * turning[a] + bound[b] * turning[b]
             for i in range(offset[a], offset[a + 1]):
                 x_i = row3(xyzr, i)
                 compared += 1
-                if length(subtract(x_i, x_b)) >= bound[b] + xyzr[i, 3]:
+                if norm(subtract(x_i, x_b)) >= bound[b] + xyzr[i, 3]:
                     continue
                 for j in range(offset[b], offset[b + 1]):
                     compared += 1
-                    overlap = xyzr[i, 3] + xyzr[j, 3] - length(subtract(row3(xyzr, j), x_i))
+                    overlap = xyzr[i, 3] + xyzr[j, 3] - norm(subtract(row3(xyzr, j), x_i))
                     least = _MIN_OVERLAP * min(xyzr[i, 3], xyzr[j, 3]) + _STEPS * dt * comes
                     if overlap > max(least, depth) and not _has_contact(spheres, lists, i, j):
                         depth, body, other = overlap, min(a, b), max(a, b)
@@ -163,9 +157,9 @@ def _missed_walls(
                 compared += 1
                 x_i, radius = row3(xyzr, i), xyzr[i, 3]
                 gap, moving = gap_and_velocity(walls, poses, p, x_i)
-                comes = length(subtract(v_a, moving)) + extra[a] + extra_speeds[w]
+                comes = norm(subtract(v_a, moving)) + extra[a] + extra_speeds[w]
                 comes += bound[a] * turning[a]
-                least, overlap = _MIN_OVERLAP * radius + _STEPS * dt * comes, radius - length(gap)
+                least, overlap = _MIN_OVERLAP * radius + _STEPS * dt * comes, radius - norm(gap)
                 if overlap > max(least, depth) and not _has_wall_contact(model, lists, i, p):
                     depth, body, other = overlap, a, ~w
     return Missed(depth, body, other, compared)

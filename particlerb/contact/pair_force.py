@@ -47,6 +47,7 @@ from particlerb.maths.vec3 import (
     component_product,
     cross,
     dot,
+    norm,
     scale,
     subtract,
 )
@@ -118,10 +119,7 @@ def body_kinematics(
         put_row3(bodies.angular_velocity, b, omega)
         put_row4(bodies.orientation, b, q)
         bodies.inv_mass[b] = inv_mass[b]
-        bodies.speed[b], bodies.angular_speed[b] = (
-            math.sqrt(dot(v, v)),
-            math.sqrt(dot(omega, omega)),
-        )
+        bodies.speed[b], bodies.angular_speed[b] = norm(v), norm(omega)
         for i in range(offset[b], offset[b + 1]):
             r = turn(R, (arm[0, i], arm[1, i], arm[2, i]))
             xyzr[i, 0], xyzr[i, 1], xyzr[i, 2] = x[0] + r[0], x[1] + r[1], x[2] + r[2]
@@ -323,7 +321,7 @@ def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
     spheres, body = model.spheres, model.spheres.body
     xyzr, bodies = workspace.xyzr, workspace.bodies
     a, b, r_i, r_j = body[i], body[j], xyzr[i, 3], xyzr[j, 3]
-    distance = math.sqrt(dot(d, d))
+    distance = norm(d)
     normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
     overlap = r_i + r_j - distance
     point = add_scaled(r_i - 0.5 * overlap, normal, row3(xyzr, i))
@@ -384,12 +382,11 @@ def _comes_near(
     v = subtract(row3(bodies.velocity, a), row3(bodies.velocity, b))
     turning = bodies.angular_speed[a] * _lever(bodies, a, row3(xyzr, i), touching)
     turning += bodies.angular_speed[b] * _lever(bodies, b, row3(xyzr, j), touching)
-    far = touching + 0.5 * longer * (math.sqrt(dot(v, v)) + turning)
+    far = touching + 0.5 * longer * (norm(v) + turning)
     return square < far * far
 
 
 @inline
 def _lever(bodies: Records, b: int, x: Vec3, touching: float) -> float:
     """From a centre of mass to where a sphere at x touches [m], or more."""
-    arm = subtract(x, row3(bodies.position, b))
-    return max(4.0 * touching, math.sqrt(dot(arm, arm)) + touching)
+    return max(4.0 * touching, norm(subtract(x, row3(bodies.position, b))) + touching)

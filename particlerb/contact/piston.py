@@ -14,7 +14,8 @@ import numpy as np
 from particlerb.compiled.jit import inline
 from particlerb.contact.records import PISTON, Records, zero_records
 from particlerb.impulses.records import Mechanisms
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.rows import put_row3, row3
+from particlerb.maths.vec3 import Floats, Ints, add_scaled, divide, dot
 
 
 class Pistons(NamedTuple):
@@ -57,11 +58,10 @@ def piston_poses(pistons: Pistons | None, state: Records, ahead: float, poses: R
         w = pistons.wall[k]
         u = state.velocity[k] + ahead * (state.velocity[k] - state.previous_velocity[k])
         state.contact_velocity[k] = u
-        for c in range(3):
-            a = pistons.axis[k, c]
-            poses.position[w, c] += state.displacement[k] * a
-            poses.velocity[w, c] += u * a
-            poses.piston_axis[w, c] = a / math.sqrt(pistons.mass[k])
+        a = row3(pistons.axis, k)
+        put_row3(poses.position, w, add_scaled(state.displacement[k], a, row3(poses.position, w)))
+        put_row3(poses.velocity, w, add_scaled(u, a, row3(poses.velocity, w)))
+        put_row3(poses.piston_axis, w, divide(a, math.sqrt(pistons.mass[k])))
 
 
 @inline
@@ -157,18 +157,8 @@ def push_pistons(pistons: Pistons | None, velocity: Floats, first: int, dt: floa
     if pistons is None:
         return
     for k in range(pistons.wall.size):
-        for c in range(3):
-            by = dt * pistons.force[k] / pistons.mass[k] * pistons.axis[k, c]
-            velocity[first + pistons.wall[k], c] += by
-
-
-@inline
-def along_axis(pistons: Pistons, k: int, vectors: Floats, first: int) -> float:
-    """Component of the vector of piston k along its axis."""
-    w, along = first + pistons.wall[k], 0.0
-    for c in range(3):
-        along += pistons.axis[k, c] * vectors[w, c]
-    return along
+        w, by = first + pistons.wall[k], dt * pistons.force[k] / pistons.mass[k]
+        put_row3(velocity, w, add_scaled(by, row3(pistons.axis, k), row3(velocity, w)))
 
 
 @inline
@@ -177,7 +167,7 @@ def keep_pistons(pistons: Pistons | None, state: Records, velocity: Floats, firs
     if pistons is None:
         return
     for k in range(pistons.wall.size):
-        state.velocity[k] = along_axis(pistons, k, velocity, first)
+        state.velocity[k] = dot(row3(pistons.axis, k), row3(velocity, first + pistons.wall[k]))
         state.previous_velocity[k] = state.velocity[k]
 
 
@@ -188,7 +178,7 @@ def move_pistons(pistons: Pistons | None, state: Records, move: Floats, first: i
     if pistons is None:
         return work
     for k in range(pistons.wall.size):
-        path = along_axis(pistons, k, move, first)
+        path = dot(row3(pistons.axis, k), row3(move, first + pistons.wall[k]))
         state.displacement[k] += path
         state.booked_work[k] -= pistons.force[k] * path
         work -= pistons.force[k] * path

@@ -66,14 +66,13 @@ from particlerb.contact.walls import (
     SIDE,
     VERTEX,
     Primitive,
-    length,
     primitive_at,
     radial,
     wall_velocity,
 )
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.rows import put_row3, row3, row4
-from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, cross, dot, norm, scale, subtract
 
 
 @inline
@@ -107,7 +106,7 @@ def wall_normal_rate(
         return ZERO
     walls, poses = on.model.walls, on.workspace.poses
     turning = cross(row3(poses.angular_velocity, at.wall), normal)
-    distance = length(piece.gap)
+    distance = norm(piece.gap)
     if piece.points > 1 or distance <= 0.0:
         return turning
     primitive = primitive_at(walls.kind, walls.parameter, on.contacts.second[piece.nearest])
@@ -191,7 +190,7 @@ def wall_contact_forces(
         if (around.n_active == 0 or is_same) and around.n_others == 0 and around.n_nearest <= 1:
             if around.n_nearest == 1:
                 gap = to_world(at.q, around.gap)
-                piece = WallPiece(nearest, 1, gap, gap, gap, 0.0, at.radius - length(gap), False)
+                piece = WallPiece(nearest, 1, gap, gap, gap, 0.0, at.radius - norm(gap), False)
                 _piece_forces(on, at, piece)
             continue
         write_points(on, at)
@@ -234,7 +233,7 @@ def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
     model, contacts = on.model, on.contacts
     bodies, poses = on.workspace.bodies, on.workspace.poses
     x, radius, a, w = at.x, at.radius, at.body, at.wall
-    c, gap, distance = piece.nearest, piece.gap, length(piece.gap)
+    c, gap, distance = piece.nearest, piece.gap, norm(piece.gap)
     overlap = radius - distance
     normal = scale(-1.0 / distance, gap) if distance > 0.0 else (0.0, 0.0, 1.0)
     point = add_scaled(radius - 0.5 * overlap, normal, x)

@@ -22,14 +22,13 @@ from particlerb.contact.walls import (
     NEAR,
     euler_count,
     gap_vector,
-    length,
     nearest,
     primitive_at,
     wall_velocity,
 )
 from particlerb.maths.quaternion import Quat, to_world
 from particlerb.maths.rows import put_row3, row3
-from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, dot, scale, subtract
+from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, dot, norm, scale, subtract
 
 _HANDLED_PIECE: Final = -1.0  # of points that have been dealt with
 _MIN_RING_SHARE: Final = 0.25  # of its hardest part, that a ring has to press with
@@ -96,7 +95,7 @@ def _outside_cap(
     gap = row3(contacts.forces.gap, c)
     d = subtract(gap, away)
     cap = max(at.radius * at.radius - dot(gap, gap), 0.0)
-    return length(d) - math.sqrt(cap) - slack
+    return norm(d) - math.sqrt(cap) - slack
 
 
 @inline
@@ -156,7 +155,7 @@ def piece_at(on: Evaluation, at: SphereAtWall, root: int) -> WallPiece:
         count, away = points.count[c], row3(points.gap, c)
         if count == 0.0 or points.piece[c] != root:
             continue
-        distance = max(length(away), NEAR)
+        distance = max(norm(away), NEAR)
         normal, overlap = scale(-1.0 / distance, away), radius - distance
         push, stored = normal_spring(law, pair, overlap, radius)
         force = add_scaled(count * push, normal, force)
@@ -169,9 +168,9 @@ def piece_at(on: Evaluation, at: SphereAtWall, root: int) -> WallPiece:
         energy, hardest = energy + count * stored, max(hardest, push)
         if points.is_nearest[c] > 0.0 and distance < least:
             first, least = c, distance
-    size, gap = length(elastic), row3(points.gap, first)
+    size, gap = norm(elastic), row3(points.gap, first)
     if n_points > 1 and size > 0.0:
-        overlap = overlap_of(law, pair, length(force), radius)
+        overlap = overlap_of(law, pair, norm(force), radius)
         gap = scale(max(radius - overlap, NEAR) / size, elastic)
     is_too_weak = total <= 0.0 and pushes < _MIN_RING_SHARE * hardest
     return WallPiece(first, n_points, gap, elastic, impulse, energy, radius - least, is_too_weak)

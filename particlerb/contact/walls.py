@@ -16,7 +16,6 @@ References
 Ericson, Real-Time Collision Detection (2005), 5.1.5: nearest point of a triangle.
 """
 
-import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.records import Records
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.rows import load3, row3, row4
-from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, norm, scale, subtract
 
 PLANE: Final = 0  # point, normal
 FACE: Final = 1  # three vertices in the order of their numbers, normal from where that is left
@@ -103,12 +102,12 @@ def radial(c: Vec3, axis: Vec3, x: Vec3) -> tuple[float, float, Vec3]:
     d = subtract(x, c)
     z = dot(d, axis)
     across = add_scaled(-z, axis, d)
-    rho = math.sqrt(dot(across, across))
+    rho = norm(across)
     if rho > 0.0:
         return z, rho, scale(1.0 / rho, across)
     k = (1.0, 0.0, 0.0) if abs(axis[0]) < 0.6 else (0.0, 1.0, 0.0)
     any_one = cross(axis, k)
-    return z, rho, scale(1.0 / math.sqrt(dot(any_one, any_one)), any_one)
+    return z, rho, scale(1.0 / norm(any_one), any_one)
 
 
 @inline
@@ -144,12 +143,6 @@ def primitive_at(kind: Ints, rows: Floats, p: int) -> Primitive:
     a, b = (rows[p, 0], rows[p, 1], rows[p, 2]), (rows[p, 3], rows[p, 4], rows[p, 5])
     c, n = (rows[p, 6], rows[p, 7], rows[p, 8]), (rows[p, 9], rows[p, 10], rows[p, 11])
     return Primitive(kind[p], a, b, c, n)
-
-
-@inline
-def length(v: Vec3) -> float:
-    """|v|."""
-    return math.sqrt(dot(v, v))
 
 
 @inline
@@ -291,8 +284,8 @@ def normal_rate(primitive: Primitive, x: Vec3, n: Vec3, u: Vec3) -> Vec3:
         if kind == SIDE:
             return bent
         across = add_scaled(-dot(u, around), around, across)
-        return add_scaled(1.0 / max(length(subtract(x, nearest(primitive, x))), NEAR), across, bent)
-    return scale(1.0 / max(length(subtract(x, nearest(primitive, x))), NEAR), across)
+        return add_scaled(1.0 / max(norm(subtract(x, nearest(primitive, x))), NEAR), across, bent)
+    return scale(1.0 / max(norm(subtract(x, nearest(primitive, x))), NEAR), across)
 
 
 @inline

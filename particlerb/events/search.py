@@ -20,7 +20,6 @@ from particlerb.contact.walls import (
     PLANE,
     SIDE,
     Primitive,
-    length,
     nearest,
     primitive_at,
     radial,
@@ -278,7 +277,7 @@ def normal_to(wall: Primitive, x: Vec3) -> tuple[float, Vec3, bool]:
             return away, n, True
         return -away, scale(-1.0, n), True
     d = subtract(x, nearest(wall, x))
-    distance = length(d)
+    distance = norm(d)
     return distance, scale(1.0 / max(distance, 1e-300), d), False
 
 
@@ -295,7 +294,7 @@ def _until_side(
     R = wall.c[0] - radius
     across = add_scaled(-dot(v, wall.b), wall.b, v)
     if abs(z) > wall.c[1] or R <= 0.0:
-        return (length(subtract(x, nearest(wall, x))) - radius) / fastest
+        return (norm(subtract(x, nearest(wall, x))) - radius) / fastest
     speed = dot(across, across) if bend == 0.0 else fastest * fastest
     gap, rate = (R - rho) * (R + rho) / (2.0 * R), -rho * dot(away, across) / R
     return soonest(gap, rate, speed / R + bend, touch, radius)
