@@ -4,8 +4,8 @@
 [attraction], and `components` labels the bodies that have to advance together.
 """
 
-from collections.abc import Sequence
-from typing import Any, Final, NamedTuple, TypeAlias
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from particlerb.maths.components import labels
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
-from particlerb.plan.links_in_worlds import in_worlds
 from particlerb.plan.near_pairs import near, nearest_distance
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
@@ -56,6 +55,7 @@ class UserLink(NamedTuple):
 
 
 AnyLink: TypeAlias = Link | UserLink
+_Link = TypeVar("_Link", Link, UserLink)
 
 
 # Springs and forces between bodies
@@ -85,17 +85,47 @@ def links_of(system: System) -> list[AnyLink]:
             continue
         try:
             if isinstance(force, PythonTable):
-                user_links = in_worlds(unmerged, number, force, _user_link_of)
+                user_links = _in_worlds(unmerged, number, force, _user_link_of)
                 _try_user_links(unmerged, number, user_links)
                 links += user_links
             else:
-                springs = in_worlds(unmerged, number, force, link_of)
+                springs = _in_worlds(unmerged, number, force, link_of)
                 problems += [one for link in springs for one in _misplaced_ends(unmerged, link)]
                 links += springs
         except CaseError as error:
             problems += error.problems
     refuse(problems)
     return links
+
+
+def _in_worlds(
+    system: System, number: int, force: Any, of_scene: Callable[..., _Link]
+) -> list[_Link]:
+    """Pairs of one [[force]]; where it differs from world to world, those of each by themselves.
+
+    Parameters
+    ----------
+    system : System
+    number : int
+        Index of the [[force]].
+    force : SpringTable or PythonTable
+        In the first world.
+    of_scene : callable
+        (system, number, force): its pairs in one scene.
+    """
+    if system.n_worlds == 1:
+        return [of_scene(system, number, force)]
+    links: list[Any] = []
+    for world in range(system.n_worlds):
+        world_force = system.others[number][world] if number in system.others else force
+        link = of_scene(system.scene(world), number, world_force)
+        second = np.where(link.second == WORLD, WORLD, link.second + world * system.in_each)
+        first = link.first + world * system.in_each
+        links.append(link._replace(first=first, second=second))
+    if number in system.others:
+        return links
+    arrays = (np.concatenate(one, axis=-1) for one in zip(*(a[2:] for a in links), strict=True))
+    return [type(links[0])(number, links[0].force, *arrays)]
 
 
 def link_of(system: System, number: int, force: SpringTable) -> Link:
