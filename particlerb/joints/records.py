@@ -12,6 +12,7 @@ import numpy as np
 
 from particlerb.compiled.jit import Flag
 from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.model.state import State
 
 if TYPE_CHECKING:
     from particlerb.contact.prescribed_motion import PrescribedBodies
@@ -212,12 +213,12 @@ class Jointed(NamedTuple):
     tree: "JointTree | None" = None  # the joints as trees, for accelerations; None: by multipliers
 
 
-def empty_joint_data(joints: Joints) -> JointData:
-    """Data of joints of which nothing is known yet; the world stands still at the origin."""
+def joint_data_at(joints: Joints, state: State) -> JointData:
+    """Data of joints with bodies of a group in a state; the world stands still at the origin."""
     n, m, k = joints.inv_mass.size, joints.rows.kind.size, joints.clusters.body.size - 1
     width = int(np.diff(joints.program.start).max())
     y = np.zeros((n, STATE))
-    y[:, Q] = 1.0
+    y[:-1], y[-1, Q] = np.vstack(state).T[joints.order], 1.0
     arrays = (
         y,
         np.zeros((n, STATE)),

@@ -12,7 +12,7 @@ from particlerb.joints.reactions import (
     forces_of_joints,
     null_vectors,
 )
-from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, JointData, Joints, empty_joint_data
+from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, Joints, joint_data_at
 from particlerb.joints.rows import linearise
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
@@ -26,13 +26,6 @@ from particlerb.rotors.rotor_class import POINT, ROD
 _MAX_CLUSTER_ROWS: Final = 1500  # of a cluster whose redundant rows are looked for
 _MIN_NULL_COMPONENT: Final = 1e-6  # share of a null vector of Gᵀ from which on a row is in it
 _MAX_ROWS_NAMED: Final = 8
-
-
-def joint_data_at(joints: Joints, state: State) -> JointData:
-    """Data of joints, with bodies of a group in a state."""
-    data = empty_joint_data(joints)
-    data.y[:-1] = np.vstack(state).T[joints.order]
-    return data
 
 
 def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> Floats:

@@ -31,7 +31,7 @@ from particlerb.joints.records import (
     Coordinates,
     JointData,
     Joints,
-    empty_joint_data,
+    joint_data_at,
 )
 from particlerb.joints.rows import linearise, rates, residuals
 from particlerb.joints.setup import joints_among
@@ -240,8 +240,7 @@ def _at_start(system: System, setup: SystemJoints) -> _AtStart:
     n = system.n_bodies
     joints = setup.within(np.arange(n), held(system.bodies, system.is_held))
     assert joints is not None
-    data = empty_joint_data(joints)
-    data.y[:n] = np.vstack(system.state).T[joints.order]
+    data = joint_data_at(joints, system.state)
     for k in range(0 if setup.prescribed is None else setup.prescribed.body.size):
         assert setup.prescribed is not None
         x, q, v, w = prescribed_pose(setup.prescribed, k, 0.0)

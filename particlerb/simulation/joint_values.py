@@ -23,14 +23,13 @@ from particlerb.joints.reactions import (
     forces_of_joints,
     make_least,
 )
-from particlerb.joints.records import JointData
+from particlerb.joints.records import JointData, joint_data_at
 from particlerb.joints.rows import add_impulses, rates, residuals
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import COM, into_blocks
 from particlerb.model.state import Frames, State, state_in
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
-from particlerb.plan.joint_words import joint_data_at
 from particlerb.plan.joints import SystemJoints, asked_of_joints, joints_of
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.merging import unmerged

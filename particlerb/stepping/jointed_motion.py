@@ -6,7 +6,7 @@ from particlerb.compiled.jit import flag
 from particlerb.compiled.threads import BLOCK
 from particlerb.forces import has_potential
 from particlerb.joints.coordinates import count_turns
-from particlerb.joints.records import Jointed, empty_joint_data
+from particlerb.joints.records import Jointed, joint_data_at
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import State
 from particlerb.stepping.motion import Motion, SegmentGroup
@@ -21,8 +21,7 @@ def jointed_in(
     if joints is None:
         return None
     body_slots = slots[joints.order]
-    data = empty_joint_data(joints)
-    data.y[:-1] = np.vstack(first).T[joints.order]
+    data = joint_data_at(joints, first)
     count_turns(joints.coordinates, data.y, data.turned)
     data.turned[:, 2] = 0.0
     data.clock[1:] = dt, start

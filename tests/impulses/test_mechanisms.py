@@ -33,9 +33,10 @@ from particlerb.impulses.records import (
 )
 from particlerb.impulses.rows import write_frame
 from particlerb.impulses.solver import solve
-from particlerb.joints.records import HOLDS, ConstraintRows, empty_joint_data
+from particlerb.joints.records import HOLDS, ConstraintRows, joint_data_at
 from particlerb.joints.responses import find_bounded, find_responses, mechanisms_of, pairs_through
 from particlerb.joints.setup import NO_ACTIONS, joints_among
+from particlerb.model.state import State
 
 CASES = Path(__file__).parents[2] / "cases"
 plain = pytest.mark.plain
@@ -210,8 +211,9 @@ def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts(
     rows = ConstraintRows(b, a, b, ends, -ends, np.eye(3), np.ones(3), np.ones(3), none, none,
                           np.zeros((3, 12)))  # fmt: skip
     joints = joints_among(a[:1], np.array([0, 3]), rows, bodies, NO_ACTIONS)
-    data, mechanisms = empty_joint_data(joints), mechanisms_of(joints, 3)
-    data.y[1, 0] = 1.0
+    places, still = np.array([[0.0, 1.0], [0, 0], [0, 0]]), np.zeros((3, 2))
+    state = State(places, np.repeat(np.eye(4)[:, :1], 2, axis=1), still, still)
+    data, mechanisms = joint_data_at(joints, state), mechanisms_of(joints, 3)
     partners, contacts = room_for_partners(3, mechanisms), room_for_rows(2)
     partners.inverse[:2, [0, 1, 4, 6]] = 1.0
     partners.position[1, 0], partners.velocity[:2, 2] = 1.0, -1.0

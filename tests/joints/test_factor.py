@@ -7,11 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from particlerb.case.to_system import to_system
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import HOLDS, P, Q
+from particlerb.joints.records import HOLDS, P, Q, joint_data_at
 from particlerb.joints.records import X as AT
 from particlerb.joints.rows import residual
 from particlerb.joints.solver import factorise_cluster, remember, warm_start
-from particlerb.plan.joint_words import joint_data_at
 from particlerb.simulation.run import prepare
 
 pytestmark = pytest.mark.plain
