@@ -93,20 +93,6 @@ def joints_among(
     )  # fmt: skip
 
 
-def action(
-    stiffness: float = 0.0, rest: float = 0.0, damping: float = 0.0, lower: float = -np.inf,
-    upper: float = np.inf, stop: float = 0.0, stop_damping: float = 0.0, motor: float = 0.0,
-) -> Actions:  # fmt: skip
-    """One action."""
-    numbers = stiffness, rest, damping, lower, upper, stop, stop_damping, motor
-    return Actions(*(np.array([number]) for number in numbers))
-
-
-def both_actions(first: Actions, second: Actions) -> Actions:
-    """Those of both, one after the other."""
-    return Actions(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
-
-
 def with_drag(joints: Joints, linear: Floats, angular: Floats) -> Joints:
     """Joints of bodies with drag, (n,) [N s/m] and [N m s/rad]."""
     drag = np.zeros_like(joints.drag)

@@ -1,7 +1,6 @@
 """Joints of one table of a case, resolved: rows between bodies that move, what acts along them."""
 
 from collections.abc import Sequence
-from functools import reduce
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -28,7 +27,6 @@ from particlerb.joints.records import (
     P,
 )
 from particlerb.joints.rows import arms_at, by_inverse_inertia, orientation, rotations
-from particlerb.joints.setup import NO_ACTIONS, action, both_actions
 from particlerb.joints.solver import factorise_cluster, keep_rates
 from particlerb.joints.types import Ends, rows_of
 from particlerb.maths.rows import row3_at
@@ -84,20 +82,15 @@ def joints_of_table(
 
 def actions_of(tables: Sequence[JointTable]) -> Actions:
     """What acts along the coordinates of joints."""
-    return reduce(both_actions, map(_action_of, tables), NO_ACTIONS)
-
-
-def _action_of(table: JointTable) -> Actions:
-    """What acts along the coordinate of a joint."""
-    spring, limit, stops = table.spring, table.limit, (-np.inf, np.inf, 0.0, 0.0)
-    if limit is not None:
-        stops = (*limit.range, limit.stiffness or 0.0, limit.damping)
-    return action(
-        *((spring.stiffness, spring.rest) if spring else (0.0, 0.0)),
-        table.damper,
-        *stops,
-        0.0 if isinstance(table.motor, JointMotor) else table.motor,
-    )
+    numbers: list[tuple[float, ...]] = []
+    for table in tables:
+        spring, limit, stops = table.spring, table.limit, (-np.inf, np.inf, 0.0, 0.0)
+        if limit is not None:
+            stops = (*limit.range, limit.stiffness or 0.0, limit.damping)
+        own = (spring.stiffness, spring.rest) if spring else (0.0, 0.0)
+        motor = 0.0 if isinstance(table.motor, JointMotor) else table.motor
+        numbers.append((*own, table.damper, *stops, motor))
+    return Actions(*np.array(numbers).reshape(-1, 8).T.copy())
 
 
 def bounds_of(tables: Sequence[JointTable]) -> Bounds:
@@ -200,4 +193,4 @@ def with_dashpots(
         damping=links.damping, lower=none[3] - np.inf, upper=none[4] + np.inf
     )
     all_rows = ConstraintRows(*(np.concatenate(pair) for pair in zip(rows, dashpots, strict=True)))
-    return all_rows, both_actions(actions, damping)
+    return all_rows, Actions(*map(np.concatenate, zip(actions, damping, strict=True)))
