@@ -20,8 +20,7 @@ from particlerb.integrators.pair_stages import meet_all
 from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
 from particlerb.joints.breaking import (
     break_overloaded,
-    carry_in_drift,
-    carry_in_projection,
+    count_impulses,
     foresee_breaks,
     sum_half_step,
 )
@@ -262,16 +261,16 @@ def count_drift(jointed: Jointed | None, team: Team | None, is_first: bool) -> N
     if jointed is None or team is None:
         return
     if team.thread == 0:
-        carry_in_drift(jointed.joints.breaks, jointed.data, is_first)
+        count_impulses(jointed.joints.breaks, jointed.data, jointed.data.impulse, is_first)
 
 
 @inline
 def count_projection(jointed: Jointed | None, team: Team | None) -> None:
-    """Count what they carried in a projection."""
+    """Count what they carried in a projection, damping included."""
     if jointed is None or team is None:
         return
     if team.thread == 0:
-        carry_in_projection(jointed.joints.breaks, jointed.data)
+        count_impulses(jointed.joints.breaks, jointed.data, jointed.data.half_step, False)
 
 
 @inline

@@ -183,21 +183,12 @@ def foresee_breaks(
 
 
 @inline
-def carry_in_drift(breaks: Breaks | None, data: JointData, is_first: bool) -> None:
-    """Count the impulses of a drift among those of a step, of which it is the first or not."""
+def count_impulses(breaks: Breaks | None, data: JointData, impulse: Floats, is_first: bool) -> None:
+    """Count impulses of the rows among those of a step, of which they are the first or not."""
     if breaks is None:
         return
     for r in range(data.step_impulse.size):
-        data.step_impulse[r] = data.impulse[r] + (0.0 if is_first else data.step_impulse[r])
-
-
-@inline
-def carry_in_projection(breaks: Breaks | None, data: JointData) -> None:
-    """Count the impulses of a projection, damping included."""
-    if breaks is None:
-        return
-    for r in range(data.step_impulse.size):
-        data.step_impulse[r] += data.half_step[r]
+        data.step_impulse[r] = impulse[r] + (0.0 if is_first else data.step_impulse[r])
 
 
 @inline
