@@ -28,7 +28,7 @@ from particlerb.model.state import (
     rotation_matrix,
 )
 from particlerb.model.system import System
-from particlerb.plan.joint_ends import pairs_of
+from particlerb.plan.joint_ends import Ties, pairs_of
 from particlerb.plan.links import Link, attracted, components
 
 _KNOWN_FORCES: Final = ("push", "torque", "spring")  # forces that act on merged bodies
@@ -76,26 +76,23 @@ def merged(system: System) -> System:
         raise CaseError([problem_at(system, f"joint[{first}]", reason, hint)]) from None
 
 
-class _Tie:
+def _ties(system: System, tables: list[JointTable]) -> Ties:
     """Bodies that joints hold together, or to the world, which has number n."""
-
-    def __init__(self, system: System, tables: list[JointTable]) -> None:
-        n = system.n_bodies
-        pairs = [pairs_of(system, table) for table in tables]
-        self.first, self.second = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
-        self.second = np.where(self.second == WORLD, n, self.second)
+    pairs = [pairs_of(system, table) for table in tables]
+    first, second = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+    return Ties(np.zeros(0, np.int64), first, np.where(second == WORLD, system.n_bodies, second))
 
 
 def _parts_of(system: System) -> tuple[Ints, Bools, Bools]:
     """Who carries each body, which are merged, and which of these the world holds; (n,) each."""
     n = system.n_bodies
     still = np.flatnonzero(system.is_held)
-    tie = _Tie(system, [table for table in system.joint if merges(table)])
+    tie = _ties(system, [table for table in system.joint if merges(table)])
     label = components(n + 1, [tie], np.r_[n, still])
     kept = label[np.concatenate(list(_kept_apart(system).values()))]
     others = [table for table in system.joint if not merges(table)]
     if others:
-        ends = _Tie(system, others)
+        ends = _ties(system, others)
         kept = np.r_[kept, label[ends.first[label[ends.first] == label[ends.second]]]]
     label, of_world = label[:n], label[n]
     is_merged = (np.bincount(label, minlength=n) + (np.arange(n) == of_world) > 1)[label]
@@ -140,7 +137,7 @@ def why_rows(system: System) -> list[str]:
     tables = [table for table in tables if merges(table)]
     if not tables:
         return why
-    tie = _Tie(whole, tables)
+    tie = _ties(whole, tables)
     label = components(n + 1, [tie], np.r_[n, np.flatnonzero(whole.is_held)])
     is_merged = np.zeros(n, np.bool_) if system.merging is None else system.merging.is_merged
     inside = np.minimum(tie.second, n - 1)
