@@ -478,6 +478,16 @@ def test_two_functions_of_one_name_are_refused_as_their_texts_would_be_one_file(
         particlerb.run(scene(table(first, k=1.0), table(other, k=1.0)))
 
 
+@plain
+def test_a_function_is_not_that_of_a_file_of_the_same_name(foreign):
+    """The file would hold the text of the other: both would be that one."""
+    (foreign / "mine.py").rename(foreign / "pull.py")
+    made = Scene.from_case(foreign / "case.toml", ['force.0.file="pull.py"'])
+    made.add_force(table(loaded(CODE.format(factor=3.0, comment="")), k=1.0))
+    with pytest.raises(CaseError, match=r"force\[1\].function: two forces are called pull"):
+        particlerb.run(made, allow_code=True)
+
+
 ROOT = np.sqrt(2.0)
 STEPS = np.array([1.0, math.inf])
 COARSE = np.float32(0.1), -math.inf

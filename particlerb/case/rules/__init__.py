@@ -64,15 +64,17 @@ def _code_rules(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     """Files with code are there; of functions the texts go along with the case. Nothing is run."""
     texts: dict[str, bytes] = {}
     for i, force in tables(raw, "force"):
-        function = force.get("function")
+        function, file, data = force.get("function"), force.get("file"), None
         if isinstance(function, UserForce):
             text = function.text() or f"# {function.name} has no source that could be kept\n"
-            if texts.setdefault(function.file, text.encode()) != text.encode():
-                reason = f"two forces are called {function.name}: rename one of them"
-                yield ("force", i, "function"), reason, ""
+            name, data = function.file, text.encode()
         elif isinstance(function, str) and force.get("type") == "python":
-            file = force.get("file") or f"{function}.py"
-            yield from bodies.file_rules(("force", i, "file"), file, files)
+            name = file if isinstance(file, str) else f"{function}.py"
+            yield from bodies.file_rules(("force", i, "file"), name, files)
+            data = files.contents.get(name)
+        if data is not None and texts.setdefault(name, data) != data:
+            reason = f"two forces are called {name.removesuffix('.py')}: rename one of them"
+            yield ("force", i, "function"), reason, ""
     files.contents.update(texts)
 
 
