@@ -56,9 +56,9 @@ class Files:
         self.folder, self.allows_code = folder, allows_code
         self.contents = dict(contents or {})
 
-    def with_code(self) -> "Files":
-        """The same files, whose code may be run."""
-        return Files(self.folder, self.contents, True)
+    def copied(self, allows_code: bool) -> "Files":
+        """The same files; what is read from disk here later is not known there."""
+        return Files(self.folder, self.contents, allows_code)
 
     def read(self, name: str) -> File:
         """A file by its name in the case; from disk the first time only.

@@ -87,7 +87,7 @@ def load(
     case = _loaded(source, overrides)
     if allow_code:
         case = case.model_copy()
-        case._source = case.source._replace(files=case.source.files.with_code())
+        case._source = case.source._replace(files=case.source.files.copied(True))
     return case
 
 
@@ -104,7 +104,7 @@ def _loaded(
         except RecursionError:
             raise CaseError([file_problem(None, "is nested too deeply")]) from None
         files = getattr(source, "files", None) or Files(FilePath())  # those of a scene
-        return build(Source(raw=raw, files=files), overrides)
+        return build(Source(raw=raw, files=files.copied(files.allows_code)), overrides)
     if not isinstance(source, (str, PathLike)):
         kinds = "a path, the name of an example, a mapping or a Case"
         raise TypeError(f"a case must be {kinds}, got {type(source).__name__}")

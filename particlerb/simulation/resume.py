@@ -113,7 +113,7 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
             raise ResumeError(f"{path} does not say how it was made, so it cannot be continued")
         source = stored_case(file)
         if allow_code:
-            source = source._replace(files=source.files.with_code())
+            source = source._replace(files=source.files.copied(True))
         system = to_system(_case_of(source, t_end, threads))
         prepared = prepare_again(system, _text_in(file, "stepping"))
         if identity(prepared) != _text_in(file, "identity"):

@@ -215,6 +215,18 @@ def test_what_involves_several_tables_shows_when_the_scene_is_read():
         load(scene)
 
 
+def test_a_file_is_read_anew_with_each_case_of_a_scene(tmp_path, monkeypatch):
+    """A file that was changed between two runs; the case of the first one keeps what it had."""
+    monkeypatch.chdir(tmp_path)
+    scene = pushed_cubes()
+    scene.force[0] = PushTable(body="cube", force=TimedLoad(table="load.csv"))
+    cases = []
+    for force in (b"1", b"3"):
+        Path("load.csv").write_bytes(b"0 0 0 0\n1 0 0 " + force)
+        cases.append(load(scene))
+    assert [case.file("load.csv").data[-1:] for case in cases] == [b"1", b"3"]
+
+
 def test_a_scene_says_what_it_holds():
     scene = pushed_cubes()
     assert repr(scene) == "<Scene 'Cubes': 1 body, 1 force>"
