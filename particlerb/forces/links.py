@@ -141,13 +141,31 @@ def coefficient(damping: Floats | None, s: int) -> float:
     return damping[s]
 
 
+@inline
+def _act(
+    links: Links, s: int, ends: tuple[_End, _End], vector: Vec3, rows: Floats, at: int, load: Floats
+) -> None:
+    """Add a force, or an impulse, on the first body of link s, and the opposite on the second.
+
+    With their turning moments, to `rows` from `at` on; of the world to the rows OUTSIDE of `load`.
+    """
+    a, b = links.first[s], links.second[s]
+    add_to_column3(rows, at, a, 1.0, vector)
+    add_to_column3(rows, at + TORQUE, a, 1.0, cross(ends[0].arm, vector))
+    if b == WORLD:
+        add_to_column3(load, OUTSIDE, a, 1.0, vector)
+        add_to_column3(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, vector))
+    else:
+        add_to_column3(rows, at, b, -1.0, vector)
+        add_to_column3(rows, at + TORQUE, b, -1.0, cross(ends[1].arm, vector))
+
+
 @kernel
 def link_loads(links: Links | None, y: Floats, load: Floats, with_dashpots: bool) -> None:
     """Add the loads (13, n) of all links in the state y (13, n), one after the other."""
     if links is None:
         return
     for s in range(links.first.size):
-        a, b = links.first[s], links.second[s]
         ends = _first_end(links, y, s), _second_end(links, y, s)
         d = subtract(ends[1].point, ends[0].point)
         inverse = 1.0 / math.sqrt(dot(d, d) + _LENGTH_FLOOR_SQUARED)
@@ -156,16 +174,8 @@ def link_loads(links: Links | None, y: Floats, load: Floats, with_dashpots: bool
         if with_dashpots and c > 0.0:
             v = rate(links, y, s, ends, scale(inverse, d))
             size += c * v * inverse
-            load[POWER, a] -= c * v * v
-        force = scale(size, d)
-        add_to_column3(load, FORCE, a, 1.0, force)
-        add_to_column3(load, TORQUE, a, 1.0, cross(ends[0].arm, force))
-        if b == WORLD:
-            add_to_column3(load, OUTSIDE, a, 1.0, force)
-            add_to_column3(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, force))
-        else:
-            add_to_column3(load, FORCE, b, -1.0, force)
-            add_to_column3(load, TORQUE, b, -1.0, cross(ends[1].arm, force))
+            load[POWER, links.first[s]] -= c * v * v
+        _act(links, s, ends, scale(size, d), load, FORCE, load)
 
 
 @kernel
@@ -210,7 +220,6 @@ def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backward
         c = coefficient(links.damping, s)
         if c == 0.0:
             continue
-        a, b = links.first[s], links.second[s]
         ends = _first_end(links, y, s), _second_end(links, y, s)
         d = subtract(ends[1].point, ends[0].point)
         n = scale(1.0 / math.sqrt(dot(d, d) + _LENGTH_FLOOR_SQUARED), d)
@@ -218,16 +227,8 @@ def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backward
         if not w > 0.0:
             continue
         size = -math.expm1(-c * w * dt) * v / w
-        impulse = scale(size, n)
-        load[POWER, a] += size * (0.5 * size * w - v)
-        add_to_column3(y, 7, a, 1.0, impulse)
-        add_to_column3(y, 10, a, 1.0, cross(ends[0].arm, impulse))
-        if b == WORLD:
-            add_to_column3(load, OUTSIDE, a, 1.0, impulse)
-            add_to_column3(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, impulse))
-        else:
-            add_to_column3(y, 7, b, -1.0, impulse)
-            add_to_column3(y, 10, b, -1.0, cross(ends[1].arm, impulse))
+        load[POWER, links.first[s]] += size * (0.5 * size * w - v)
+        _act(links, s, ends, scale(size, n), y, 7, load)
 
 
 def _spans(links: Links, com: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
