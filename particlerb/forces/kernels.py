@@ -218,14 +218,8 @@ add_power: Callable[..., float] = made(_Family("add_power", "power", "b, x, R, p
 
 
 @inline
-def set_time(acting: Acting, rows: Floats, n: int, t: float) -> None:
-    """Begin a step of a block at a time [s] since the segment began."""
-    _start_clock(acting.clock, acting, rows, n, t)
-
-
-@inline
-def _start_clock(clock: int | None, acting: Acting, rows: Floats, n: int, t: float) -> None:
-    """The same, where something depends on time."""
+def set_time(clock: int | None, acting: Acting, rows: Floats, n: int, t: float) -> None:
+    """Begin a step of a block at a time [s] since the segment began, if something depends on it."""
     if clock is None:
         return
     for b in range(n):
