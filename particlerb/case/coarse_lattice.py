@@ -99,10 +99,8 @@ def _cells_of(shape: AnyShape) -> Any:
 def _ideal_moments(system: System, i: int, body: Body) -> Floats:
     """Principal moments of a body whose lattices are solids, ascending, (3,) [kg m²]."""
     if body.shape is not None:
-        mass = body.mass
-        if mass is None:
-            mass = (body.density or 0.0) * solid_of(body.shape).volume
-        return np.asarray(np.linalg.eigvalsh(mass * solid_of(body.shape).tensor))
+        whole = float(system.properties.mass[system.kind[system.names.first[i]]])
+        return np.asarray(np.linalg.eigvalsh(whole * solid_of(body.shape).tensor))
     parts, stream = [], random_stream(system.run.seed, i, "shape")
     for part in body.part:
         particles = part_particles(system.files, part, stream).particles
