@@ -28,10 +28,15 @@ class NoExecutorError(Exception):
 
 @contextlib.contextmanager
 def processes(n: int) -> Iterator[Executor]:
-    """Processes of this machine; where the sweep ends early, they drop what waits."""
-    executor = ProcessPoolExecutor(n, get_context("spawn"), start_worker)
+    """Processes of this machine; where the sweep ends early, they end at once."""
+    context = get_context("spawn")
+    end_of_workers, driver = context.Pipe(duplex=False)
+    executor = ProcessPoolExecutor(n, context, start_worker, (end_of_workers,))
     try:
         yield executor
+    except BaseException:
+        driver.close()
+        raise
     finally:
         executor.shutdown(cancel_futures=True)
 

@@ -163,9 +163,8 @@ class TableFile(Closing):
     def add(self, rows: Sequence[tuple[Variant, Row]]) -> None:
         """Add rows."""
         lines, hashes = list[tuple[Any, ...]](), [variant.hash for variant, _ in rows]
-        for variant, (number, status, drift, missed, values) in rows:
-            axes = _cells_of(variant)
-            lines.append((number, variant.hash, status, drift, missed, *axes, *values))
+        for variant, (number, *told, values) in rows:
+            lines.append((number, variant.hash, *told, *_cells_of(variant), *values))
         self.known.update(zip(hashes, lines, strict=True))
         self._order += hashes
         if self.path is not None:

@@ -1,10 +1,10 @@
 """Variants in a worker: runs without a file, one by one or in a batch, and their rows."""
 
-import multiprocessing
 import os
 import signal
 import threading
 from collections.abc import Sequence
+from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,18 +37,16 @@ class Task(NamedTuple):
     attempt: int = 0
 
 
-def start_worker() -> None:
+def start_worker(driver: Connection) -> None:
     """One thread, as there is a worker on every core; the driver alone hears of Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    driver = multiprocessing.parent_process()
-    if driver is not None:
-        threading.Thread(target=_end_after, args=(driver,), daemon=True).start()
+    threading.Thread(target=_end_after, args=(driver,), daemon=True).start()
     THREADS.use(1)
 
 
-def _end_after(driver: Any) -> None:
-    """End this process where the one that started it is gone: a killed driver leaves nobody."""
-    driver.join()
+def _end_after(driver: Connection) -> None:
+    """End this process where the other end of a pipe is closed, or the process that has it ends."""
+    wait([driver])
     os._exit(1)
 
 

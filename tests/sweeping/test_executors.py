@@ -126,6 +126,29 @@ def test_a_plain_run_imports_neither_mpi_nor_dask(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_does_not_wait_for_runs_that_take_long(number, tmp_path):
+    """The second variant has 1e12 steps; the first one's row stays."""
+    case, table = tmp_path / "case.toml", tmp_path / "t.csv"
+    case.write_text(CASE.replace("[0.5, 0.75, 1.0]", "[0.5]").split("[[sweep.value]]")[0])
+    run = "{ t_end = 1.0, every = 1.0, method = 'strang', dt = %s }"
+    axis = f"run=[{run % '0.5'}, {run % '1e-12'}]"
+    options = ["sweep", str(case), "-o", str(table), "--workers", "2", "--axis", axis]
+    command = [sys.executable, "-m", "particlerb", *options]
+    with subprocess.Popen(command, env=PLAIN, stderr=subprocess.PIPE, text=True) as driver:
+        while driver.poll() is None and (not table.exists() or table.read_bytes().count(b"\n") < 2):
+            time.sleep(0.1)
+        driver.send_signal(number)
+        try:
+            _, err = driver.communicate(timeout=60)
+        finally:
+            driver.kill()
+    assert driver.returncode == 130
+    assert "has the rows so far; the same command continues" in err
+    assert table.read_bytes().count(b",done,") == 1
+
+
+@pytest.mark.slow
 def test_workers_end_with_a_killed_driver(tmp_path):
     case, table = tmp_path / "case.toml", tmp_path / "t.csv"
     axes = CASE.replace("[0.5, 0.75, 1.0]", "{ low = 0.5, high = 1.0, n = 3000 }")
