@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from threading import get_ident
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -81,12 +82,17 @@ def _empty_file(of: _FileLayout) -> tuple[bytes, Mapping[str, int]]:
 
     HDF5 takes much longer to make it than it takes to fill it.
     """
-    with h5py.File("empty", "w", driver="core", backing_store=False) as file:
+    with _in_memory() as file:
         made = _lay_out(file, of)
         file.flush()
         image: bytes = file.id.get_file_image()
         places = {p: made[p].get_offset() for p, _ in of.tables if made[p].get_storage_size()}
     return image, places | {_DIGEST: image.index(_NO_DIGEST)}
+
+
+def _in_memory() -> h5py.File:
+    """A new file, which lies on no disk; each thread has its own name for it."""
+    return h5py.File(f"{get_ident()}", "w", driver="core", backing_store=False)
 
 
 def part_laid_out(system: System, of: Range, run: str) -> bytearray:
@@ -102,7 +108,7 @@ def part_laid_out(system: System, of: Range, run: str) -> bytearray:
         Hash of what decides the motion.
     """
     n_frames, dtype = frame_count(system.run), np.dtype(system.output.dtype)
-    with h5py.File("part", "w", driver="core", backing_store=False) as file:
+    with _in_memory() as file:
         hdf5.note(file.id, schema=np.array(schema.SCHEMA_VERSION, dtype=np.int32))
         note_part(file, of, run)
         clock = make_clock(file, n_frames)[schema.TIME]

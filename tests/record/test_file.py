@@ -7,12 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 
 import h5py
 import numpy as np
 import pytest
 
 import particlerb
+from particlerb.record import layout
 from particlerb.record.schema import FIELDS, LEDGER, STATIC, frames_per_chunk
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
@@ -46,6 +49,25 @@ def written(make, tmp_path):
 
 
 # Layout
+
+
+def test_files_are_begun_in_several_threads_at_once(make, tmp_path, monkeypatch):
+    """Each is laid out in memory, under a name that HDF5 wants for itself."""
+    both_are_here, lay_out = Barrier(2, timeout=10.0), layout._lay_out
+
+    def together(*arguments):
+        both_are_here.wait()
+        return lay_out(*arguments)
+
+    layout._empty_file.cache_clear()
+    monkeypatch.setattr(layout, "_lay_out", together)
+    cases = [scene(make, output={"dtype": dtype}) for dtype in ("float32", "float64")]
+    paths = [tmp_path / "a.h5", tmp_path / "b.h5"]
+    with ThreadPoolExecutor(2) as threads:
+        found = list(threads.map(particlerb.run, cases, paths))
+    assert [one.n_frames for one in found] == [24, 24]
+    for one in found:
+        one.close()
 
 
 def test_header_is_h5md(written):
