@@ -57,6 +57,7 @@ def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
     """What can be said in a line."""
     case = trajectory.parameter("case_resolved")
     has_contacts = CONTACTS in trajectory.other_fields
+    paths = Path(trajectory.file.filename), *part_paths(trajectory.file)
     return {
         "title": case.get("title", "") if isinstance(case, dict) else "",
         "schema": ".".join(map(str, trajectory.schema)),
@@ -66,16 +67,10 @@ def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
         "fields": trajectory.fields + trajectory.other_fields,
         **({"contacts": trajectory.n_contacts} if has_contacts else {}),
         "files": trajectory.file_names,
-        "size": _size_of(trajectory),
+        "size": sum(path.stat().st_size for path in paths),
         "seed": trajectory.parameter("seed"),
         **{name: trajectory.parameter(name) for name in ("versions", "machine", "git_revision")},
     }
-
-
-def _size_of(trajectory: Trajectory) -> int:
-    """Bytes of a file, and of its parts."""
-    paths = Path(trajectory.file.filename), *part_paths(trajectory.file)
-    return sum(path.stat().st_size for path in paths)
 
 
 def _shortened(words: str) -> str:

@@ -19,9 +19,7 @@ from particlerb.record.frame_values import NewFrames, contact_columns, values_of
 class Nowhere:
     """Takes frames from a run, and forgets them."""
 
-    @property
-    def file(self) -> Any:
-        """What is left in the end: nothing."""
+    file: Any = None  # that is left in the end
 
     def append(self, frames: NewFrames) -> None:
         """Forget frames."""

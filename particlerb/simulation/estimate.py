@@ -9,8 +9,6 @@ from particlerb.case.run import frame_count
 from particlerb.compiled.jit import compiling
 from particlerb.compiled.plain import all_compiled
 from particlerb.compiled.threads import THREADS
-from particlerb.maths.vec3 import Floats
-from particlerb.model.system import System
 from particlerb.record.file_size import estimated_size
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.whole_run import Prepared, Run
@@ -32,11 +30,14 @@ def estimated_seconds(prepared: Prepared) -> float:
         If one of these pieces fails, as the run would.
     """
     run, end = Run(prepared), prepared.system.run.t_end
+    every, n_frames = prepared.system.run.every, frame_count(prepared.system.run)
     spent, reached, length = 0.0, 0.0, end * _FIRST_SHARE
     with THREADS.using(prepared.system.run.threads), all_compiled():
         while reached < end:
             until = min(reached + length, end)
-            times = _frames_between(prepared.system, reached, until)
+            first, stop = int(reached / every), min(int(until / every) + 2, n_frames)
+            times = frame_times(prepared.system.run, min(first, n_frames - 1), stop)
+            times = np.union1d(times[(times > reached) & (times <= until)], until)
             start = time.perf_counter()
             with compiling() as compiled:
                 *_, error = run.frames_at(times, np.full(times.size, True))
@@ -48,13 +49,5 @@ def estimated_seconds(prepared: Prepared) -> float:
             if piece >= _LAST_PIECE_SECONDS and not compiled and last > end * _FIRST_SHARE:
                 spent += piece * (end - reached) / last
                 break
-    n_bytes = estimated_size(prepared.system, frame_count(prepared.system.run))
+    n_bytes = estimated_size(prepared.system, n_frames)
     return spent + n_bytes / _WRITE_BYTES_PER_SECOND
-
-
-def _frames_between(system: System, reached: float, until: float) -> Floats:
-    """Times of the frames behind a time, up to another one [s]; this one as well."""
-    every, n = system.run.every, frame_count(system.run)
-    first, stop = int(reached / every), min(int(until / every) + 2, n)
-    times = frame_times(system.run, min(first, n - 1), stop)
-    return np.union1d(times[(times > reached) & (times <= until)], until)
