@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -119,7 +120,8 @@ class Simulation(Closing):
         if path is not None:
             content = tables_of(system, labels_of(system))
             content |= texts_of(system, {"plan": prepared.text})
-            self._recorder = Recorder(path, system, content, overwrite)
+            self._recorder = recorder = Recorder(path, system, content, overwrite)
+            self._finish = finalize(self, recorder.finish)  # at the end of the program at last
         self._known: Entries | None = None  # the energy balance of now, where it has been asked for
         self._state = self._go_to(0.0)
 
@@ -291,9 +293,9 @@ class Simulation(Closing):
 
     def close(self) -> None:
         """End the file, if there is one."""
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            recorder.finish()
+        if self._recorder is not None:
+            self._recorder = None
+            self._finish()
 
     @np.errstate(over="ignore")  # found in the energy, where it is asked for
     def _restart(self, system: System, state: State | None) -> None:

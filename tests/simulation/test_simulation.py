@@ -1,6 +1,7 @@
 """A simulation that is moved by hand: in any pieces the states of one run; changes are edges."""
 
 import copy
+import gc
 import pickle
 
 import numpy as np
@@ -431,3 +432,15 @@ def test_a_simulation_that_cannot_begin_leaves_no_file(tmp_path):
     with pytest.raises(particlerb.RunError):
         Simulation(scene, tmp_path / "a.h5")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.plain
+def test_a_file_that_nobody_closes_has_its_frames(tmp_path):
+    """As that of a script that ends, or of a notebook whose simulation got another value."""
+    simulation = Simulation(turned_box(), tmp_path / "a.h5")
+    simulation.advance(5.0)
+    del simulation
+    gc.collect()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        assert trajectory.time.tolist() == [0, 1, 2, 3, 4, 5]
