@@ -182,7 +182,7 @@ COMMANDS: Final = {
     )),
     "plot": Command("show", "draw a trajectory or its contacts", (
         _option("file", metavar="FILE", help="a trajectory"),
-        *_output("PICTURE", "default: FILE with .png", "an existing picture"),
+        *_output("PICTURE", "default: FILE with .png, or _contacts.png", "an existing picture"),
         _option("--body", metavar="NAME",
                 help="body whose angular velocity is drawn; default: the one that spins fastest"),
         _flag("--contacts",

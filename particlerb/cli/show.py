@@ -95,7 +95,8 @@ def plot_command(options: argparse.Namespace) -> int:
     """`plot`: a picture of a trajectory."""
     with opened(options.file) as trajectory, readable():
         source = Path(options.file)
-        path = output_of(options, source.with_suffix(".png"), source)
+        stem = f"{source.stem}_contacts" if options.contacts else source.stem
+        path = output_of(options, source.with_name(f"{stem}.png"), source)
         names = list(trajectory.names)
         recorded = [*trajectory.fields, *trajectory.other_fields]
         wanted = _CHAIN_FIELDS if options.contacts else STATE_FIELDS

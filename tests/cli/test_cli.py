@@ -383,6 +383,19 @@ def test_info_and_plot_of_a_file(here, capsys):
     assert "did you mean cube" in capsys.readouterr().err
 
 
+@pytest.mark.plain
+def test_a_trajectory_and_its_contacts_are_two_pictures(make, here):
+    """One does not stand in the way of the other."""
+    scene = {"contact": make.hooke(), "wall": [make.plane()]}
+    scene["output"] = {"fields": ["position", "orientation", "linear_momentum", "angular_momentum",
+                                  "contacts"]}  # fmt: skip
+    ball = make.sphere(position=[0, 0, 0.1])
+    particlerb.run(make.case(ball, t_end=0.02, every=0.01, **scene), "fall.h5").close()
+    assert main(["plot", "fall.h5"]) == 0
+    assert main(["plot", "fall.h5", "--contacts"]) == 0
+    assert Path("fall.png").read_bytes() != Path("fall_contacts.png").read_bytes()
+
+
 @pytest.mark.parametrize("words", [["info", "no.h5"], ["plot", "no.h5"], ["info", "."],
                                    ["info", "cube.toml"], ["plot", "cube.toml"]])  # fmt: skip
 def test_a_file_that_is_no_trajectory_is_wrong_usage(here, capsys, words):
