@@ -178,6 +178,7 @@ def set_equal_scale(axes: Axes3D, points: Floats, unit: str = " [m]") -> None:
     axes.set(xlim=x, ylim=y, zlim=z, **labels)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
+        axis.labelpad = 6.0  # beside the values, not over them
     axes.set_box_aspect(half / half.max())
     axes.locator_params(nbins=4)
 
