@@ -14,11 +14,11 @@ import numpy as np
 from particlerb.export import ExportError, Selection
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record.schema import CONTACTS, VTKHDF
+from particlerb.record.vtkhdf import CELL_KINDS
 
 NEEDS: Final = ("position",)
 HOLDS: Final = (CONTACTS,)
-_EMPTY_CELL_KINDS: Final = ("Vertices", "Polygons", "Strips")
-_LINES_AT: Final = 1  # place of lines among the kinds of cells
+_LINES: Final = "Lines"
 
 
 def write(selection: Selection, path: Path) -> None:
@@ -43,20 +43,19 @@ def write(selection: Selection, path: Path) -> None:
         root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
         root.attrs.create("Type", np.bytes_("PolyData"))
         root["Points"], root["NumberOfPoints"] = np.concatenate(points), 2 * counts
-        for name in _EMPTY_CELL_KINDS:
-            _put_cells(root, name, np.zeros_like(counts), 1)
-        _put_cells(root, "Lines", counts, 2)
+        for kind in CELL_KINDS:
+            _put_cells(root, kind, counts if kind == _LINES else np.zeros_like(counts))
         for name, values in data.items():
             root[f"CellData/{name}"] = values
         _put_steps(root, trajectory.time[frames], counts, list(data))
 
 
-def _put_cells(root: h5py.Group, name: str, counts: Ints, width: int) -> None:
-    """Cells of each frame with as many points each, numbered from 0 in their frame."""
-    cells = root.create_group(name)
-    cells["NumberOfCells"], cells["NumberOfConnectivityIds"] = counts, width * counts
-    cells["Offsets"] = np.concatenate([width * np.arange(n + 1) for n in counts.tolist()])
-    cells["Connectivity"] = np.concatenate([np.arange(width * n) for n in counts.tolist()])
+def _put_cells(root: h5py.Group, kind: str, counts: Ints) -> None:
+    """Cells of each frame with two points each, numbered from 0 in their frame."""
+    cells = root.create_group(kind)
+    cells["NumberOfCells"], cells["NumberOfConnectivityIds"] = counts, 2 * counts
+    cells["Offsets"] = np.concatenate([2 * np.arange(n + 1) for n in counts.tolist()])
+    cells["Connectivity"] = np.concatenate([np.arange(2 * n) for n in counts.tolist()])
 
 
 def _put_steps(root: h5py.Group, times: Floats, counts: Ints, names: list[str]) -> None:
@@ -64,8 +63,8 @@ def _put_steps(root: h5py.Group, times: Floats, counts: Ints, names: list[str]) 
     n, first = len(counts), np.cumsum(counts) - counts
     steps = root.create_group("Steps")
     steps.attrs["NSteps"] = np.int64(n)
-    offsets = np.zeros((n, len(_EMPTY_CELL_KINDS) + 1), dtype=np.int64)
-    offsets[:, _LINES_AT] = first
+    offsets = np.zeros((n, len(CELL_KINDS)), dtype=np.int64)
+    offsets[:, CELL_KINDS.index(_LINES)] = first
     steps["Values"], steps["PartOffsets"] = times, np.arange(n)
     steps["NumberOfParts"], steps["PointOffsets"] = np.ones(n, dtype=np.int64), 2 * first
     steps["CellOffsets"], steps["ConnectivityIdOffsets"] = offsets, 2 * offsets

@@ -20,12 +20,12 @@ from particlerb.record.hdf5 import WITH_GROUPS, change, growing, note
 from particlerb.record.parts import Parts, rows_over
 from particlerb.record.schema import SERIES, VTKHDF, rows_per_chunk
 
-_CELL_KINDS: Final = ("Vertices", "Lines", "Polygons", "Strips")
+CELL_KINDS: Final = ("Vertices", "Lines", "Polygons", "Strips")
 TOPOLOGY: Final = (
     f"{VTKHDF}/NumberOfPoints",
     *(
         f"{VTKHDF}/{cells}/{name}"
-        for cells in _CELL_KINDS
+        for cells in CELL_KINDS
         for name in ("NumberOfCells", "NumberOfConnectivityIds", "Offsets", "Connectivity")
     ),
 )  # what is written once
@@ -36,8 +36,8 @@ STEP_STARTS: Final = f"{_STEPS_GROUP}/PointOffsets"
 _CONSTANTS: Final = {  # of each step: value, and width
     "PartOffsets": (0,),
     "NumberOfParts": (1,),
-    "CellOffsets": (0, len(_CELL_KINDS)),
-    "ConnectivityIdOffsets": (0, len(_CELL_KINDS)),
+    "CellOffsets": (0, len(CELL_KINDS)),
+    "ConnectivityIdOffsets": (0, len(CELL_KINDS)),
 }
 _POINTS_FIELD: Final = "position"  # the field that says where the points are
 
@@ -86,8 +86,8 @@ def topology_of(fields: Container[str], n: int) -> dict[str, Ints]:
     if _POINTS_FIELD not in fields:
         return {}
     counts = [np.array([n])]
-    for name in _CELL_KINDS:
-        count = n if name == _CELL_KINDS[0] else 0
+    for name in CELL_KINDS:
+        count = n if name == CELL_KINDS[0] else 0
         counts += [np.array([count])] * 2 + [np.arange(count + 1), np.arange(count)]
     return dict(zip(TOPOLOGY, counts, strict=True))
 

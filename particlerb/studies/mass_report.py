@@ -38,8 +38,14 @@ def record_of(body: NamedBody) -> dict[str, Any]:
     excess = float(moments[0] + moments[1] - moments[2])
     if moments[0] < 0.0 or excess < -_MAX_DEFICIT * moments[2]:
         raise ValueError(f"{name}: {impossible(moments)}")
-    ratio = {key: float(value[0]) for key, value in _ratios_of(body)._asdict().items()}
-    rounding = _rounding_error(0.0 if code == POINT else ratio["offset"])
+    tensors = body.properties.inertia_tensor
+    with np.errstate(all="ignore"):
+        ratios = mass_properties.ratios(
+            *body.properties[:3], mass_properties.eigen_systems(tensors)[0]
+        )
+    ratio = {key: float(value[0]) for key, value in ratios._asdict().items()}
+    offset = 0.0 if code == POINT else ratio["offset"]  # of the com, in radii of gyration
+    rounding = _UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))  # of the sums, relative
     return {
         "name": name,
         "particles": len(body.particles.mass),
@@ -62,18 +68,6 @@ def record_of(body: NamedBody) -> dict[str, Any]:
         "advised_step": RADIANS_PER_STEP / spin if spin > 0.0 else None,
         "notes": list(matter.notes),
     }
-
-
-def _rounding_error(offset: float) -> float:
-    """Relative error of sums about the com, which lies so many radii of gyration off the origin."""
-    return _UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))
-
-
-def _ratios_of(body: NamedBody) -> mass_properties.Ratios:
-    """Ratios that decided its rotor class."""
-    mass, com, tensor, *_ = body.properties
-    with np.errstate(all="ignore"):
-        return mass_properties.ratios(mass, com, tensor, mass_properties.eigen_systems(tensor)[0])
 
 
 def _solid_record(com: Floats, tensor: Floats, solid: Analytic | None) -> dict[str, float] | None:
