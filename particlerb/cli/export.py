@@ -44,7 +44,7 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
         return _export_scene(options, case_of(options))
     bodies = [body for name in options.bodies or [None] for body in named_bodies(options, name)]
     stem = file_name(bodies[0].name if len(bodies) == 1 else Path(options.file).stem)
-    path = output_of(options, Path(stem + BODY_FORMATS[options.to].suffix), Path(options.file))
+    path = output_of(options, Path(stem + BODY_FORMATS[options.to]), Path(options.file))
     if options.to == "lammps":
         to_write(path.with_suffix(".rigid"), options.overwrite, Path(options.file))
     with ending(ExportError), writing(path):

@@ -10,7 +10,7 @@ ymport.textClumps of YADE, gsd.readthedocs.io for the shapes in gsd files.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from xml.etree import ElementTree as ET
@@ -95,7 +95,8 @@ def export_bodies(bodies: Sequence[NamedBody], path: Path, to: str) -> list[Path
         _write_gsd(bodies, path)
         return [path]
     written: list[Path] = []
-    for suffix, text in BODY_FORMATS[to].write(bodies).items():
+    write = {"lammps": lammps, "mjcf": mjcf, "yade": yade}[to]
+    for suffix, text in write(bodies).items():
         file = path.with_suffix(suffix) if written else path
         file.write_text(text, encoding="utf-8")
         written.append(file)
@@ -253,19 +254,8 @@ def _shape_of(body: NamedBody) -> dict[str, Any]:
     return sphere_union(_in_principal_axes(body, carrying.position), carrying.radius)
 
 
-class _Format(NamedTuple):
-    """One format of bodies."""
-
-    suffix: str
-    write: Callable[[Sequence[NamedBody]], dict[str, str]]
-
-
-BODY_FORMATS: Final = {
-    "lammps": _Format(".mol", lammps),
-    "mjcf": _Format(".xml", mjcf),
-    "yade": _Format(".txt", yade),
-    "gsd": _Format(".gsd", lambda _: {}),
-}
+BODY_FORMATS: Final = {"lammps": ".mol", "mjcf": ".xml", "yade": ".txt", "gsd": ".gsd"}
+"""Suffixes of files, by the names of formats."""
 
 
 def file_name(name: str) -> str:

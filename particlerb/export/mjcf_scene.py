@@ -114,10 +114,8 @@ class _Writer:
     def __init__(self, system: System, step: float) -> None:
         self.system, self.step = system, step
         q = state.body_orientation(system.state.q, system.bodies.rotor_frame)
-        v, w = (
-            system.state.p * system.bodies.inv_mass,
-            state.omega_world(system.bodies, system.state),
-        )
+        v = system.state.p * system.bodies.inv_mass
+        w = state.omega_world(system.bodies, system.state)
         columns = (system.state.com.T, q.T, v.T, w.T)
         self.bodies = [_Body(*rows) for rows in zip(*columns, strict=True)]
         self.bodies.append(_Body(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)))

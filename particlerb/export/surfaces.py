@@ -101,7 +101,7 @@ class Surfaces:
                 bodies = taken(system.bodies, members)
                 axes = equal_ellipsoid(bodies.inertia, bodies.mass).T
                 frame = system.bodies.rotor_frame[:, members]
-                self.layers.append(_Layer(ball(1.0, members.size), members, frame, axes))
+                self.layers.append(_Layer(unit_ball(members.size), members, frame, axes))
 
     def of_kind(self, kind: int) -> _Surface:
         """Surface of a kind of body."""
@@ -214,7 +214,7 @@ def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _S
     kind, record = shape.type, shape
     if kind in ("ball", "shell", "ellipsoid"):
         axes = np.array(record.semi_axes) if kind == "ellipsoid" else np.full(3, record.radius)
-        mesh = ball(1.0, copies)
+        mesh = unit_ball(copies)
         mesh = mesh._replace(vertices=mesh.vertices * axes).moved(R, shift)
         if np.ptp(axes) == 0.0 or np.array_equal(R, np.eye(3)):  # aligned with the body
             return _Surface(mesh, np.zeros((0, 3, 3)), shift[None], axes[None])
@@ -268,10 +268,10 @@ def triangles(mesh: SurfaceMesh) -> _Surface:
     return _Surface(mesh, mesh.vertices[mesh.faces], none, none)
 
 
-def ball(radius: float, copies: int) -> SurfaceMesh:
-    """Ball of as many triangles as the number of copies allows."""
+def unit_ball(copies: int) -> SurfaceMesh:
+    """Ball of radius 1, of as many triangles as the number of copies allows."""
     fineness = 4 if copies <= 10 else 3 if copies <= 200 else 2 if copies <= 2000 else 1
-    return _as_mesh(_trimesh().creation.icosphere(subdivisions=fineness, radius=radius), True)
+    return _as_mesh(_trimesh().creation.icosphere(subdivisions=fineness), True)
 
 
 def _particles_surface(system: System, body: Body, kind: int, copies: int) -> _Surface:
@@ -304,7 +304,7 @@ def equal_ellipsoid(moments: Floats, mass: Any) -> Floats:
 
 def _ellipsoid_surface(system: System, b: int) -> _Surface:
     """A body that shares its shape with no other, as the ellipsoid with its mass and moments."""
-    unit = ball(1.0, _MANY_COPIES)
+    unit = unit_ball(_MANY_COPIES)
     R = rotation_matrix(system.bodies.rotor_frame[:, b])
     axes = equal_ellipsoid(system.bodies.inertia[:, b], system.bodies.mass[b])
     mesh = unit._replace(vertices=unit.vertices * axes)
@@ -313,7 +313,7 @@ def _ellipsoid_surface(system: System, b: int) -> _Surface:
 
 def _balls_of(place: Floats, radius: Floats, copies: int) -> _Surface:
     """Balls as one surface."""
-    unit = ball(1.0, copies * len(place))
+    unit = unit_ball(copies * len(place))
     meshes = [
         unit._replace(vertices=r * unit.vertices + x) for x, r in zip(place, radius, strict=True)
     ]

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 import viser
 
+from particlerb.case.forces import SpringTable
 from particlerb.case.joints import WITHOUT_AXIS
 from particlerb.export.surfaces import Surfaces, extent_of, walls_of
 from particlerb.forces.links import WORLD
@@ -18,6 +19,7 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import quaternion_product, rotate
 from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
+from particlerb.plan.links import link_of
 
 _AXIS_LENGTH: Final = 0.18  # in sizes of the scene
 _CROSS_LENGTH: Final = 0.02  # of the point of a joint
@@ -96,17 +98,11 @@ class SpringLines(BodyLines):
 
     def __init__(self, system: System) -> None:
         body, point = [np.zeros((0, 2), dtype=np.int64)], [np.zeros((0, 2, 3))]
-        for spring in system.force:
-            if spring.type != "spring" or spring.reach is not None:
-                continue
-            first = system.names.find_in_order(spring.body)
-            second = np.array([WORLD])
-            if spring.to is not None:
-                second = system.names.find_in_order(spring.to)
-            far = spring.to_at if spring.anchor is None else spring.anchor
-            ends = np.stack(np.broadcast_arrays(first, second), axis=1)
-            body.append(ends)
-            point.append(np.tile(np.array([spring.at, far]), (len(ends), 1, 1)))
+        for k, force in enumerate(system.force):
+            if isinstance(force, SpringTable) and force.reach is None:
+                link = link_of(system, k, force)
+                body.append(np.stack([link.first, link.second], axis=1))
+                point.append(np.stack([link.first_at.T, link.second_at.T], axis=1))
         super().__init__(np.concatenate(body), np.concatenate(point))
 
 

@@ -279,12 +279,9 @@ def _rises(trajectory: Trajectory) -> bool:
 
 def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
     """Angle of the axis of the least moment of each body with the line to what attracts it."""
-    angles, shown, centre = (
-        [],
-        _shown(trajectory.n_bodies, bodies.KEYED, 0),
-        _centre(trajectory, case),
-    )
+    shown, centre = _shown(trajectory.n_bodies, bodies.KEYED, 0), _centre(trajectory, case)
     assert centre is not None
+    angles = []
     for b in shown:
         least = _body_axis(trajectory, b, int(np.argmin(trajectory.bodies.inertia[:, b])))
         axis, r = bodies.direction(trajectory, b, least), trajectory.read("position", bodies=b)
@@ -347,10 +344,8 @@ def _draw_axis(axes: Axes, trajectory: Trajectory, body: int, is_free: bool) -> 
 
 def _draw_nutation(axes: Axes, trajectory: Trajectory, body: int) -> None:
     """How far the axis of a top leans, and about the vertical how far it has come."""
-    axis, up = (
-        bodies.direction(trajectory, body, _symmetry_axis(trajectory, body)),
-        bodies.upright(trajectory),
-    )
+    axis = bodies.direction(trajectory, body, _symmetry_axis(trajectory, body))
+    up = bodies.upright(trajectory)
     across = [(up + 1) % 3, (up + 2) % 3]
     nutation = np.degrees(np.arccos(np.clip(axis[:, up], -1.0, 1.0)))
     precession = np.degrees(np.unwrap(np.arctan2(axis[:, across[1]], axis[:, across[0]])))

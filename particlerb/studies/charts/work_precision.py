@@ -199,25 +199,25 @@ def _mark_levels(axes: Axes, chart: WorkPrecision) -> list[_Place]:
     low, taken = axes.get_ylim()[0], []
     height_of = (axes.transScale + axes.transLimits).transform
 
-    def took(level: float, text: str, is_right: bool, above: float) -> None:
+    def took(level: float, text: str, is_right: bool) -> None:
         width, y = 0.9 * _LETTER * len(text), float(height_of((1.0, level))[1])
         left = 0.995 - width if is_right else 0.005
-        taken.append(_Place((left, y), left, left + width, y + above * _LINE))
+        taken.append(_Place((left, y), left, left + width, y + 0.5 * _LINE))
 
     if chart.floor > low:
         axes.axhspan(low, chart.floor, color="#eeeeee", zorder=0)
         words = "below the limit of the reference"
         style.write_inside(axes, 0.995, 0.008, words, fontsize=8, color="#777777", ha="right")
-        took(low, words, True, 0.5)
+        took(low, words, True)
     axes.axhline(chart.target, color=style.INK, lw=0.9, ls=":")
     words = f"target: {chart.target:.3g}"
     style.write_beside(axes, 0.005, chart.target, words, fontsize=8, color=style.INK, va="bottom")
-    took(chart.target, words, False, 0.5)
+    took(chart.target, words, False)
     for names, error in together(chart.published):
         axes.axhline(error, color="#b05020", lw=0.8, ls=(0, (6, 3)), zorder=0)
         style.write_beside(axes, 0.995, error, names, fontsize=7.5, color="#b05020", ha="right",
                      va="bottom")  # fmt: skip
-        took(error, names, True, 0.5)
+        took(error, names, True)
     return taken
 
 
