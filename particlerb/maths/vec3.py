@@ -30,6 +30,11 @@ def differences(values: Array, before: Any) -> Array:
     return changes
 
 
+def rows_of(array: Floats) -> Any:
+    """All rows of a (3, n) or (4, n) array, which may be a view, for a kernel: each contiguous."""
+    return tuple([np.ascontiguousarray(array[k], np.float64) for k in range(len(array))])
+
+
 @inline
 def add_scaled(a: float, x: Vec3, y: Vec3) -> Vec3:
     """y + a x."""

@@ -104,17 +104,19 @@ def quaternions(matrices: Floats) -> Floats:
     return np.where(q[:, :1] < 0, -q, q)
 
 
-def taken(record: Record, index: Ints) -> Record:
-    """A record of arrays with the chosen bodies only, in that order, contiguous.
+def taken(record: Record, index: Ints, is_view: bool = False) -> Record:
+    """A record of arrays with the chosen bodies only, in that order.
 
-    Where all are chosen these are the same arrays, which nobody changes.
+    Where all are chosen these are the same arrays, which nobody changes. Others are contiguous, but
+    for views of neighbours: in these each row is.
     """
     first = int(index[0]) if index.size else 0
     is_range = bool((index == np.arange(first, first + index.size)).all())
     if is_range and index.size == record[0].shape[-1]:
         return record
     chosen = slice(first, first + index.size) if is_range else index
-    return type(record)(*(np.ascontiguousarray(array[..., chosen]) for array in record))
+    placed = np.asarray if is_view and is_range else np.ascontiguousarray
+    return type(record)(*(placed(array[..., chosen]) for array in record))
 
 
 def held(bodies: Bodies, fixed: Bools) -> Bodies:

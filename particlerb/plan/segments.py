@@ -92,6 +92,11 @@ class GroupPlan(NamedTuple):
         """Whether its bodies touch."""
         return any(segment.terms.contact is not None for segment in self.segments)
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether its bodies move in closed form throughout, and touch nothing."""
+        return not (self.stepped or self.touches)
+
 
 class Plan(NamedTuple):
     """How a system will be run."""
@@ -355,7 +360,7 @@ def chosen(group: GroupPlan, index: Ints, members: Ints) -> GroupPlan:
         )
         for segment in group.segments
     )
-    return GroupPlan(members, taken(group.bodies, index), segments)
+    return GroupPlan(members, taken(group.bodies, index, group.is_closed), segments)
 
 
 def jumps_on(jumps: tuple[Impulse, ...], k: Ints) -> tuple[Impulse, ...]:

@@ -17,7 +17,7 @@ from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, multiply
 from particlerb.maths.rows import load3, load4, rows3, rows4, store4
 from particlerb.maths.trig import cos_sin_half_turns
-from particlerb.maths.vec3 import Bools, Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints, rows_of
 from particlerb.rotors.exact_setup import (
     MOMENTUM_ROWS,
     NEAR_ROWS,
@@ -224,12 +224,12 @@ def turns_of(
     list of (ndarray, Turn)
         Indices of bodies and their constants in that order; each body is in exactly one.
     """
-    inertia, q, L = (np.ascontiguousarray(a, dtype=np.float64) for a in (inertia, q, L))
+    moments, turned, spin = rows_of(inertia), rows_of(q), rows_of(L)
     n, (asymmetric,) = rotor_class.size, (rotor_class == ASYMMETRIC).nonzero()
     modulus, n_turning, n_theta = np.full(n, -1.0), 0, 0
     if asymmetric.size:
-        bodies = Tumblers(inertia, q, np.empty((MOMENTUM_ROWS, n)), np.empty((2, n)))
-        n_turning, n_theta = THREADS.timed(moduli, bodies, L, asymmetric, CROSSOVER, modulus)
+        bodies = Tumblers(moments, turned, np.empty((MOMENTUM_ROWS, n)), np.empty((2, n)))
+        n_turning, n_theta = THREADS.timed(moduli, bodies, spin, asymmetric, CROSSOVER, modulus)
     groups: list[tuple[Ints, Turn]] = []
     if n_theta:
         indices = _those(modulus >= CROSSOVER, n_theta)
@@ -247,7 +247,7 @@ def turns_of(
         indices = _those(modulus < 0.0, n_steady)
         table = np.empty((STEADY_ROWS, n_steady))
         inverse = _steady_inverse(inertia[:, indices], rotor_class[indices], modulus[indices])
-        THREADS.alone(steady_table, inverse, q, L, indices, table)
+        THREADS.alone(steady_table, inverse, turned, spin, indices, table)
         groups.append((indices, SteadyTurn(*split(table, 3, 2, 4))))
     return groups
 

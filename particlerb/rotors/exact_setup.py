@@ -19,7 +19,7 @@ from particlerb.maths import double_double as dd
 from particlerb.maths.quaternion import Quat, Rows4, conjugate, multiply
 from particlerb.maths.rows import load3, load4, store3, store4
 from particlerb.maths.trig import scale_of
-from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3
+from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, scale
 from particlerb.rotors.theta import (
     TINY,
     NearCoefficients,
@@ -46,8 +46,8 @@ Bytes: TypeAlias = NDArray[np.int8]
 class Tumblers(NamedTuple):
     """Bodies of which some are asymmetric; the last two are written by `moduli`, for these."""
 
-    inertia: Floats  # (3, n) [kg m²]
-    q: Floats  # (4, n) rotor frame to world
+    inertia: Rows3  # (n,) each [kg m²]
+    q: Rows4  # (n,) each, rotor frame to world
     momentum: Floats  # (MOMENTUM_ROWS, n) in their units
     units: Floats  # (2, n)
 
@@ -81,14 +81,14 @@ def complementary_modulus(inertia: Vec3, m: Vec3) -> float:
 
 
 @inline
-def _unit(vectors: Floats, b: int) -> float:
-    """1 / the largest power of two in the largest component of a column."""
-    return scale_of(max(abs(vectors[0, b]), abs(vectors[1, b]), abs(vectors[2, b]), _MIN_SCALE))
+def _unit(v: Vec3) -> float:
+    """1 / the largest power of two in the largest component."""
+    return scale_of(max(abs(v[0]), abs(v[1]), abs(v[2]), _MIN_SCALE))
 
 
 @unfused_kernel
 def moduli(
-    bodies: Tumblers, L: Floats, indices: Ints, crossover: float, out: Floats
+    bodies: Tumblers, L: Rows3, indices: Ints, crossover: float, out: Floats
 ) -> tuple[int, int]:
     """`complementary_modulus` of bodies `indices`, their units, and L in their rotor frames.
 
@@ -99,16 +99,15 @@ def moduli(
     n_turning, n_theta = 0, 0
     for lo in range(0, indices.size, _BODIES_PER_BLOCK):
         hi = min(lo + _BODIES_PER_BLOCK, indices.size)
-        for b in range(_BODIES_PER_BLOCK):
-            j = indices[min(lo + b, hi - 1)]
-            unit, unit_L = _unit(inertia, j), _unit(L, j)
-            units[0, j], units[1, j] = unit, unit_L
-            for i in range(3):
-                s[i, b], s[7 + i, b] = inertia[i, j] * unit, L[i, j] * unit_L
-            for i in range(4):
-                s[3 + i, b] = q[i, j]
         moment, turn, spin, result = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[_N_INPUTS]
         high, low = _rows_3(s, 7), _rows_3(s, 10)
+        for b in range(_BODIES_PER_BLOCK):
+            j = indices[min(lo + b, hi - 1)]
+            inertia_j, L_j = load3(inertia, j), load3(L, j)
+            units[0, j], units[1, j] = _unit(inertia_j), _unit(L_j)
+            store3(moment, b, scale(units[0, j], inertia_j))
+            store3(spin, b, scale(units[1, j], L_j))
+            store4(turn, b, load4(q, j))
         for b in range(_BODIES_PER_BLOCK):
             m = dd.to_body(load4(turn, b), load3(spin, b))
             store3(high, b, (m[0][0], m[1][0], m[2][0]))
@@ -128,12 +127,11 @@ def moduli(
 def _fill(bodies: Tumblers, indices: Ints, lo: int, hi: int, s: Floats) -> None:
     """Copy bodies indices[lo:hi] into the first rows of a scratch block; the last one fills it."""
     inertia, q, momentum, units = bodies
+    moment, turn = _rows_3(s, 0), _rows_4(s, 3)
     for b in range(_BODIES_PER_BLOCK):
         j = indices[min(lo + b, hi - 1)]
-        for i in range(3):
-            s[i, b] = inertia[i, j] * units[0, j]
-        for i in range(4):
-            s[3 + i, b] = q[i, j]
+        store3(moment, b, scale(units[0, j], load3(inertia, j)))
+        store4(turn, b, load4(q, j))
         for i in range(MOMENTUM_ROWS):
             s[7 + i, b] = momentum[i, j]
         s[13, b] = units[0, j] / units[1, j]
@@ -258,11 +256,10 @@ def near_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) -> 
 
 
 @unfused_kernel
-def steady_table(inv_inertia: Floats, q: Floats, L: Floats, indices: Ints, table: Floats) -> None:
+def steady_table(inv_inertia: Floats, q: Rows4, L: Rows3, indices: Ints, table: Floats) -> None:
     """Constants of SteadyTurn: axis, clock, start."""
     for b in range(indices.size):
-        j = indices[b]
-        q_b, L_b = (q[0, j], q[1, j], q[2, j], q[3, j]), (L[0, j], L[1, j], L[2, j])
+        q_b, L_b = load4(q, indices[b]), load3(L, indices[b])
         G = np.sqrt(L_b[0] * L_b[0] + L_b[1] * L_b[1] + L_b[2] * L_b[2])
         inv = 1.0 / max(G, TINY)
         for i in range(3):

@@ -129,9 +129,7 @@ class GroupRun:
     @property
     def sums_itself(self) -> bool:
         """Whether its motion sums over the bodies, in all segments alike."""
-        segments = self.plan.segments
-        is_free = all(METHODS[s.method].order == 0 and s.terms.contact is None for s in segments)
-        return is_free and bool(self.plan.bodies.mass.all())
+        return self.plan.is_closed and bool(self.plan.bodies.mass.all())
 
     @property
     def is_bound(self) -> bool:

@@ -84,7 +84,7 @@ class Run:
         self.firsts: list[int] = []  # body of each; -1: of groups that are one
         for first, groups in in_superblocks(plan.groups, self.system.n_bodies):
             before = [motions.get(group.members.tobytes()) if motions else None for group in groups]
-            states = [taken(state, group.members) for group in groups]
+            states = [taken(state, group.members, group.is_closed) for group in groups]
             with self.failing():
                 begun = [GroupRun(*one) for one in zip(groups, states, before, strict=True)]
             self.superblocks.append(begun)

@@ -19,9 +19,9 @@ from particlerb.forces.drag import Drag
 from particlerb.forces.torque import Torque
 from particlerb.maths.quaternion import Rows4
 from particlerb.maths.rows import load3, load4, rows3, rows4, store3, store4
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Floats, Ints, Rows3, rows_of
 from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, get, get3, in_blocks
-from particlerb.model.bodies import Record, taken
+from particlerb.model.bodies import Bodies, Record, taken
 from particlerb.model.state import CONJUGATE, Frames, State, quaternion_product, rotate, store_frame
 from particlerb.model.totals import N_TOTALS, BlockRows, sum_block
 from particlerb.model.worlds import bins_among, over_bins, over_bodies, part_of_worlds, shape_of
@@ -67,12 +67,14 @@ _AXIS_3: Final = np.array([[0.0], [0.0], [1.0]])
 class _Part(NamedTuple):
     """Bodies of one kind of turn, as the kernel takes them; what does not act is None."""
 
-    state: State  # of the whole group, as the next five
-    force: Floats
-    mass: Floats
+    com: Rows3  # of the whole group, as the next seven
+    p: Rows3
+    L: Rows3
+    force: Rows3
+    rotor_frame: Rows4
     inv_mass: Floats
-    inv_inertia: Floats
-    rotor_frame: Floats
+    mass: Floats
+    inv_inertia: Rows3
     gravity: Floats  # (3,) [m/s²]
     bodies: Ints  # of the group, that these are
     drag: Damping | None = None
@@ -126,16 +128,15 @@ def _spin(
 @inline
 def _gather(part: _Part, lo: int, n: int, inputs: Floats) -> None:
     """Copy bodies from `lo` on into rows: x, p, L, force, rotor frame, 1/M, M, 1/I."""
-    size = part.inv_mass.size
     for b in range(n):
         j = part.bodies[lo + b]
-        store3(rows3(inputs[0:3], 0, n), b, load3(rows3(part.state.com, 0, size), j))
-        store3(rows3(inputs[3:6], 0, n), b, load3(rows3(part.state.p, 0, size), j))
-        store3(rows3(inputs[6:9], 0, n), b, load3(rows3(part.state.L, 0, size), j))
-        store3(rows3(inputs[9:12], 0, n), b, load3(rows3(part.force, 0, size), j))
-        store4(rows4(inputs[12:16], 0, n), b, load4(rows4(part.rotor_frame, 0, size), j))
+        store3(rows3(inputs[0:3], 0, n), b, load3(part.com, j))
+        store3(rows3(inputs[3:6], 0, n), b, load3(part.p, j))
+        store3(rows3(inputs[6:9], 0, n), b, load3(part.L, j))
+        store3(rows3(inputs[9:12], 0, n), b, load3(part.force, j))
+        store4(rows4(inputs[12:16], 0, n), b, load4(part.rotor_frame, j))
         inputs[16, b], inputs[17, b] = part.inv_mass[j], part.mass[j]
-        store3(rows3(inputs[18:21], 0, n), b, load3(rows3(part.inv_inertia, 0, size), j))
+        store3(rows3(inputs[18:21], 0, n), b, load3(part.inv_inertia, j))
 
 
 @inline
@@ -229,14 +230,15 @@ class FreeMotion(Motion):
 
     def __init__(self, group: SegmentGroup, state: State, start: float) -> None:
         self.group, self.state, self.start = group, state, start
-        self.force = force_of(group)[1]
         self.moves = moves = translations_of(group, state)
         self.orbit = orbits_of(group, state)
         self.is_pair = self.orbit is not None and group.terms.is_coupled
         self.is_pair |= moves.drift is not None
-        self.relative_state = state  # relative to what carries pairs
+        p = state.p  # relative to what carries pairs
         if moves.drift is not None:
-            self.relative_state = state._replace(p=state.p - group.bodies.mass * moves.drift)
+            p = p - group.bodies.mass * moves.drift
+        _, force = force_of(group)
+        self.rows = rows_of(state.com), rows_of(p), rows_of(state.L), rows_of(force)
         is_constant = group.terms.gravity is not None or bool(group.terms.loads)
         no_parabola = moves.drag, moves.spring, moves.braked, self.orbit
         is_constant &= self.is_pair or all(one is None for one in no_parabola)
@@ -264,8 +266,8 @@ class FreeMotion(Motion):
             bodies, state = taken(bodies, free), taken(state, free)
         for among, turn in turns_of(bodies.inertia, bodies.rotor_class, state.q, state.L):
             index = free[among]
-            steady, theta, hyperbolic = by_kind(turn)
-            yield index, self.part(index, steady=steady, theta=theta, hyperbolic=hyperbolic), None
+            turns = dict(zip(("steady", "theta", "hyperbolic"), by_kind(turn), strict=True))
+            yield index, self.part(index, self.group.bodies, **turns), None
 
     def spun_part(self, index: Ints, torque: Floats, drag: Floats) -> tuple[Ints, _Part, None]:
         """Bodies that a torque or drag turns about a line."""
@@ -275,7 +277,7 @@ class FreeMotion(Motion):
         vectors = (self.state.q, self.state.L, torque)
         columns = [np.ascontiguousarray(vector[:, index]) for vector in vectors]
         spinning = Spinning(drag[index] * inverse, inverse, *columns)
-        return index, self.part(index)._replace(spinning=spinning, changes_spin=flag(True)), None
+        return index, self.part(index, bodies, spinning=spinning, changes_spin=flag(True)), None
 
     def top_parts(self, levers: Levers) -> Iterator[tuple[Ints, _Part, _Turned]]:
         """The same of tops, in the axes in which the force acts on axis 3."""
@@ -288,30 +290,28 @@ class FreeMotion(Motion):
             index = all_tops[among]
             kind = "top" if len(table) == N_THETA else "near"
             turn: Any = {kind: in_blocks(among.size, len(table), [(0, table)])}
-            part = self.part(index, changes_spin=flag(True), **turn)
             if axes[1:].any():  # other ones than those of the rotor frame
                 frame, inverse = bodies.rotor_frame.copy(), bodies.inv_inertia.copy()
                 frame[:, index] = quaternion_product(frame[:, index], axes[:, among])
                 turned = np.stack([rotate(axes[:, among], e[:, None]) for e in np.eye(3)])
                 inverse[:, index] = (turned * turned * inverse[:, index]).sum(axis=1)
-                part = part._replace(rotor_frame=frame, inv_inertia=inverse)
+                bodies = bodies._replace(rotor_frame=frame, inv_inertia=inverse)
+            part = self.part(index, bodies, changes_spin=flag(True), **turn)
             worlds = part_of_worlds(self.group.worlds, index)
             before = over_bodies(work[None, among], worlds), over_bodies(state.L[:, among], worlds)
             first = np.concatenate([before[0], 0.0 * before[1], before[1]], axis=-1)
             yield index, part, _Turned(axes[:, among], first)
 
-    def part(self, index: Ints, **turn: Any) -> _Part:
-        """Some bodies with their turn, if that is known."""
-        bodies, moves = self.group.bodies, self.moves
-        gravity = self.group.terms.gravity
+    def part(self, index: Ints, bodies: Bodies, **turn: Any) -> _Part:
+        """Some bodies of the group, with constants of all, and their turn, if that is known."""
+        moves, gravity = self.moves, self.group.terms.gravity
         drift = None if moves.drift is None else np.ascontiguousarray(moves.drift[:, index])
         return _Part(
-            self.relative_state,
-            self.force,
-            bodies.mass,
+            *self.rows,
+            rows_of(bodies.rotor_frame),
             bodies.inv_mass,
-            bodies.inv_inertia,
-            bodies.rotor_frame,
+            bodies.mass,
+            rows_of(bodies.inv_inertia),
             _WEIGHTLESS if gravity is None else gravity.acceleration,
             index,
             _taken(moves.drag, index),

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from particlerb.case.to_system import to_system
+from particlerb.model import superblocks
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames, State, as_frame, kinetic_energy, omega_world
@@ -221,6 +222,27 @@ def test_bodies_in_closed_form_are_summed_while_they_are_written(make):
         assert np.abs(getattr(entries, name) - wanted).max() < 1e-14 * np.abs(wanted).max(), name
     largest = np.maximum(again.sums, totals_at_start(run).sums).max(axis=0)
     assert run.balance.scales[1:, 0] == pytest.approx(largest[8:], rel=1e-14)
+
+
+@pytest.mark.plain
+def test_free_bodies_are_moved_superblock_by_superblock_where_they_lie(make, monkeypatch):
+    """Without copies of states and constants, and with the bits that all of them have together."""
+    places = [[0.1 * k, 0.2, -0.3] for k in range(300)]
+    ball = make.body(**(START | {"inertia": (1.5,) * 3, "position": places}), count=300)
+    prepared = prepare(to_system(make.case(ball)))
+    times, is_frame = np.linspace(0.1, 0.3, 2), np.ones(2, dtype=bool)
+    together, _, _ = Run(prepared).frames_at(times, is_frame)
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    run = Run(prepared)
+    apart, _, _ = run.frames_at(times, is_frame)
+    assert [group.plan.members.size for (group,) in run.superblocks] == [256, 44]
+    for (group,) in run.superblocks:
+        for part, whole in zip(group.first_state, run.moving.state, strict=True):
+            assert np.shares_memory(part, whole)
+        for part, whole in zip(group.plan.bodies, run.moving.bodies, strict=True):
+            assert np.shares_memory(part, whole)
+    for one, other in zip(together[:4], apart[:4], strict=True):
+        assert np.array_equal(one, other)
 
 
 def totals_at_start(run):
