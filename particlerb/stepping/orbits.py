@@ -18,6 +18,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.forces.central import Central
+from particlerb.maths.double_double import exact_difference
 from particlerb.maths.quaternion import Quat
 from particlerb.maths.rows import load3, rows3, store3
 from particlerb.maths.trig import logarithm
@@ -153,6 +154,12 @@ def orbited(of: Centres, orbit: Orbit, lo: int, t: float, external: Any) -> None
             add_external(external, lo + b, work, impulse, cross(load3(middle, b), impulse))
 
 
+def _exact_cross(x: Floats, v: Floats) -> Floats:
+    """Products x × v (3, n), to two roundings where they are nearly parallel too."""
+    pairs = (1, 2), (2, 0), (0, 1)
+    return np.stack([exact_difference(x[i], v[j], x[j], v[i]) for i, j in pairs])
+
+
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def _orbits(frame: tuple[Floats, Floats], x: Floats, v: Floats, mu: Floats, share: Floats) -> Orbit:
     """Orbits from places x (3, n) [m] and velocities v (3, n) [m/s] relative to the centre.
@@ -165,10 +172,10 @@ def _orbits(frame: tuple[Floats, Floats], x: Floats, v: Floats, mu: Floats, shar
         Of x that a body is away from the middle.
     """
     r, eta = np.sqrt((x * x).sum(axis=0)), (x * v).sum(axis=0)
-    square, h = (v * v).sum(axis=0), cross_columns(x, v)
+    square, h = (v * v).sum(axis=0), _exact_cross(x, v)
     beta, h2 = 2.0 * mu / r - square, (h * h).sum(axis=0)
     e = np.sqrt(np.maximum(1.0 - beta * h2 / (mu * mu), 0.0))
-    to_pericentre = (square - mu / r) * x - eta * v
+    to_pericentre = cross_columns(v, h) - mu / r * x  # nearly along v both would cancel in v² x
     to_pericentre /= np.sqrt((to_pericentre * to_pericentre).sum(axis=0))
     k, is_seen = np.sqrt(np.abs(beta)), e > _MAX_ROUND_ECCENTRICITY
     turned = np.where(beta > 0.0, np.arctan2(k * eta, mu - beta * r), np.arcsinh(k * eta / mu / e))

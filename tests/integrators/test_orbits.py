@@ -137,6 +137,20 @@ def test_orbits_are_as_exact_as_their_start(name):
     assert (off <= np.maximum(1e-12 * size, 100.0 * moved)).all(), (off / size, off / moved)
 
 
+@pytest.mark.parametrize("speed", [1e-3, 1.0, 100.0])
+def test_who_is_thrown_straight_up_stays_on_the_line_however_fast(speed):
+    """From the unit sphere, along its radius, ten radii; v² = v₀² - 2μ (1 - 1/r)."""
+    mu, up = 6.67e-11, np.array([0.37, 0.481, 0.79])
+    up /= np.linalg.norm(up)
+    case = orbit(mu, up.tolist(), (speed * up).tolist(), 10.0 / speed)
+    with particlerb.run(case) as found:
+        x, v = found.position[-1, 0], found.linear_momentum[-1, 0] / 2.0
+    for vector in (x, v):
+        assert np.linalg.norm(np.cross(up, vector)) < 1e-14 * np.linalg.norm(vector)
+    left = np.sqrt(speed**2 - 2.0 * mu * (1.0 - 1.0 / (x @ up)))
+    assert v @ up == pytest.approx(left, rel=1e-14)
+
+
 def test_a_centre_away_from_the_origin_books_what_it_gives():
     """A spinning sphere: energy, and angular momentum about the world's origin, balance."""
     scene = orbit(1.0, (1, 0, 0), (0.1, 0.7, 0.3), 30.0, CENTRE)
