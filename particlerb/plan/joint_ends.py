@@ -192,8 +192,9 @@ def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: 
 def unique(names: list[str]) -> tuple[str, ...]:
     """The names, those that were there before with a number behind them."""
     seen: dict[str, int] = {}
-    numbered = []
     for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        numbered.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    return tuple(numbered)
+        own, k = name, seen.get(name, 0)
+        while own in seen:
+            own, k = f"{name} ({k + 1})", k + 1
+        seen[own], seen[name] = 1, max(k, 1)
+    return tuple(seen)

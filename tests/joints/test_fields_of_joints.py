@@ -14,6 +14,7 @@ from particlerb.case.to_system import to_system
 from particlerb.compiled.barrier import Team
 from particlerb.export import export
 from particlerb.integrators import METHODS, joint_stages
+from particlerb.plan.joints import joints_of
 from particlerb.simulation.checks import results
 from particlerb.simulation.run import prepare, run_prepared
 from particlerb.stepping.make_motion import make_motion
@@ -268,3 +269,13 @@ def test_one_thread_counts_turns_however_many_share_a_mechanism(size, monkeypatc
         team = Team(size, thread, meetings, values)
         joint_stages.drift_clusters(motion.jointed, team, None, motion.blocks, 0.05, 0.0, 0.1)
     assert counts == [1]
+
+
+@pytest.mark.plain
+def test_no_two_joints_have_one_name():
+    """Checks and files go by names."""
+    hinge = {"type": "hinge", "body": "one", "axis": Z}
+    bodies = [body("one", 1.0, [0.1, 0.1, 0.1], [0, 0, 0])]
+    scene = case(bodies, [hinge | {"name": "one-world (2)"}, hinge, hinge])
+    system = to_system({"run": {"t_end": 1.0, "every": 1.0}, **scene})
+    assert joints_of(system).names == ("one-world (2)", "one-world", "one-world (3)")
