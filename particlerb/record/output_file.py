@@ -56,6 +56,8 @@ class OutputFile:
         self.place, self.waiting = place, waiting  # None: it is there
         self.replaced = replaced
         try:
+            if waiting is not None:  # by its name, which another run may just have changed
+                os.truncate(waiting, 0)
             self.disk = AtomicFile(lock, path, is_durable)
             self.disk.settle()
             if empty is not None:
@@ -149,8 +151,6 @@ def new_file(
     if waiting.is_symlink():  # no run has made it: what it leads to stays
         waiting.unlink()
     lock = WriterLock(waiting)
-    with _blaming(waiting):
-        os.ftruncate(lock.fileno(), 0)
     replaced = parts_used_by(place) if place.exists() else ()
     return OutputFile(path, lock, is_durable, place, empty, waiting, replaced)
 

@@ -17,7 +17,7 @@ from particlerb.cli import main
 from particlerb.compiled.jit import config
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.gravity_tree import opening_angle
-from particlerb.record import provenance, writer, writer_lock
+from particlerb.record import output_file, provenance, writer, writer_lock
 from particlerb.record.checkpoint import CheckpointError, read_checkpoint, write_checkpoint
 from particlerb.simulation import frame_times
 from particlerb.simulation import run as simulate
@@ -312,6 +312,28 @@ def test_a_file_has_one_writer(finished, capsys):
     finally:
         held.close()
     particlerb.resume(finished, 1.0).close()
+
+
+def test_a_run_that_ends_while_another_begins_keeps_its_file(finished, monkeypatch):
+    """The other one has opened the new file before it took its name, and has the lock behind it."""
+    content, case = finished.read_bytes(), finished_case(finished)
+    waiting = finished.with_name("a.h5.new")
+    finished.rename(waiting)
+
+    class Late(writer_lock.WriterLock):
+        """A lock on what has another name by now."""
+
+        def lock(self) -> bool:
+            if waiting.exists():
+                waiting.rename(finished)
+            return super().lock()
+
+    monkeypatch.setattr(output_file, "WriterLock", Late)
+    with pytest.raises(OSError, match=r"a\.h5\.new"):
+        particlerb.run(case, finished)
+    assert finished.read_bytes() == content
+    monkeypatch.undo()
+    writer_lock.WriterLock(finished).close()
 
 
 def finished_case(path):
