@@ -3,6 +3,7 @@
 A view is a matrix whose rows point to the right, upwards and away from who looks.
 """
 
+import contextlib
 from collections.abc import Sequence
 from itertools import product
 from typing import Any, Final
@@ -19,6 +20,7 @@ from particlerb.contact.wall_motion import poses_at
 from particlerb.export.surfaces import SurfaceMesh, Surfaces, surface_of_wall
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import rotation_matrix
+from particlerb.model.system import System
 from particlerb.plan.obstacles import middle, motion_of
 from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.studies.charts.style import INK
@@ -44,20 +46,29 @@ def view_at_angle(up: int) -> Floats:
     return np.stack([right, cos_up * axis[up] + sin_up * level, cos_up * level - sin_up * axis[up]])
 
 
+def system_of(trajectory: Trajectory) -> System | None:
+    """System of a trajectory at its start; None where its case cannot be made again."""
+    with contextlib.suppress(CaseError, TrajectoryError, ImportError, OSError):
+        system = to_system(trajectory.case)
+        if system.n_bodies == trajectory.n_bodies:
+            return system
+    return None
+
+
 def solids_of(trajectory: Trajectory) -> list[SurfaceMesh | None]:
     """Surface of each body in its frame, from the centre of mass; None where it has none.
 
     Without trimesh, which makes all but boxes, or where the case cannot be made again, no body has.
     """
     none: list[SurfaceMesh | None] = [None] * trajectory.n_bodies
+    system = system_of(trajectory)
     try:
-        system = to_system(trajectory.case)
-        if system.n_bodies != trajectory.n_bodies:
+        if system is None:
             return none
-        has_surface = [_has_surface(body) for body in system.body]
         surfaces = Surfaces(system)
-    except (CaseError, TrajectoryError, ImportError, OSError):
+    except ImportError:
         return none
+    has_surface = [_has_surface(body) for body in system.body]
     meshes = [
         surfaces.of_kind(kind).mesh if has_surface[block] else None
         for kind, block in zip(system.kind, system.block, strict=True)

@@ -20,7 +20,7 @@ from particlerb.model.state import derived, rotate
 from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.rotors.rotor_class import SYMMETRIC
 from particlerb.studies.charts import bodies
-from particlerb.studies.charts.linkage import draw_linkage, mechanism_of
+from particlerb.studies.charts.linkage import draw_linkage, jointed, mechanism_of
 from particlerb.studies.charts.style import (
     COLOURS,
     INK,
@@ -173,10 +173,11 @@ def _draw_bodies(
     Of many mechanisms that of the body is drawn, if it has few members.
     """
     is_few = trajectory.n_bodies <= bodies.FEW
-    if is_scene and case["joint"] and trajectory.n_frames > 1:
-        jointed = shown if is_few else mechanism_of(trajectory, body, bodies.FEW)
-        if is_few or (case["contact"] is None and 1 < len(jointed) <= bodies.FEW):
-            draw_linkage(figure.add_subplot(place), trajectory, jointed)
+    scene = jointed(trajectory) if is_scene and trajectory.n_frames > 1 else None
+    if scene is not None:
+        members = shown if is_few else mechanism_of(scene, body, bodies.FEW)
+        if is_few or (case["contact"] is None and 1 < len(members) <= bodies.FEW):
+            draw_linkage(figure.add_subplot(place), trajectory, scene, members)
             return
     if is_scene and not (is_few and case["contact"] is None):
         bodies.draw_side(figure.add_subplot(place), trajectory, trajectory.n_frames - 1)
