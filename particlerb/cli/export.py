@@ -4,6 +4,7 @@ The kind of the input decides: a case, a table or a mesh holds bodies, all else 
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -45,12 +46,21 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
     bodies = [body for name in options.bodies or [None] for body in named_bodies(options, name)]
     stem = file_name(bodies[0].name if len(bodies) == 1 else Path(options.file).stem)
     path = output_of(options, Path(stem + BODY_FORMATS[options.to]), Path(options.file))
-    if options.to == "lammps":
-        to_write(path.with_suffix(".rigid"), options.overwrite, Path(options.file))
+    _with_others(path, [".rigid"] if options.to == "lammps" else [], options)
     with ending(ExportError), writing(path):
         written = export_bodies(bodies, path, options.to)
     print(f"written: {', '.join(map(str, written))}")
     return DONE
+
+
+def _with_others(path: Path, suffixes: Sequence[str], options: argparse.Namespace) -> list[Path]:
+    """A file and those that lie beside it, all of which may be written."""
+    others = [path.with_suffix(suffix) for suffix in suffixes]
+    if path in others:
+        raise Ending(f"{path}: another file of this export has that name; give -o another suffix")
+    for file in others:
+        to_write(file, options.overwrite, Path(options.file))
+    return [path, *others]
 
 
 def _export_scene(options: argparse.Namespace, case: Case) -> int:
@@ -69,9 +79,7 @@ def _export_scene(options: argparse.Namespace, case: Case) -> int:
             texts, springs = lammps_scene(system, step, path.stem), tethers_of(system)
         else:
             texts, springs = {".xml": mjcf_scene(system, step)}, springs_of(system)
-        written = [path, *(path.with_suffix(suffix) for suffix in list(texts)[1:])]
-        for file in written[1:]:
-            to_write(file, options.overwrite, source)
+        written = _with_others(path, list(texts)[1:], options)
         for file, text in zip(written, texts.values(), strict=True):
             file.write_text(text, encoding="utf-8")
     print(f"written: {', '.join(map(str, written))}")

@@ -302,6 +302,11 @@ def test_the_command_writes_whole_scenes_and_says_what_they_lack(tmp_path, capsy
     assert "written: three.in, three.data, three.rigid\nleft out: force[0], push\n" in out
     assert "# left out: force[0], push" in Path("three.in").read_text()
     assert main(["export", "three.toml", "--to", "lammps"]) == 2
+    assert main(["export", "three.toml", "--to", "lammps", "-o", "other.data"]) == 2
+    assert (
+        main(["export", "three.toml", "--to", "lammps", "--bodies", "ball", "-o", "b.rigid"]) == 2
+    )
+    assert not [*Path().glob("other.*"), *Path().glob("b.*")]
     assert main(["export", "three.toml", "--to", "mjcf"]) == 0
     assert "<!-- left out: force[0], push -->" in Path("three.xml").read_text()
     assert main(["export", "three.toml", "--to", "lammps", "--bodies", "clump[0]"]) == 0
