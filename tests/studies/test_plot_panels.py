@@ -360,6 +360,12 @@ def test_drawing_leaves_the_pictures_of_the_user_where_they_are_shown():
     assert done.stdout.strip() == "svg"
 
 
+def test_a_notebook_shows_the_figure(make):
+    """Also where pyplot, which would tell it how to show figures, was never imported."""
+    figure = particlerb.plot(particlerb.run(apart(make)))
+    assert figure._repr_png_().startswith(b"\x89PNG")
+
+
 def test_attitudes_of_a_solid_are_whole_and_apart(make, monkeypatch):
     """Its particles, which are eight in a box, lie far below its surface."""
     box = {"name": "box", "shape": BAR | {"size": [0.2, 0.6, 1.0]}, "mass": 1.0}

@@ -4,6 +4,7 @@ The panels depend on the scene: for many bodies that touch a side view, for orbi
 joints their coordinates or forces, for a top nutation and precession, for one body its rates.
 """
 
+import io
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -37,6 +38,16 @@ _LEVEL_SHARE: Final = 0.01  # change of height beside that of place which is non
 _MIN_ERROR: Final = 1e-17  # that is drawn
 _LINES, _LETTERS = 9, 40  # that one row of names has at most
 _MAX_BODIES_SAMPLED: Final = 1000  # whose heights are looked at
+
+
+class Picture(Figure):
+    """A figure that a notebook shows, whether or not pyplot was imported there."""
+
+    def _repr_png_(self) -> bytes:
+        """PNG, for notebooks."""
+        data = io.BytesIO()
+        self.savefig(data, format="png")
+        return data.getvalue()
 
 
 def plot(
@@ -138,7 +149,7 @@ def _couples(case: dict[str, Any]) -> bool:
 
 def _titled_figure(trajectory: Trajectory, case: dict[str, Any]) -> Figure:
     """Nothing but the title of a case, else name of its file; how many bodies and frames."""
-    figure = Figure(figsize=(11, 7.2), layout="constrained")
+    figure = Picture(figsize=(11, 7.2), layout="constrained")
     title = case["title"] or Path(trajectory.file.filename).name
     counted = count_of(trajectory.n_bodies, "body", "bodies")
     frames = count_of(trajectory.n_frames, "frame", "frames")
