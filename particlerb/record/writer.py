@@ -18,6 +18,7 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.record import frame_values, schema, vtkhdf
+from particlerb.record.atomic import PAGE
 from particlerb.record.checkpoint import count_from, write_checkpoint
 from particlerb.record.checksums import Words, frame_checksums, list_checksums
 from particlerb.record.hdf5 import change, opened
@@ -203,7 +204,7 @@ class Recorder:
         """Append new frames by their arrays, those that the file has, and their checksums."""
         with self.output.writing():
             n, times = self.n_frames, frames.times
-            new = slice(self.recognise(n, sums), None)
+            new = slice(self.recognise(n, sums) if n < self.n_before else 0, None)
             if not len(sums[new]):
                 return
             values |= {schema.CHECKSUMS: sums, schema.STEP: np.arange(n, n + len(times))}
@@ -229,7 +230,7 @@ class Recorder:
         FrameError
             If one is another.
         """
-        n_known = min(max(self.n_before - first, 0), len(sums))
+        n_known = min(self.n_before - first, len(sums))
         stored: Words = self.series[schema.CHECKSUMS][first : first + n_known]
         other = np.flatnonzero(sums[:n_known] != stored)
         if other.size:
@@ -297,22 +298,21 @@ class Recorder:
 
 
 def _append_rows(dataset: h5py.Dataset, first: int, values: _Rows) -> None:
-    """Append values from row `first` on; chunks that are whole go straight to the file.
+    """Append values from row `first` on; chunks that are whole and large go straight to the file.
 
-    By HDF5's own calls: h5py takes longer to find out what a slice means than HDF5 to write it. In
-    HDF5 a chunk would pass through memory that it asks for and gives back each time, which leaves
-    holes of that size in the heap of the process.
+    By HDF5's own calls: h5py takes longer to find out what a slice means, or what a dataset is,
+    than HDF5 to write a few rows. In HDF5 a chunk would pass through memory that it asks for and
+    gives back each time, which leaves holes of that size in the heap of the process.
     """
-    shape, chunk, origin = values.shape, dataset.chunks, (0,) * (values.ndim - 1)
-    rows = chunk[0]
+    shape, origin = values.shape, (0,) * (values.ndim - 1)
     dataset.id.set_extent((first + shape[0], *shape[1:]))
     data: Any = np.ascontiguousarray(values)
-    fits = (rows, *shape[1:]) == chunk and values.dtype == dataset.dtype
-    n_whole = shape[0] // rows * rows if fits and first % rows == 0 else 0
+    rows = dataset.chunks[0] if data.nbytes >= PAGE else shape[0] + 1
+    fits = shape[0] >= rows and first % rows == 0 and values.dtype == dataset.dtype
+    n_whole = shape[0] // rows * rows if fits and dataset.chunks[1:] == shape[1:] else 0
     for k in range(0, n_whole, rows):
         dataset.id.write_direct_chunk((first + k, *origin), data[k : k + rows])
     if n_whole < shape[0]:
-        rest = data[n_whole:]
-        place = dataset.id.get_space()
+        rest, place = data[n_whole:], dataset.id.get_space()
         place.select_hyperslab((first + n_whole, *origin), rest.shape)
         dataset.id.write(h5s.create_simple(rest.shape), place, rest)
