@@ -82,6 +82,7 @@ def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> End
 
     def direction(vector: FramedVector, q: Floats) -> Floats:
         vectors = in_world(vector, q)
+        vectors = np.ldexp(vectors, -np.frexp(np.abs(vectors).max(axis=0))[1])
         return vectors / lengths(vectors)
 
     here = point(table.at, com_a, body_a, com_a)

@@ -12,8 +12,11 @@ from scenes import SCENES, Y, bar, body, case, joint, moved
 import particlerb
 from particlerb import CaseError, RunError
 from particlerb.case.to_system import to_system
+from particlerb.forces.links import WORLD
+from particlerb.plan.joint_ends import ends_of
 from particlerb.simulation.run import prepare
 
+RUN = {"t_end": 1.0, "every": 0.1}
 CASES = Path(__file__).parents[2] / "cases"
 
 
@@ -54,6 +57,19 @@ def test_a_joint_that_cannot_be_is_named(table, key, words):
         prepared(rods(table))
     assert key in str(caught.value)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("size", [2.0**-1030, 2.0**-700, 2.0**700, 2.0**1023])
+def test_an_axis_may_have_any_length(size):
+    """Also one whose square is no number, and a power of two changes no bit."""
+    found = []
+    for a in (1.0, size):
+        axis = [0.0, a, 0.5 * a]
+        system = to_system(rods({"type": "hinge", "body": "b0", "axis": axis}) | {"run": RUN})
+        ends = ends_of(system, system.joint[0], np.array([0]), np.array([WORLD]))
+        found.append(ends.first["n"])
+    assert np.array_equal(*found)
+    assert np.linalg.norm(found[0]) == pytest.approx(1.0, abs=1e-15)
 
 
 @pytest.mark.plain
