@@ -64,9 +64,8 @@ def range_of(n: int, ranks: Ranks) -> Range:
 
 def over_blocks(blocks: Floats) -> list[Floats]:
     """Sums of blocks of bodies, (T, n_blocks, ..), over each superblock, (T, ..)."""
-    size = SUPERBLOCK // BLOCK
-    firsts = range(0, blocks.shape[1], size)
-    return [np.add.reduce(blocks[:, first : first + size], axis=1) for first in firsts]
+    ranges = superblocks(blocks.shape[1] * BLOCK)
+    return [np.add.reduce(blocks[:, a // BLOCK : b // BLOCK], axis=1) for a, b in ranges]
 
 
 def summed(sums: Sequence[Floats], ranks: Ranks = ALONE) -> Floats:

@@ -330,9 +330,9 @@ def tally_of(runs: Sequence[GroupRun]) -> Floats | None:
     return next((tally for tally in tallies if tally.size), None)
 
 
-def own_failure(error: Exception, runs: Sequence[GroupRun]) -> str:
+def own_failure(error: Exception, groups: Sequence[GroupPlan]) -> str:
     """What is to be said of an error in a force that a user wrote; empty where it is none."""
-    terms = [run.segment.terms for run in runs]
+    terms = [segment.terms for group in groups for segment in group.segments]
     forces = [load.force for one in terms for load in one.loads if isinstance(load, Written)]
     forces += [f for one in terms if one.user_pairs for f in one.user_pairs.functions.forces]
     files = {force.function.__code__.co_filename for force in forces}

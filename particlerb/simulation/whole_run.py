@@ -80,7 +80,7 @@ class Run:
 
     def start(self, plan: Plan, state: State, motions: Mapping[bytes, Motion]) -> None:
         """Start by a plan, from a state of all bodies, after motions of the same bodies."""
-        self.superblocks: list[list[GroupRun]] = []
+        self.groups, self.superblocks = plan.groups, list[list[GroupRun]]()
         self.firsts: list[int] = []  # body of each; -1: of groups that are one
         for first, groups in in_superblocks(plan.groups, self.system.n_bodies):
             before = [motions.get(group.members.tobytes()) if motions else None for group in groups]
@@ -278,7 +278,7 @@ class Run:
         except (MotionError, FloatingPointError) as problem:
             raise RunError(str(problem)) from None
         except Exception as failure:
-            if words := own_failure(failure, self.group_runs):
+            if words := own_failure(failure, self.groups):
                 raise RunError(words) from None
             raise
 
