@@ -114,7 +114,7 @@ class Simulation(Closing):
         path = None if output is None else file_path_of(output, "output")
         prepared = prepare_accurately(to_system(load(scene, overrides, allow_code)))
         system = prepared.system
-        self._is_cut_off = False  # by an error or an interrupt, while bodies moved
+        self._cut_off = ""  # what was raised while bodies moved
         self._run, self._due = Run(prepared), 0  # frame that comes next
         self._recorder: Recorder | None = None
         if path is not None:
@@ -316,17 +316,19 @@ class Simulation(Closing):
 
     def _refuse_if_cut_off(self) -> None:
         """Raise RunError where bodies have no time in common."""
-        if self._is_cut_off:
-            raise RunError("an error or an interrupt has cut this simulation off: begin another")
+        if self._cut_off:
+            raise RunError(f"this simulation was cut off, begin another: {self._cut_off}")
 
     @contextmanager
     def _moving(self, system: System) -> Iterator[None]:
         """Move all bodies; where that is cut off they have no time in common, and never will."""
         self._refuse_if_cut_off()
-        self._is_cut_off = True
-        with THREADS.using(system.run.threads):
-            yield
-        self._is_cut_off = False
+        try:
+            with THREADS.using(system.run.threads):
+                yield
+        except BaseException as error:
+            self._cut_off = str(error) or type(error).__name__
+            raise
 
     @property
     def _entries(self) -> Entries:
