@@ -1,5 +1,6 @@
 """Between which bodies joints stand, where, and about which axes."""
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -190,12 +191,13 @@ def joint_name(system: System, table: JointTable, first: Ints, second: Ints, k: 
     return f"{system.names[int(first[k])]}-{other}"
 
 
-def unique(names: list[str]) -> tuple[str, ...]:
-    """The names, those that were there before with a number behind them."""
-    seen: dict[str, int] = {}
-    for name in names:
-        own, k = name, seen.get(name, 0)
+def unique(names: Sequence[str], is_given: Sequence[bool]) -> tuple[str, ...]:
+    """The names, those that others have with a number behind them; given ones have theirs first."""
+    labels, seen = list(names), dict[str, int]()
+    for j in sorted(range(len(names)), key=lambda j: not is_given[j]):
+        own, k = names[j], seen.get(names[j], 0)
         while own in seen:
-            own, k = f"{name} ({k + 1})", k + 1
-        seen[own], seen[name] = 1, max(k, 1)
-    return tuple(seen)
+            own, k = f"{names[j]} ({k + 1})", k + 1
+        labels[j] = own
+        seen[own], seen[names[j]] = 1, max(k, 1)
+    return tuple(labels)

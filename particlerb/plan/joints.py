@@ -169,7 +169,10 @@ def joints_of(system: System) -> SystemJoints | None:
     columns = list(zip(*parts, strict=True))
     record, first, second, places, n_rows, until = map(np.concatenate, columns[3:])
     setup = SystemJoints(
-        unique([name for part in parts for name in part.names]),
+        unique(
+            [name for part in parts for name in part.names],
+            [system.joint[k].name is not None for k in record.tolist()],
+        ),
         tuple(system.joint[k].type for k in record.tolist()),
         record,
         first,
