@@ -152,8 +152,7 @@ class DiluteMotion(Motion):
         self.initial_energies, self.elastic = motion.initial_energies, np.zeros(0)
         self.contacts: dict[int, ContactOutput] = {}
         self.state = state
-        # at the end of the interval
-        self.next: tuple[State, Floats, Histories | None, float, Watch, float] | None = None
+        self.next: tuple[State, Floats, _Interval] | None = None  # at the end of the interval
         self.previous_work = 0.0  # [J] gross work of contacts until the interval
         self.done, self.steps = 0, 0
         self.booked = np.zeros(7)
@@ -194,7 +193,7 @@ class DiluteMotion(Motion):
             after, booked = interval.finish(self.time(self.done + steps))
             is_far = interval.farthest() + 0.5 * self.contact.skin > 0.5 * self.skin
             if not is_far and not has_moved(y, np.vstack(after), self.no_reach, 0.5 * self.skin):
-                self.next = self.kept_of(interval, after, booked)
+                self.next = after, booked, interval
                 break
             steps //= 2
         self.steps = steps
@@ -230,30 +229,19 @@ class DiluteMotion(Motion):
         """The interval that begins now."""
         return _Interval(self, self.state, self.time(self.done), self.active, self.histories)
 
-    def kept_of(
-        self, interval: _Interval, state: State, booked: Floats
-    ) -> tuple[State, Floats, Histories | None, float, Watch, float]:
-        """What an interval that has ended in a state leaves behind, as `next` has it.
-
-        Now and then that is how fast bodies swing on the contacts of its last step [rad/s].
-        """
-        frequency = 0.0
-        if interval.contact is not None and is_due(self.count + 1):
-            frequency = interval.contact.measure_frequency()
-        kept = interval.histories(), interval.gross_work(), interval.watch
-        return state, booked, *kept, frequency
-
     def cross(self) -> None:
         """Go to the end of the interval."""
         if self.next is None:
             assert self.shown is not None
-            ended = self.shown.finish(self.time(self.done + self.steps))
-            self.next = self.kept_of(self.shown, *ended)
-        self.state, booked, self.histories, work, self.watch, frequency = self.next
+            self.next = *self.shown.finish(self.time(self.done + self.steps)), self.shown
+        self.state, booked, ended = self.next
+        self.histories, self.watch = ended.histories(), ended.watch
         self.count += 1
-        self.contact_frequency = max(self.contact_frequency, frequency)
+        if ended.contact is not None and is_due(self.count):
+            frequency = ended.contact.measure_frequency()  # on the contacts of its last step
+            self.contact_frequency = max(self.contact_frequency, frequency)
         self.booked += booked
-        self.previous_work += work
+        self.previous_work += ended.gross_work()
         self.done += self.steps
         self.keep_watch()
         self.plan()
