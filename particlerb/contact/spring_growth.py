@@ -73,7 +73,9 @@ def _lost_share(hertz: Flag, state: ContactState, step: float) -> float:
     """Share of a spring that the force kept of a stiffer one takes in a step, at most all of it."""
     if hertz is None:
         return 0.0
-    lost = 0.5 * step * max(state.overlap_rate, 0.0)
+    lost = 0.5 * step * state.overlap_rate
+    if lost <= 0.0:
+        return 0.0
     return lost / state.overlap if lost < state.overlap else 1.0
 
 
