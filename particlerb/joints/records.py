@@ -101,6 +101,8 @@ class Clusters(NamedTuple):
     joint: Ints  # (k + 1,)
     block: Ints  # (k + 1,) of the factor
     smallest_pivot: Floats  # (k,) over its diagonal: below it a row depends on those before
+    is_uneven: Bools  # (k,) masses are far apart: no guesses of impulses, rows judged by the next
+    even_inv_mass: Floats  # (n + 1,) [1/kg] times the powers of two that bring all between 1 and 2
 
 
 class Program(NamedTuple):

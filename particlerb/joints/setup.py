@@ -27,6 +27,7 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
 
 _LOOP_PIVOT = 1e-8  # over its diagonal: below it a row of a closed loop depends on those before
+_MOST_EVEN_RATIO = 1e2  # of masses of a cluster; beyond it see `Clusters.is_uneven`
 
 NO_ACTIONS: Final = Actions(*np.zeros((8, 0)))
 _NO_INDEX: Final = np.zeros(0, dtype=np.int64)
@@ -119,8 +120,8 @@ def _programs(
     """Programs of all clusters, one behind the other; equal ones are made once."""
     labels = of_body[first[:-1]]
     joint = np.append(np.searchsorted(of_joint, labels), of_joint.size)
-    made: dict[bytes, tuple[Program, float]] = {}
-    parts = list[tuple[Program, float]]()
+    made: dict[bytes, tuple[Program, float, bool]] = {}
+    parts = list[tuple[Program, float, bool]]()
     for c, (lo, hi) in enumerate(pairwise(joint)):
         n = first[c + 1] - first[c]
         a, b = rows.a[start[lo:hi]], rows.b[start[lo:hi]]
@@ -130,11 +131,15 @@ def _programs(
         sign = b"".join(values.tobytes() for values in (a, b, own_start, masses, holds[lo:hi]))
         if sign not in made:
             pivot = _LOOP_PIVOT if _has_loop(a[holds[lo:hi]], b[holds[lo:hi]], masses) else 0.0
-            made[sign] = program_of(a, b, own_start, masses), pivot
+            moving = masses[masses > 0.0]
+            ratio = moving.max(initial=0.0) / moving.min(initial=np.inf)
+            made[sign] = program_of(a, b, own_start, masses), pivot, bool(ratio > _MOST_EVEN_RATIO)
         parts.append(made[sign])
-    programs, pivots = zip(*parts, strict=True)
+    programs, pivots, are_uneven = zip(*parts, strict=True)
     block = _offsets([len(program.pair) for program in programs])
-    return Clusters(first, joint, block, np.array(pivots)), _joined(programs, joint, block, start)
+    even = 2.0 * np.frexp(inv_mass)[0]
+    clusters = Clusters(first, joint, block, np.array(pivots), np.array(are_uneven), even)
+    return clusters, _joined(programs, joint, block, start)
 
 
 def _has_loop(a: Ints, b: Ints, inv_mass: Floats) -> bool:

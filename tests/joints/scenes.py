@@ -99,6 +99,16 @@ def mixed_chain(masses=(1, 2, 0.5, 0.7, 0.4), tilt=0.5):
     return case(bodies, joints)
 
 
+def four_bar(coupler, is_closed=True):
+    """Three bars in a plane, 1 kg but for the coupler; closed, 3 of 20 rows are redundant."""
+    pins = [[0, 0, 0], [0.5, 0.8, 0], [1.6, 1.0, 0], [1.5, 0, 0]]
+    masses = 1.0, coupler, 1.0
+    bodies = [bar(f"b{k}", pins[k], pins[k + 1], masses[k]) for k in range(3)]
+    ends = [("b0", None), ("b1", "b0"), ("b2", "b1"), ("b2", None)][: 3 + is_closed]
+    joints = [joint("hinge", *ends[k], pins[k], Z) for k in range(len(ends))]
+    return case(bodies, joints, (0.0, -9.81, 0.0))
+
+
 def slider_crank(radius=0.08, length=0.3, height=0.1, masses=(0.12, 0.5, 2.0), speed=6.0):
     """Spatial: a hinge, a ball at the crank, a universal joint at the slider, a slider."""
     axle = np.array([0, 0, height])

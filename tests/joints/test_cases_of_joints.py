@@ -73,17 +73,20 @@ def test_an_axis_may_have_any_length(size):
 
 
 @pytest.mark.plain
-def test_bodies_too_light_for_a_closed_loop_end_a_run_with_a_sentence():
-    """Pivots of 1e-9 of their diagonal are taken for redundant rows."""
-    source = tomllib.loads((CASES / "ladder.toml").read_text())
-    shoes = [table for table in source["body"] if table["mass"] < 1]
-    for table in shoes:
-        table["mass"] = 1e-9
-    del source["check"]
-    source["run"] |= {"t_end": 0.02, "every": 0.01}
-    source["output"] = {"fields": ["position", "joint_force"]}
-    with pytest.raises(RunError, match="no longer holds"):
-        particlerb.run(source)
+def test_light_bodies_in_a_closed_loop_are_as_good_as_none():
+    """Rows whose pivots are 1e-9 of their diagonal, or less, are no redundant ones for that."""
+    places = []
+    for mass in (1e-7, 1e-9, 1e-11):
+        source = tomllib.loads((CASES / "ladder.toml").read_text())
+        for table in source["body"]:
+            table["mass"] = mass if table["mass"] < 1 else table["mass"]
+        del source["check"]
+        source["run"] |= {"t_end": 0.02, "every": 0.01}
+        source["output"] = {"fields": ["position", "joint_force"]}
+        with particlerb.run(source) as trajectory:
+            places.append(np.array(trajectory.position))
+    assert np.abs(places[1] - places[0]).max() < 1e-9
+    assert np.abs(places[2] - places[1]).max() < 1e-11
 
 
 @pytest.mark.plain

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import SCENES, X, Z, bar, body, case, joint
+from scenes import SCENES, X, Z, bar, body, case, four_bar, joint
 from scipy.spatial.transform import Rotation
 
 from particlerb.case.to_system import to_system
@@ -102,6 +102,14 @@ def test_the_factor_solves_what_dense_matrices_say(name):
     solve(joints.program, joints.clusters, data.factor, data.z, 0)
     assert A @ data.z == pytest.approx(b, abs=1e-7 * np.abs(b).max())
     assert (data.z[joints.rows.action != HOLDS] == 0.0).all()
+
+
+@pytest.mark.parametrize("coupler", [1e-10, 1e-8, 1e-6, 1.0, 1e6, 1e8, 1e10])
+def test_which_rows_are_redundant_does_not_depend_on_masses(coupler):
+    joints, data = at_start(four_bar(coupler))
+    factorise_cluster(joints, data, 0, 0.0, 0.0)
+    left_out = data.factor[:, range(5), range(5)][:4] == 0.0
+    assert np.argwhere(left_out).tolist() == [[3, 2], [3, 3], [3, 4]]
 
 
 def test_a_step_begins_with_the_impulses_that_a_cubic_foresees():
