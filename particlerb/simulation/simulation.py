@@ -120,10 +120,16 @@ class Simulation(Closing):
         if path is not None:
             content = tables_of(system, labels_of(system))
             content |= texts_of(system, {"plan": prepared.text})
-            self._recorder = recorder = Recorder(path, system, content, overwrite)
-            self._finish = finalize(self, recorder.finish)  # at the end of the program at last
+            self._recorder = Recorder(path, system, content, overwrite)
         self._known: Entries | None = None  # the energy balance of now, where it has been asked for
-        self._state = self._go_to(0.0)
+        try:
+            self._state = self._go_to(0.0)
+        except BaseException:  # nothing takes the place of a file from before
+            if self._recorder is not None:
+                self._recorder.output.abandon()
+            raise
+        if self._recorder is not None:
+            self._finish = finalize(self, self._recorder.finish)  # at the end of the program
 
     @property
     def system(self) -> System:
@@ -142,7 +148,7 @@ class Simulation(Closing):
         Raises
         ------
         RunError
-            If an error or an interrupt has cut off an `advance`, as from all that moves bodies.
+            If an error or an interrupt has cut off an `advance`, and so does all that moves bodies.
         """
         self._refuse_if_cut_off()
         return self._state
@@ -334,7 +340,8 @@ class Simulation(Closing):
     def _entries(self) -> Entries:
         """The energy balance of now."""
         if self._known is None:
-            with self._moving(self.system):
+            self._refuse_if_cut_off()
+            with THREADS.using(self.system.run.threads):
                 self._state = self._look(np.array([self.time]), np.zeros(1, np.bool_))
             assert self._known is not None
         return self._known

@@ -435,6 +435,20 @@ def test_a_simulation_that_cannot_begin_leaves_no_file(tmp_path):
 
 
 @pytest.mark.plain
+def test_a_simulation_that_is_cut_off_at_its_start_leaves_the_file_from_before(
+    monkeypatch, tmp_path
+):
+    Simulation(turned_box(), tmp_path / "a.h5").close()
+    before = (tmp_path / "a.h5").read_bytes()
+    monkeypatch.setattr("particlerb.simulation.simulation.Run.frames_at", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        Simulation(turned_box(), tmp_path / "a.h5", overwrite=True)
+    gc.collect()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
+    assert (tmp_path / "a.h5").read_bytes() == before
+
+
+@pytest.mark.plain
 def test_a_file_that_nobody_closes_has_its_frames(tmp_path):
     """As that of a script that ends, or of a notebook whose simulation got another value."""
     simulation = Simulation(turned_box(), tmp_path / "a.h5")
