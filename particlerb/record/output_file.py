@@ -4,6 +4,7 @@ A new file lies beside its place, under its name with `.new` behind it, until it
 that has parts, in their folder.
 """
 
+import errno
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -15,7 +16,7 @@ from particlerb.record.atomic import AtomicFile
 from particlerb.record.checked_reading import FAULTS, reason_of
 from particlerb.record.output_path import output_path
 from particlerb.record.parts import parts_used_by
-from particlerb.record.writer_lock import WriterLock
+from particlerb.record.writer_lock import InUseError, WriterLock
 
 
 class DamagedError(OSError):
@@ -56,8 +57,9 @@ class OutputFile:
         self.place, self.waiting = place, waiting  # None: it is there
         self.replaced = replaced
         try:
-            if waiting is not None:  # by its name, which another run may just have changed
-                os.truncate(waiting, 0)
+            if waiting is not None:
+                _require_name(lock, waiting)
+                os.truncate(lock.fileno(), 0)
             self.disk = AtomicFile(lock, path, is_durable)
             self.disk.settle()
             if empty is not None:
@@ -125,6 +127,14 @@ class OutputFile:
 def waiting_in(folder: Path, place: Path) -> Path:
     """Where a new file lies until its first commit."""
     return folder / f"{place.name}.new"
+
+
+def _require_name(lock: WriterLock, waiting: Path) -> None:
+    """Raise InUseError where another run has ended, and renamed what was locked just now."""
+    with suppress(FileNotFoundError):
+        if os.path.samestat(os.fstat(lock.fileno()), waiting.stat()):
+            return
+    raise InUseError(errno.EBUSY, "was written by another run just now", str(waiting))
 
 
 def new_file(
