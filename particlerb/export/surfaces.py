@@ -299,7 +299,8 @@ def equal_ellipsoid(moments: Floats, mass: Any) -> Floats:
     """
     axes = np.sqrt(np.maximum(2.5 / mass * (moments.sum(axis=0) - 2.0 * moments), 0.0))
     longest = axes.max(axis=0)
-    return np.maximum(axes, _MIN_AXIS_SHARE * np.where(longest > 0.0, longest, 1.0))
+    unseen = longest.max() if longest.any() else 1.0  # among bodies of their size, alone 1 m
+    return np.maximum(axes, _MIN_AXIS_SHARE * np.where(longest > 0.0, longest, unseen))
 
 
 def _ellipsoid_surface(system: System, b: int) -> _Surface:
