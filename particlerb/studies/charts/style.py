@@ -1,11 +1,13 @@
 """Colours, lines and panels that all pictures share."""
 
+import io
 from collections.abc import Sequence
 from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from particlerb.maths.vec3 import Floats
 
@@ -27,6 +29,16 @@ METHOD_COLOURS: Final = {
 }
 INK: Final = "#333333"
 GRID: Final = "#dddddd"
+
+
+class Picture(Figure):
+    """A figure that a notebook shows, whether or not pyplot was imported there."""
+
+    def _repr_png_(self) -> bytes:
+        """PNG, for notebooks."""
+        data = io.BytesIO()
+        self.savefig(data, format="png")
+        return data.getvalue()
 
 
 def line_style(k: int) -> dict[str, Any]:

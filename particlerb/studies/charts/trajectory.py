@@ -4,7 +4,6 @@ The panels depend on the scene: for many bodies that touch a side view, for orbi
 joints their coordinates or forces, for a top nutation and precession, for one body its rates.
 """
 
-import io
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -25,6 +24,7 @@ from particlerb.studies.charts.linkage import draw_linkage, jointed, mechanism_o
 from particlerb.studies.charts.style import (
     COLOURS,
     INK,
+    Picture,
     finish_panel,
     line_style,
     plain,
@@ -38,16 +38,6 @@ _LEVEL_SHARE: Final = 0.01  # change of height beside that of place which is non
 _MIN_ERROR: Final = 1e-17  # that is drawn
 _LINES, _LETTERS = 9, 40  # that one row of names has at most
 _MAX_BODIES_SAMPLED: Final = 1000  # whose heights are looked at
-
-
-class Picture(Figure):
-    """A figure that a notebook shows, whether or not pyplot was imported there."""
-
-    def _repr_png_(self) -> bytes:
-        """PNG, for notebooks."""
-        data = io.BytesIO()
-        self.savefig(data, format="png")
-        return data.getvalue()
 
 
 def plot(
@@ -184,7 +174,8 @@ def _draw_bodies(
     Of many mechanisms that of the body is drawn, if it has few members.
     """
     is_few = trajectory.n_bodies <= bodies.FEW
-    scene = jointed(trajectory) if is_scene and trajectory.n_frames > 1 else None
+    moves = case["joint"] and is_scene and trajectory.n_frames > 1
+    scene = jointed(trajectory) if moves else None
     if scene is not None:
         members = shown if is_few else mechanism_of(scene, body, bodies.FEW)
         if is_few or (case["contact"] is None and 1 < len(members) <= bodies.FEW):
