@@ -108,7 +108,7 @@ def _loaded(
     if not isinstance(source, (str, PathLike)):
         kinds = "a path, the name of an example, a mapping or a Case"
         raise TypeError(f"a case must be {kinds}, got {type(source).__name__}")
-    if "\n" in str(source):
+    if isinstance(source, str) and "\n" in source:
         reason = "is given as a text, not as the path of a file"
         raise CaseError([file_problem(None, reason, "give tomllib.loads(text)")])
     path = case_path(source) if isinstance(source, str) else FilePath(source)
