@@ -9,24 +9,19 @@ a body does to the other end is foreseen.
 
 from typing import Final, NamedTuple
 
+from particlerb.compiled.barrier import Team, largest, meet, share_of
 from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.contact_model import ContactList, GroupContact, NeighbourLists, Workspace
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS
 from particlerb.contact.records import Records
-from particlerb.contact.walls import (
-    NEAR,
-    PLANE,
-    Primitive,
-    euler_count,
-    gap_vector,
-    normal_rate,
-    primitive_at,
-)
+from particlerb.contact.turning_normals import change_between, change_on_wall
+from particlerb.contact.walls import PLANE, euler_count, gap_vector, primitive_at
 from particlerb.impulses import records as col
+from particlerb.impulses.colours import alone, put_in_colours, rows_of, who_solves
 from particlerb.impulses.records import Bounded, Impulses, Partners, Rolling
 from particlerb.impulses.rolling import ABOUT, ACROSS
 from particlerb.impulses.rows import in_world, lean, write_frame
-from particlerb.maths.quaternion import Quat, to_body, to_world
+from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.rows import put_row3, put_row3_at, row3, row3_at, row4
 from particlerb.maths.vec3 import (
     ZERO,
@@ -47,10 +42,7 @@ _REST_SPEED_SHARE: Final = 1e-12  # of the speeds: what approaches no faster is 
 class _Near(NamedTuple):
     """Two that are near."""
 
-    first: int  # partner
-    second: int
     pair: int  # of materials
-    entry: int  # of the list: see `impulses.records.Rows`
     gap: float  # [m]
     radius: float  # [m] the smaller one
     effective: float  # [m] R*
@@ -112,35 +104,31 @@ def _is_near(
 
 
 @inline
-def _take_in(
-    setup: GroupContact, impulses: Impulses, contacts: ContactList, near: _Near, dt: float
-) -> None:
-    """Write the row of a contact, which begins with the force of the step before."""
-    _, partners, rows, count, tally, _ = impulses
-    k, gap, pair, entry = count[0], near.gap, near.pair, near.entry
-    count[0] = k + 1
-    rows.first[k], rows.second[k], rows.entry[k] = near.first, near.second, entry
+def _write(
+    setup: GroupContact, impulses: Impulses, contacts: ContactList, c: int, k: int, near: _Near,
+    dt: float,
+) -> None:  # fmt: skip
+    """Write row k, of contact c, which begins with the force of the step before."""
+    partners, rows, gap, pair = impulses.partners, impulses.rows, near.gap, near.pair
     write_frame(partners, rows, k, near.normal, near.point)
     rows.frame[k, col.LEAST] = -gap / dt if gap > impulses.rules.slop else 0.0
     rows.frame[k, col.FRICTION] = setup.model.law.friction[pair]
     rows.limits[k, col.GAP], rows.limits[k, col.SLOW] = gap, near.slow
     rows.limits[k, col.RADIUS] = near.radius
     rows.limits[k, col.RESTITUTION] = impulses.rules.restitution[pair]
-    c = entry if entry >= 0 else ~entry
     force = row3(contacts.history.force, c)
     put_row3_at(rows.impulse, k, 0, scale(dt, force))
-    acc_a, acc_b = row3_at(partners.before, near.first, 6), row3_at(partners.before, near.second, 6)
+    a, b = rows.first[k], rows.second[k]
+    acc_a, acc_b = row3_at(partners.before, a, 6), row3_at(partners.before, b, 6)
     changes = add(near.changes, cross(acc_a, row3_at(rows.frame, k, col.ARM)))
     changes = subtract(changes, cross(acc_b, row3_at(rows.frame, k, col.ARM + 3)))
     lean(partners, rows, k, changes, force, dt, impulses.rules.slop)
     put_row3_at(rows.impact, k, 0, ZERO)
-    _take_in_rolling(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
-    for deepest in (col.DEEPEST, col.DEEPEST_NOW):
-        tally[deepest] = max(tally[deepest], -gap)
+    _write_resistance(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
 
 
 @inline
-def _take_in_rolling(
+def _write_resistance(
     impulses: Impulses, coefficient: Floats | None, contacts: ContactList, c: int, k: int,
     near: _Near, dt: float,
 ) -> None:  # fmt: skip
@@ -162,9 +150,11 @@ def _put_torque(rolling: Rolling | None, contacts: ContactList, c: int, pressed:
 
 
 @inline
-def _forget(contacts: ContactList, c: int, rolling: Rolling | None) -> None:
-    """Contact c has no impulse: it is too far."""
-    if contacts.active[c]:
+def _mark(contacts: ContactList, c: int, rolling: Rolling | None, is_near: bool) -> None:
+    """Say whether contact c is near; it has no impulse where it is too far."""
+    if is_near:
+        contacts.active[c] = True
+    elif contacts.active[c]:
         put_row3(contacts.history.force, c, ZERO)
         _put_torque(rolling, contacts, c, ZERO)
         contacts.history.inv_effective_mass[c] = 0.0
@@ -172,64 +162,11 @@ def _forget(contacts: ContactList, c: int, rolling: Rolling | None) -> None:
 
 
 @inline
-def _turning(partners: Partners, a: int, x: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    """Velocity before the kick [m/s] of a point of partner a, its change without forces, and ω."""
-    omega = row3_at(partners.before, a, 3)
-    v = cross(omega, subtract(x, row3_at(partners.position, a, 0)))
-    changes = add(row3_at(partners.before, a, 9), cross(omega, v))
-    return add(row3_at(partners.before, a, 0), v), changes, omega
-
-
-@inline
-def _with_normal(u: Vec3, changes: Vec3, normal: Vec3, turns: Vec3) -> Vec3:
-    """Change [m/s²] of a velocity u, along the normal as that turns [1/s], and across it."""
-    return add_scaled(dot(u, turns), normal, add_scaled(-dot(u, normal), turns, changes))
-
-
-@inline
-def _change_between(
-    partners: Partners, a: int, b: int, spheres: tuple[Vec3, float, Vec3, float], normal: Vec3
-) -> Vec3:
-    """How the velocity in a contact of two spheres changes [m/s²], without forces.
-
-    Both bodies go on and turn as before the kick; `spheres` has centres and radii.
-    """
-    x, radius, y, other = spheres
-    (va, turning_a, wa), (vb, turning_b, wb) = _turning(partners, a, x), _turning(partners, b, y)
-    u = subtract(va, vb)
-    spin = add_scaled(radius, wa, scale(other, wb))
-    distance = max(dot(subtract(x, y), normal), NEAR)
-    turns = scale(1.0 / distance, add_scaled(-dot(u, normal), normal, u))
-    changes = add_scaled(-1.0, cross(spin, turns), subtract(turning_a, turning_b))
-    return _with_normal(add_scaled(-1.0, cross(spin, normal), u), changes, normal, turns)
-
-
-@inline
-def _change_on_wall(
-    partners: Partners, a: int, b: int, sphere: tuple[Vec3, float], primitive: Primitive, y: Vec3,
-    away: Vec3, q: Quat,
-) -> Vec3:  # fmt: skip
-    """The same of a sphere on a wall, as seen from the wall.
-
-    `y` is the centre in the frame of the wall, and `away` the normal; `q` turns both to the world.
-    """
-    x, radius = sphere
-    (va, turning_a, wa), (vb, turning_b, wb) = _turning(partners, a, x), _turning(partners, b, x)
-    u, spin, normal = subtract(va, vb), subtract(wa, wb), to_world(q, away)
-    turns = to_world(q, normal_rate(primitive, y, away, to_body(q, u)))
-    changes = add_scaled(-2.0, cross(wb, u), subtract(turning_a, turning_b))
-    # seen from the wall the spin of the body turns, which stays in space
-    changes = add_scaled(radius, cross(cross(wb, spin), normal), changes)
-    changes = add_scaled(-radius, cross(spin, turns), changes)
-    return _with_normal(add_scaled(-radius, cross(spin, normal), u), changes, normal, turns)
-
-
-@inline
 def _sphere_contact(
     setup: GroupContact, workspace: Workspace, contacts: ContactList, impulses: Impulses, c: int,
-    dt: float,
+    k: int, dt: float,
 ) -> None:  # fmt: skip
-    """Take in contact c between two spheres if it is near."""
+    """Say whether contact c between two spheres is near, or write it as row k if that is one."""
     model, xyzr, velocity = setup.model, workspace.xyzr, impulses.partners.velocity
     reach = impulses.partners.reach
     i, j = contacts.first[c], contacts.second[c]
@@ -238,31 +175,31 @@ def _sphere_contact(
     a, b = model.spheres.body[i], model.spheres.body[j]
     far = touching + reach[a, 0] + reach[b, 0]
     is_held = model.inv_mass[a] == 0.0 and model.inv_mass[b] == 0.0
-    if square > far * far or is_held:
-        _forget(contacts, c, impulses.rows.rolling)
+    if k < 0 and (square > far * far or is_held):
+        _mark(contacts, c, impulses.rows.rolling, False)
         return
     distance = norm(d)
     gap, between = distance - touching, subtract(row3_at(velocity, a, 0), row3_at(velocity, b, 0))
     is_near, slow = _is_near(setup, impulses, a, b, touching, gap, between, dt)
-    if not is_near:
-        _forget(contacts, c, impulses.rows.rolling)
+    if k < 0:
+        _mark(contacts, c, impulses.rows.rolling, is_near)
         return
     normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
     point = add_scaled(-(xyzr[i, 3] + 0.5 * gap), normal, row3(xyzr, i))
     pair = model.pair_of[model.spheres.material[i], model.spheres.material_column[j]]
     smaller, effective = min(xyzr[i, 3], xyzr[j, 3]), xyzr[i, 3] * xyzr[j, 3] / touching
     spheres = row3(xyzr, i), xyzr[i, 3], row3(xyzr, j), xyzr[j, 3]
-    changes = _change_between(impulses.partners, a, b, spheres, normal)
-    near = _Near(a, b, pair, c, gap, smaller, effective, slow, changes, normal, point)
-    _take_in(setup, impulses, contacts, near, dt)
+    changes = change_between(impulses.partners, a, b, spheres, normal)
+    near = _Near(pair, gap, smaller, effective, slow, changes, normal, point)
+    _write(setup, impulses, contacts, c, k, near, dt)
 
 
 @inline
 def _wall_contact(
     setup: GroupContact, workspace: Workspace, contacts: ContactList, impulses: Impulses, c: int,
-    dt: float,
+    k: int, dt: float,
 ) -> None:  # fmt: skip
-    """Take in contact c of a sphere with a primitive of a wall if it is near."""
+    """Do the same with contact c of a sphere with a primitive of a wall."""
     model, walls, poses = setup.model, setup.model.walls, workspace.poses
     i, p = contacts.first[c], contacts.second[c]
     a, w, radius = model.spheres.body[i], walls.wall[p], workspace.xyzr[i, 3]
@@ -270,7 +207,7 @@ def _wall_contact(
     x, q = row3(workspace.xyzr, i), row4(poses.orientation, w)
     y = to_body(q, subtract(x, row3(poses.position, w)))
     away = gap_vector(primitive, y)
-    _, is_nearest = euler_count(primitive, walls.around, y)
+    is_nearest = k >= 0 or euler_count(primitive, walls.around, y)[1]
     distance = norm(away)
     if primitive.kind == PLANE:
         distance, away = dot(subtract(y, primitive.a), primitive.b), primitive.b
@@ -279,7 +216,7 @@ def _wall_contact(
     gap, b = distance - radius, model.inv_mass.size + w
     is_held = model.inv_mass[a] == 0.0 and impulses.partners.inverse[b, 0] == 0.0
     if not is_nearest or is_held:
-        _forget(contacts, c, impulses.rows.rolling)
+        _mark(contacts, c, impulses.rows.rolling, False)
         return
     normal = to_world(q, away)
     point = add_scaled(-(radius + 0.5 * gap), normal, x)
@@ -287,13 +224,13 @@ def _wall_contact(
     moving = add_scaled(1.0, cross(row3_at(velocity, b, 3), arm), row3_at(velocity, b, 0))
     between = subtract(row3_at(velocity, a, 0), moving)
     is_near, slow = _is_near(setup, impulses, a, b, radius, gap, between, dt)
-    if not is_near:
-        _forget(contacts, c, impulses.rows.rolling)
+    if k < 0:
+        _mark(contacts, c, impulses.rows.rolling, is_near)
         return
     pair = model.pair_of[model.spheres.material[i], model.wall_material[p]]
-    changes = _change_on_wall(impulses.partners, a, b, (x, radius), primitive, y, away, q)
-    near = _Near(a, b, pair, ~c, gap, radius, radius, slow, changes, normal, point)
-    _take_in(setup, impulses, contacts, near, dt)
+    changes = change_on_wall(impulses.partners, a, b, (x, radius), primitive, y, away, q)
+    near = _Near(pair, gap, radius, radius, slow, changes, normal, point)
+    _write(setup, impulses, contacts, c, k, near, dt)
 
 
 @inline
@@ -310,12 +247,58 @@ def _find_reach(setup: GroupContact, impulses: Impulses, arm: float, dt: float) 
     return farthest
 
 
+@inline
+def _shell(team: Team, contacts: ContactList, s: int, is_reached: bool) -> tuple[int, int]:
+    """What this thread looks at of a shell of a list."""
+    first = contacts.shell_ends[s - 1] if s > 0 else 0
+    return share_of(team, first, contacts.shell_ends[s] if is_reached else first)
+
+
+@inline
+def _list_near(
+    setup: GroupContact, impulses: Impulses, contacts: ContactList, within: tuple[int, int],
+    are_walls: bool,
+) -> None:  # fmt: skip
+    """Give rows to what is near of a range: partners and entry."""
+    spheres, rows, count = setup.model.spheres, impulses.rows, impulses.counts
+    for c in range(within[0], within[1]):
+        if contacts.active[c]:
+            k, j = count[0], contacts.second[c]
+            count[0], rows.first[k] = k + 1, spheres.body[contacts.first[c]]
+            if are_walls:
+                rows.second[k], rows.entry[k] = setup.max_arm.size + setup.model.walls.wall[j], ~c
+            else:
+                rows.second[k], rows.entry[k] = spheres.body[j], c
+
+
+@kernel
+def _find_near(
+    setup: GroupContact, workspace: Workspace, lists: NeighbourLists, impulses: Impulses,
+    team: Team, reached: float, dt: float,
+) -> None:  # fmt: skip
+    """Give rows to what is near in shells that have come into reach."""
+    spheres, walls, skin, one = lists.spheres, lists.walls, setup.skin, alone(team)
+    for s in range(N_SHELLS):
+        first, end = _shell(team, spheres, s, SHELL_GAPS[s] * skin <= 2.0 * reached)
+        for c in range(first, end):
+            _sphere_contact(setup, workspace, spheres, impulses, c, -1, dt)
+        first, end = _shell(team, walls, s, SHELL_GAPS[s] * skin <= reached)
+        for c in range(first, end):
+            _wall_contact(setup, workspace, walls, impulses, c, -1, dt)
+    meet(team)
+    for s in range(N_SHELLS if team.thread == 0 else 0):
+        within = _shell(one, spheres, s, SHELL_GAPS[s] * skin <= 2.0 * reached)
+        _list_near(setup, impulses, spheres, within, False)
+        within = _shell(one, walls, s, SHELL_GAPS[s] * skin <= reached)
+        _list_near(setup, impulses, walls, within, True)
+
+
 @kernel
 def find_impulse_contacts(
     setup: GroupContact, workspace: Workspace, lists: NeighbourLists, impulses: Impulses,
-    extremes: Records, dt: float,
+    team: Team, extremes: Records, dt: float,
 ) -> None:  # fmt: skip
-    """Write the rows of all contacts that two may close in a step.
+    """Write the rows of all contacts that two may close in a step: threads share them.
 
     Parameters
     ----------
@@ -323,25 +306,36 @@ def find_impulse_contacts(
         Bodies and walls placed in the middle of the step.
     impulses : Impulses
         Partners with their velocities after half a kick.
+    team : Team
     extremes : Records
         How far points have come since the lists were made, and how far they come in a step: the
         most so far, as what was looked at once has something to forget.
     dt : float [s]
     """
-    impulses.counts[0] = 0
-    spheres, walls, skin = lists.spheres, lists.walls, setup.skin
-    begin_spheres, begin_walls = 0, 0
-    farthest = _find_reach(setup, impulses, lists.max_contact_arm, dt)
-    extremes.ahead[0] = max(extremes.ahead[0], farthest)
+    rows, count, tally = impulses.rows, impulses.counts, impulses.tally
+    if team.thread == 0:
+        farthest = _find_reach(setup, impulses, lists.max_contact_arm, dt)
+        extremes.ahead[0], count[0] = max(extremes.ahead[0], farthest), 0
+    meet(team)
     reached = extremes.displacement[0] + extremes.ahead[0]
-    for s in range(N_SHELLS):
-        if SHELL_GAPS[s] * skin <= 2.0 * reached:
-            for c in range(begin_spheres, spheres.shell_ends[s]):
-                _sphere_contact(setup, workspace, spheres, impulses, c, dt)
-        if SHELL_GAPS[s] * skin <= reached:
-            for c in range(begin_walls, walls.shell_ends[s]):
-                _wall_contact(setup, workspace, walls, impulses, c, dt)
-        begin_spheres, begin_walls = spheres.shell_ends[s], walls.shell_ends[s]
+    _find_near(setup, workspace, lists, impulses, team, reached, dt)
+    if team.thread == 0:
+        put_in_colours(impulses)
+    meet(team)
+    solving, deepest = who_solves(team, rows.colours), 0.0
+    for i in range(rows.colours.counts[0]):
+        first, end = rows_of(solving, rows.colours, i)
+        for k in range(first, end):
+            c = rows.entry[k]
+            if c >= 0:
+                _sphere_contact(setup, workspace, lists.spheres, impulses, c, k, dt)
+            else:
+                _wall_contact(setup, workspace, lists.walls, impulses, ~c, k, dt)
+            deepest = max(deepest, -rows.limits[k, col.GAP])
+    deepest, _, _ = largest(team, deepest, 0.0, 0.0)
+    if team.thread == 0:
+        tally[col.DEEPEST] = max(tally[col.DEEPEST], deepest)
+        tally[col.DEEPEST_NOW] = max(tally[col.DEEPEST_NOW], deepest)
 
 
 @inline
@@ -357,7 +351,6 @@ def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) 
     arm, position = row3_at(rows.frame, k, col.ARM), impulses.partners.position
     put_row3(forces.point, c, add(arm, row3_at(position, rows.first[k], 0)))
     _keep_rolling(rows.rolling, contacts, c, impulses, k, dt)
-    contacts.active[c] = True
 
 
 @inline
@@ -375,11 +368,13 @@ def _keep_rolling(
 
 
 @kernel
-def keep_impulses(lists: NeighbourLists, impulses: Impulses, dt: float) -> None:
+def keep_impulses(lists: NeighbourLists, impulses: Impulses, team: Team, dt: float) -> None:
     """Keep the impulses of a step of dt [s] as forces: for the next one, and for who looks."""
-    for k in range(impulses.counts[0]):
-        c = impulses.rows.entry[k]
-        if c >= 0:
-            _keep(lists.spheres, c, impulses, k, dt)
-        else:
-            _keep(lists.walls, ~c, impulses, k, dt)
+    for i in range(impulses.rows.colours.counts[0]):
+        first, end = rows_of(team, impulses.rows.colours, i)
+        for k in range(first, end):
+            c = impulses.rows.entry[k]
+            if c >= 0:
+                _keep(lists.spheres, c, impulses, k, dt)
+            else:
+                _keep(lists.walls, ~c, impulses, k, dt)

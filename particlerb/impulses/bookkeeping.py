@@ -5,14 +5,22 @@ step. So the impulses that came in between do the work r·½(u⁰ + u¹), and gr
 potential says.
 """
 
+from typing import Final
+
+from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses import records as col
 from particlerb.impulses.bounded_effects import book_bounded
+from particlerb.impulses.colours import total
 from particlerb.impulses.records import Bounded, Impulses, Partners
 from particlerb.impulses.rolling import rolled
 from particlerb.impulses.rows import in_frame, in_world, velocity_between
 from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale
+
+_WORKS: Final = (
+    col.IMPACT_WORK, col.PRESSING_WORK, col.FRICTION_WORK, col.BOUNDARY_WORK,
+)  # fmt: skip
 
 
 @inline
@@ -33,38 +41,52 @@ def _book_outside(
     return dot(p, moving) + dot(m, omega)
 
 
-@kernel
-def book_impulses(impulses: Impulses, bounded: Bounded | None) -> None:
-    """Sum what all impulses of the step have done, by partners and in the tally."""
-    _, partners, rows, count, tally, _ = impulses
+@inline
+def _book_contact(impulses: Impulses, k: int) -> tuple[float, float, float, float]:
+    """Book what contact k has done, by partners; work of each kind [J]."""
+    partners, rows = impulses.partners, impulses.rows
     frame, inverse, booked = rows.frame, partners.inverse, partners.booked
-    for b in range(booked.shape[0]):
-        for i in range(8):
-            booked[b, i] = 0.0
-    for k in range(count[0]):
-        a, b = rows.first[k], rows.second[k]
-        impact, pressed = row3_at(rows.impact, k, 0), row3_at(rows.impulse, k, 0)
-        r = add(impact, pressed)
-        if dot(r, r) == 0.0:
-            continue
-        begin = velocity_between(partners.before, frame, k, a, b)
-        end = velocity_between(partners.velocity, frame, k, a, b)
-        u = in_frame(frame, k, scale(0.5, add(begin, end)))
-        bounced, normal = dot(impact, u), pressed[0] * u[0]
-        m, resisted = rolled(rows.rolling, partners, rows, k)
-        rubbed = pressed[1] * u[1] + pressed[2] * u[2] + resisted
-        mine, moved, p = a, 0.0, in_world(frame, k, r)
-        if inverse[a, 0] == 0.0:
-            moved = _book_outside(partners, frame, k, b, a, col.ARM, scale(-1.0, p), scale(-1.0, m))
-            mine = b if rows.entry[k] >= 0 else a  # what walls have booked is not summed
-        elif inverse[b, 0] == 0.0 or rows.entry[k] < 0:
-            moved = _book_outside(partners, frame, k, a, b, col.ARM + 3, p, m)
-            moved = moved if inverse[b, 0] == 0.0 else 0.0  # a piston has energy of its own
-        booked[mine, 0] += bounced + normal + rubbed + moved
-        booked[mine, 7] += abs(bounced) + abs(normal) + abs(rubbed) + abs(moved)
-        tally[col.IMPACT_WORK] += bounced
-        tally[col.PRESSING_WORK] += normal
-        tally[col.FRICTION_WORK] += rubbed
-        tally[col.BOUNDARY_WORK] += moved
+    a, b = rows.first[k], rows.second[k]
+    impact, pressed = row3_at(rows.impact, k, 0), row3_at(rows.impulse, k, 0)
+    r = add(impact, pressed)
+    if dot(r, r) == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    begin = velocity_between(partners.before, frame, k, a, b)
+    end = velocity_between(partners.velocity, frame, k, a, b)
+    u = in_frame(frame, k, scale(0.5, add(begin, end)))
+    bounced, normal = dot(impact, u), pressed[0] * u[0]
+    m, resisted = rolled(rows.rolling, partners, rows, k)
+    rubbed = pressed[1] * u[1] + pressed[2] * u[2] + resisted
+    mine, moved, p = a, 0.0, in_world(frame, k, r)
+    if inverse[a, 0] == 0.0:
+        moved = _book_outside(partners, frame, k, b, a, col.ARM, scale(-1.0, p), scale(-1.0, m))
+        mine = b if rows.entry[k] >= 0 else a  # what walls have booked is not summed
+    elif inverse[b, 0] == 0.0 or rows.entry[k] < 0:
+        moved = _book_outside(partners, frame, k, a, b, col.ARM + 3, p, m)
+        moved = moved if inverse[b, 0] == 0.0 else 0.0  # a piston has energy of its own
+    booked[mine, 0] += bounced + normal + rubbed + moved
+    booked[mine, 7] += abs(bounced) + abs(normal) + abs(rubbed) + abs(moved)
+    return bounced, normal, rubbed, moved
+
+
+@kernel
+def book_impulses(impulses: Impulses, bounded: Bounded | None, team: Team) -> None:
+    """Sum what all impulses of the step have done, by partners and in the tally."""
+    partners, colours, tally = impulses.partners, impulses.rows.colours, impulses.tally
+    first, end = share_of(team, 0, partners.booked.shape[0])
+    partners.booked[first:end] = 0.0
+    meet(team)
+    for i in range(colours.counts[0]):
+        first, end = share_of(team, colours.chunk[i], colours.chunk[i + 1])
+        for c in range(first, end):
+            for j in range(4):
+                colours.sums[c, j] = tally[_WORKS[j]] if c == 0 else 0.0
+            for k in range(colours.row[c], colours.row[c + 1]):
+                works = _book_contact(impulses, k)
+                for j in range(4):
+                    colours.sums[c, j] += works[j]
+        meet(team)
+    for j in range(4 if team.thread == 0 else 0):
+        tally[_WORKS[j]] = total(colours, j)
     if bounded is not None:
         book_bounded(bounded, partners, tally)

@@ -8,9 +8,11 @@ left alone. What the moves do to the energy and the angular momentum is booked.
 import math
 from typing import Final
 
+from particlerb.compiled.barrier import Team, largest, meet, share_of
 from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses import records as col
 from particlerb.impulses.bounded_effects import find_overrun, push_back_from_stops
+from particlerb.impulses.colours import rows_of
 from particlerb.impulses.mechanisms import all_have_moved
 from particlerb.impulses.records import Bounded, Impulses
 from particlerb.impulses.rows import approach, in_frame, push_apart, velocity_between
@@ -23,60 +25,68 @@ _MIN_MOVE_SHARE: Final = 0.1  # of the slop: moves smaller than this end the swe
 
 
 @inline
-def _find_overlaps(impulses: Impulses, dt: float) -> bool:
+def _find_overlaps(impulses: Impulses, team: Team, dt: float) -> bool:
     """Find gaps at the next middle of a step; whether any overlaps by more than the slop.
 
     One that is going to be too deep is told, whatever is done about it.
     """
     rules, partners, rows, count, _, _ = impulses
-    is_deep, count[1] = False, -1
-    for k in range(count[0]):
-        u = approach(partners, rows, k)
-        gap = rows.limits[k, col.GAP] + dt * (u[0] + rows.limits[k, col.LEAN])
-        if gap < -max(_MAX_OVERLAP_SHARE * rows.limits[k, col.RADIUS], rules.allowed):
-            count[1] = k
-        parts = u[0] > rows.limits[k, col.SLOW] and rows.impulse[k, 0] == 0.0
-        if parts or rows.frame[k, col.LEAST] == col.NEVER:
-            gap = math.inf
-        rows.old[k, 0], rows.old[k, 1] = 0.0, gap
-        is_deep = is_deep or gap < -rules.slop
-    return is_deep
+    overlap, deepest = 0.0, -1.0
+    for i in range(rows.colours.counts[0]):
+        first, end = rows_of(team, rows.colours, i)
+        for k in range(first, end):
+            u = approach(partners, rows, k)
+            gap = rows.limits[k, col.GAP] + dt * (u[0] + rows.limits[k, col.LEAN])
+            if gap < -max(_MAX_OVERLAP_SHARE * rows.limits[k, col.RADIUS], rules.allowed):
+                deepest = float(k)
+            parts = u[0] > rows.limits[k, col.SLOW] and rows.impulse[k, 0] == 0.0
+            if parts or rows.frame[k, col.LEAST] == col.NEVER:
+                gap = math.inf
+            rows.old[k, 0], rows.old[k, 1] = 0.0, gap
+            overlap = max(overlap, -gap)
+    overlap, deepest, _ = largest(team, overlap, deepest, 0.0)
+    count[1] = int(deepest) if deepest < rows.first.size else -1  # none where a thread has failed
+    return overlap > rules.slop
 
 
 @kernel
-def push_out(impulses: Impulses, bounded: Bounded | None, dt: float) -> bool:
+def push_out(impulses: Impulses, bounded: Bounded | None, team: Team, dt: float) -> bool:
     """Find the moves of all partners; whether there are any."""
-    rules, partners, rows, count, _, _ = impulses
+    rules, partners, rows, _, _, _ = impulses
     frame, move, has_moved = rows.frame, partners.move, partners.has_moved
-    is_deep = _find_overlaps(impulses, dt)
+    is_deep = _find_overlaps(impulses, team, dt)
     if bounded is not None:
         is_deep |= find_overrun(bounded, partners.velocity, dt)
     if not is_deep or rules.push_out == 0.0:
         return False
-    for b in range(move.shape[0]):
-        has_moved[b] = False
-        for i in range(6):
-            move[b, i] = 0.0
+    first, end = share_of(team, 0, has_moved.size)
+    has_moved[first:end], move[first:end] = False, 0.0
+    meet(team)
     for _ in range(_MAX_SWEEPS):
-        largest = 0.0
-        for k in range(count[0]):
-            a, b, gap = rows.first[k], rows.second[k], rows.old[k, 1]
-            if gap == math.inf or (gap >= -rules.slop and not (has_moved[a] or has_moved[b])):
-                continue
-            wanted = -rules.push_out * (gap + rules.slop)
-            comes = in_frame(frame, k, velocity_between(move, frame, k, a, b))[0]
-            push = max(rows.old[k, 0] + frame[k, col.SHARE] * (wanted - comes), 0.0)
-            more = push - rows.old[k, 0]
-            if more != 0.0:
-                rows.old[k, 0] = push
-                for moved in (a, b):
-                    has_moved[moved] |= partners.inverse[moved, 0] > 0.0
-                    all_have_moved(partners.mechanisms, has_moved, moved)
-                p = scale(more, row3_at(frame, k, col.NORMAL))
-                push_apart(move, partners.inverse, partners.mechanisms, frame, k, a, b, p)
-                largest = max(largest, abs(more) * frame[k, col.INVERSE])
+        farthest = 0.0
+        for i in range(rows.colours.counts[0]):
+            first, end = rows_of(team, rows.colours, i)
+            for k in range(first, end):
+                a, b, gap = rows.first[k], rows.second[k], rows.old[k, 1]
+                if gap == math.inf or (gap >= -rules.slop and not (has_moved[a] or has_moved[b])):
+                    continue
+                wanted = -rules.push_out * (gap + rules.slop)
+                comes = in_frame(frame, k, velocity_between(move, frame, k, a, b))[0]
+                push = max(rows.old[k, 0] + frame[k, col.SHARE] * (wanted - comes), 0.0)
+                more = push - rows.old[k, 0]
+                if more != 0.0:
+                    rows.old[k, 0] = push
+                    for moved in (a, b):
+                        if partners.inverse[moved, 0] > 0.0:
+                            has_moved[moved] = True
+                        all_have_moved(partners.mechanisms, has_moved, moved)
+                    p = scale(more, row3_at(frame, k, col.NORMAL))
+                    push_apart(move, partners.inverse, partners.mechanisms, frame, k, a, b, p)
+                    farthest = max(farthest, abs(more) * frame[k, col.INVERSE])
+            meet(team)
         if bounded is not None:
             push_back_from_stops(bounded, move, has_moved, rules.push_out)
-        if largest <= _MIN_MOVE_SHARE * rules.slop:
+        farthest, _, _ = largest(team, farthest, 0.0, 0.0)
+        if farthest <= _MIN_MOVE_SHARE * rules.slop:
             break
     return True

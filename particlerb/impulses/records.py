@@ -87,6 +87,9 @@ MOTOR_WORK: Final = 25  # [J] of motors with a largest torque or force
 WORST_TIME: Final = 26  # [s] of WORST_EVER
 TALLY: Final = 27
 
+MANY: Final = 10_000  # contacts of a step from which on they have colours
+_COLOURS: Final = 63  # at most: bits of a number
+CHUNK: Final = 32  # contacts of a colour that one thread takes at once
 LEAST_CELLS: Final = 4  # along a side of a periodic box: two bodies meet in one image alone
 NEVER: Final = -1e300  # [m/s] least velocity of a contact that is left out of a solve
 
@@ -142,6 +145,7 @@ class Partners(NamedTuple):
     speeds: Floats  # (.., 4) |v|, |ω|, and by how much half a kick has changed both
     impulse: Floats  # (.., 6) [N s, N m s] not yet in the momenta; impulse and angular impulse
     booked: Floats  # (.., 8) work, impulse, angular impulse of a step, gross work
+    used: Ints  # (..,) colours of its contacts so far, a bit each
     mechanisms: Mechanisms | None  # None: no joint holds any
     keeps_kick: Flag  # whether forces without potential act where there are no joints
 
@@ -170,6 +174,17 @@ class Rolling(NamedTuple):
     slopes: Floats  # (.., 10) of Newton's method, see `rolling_newton`
 
 
+class Colours(NamedTuple):
+    """Which contacts threads may solve side by side, see `colours`: room as in `ImpulseRows`."""
+
+    counts: Ints  # (2,) colours of this step; from how many contacts on there are several
+    size: Ints  # (COLOURS,) contacts of each
+    chunk: Ints  # (COLOURS + 1,) where chunks of each begin
+    row: Ints  # (..,) where contacts of each chunk begin
+    sums: Floats  # (.., 4) of chunks; a column is free again behind the next meeting
+    listed: Ints  # (.., 4) first, second, entry and colour in the order of the lists
+
+
 class ImpulseRows(NamedTuple):
     """Contacts of a step: room for `first.size`."""
 
@@ -183,6 +198,7 @@ class ImpulseRows(NamedTuple):
     old: Floats  # (.., 3) before a sweep, and shares of the push-out
     direction: Floats  # (.., 3) of the conjugate gradients
     order: Floats  # (.., 2) of impacts: since when [s], and which
+    colours: Colours
     bounded: Bounded | None = None  # None: nothing acts in joints within bounds
     rolling: Rolling | None = None  # None: nothing resists rolling or spinning
 
@@ -217,9 +233,17 @@ def room_for_partners(
     """Room for n bodies and walls."""
     velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 12, 6, 7, 6))
     position, reach, speeds, impulse, booked = (np.zeros((n, width)) for width in (3, 1, 4, 6, 8))
-    has_moved = np.zeros(n, dtype=np.bool_)
+    has_moved, used = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64)
     arrays = velocity, before, free, inverse, move, has_moved, position, reach, speeds
-    return Partners(*arrays, impulse, booked, mechanisms, keeps_kick)
+    return Partners(*arrays, impulse, booked, used, mechanisms, keeps_kick)
+
+
+def _room_for_colours(n: int) -> Colours:
+    """Room for the colours of n contacts; at first all are one chunk."""
+    size, chunk = np.zeros(_COLOURS, dtype=np.int64), np.zeros(_COLOURS + 1, dtype=np.int64)
+    row, listed = np.zeros(n + 2, dtype=np.int64), np.zeros((n, 4), dtype=np.int64)
+    chunk[1], row[1] = 1, n
+    return Colours(np.array([1, MANY]), size, chunk, row, np.zeros((n + 1, 4)), listed)
 
 
 def room_for_rows(
@@ -233,7 +257,7 @@ def room_for_rows(
     arrays = first, second, entry, frame, limits, impulse, impact, old, direction, order
     widths = (4, 3, 3, 3, 3, 10) if with_rolling else ()
     rolling = Rolling(*(np.zeros((n, width)) for width in widths)) if widths else None
-    return ImpulseRows(*arrays, bounded, rolling)
+    return ImpulseRows(*arrays, _room_for_colours(n), bounded, rolling)
 
 
 def room_for_bounded(kind: Ints, first: Ints, second: Ints, members: list[Ints]) -> Bounded:

@@ -144,17 +144,17 @@ def bounce_rolling(
     put_row3_at(rolling.impact, k, 0, add(row3_at(rolling.impact, k, 0), m))
 
 
-# What the solver does with them
+# What the solver does with those of contacts `first` to `end`
 
 
 @inline
 def warm_start_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, first: int, end: int
 ) -> None:
     """Take the angular impulses of the step before, in the frames of now and within the discs."""
     if rolling is None:
         return
-    for k in range(count):
+    for k in range(first, end):
         m = in_frame(rows.frame, k, row3_at(rolling.impulse, k, 0))
         m = on_the_disc(rolling, k, m, rows.impulse[k, 0])
         put_row3_at(rolling.impulse, k, 0, m)
@@ -163,13 +163,13 @@ def warm_start_rolling(
 
 @inline
 def sweep_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, first: int, end: int
 ) -> float:
     """One step of each contact; the sum of all squared changes [(N s)²]."""
     changed = 0.0
     if rolling is None:
         return changed
-    for k in range(count):
+    for k in range(first, end):
         old = row3_at(rolling.impulse, k, 0)
         put_row3_at(rolling.old, k, 0, old)
         m = _nearest(rolling, partners, rows, k)
@@ -184,14 +184,14 @@ def sweep_rolling(
 
 @inline
 def mix_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int, beta: float,
-    is_last: bool,
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, which: tuple[int, int],
+    beta: float, is_last: bool,
 ) -> None:  # fmt: skip
     """Go on along the direction of before: see `solver`."""
     if rolling is None:
         return
     impulse, direction = rolling.impulse, rolling.direction
-    for k in range(count):
+    for k in range(*which):
         change = subtract(row3_at(impulse, k, 0), row3_at(rolling.old, k, 0))
         on = scale(beta, row3_at(direction, k, 0))
         if not is_last and dot(on, on) > 0.0:
@@ -202,13 +202,13 @@ def mix_rolling(
 
 @inline
 def miss_of_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, first: int, end: int
 ) -> tuple[float, float]:
     """Squares of how far these are from a solution [(N s)², (m/s)²]."""
     off, left = 0.0, 0.0
     if rolling is None:
         return off, left
-    for k in range(count):
+    for k in range(first, end):
         miss = subtract(row3_at(rolling.impulse, k, 0), _nearest(rolling, partners, rows, k))
         square = square_of(rolling, rows, k, miss)
         off += square
@@ -217,12 +217,12 @@ def miss_of_rolling(
 
 
 @inline
-def size_of_rolling(rolling: Rolling | None, rows: ImpulseRows, count: int) -> float:
+def size_of_rolling(rolling: Rolling | None, rows: ImpulseRows, first: int, end: int) -> float:
     """Square of the size of all of these [(N s)²]."""
     size = 0.0
     if rolling is None:
         return size
-    for k in range(count):
+    for k in range(first, end):
         size += square_of(rolling, rows, k, row3_at(rolling.impulse, k, 0))
     return size
 
@@ -261,12 +261,12 @@ def keep_best_rolling(rolling: Rolling | None, best: Floats, k: int, goes_back: 
 
 @inline
 def give_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, first: int, end: int
 ) -> None:
     """Give the angular momenta of all of these."""
     if rolling is None:
         return
-    for k in range(count):
+    for k in range(first, end):
         _give(partners, rows, k, row3_at(rolling.impulse, k, 0))
 
 

@@ -74,7 +74,7 @@ def push(
     velocity: Floats, inverse: Floats, mechanisms: Mechanisms | None, b: int, p: Vec3, m: Vec3
 ) -> None:
     """Change velocities by an impulse p [N s] and an angular impulse m [N m s] on partner b."""
-    if push_mechanism(mechanisms, velocity, b, p, m):
+    if push_mechanism(mechanisms, velocity, b, p, m) or inverse[b, 0] == 0.0:
         return
     put_row3_at(velocity, b, 0, add_scaled(inverse[b, 0], p, row3_at(velocity, b, 0)))
     turn = inverse_inertia_times(inverse, b, m)

@@ -16,6 +16,7 @@ De Saxcé and Feng, Mathematical and Computer Modelling 28, 225 (1998), û.
 import math
 from typing import Final
 
+from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses.bounded import (
     give_bounded,
@@ -28,6 +29,7 @@ from particlerb.impulses.bounded import (
     sweep_bounded,
     warm_start_bounded,
 )
+from particlerb.impulses.colours import rows_of, total
 from particlerb.impulses.cone import nearest_in_cone, on_disc
 from particlerb.impulses.newton import refresh_velocities, take_newton_steps
 from particlerb.impulses.records import (
@@ -78,76 +80,90 @@ _FLOOR_SHARE: Final = 1e-6  # of all impulses of the kick: contacts that carry l
 
 
 @kernel
-def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None) -> None:
+def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None, team: Team) -> None:
     """Leave out contacts that have not closed yet and will bounce when they have."""
-    _, partners, rows, count, _, _ = impulses
-    for k in range(count[0]):
-        limits = rows.limits
-        will_bounce = limits[k, RESTITUTION] > 0.0 and limits[k, GAP] > 0.0
-        if will_bounce and approach(partners, rows, k)[0] < -limits[k, SLOW]:
-            rows.frame[k, LEAST] = NEVER
+    _, partners, rows, _, _, _ = impulses
+    for i in range(rows.colours.counts[0]):
+        first, end = rows_of(team, rows.colours, i)
+        for k in range(first, end):
+            limits = rows.limits
+            will_bounce = limits[k, RESTITUTION] > 0.0 and limits[k, GAP] > 0.0
+            if will_bounce and approach(partners, rows, k)[0] < -limits[k, SLOW]:
+                rows.frame[k, LEAST] = NEVER
     if bounded is not None:
         leave_out_stops(bounded, partners.velocity)
 
 
 @kernel
-def leave_out_what_leans(impulses: Impulses) -> None:
+def leave_out_what_leans(impulses: Impulses, team: Team) -> None:
     """Let contacts ask for no velocity across, where one joins that bore nothing in the last step.
 
     Several contacts of a body can stick to what `rows.lean` asks for if they did so before.
     """
     _, partners, rows, count, _, _ = impulses
     joins = partners.has_moved
-    for b in range(joins.size):
-        joins[b] = False
-    for k in range(count[0]):
+    first, end = share_of(team, 0, joins.size)
+    joins[first:end] = False
+    meet(team)
+    first, end = share_of(team, 0, count[0])
+    for k in range(first, end):
         bore = rows.impulse[k, 0] != 0.0 or rows.impulse[k, 1] != 0.0 or rows.impulse[k, 2] != 0.0
         if not bore and approach(partners, rows, k)[0] < rows.frame[k, LEAST]:
             for b in (rows.first[k], rows.second[k]):
                 joins[b] = partners.inverse[b, 0] > 0.0
-    for k in range(count[0]):
+    meet(team)
+    for k in range(first, end):
         if joins[rows.first[k]] or joins[rows.second[k]]:
             rows.limits[k, LEAN + 1], rows.limits[k, LEAN + 2] = 0.0, 0.0
 
 
 @kernel
-def _warm_start(impulses: Impulses, bounded: Bounded | None) -> None:
+def _warm_start(impulses: Impulses, bounded: Bounded | None, team: Team) -> None:
     """Start with the impulses of the step before, in the frames of now and within the cones."""
-    _, partners, rows, count, _, _ = impulses
-    for k in range(count[0]):
-        n, x, y = in_frame(rows.frame, k, row3_at(rows.impulse, k, 0))
-        if n <= 0.0 or rows.frame[k, LEAST] == NEVER:
-            put_row3_at(rows.impulse, k, 0, (0.0, 0.0, 0.0))
-            continue
-        x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
-        put_row3_at(rows.impulse, k, 0, (n, x, y))
-        change_by(partners, rows, k, (n, x, y))
-    warm_start_rolling(rows.rolling, partners, rows, count[0])
+    partners, rows = impulses.partners, impulses.rows
+    for i in range(rows.colours.counts[0]):
+        first, end = rows_of(team, rows.colours, i)
+        for k in range(first, end):
+            n, x, y = in_frame(rows.frame, k, row3_at(rows.impulse, k, 0))
+            if n <= 0.0 or rows.frame[k, LEAST] == NEVER:
+                put_row3_at(rows.impulse, k, 0, (0.0, 0.0, 0.0))
+                continue
+            x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
+            put_row3_at(rows.impulse, k, 0, (n, x, y))
+            change_by(partners, rows, k, (n, x, y))
+        warm_start_rolling(rows.rolling, partners, rows, first, end)
+        meet(team)
     if bounded is not None:
         warm_start_bounded(bounded, partners.velocity)
 
 
 @kernel
-def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int) -> float:
-    """One step of each contact in turn; the sum of all squared changes [(N s)²]."""
-    frame, impulse = rows.frame, rows.impulse
-    changed = 0.0
-    for k in range(count):
-        u = approach_at_end(partners, rows, k)
-        old = row3_at(impulse, k, 0)
-        put_row3_at(rows.old, k, 0, old)
-        n = max(old[0] - frame[k, SHARE] * (u[0] - frame[k, LEAST]), 0.0)
-        dn, rubbing = n - old[0], frame[k, RUBBING]
-        x = old[1] - rubbing * (u[1] + frame[k, COUPLING] * dn)
-        y = old[2] - rubbing * (u[2] + frame[k, COUPLING + 1] * dn)
-        x, y = on_disc(x, y, frame[k, FRICTION] * n)
-        change = (dn, x - old[1], y - old[2])
-        square = dot(change, change)
-        if square > 0.0:
-            put_row3_at(impulse, k, 0, (n, x, y))
-            change_by(partners, rows, k, change)
-        changed += square
-    changed += sweep_rolling(rows.rolling, partners, rows, count)
+def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team: Team) -> float:
+    """One step of each contact, colour after colour; the sum of all squared changes [(N s)²]."""
+    frame, impulse, colours = rows.frame, rows.impulse, rows.colours
+    for i in range(colours.counts[0]):
+        first, end = share_of(team, colours.chunk[i], colours.chunk[i + 1])
+        for c in range(first, end):
+            changed, begin, stop = 0.0, colours.row[c], colours.row[c + 1]
+            for k in range(begin, stop):
+                u = approach_at_end(partners, rows, k)
+                old = row3_at(impulse, k, 0)
+                put_row3_at(rows.old, k, 0, old)
+                n = max(old[0] - frame[k, SHARE] * (u[0] - frame[k, LEAST]), 0.0)
+                dn, rubbing = n - old[0], frame[k, RUBBING]
+                x = old[1] - rubbing * (u[1] + frame[k, COUPLING] * dn)
+                y = old[2] - rubbing * (u[2] + frame[k, COUPLING + 1] * dn)
+                x, y = on_disc(x, y, frame[k, FRICTION] * n)
+                change = (dn, x - old[1], y - old[2])
+                square = dot(change, change)
+                if square > 0.0:
+                    put_row3_at(impulse, k, 0, (n, x, y))
+                    change_by(partners, rows, k, change)
+                changed += square
+            changed += sweep_rolling(rows.rolling, partners, rows, begin, stop)
+            colours.sums[c, 0] = changed
+        meet(team)
+    changed = total(colours, 0)
     if bounded is not None:
         changed += sweep_bounded(bounded, partners.velocity)
     return changed
@@ -164,12 +180,18 @@ def _miss(partners: Partners, rows: ImpulseRows, k: int, r: Vec3) -> Vec3:
 
 
 @kernel
-def _speed(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int) -> float:
+def _speed(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team: Team) -> float:
     """Size of the velocities that the law misses without impulses, or a floor [m/s]."""
-    size = 0.0
-    for k in range(count):
-        miss, least = _miss(partners, rows, k, ZERO), _FLOOR_SHARE * rows.limits[k, SLOW]
-        size += rows.frame[k, INVERSE] ** 2 * dot(miss, miss) + least * least
+    colours = rows.colours
+    first, end = share_of(team, 0, colours.chunk[colours.counts[0]])
+    for c in range(first, end):
+        size = 0.0
+        for k in range(colours.row[c], colours.row[c + 1]):
+            miss, least = _miss(partners, rows, k, ZERO), _FLOOR_SHARE * rows.limits[k, SLOW]
+            size += rows.frame[k, INVERSE] ** 2 * dot(miss, miss) + least * least
+        colours.sums[c, 0] = size
+    meet(team)
+    size = total(colours, 0)
     if bounded is not None:
         size += speed_of_bounded(bounded, partners.velocity, _FLOOR_SHARE)
     return max(math.sqrt(size), 1e-300)
@@ -177,7 +199,7 @@ def _speed(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count
 
 @kernel
 def residual(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float,
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team: Team, floor: float,
     speed: float,
 ) -> float:  # fmt: skip
     """How far impulses are from a solution, over their size, or a floor [N s].
@@ -185,16 +207,23 @@ def residual(
     What this is as velocities, over a speed [m/s], is added by squares: beside what heavy bodies
     press, the impulse that would keep them apart from a light one is small.
     """
-    off, size, left = 0.0, 0.0, 0.0
-    for k in range(count):
-        r = row3_at(rows.impulse, k, 0)
-        miss = _miss(partners, rows, k, r)
-        square = dot(miss, miss)
-        off += square
-        left += rows.frame[k, INVERSE] ** 2 * square
-        size += dot(r, r)
-    more, as_speed = miss_of_rolling(rows.rolling, partners, rows, count)
-    off, left, size = off + more, left + as_speed, size + size_of_rolling(rows.rolling, rows, count)
+    colours = rows.colours
+    first, end = share_of(team, 0, colours.chunk[colours.counts[0]])
+    for c in range(first, end):
+        off, size, left = 0.0, 0.0, 0.0
+        begin, stop = colours.row[c], colours.row[c + 1]
+        for k in range(begin, stop):
+            r = row3_at(rows.impulse, k, 0)
+            miss = _miss(partners, rows, k, r)
+            square = dot(miss, miss)
+            off += square
+            left += rows.frame[k, INVERSE] ** 2 * square
+            size += dot(r, r)
+        more, as_speed = miss_of_rolling(rows.rolling, partners, rows, begin, stop)
+        size += size_of_rolling(rows.rolling, rows, begin, stop)
+        put_row3_at(colours.sums, c, 1, (off + more, left + as_speed, size))
+    meet(team)
+    off, left, size = total(colours, 1), total(colours, 2), total(colours, 3)
     if bounded is not None:
         more, as_speed = miss_of_bounded(bounded, partners.velocity)
         off, left, size = off + more, left + as_speed, size + size_of_bounded(bounded)
@@ -203,43 +232,47 @@ def residual(
 
 @kernel
 def _mix(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int, beta: float,
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team: Team, beta: float,
     is_last: bool,
 ) -> None:  # fmt: skip
     """Go on along the direction of before, by its share of the last change."""
     impulse, old, direction = rows.impulse, rows.old, rows.direction
-    for k in range(count):
-        change = subtract(row3_at(impulse, k, 0), row3_at(old, k, 0))
-        on = (beta * direction[k, 0], beta * direction[k, 1], beta * direction[k, 2])
-        if not is_last and dot(on, on) > 0.0:
+    for colour in range(rows.colours.counts[0]):
+        first, end = rows_of(team, rows.colours, colour)
+        for k in range(first, end):
+            change = subtract(row3_at(impulse, k, 0), row3_at(old, k, 0))
+            on = (beta * direction[k, 0], beta * direction[k, 1], beta * direction[k, 2])
+            if not is_last and dot(on, on) > 0.0:
+                for i in range(3):
+                    impulse[k, i] += on[i]
+                change_by(partners, rows, k, on)
             for i in range(3):
-                impulse[k, i] += on[i]
-            change_by(partners, rows, k, on)
-        for i in range(3):
-            direction[k, i] = on[i] + change[i]
-    mix_rolling(rows.rolling, partners, rows, count, beta, is_last)
+                direction[k, i] = on[i] + change[i]
+        mix_rolling(rows.rolling, partners, rows, (first, end), beta, is_last)
+        meet(team)
     if bounded is not None:
         mix_bounded(bounded, partners.velocity, beta, is_last)
 
 
 @kernel
 def _sweeps(
-    impulses: Impulses, bounded: Bounded | None, most: int, floor: float, speed: float,
+    impulses: Impulses, bounded: Bounded | None, team: Team, most: int, floor: float, speed: float,
 ) -> float:  # fmt: skip
     """Sweep over all contacts until the residual is within the tolerance; the last one."""
-    rules, partners, rows, count, tally, _ = impulses
-    m, sweeps, before, defect = count[0], 0, 0.0, math.inf
+    rules, partners, rows, _, tally, _ = impulses
+    sweeps, before, defect = 0, 0.0, math.inf
     while sweeps < most and defect > rules.tolerance:
-        changed = _sweep(partners, rows, bounded, m)
+        changed = _sweep(partners, rows, bounded, team)
         sweeps += 1
         if sweeps % _SWEEPS_PER_RESIDUAL == 0 or sweeps == most or changed == 0.0:
-            defect = residual(partners, rows, bounded, m, floor, speed)
+            defect = residual(partners, rows, bounded, team, floor, speed)
         if changed == 0.0:
             break
         beta = changed / before if 0.0 < changed < before else 0.0
         before = changed
-        _mix(partners, rows, bounded, m, beta, sweeps == most or defect <= rules.tolerance)
-    tally[SWEEPS] += sweeps
+        _mix(partners, rows, bounded, team, beta, sweeps == most or defect <= rules.tolerance)
+    if team.thread == 0:
+        tally[SWEEPS] += sweeps
     return defect
 
 
@@ -250,7 +283,7 @@ def _size(rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float) 
     for k in range(count):
         r = row3_at(rows.impulse, k, 0)
         size += dot(r, r)
-    size += size_of_rolling(rows.rolling, rows, count)
+    size += size_of_rolling(rows.rolling, rows, 0, count)
     if bounded is not None:
         size += size_of_bounded(bounded)
     return max(math.sqrt(size), floor)
@@ -272,8 +305,25 @@ def _keep_best(impulses: Impulses, bounded: Bounded | None, goes_back: bool) -> 
         refresh_velocities(partners, rows, bounded, count[0])
 
 
+@inline
+def _finish(impulses: Impulses, bounded: Bounded | None, defect: float, time: float) -> None:
+    """Give momenta, and count a step that ended with a residual."""
+    rules, partners, _, count, tally, _ = impulses
+    if bounded is not None:
+        give_bounded(bounded, partners.impulse)
+    tally[STEPS] += 1.0
+    tally[CONTACTS] += count[0]
+    tally[UNMET] += 1.0 if defect > rules.tolerance else 0.0
+    tally[RESIDUAL] = defect
+    tally[WORST] = max(tally[WORST], defect)
+    if defect > tally[WORST_EVER]:
+        tally[WORST_EVER], tally[WORST_TIME] = defect, time
+
+
 @kernel
-def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float) -> None:
+def solve(
+    impulses: Impulses, bounded: Bounded | None, team: Team, moved: float, time: float
+) -> None:
     """Find all impulses, and give momenta.
 
     Parameters
@@ -282,6 +332,8 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
         With frames, and velocities after the kick.
     bounded : Bounded, optional
         What acts in joints within bounds.
+    team : Team
+        Threads that solve, see `colours.who_solves`.
     moved : float [N s]
         Sum of the sizes of all impulses of the kick.
     time : float [s]
@@ -289,16 +341,19 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
     """
     rules, partners, rows, count, tally, newton = impulses
     m = count[0]
-    for b in range(partners.free.shape[0]):
-        for i in range(6):
-            partners.free[b, i] = partners.velocity[b, i]
+    first, end = share_of(team, 0, partners.free.shape[0])
+    for b in range(first, end):
+        put_row3_at(partners.free, b, 0, row3_at(partners.velocity, b, 0))
+        put_row3_at(partners.free, b, 3, row3_at(partners.velocity, b, 3))
     if m == 0 and bounded is None:
         tally[RESIDUAL] = 0.0
         return
-    speed = _speed(partners, rows, bounded, m)
-    _warm_start(impulses, bounded)
+    meet(team)
+    speed = _speed(partners, rows, bounded, team)
+    meet(team)
+    _warm_start(impulses, bounded, team)
     floor, most, is_done = _FLOOR_SHARE * moved, rules.iterations, newton.change.size == 0
-    defect = _sweeps(impulses, bounded, most, floor, speed)
+    defect = _sweeps(impulses, bounded, team, most, floor, speed)
     small, best = _REGULARISATION, math.inf
     for _ in range(_NEWTON_ROUNDS):
         if defect <= rules.tolerance or is_done:
@@ -311,22 +366,18 @@ def solve(impulses: Impulses, bounded: Bounded | None, moved: float, time: float
             impulses, bounded, _NEWTON_TOLERANCE_SHARE * rules.tolerance, size, speed, small
         )
         small *= _REGULARISATION_RATIO
-        defect = residual(partners, rows, bounded, m, floor, speed)
+        defect = residual(partners, rows, bounded, team, floor, speed)
         if defect > rules.tolerance and not is_done:
             most *= _SWEEPS_RATIO
-            defect = _sweeps(impulses, bounded, most, floor, speed)
+            defect = _sweeps(impulses, bounded, team, most, floor, speed)
     if defect > max(best, rules.tolerance):
         _keep_best(impulses, bounded, True)
         defect = best
-    for k in range(m):
-        give(partners, rows, k, row3_at(rows.impulse, k, 0))
-    give_rolling(rows.rolling, partners, rows, m)
-    if bounded is not None:
-        give_bounded(bounded, partners.impulse)
-    tally[STEPS] += 1.0
-    tally[CONTACTS] += m
-    tally[UNMET] += 1.0 if defect > rules.tolerance else 0.0
-    tally[RESIDUAL] = defect
-    tally[WORST] = max(tally[WORST], defect)
-    if defect > tally[WORST_EVER]:
-        tally[WORST_EVER], tally[WORST_TIME] = defect, time
+    for i in range(rows.colours.counts[0]):
+        first, end = rows_of(team, rows.colours, i)
+        for k in range(first, end):
+            give(partners, rows, k, row3_at(rows.impulse, k, 0))
+        give_rolling(rows.rolling, partners, rows, first, end)
+        meet(team)
+    if team.thread == 0:
+        _finish(impulses, bounded, defect, time)

@@ -1,7 +1,7 @@
 """Impulses of contacts among the stages of a step: kinematics, velocities, solves, momenta.
 
-All happens in the middle of a step. Threads find and move their own blocks of bodies; the first
-one alone finds contacts and solves, so that no bit depends on how many there are.
+All happens in the middle of a step. Threads move their own blocks of bodies, share finding contacts
+and, where there are many, solving them (`impulses.colours`); the rest is done by the first one.
 """
 
 from typing import Final
@@ -16,6 +16,7 @@ from particlerb.contact.wall_motion import acceleration_at, motion_in
 from particlerb.forces.kernels import Acting, kick_potential, shift_time
 from particlerb.impulses.bookkeeping import book_impulses
 from particlerb.impulses.bounded import keep_bounded
+from particlerb.impulses.colours import who_solves
 from particlerb.impulses.impacts import take_impacts
 from particlerb.impulses.push_out import push_out
 from particlerb.impulses.records import (
@@ -234,10 +235,11 @@ def bounce(
     setup, workspace, impulses = contact.setup, contact.workspace, contact.workspace.impulses
     meet(team)
     if team.thread == 0:
-        extremes = contact.memory.extremes
         _gather_walls(contact, impulses.partners, 0.5 * dt)
         _bound_joints(jointed, impulses, dt)
-        find_impulse_contacts(setup, workspace, contact.lists, impulses, extremes, dt)
+    extremes = contact.memory.extremes
+    find_impulse_contacts(setup, workspace, contact.lists, impulses, team, extremes, dt)
+    if team.thread == 0:
         _let_joints_hold(jointed, impulses)
         rows = impulses.rows
         write_rolling(rows.rolling, impulses.partners, rows, impulses.counts[0])
@@ -353,29 +355,34 @@ def press(
     """Solve all contacts of a step, and push out of each other what overlaps."""
     if contact is None or team is None or contact.workspace.impulses is None:
         return
-    impulses = contact.workspace.impulses
+    impulses, rows = contact.workspace.impulses, contact.workspace.impulses.rows
     meet(team)
-    if team.thread == 0:
-        partners, bounded = impulses.partners, impulses.rows.bounded
+    solving = who_solves(team, rows.colours)
+    if solving.thread < solving.size:
+        partners, bounded = impulses.partners, rows.bounded
         pistons, state = contact.setup.pistons, contact.memory.pistons
-        n = contact.setup.max_arm.size
-        push_pistons(pistons, partners.velocity, n, 0.5 * dt)
+        is_first, n = team.thread == 0, contact.setup.max_arm.size
+        if is_first:
+            push_pistons(pistons, partners.velocity, n, 0.5 * dt)
+        leave_out_what_will_bounce(impulses, bounded, solving)
+        leave_out_what_leans(impulses, solving)
         moved = _size_of_kick(contact, partners)
-        leave_out_what_will_bounce(impulses, bounded)
-        leave_out_what_leans(impulses)
         time = contact.memory.start + contact.workspace.step_start.time[0] + 0.5 * dt
-        solve(impulses, bounded, moved, time)
-        book_kick(books, partners.keeps_kick, acting, partners, blocks, layout, 0.5 * dt)
-        _apply_impulses(impulses, blocks, layout)
-        book_impulses(impulses, bounded)
-        book_bodies(contact, impulses, books, blocks, layout)
-        book_among_joints(books, jointed, partners, blocks, dt)
-        keep_impulses(contact.lists, impulses, dt)
-        keep_pistons(pistons, state, partners.velocity, n)
-        _keep_among_joints(jointed, bounded, dt)
-        moves = push_out(impulses, bounded, dt)
-        _note_overlap(contact, impulses, dt)
-        for _ in range(_MAX_MOVES):
+        solve(impulses, bounded, solving, moved, time)
+        if is_first:
+            book_kick(books, partners.keeps_kick, acting, partners, blocks, layout, 0.5 * dt)
+            _apply_impulses(impulses, blocks, layout)
+        book_impulses(impulses, bounded, solving)
+        if is_first:
+            book_bodies(contact, impulses, books, blocks, layout)
+            book_among_joints(books, jointed, partners, blocks, dt)
+            keep_pistons(pistons, state, partners.velocity, n)
+            _keep_among_joints(jointed, bounded, dt)
+        keep_impulses(contact.lists, impulses, solving, dt)
+        moves = push_out(impulses, bounded, solving, dt)
+        if is_first:
+            _note_overlap(contact, impulses, dt)
+        for _ in range(_MAX_MOVES if is_first else 0):
             if not moves:
                 break
             _move_bodies(contact, jointed, impulses, acting, books, blocks, layout)

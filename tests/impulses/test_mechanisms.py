@@ -20,6 +20,7 @@ from impulse_scenes import (
 )
 
 import particlerb
+from particlerb.compiled.barrier import ONE_THREAD
 from particlerb.impulses.order import room_for_newton
 from particlerb.impulses.records import (
     FRICTION,
@@ -230,7 +231,7 @@ def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts(
     G = np.hstack([g[:, :3], g[:, 3:6], -g[:, :3], g[:, 6:9]])
     dense = np.eye(12) - G.T @ np.linalg.solve(G @ G.T, G)
     assert mechanisms.response.reshape(12, 12) == pytest.approx(dense, abs=1e-13)
-    solve(impulses, None, 1.0, 0.0)
+    solve(impulses, None, ONE_THREAD, 1.0, 0.0)
     assert impulses.tally[RESIDUAL] <= 1e-12
     assert impulses.tally[NEWTON_STEPS] > 1
     assert np.abs(G @ partners.velocity[:2].ravel()).max() < 1e-14
