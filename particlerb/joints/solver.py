@@ -49,11 +49,8 @@ MOST_ITERATIONS: Final = 60
 _RESIDUAL_ROUNDING: Final = 1e-15  # residuals, over their size, that are as good as none
 _LAST_RESIDUAL: Final = 1e-10  # below it an iteration that gains little is the last
 _GAIN_RATIO: Final = 0.5  # of a residual by that before: with more an iteration gains little
-_MAX_MIXED: Final = (
-    1e-2  # residual: from farther off, by a guess or mixed iterations, another branch
-)
-_STRAYED_RATIO: Final = 100.0  # times the least residual so far, or the last: a loop leaves for
-# another branch
+_MAX_MIXED: Final = 1e-2  # residual: from farther off, guessed or mixed, another branch is near
+_STRAYED_RATIO: Final = 100.0  # of the least residual so far, or the last: a loop leaves its branch
 _MAX_PASSES: Final = 4  # of a projection of momenta
 _MAX_PIVOT_DECADES: Final = 7  # by which the pivot below which rows rest grows, from 1e-8 on
 _MAX_RESTING: Final = 1e-4  # residual of a row that rests, over its size
