@@ -297,8 +297,9 @@ def _expression(value: Any) -> str:
         plain = value.tolist()
         if isinstance(plain, np.generic):  # longer than what Python has
             raise _NotClosedError
+        shaped = "" if value.size else f".reshape({value.shape})"
         scalar = "[()]" if isinstance(value, np.generic) else ""
-        return f"numpy.array({_expression(plain)}, '{value.dtype}'){scalar}"
+        return f"numpy.array({_expression(plain)}, '{value.dtype}'){shaped}{scalar}"
     if type(value) in (list, tuple):
         entries = "".join(f"{_expression(entry)}, " for entry in value)
         return f"[{entries}]" if type(value) is list else f"({entries})"

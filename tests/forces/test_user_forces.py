@@ -491,11 +491,13 @@ def test_a_function_is_not_that_of_a_file_of_the_same_name(foreign):
 ROOT = np.sqrt(2.0)
 STEPS = np.array([1.0, math.inf])
 COARSE = np.float32(0.1), -math.inf
+NO_PLACES = np.zeros((0, 3))
 
 
 @particlerb.force
 def by_constants(a):
-    return (a * ROOT, min(STEPS[0], STEPS[1]), float(COARSE[0])), NO_TORQUE
+    most = min(STEPS[0], STEPS[1])
+    return (a * ROOT, most, float(COARSE[0]) * NO_PLACES.shape[1]), NO_TORQUE
 
 
 def test_constants_of_numpy_and_without_bound_are_in_the_text():
@@ -504,6 +506,7 @@ def test_constants_of_numpy_and_without_bound_are_in_the_text():
     assert names["by_constants"](3.0) == by_constants(3.0)
     assert names["COARSE"] == COARSE
     assert names["COARSE"][0].dtype == np.float32
+    assert names["NO_PLACES"].shape == (0, 3)
 
 
 STRENGTH, SHARES = 2.0, np.array([0.5, 0.25])
