@@ -119,7 +119,7 @@ class UserForce:
         """What it, its potential, and functions that these reach name now, in full precision."""
         found, known = list[Any](), list(filter(None, map(python_of, self._functions)))
         for function in known:
-            found += [function.__code__, function.__defaults__]
+            found += [function.__code__, function.__defaults__, function.__kwdefaults__]
             for name, value in reached(function):
                 plain = python_of(value)
                 if plain is None:

@@ -533,8 +533,8 @@ def test_the_text_has_defaults_as_they_are_and_not_as_their_names_are_now(monkey
 def test_what_a_function_without_text_reaches_tells_it_apart_too():
     """A constant of a helper, or of the potential, changes between two runs."""
     code = """
-def size(x):
-    return FACTOR * x[0]
+def size(x, *, share=1.0):
+    return FACTOR * share * x[0]
 def energy(x):
     return OFFSET
 @particlerb.force(potential=energy)
@@ -550,7 +550,9 @@ def pull(x):
     for changed in ("FACTOR", "OFFSET"):
         names[changed] = 2.0
         classes.append(class_of(force, ()))
-    assert len(set(classes)) == 3
+    names["size"].__kwdefaults__ = {"share": 0.5}
+    classes.append(class_of(force, ()))
+    assert len(set(classes)) == 4
 
 
 @plain
