@@ -314,7 +314,9 @@ class _Closed:
     """A module that stands alone, as it is put together."""
 
     def __init__(self) -> None:
-        self.lines: dict[str, str] = {}  # by the name that they define
+        self.lines = {  # by the name that they define
+            name: f"import {name} as {name}\n" for name in ("numpy", "particlerb")
+        }
         self.functions: dict[str, Callable[..., Any]] = {}
 
     def add(self, function: Callable[..., Any]) -> None:
@@ -362,8 +364,8 @@ class _Closed:
         """Text of it, with the decorator before the force."""
         potential = "" if force.potential is None else f"potential={force.potential.__name__}"
         source = self.lines.pop(force.name)
-        head = ["from __future__ import annotations\n", "import numpy\n", "import particlerb\n"]
-        return "".join([*head, *self.lines.values(), f"@particlerb.force({potential})\n", source])
+        head = "from __future__ import annotations\n"
+        return "".join([head, *self.lines.values(), f"@particlerb.force({potential})\n", source])
 
 
 def digest_of(text: str) -> str:

@@ -576,6 +576,10 @@ def test_what_reaches_beyond_has_no_text():
     alone = CODE.format(factor=2.0, comment="")
     assert loaded(alone).text() is not None
     assert loaded(alone.replace("FACTOR = 2.0", "FACTOR = object()")).text() is None
+    shadowing = f"from particlerb import force\n{alone}".replace("@particlerb.", "@")
+    for name in ("other", "numpy", "particlerb"):  # the text needs the last two
+        has_none = loaded(shadowing.replace("FACTOR", name)).text() is None
+        assert has_none == (name != "other")
     unknown = alone.replace("import math", "import json as math\nmath.sqrt = lambda x: x")
     assert loaded(unknown).text() is None
 
