@@ -82,7 +82,7 @@ class UserForce:
         text = self.text()
         if text is None:
             return super().__reduce_ex__(protocol)
-        return load_force, (File(self.file, text.encode()), self.name)
+        return load_force, (File(f"<text of {self.name}>", text.encode()), self.name)
 
     @property
     def py_func(self) -> Callable[..., Any]:

@@ -6,6 +6,7 @@ import copy
 import json
 import math
 import os
+import pickle
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -37,6 +38,7 @@ from particlerb.tables import (
     TimedLoad,
     UniformField,
 )
+from particlerb.user_force import place_of
 
 NO_TORQUE = (0.0, 0.0, 0.0)
 plain = pytest.mark.plain
@@ -570,6 +572,13 @@ def test_variants_of_a_sweep_have_the_function_in_processes_of_their_own():
     names = {"particlerb": particlerb}
     exec("@particlerb.force\ndef pull(x):\n    return (1.0, 0, 0), (0, 0, 0)", names)
     assert copy.deepcopy(names["pull"])((0, 0, 0)) == ((1.0, 0, 0), (0, 0, 0))
+
+
+@plain
+def test_a_force_in_another_process_is_not_taken_for_a_file_of_the_user():
+    made = pickle.loads(pickle.dumps(shifted))
+    assert place_of(made).startswith("<text of shifted>:")
+    assert made.text() == shifted.text()
 
 
 def test_what_reaches_beyond_has_no_text():
