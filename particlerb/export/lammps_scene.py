@@ -51,7 +51,7 @@ def lammps_scene(system: System, step: float, stem: str) -> dict[str, str]:
     Raises
     ------
     ExportError
-        If joints, a wall, a motion or a law of contact is one that LAMMPS does not have.
+        If joints, a wall, a motion, a law of contact or a name is one that LAMMPS does not have.
     """
     contact = contact_of(system)
     _refuse(system, contact)
@@ -219,8 +219,11 @@ def _comment(text: str) -> str:
 
 
 def _file(stem: str, suffix: str) -> str:
-    """Name of a file as one word."""
-    return shlex.quote(stem + suffix)
+    """Name of a file as one word; ExportError where LAMMPS cannot take it as it is."""
+    if {"'", '"'} <= set(stem) or set("*%\n") & set(stem):
+        reason = "LAMMPS takes no names with *, %, a line break or both kinds of quotes"
+        raise ExportError(f"{stem!r}: {reason}: give another name")
+    return f'"{stem}{suffix}"' if "'" in stem else shlex.quote(stem + suffix)
 
 
 def _law(contact: SystemContact, a: int, b: int) -> str:

@@ -134,17 +134,24 @@ def test_bodies_without_a_radius_move_in_lammps_as_here(lammps, tmp_path, monkey
     assert np.abs(atoms(lammps, "x") - expected).max() < 1e-6
 
 
-def test_an_input_runs_in_lammps_whatever_things_are_called(lammps, tmp_path, monkeypatch):
+@pytest.mark.parametrize("stem", ["a brick", "brick's $x", 'a "brick" # 1'])
+def test_an_input_runs_in_lammps_whatever_things_are_called(lammps, tmp_path, monkeypatch, stem):
     """A line that ends in `&` goes on in the next one: the floor would hold nothing."""
     run = REST["run"] | {"t_end": 0.5, "every": 0.5}
     scene = REST | {"title": "a brick &\nits floor &", "run": run}
     scene |= {"wall": [REST["wall"][0] | {"name": "floor &"}]}
     monkeypatch.chdir(tmp_path)
-    for suffix, text in lammps_scene(*made(scene), "a brick").items():
-        Path(f"a brick{suffix}").write_text(text)
-    lammps.file("a brick.in")
+    for suffix, text in lammps_scene(*made(scene), stem).items():
+        Path(f"{stem}{suffix}").write_text(text)
+    lammps.file(f"{stem}.in")
     assert atoms(lammps, "x")[:, 2].min() > 0.09
-    assert Path("a brick.lammpstrj").exists()
+    assert Path(f"{stem}.lammpstrj").exists()
+
+
+@pytest.mark.parametrize("stem", ["a*", "100%", "two\nlines", 'brick\'s "a"'])
+def test_a_name_that_lammps_would_read_as_another_is_refused(stem):
+    with pytest.raises(ExportError, match="give another name"):
+        lammps_scene(*made(REST), stem)
 
 
 def test_the_first_impact_in_lammps_has_the_same_largest_force(lammps, tmp_path, monkeypatch):
