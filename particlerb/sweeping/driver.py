@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import partial
+from itertools import zip_longest
 from os import PathLike
 from typing import Any, Final
 
@@ -138,9 +139,12 @@ def _first_system(
             continue  # it costs its own row
         for k, names in enumerate(_columns_of(base, asked, other)):
             if names != first[k]:
+                pairs = zip_longest(first[k], names)
+                name = next(one or another for one, another in pairs if one != another)
                 reason = f"has {len(first[k])} columns in one run, and {len(names)}, or others, in"
+                reason += f" another: the first that differs is {name}"
                 hint = "name one body, which all runs have"
-                raise CaseError([problem_at(base, f"sweep.value[{k}]", f"{reason} another", hint)])
+                raise CaseError([problem_at(base, f"sweep.value[{k}]", reason, hint)])
     return system, [name for names in first for name in names]
 
 
