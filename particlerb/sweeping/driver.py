@@ -33,6 +33,7 @@ from particlerb.sweeping.worker import Task, work
 _AXIS_HINT: Final = "give it a table [sweep], or --axis 'run.t_end=[1, 2]', in Python axes"
 _MAX_ATTEMPTS: Final = 3  # of a task whose worker dies
 _MAX_STARTS: Final = 20  # of workers that die before they do anything
+_END: Final = ("run", "t_end")
 _DIED: Final = "the worker died"
 _MAX_VARIANTS_IN_TASK: Final = 16  # that run one after the other
 _MAX_VARIANTS_IN_BATCH: Final = 1024  # that run together
@@ -129,7 +130,8 @@ def _first_system(
     paths = list(map(path_of, asked.axes))
     system = to_system(built(base, paths, all_variants[0].values))
     loads_of(system)  # whose code may have to be allowed
-    first = _columns_of(base, asked, system)
+    ends = [one.values[k] for k, path in enumerate(paths) if path == _END for one in all_variants]
+    first = _columns_of(base, asked, system, min(ends, default=system.run.t_end))
     matters = [k for k, path in enumerate(paths) if _matters(path)]
     others = all_variants[:0:-1] if matters else []
     for variant in {repr([one.values[k] for k in matters]): one for one in others}.values():
@@ -137,7 +139,7 @@ def _first_system(
             other = to_system(built(base, paths, variant.values))
         except CaseError:
             continue  # it costs its own row
-        for k, names in enumerate(_columns_of(base, asked, other)):
+        for k, names in enumerate(_columns_of(base, asked, other, other.run.t_end)):
             if names != first[k]:
                 pairs = zip_longest(first[k], names)
                 name = next(one or another for one, another in pairs if one != another)
@@ -149,14 +151,13 @@ def _first_system(
 
 
 def _matters(path: Path) -> bool:
-    """Whether values of a key may bring other bodies, joints or names, or another end."""
+    """Whether values of a key may bring other bodies, joints or names."""
     is_whole = path[0] == "body" and (len(path) < 3 or path[2] in ("count", "name"))
-    return is_whole or path[0] == "joint" or path in {("run",), ("run", "t_end")}
+    return is_whole or path[0] == "joint" or path == ("run",)
 
 
-def _columns_of(base: Case, asked: SweepTable, system: System) -> list[list[str]]:
+def _columns_of(base: Case, asked: SweepTable, system: System, t_end: float) -> list[list[str]]:
     """Columns of each value that is asked for; CaseError where a system has none, or has ended."""
-    t_end = system.run.t_end
     for k, one in enumerate(asked.value):
         wrong: tuple[str, str] | None = None
         if one.time is not None and one.time > t_end:

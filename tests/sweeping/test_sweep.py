@@ -15,6 +15,7 @@ from particlerb import CaseError, Scene
 from particlerb.case import reader
 from particlerb.case.reader import load
 from particlerb.case.sweep import Spread, SweepTable
+from particlerb.case.to_system import to_system
 from particlerb.cli import main
 from particlerb.cli.sweep import summary
 from particlerb.studies.charts import sweep as sweep_chart
@@ -284,6 +285,16 @@ def test_variants_have_the_same_columns(axes, told, tmp_path):
     with pytest.raises(CaseError, match=told):
         in_threads(scene, tmp_path / "t.csv")
     assert not list(tmp_path.iterdir())
+
+
+def test_ends_are_compared_as_numbers_and_no_other_variant_is_made(monkeypatch):
+    scene, ends, made = fallen(), [0.5, 0.75, 1.0], []
+    monkeypatch.setattr(driver, "to_system", lambda case: made.append(case) or to_system(case))
+    scene.sweep = SweepTable(
+        axes={"run.t_end": ends}, value=[{"body": "box", "quantity": "position", "time": 0.5}]
+    )
+    assert len(in_threads(scene).rows) == 3
+    assert len(made) == 1
 
 
 def test_values_in_two_frames_and_at_near_instants_have_columns_of_their_own():
