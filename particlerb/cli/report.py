@@ -30,7 +30,11 @@ def _new_log(path: Path) -> TextIO:
         if data and not data.startswith(_LOG_HEAD.encode()):
             raise Ending(f"--log {path} exists and is not a log: give another name")
         file = path.open("w", encoding="utf-8")
-        print(_LOG_HEAD, file=file, flush=True)
+        try:
+            print(_LOG_HEAD, file=file, flush=True)
+        except OSError:
+            file.close()
+            raise
     except OSError as error:
         raise Ending(f"--log {path} cannot be written: {error.strerror}") from None
     return file
@@ -102,7 +106,7 @@ class Report(Closing):
         try:
             print(f"{head}{line}", file=output, flush=True)
         except OSError as error:
-            raise OSError(error.errno, error.strerror, output.name) from None
+            raise OSError(error.errno, error.strerror, getattr(output, "name", "stderr")) from None
 
     def close(self) -> None:
         """End the bar, and the log with what was reached last."""

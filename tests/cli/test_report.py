@@ -96,6 +96,30 @@ def test_a_log_that_takes_nothing_more_is_named(tmp_path, capsys, monkeypatch):
         assert trajectory.n_frames > 0
 
 
+def test_a_stream_without_a_name_that_takes_nothing_is_told_as_such(monkeypatch, clock):
+    stream = SimpleNamespace(isatty=lambda: False, write=raising(partial(OSError, 28, "full")))
+    monkeypatch.setattr("sys.stderr", stream)
+    one = report.Report(10, 0, False, None)
+    one.last = Reached(1, 0.0, 5.0, 0.0)
+    with pytest.raises(OSError, match="full") as info:
+        one._write("lines", stream)
+    assert info.value.filename == "stderr"
+
+
+def test_a_log_that_takes_no_head_is_closed(monkeypatch, tmp_path):
+    opened = []
+
+    def full(*_: object, **_keys: object) -> SimpleNamespace:
+        stream = SimpleNamespace(write=raising(partial(OSError, 28, "full")))
+        stream.close = lambda: opened.append("closed")
+        return stream
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(Ending, match="cannot be written: full"):
+        report._new_log(tmp_path / "a.log")
+    assert opened == ["closed"]
+
+
 SPINNING = """run = { t_end = 1.0, every = 0.5 }
 [[body]]
 name = "a"
