@@ -131,7 +131,8 @@ def _first_system(
     system = to_system(built(base, paths, all_variants[0].values))
     loads_of(system)  # whose code may have to be allowed
     ends = [one.values[k] for k, path in enumerate(paths) if path == _END for one in all_variants]
-    first = _columns_of(base, asked, system, min(ends, default=system.run.t_end))
+    numbers = [end for end in ends if isinstance(end, int | float)]  # others cost their own rows
+    first = _columns_of(base, asked, system, min(numbers, default=system.run.t_end))
     matters = [k for k, path in enumerate(paths) if _matters(path)]
     others = all_variants[:0:-1] if matters else []
     for variant in {repr([one.values[k] for k in matters]): one for one in others}.values():
