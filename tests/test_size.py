@@ -17,14 +17,14 @@ pytestmark = pytest.mark.once
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 24700
+LINES_OF_CODE = 24396
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
     "closed forms under force": 1596,
-    "joints": 5252,
+    "joints": 5289,
     "contact with every method": 480,
-    "contact by impulses": 3914,
+    "contact by impulses": 4113,
     "collisions by events": 1715,
     "forces: tables, gradients, written by users": 2143,
     "scenes and simulations in Python": 646,
