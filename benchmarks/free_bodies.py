@@ -170,7 +170,7 @@ def search(rounds: int) -> tuple[float, float]:
 def scipy_loop(case: dict, wanted: float) -> float:
     """Least time of SciPy's joint DOP853 with an error that is small enough; NaN without it [s]."""
     (engine,) = engines(("scipy",))
-    if engine.missing:
+    if engine.missing():
         return float("nan")
     study = Study(to_system(case), 5.0)
     return scipy_times(study, [wanted], time.perf_counter)[wanted]
