@@ -139,6 +139,5 @@ def test_sweeps_by_colours_come_as_near_as_by_the_order_of_the_list(monkeypatch)
     in_order = left(20), left(60)
     monkeypatch.setattr(records, "MANY", 1)
     by_colours = left(20), left(60)
-    print(in_order, by_colours)
     assert by_colours[0] < 1.5 * in_order[0]
     assert by_colours[1] < 1.5 * in_order[1] < 0.1 * in_order[0]
