@@ -58,8 +58,7 @@ class OutputFile:
         self.replaced = replaced
         try:
             if waiting is not None:
-                _require_name(lock, waiting)
-                os.truncate(lock.fileno(), 0)
+                _empty(lock, waiting)
             self.disk = AtomicFile(lock, path, is_durable)
             self.disk.settle()
             if empty is not None:
@@ -129,12 +128,12 @@ def waiting_in(folder: Path, place: Path) -> Path:
     return folder / f"{place.name}.new"
 
 
-def _require_name(lock: WriterLock, waiting: Path) -> None:
-    """Raise InUseError where another run has ended, and renamed what was locked just now."""
-    with suppress(FileNotFoundError):
-        if os.path.samestat(os.fstat(lock.fileno()), waiting.stat()):
-            return
-    raise InUseError(errno.EBUSY, "was written by another run just now", str(waiting))
+def _empty(lock: WriterLock, waiting: Path) -> None:
+    """Empty it; raise InUseError where another run has just ended, and renamed what was locked."""
+    if not waiting.exists() or not os.path.samestat(os.fstat(lock.fileno()), waiting.stat()):
+        raise InUseError(errno.EBUSY, "was written by another run just now", str(waiting))
+    with _blaming(waiting):
+        os.truncate(lock.fileno(), 0)
 
 
 def new_file(
