@@ -172,6 +172,7 @@ class ContactMotion(SteppedMotion):
         steps = self.grid_step - self.list_step  # for which the last lists were good
         lasted = ListLifetime(steps, time < self.contact.memory.valid_until, self.step_cost)
         self.part_of_step(POSES)
+        self.widen_skin()
         if self.checks_stability and self.lists.count > 0 and is_due(self.lists.count):
             self.measure_frequency()
         self.ranks.together(lambda: self.check_lists(steps))
@@ -179,6 +180,9 @@ class ContactMotion(SteppedMotion):
         ahead = self.lists.look_ahead(self.corners(), poses, self.start + time, lasted)
         self.migrate()
         self.list_pairs(ahead)
+
+    def widen_skin(self) -> None:
+        """Let the skin be as wide as the speeds of now ask for."""
 
     def list_pairs(self, ahead: WallsAhead) -> None:
         """Make lists of what may touch now, with the skin that was chosen."""
@@ -207,8 +211,8 @@ class ContactMotion(SteppedMotion):
 
     def corners(self) -> Floats:
         """Of the box around the centres of all spheres, (3, 2) [m]."""
-        points = self.contact.workspace.xyzr[:, :3]
-        low, high = self.ranks.largest(np.stack([-points.min(axis=0), points.max(axis=0)]))
+        points = np.ascontiguousarray(self.contact.workspace.xyzr[:, :3].T)  # rows are faster
+        low, high = self.ranks.largest(np.stack([-points.min(axis=1), points.max(axis=1)]))
         return np.stack([-low, high], axis=1)
 
     def migrate(self) -> None:

@@ -6,7 +6,6 @@ import numpy as np
 
 from particlerb.compiled.jit import flag
 from particlerb.contact.contact_model import GroupContact
-from particlerb.contact.pair_force import max_point_speed
 from particlerb.contact.piston import piston_energies, with_pistons
 from particlerb.forces import has_potential
 from particlerb.impulses.order import room_for_newton
@@ -21,7 +20,6 @@ from particlerb.impulses.records import (
 from particlerb.joints.responses import bounded_of, mechanisms_of, pairs_through
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.stepping.contact_motion import ContactMotion
-from particlerb.stepping.loop import POSES
 from particlerb.stepping.motion import Energies, MotionError
 from particlerb.stepping.saved_arrays import Saved
 
@@ -57,15 +55,18 @@ class ImpulseMotion(ContactMotion):
         return Impulses(setup.rules, partners, rows, count, np.zeros(TALLY), newton)
 
     def make_lists(self) -> None:
-        """Pairs that may touch, kept within what bodies can cross in some steps."""
+        """Pairs that may touch, and room for their impulses."""
         if not self.lists.numbers.size:  # joints alone are solved
             self.lists.skin = np.inf
             self.contact = self.contact._replace(setup=self.contact.setup._replace(skin=np.inf))
             self._make_room()
             return
-        self.part_of_step(POSES)
-        bodies, arm = self.contact.workspace.bodies, self.contact.lists.max_contact_arm
-        path = self.dt * max_point_speed(bodies, arm, 0, bodies.size)
+        super().make_lists()
+        self._make_room()
+
+    def widen_skin(self) -> None:
+        """Keep pairs within what bodies can cross in some steps."""
+        path = self.dt * float(self.contact.memory.extremes.speed[0])
         path = max(path, self.dt * np.abs(self.contact.memory.pistons.velocity).max(initial=0.0))
         if self.contact.setup.is_skin_fixed and self.contact.setup.skin < _MIN_SKIN_STEPS * path:
             raise MotionError(
@@ -76,8 +77,6 @@ class ImpulseMotion(ContactMotion):
         if not self.contact.setup.is_skin_fixed:
             self.lists.least_skin = max(self.group.terms.known_contact.skin, _SKIN_STEPS * path)
             self.lists.skin = max(self.lists.skin, self.lists.least_skin)
-        super().make_lists()
-        self._make_room()
 
     def _make_room(self) -> None:
         """Room for all contacts of the lists."""
