@@ -4,6 +4,7 @@ import csv
 import math
 import re
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -345,38 +346,68 @@ def test_what_engines_are_not_given_where_bodies_touch_is_said(bounce, make):
                        "it is given balls, clumps and planes alone"]  # fmt: skip
 
 
+CRADLE = {
+    ("", "strang"): ((0.027, 0.0245), (0.05, 8.8e-4), (0.096, 1.4e-4)),
+    ("", "semi_implicit_euler"): ((0.025, 0.13), (0.048, 1.9e-3), (0.09, 2.8e-3)),
+    ("", "rk4"): ((0.07, 0.052), (0.127, 5.9e-3), (0.23, 1.7e-4)),
+    ("LAMMPS", "granular"): ((0.0135, 0.027), (0.033, 6.3e-3), (0.059, 2e-3), (0.11, 1e-4)),
+    ("MuJoCo", "implicitfast"): ((0.24, 4.1e-3), (0.5, 1.3e-4)),
+    ("MuJoCo", "RK4"): ((0.28, 4.1e-3), (0.68, 1.4e-3)),
+    ("PyBullet", "btMultiBody"): ((0.33, 2.2e-3),),
+}
+CLUMPS = {
+    ("", "strang"): ((0.041, 0.0175), (0.078, 0.0195), (0.137, 8.2e-3)),
+    ("", "rk4"): ((0.132, 0.034), (0.277, 0.031)),
+    ("MuJoCo", "implicitfast"): ((0.99, 0.058),),
+    ("MuJoCo", "RK4"): ((1.5, 0.071),),
+    ("PyBullet", "btMultiBody"): ((5.1, 0.068),),
+}
+
+
 @pytest.mark.plain
-def test_names_of_curves_stand_on_no_line_and_on_no_other_text(monkeypatch, tmp_path):
+@pytest.mark.parametrize("curves", [CRADLE, CLUMPS], ids=["cradle", "clumps"])
+def test_names_of_curves_stand_on_no_line_mark_or_other_text(monkeypatch, tmp_path, curves):
     """Curves as dense as those of a cradle with three engines, in the picture as it is drawn."""
-    from matplotlib.figure import Figure
     from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
 
-    from particlerb.studies.charts.work_precision import draw_chart
-
-    curves = {
-        ("", "strang"): ((0.027, 0.0245), (0.05, 8.8e-4), (0.096, 1.4e-4)),
-        ("", "semi_implicit_euler"): ((0.025, 0.13), (0.048, 1.9e-3), (0.09, 2.8e-3)),
-        ("", "rk4"): ((0.07, 0.052), (0.127, 5.9e-3), (0.23, 1.7e-4)),
-        ("LAMMPS", "granular"): ((0.0135, 0.027), (0.033, 6.3e-3), (0.059, 2e-3), (0.11, 1e-4)),
-        ("MuJoCo", "implicitfast"): ((0.24, 4.1e-3), (0.5, 1.3e-4)),
-        ("MuJoCo", "RK4"): ((0.28, 4.1e-3), (0.68, 1.4e-3)),
-        ("PyBullet", "btMultiBody"): ((0.33, 2.2e-3),),
-    }
     points = [
         point(seconds, error, method, engine)
         for (engine, method), own in curves.items()
         for seconds, error in own
     ]
-    found = made(*points, target=1e-3)._replace(floor=9e-4)
-    shown = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: shown.append(figure))
-    draw_chart(found, tmp_path / "chart.png")
-    (figure,) = shown
-    figure.draw_without_rendering()
-    (axes,) = figure.axes
+    axes = drawn_axes(monkeypatch, made(*points, target=1e-3)._replace(floor=9e-4))
     lines = [line.get_path().transformed(line.get_transform()) for line in axes.lines[:-1]]
+    reach = [line.get_markersize() * axes.figure.dpi / 144.0 for line in axes.lines[: len(curves)]]
+    marks = [
+        Bbox.from_extents(*(place - half), *(place + half))
+        for path, half in zip(lines, reach, strict=False)
+        for place in path.vertices
+    ]
     texts = {text.get_text(): Text.get_window_extent(text) for text in axes.texts}
     for name in (f"{engine} {method}".strip() for engine, method in curves):
         box = texts.pop(name).padded(-1.5)
         assert not any(path.intersects_bbox(box, filled=False) for path in lines), name
-        assert not any(box.overlaps(other) for other in texts.values()), name
+        assert not any(box.overlaps(other) for other in (*marks, *texts.values())), name
+
+
+@pytest.mark.plain
+def test_the_chart_names_what_failed(monkeypatch):
+    """At some steps or at all of them."""
+    lost = [point(0.2, 2.0, name, failed="lost") for name in ("rk4", "explicit_euler")]
+    axes = drawn_axes(monkeypatch, made(point(0.1, 1e-3, "rk4"), point(0.3, 1e-4), *lost))
+    (text,) = (text.get_text() for text in axes.texts if "failed" in text.get_text())
+    assert text.endswith("; at some steps: rk4; at every step: explicit_euler")
+
+
+def drawn_axes(monkeypatch, found):
+    """The panel of a chart, laid out as in its file."""
+    from matplotlib.figure import Figure
+
+    from particlerb.studies.charts.work_precision import draw_chart
+
+    shown = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: shown.append(figure))
+    draw_chart(found, Path("chart.png"))
+    shown[0].draw_without_rendering()
+    return shown[0].axes[0]

@@ -222,14 +222,14 @@ def _mark_levels(axes: Axes, chart: WorkPrecision) -> list[_Place]:
 
 
 def _mark_failures(axes: Axes, points: Sequence[Point]) -> None:
-    """Draw the line of failed runs, with the names of methods that always fail."""
-    failed = {p.label for p in points if p.failure}
+    """Draw the line of failed runs, with the names of what fails at some or at all steps."""
+    failed, good = ({p.label for p in points if bool(p.failure) is bad} for bad in (True, False))
     if not failed:
         return
-    throughout = sorted(failed - {p.label for p in points if not p.failure})
-    words = f"; at every step: {', '.join(throughout)}" if throughout else ""
     axes.axhline(_FAILED, color="#cc3333", lw=0.8)
-    text = f"× failed: error above 1, or NaN{words}"
+    text = "× failed: error above 1, or NaN"
+    for when, names in (("some steps", failed & good), ("every step", failed - good)):
+        text += f"; at {when}: {', '.join(sorted(names))}" if names else ""
     style.write_beside(axes, 0.005, _FAILED * 1.15, text, fontsize=8, color="#cc3333", va="bottom")
 
 
