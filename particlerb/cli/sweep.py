@@ -16,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 from particlerb.case.problems import CaseError
-from particlerb.cli.common import named_output, read_case, to_write
+from particlerb.cli.common import PICTURES, named_output, read_case, to_write
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.sweeping.driver import sweep
 from particlerb.sweeping.executors import NoExecutorError, Workers, cluster
@@ -39,9 +39,16 @@ def _sweep(options: argparse.Namespace, workers: Workers | None) -> int:
     case = read_case(options)
     stem = case.path.stem if case.path else "case"
     path = named_output(options, Path("output") / f"{stem}_sweep.csv")
-    path = to_write(path, True, case.path)
+    if path.suffix.lower() in PICTURES:
+        raise Ending(f"{path}: the table of a sweep is a CSV file; --plot draws a PNG beside it")
+    path, picture = to_write(path, True, case.path), path.with_suffix(".png")
+    if options.plot and not path.exists():
+        to_write(picture, options.overwrite)
     axes = dict(_axis(text) for text in options.axes) or None
-    with ending(CaseError, ValueError), tqdm(unit="run", delay=0.5, disable=None) as bar:
+    with (
+        ending(CaseError, ValueError, FileExistsError),
+        tqdm(unit="run", delay=0.5, disable=None) as bar,
+    ):
         try:
             executor, n = workers or (None, options.workers)
             run = partial(sweep, executor=executor, workers=n, progress=bar.update)
@@ -53,7 +60,6 @@ def _sweep(options: argparse.Namespace, workers: Workers | None) -> int:
     print(tamed(summary(table)))
     written = [path, *([means_beside(path)] if table.replicates > 1 else [])]
     if options.plot:
-        picture = path.with_suffix(".png")
         written += [picture] * _plot(table, case.title or stem, picture)
     print(f"written: {', '.join(map(str, written))}")
     if any(status != "done" for status in table.column("status")):

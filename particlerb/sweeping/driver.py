@@ -66,7 +66,8 @@ def sweep(
         CSV file of the rows: those that it has are not run again, so what was stopped goes on.
         With replicates their means are beside it, in table_means.csv.
     overwrite : bool
-        Whether to forget what a table has that is there.
+        Whether to forget what a table has that is there; without, what lies where the means of a
+        new table are to be is an error.
     axes : mapping, optional
         Keys of the case and their values, in place of [sweep.axes]: all combinations.
     executor : concurrent.futures.Executor, optional
@@ -92,7 +93,8 @@ def sweep(
     asked = written_out(base, _asked(base, axes))
     all_variants = variants(base, asked)
     system, names = _first_system(base, asked, all_variants)
-    with TableFile(table, list(map(label, asked.axes)), names, overwrite) as file:
+    axis_names = list(map(label, asked.axes))
+    with TableFile(table, axis_names, names, overwrite, asked.replicates) as file:
         left = [variant for variant in all_variants if variant.hash not in file.known]
         progress(len(all_variants) - len(left))
 
@@ -103,7 +105,7 @@ def sweep(
         if left:
             n = workers or os.cpu_count() or 1
             _drive(executor, _tasks(base, system, asked, left, n), n, take)
-        return file.finish(all_variants, asked.replicates)
+        return file.finish(all_variants)
 
 
 def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:

@@ -13,6 +13,7 @@ import numpy as np
 
 from particlerb.files import Closing
 from particlerb.maths.vec3 import Floats
+from particlerb.record.output_path import output_path
 from particlerb.record.writer_lock import WriterLock
 from particlerb.sweeping.rows import Row
 from particlerb.sweeping.variants import Variant
@@ -92,38 +93,56 @@ def means_beside(table: Path) -> Path:
     return table.with_name(f"{table.stem}_means{table.suffix}")
 
 
+def _text(lines: Sequence[Sequence[Any]]) -> bytes:
+    """Lines of a CSV."""
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(lines)
+    return text.getvalue().encode()
+
+
+def _put(path: Path, mode: str, lines: Sequence[Sequence[Any]]) -> None:
+    """Write lines, which are on the disk when this returns."""
+    with path.open(mode) as file:
+        file.write(_text(lines))
+        file.flush()
+        os.fsync(file.fileno())
+
+
 def _write(path: Path, lines: Sequence[Sequence[Any]]) -> None:
     """A CSV in place of what is there; a kill leaves one of both."""
     beside = path.with_name(path.name + ".new")
     beside.unlink(missing_ok=True)
-    with beside.open("x", newline="", encoding="utf-8") as file:  # not through a link
-        csv.writer(file).writerows(lines)
-        file.flush()
-        os.fsync(file.fileno())
+    _put(beside, "xb", lines)  # not through a link
     beside.replace(path)
 
 
 class TableFile(Closing):
     """Rows of a sweep, in a file if there is a path; what the file has is known already.
 
+    Each variant has n rows, its replicates.
+
     Raises
     ------
     ValueError
         If there is a file that is no table with these columns.
     OSError
-        If it cannot be read or written, or if another sweep writes it.
+        If it cannot be read or written, or if another sweep writes it, or if there is a file where
+        the means of a new table are to be.
     """
 
     def __init__(
-        self, table: _Table, axes: Sequence[str], values: Sequence[str], overwrite: bool
+        self, table: _Table, axes: Sequence[str], values: Sequence[str], overwrite: bool, n: int
     ) -> None:
         self.columns, self.n_axes = (*_FIRST_COLUMNS, *axes, *values), len(axes)
+        self.replicates = n
         self.path = path = None if table is None else Path(table)
         self.known: dict[str, tuple[Any, ...]] = {}  # rows that are done, by their hash
         self._order: list[str] = []  # hashes in the file
         self._lock: WriterLock | None = None
         if path is None:
             return
+        if n > 1 and not path.exists():
+            output_path(means_beside(path), overwrite)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._lock = WriterLock(path)
         try:
@@ -134,15 +153,15 @@ class TableFile(Closing):
 
     def _read(self, path: Path, overwrite: bool) -> None:
         """Note what the file has, which gets its first line if it has none."""
-        content = path.read_bytes()
-        end = 0 if overwrite else content.rfind(b"\n") + 1
-        if end < len(content):  # behind it is a last line that was torn
-            os.truncate(path, end)
+        content = b"" if overwrite else path.read_bytes()
+        end = content.rfind(b"\n") + 1
         lines = list(csv.reader(io.StringIO(content[:end].decode("utf-8", "replace"))))
-        if lines and tuple(lines[0]) != self.columns:
+        is_ours = _text([self.columns]).startswith(content)
+        if not is_ours and (not lines or tuple(lines[0]) != self.columns):
             raise ValueError(f"{path} has other columns than this sweep: give another name")
+        os.truncate(path, end)  # behind it is a last line that was torn
         if not lines:
-            self._append([self.columns])
+            _put(path, "ab", [self.columns])
         rows = [line for line in lines[1:] if line[2:3] == ["done"]]
         try:
             if any(len(row) != len(self.columns) for row in rows):
@@ -152,14 +171,6 @@ class TableFile(Closing):
         except (IndexError, ValueError):
             raise ValueError(f"{path} has lines that are no rows: give another name") from None
 
-    def _append(self, lines: Sequence[Sequence[Any]]) -> None:
-        """Append lines, which are on the disk when this returns."""
-        assert self.path is not None
-        with self.path.open("a", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows(lines)
-            file.flush()
-            os.fsync(file.fileno())
-
     def add(self, rows: Sequence[tuple[Variant, Row]]) -> None:
         """Add rows."""
         lines, hashes = list[tuple[Any, ...]](), [variant.hash for variant, _ in rows]
@@ -168,9 +179,9 @@ class TableFile(Closing):
         self.known.update(zip(hashes, lines, strict=True))
         self._order += hashes
         if self.path is not None:
-            self._append(lines)
+            _put(self.path, "ab", lines)
 
-    def finish(self, variants: Sequence[Variant], replicates: int = 1) -> SweepRows:
+    def finish(self, variants: Sequence[Variant]) -> SweepRows:
         """Rows of all variants in their order; the file then has these and no others.
 
         Means over replicates are written beside it.
@@ -186,8 +197,8 @@ class TableFile(Closing):
             self._order != [v.hash for v in variants] or numbers != list(range(len(variants)))
         ):
             _write(self.path, [self.columns, *rows])
-        result = SweepRows(self.columns, rows, self.n_axes, replicates)
-        if self.path is not None and replicates > 1:
+        result = SweepRows(self.columns, rows, self.n_axes, self.replicates)
+        if self.path is not None and self.replicates > 1:
             means = result.means()
             _write(means_beside(self.path), [means.columns, *means.rows])
         return result

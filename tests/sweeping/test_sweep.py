@@ -258,12 +258,42 @@ def test_a_table_with_lines_that_are_no_rows_is_left_alone(line, tmp_path):
     assert path.read_text() == text
 
 
-def test_a_table_of_another_sweep_is_left_alone(tmp_path):
+@pytest.mark.parametrize("text", ["a,b\n1,2\n", "a,b\n1,2", "a,b", "\x89HDF\r\n\x1a\n\0\0"])
+def test_a_table_of_another_sweep_is_left_alone(tmp_path, text):
+    """And any other file, also where its last line looks torn."""
     path = tmp_path / "t.csv"
-    path.write_text("a,b\n1,2\n")
+    path.write_bytes(text.encode("latin-1"))
     with pytest.raises(ValueError, match="has other columns"):
         in_threads(fallen(), path)
-    assert path.read_text() == "a,b\n1,2\n"
+    assert path.read_bytes() == text.encode("latin-1")
+
+
+@pytest.mark.parametrize("n", [0, 7])
+def test_a_table_whose_first_line_was_torn_is_begun_anew(tmp_path, n):
+    path = tmp_path / "t.csv"
+    in_threads(fallen(), path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:n])
+    in_threads(fallen(), path)
+    assert path.read_bytes() == whole
+
+
+def test_what_lies_beside_a_new_table_is_left_alone(tmp_path, capsys):
+    """Means over replicates, and a picture: of another sweep, or by hand."""
+    path, others = tmp_path / "t.csv", [tmp_path / "t_means.csv", tmp_path / "t.png"]
+    for other in others:
+        other.write_text("mine")
+    with pytest.raises(FileExistsError, match=r"t_means\.csv exists"):
+        in_threads(fallen(replicates=2), path)
+    (tmp_path / "case.toml").write_text(fallen().to_toml())
+    command = ["sweep", str(tmp_path / "case.toml"), "--plot", "-o"]
+    assert main([*command, str(path)]) == 2
+    assert main([*command, str(others[1]), "--overwrite"]) == 2
+    told = capsys.readouterr().err
+    assert "t.png exists" in told
+    assert "t.png: the table of a sweep is a CSV file" in told
+    assert [other.read_text() for other in others] == ["mine"] * 2
+    assert not path.exists()
 
 
 @pytest.mark.parametrize(
