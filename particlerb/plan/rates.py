@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from particlerb.contact.contact_model import ContactSpheres, GroupContact
+from particlerb.contact.walls import PLANE
 from particlerb.forces import Terms
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.attraction_rates import fastest_rates
@@ -69,13 +70,18 @@ def fastest_rate(system: System, group: GroupPlan, t_end: float = 0.0) -> float:
 
 
 def falling_speed(system: System, terms: Terms) -> float:
-    """Speed [m/s] that bodies reach by falling through all of a system."""
+    """Speed [m/s] that bodies reach by falling from the highest to the lowest body or wall.
+
+    A plane counts where it is nearest to the middle of all bodies.
+    """
     if terms.gravity is None:
         return 0.0
-    com = system.state.com
-    extent = com.max(axis=1) - com.min(axis=1)
-    lowest = np.abs(com).max(axis=1)  # the ground may lie at the origin
-    return math.sqrt(2.0 * float(np.abs(terms.gravity.acceleration) @ np.maximum(extent, lowest)))
+    g, com, walls = terms.gravity.acceleration, system.state.com, terms.known_contact.model.walls
+    point, normal, middle = walls.parameter[:, :3], walls.parameter[:, 3:6], com.mean(axis=1)
+    beside = middle - ((middle - point) * normal).sum(axis=1)[:, None] * normal
+    point = np.where(walls.kind[:, None] == PLANE, beside, point)
+    fallen = g @ com
+    return math.sqrt(2.0 * (max(fallen.max(), (point @ g).max(initial=-np.inf)) - fallen.min()))
 
 
 def _attraction_rates(attraction: Attraction, com: Floats) -> Floats:

@@ -305,3 +305,21 @@ def test_bodies_that_a_spring_has_tied_stay_together(make):
         assert np.abs(t.ledger.linear_momentum_error).max() < 1e-14
     assert p[-1] - p[1] == pytest.approx(np.tile([0.02, 0.04, 0.06], (2, 1)), abs=1e-13)
     assert x[1, 0, 0] > x[0, 0, 0] + 0.01
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("law", ["hertz", "impulse"])
+def test_the_step_of_a_scene_does_not_depend_on_where_it_stands(make, law):
+    """Its bodies fall as far."""
+    steps = []
+    for z in (0.0, 3e5):
+        case = make.case(
+            make.sphere(position=[0, 0, z + 0.5]),
+            wall=[make.plane(point=[z, 0, z])],
+            gravity={"acceleration": [0, 0, -9.81]},
+            material=[{"name": "steel", "young": 1e7, "poisson": 0.3}],
+            contact={"law": law, "restitution": 0.5, "friction": 0.3},
+        )
+        ((segment,),) = (group.segments for group in plan_of(case).groups)
+        steps.append(segment.dt)
+    assert steps[1] == pytest.approx(steps[0], rel=1e-9)
