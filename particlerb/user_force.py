@@ -26,6 +26,7 @@ _POSE_ARGUMENTS: Final = ("x", "R")
 _RATE_ARGUMENTS: Final = ("v", "omega")
 _OF_STATE: Final = (*_POSE_ARGUMENTS, *_RATE_ARGUMENTS)
 """Arguments that have a meaning: place [m], rotation matrix, velocities [m/s, rad/s]."""
+_SOURCE: Final = "__source__"  # among the globals of code of a case: its lines
 _LIBRARIES: Final = ("math", "numpy", "numba", "particlerb")  # whose functions have no text here
 
 
@@ -207,6 +208,7 @@ def load_force(file: File, name: str) -> UserForce:
 def _run(source: str, file: str) -> dict[str, Any]:
     """What a text of Python code defines."""
     names: dict[str, Any] = {"__name__": "<code of a case>", "__file__": file}
+    names[_SOURCE] = source.splitlines(keepends=True)
     try:
         exec(compile(source, file, "exec"), names)
     except Exception as error:
@@ -284,7 +286,10 @@ def _is_library(module: str | None) -> bool:
 @lru_cache(maxsize=256)
 def _tree_of(function: Callable[..., Any]) -> ast.FunctionDef:
     """Source of a function without decorators, comments and spaces."""
-    tree = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
+    lines = function.__globals__.get(_SOURCE)  # its file may have another content by now
+    first = function.__code__.co_firstlineno - 1
+    source = "".join(inspect.getblock(lines[first:])) if lines else inspect.getsource(function)
+    tree = ast.parse(textwrap.dedent(source)).body[0]
     if not isinstance(tree, ast.FunctionDef):
         raise _NotClosedError
     tree.decorator_list = []

@@ -473,6 +473,15 @@ def test_the_text_of_a_force_has_all_that_it_reaches():
 
 
 @plain
+def test_two_files_of_one_name_keep_their_own_texts():
+    """As cases of two folders have them, or two forces of one name in the worker of a sweep."""
+    code = CODE.format(factor=2.0, comment="")
+    first, other = loaded(code), loaded(code.replace("0.5", "0.25"))
+    assert "0.5" in first.text()
+    assert "0.25" in other.text()
+
+
+@plain
 def test_two_functions_of_one_name_are_refused_as_their_texts_would_be_one_file():
     other = loaded(CODE.format(factor=3.0, comment=""))
     first = loaded(CODE.format(factor=2.0, comment=""))
