@@ -1,5 +1,6 @@
 """One plain trajectory file out of a master and its parts: what one process would have written."""
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -9,7 +10,7 @@ import numpy as np
 
 from particlerb.export import ExportError, Selection
 from particlerb.record import schema
-from particlerb.record.checked_reading import dataset_at, has, trajectory_errors
+from particlerb.record.checked_reading import can_be_continued, dataset_at, has, trajectory_errors
 from particlerb.record.checkpoint import slots_in, states_of, write_checkpoint
 from particlerb.record.checksums import tables_in
 from particlerb.record.hdf5 import change, opened
@@ -21,6 +22,7 @@ from particlerb.simulation.outcome import joined
 
 NEEDS: Final = ()
 HOLDS: Final = (*schema.FIELDS, *schema.CONTACT_FIELDS, *schema.OBSERVED, schema.CONTACTS)
+_LOG: Final = logging.getLogger(__name__)
 
 
 def write(selection: Selection, path: Path) -> None:
@@ -98,3 +100,6 @@ def _copy_state(file: h5py.File, made: h5py.File, n_frames: int) -> None:
     common = set(range(n_frames + 1)).intersection(*each)
     if common:
         write_checkpoint(made, max(common), joined([states[max(common)] for states in each]))
+    elif can_be_continued(file):
+        text = "particlerb: warning: %s: its checkpoint is damaged: the copy cannot be continued"
+        _LOG.warning(text, file.filename)

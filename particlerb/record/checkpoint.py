@@ -41,17 +41,15 @@ class Checkpoint(NamedTuple):
     """State of a run."""
 
     n_frames: int  # frames that lie behind
-    arrays: Mapping[str, Any]
+    arrays: dict[str, Any]
 
 
 class _Slot(NamedTuple):
-    """Content of a slot as it is in a file."""
+    """Content of a slot as it was written."""
 
-    name: str
     n_frames: int  # frames that lie behind
     content: bytes
-    digest: str  # SHA-256 of the content,
-    stored: str  # and as it was when that was written
+    digest: str  # SHA-256 of the content
 
 
 def _make_slots(file: h5py.File, size: int) -> None:
@@ -112,9 +110,8 @@ def slots_in(file: h5py.File) -> dict[int, dict[str, Any]]:
     states: dict[int, dict[str, Any]] = {}
     for is_before in (True, False) if schema.CHECKPOINT in file else ():
         with suppress(TrajectoryError, CheckpointError):
-            slot = slot_in(file, is_before)
-            if slot.content and slot.digest == slot.stored:
-                states[slot.n_frames] = _arrays_in(file, slot)
+            state = _state_in(file, is_before)
+            states[state.n_frames] = state.arrays
     return states
 
 
@@ -138,6 +135,8 @@ def slot_in(file: h5py.File, is_before: bool) -> _Slot:
     ------
     TrajectoryError
         If it is not there, or of another form.
+    CheckpointError
+        If it does not have the hash that was written.
     """
     with trajectory_errors(file):
         current = integer_attribute(object_at(file, schema.CHECKPOINT), schema.CURRENT)
@@ -145,30 +144,36 @@ def slot_in(file: h5py.File, is_before: bool) -> _Slot:
         slot = dataset_at(file, f"{schema.CHECKPOINT}/{name}", "u", (None,))
         content = slot[:].tobytes()
         stored = bytes(attribute(slot, schema.SLOT_DIGEST, "S")).decode(errors="replace")
-        return _Slot(
-            name, integer_attribute(slot, schema.SLOT_FRAMES), content, _digest_of(content), stored
-        )
+        n_frames, digest = integer_attribute(slot, schema.SLOT_FRAMES), _digest_of(content)
+    if digest != stored:
+        written = f"written was {stored[:12]}…"
+        raise CheckpointError(f"in slot {name} has the hash {digest[:12]}…, {written}")
+    return _Slot(n_frames, content, digest)
 
 
 def read_checkpoint(file: h5py.File) -> Checkpoint:
-    """The later of two states, or the one before where that is damaged.
+    """The state that counts, or the one before where that is damaged.
 
     Raises
     ------
     CheckpointError
-        If there is none that is whole.
+        If there is none that is whole: what is wrong with the one that counts.
     """
-    states = slots_in(file)
-    if not states:
-        what = "damaged" if schema.CHECKPOINT in file else "missing"
-        raise CheckpointError(f"{file.filename}: the checkpoint is {what}")
-    return Checkpoint(max(states), states[max(states)])
+    if schema.CHECKPOINT not in file:
+        raise CheckpointError(f"{file.filename}: the checkpoint is missing")
+    try:
+        return _state_in(file, False)
+    except (TrajectoryError, CheckpointError) as error:
+        with suppress(TrajectoryError, CheckpointError):
+            return _state_in(file, True)
+        raise CheckpointError(f"{file.filename} is damaged: the checkpoint {error}") from None
 
 
-def _arrays_in(file: h5py.File, slot: _Slot) -> dict[str, Any]:
-    """State in a slot."""
+def _state_in(file: h5py.File, is_before: bool) -> Checkpoint:
+    """State in the slot that counts, or in the one before; errors as of `slot_in`."""
+    slot = slot_in(file, is_before)
     try:
         with np.load(io.BytesIO(slot.content), allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+            return Checkpoint(slot.n_frames, {name: archive[name] for name in archive.files})
     except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise CheckpointError(f"{file.filename}: the checkpoint cannot be read: {error}") from None
+        raise CheckpointError(f"cannot be read: {error}") from None

@@ -14,7 +14,7 @@ from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.model.totals import totals
 from particlerb.record import checked_reading, schema
-from particlerb.record.checkpoint import slot_in, states_of
+from particlerb.record.checkpoint import CheckpointError, slot_in, states_of
 from particlerb.record.checksums import digest, frame_checksums, list_checksums
 from particlerb.record.parts import part_paths
 from particlerb.record.trajectory import Trajectory
@@ -228,13 +228,10 @@ def _verify_checkpoint(trajectory: Trajectory) -> str:
             return _states_of_parts(trajectory, paths)
         if schema.CHECKPOINT not in trajectory.file:
             return "none: the run cannot be continued"
-    slots = [slot_in(trajectory.file, is_before) for is_before in (True, False)]
-    for slot in slots:
-        if slot.digest != slot.stored:
-            raise _Flaw(
-                f"in slot {slot.name} has the hash {slot.digest[:12]}…, written was"
-                f" {slot.stored[:12]}…"
-            )
+    try:
+        slots = [slot_in(trajectory.file, is_before) for is_before in (True, False)]
+    except CheckpointError as error:
+        raise _Flaw(str(error)) from None
     if slots[-1].n_frames > trajectory.n_frames:
         raise _Flaw(f"lies behind frame {slots[-1].n_frames - 1}, of {trajectory.n_frames}")
     return f"behind {slots[-1].n_frames} frames, hash {slots[-1].digest[:12]}… is that written"

@@ -341,7 +341,7 @@ def finished_case(path):
         return t.parameter("case_resolved")
 
 
-def test_a_damaged_checkpoint_leaves_the_one_before(finished):
+def test_a_damaged_checkpoint_leaves_the_one_before(finished, capsys):
     with h5py.File(finished, "r+") as file:
         group = file["checkpoint"]
         current = int(group.attrs["current"])
@@ -349,12 +349,15 @@ def test_a_damaged_checkpoint_leaves_the_one_before(finished):
         group["ab"[current]][100] ^= 1
         assert read_checkpoint(file).n_frames < one.n_frames
         group["ab"[1 - current]][100] ^= 1
-        with pytest.raises(CheckpointError, match="damaged"):
+        with pytest.raises(
+            CheckpointError, match=r"damaged: the checkpoint in slot . has the hash"
+        ):
             read_checkpoint(file)
     with pytest.raises(ResumeError, match=r"damaged.*run the case anew"):
         look_at(finished, 1.0)
     made = finished.with_name("made.h5")  # all but the state is there still
     assert main(["export", str(finished), "--to", "h5", "-o", str(made)]) == 0
+    assert "its checkpoint is damaged: the copy cannot be continued" in capsys.readouterr().err
     with particlerb.open(made) as t:
         assert t.n_frames == 6
 
