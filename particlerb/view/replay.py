@@ -16,7 +16,7 @@ import viser
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.maths.vec3 import Floats
-from particlerb.model.state import derived
+from particlerb.model.state import State, kinetic_energy, lengths, quaternion_product
 from particlerb.model.system import System
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.record.trajectory import Trajectory, TrajectoryError
@@ -226,11 +226,10 @@ class Replay(Page):
 
     def values(self, by: str, state: list[Floats]) -> Floats:
         """Speed [m/s] or kinetic energy [J] of all bodies."""
-        _, q, p, L = state
-        v, omega = derived(self.system.bodies, q[None], p[None], L[None])
+        bodies, (x, q, p, L) = self.system.bodies, (np.ascontiguousarray(row.T) for row in state)
         if by == "speed":
-            return np.asarray(np.linalg.norm(v[0], axis=1))
-        return np.asarray(0.5 * ((p * v[0]).sum(axis=1) + (L * omega[0]).sum(axis=1)))
+            return lengths(p) * bodies.inv_mass
+        return kinetic_energy(bodies, State(x, quaternion_product(q, bodies.rotor_frame), p, L))
 
     def extremes(self, by: str) -> tuple[float, float]:
         """Smallest and largest value in some frames of the file, so that colours keep meaning."""
