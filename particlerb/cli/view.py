@@ -43,18 +43,15 @@ def view_command(options: argparse.Namespace) -> int:
         raise Ending(_VISER_HINT, FAILED) from None
     with ending(ValueError, about="--allow-host"):
         access = Access(options.host, options.hosts, not options.no_token)
+    text = ""
     if options.no_token:
         who = "every user of this machine" if access.is_local else "everyone who reaches it"
-        print(
-            f"particlerb: warning: --no-token lets {who} push the bodies and save sessions",
-            file=sys.stderr,
-        )
+        text = f"--no-token lets {who} push the bodies and save sessions"
     elif not access.is_local:
-        print(
-            f"particlerb: warning: {options.host} is open to the network, unencrypted: who sees the"
-            " traffic sees the token, and can push the bodies and save sessions",
-            file=sys.stderr,
-        )
+        text = f"{options.host} is open to the network, unencrypted: who sees the traffic sees the"
+        text += " token, and can push the bodies and save sessions"
+    if text:
+        print(f"particlerb: warning: {text}", file=sys.stderr)
     is_file = Path(options.case).suffix.lower() in FILES
     with ending(AccessError, code=FAILED), listening(access, options.port) as server:
         return _play(options, server, access) if is_file else push(options, server, access)

@@ -98,9 +98,8 @@ class Sieve:
                     and any(message.ray_direction)
                     and self.server.scene.get_handle_by_name(message.name) is not None
                 )
-        return _are_numbers(
-            (*message.wxyz, *message.position, *message.look_at, *message.up_direction)
-        ) and _are_numbers((message.fov, message.near, message.far))
+        vectors = *message.wxyz, *message.position, *message.look_at, *message.up_direction
+        return _are_numbers((*vectors, message.fov, message.near, message.far))
 
     def takes_update(self, message: Update) -> bool:
         """Whether a field is there and can have this value, and nothing but a value is set."""

@@ -190,11 +190,8 @@ class Session:
             stop = self.as_session_time(stop)
         if stop > self.longest or (stop == start and push.duration > 0.0):
             raise SessionError(f"a push of {push.duration!r} s from {start!r} s on is out of range")
-        entry: dict[str, Any] = {
-            "body": self.system.names[push.body],
-            "at": [float(x) for x in push.at],
-        }
-        vector = [float(x) for x in push.vector]
+        at, vector = ([float(x) for x in values] for values in (push.at, push.vector))
+        entry: dict[str, Any] = {"body": self.system.names[push.body], "at": at}
         if push.duration == 0.0:
             entry = {"type": "impulse", **entry, "impulse": vector, "time": start}
         else:
@@ -232,16 +229,10 @@ class Session:
         system, entries = self.system, []
         gravity = system.gravity.acceleration if system.gravity else G
         for body, first in zip(system.body, system.names.first[:-1], strict=True):
-            mass = system.bodies.mass[first]
+            force = [float(sign * system.bodies.mass[first] * g) for g in gravity]
+            entry = {"type": "push", "body": body.name, "force": force}
             if not body.fixed and body.motion is None:
-                entries.append(
-                    {
-                        "type": "push",
-                        "body": body.name,
-                        "force": [float(sign * mass * g) for g in gravity],
-                        "during": [self.time, self.longest],
-                    }
-                )
+                entries.append({**entry, "during": [self.time, self.longest]})
         return entries
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
