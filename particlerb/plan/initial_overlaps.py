@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 _OVERLAP_ROUNDING: Final = 1e-9  # share of a radius, or of a coordinate
 _MAX_OVERLAPS_NAMED: Final = 3  # in a message
 _APART_HINT: Final = "move them apart"
+_RELAX_HINT: Final = f"{_APART_HINT}, or say contact.relax = true"
 _ALLOW_HINT: Final = f"{_APART_HINT}, say contact.relax = true, or allow it by contact.overlap"
 
 
@@ -71,9 +72,11 @@ def _allowed(contact: "SystemContact", spheres: _SetupSpheres) -> float:
     return max(contact.record.overlap, _OVERLAP_ROUNDING * size)
 
 
-def _hint(contact: "SystemContact") -> str:
+def _hint(contact: "SystemContact", is_deep: bool = False) -> str:
     """What to do about an overlap; impacts at instants cannot begin with one."""
-    return _APART_HINT if contact.record.law == "events" else _ALLOW_HINT
+    if contact.record.law == "events":
+        return _APART_HINT
+    return _RELAX_HINT if is_deep else _ALLOW_HINT
 
 
 def _with_images(spheres: _SetupSpheres, contact: "SystemContact") -> _SetupSpheres:
@@ -95,7 +98,10 @@ def _with_images(spheres: _SetupSpheres, contact: "SystemContact") -> _SetupSphe
 def _overlapping(
     system: System, contact: "SystemContact", spheres: _SetupSpheres
 ) -> Iterator[Problem]:
-    """What is wrong with bodies that overlap: which, how deep, and how many."""
+    """What is wrong with bodies that overlap: which, how deep, and how many.
+
+    More than the smaller radius cannot be allowed: springs would push out on the other side.
+    """
     if contact.record.relax:
         return
     spheres = _with_images(spheres, contact)
@@ -106,9 +112,12 @@ def _overlapping(
     distance = lengths(spheres.place[:, j] - spheres.place[:, i])
     depth = spheres.radius[i] + spheres.radius[j] - distance
     a, b = spheres.body[i], spheres.body[j]
-    wrong = (depth > _allowed(contact, spheres)) & ~(contact.fixed[a] & contact.fixed[b])
+    most = np.minimum(spheres.radius[i], spheres.radius[j])
+    wrong = depth > np.minimum(_allowed(contact, spheres), most)
+    wrong &= ~(contact.fixed[a] & contact.fixed[b])
     if not wrong.any():
         return
+    is_deep = bool((depth > most)[wrong].any())
     a, b, depth = np.minimum(a, b)[wrong], np.maximum(a, b)[wrong], depth[wrong]
     order = np.lexsort((-depth, b, a))
     a, b, depth = a[order], b[order], depth[order]
@@ -120,7 +129,8 @@ def _overlapping(
         for k in named
     )
     reason = f"bodies overlap at t = 0: {listed}{and_more(a.size - named.size)}"
-    yield problem_at(system, f"body[{system.block[b[named[0]]]}]", reason, _hint(contact))
+    key = f"body[{system.block[b[named[0]]]}]"
+    yield problem_at(system, key, reason, _hint(contact, is_deep))
 
 
 def _beyond_walls(

@@ -61,6 +61,7 @@ def _pushed_apart(system: System, contact: SystemContact) -> Floats:
         points = np.ascontiguousarray(place + (com - system.state.com)[:, body])
         first, second, _ = search.pairs(points, 0.0)
         d = points[:, second] - points[:, first]
+        d[0, ~d.any(axis=0)] = 1e-300  # one centre: along x
         distance = np.maximum(lengths(d), 1e-300)
         depth = radius[first] + radius[second] - distance
         a, b = body[first], body[second]

@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple, TypeAlias
@@ -276,11 +277,18 @@ class Run:
         try:
             yield
         except (MotionError, FloatingPointError) as problem:
-            raise RunError(str(problem)) from None
+            raise RunError(self.named(str(problem))) from None
         except Exception as failure:
             if words := own_failure(failure, self.groups):
                 raise RunError(words) from None
             raise
+
+    def named(self, text: str) -> str:
+        """Text with bodies and walls by their names, not by their numbers."""
+        if self.moving.merging is not None:
+            return text
+        names = {"body": self.system.names, "wall": [wall.name for wall in self.system.wall]}
+        return re.sub(r"\b(body|wall) (\d+)\b", lambda m: f"{m[1]} {names[m[1]][int(m[2])]}", text)
 
     def pose_at(self, time: float) -> tuple[Frames, RunError | None]:
         """States at a time [s], not before those asked for earlier, alone: nothing is booked.

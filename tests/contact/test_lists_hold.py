@@ -157,7 +157,7 @@ def lose_all(monkeypatch, cls):
 def test_a_ball_that_no_list_holds_ends_the_run(make, monkeypatch, moves):
     lose_all(monkeypatch, WallSearch)
     case = ball_at_rest(make, 200_000, **({"angular_velocity": [0, 0, 1.0]} if moves else {}))
-    with pytest.raises(RunError, match=r"s body 0 and wall 0 overlap by .* have lost this pair"):
+    with pytest.raises(RunError, match=r"body ball and wall floor overlap by .* lost this pair"):
         particlerb.run(case)
 
 
@@ -175,7 +175,7 @@ def test_a_pair_that_no_list_holds_ends_the_run(make, monkeypatch):
     monkeypatch.setattr(watch, "MAX_SHARE", 1e9)
     particlerb.run(two_that_meet(make)).close()
     lose_all(monkeypatch, SphereSearch)
-    with pytest.raises(RunError, match=r"at t = 0\.0\d+ s body 0 and body 1 overlap by"):
+    with pytest.raises(RunError, match=r"at t = 0\.0\d+ s body a and body b overlap by"):
         particlerb.run(two_that_meet(make))
 
 
@@ -188,7 +188,7 @@ def test_a_list_that_is_kept_too_long_ends_the_run(make, monkeypatch):
     lift = make.plane(motion={"velocity": [0, 0, 5.0]})
     case = make.case(ball, contact=make.hooke(1e5), wall=[lift], t_end=0.2, dt=1e-3, **NOTHING)
     case["run"]["method"] = "strang"
-    with pytest.raises(RunError, match=r"at t = 0\.05 s body 0 and wall 0 overlap by 0\.05 m"):
+    with pytest.raises(RunError, match=r"t = 0\.05 s body ball and wall floor overlap by 0\.05"):
         particlerb.run(case)
 
 
@@ -204,7 +204,7 @@ def test_a_body_that_flies_into_another_ends_the_run(make, monkeypatch):
     monkeypatch.setattr(dilute.DiluteMotion, "within_skin", nobody)
     case = two_that_meet(make)
     case["body"].append(make.sphere("far", position=[0, 9.0, 0]))
-    with pytest.raises(RunError, match="body 0 and body 1 overlap by"):
+    with pytest.raises(RunError, match="body a and body b overlap by"):
         particlerb.run(case)
 
 

@@ -14,6 +14,7 @@ from particlerb.case.to_system import to_case, to_system
 from particlerb.contact.wall_motion import PrescribedMotion
 from particlerb.contact.walls import DISC, FACE, PLANE, RIM, SIDE
 from particlerb.plan.contact_setup import NOTHING, contact_of
+from particlerb.plan.remove_overlaps import remove_overlaps
 
 
 def contact(case):
@@ -467,6 +468,16 @@ def test_overlap_that_is_allowed_relaxed_or_between_fixed_bodies_is_no_mistake(m
     walls = [make.plane()]
     case = make.case(make.sphere("a", position=[0, 0, 1]), ghosts, contact=make.hooke(), wall=walls)
     assert contact(case)
+
+
+def test_overlap_by_more_than_a_radius_is_a_mistake_whatever_is_allowed(make):
+    """Springs would push out on the other side; where centres coincide, nowhere."""
+    case = make.case(balls(make, [0, 0, 0], [0, 0, 0]), contact=make.hooke(overlap=0.5))
+    told = "bodies overlap at t = 0: ball[0] and ball[1] by 0.2 m"
+    assert only(case)[1:] == (told, "move them apart, or say contact.relax = true")
+    case["contact"] = make.hooke(relax=True)
+    com = remove_overlaps(to_system(case)).state.com
+    assert np.ptp(com[0]) > 0.1999
 
 
 def test_particles_of_one_body_may_overlap(make):
