@@ -172,60 +172,37 @@ class Stage:
     def add_layer(self, k: int) -> Any:
         """Instances of one mesh."""
         layer = self.surfaces.layers[k]
-        sizes = None if layer.size is None else layer.size / self.unit
-        return self.server.scene.add_batched_meshes_simple(
-            f"/bodies/{k}",
-            layer.mesh.vertices / (self.unit if sizes is None else 1.0),
-            layer.mesh.faces,
-            np.tile([1.0, 0.0, 0.0, 0.0], (layer.body.size, 1)),
-            np.zeros((layer.body.size, 3)),
-            batched_scales=sizes,
-            batched_colors=linear(np.array(COLOURS[k % len(COLOURS)])),
-            flat_shading=not layer.mesh.is_smooth,
-            lod="off",
-            cast_shadow=layer.body.size < 100,
-            receive_shadow=False,
+        sizes, n = None if layer.size is None else layer.size / self.unit, layer.body.size
+        vertices = layer.mesh.vertices / (self.unit if sizes is None else 1.0)
+        poses = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.zeros((n, 3))
+        how: Any = {"lod": "off", "cast_shadow": n < 100, "receive_shadow": False}
+        how |= {"flat_shading": not layer.mesh.is_smooth, "batched_scales": sizes}
+        how["batched_colors"] = linear(np.array(COLOURS[k % len(COLOURS)]))
+        scene = self.server.scene
+        return scene.add_batched_meshes_simple(
+            f"/bodies/{k}", vertices, layer.mesh.faces, *poses, **how
         )
 
     def add_line(self, name: str, colour: _Colour, thickness: float = 2.0) -> Any:
         """A line without points yet."""
-        return self.server.scene.add_line_segments(
-            name,
-            np.zeros((1, 2, 3)),
-            colour,
-            thickness=thickness,
-            thickness_units="screen",
-            visible=False,
-        )
+        how: Any = {"thickness": thickness, "thickness_units": "screen", "visible": False}
+        return self.server.scene.add_line_segments(name, np.zeros((1, 2, 3)), colour, **how)
 
     def furnish(self, size: float) -> None:
         """Walls, light and a grid below the bodies."""
         scene = self.server.scene
         self.draw_axes()
         for k, mesh in enumerate(walls_of(self.system, size)):
-            scene.add_mesh_simple(
-                f"/fixed/walls/{k}",
-                (mesh.vertices - self.home) / self.unit,
-                mesh.faces,
-                color=_WALL_COLOUR,
-                opacity=0.35,
-                side="double",
-                flat_shading=True,
-            )
+            how: Any = {"color": _WALL_COLOUR, "opacity": 0.35, "side": "double"}
+            place = (mesh.vertices - self.home) / self.unit
+            scene.add_mesh_simple(f"/fixed/walls/{k}", place, mesh.faces, flat_shading=True, **how)
         if not any(wall.type == "plane" for wall in self.system.wall):
             low = self.position - self.surfaces.reach[:, None]
             floor = float((low[:, 2].min() - self.home[2]) / self.unit) - 0.35 * self.size
-            scene.add_grid(
-                "/fixed/grid",
-                width=8.0 * self.size,
-                height=8.0 * self.size,
-                plane="xy",
-                cell_size=0.5 * self.size / 1.5,
-                section_size=self.size / 0.75,
-                position=(0.0, 0.0, floor),
-                cell_color=(236, 238, 241),
-                section_color=(218, 222, 227),
-            )
+            colours: Any = {"cell_color": (236, 238, 241), "section_color": (218, 222, 227)}
+            cells = {"cell_size": self.size / 3.0, "section_size": self.size / 0.75}
+            extent, where = 8.0 * self.size, (0.0, 0.0, floor)
+            scene.add_grid("/fixed/grid", extent, extent, position=where, **cells, **colours)
         scene.configure_default_lights(enabled=False)
         scene.add_light_hemisphere("/lights/sky", intensity=_LIGHT[0])
         scene.add_light_directional(
