@@ -13,9 +13,14 @@ from pathlib import Path
 
 import grimp
 import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.patches import FancyArrowPatch
+from matplotlib.path import Path as Path2D
 
 ROOT = Path(__file__).parents[1]
 WIDE = 4.4  # of a box
+BLUE = "#1f4e79"
+Point = tuple[float, float]
 WORDS = {
     "cli": "commands, exit codes",
     "export": "files of other programs",
@@ -95,6 +100,41 @@ def direct(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
     return {edge for edge in edges if edge[1] not in reached(edge[0], edge)}
 
 
+def free_path(start: Point, end: Point, boxes: list[Point]) -> Path2D:
+    """Curve from above to below that bends no more than it must to pass behind no box.
+
+    It leaves and reaches the boxes at places along their edges.
+    """
+    share = np.linspace(0.0, 1.0, 200)[:, None]
+    away = np.array([0.5 * WIDE + 0.15, 0.44])
+
+    def is_free(points: np.ndarray) -> bool:
+        inside = [(np.abs(points - box) < away).all(axis=1).any() for box in boxes]
+        return not any(inside)
+
+    offsets = sorted(np.linspace(-0.4, 0.4, 9) * WIDE, key=abs)
+    ways = [
+        (abs(side) + 0.3 * (abs(a) + abs(b)), side, a, b)
+        for side in np.linspace(-3.0, 3.0, 25) * WIDE
+        for a in offsets
+        for b in offsets
+    ]
+    for _, side, a, b in sorted(ways):
+        first, last = (np.array([x + shift, y]) for (x, y), shift in ((start, a), (end, b)))
+        down = np.array([0.0, 0.5 * (first - last)[1]])
+        one, two = first - down + (side, 0.0), last + down + (side, 0.0)
+        points = (
+            (1 - share) ** 3 * first
+            + 3 * (1 - share) ** 2 * share * one
+            + 3 * (1 - share) * share**2 * two
+            + share**3 * last
+        )
+        if is_free(points):
+            codes = [Path2D.MOVETO, Path2D.CURVE4, Path2D.CURVE4, Path2D.CURVE4]
+            return Path2D([first, one, two, last], codes)
+    raise ValueError(f"no way from {start} to {end}")
+
+
 def main() -> None:
     """Draw."""
     edges = direct(arrows())
@@ -106,15 +146,12 @@ def main() -> None:
             place[name] = (i - 0.5 * (len(row) - 1)) * WIDE * 1.25, -1.5 * k
     for one, other in edges:
         (x0, y0), (x1, y1) = place[one], place[other]
-        passes = any(
-            y1 < y < y0 and abs(x - 0.5 * (x0 + x1)) < 0.6 * WIDE for x, y in place.values()
+        path = free_path((x0, y0 - 0.45), (x1, y1 + 0.45), list(place.values()))
+        axes.add_patch(
+            FancyArrowPatch(
+                path=path, arrowstyle="-|>", mutation_scale=12, lw=1.4, fc=BLUE, ec=BLUE
+            )
         )
-        bend = 0.0 if not passes else 0.45 if x0 + x1 <= 0.0 else -0.45
-        axes.annotate(
-            "", (x1, y1 + 0.45), (x0, y0 - 0.45),
-            arrowprops={"arrowstyle": "-|>", "lw": 1.4, "color": "#1f4e79", "shrinkA": 0,
-                        "shrinkB": 0, "connectionstyle": f"arc3,rad={bend}"},
-        )  # fmt: skip
     for name, (x, y) in place.items():
         files = sorted((ROOT / "particlerb" / name).rglob("*.py"))
         lines = sum(lines_of_code(path) for path in files)
