@@ -230,7 +230,7 @@ def _mark_failures(axes: Axes, points: Sequence[Point]) -> None:
     text = "× failed: error above 1, or NaN"
     for when, names in (("some steps", failed & good), ("every step", failed - good)):
         text += f"; at {when}: {', '.join(sorted(names))}" if names else ""
-    style.write_beside(axes, 0.005, _FAILED * 1.15, text, fontsize=8, color="#cc3333", va="bottom")
+    style.write_beside(axes, 0.005, _FAILED * 1.4, text, fontsize=8, color="#cc3333", va="bottom")
 
 
 def _mark_cheapest(axes: Axes, chart: WorkPrecision) -> None:
