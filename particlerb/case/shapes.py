@@ -318,7 +318,7 @@ class SpheresShape(ListedTable):
 
     def check_lists(self) -> None:
         """Require that what scales a file is not given beside lists."""
-        if "scale" in self.model_fields_set:
+        if self.scale != 1.0:
             raise broken("is for spheres from a `file`", "scale", "positions and radii are in m")
 
 

@@ -126,6 +126,9 @@ def test_resolved_case_is_json_that_gives_the_case_back(everything):
     resolved = json.loads(case.model_dump_json())
     assert resolved["body"][0]["position"] == [[0, 0, 0], [0.1, 0, 0]]
     np.testing.assert_array_equal(load(resolved).body[0].position, rows["position"])
+    spheres = {"type": "spheres", "position": [[0, 0, 0], [1, 0, 0]], "radius": 1}
+    case = load({"run": {"t_end": 1, "every": 1}, "body": [body | {"shape": spheres}]})
+    load(json.loads(case.model_dump_json()))  # so `resume` and `view` read the file of a run
 
 
 def test_values_from_python_may_be_arrays_and_numpy_numbers():
