@@ -304,6 +304,19 @@ def test_a_wall_that_moves_is_drawn_where_it_is(make, monkeypatch):
     assert np.allclose(np.linalg.norm(ends, axis=1), 2.0, rtol=1e-12)
 
 
+@pytest.mark.plain
+def test_a_wall_that_slides_on_top_of_its_motion_is_drawn_where_it_is(make, monkeypatch):
+    """A floor that rises at 0.5 m/s, and slides down at 0.2 m/s besides, after 0.02 s."""
+    piston = {"mass": 1.0, "axis": [0, 0, 1], "load": 9.81, "velocity": -0.2}
+    case = heap(make) | {"wall": [FLOOR | {"motion": {"velocity": [0, 0, 0.5]}, "piston": piston}]}
+    case["body"][0]["place"] |= {"n": [5, 1, 3], "origin": [0, 0, 0.5]}
+    fields = ["position", "orientation", "linear_momentum", "angular_momentum", "wall_position"]
+    case["output"] = {"fields": fields}
+    figure, _ = drawn(case, monkeypatch)
+    (floor,) = [line for line in figure.axes[0].lines if line.get_zorder() < 1.0]
+    assert floor.get_xy1()[1] == pytest.approx(0.006, rel=1e-9)
+
+
 def test_a_body_at_rest_is_drawn_as_its_solid(make, monkeypatch):
     """Of a box of 3, 2, 1 m seen at angles a about the vertical and b from above, three faces."""
     figure, _ = drawn(make.case({"name": "box", "mass": 1.0, "shape": {

@@ -170,14 +170,14 @@ def draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int])
     """
     middle_of_scene = trajectory.read("position", slice(frame, frame + 1))[0].mean(axis=0)[shown]
     style: dict[str, Any] = {"color": INK, "lw": 1.2, "zorder": 0.4}
-    case, time = trajectory.case, float(trajectory.time[frame])
-    for k, wall in enumerate(case.wall):
-        pose = poses_at([motion_of(wall.motion, middle(wall))], time)
+    for k, wall in enumerate(trajectory.case.wall):
+        motion = motion_of(wall.motion, middle(wall))
+        pose = poses_at([motion], trajectory.time[frame])
         turn, shift = rotation_matrix(pose.orientation[0]), pose.position[0]
         if wall.piston is not None:
             if "wall_position" not in trajectory.other_fields:
                 continue
-            shift = shift + np.diff(trajectory.wall_position[[0, frame], k], axis=0)[0]
+            shift = trajectory.wall_position[frame, k] - turn @ motion.centre
         if wall.type == "plane":
             normal = turn @ np.array(wall.normal) / np.linalg.norm(wall.normal)
             n, point = normal[shown], (turn @ np.array(wall.point) + shift)[shown]
