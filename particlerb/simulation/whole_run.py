@@ -64,15 +64,13 @@ class Run:
         self.single: tuple[Frames, Frames] | None = None  # room, and its first row, of `pose_at`
         self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.checks = StateChecks(self.moving, plan)
+        asks = self.system.joint and asked_of_joints(self.system)
+        self.setup = joints_of(self.system) if asks else None
         ranks.together(lambda: self.start(plan, self.moving.state, {}))
         self.balance = EnergyBalance(self.totals_of(initial, self.initial_energies(initial)))
         self.booked_before = np.zeros(7)  # before the last restart,
         self.gross_work_before: Floats | float = 0.0  # and gross work of contacts [J]
 
-        asks = self.system.joint and asked_of_joints(self.system)
-        self.setup = joints_of(self.system) if asks else None
-        reads_loads = self.setup is not None and self.moving.merging is not None
-        self.loads = joint_values.LoadReader(self.moving) if reads_loads else None
         self.joints: joint_values.JointValues | None = None  # of the last frames, if asked for
         self.broken: dict[int, float] = {}  # joints that broke before a restart, and when [s]
         self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
@@ -96,6 +94,8 @@ class Run:
             is_cut and all(run.sums_itself for run in runs) for runs in self.superblocks
         ]
         self.counted = counted(plan.groups, self.moving.bodies)
+        reads_loads = self.setup is not None and self.moving.merging is not None
+        self.loads = joint_values.LoadReader(self.moving) if reads_loads else None
 
     def initial_energies(self, frame: Frames) -> Energies:
         """Energies of a first frame beside those of the bodies themselves."""

@@ -212,6 +212,23 @@ def weighed(*checks):
     return case([one, other], joints, check={"value": [{"tolerance": 1e-9} | c for c in checks]})
 
 
+@pytest.mark.plain
+def test_what_merged_bodies_carry_follows_a_force_that_is_changed(tmp_path):
+    """A cart of 2 kg pulls one of 1 kg: their joint carries a third of the force of then."""
+    carts = [body("a", 2.0, [0.2] * 3, [0, 0, 0]), body("b", 1.0, [0.2] * 3, [-1, 0, 0])]
+    push = {"type": "push", "body": "a", "force": [3.0, 0, 0]}
+    scene = case(carts, [joint("fixed", "b", "a")], (0, 0, 0), force=[push])
+    scene["run"] = {"t_end": 0.2, "every": 0.05, "dt": 0.01}
+    path = tmp_path / "a.h5"
+    with particlerb.Simulation(asking(scene, "joint_force"), path) as simulation:
+        simulation.advance(0.1)
+        simulation.change("force[0].force", [6.0, 0, 0])
+        simulation.advance(0.2)
+    with particlerb.open(path) as trajectory:
+        along = trajectory.joint_force[:, 0, 0]
+    np.testing.assert_allclose(along, [1.0, 1.0, 1.0, 2.0, 2.0], rtol=1e-12)
+
+
 def test_checks_take_what_joints_carry_and_where_they_are(tmp_path):
     good = weighed(
         {"joint": "pin", "quantity": "joint_force", "value": [0, 0, 2 * 9.81]},
