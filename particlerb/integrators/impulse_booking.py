@@ -11,11 +11,10 @@ from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.impulses.records import Impulses, Partners
 from particlerb.integrators.external_work import book
-from particlerb.integrators.joint_stages import book_work
 from particlerb.integrators.pair_stages import Layout
-from particlerb.joints.records import HOLDS, Jointed
+from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import matrix
-from particlerb.maths.rows import row3, row3_at
+from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, dot, subtract
 from particlerb.model.block import COM, L, P, Q, get3, get4, put3
 
@@ -83,33 +82,16 @@ def book_kick(
 
 
 @inline
-def _changed_of(jointed: Jointed, partners: Partners, k: int, at: int) -> Vec3:
-    """The same of body k of the joints."""
-    order = jointed.joints.order
-    return ZERO if k >= order.size else _changed(partners, order[k], at)
-
-
-@inline
 def book_among_joints(
-    books: Flag, jointed: Jointed | None, partners: Partners, blocks: Floats, dt: float
+    books: Flag, jointed: Jointed | None, partners: Partners, blocks: Floats
 ) -> None:
-    """Book the work of motors and forces without potential along what the solve has changed.
+    """Book the work of forces without potential along what the solve has changed.
 
     The second half kick has booked it with the velocities before, and kept what it gave: beside
     contact joints always do.
     """
     if books is None or jointed is None:
         return
-    joints, gradient = jointed.joints, jointed.data.gradient
-    for r in range(joints.rows.kind.size):
-        if joints.rows.action[r] != HOLDS:
-            a, b = joints.rows.a[r], joints.rows.b[r]
-            by_x = _changed_of(jointed, partners, a, 0), _changed_of(jointed, partners, b, 0)
-            gained = dot(row3(gradient, r), subtract(by_x[0], by_x[1]))
-            gained += dot(row3_at(gradient, r, 3), _changed_of(jointed, partners, a, 3))
-            gained += dot(row3_at(gradient, r, 6), _changed_of(jointed, partners, b, 3))
-            motor = joints.actions.motor[joints.rows.action[r]]
-            book_work(books, jointed, blocks, r, 0.5 * dt * motor * gained)
-    for k in range(joints.order.size):
+    for k in range(jointed.joints.order.size):
         rows, lane = blocks[jointed.block[k]], jointed.lane[k]
-        _book_along(books, rows, lane, partners, joints.order[k])
+        _book_along(books, rows, lane, partners, jointed.joints.order[k])

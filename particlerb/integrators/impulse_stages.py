@@ -375,7 +375,7 @@ def press(
         book_impulses(impulses, bounded, solving)
         if is_first:
             book_bodies(contact, impulses, books, blocks, layout)
-            book_among_joints(books, jointed, partners, blocks, dt)
+            book_among_joints(books, jointed, partners, blocks)
             keep_pistons(pistons, state, partners.velocity, n)
             _keep_among_joints(jointed, bounded, dt)
         keep_impulses(contact.lists, impulses, solving, dt)

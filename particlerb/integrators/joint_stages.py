@@ -127,10 +127,6 @@ def _correct_work(
     if books is None or keeps_kick is None or kick_dt == 0.0:
         return
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
-    start, joint = joints.program.start, joints.clusters.joint
-    for r in range(start[joint[c]], start[joint[c + 1]]):
-        if joints.rows.action[r] != HOLDS:
-            book_work(books, jointed, blocks, r, work_of_motor(joints, data, r, kick_dt))
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         rows, b = blocks[block[k]], lane[k]
         by_joints = subtract(row3_at(data.y, k, P), get3(rows, COM + P, b))
@@ -159,6 +155,18 @@ def _book_drives(books: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
     for r in range(start[joint[c]], start[joint[c + 1]]):
         if data.dg_dt[r] != 0.0:
             book_work(books, jointed, blocks, r, -data.dg_dt[r] * data.impulse[r])
+
+
+@inline
+def _book_motors(books: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
+    """Book the work of constant motors of cluster c in a drift."""
+    if books is None or not jointed.joints.acts:
+        return
+    joints, data = jointed.joints, jointed.data
+    start, joint = joints.program.start, joints.clusters.joint
+    for r in range(start[joint[c]], start[joint[c + 1]]):
+        if joints.rows.action[r] != HOLDS:
+            book_work(books, jointed, blocks, r, work_of_motor(joints, data, r))
 
 
 @inline
@@ -215,6 +223,7 @@ def drift_clusters(
             foresee_breaks(joints.breaks, joints, jointed.data, c, kick_dt, t)
         _book_world(books, jointed, blocks, c, jointed.data.pose)
         _book_drives(books, jointed, blocks, c)
+        _book_motors(books, jointed, blocks, c)
         _correct_work(books, jointed.keeps_kick, jointed, blocks, c, kick_dt)
         _scatter(jointed, blocks, c)
     meet_all(team)

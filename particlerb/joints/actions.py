@@ -89,19 +89,17 @@ def kick_actions(joints: Joints, data: JointData, lo: int, hi: int, dt: float) -
             f = -actions.stiffness[k] * _from_rest(actions, k, kind[r], x)
             f += actions.motor[k] - actions.stop[k] * _beyond(actions, k, kind[r], x)
             data.z[r] = data.impulse[r] = f * dt
-            data.old_rate[r] = rate(joints, data.gradient, r, data.y, P)
-            data.old_rate[r] += data.dg_dt[r] - rate(joints, data.gradient, r, data.change, 0)
     for r in range(lo, hi):
         if joints.rows.action[r] != HOLDS:
             add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, r, r + 1, data.y, P)
 
 
 @inline
-def work_of_motor(joints: Joints, data: JointData, r: int, dt: float) -> float:
-    """Work of a motor in a kick: with its rates before, and after the impulses of the joints."""
-    after = rate(joints, data.gradient, r, data.y, P) + data.dg_dt[r]
-    W: float = 0.5 * dt * joints.actions.motor[joints.rows.action[r]] * (data.old_rate[r] + after)
-    return W
+def work_of_motor(joints: Joints, data: JointData, r: int) -> float:
+    """Work of a motor in a drift: a constant force times how far coordinate r moves."""
+    motor: float = joints.actions.motor[joints.rows.action[r]]
+    moved = coordinate(joints.rows, data.y, r) - coordinate(joints.rows, data.pose, r)
+    return motor * shorter(joints.rows.kind[r], moved) if motor != 0.0 else 0.0
 
 
 @unfused_kernel

@@ -188,7 +188,6 @@ class JointData(NamedTuple):
     step_impulse: Floats  # (m,) of a step, where contacts have no stiffness and some may break
     last_g: Floats  # (m,) residuals of the iteration before,
     last_gain: Floats  # (m,) and the impulses that it has added
-    old_rate: Floats  # (m,) of coordinates, before a kick
     scale: Floats  # (m,) diagonal of A
     compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
     past: Floats  # (m, 4) impulse of the last step over its kick, and differences back; or NaN
@@ -230,7 +229,7 @@ def joint_data_at(joints: Joints, state: State) -> JointData:
         np.zeros((n, 6)),
         np.zeros(n),
         np.zeros((n, 3)),
-        *np.zeros((10, m)),
+        *np.zeros((9, m)),
         np.where(joints.rows.action == HOLDS, 0.0, np.inf).astype(np.float64),
         np.full((m, 4), np.nan),
         np.zeros((len(joints.program.pair), width, width)),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import X, Y, bar, body, case, joint, moved
+from scenes import X, Y, bar, body, case, hinge_chain, joint, moved
 
 import particlerb
 from particlerb import CaseError, joint_loads
@@ -119,6 +119,17 @@ def test_a_motor_gives_what_it_takes():
         assert angle(trajectory) == pytest.approx(0.35 * t * t / MOMENT, rel=5e-5)
         assert trajectory.ledger.work == pytest.approx(0.7 * angle(trajectory), rel=5e-5)
         assert np.abs(trajectory.ledger.energy_error).max() < 5e-5
+
+
+@plain
+def test_the_balance_beside_a_motor_has_the_order_of_the_method():
+    """A motor bends two links in the middle: its work is its torque times the angle."""
+    scene, errors = hinge_chain(2), []
+    scene["joint"][1]["motor"] = 0.3
+    for dt in (0.02, 0.01):
+        with moved(scene | {"output": OUTPUT}, 0.2, dt, "rattle4", every=0.1) as trajectory:
+            errors.append(np.abs(trajectory.ledger.energy_error).max())
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
 
 
 @pytest.mark.slow
