@@ -18,12 +18,19 @@ from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, component_prod
 class PrescribedBodies(NamedTuple):
     """Prescribed bodies of a group."""
 
-    body: Ints  # (m,) of the group
+    body: Ints  # (m,) of the group, ascending
     motions: Records  # (m,) MOTION
     com: Floats  # (3, m) [m] centre of mass before it is displaced,
     q: Floats  # (4, m) and orientation of the rotor frame
     mass: Floats  # (m,) [kg]
     inertia: Floats  # (3, m) [kg m²] principal moments
+
+
+@inline
+def prescribed_in(prescribed: PrescribedBodies, first: int, last: int) -> range:
+    """Those that are bodies first to last."""
+    body = prescribed.body
+    return range(np.searchsorted(body, first), np.searchsorted(body, last))
 
 
 @inline
@@ -56,14 +63,13 @@ def prescribed_momenta(
 
 
 def prescribed_among(prescribed: PrescribedBodies | None, members: Ints) -> PrescribedBodies | None:
-    """Those among the members of a group, with their numbers there; None where there are none."""
+    """Those among the members of a group, by their numbers there; None where there are none."""
     if prescribed is None:
         return None
-    rows = np.flatnonzero(np.isin(prescribed.body, members))
-    if not rows.size:
+    numbers = np.flatnonzero(np.isin(members, prescribed.body))
+    if not numbers.size:
         return None
-    order = np.argsort(members)
-    numbers = order[np.searchsorted(members[order], prescribed.body[rows])]
+    rows = np.searchsorted(prescribed.body, members[numbers])
     com, q, inertia = (
         np.ascontiguousarray(values[:, rows])
         for values in (prescribed.com, prescribed.q, prescribed.inertia)

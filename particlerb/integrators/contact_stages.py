@@ -39,6 +39,7 @@ from particlerb.contact.pair_force import (
 from particlerb.contact.piston import drift_pistons, kick_pistons, piston_poses, pistons_have_moved
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
+    prescribed_in,
     prescribed_momenta,
     prescribed_pose,
 )
@@ -225,16 +226,15 @@ def _put_prescribed(
     """Write prescribed bodies into their block, with velocities or, as others are, momenta."""
     if prescribed is None:
         return
-    for k in range(prescribed.body.size):
+    for k in prescribed_in(prescribed, lo, lo + n):
         slot = prescribed.body[k] - lo
-        if 0 <= slot < n:
-            x, q, v, omega = prescribed_pose(prescribed, k, t)
-            if with_momenta:
-                v, omega = prescribed_momenta(prescribed, k, q, v, omega)
-            put3(rows, COM, slot, x)
-            put4(rows, Q, slot, q)
-            put3(rows, P, slot, v)
-            put3(rows, L, slot, omega)
+        x, q, v, omega = prescribed_pose(prescribed, k, t)
+        if with_momenta:
+            v, omega = prescribed_momenta(prescribed, k, q, v, omega)
+        put3(rows, COM, slot, x)
+        put4(rows, Q, slot, q)
+        put3(rows, P, slot, v)
+        put3(rows, L, slot, omega)
 
 
 @inline

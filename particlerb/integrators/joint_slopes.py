@@ -177,7 +177,7 @@ def add_reactions(
         return
     joints, data = jointed.joints, jointed.data
     _put_state(jointed, states, w)
-    set_prescribed(jointed.prescribed, jointed, t, 0.0, 0, jointed.block.size)
+    set_prescribed(jointed.prescribed, jointed.data, jointed.start + t, 0.0, 0, jointed.block.size)
     data.clock[0] = t
     for k in range(jointed.block.size):
         for i in range(6):
@@ -201,7 +201,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
     joints, data, n = jointed.joints, jointed.data, jointed.block.size
     joint, body, start = joints.clusters.joint, joints.clusters.body, joints.program.start
     _put_state(jointed, states, w)
-    set_prescribed(jointed.prescribed, jointed, t, 0.0, 0, n)
+    set_prescribed(jointed.prescribed, jointed.data, jointed.start + t, 0.0, 0, n)
     data.motion[:] = 0.0  # else teeth would be passed meanwhile
     for k in range(n):
         for i in range(6):
@@ -211,7 +211,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
     for k in range(n):
         for i in range(6):
             data.y[k, P + i] = data.change[k, i]
-    set_prescribed(jointed.prescribed, jointed, t, 0.0, 0, n)
+    set_prescribed(jointed.prescribed, jointed.data, jointed.start + t, 0.0, 0, n)
     for c in range(body.size - 1):
         lo, hi = start[joint[c]], start[joint[c + 1]]
         linearise(joints, data, lo, hi)
@@ -240,7 +240,7 @@ def count_on(jointed: Jointed | None, states: Floats, w: int, t: float, h: float
     if jointed is None:
         return h
     _put_state(jointed, states, w)
-    set_prescribed(jointed.prescribed, jointed, t, 0.0, 0, jointed.block.size)
+    set_prescribed(jointed.prescribed, jointed.data, jointed.start + t, 0.0, 0, jointed.block.size)
     count_turns(jointed.joints.coordinates, jointed.data.y, jointed.data.turned)
     rows, fastest = jointed.joints.rows, 0.0
     for r in range(rows.kind.size):

@@ -10,6 +10,7 @@ from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
     prescribed_acceleration,
+    prescribed_in,
     prescribed_momenta,
     prescribed_pose,
 )
@@ -25,7 +26,7 @@ from particlerb.joints.breaking import (
     sum_half_step,
 )
 from particlerb.joints.coordinates import count_turns, store_turns
-from particlerb.joints.records import HOLDS, Jointed, L, P, Q, X
+from particlerb.joints.records import HOLDS, JointData, Jointed, L, P, Q, X
 from particlerb.joints.rows import by_inverse_inertia, put_pose
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.maths.quaternion import Matrix
@@ -63,27 +64,26 @@ def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
 
 @inline
 def set_prescribed(
-    prescribed: PrescribedBodies | None, jointed: Jointed, t: float, dt: float, first: int,
+    prescribed: PrescribedBodies | None, data: JointData, time: float, dt: float, first: int,
     last: int,
 ) -> None:  # fmt: skip
-    """Put prescribed bodies, of first to last, where they are at t, with momenta if dt is 0."""
+    """Put prescribed bodies, of first to last, where they are, with momenta if dt is 0."""
     if prescribed is None:
         return
-    y, motion, time = jointed.data.y, jointed.data.motion, jointed.start + t
-    for k in range(prescribed.body.size):
+    y, motion = data.y, data.motion
+    for k in prescribed_in(prescribed, first, last):
         b = prescribed.body[k]
-        if first <= b < last:
-            x, q, v, w = prescribed_pose(prescribed, k, time)
-            put_pose(y, b, x, q)
-            put_row3_at(motion, b, 0, v)
-            put_row3_at(motion, b, 3, w)
-            put_row3_at(motion, b, 6, prescribed_acceleration(prescribed, k, time))
-            if dt == 0.0:
-                p, spin = prescribed_momenta(prescribed, k, q, v, w)
-                put_row3_at(y, b, P, p)
-                put_row3_at(y, b, L, spin)
-            x, q, v, w = prescribed_pose(prescribed, k, time + dt)
-            put_pose(jointed.data.end_pose, b, x, q)
+        x, q, v, w = prescribed_pose(prescribed, k, time)
+        put_pose(y, b, x, q)
+        put_row3_at(motion, b, 0, v)
+        put_row3_at(motion, b, 3, w)
+        put_row3_at(motion, b, 6, prescribed_acceleration(prescribed, k, time))
+        if dt == 0.0:
+            p, spin = prescribed_momenta(prescribed, k, q, v, w)
+            put_row3_at(y, b, P, p)
+            put_row3_at(y, b, L, spin)
+        x, q, v, w = prescribed_pose(prescribed, k, time + dt)
+        put_pose(data.end_pose, b, x, q)
 
 
 @inline
@@ -214,9 +214,10 @@ def drift_clusters(
         return
     first, last = _share_of_clusters(jointed, team)
     t, body = jointed.data.clock[0] + ahead, jointed.joints.clusters.body
+    time = jointed.start + t
     for c in range(first, last):
         _gather(jointed, blocks, c)
-        set_prescribed(jointed.prescribed, jointed, t, dt, body[c], body[c + 1])
+        set_prescribed(jointed.prescribed, jointed.data, time, dt, body[c], body[c + 1])
         constrained_drift(jointed.joints, jointed.data, c, kick_dt, t, dt)
         if dt == jointed.data.clock[1]:  # and not a part of a step, to a frame
             joints = jointed.joints
@@ -241,9 +242,10 @@ def project_clusters(
         return
     first, last = _share_of_clusters(jointed, team)
     t, body = jointed.data.clock[0], jointed.joints.clusters.body
+    time = jointed.start + t
     for c in range(first, last):
         _gather(jointed, blocks, c)
-        set_prescribed(jointed.prescribed, jointed, t, 0.0, body[c], body[c + 1])
+        set_prescribed(jointed.prescribed, jointed.data, time, 0.0, body[c], body[c + 1])
         project_momenta(jointed.joints, jointed.data, c, kick_dt, t, 0.0)
         sum_half_step(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
         _book_world(books, jointed, blocks, c, jointed.data.y)

@@ -13,12 +13,9 @@ import numpy as np
 from particlerb.case.joints import ACTIONS, JointTable
 from particlerb.case.output import FIELDS_OF_JOINTS
 from particlerb.case.problems import CaseError, Problem, problem_at, refuse
-from particlerb.contact.prescribed_motion import (
-    PrescribedBodies,
-    prescribed_momenta,
-    prescribed_pose,
-)
+from particlerb.contact.prescribed_motion import PrescribedBodies, prescribed_among
 from particlerb.forces.links import WORLD, Links
+from particlerb.integrators.joint_stages import set_prescribed
 from particlerb.joints.coordinates import names_of, united
 from particlerb.joints.drives import set_moving
 from particlerb.joints.records import (
@@ -244,12 +241,8 @@ def _at_start(system: System, setup: SystemJoints) -> _AtStart:
     joints = setup.within(np.arange(n), held(system.bodies, system.is_held))
     assert joints is not None
     data = joint_data_at(joints, system.state)
-    for k in range(0 if setup.prescribed is None else setup.prescribed.body.size):
-        assert setup.prescribed is not None
-        x, q, v, w = prescribed_pose(setup.prescribed, k, 0.0)
-        body = int(np.flatnonzero(joints.order == setup.prescribed.body[k])[0])
-        data.y[body] = [*x, *q, *np.concatenate(prescribed_momenta(setup.prescribed, k, q, v, w))]
-        data.motion[body, :6], data.end_pose[body] = [*v, *w], [*x, *q]
+    prescribed = prescribed_among(setup.prescribed, joints.order)
+    set_prescribed(prescribed, data, 0.0, 0.0, 0, n)
     edges = joints.program.start[joints.clusters.joint].tolist()
     return _AtStart(joints, data, [slice(*ends) for ends in pairwise(edges)])
 

@@ -211,7 +211,7 @@ class JointReader:
         data.broken[:] = np.where(is_broken, -np.inf, np.inf)
         assert motion.jointed is not None
         jointed = motion.jointed._replace(data=data)
-        set_prescribed(jointed.prescribed, jointed, data.clock[0], 0.0, 0, len(data.y))
+        set_prescribed(jointed.prescribed, data, time, 0.0, 0, len(data.y))
         factorise_all(joints, data, data.clock[0])
         add_actions(None, jointed, data.change, 0)
         self._add_contacts(data, contacts)

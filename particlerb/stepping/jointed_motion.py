@@ -4,6 +4,7 @@ import numpy as np
 
 from particlerb.compiled.jit import flag
 from particlerb.compiled.threads import BLOCK
+from particlerb.contact.prescribed_motion import prescribed_among
 from particlerb.forces import has_potential
 from particlerb.joints.coordinates import count_turns
 from particlerb.joints.records import Jointed, joint_data_at
@@ -17,7 +18,7 @@ def jointed_in(
     group: SegmentGroup, first: State, slots: Ints, start: float, dt: float
 ) -> Jointed | None:
     """Joints of a group with their data, its bodies at these places; None: it has none."""
-    joints, prescribed = group.terms.joints, group.terms.prescribed
+    joints = group.terms.joints
     if joints is None:
         return None
     body_slots = slots[joints.order]
@@ -26,8 +27,7 @@ def jointed_in(
     data.turned[:, 2] = 0.0
     data.clock[1:] = dt, start
     no_potential = flag(not has_potential(group.terms))
-    if prescribed is not None:
-        prescribed = prescribed._replace(body=np.argsort(joints.order)[prescribed.body])
+    prescribed = prescribed_among(group.terms.prescribed, joints.order)
     places = body_slots // BLOCK, body_slots % BLOCK
     return Jointed(joints, data, *places, no_potential, flag(joints.damps), prescribed, start)
 

@@ -7,7 +7,9 @@ from test_actions import MOMENT, OUTPUT, angle, flap
 
 from particlerb import CaseError, joint_loads
 from particlerb.case.to_system import to_system
+from particlerb.contact.prescribed_motion import prescribed_among, prescribed_in
 from particlerb.plan.joint_drives import course_of
+from particlerb.plan.obstacles import prescribed_bodies
 from particlerb.simulation.run import prepare
 
 pytestmark = pytest.mark.plain  # test_compiled_drives.py has one loop with all of it
@@ -284,6 +286,18 @@ def test_a_pendulum_on_a_driven_body_is_of_the_order_of_the_method(method, ratio
     coarse, fine = (np.abs(ends[k] - ends[k + 1]).max() for k in (0, 1))
     assert coarse / fine == pytest.approx(ratio, rel=0.15)
     assert errors[1] / errors[2] == pytest.approx(ratio, rel=0.15)
+
+
+def test_each_mechanism_finds_its_own_driven_bodies():
+    """They stand as the members of a group do, whatever their order."""
+    bases = [platform()["body"][0] | {"name": f"b{k}", "mass": 1.0 + k} for k in range(4)]
+    ties = [joint("ball", "block", base["name"]) for base in bases]
+    scene = case([*bases, platform()["body"][1]], ties, run={"t_end": 1.0, "every": 1.0})
+    system = to_system(scene)
+    found = prescribed_among(prescribed_bodies(system), np.array([3, 1, 7, 0]))
+    assert found.body.tolist() == [0, 1, 3]
+    assert found.mass.tolist() == [4.0, 2.0, 1.0]
+    assert prescribed_in(found, 1, 3) == range(1, 2)
 
 
 def test_contact_beside_it_changes_nothing():
