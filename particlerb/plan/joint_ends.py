@@ -73,17 +73,17 @@ def ends_of(system: System, table: JointTable, first: Ints, second: Ints) -> End
     def spread(vector: tuple[float, ...]) -> Floats:
         return np.tile(np.array(vector)[:, None], k)
 
-    def in_world(vector: FramedVector, q: Floats) -> Floats:
-        return rotate(q, spread(vector.body)) if isinstance(vector, InFrame) else spread(vector)
-
     def point(vector: FramedVector | None, com: Floats, q: Floats, default: Floats) -> Floats:
         if vector is None:
             return default
-        return in_world(vector, q) + (com if isinstance(vector, InFrame) else 0.0)
+        if isinstance(vector, InFrame):
+            return rotate(q, spread(vector.body)) + com
+        return spread(vector)
 
     def direction(vector: FramedVector, q: Floats) -> Floats:
-        vectors = in_world(vector, q)
+        vectors = spread(vector.body if isinstance(vector, InFrame) else vector)
         vectors = np.ldexp(vectors, -np.frexp(np.abs(vectors).max(axis=0))[1])
+        vectors = rotate(q, vectors) if isinstance(vector, InFrame) else vectors
         return vectors / lengths(vectors)
 
     here = point(table.at, com_a, body_a, com_a)

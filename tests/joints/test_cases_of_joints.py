@@ -59,13 +59,16 @@ def test_a_joint_that_cannot_be_is_named(table, key, words):
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize("is_framed", [False, True])
 @pytest.mark.parametrize("size", [2.0**-1030, 2.0**-700, 2.0**700, 2.0**1023])
-def test_an_axis_may_have_any_length(size):
+def test_an_axis_may_have_any_length(size, is_framed):
     """Also one whose square is no number, and a power of two changes no bit."""
     found = []
     for a in (1.0, size):
-        axis = [0.0, a, 0.5 * a]
-        system = to_system(rods({"type": "hinge", "body": "b0", "axis": axis}) | {"run": RUN})
+        axis = {"body": [-a, a, 0.5 * a]} if is_framed else [-a, a, 0.5 * a]
+        scene = rods({"type": "hinge", "body": "b0", "axis": axis})
+        scene["body"][0]["orientation"] = [0.5, 0.5, 0.5, -0.5]
+        system = to_system(scene | {"run": RUN})
         ends = ends_of(system, system.joint[0], np.array([0]), np.array([WORLD]))
         found.append(ends.first["n"])
     assert np.array_equal(*found)
