@@ -18,7 +18,7 @@ from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.state import rotate, rotate_back
 from particlerb.model.worlds import Worlds
 
-_MAX_SINGULAR: Final = 1e-10  # over the largest singular value: of null vectors
+MAX_SINGULAR: Final = 1e-10  # over the largest singular value: of null vectors
 _NULL_ROUNDING: Final = 1e-8  # share of the largest component of a null vector
 
 
@@ -65,7 +65,7 @@ def dependent_rows(weighted: Floats) -> Floats:
     U, singular_values, _ = np.linalg.svd(weighted)
     size = np.zeros(len(U))
     size[: singular_values.size] = singular_values
-    null: Floats = U[:, size <= _MAX_SINGULAR * singular_values[0]].T
+    null: Floats = U[:, size <= MAX_SINGULAR * singular_values[0]].T
     return null
 
 

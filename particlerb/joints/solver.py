@@ -134,13 +134,6 @@ def _even_out(
 
 
 @inline
-def _solve_and_add(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> None:
-    """Impulses that take away the right sides z of rows lo to hi, those of cluster c."""
-    solve(joints.program, joints.clusters, data.factor, data.z, c)
-    _add(joints, data, lo, hi)
-
-
-@inline
 def _add(joints: Joints, data: JointData, lo: int, hi: int) -> None:
     """Add impulses z of rows lo to hi to the momenta, and to `total`."""
     for r in range(lo, hi):
@@ -397,4 +390,5 @@ def keep_rates(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> Non
         if not 0.0 < worst < _GAIN_RATIO * before:
             return
         before = worst
-        _solve_and_add(joints, data, c, lo, hi)
+        solve(joints.program, joints.clusters, data.factor, data.z, c)
+        _add(joints, data, lo, hi)

@@ -1,5 +1,6 @@
 """What a plan says of joints, and the fastest rates that they bring: both at the start."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
@@ -7,14 +8,16 @@ import numpy as np
 
 from particlerb.impulses.records import MOTOR, RUBS, STOP
 from particlerb.joints.reactions import (
+    MAX_SINGULAR,
     factorise_all,
     find_multipliers,
     forces_of_joints,
     null_vectors,
+    weighted_gradient,
 )
-from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, Joints, joint_data_at
+from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, JointData, Joints, joint_data_at
 from particlerb.joints.rows import linearise
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, lengths
 from particlerb.model.system import System
@@ -26,6 +29,7 @@ from particlerb.rotors.rotor_class import POINT, ROD
 _MAX_CLUSTER_ROWS: Final = 1500  # of a cluster whose redundant rows are looked for
 _MIN_NULL_COMPONENT: Final = 1e-6  # share of a null vector of Gᵀ from which on a row is in it
 _MAX_ROWS_NAMED: Final = 8
+_OWN_RATIO: Final = 2.0  # of the rate of a hanging rod by itself to that about its pivot
 
 
 def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> Floats:
@@ -34,6 +38,7 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
     A link turns against the forces f that it carries at arms r with ω² = Σ |f| |r| / I: of a rod
     between two joints under tension T that is 12 T/(m l), its fastest mode in a chain; a point
     between two distances has 4 T/(m l). A joint is taken to carry the weight of its body at least.
+    Where masses are far apart, that of their cluster as a whole is taken if it is less.
 
     Parameters
     ----------
@@ -49,7 +54,7 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
     carried = np.linalg.norm(forces_of_joints(joints, data, data.z)[:, :3], axis=1)
     first = joints.program.start[:-1]
     weight = np.linalg.norm(data.change[:, :3], axis=1)
-    squared = np.zeros(joints.inv_mass.size)
+    squared, loaded = np.zeros(joints.inv_mass.size), []
     is_distance = joints.rows.kind[first] == DISTANCE
     ends = (joints.rows.a, joints.rows.vector_a), (joints.rows.b, joints.rows.vector_b)
     for bodies_of, arms in ends:
@@ -58,6 +63,10 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
         turning = _softness(arms[first], joints.inv_inertia[end])
         swinging = 2.0 * joints.inv_mass[end] / joints.rows.length[first]
         np.add.at(squared, end, load * (turning + np.where(is_distance, swinging, 0.0)))
+        loaded.append((end, arms[first], load))
+    for c in np.flatnonzero(joints.clusters.is_uneven).tolist():
+        part = squared[slice(*joints.clusters.body[c : c + 2])]
+        np.minimum(part, _fastest_squared(joints, data, c, loaded), out=part)
     rows = joints.rows
     soft = np.flatnonzero(rows.action != HOLDS)
     g, actions = data.gradient[soft], joints.actions
@@ -72,6 +81,37 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
     rates = np.empty(bodies.mass.size)
     rates[joints.order] = np.sqrt(squared[:-1])
     return rates
+
+
+def _fastest_squared(
+    joints: Joints, data: JointData, c: int, ends: Sequence[tuple[Ints, Floats, Floats]]
+) -> float:
+    """Largest ω² [1/s²] of cluster c in motions that its joints leave free; inf: not known.
+
+    By itself a light link between heavy ones would be fast, but it moves with them alone. The ends
+    of joints are their bodies, arms [m] and loads [N].
+    """
+    rows, start = joints.rows, joints.program.start
+    first, last = joints.clusters.body[c : c + 2]
+    lo, hi = start[joints.clusters.joint[c : c + 2]]
+    weighted = weighted_gradient(joints, data, c)[rows.action[lo:hi] == HOLDS]
+    if len(weighted) > _MAX_CLUSTER_ROWS or not np.isfinite(weighted).all():
+        return np.inf
+    _, size, ways = np.linalg.svd(weighted)
+    free = ways[(size > MAX_SINGULAR * size.max(initial=0.0)).sum() :]
+    free = free.reshape(-1, last - first, 6)
+    strains = list[Floats]()
+    for end, arm, load in ends:
+        inside = np.flatnonzero((first <= end) & (end < last))
+        k, r, f, row = end[inside], arm[inside], load[inside], start[inside]
+        size = lengths(r.T)
+        f_over_r = f / np.where(size > 0.0, size, 1.0)
+        turns = free[:, k - first, 3:] * np.sqrt(joints.inv_inertia[k])
+        strains.append(np.cross(turns, r) * np.sqrt(f_over_r)[:, None])
+        swinging = 2.0 * f * joints.inv_mass[k] / rows.length[row] * (rows.kind[row] == DISTANCE)
+        strains.append(free[:, k - first, :3] * np.sqrt(swinging)[:, None])
+    stacked = np.concatenate(strains, axis=1).reshape(len(free), -1)
+    return (_OWN_RATIO * float(np.linalg.norm(stacked, 2))) ** 2 if len(free) else 0.0
 
 
 def _softness(arm: Floats, inv_inertia: Floats) -> Floats:

@@ -11,6 +11,8 @@ from scenes import SCENES, Y, Z, bar, body, case, four_bar, hinge_chain, joint, 
 
 import particlerb
 from particlerb import RunError
+from particlerb.case.to_system import to_system
+from particlerb.simulation.run import prepare
 
 CASES = Path(__file__).parents[2] / "cases"
 ORDERS = {"rattle": 2, "rattle4": 4, "rattle6": 6, "rattle8": 8}
@@ -87,6 +89,21 @@ def test_masses_far_apart_are_of_order_two_as_others(coupler, is_closed):
             errors.append(np.abs(np.array(trajectory.ledger.energy_error)).max())
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
     assert errors[0] < 0.02 * 9.81 * max(coupler, 1.0)
+
+
+@pytest.mark.parametrize("coupler", [1e-6, 1e6])
+def test_a_step_is_chosen_for_how_fast_a_linkage_swings_not_one_light_link_by_itself(coupler):
+    """Which √(m g/m_light) times as fast would be; a string of light links is as fast as it is."""
+    string = [bar(f"b{k}", [0, 0, -0.1 * k], [0, 0, -0.1 * (k + 1)], 1e-3) for k in range(4)]
+    string.append(bar("bob", [0, 0, -0.4], [0, 0, -0.5]))
+    joints = [joint("hinge", f"b{k}", f"b{k - 1}" if k else None, [0, 0, -0.1 * k], Y)
+              for k in range(4)]  # fmt: skip
+    joints.append(joint("hinge", "bob", "b3", [0, 0, -0.4], Y))
+    mode = np.sqrt(12.0 * 9.81 / (1e-3 * 0.1))
+    for scene, fastest in ((four_bar(coupler), 7.5), (case(string, joints), mode)):
+        plan = prepare(to_system({"run": {"t_end": 10.0, "every": 10.0}, **scene})).plan
+        dt = plan.groups[0].segments[0].dt
+        assert 0.05 / (1.5 * fastest) < dt < 0.05 / (0.7 * fastest)
 
 
 @pytest.mark.compiled
