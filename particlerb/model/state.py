@@ -53,11 +53,16 @@ CONJUGATE: Final = np.array([[1.0], [-1.0], [-1.0], [-1.0]])  # quaternions (4, 
 
 
 def room_for(n_frames: int, n_bodies: int, last: Floats) -> Frames:
-    """Empty frames that continue after the orientations `last`."""
-    vectors = [np.empty((n_frames, n_bodies, 3)) for _ in range(3)]
-    is_frame = np.ones(n_frames, dtype=np.bool_)
-    orientation = np.empty((n_frames, n_bodies, 4))
-    return Frames(vectors[0], orientation, vectors[1], vectors[2], last, is_frame)
+    """Empty frames that continue after the orientations `last`.
+
+    In one piece, which where it is large lies in large pages: new small ones take the system longer
+    than it takes to fill them.
+    """
+    k, each = n_frames * n_bodies, (n_frames, n_bodies, 3)
+    room = np.empty(13 * k)
+    x, p, L = (room[first * k : (first + 3) * k].reshape(each) for first in (0, 7, 10))
+    q = room[3 * k : 7 * k].reshape(n_frames, n_bodies, 4)
+    return Frames(x, q, p, L, last, np.ones(n_frames, dtype=np.bool_))
 
 
 def as_frame(bodies: Bodies, state: State) -> Frames:
