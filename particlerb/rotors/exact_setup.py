@@ -33,8 +33,8 @@ from particlerb.rotors.theta import (
     twist,
 )
 
-_BODIES_PER_BLOCK = 1 if config.DISABLE_JIT else 32
-IN_PYTHON: Final = {"_BODIES_PER_BLOCK": 1}
+BODIES_PER_BLOCK = 1 if config.DISABLE_JIT else 32
+IN_PYTHON: Final = {"BODIES_PER_BLOCK": 1}
 _MIN_SCALE = 1e-290
 _N_INPUTS = 14  # rows: I (3), q (4), L in the rotor frame (6), rate
 MOMENTUM_ROWS = 6  # L in the rotor frame in 32 digits: high and low of each component
@@ -95,20 +95,20 @@ def moduli(
     How many are asymmetric in their motion, and how many of these are beyond the crossover.
     """
     inertia, q, momentum, units = bodies
-    s = np.empty((_N_INPUTS + 1, _BODIES_PER_BLOCK))
+    s = np.empty((_N_INPUTS + 1, BODIES_PER_BLOCK))
     n_turning, n_theta = 0, 0
-    for lo in range(0, indices.size, _BODIES_PER_BLOCK):
-        hi = min(lo + _BODIES_PER_BLOCK, indices.size)
-        moment, turn, spin, result = _rows_3(s, 0), _rows_4(s, 3), _rows_3(s, 7), s[_N_INPUTS]
-        high, low = _rows_3(s, 7), _rows_3(s, 10)
-        for b in range(_BODIES_PER_BLOCK):
+    for lo in range(0, indices.size, BODIES_PER_BLOCK):
+        hi = min(lo + BODIES_PER_BLOCK, indices.size)
+        moment, turn, spin, result = rows_3(s, 0), rows_4(s, 3), rows_3(s, 7), s[_N_INPUTS]
+        high, low = rows_3(s, 7), rows_3(s, 10)
+        for b in range(BODIES_PER_BLOCK):
             j = indices[min(lo + b, hi - 1)]
             inertia_j, L_j = load3(inertia, j), load3(L, j)
             units[0, j], units[1, j] = _unit(inertia_j), _unit(L_j)
             store3(moment, b, scale(units[0, j], inertia_j))
             store3(spin, b, scale(units[1, j], L_j))
             store4(turn, b, load4(q, j))
-        for b in range(_BODIES_PER_BLOCK):
+        for b in range(BODIES_PER_BLOCK):
             m = dd.to_body(load4(turn, b), load3(spin, b))
             store3(high, b, (m[0][0], m[1][0], m[2][0]))
             store3(low, b, (m[0][1], m[1][1], m[2][1]))
@@ -127,8 +127,8 @@ def moduli(
 def _fill(bodies: Tumblers, indices: Ints, lo: int, hi: int, s: Floats) -> None:
     """Copy bodies indices[lo:hi] into the first rows of a scratch block; the last one fills it."""
     inertia, q, momentum, units = bodies
-    moment, turn = _rows_3(s, 0), _rows_4(s, 3)
-    for b in range(_BODIES_PER_BLOCK):
+    moment, turn = rows_3(s, 0), rows_4(s, 3)
+    for b in range(BODIES_PER_BLOCK):
         j = indices[min(lo + b, hi - 1)]
         store3(moment, b, scale(units[0, j], load3(inertia, j)))
         store4(turn, b, load4(q, j))
@@ -157,13 +157,13 @@ def world_factor(q: Quat, local: Quat, frame: Quat) -> Quat:
 
 
 @splice
-def _rows_3(s: Floats, i: int) -> Rows3:
+def rows_3(s: Floats, i: int) -> Rows3:
     """Three rows of a scratch block."""
     return s[i], s[i + 1], s[i + 2]
 
 
 @splice
-def _rows_4(s: Floats, i: int) -> Rows4:
+def rows_4(s: Floats, i: int) -> Rows4:
     """Four rows of a scratch block."""
     return s[i], s[i + 1], s[i + 2], s[i + 3]
 
@@ -171,13 +171,13 @@ def _rows_4(s: Floats, i: int) -> Rows4:
 @splice
 def _inputs(s: Floats) -> tuple[Rows3, Rows4, Floats, Rows3, Rows3]:
     """Moments, q, unit of I over that of L, and L in its high and its low digits."""
-    return _rows_3(s, 0), _rows_4(s, 3), s[13], _rows_3(s, 7), _rows_3(s, 10)
+    return rows_3(s, 0), rows_4(s, 3), s[13], rows_3(s, 7), rows_3(s, 10)
 
 
 @splice
 def _results(s: Floats) -> tuple[Rows3, Rows4, Rows4]:
     """Clock, left and right of a turn; its coefficients are behind."""
-    return _rows_3(s, 18), _rows_4(s, 21), _rows_4(s, 14)
+    return rows_3(s, 18), rows_4(s, 21), rows_4(s, 14)
 
 
 @inline
@@ -212,13 +212,13 @@ def near_turn(
 @unfused_kernel
 def theta_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) -> None:
     """Constants of ThetaTurn: right, and in one table clock, left, series."""
-    s = np.empty((_N_INPUTS + 4 + THETA_ROWS, _BODIES_PER_BLOCK))
-    for lo in range(0, indices.size, _BODIES_PER_BLOCK):
-        hi = min(lo + _BODIES_PER_BLOCK, indices.size)
+    s = np.empty((_N_INPUTS + 4 + THETA_ROWS, BODIES_PER_BLOCK))
+    for lo in range(0, indices.size, BODIES_PER_BLOCK):
+        hi = min(lo + BODIES_PER_BLOCK, indices.size)
         _fill(bodies, indices, lo, hi, s)
         moment, turn, rate, high, low = _inputs(s)
-        (clock, left, right_of), series = _results(s), _rows_3(s, 25)
-        for b in range(_BODIES_PER_BLOCK):
+        (clock, left, right_of), series = _results(s), rows_3(s, 25)
+        for b in range(BODIES_PER_BLOCK):
             m = _pairs(load3(high, b), load3(low, b))
             constants = theta_turn(load3(moment, b), m, load4(turn, b), rate[b])
             store3(clock, b, constants[0])
@@ -231,15 +231,15 @@ def theta_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) ->
 @unfused_kernel
 def near_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) -> None:
     """Constants of HyperbolicTurn: right, and in one table clock, left, scale, cosines, sines."""
-    s = np.empty((_N_INPUTS + 4 + NEAR_ROWS, _BODIES_PER_BLOCK))
-    for lo in range(0, indices.size, _BODIES_PER_BLOCK):
-        hi = min(lo + _BODIES_PER_BLOCK, indices.size)
+    s = np.empty((_N_INPUTS + 4 + NEAR_ROWS, BODIES_PER_BLOCK))
+    for lo in range(0, indices.size, BODIES_PER_BLOCK):
+        hi = min(lo + BODIES_PER_BLOCK, indices.size)
         _fill(bodies, indices, lo, hi, s)
         moment, turn, rate, high, low = _inputs(s)
         clock, left, right_of = _results(s)
-        scale, phase = _rows_4(s, 25), s[29]
-        cosines, sines = (_rows_3(s, 30), _rows_3(s, 33)), (_rows_3(s, 36), _rows_3(s, 39))
-        for b in range(_BODIES_PER_BLOCK):
+        scale, phase = rows_4(s, 25), s[29]
+        cosines, sines = (rows_3(s, 30), rows_3(s, 33)), (rows_3(s, 36), rows_3(s, 39))
+        for b in range(BODIES_PER_BLOCK):
             m = _pairs(load3(high, b), load3(low, b))
             constants = near_turn(load3(moment, b), m, load4(turn, b), rate[b])
             of = constants[3]

@@ -1,6 +1,7 @@
 """Loops that prepare tops: one table of constants for those next to the separatrix, one for others.
 
-The theory is in `lagrange` and `lagrange_forms`; stepping/top_rows.py evaluates the tables.
+The theory is in `lagrange` and `lagrange_forms`; stepping/top_rows.py evaluates the tables. Blocks
+of bodies are worked on in rows of a scratch array, as in `exact_setup`.
 """
 
 import math
@@ -8,15 +9,17 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, unfused_kernel
+from particlerb.compiled.jit import inline, splice, unfused_kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, conjugate, multiply, to_body
-from particlerb.maths.rows import load3, load4, rows3, rows4
+from particlerb.maths.rows import load3, load4, store3
 from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3
 from particlerb.rotors.exact import CROSSOVER
+from particlerb.rotors.exact_setup import BODIES_PER_BLOCK, rows_3, rows_4
 from particlerb.rotors.lagrange import Pair, Reduced, reduced
-from particlerb.rotors.lagrange_forms import Clock, near_constants, theta_constants
+from particlerb.rotors.lagrange_forms import Clock, Five, near_constants, theta_constants
 
+IN_PYTHON: Final = {"BODIES_PER_BLOCK": 1}
 _MIN_RATE_UNIT: Final = 1e-290
 
 # Rows of both tables: x = start + rate t; ν and φ of α, of β; frame of z (4); ν of β less that of
@@ -24,6 +27,7 @@ _MIN_RATE_UNIT: Final = 1e-290
 LEFT, DELTA, AXIAL, OWN = 6, 10, 14, 15
 N_THETA: Final = OWN + 20
 N_NEAR: Final = OWN + 15
+_N_INPUTS: Final = 11  # rows: ω (3), a F / A (3), q (4), stretch
 _RATE_ROWS: Final = [1, 2, 4, DELTA]  # rows in units of a rate
 
 
@@ -55,44 +59,57 @@ def _seen(omega: Rows3, pull: Rows3, q: Rows4, b: int) -> tuple[Quat, Vec3, Redu
     return left, omega_up, reduced(multiply(conjugate(left), load4(q, b)), omega_up, 2.0 * size)
 
 
+@splice
+def _store5(table: Floats, first: int, b: int, values: Five) -> None:
+    """Five rows; a loop over the values would keep loops over bodies out of SIMD lanes."""
+    store3(rows_3(table, first), b, values[:3])
+    table[first + 3, b], table[first + 4, b] = values[3:]
+
+
 @inline
 def _store(
     table: Floats, b: int, clock: Clock, spin: float, left: Quat, delta: float, momentum: Pair
 ) -> None:
     """Rows that both kinds have; the moment, and the force, come later."""
-    numbers = (clock.start, clock.rate, clock.nu[0] + spin, clock.phase[0], clock.nu[1] - spin)
-    along, axial = momentum
-    for k, value in enumerate((*numbers, clock.phase[1], *left, delta, 0.0, along, 0.0, axial)):
-        table[k, b] = value
+    nu, phase = clock.nu, clock.phase
+    _store5(table, 0, b, (clock.start, clock.rate, nu[0] + spin, phase[0], nu[1] - spin))
+    _store5(table, 5, b, (phase[1], *left))
+    _store5(table, 10, b, (delta, 0.0, momentum[0], 0.0, momentum[1]))
 
 
 @unfused_kernel
-def _theta_table(
-    omega: Floats, pull: Floats, q: Floats, stretch: Floats, table: Floats, modulus: Floats
-) -> None:
-    """Rows of TopTurn of all bodies, and k′² of all."""
-    n = stretch.size
-    rates, pulls, turns = rows3(omega, 0, n), rows3(pull, 0, n), rows4(q, 0, n)
-    for b in range(n):
-        left, omega_up, of = _seen(rates, pulls, turns, b)
-        clock, top = theta_constants(of)
-        delta = clock.nu[1] - clock.nu[0]
-        _store(table, b, clock, of.axial * stretch[b], left, delta, (omega_up[2], of.axial))
-        for k in range(5):
-            table[OWN + k, b] = top.alpha_sin[k]
-            table[OWN + 5 + k, b] = top.alpha_cos[k]
-            table[OWN + 10 + k, b] = top.beta_cos[k]
-            table[OWN + 15 + k, b] = top.beta_sin[k]
-        modulus[b] = of.kc * of.kc
+def _theta_table(inputs: Floats, table: Floats) -> None:
+    """Rows of `ThetaTop` of all bodies, and k′² of all behind them."""
+    n, s = inputs.shape[1], np.empty((N_THETA + 1 + _N_INPUTS, BODIES_PER_BLOCK))
+    omega, pull = rows_3(s, N_THETA + 1), rows_3(s, N_THETA + 4)
+    q, stretch = rows_4(s, N_THETA + 7), s[N_THETA + 11]
+    for lo in range(0, n, BODIES_PER_BLOCK):
+        hi = min(lo + BODIES_PER_BLOCK, n)
+        for i in range(_N_INPUTS):
+            for b in range(BODIES_PER_BLOCK):
+                s[N_THETA + 1 + i, b] = inputs[i, min(lo + b, hi - 1)]
+        for b in range(BODIES_PER_BLOCK):
+            left, omega_up, of = _seen(omega, pull, q, b)
+            clock, top = theta_constants(of)
+            delta = clock.nu[1] - clock.nu[0]
+            _store(s, b, clock, of.axial * stretch[b], left, delta, (omega_up[2], of.axial))
+            _store5(s, OWN, b, top.alpha_sin)
+            _store5(s, OWN + 5, b, top.alpha_cos)
+            _store5(s, OWN + 10, b, top.beta_cos)
+            _store5(s, OWN + 15, b, top.beta_sin)
+            s[N_THETA, b] = of.kc * of.kc
+        for i in range(N_THETA + 1):
+            for b in range(hi - lo):
+                table[i, lo + b] = s[i, b]
 
 
 @unfused_kernel
-def _near_table(omega: Floats, pull: Floats, q: Floats, stretch: Floats, table: Floats) -> None:
-    """Rows of NearTopTurn."""
-    n = stretch.size
-    rates, pulls, turns = rows3(omega, 0, n), rows3(pull, 0, n), rows4(q, 0, n)
+def _near_table(inputs: Floats, table: Floats) -> None:
+    """Rows of `NearTop`."""
+    n, stretch = inputs.shape[1], inputs[10]
+    omega, pull, q = rows_3(inputs, 0), rows_3(inputs, 3), rows_4(inputs, 6)
     for b in range(n):
-        left, omega_up, of = _seen(rates, pulls, turns, b)
+        left, omega_up, of = _seen(omega, pull, q, b)
         clock, top = near_constants(of)
         turn_a, turn_b = top.turns
         delta = (clock.nu[1] + clock.rate * turn_b) - (clock.nu[0] + clock.rate * turn_a)
@@ -127,16 +144,15 @@ def prepare_tops(tops: Tops, q: Floats, L: Floats) -> list[tuple[Ints, Floats]]:
     omega, pull = L / tops.moment, tops.lever / tops.moment
     unit = np.maximum(np.abs(omega).max(axis=0), np.sqrt(np.abs(pull).max(axis=0)))
     unit = np.exp2(np.round(np.log2(np.maximum(unit, _MIN_RATE_UNIT))))
-    omega, pull, modulus = omega / unit, pull / unit / unit, np.empty(unit.size)
-    table = np.empty((N_THETA, unit.size))
-    THREADS.alone(_theta_table, omega, pull, np.ascontiguousarray(q), tops.stretch, table, modulus)
-    tables = []
+    inputs = np.concatenate((omega / unit, pull / unit / unit, q, tops.stretch[None]))
+    table = np.empty((N_THETA + 1, unit.size))
+    THREADS.alone(_theta_table, inputs, table)
+    tables, modulus = [], table[N_THETA]
     if (indices := np.flatnonzero(modulus >= CROSSOVER)).size:
-        tables.append((indices, _in_units(table[:, indices], tops, unit, indices)))
+        tables.append((indices, _in_units(table[:-1].take(indices, axis=1), tops, unit, indices)))
     if (indices := np.flatnonzero(modulus < CROSSOVER)).size:
-        inputs = [np.ascontiguousarray(a[..., indices]) for a in (omega, pull, q, tops.stretch)]
         near = np.empty((N_NEAR, indices.size))
-        THREADS.alone(_near_table, *inputs, near)
+        THREADS.alone(_near_table, inputs.take(indices, axis=1), near)
         tables.append((indices, _in_units(near, tops, unit, indices)))
     return tables
 
