@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from particlerb.compiled.jit import config
 from particlerb.maths.quaternion import multiply, to_body, to_world
 from particlerb.maths.rows import rows4
-from particlerb.rotors import exact, exact_setup
+from particlerb.rotors import exact, exact_setup, tops
 from particlerb.rotors.exact import HyperbolicTurn, SteadyTurn, ThetaTurn, orientation, turns_of
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
 from particlerb.rotors.theta import ThetaCoefficients, theta_local
@@ -413,9 +413,11 @@ def test_kernels_use_packed_instructions(make):
     if not has_avx2():
         pytest.skip("no AVX2")
     turned(64)
-    kernels = exact.turn_all, exact_setup.theta_table, exact_setup.near_table
+    bodies, of_tops = np.ones((3, 64)), tops._theta_table
+    tops.prepare_tops(tops.Tops(*bodies[:2], bodies, bodies[2]), np.ones((4, 64)), bodies)
+    kernels = exact.turn_all, exact_setup.theta_table, exact_setup.near_table, of_tops
     codes = [(one.__name__, make.assembly(one, key)) for one in kernels for key in one.overloads]
-    assert len(codes) >= 4
+    assert len(codes) >= 5
     for name, code in codes:
         assert len(re.findall(r"v(?:mul|add|sub)pd\s[^\n]*%[yz]mm", code)) >= 40, name
         assert not re.findall(r"\$(?:sincos|cos|sin|exp|log|pow|asinh|fma)\b", code), name
