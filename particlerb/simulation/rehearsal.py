@@ -17,7 +17,7 @@ from particlerb.forces import acting_of, is_constant, row_count, rows_of_terms
 from particlerb.integrators import METHODS
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import MovingBodies, RotorClasses
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Floats, Ints, differences
 from particlerb.model.block import (
     CHANGING,
     ROTOR,
@@ -126,7 +126,7 @@ class Rehearsal:
     def record(self, stepping: Stepping, times: Floats, columns: Ints, frames: Frames) -> None:
         """Write the states at ascending times into these columns of frames."""
         steps, partial_steps = grid_position(times, stepping.dt)
-        further = np.diff(steps, prepend=0)
+        further = differences(steps, 0)
         schedule = Schedule(stepping.dt, further, partial_steps, np.arange(times.size))
         changing(self.blocks)[:] = self.first
         sums = np.zeros((times.size, len(self.blocks), 7))
