@@ -1,7 +1,9 @@
 """The tree: its error falls as it says, and its forces have one potential, so nothing is lost."""
 
 import itertools
+import platform
 
+import numba
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from particlerb.compiled.threads import THREADS
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity_tree.cells import grow, room_for_nodes
 from particlerb.forces.gravity_tree.lanes import LANES
-from particlerb.forces.gravity_tree.multipole import ORDER, indices
+from particlerb.forces.gravity_tree.multipole import MOMENT, ORDER, indices
 from particlerb.forces.gravity_tree.opening_angle import (
     SAMPLE,
     fitting_angle,
@@ -18,6 +20,7 @@ from particlerb.forces.gravity_tree.opening_angle import (
     sampled_error,
 )
 from particlerb.forces.gravity_tree.tree import Tree
+from particlerb.forces.gravity_tree.walk import RANGES, _pull_by
 from particlerb.maths.vec3 import Floats
 
 G = 0.7
@@ -241,6 +244,17 @@ def test_any_number_of_threads_finds_the_same_bits(counts):
     assert (found[0] == found[1]).all()
     assert (found[0] == found[2]).all()
     assert energies[0] == energies[1] == energies[2]
+
+
+@pytest.mark.compiled
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86-64 code")
+def test_particles_of_a_bucket_fill_lanes(make):
+    """Beside the loop in lanes stands the same one for what is left over."""
+    ranges, near = np.zeros(2 * RANGES, dtype=np.int64), np.zeros(MOMENT * LANES)
+    arguments = np.zeros((3, 2)), np.zeros(2), ranges, 1, 0.0, near
+    code = make.assembly(_pull_by, tuple(map(numba.typeof, arguments)))
+    packed, single = make.arithmetic(code)
+    assert packed > 0.25 * (packed + single)
 
 
 def test_evaluations_do_not_depend_on_those_before():

@@ -135,11 +135,15 @@ def _pull(near: Floats, lane: int, x: Vec3, m: float, eps2: float, is_own: bool)
 def _pull_by(
     place: Floats, mass: Floats, ranges: Ints, count: int, eps2: float, near: Floats
 ) -> None:
-    """Add the field of ranges of particles to that of a bucket, and their potential's depth."""
+    """Add the field of ranges of particles to that of a bucket, and their potential's depth.
+
+    A loop over LANES, which the compiler knows, would be written out before it could be put into
+    vectors: it asks the array.
+    """
     for k in range(count):
         for j in range(ranges[2 * k], ranges[2 * k + 1]):
             x, m = (place[0, j], place[1, j], place[2, j]), mass[j]
-            for i in range(LANES):
+            for i in range(near.size // MOMENT):
                 _pull(near, i, x, m, eps2, False)
 
 
