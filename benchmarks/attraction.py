@@ -1,13 +1,13 @@
 """Measure the attraction between particles: pairs a second, share of the machine, threads.
 
-    python benchmarks/attraction.py [--only SECTION] [--record]
+    python benchmarks/attraction.py [--only SECTION ...] [--record]
 
 A pair is a target and a source of another body; it counts as 20 operations, as is usual for such
 sums (3 differences, 3 + 3 for the square, 5 for the root and the cube, 6 to add). The peak is what
 chains of fused multiply-adds reach on the same core in the same rounds, 2 operations each. Minima
 over rounds in which all variants follow each other; all loads of a scene, as in a run. `--record`
-adds the figures of this commit to results/attraction.csv. Goals: 25 % of the peak on one thread,
-1.8 times as fast on two, two points in less than 100 ns.
+adds the figures of this commit to results/attraction.csv, those of a section when it is done.
+Goals: 25 % of the peak on one thread, 1.8 times as fast on two, two points in less than 100 ns.
 
 The tree: its time by the clock of its thread from 1e3 to 1e6 points, against n log n and against
 the direct sum, and its errors and lost momenta against the opening angle. Goals: 1e6 points in a
@@ -307,80 +307,96 @@ def tree_errors(n: int = 20_000) -> Figures:
     return rows
 
 
-def tree() -> Figures:
-    """Print and return the figures of the tree."""
-    angle = safe_angle(1e-4)
+def tree_growth(angle: float) -> Figures:
+    """Print and return time against the number of points, and where it is that of the sum."""
     THREADS.use(1)
-    print(f"tree; one thread; angle {angle:.2f} errs by less than 1e-4 in every scene")
-    rows = [*tree_times(angle), *tree_times(0.5), *break_even(angle), *break_even(0.5)]
-    attraction, y = ball(100_000)
-    one, load = Tree(attraction, angle), np.zeros((6, 100_000))
-    single = seconds_of(partial(one.loads, y, load), 5, time.perf_counter)
-    THREADS.use(2)
-    gain = single / seconds_of(partial(one.loads, y, load), 5, time.perf_counter)
-    print(f"  100 000 points: {gain:.2f} times as fast with two threads")
+    print(f"tree; one thread; angle {angle:.2f}")
+    rows = [*tree_times(angle), *break_even(angle)]
     THREADS.use(None)
-    return [*rows, ("tree, gain by two threads", gain), *tree_errors()]
+    return rows
+
+
+def tree_threads() -> Figures:
+    """Print and return how much faster two threads are."""
+    attraction, y = ball(100_000)
+    one, load, taken = Tree(attraction, 0.5), np.zeros((6, 100_000)), []
+    for threads in (1, 2):
+        THREADS.use(threads)
+        taken.append(seconds_of(partial(one.loads, y, load), 5, time.perf_counter))
+    THREADS.use(None)
+    print(f"  100 000 points: {taken[0] / taken[1]:.2f} times as fast with two threads")
+    return [("tree, gain by two threads", taken[0] / taken[1])]
 
 
 # The tree as users ask for it, beside pytreegrav
 
 
-def error_of(attraction: Attraction, y: Floats, acceleration: Floats) -> float:
-    """Relative rms error of the accelerations of points, (3, n), beside the direct sum."""
+def accelerations(attraction: Attraction, y: Floats) -> Floats:
+    """Those of points, (3, n), by the direct sum."""
     exact = np.zeros((6, y.shape[1]))
     spread_loads(attraction, fields_of(attraction), y, exact)
-    exact = exact[:3] / attraction.mass
-    return float(np.linalg.norm(acceleration - exact) / np.linalg.norm(exact))
+    return exact[:3] / attraction.mass
 
 
-def peer(attraction: Attraction, y: Floats, wanted: float) -> tuple[float, float, float]:
+def error_of(found: Floats, exact: Floats) -> float:
+    """Relative rms error of accelerations, (3, n)."""
+    return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+
+
+def peer(
+    attraction: Attraction, y: Floats, exact: Floats, wanted: float
+) -> tuple[float, float, float]:
     """Opening angle, error and least time [s] of pytreegrav with quadrupoles, for an error."""
     place = np.ascontiguousarray(y[:3].T)
     constant = float(attraction.gm[0] / attraction.mass[0])
     for angle in (0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2):
         find = partial(Accel, place, attraction.mass, G=constant, theta=angle)
         find = partial(find, quadrupole=True, method="tree", parallel=False)
-        error = error_of(attraction, y, find().T)
+        error = error_of(find().T, exact)
         if error <= wanted:
             break
     return angle, error, seconds_of(find, 3)
 
 
-def as_asked(accuracy: float = 1e-4) -> Figures:
-    """Print and return time and error of the fitted angle."""
-    THREADS.use(1)
+def as_asked(n: int, accuracy: float = 1e-4) -> Figures:
+    """Print and return time and error of the fitted angle, and of a peer."""
     rows = []
     print(f"tree with the angle that is fitted for an error of {accuracy}; one thread")
     for name, make in (("ball", ball), ("sphere", sphere)):
-        for n in (10_000, 100_000):
-            attraction, y = make(n)
-            angle = fitting_angle(attraction, y, accuracy)
-            load, one = np.zeros((6, n)), Tree(attraction, angle)
-            one.loads(y, load)
-            error = error_of(attraction, y, load[:3] / attraction.mass)
-            least = seconds_of(partial(one.loads, y, load), 5)
-            look = seconds_of(partial(sampled_error, one), 3)
-            other, other_error, other_least = peer(attraction, y, max(error, 0.3 * accuracy))
-            print(
-                f"  {name} of {n}: angle {angle:.2f}, error {error:.1e}, {least:.3f} s, the look at"
-                f" the sample {look:.3f} s; pytreegrav, angle {other:.1f}, error {other_error:.1e},"
-                f" {other_least:.3f} s: {other_least / least:.1f} times as long"
-            )
-            rows += [
-                (f"tree, {name} of {n}, error {accuracy} asked, error", error),
-                (f"tree, {name} of {n}, error {accuracy} asked [s]", least),
-                (f"tree, {name} of {n}, pytreegrav, error", other_error),
-                (f"tree, {name} of {n}, pytreegrav [s]", other_least),
-            ]
+        attraction, y = make(n)
+        THREADS.use(None)
+        exact = accelerations(attraction, y)
+        THREADS.use(1)
+        angle = fitting_angle(attraction, y, accuracy)
+        load, one = np.zeros((6, n)), Tree(attraction, angle)
+        one.loads(y, load)
+        error = error_of(load[:3] / attraction.mass, exact)
+        least = seconds_of(partial(one.loads, y, load), 5)
+        look = seconds_of(partial(sampled_error, one), 3)
+        other, other_error, other_least = peer(attraction, y, exact, max(error, 0.3 * accuracy))
+        print(
+            f"  {name} of {n}: angle {angle:.2f}, error {error:.1e}, {least:.3f} s, the look at"
+            f" the sample {look:.3f} s; pytreegrav, angle {other:.1f}, error {other_error:.1e},"
+            f" {other_least:.3f} s: {other_least / least:.1f} times as long"
+        )
+        rows += [
+            (f"tree, {name} of {n}, error {accuracy} asked, error", error),
+            (f"tree, {name} of {n}, error {accuracy} asked [s]", least),
+            (f"tree, {name} of {n}, pytreegrav, error", other_error),
+            (f"tree, {name} of {n}, pytreegrav [s]", other_least),
+        ]
     THREADS.use(None)
     return rows
 
 
 SECTIONS: dict[str, Callable[[], Figures]] = {
     "direct_sum": direct_sum,
-    "tree": tree,
-    "as_asked": as_asked,
+    "tree_as_asked_1e5": partial(as_asked, 100_000),
+    "tree_as_asked_1e4": partial(as_asked, 10_000),
+    "tree_growth": partial(tree_growth, 0.5),
+    "tree_growth_exact": partial(tree_growth, safe_angle(1e-4)),
+    "tree_threads": tree_threads,
+    "tree_errors": tree_errors,
 }
 
 
@@ -388,12 +404,12 @@ def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--record", action="store_true", help="add to results/attraction.csv")
-    parser.add_argument("--only", choices=SECTIONS, help="one section")
+    parser.add_argument("--only", choices=SECTIONS, nargs="+", help="these sections")
     options = parser.parse_args()
-    names = [options.only] if options.only else list(SECTIONS)
-    rows = [row for name in names for row in SECTIONS[name]()]
-    if options.record:
-        record("attraction", rows)
+    for name in options.only or SECTIONS:
+        rows = SECTIONS[name]()
+        if options.record:
+            record("attraction", rows)
 
 
 if __name__ == "__main__":
