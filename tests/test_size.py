@@ -25,7 +25,7 @@ BUDGETS = {
     "joints": 5316,
     "contact with every method": 480,
     "contact by impulses": 4113,
-    "collisions by events": 1715,
+    "collisions by events": 1755,
     "forces: tables, gradients, written by users": 2143,
     "scenes and simulations in Python": 646,
     "sweeps": 1590,

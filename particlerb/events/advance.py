@@ -9,6 +9,7 @@ from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.events import records as col
 from particlerb.events.collide import collide
 from particlerb.events.predict import cross, predict
+from particlerb.events.queue import comes
 from particlerb.events.records import EventData, EventScene, EventState
 from particlerb.impulses import records as impulses
 
@@ -19,8 +20,7 @@ _INSTANT_SHARE: Final = 1e-5  # of the period
 @inline
 def _hit(scene: EventScene, state: EventState, data: EventData, b: int, c: int, t: float) -> int:
     """Let the impact of body b with c happen; how that ends."""
-    instant = _INSTANT_SHARE * scene.period if scene.period < np.inf else 0.0
-    if t - state.sums[col.INSTANT] > instant:
+    if t - state.sums[col.INSTANT] > _INSTANT_SHARE * scene.period:
         state.sums[col.INSTANT], state.sums[col.AT_ONCE] = t, 0.0
     state.sums[col.AT_ONCE] += 1.0
     if state.sums[col.AT_ONCE] > _MAX_IMPACTS * scene.n_moving:
@@ -33,15 +33,16 @@ def _hit(scene: EventScene, state: EventState, data: EventData, b: int, c: int, 
 @inline
 def _count_anew(scene: EventScene, state: EventState) -> None:
     """Count times from a period later on."""
-    for b in range(state.place.size):
+    for b in range(state.info.shape[0]):
         state.flight[b, col.SINCE] -= scene.period
         state.spin[b, col.TURNED] -= scene.period
         state.at[b, col.HIT] -= scene.period
         state.at[b, col.LEAVE] -= scene.period
         for k in range(col.REMEMBERED):
             state.contact_at[b, k] -= scene.period
-    for k in range(state.heap.size):
+    for k in range(int(state.sums[col.SOON])):
         state.heap_time[k] -= scene.period
+    state.sums[col.INTERVAL] -= state.later.size
     state.sums[col.INSTANT] -= scene.period
     state.sums[col.EPOCH] += scene.period
 
@@ -52,7 +53,7 @@ def advance(
 ) -> tuple[int, int]:
     """Take all events until a time [s], but no more than so many; how that ends, and whose."""
     for _ in range(most):
-        if state.heap.size == 0 or state.heap_time[0] + state.sums[col.EPOCH] > until:
+        if not comes(scene, state, until):
             return col.DONE, -1
         if state.heap_time[0] > 2.0 * scene.period:
             _count_anew(scene, state)

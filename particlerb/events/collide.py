@@ -24,7 +24,7 @@ from particlerb.impulses.rows import (
     velocity_between,
     write_frame_of,
 )
-from particlerb.maths.quaternion import Matrix, turn
+from particlerb.maths.quaternion import turn
 from particlerb.maths.rows import put_row3_at, row3, row3_at
 from particlerb.maths.vec3 import (
     ZERO,
@@ -78,14 +78,8 @@ def _partner(
     data.inverse[at, 0], column = scene.body[b, col.BODY_INV_MASS], 1
     for i in range(3):
         for j in range(i, 3):
-            data.inverse[at, column] = dot(component_product(moments, _row(R, i)), _row(R, j))
+            data.inverse[at, column] = dot(component_product(moments, R[i]), R[j])
             column += 1
-
-
-@inline
-def _row(R: Matrix, i: int) -> Vec3:
-    """Row i of a matrix."""
-    return R[0] if i == 0 else R[1] if i == 1 else R[2]
 
 
 @inline

@@ -14,7 +14,7 @@ import numpy as np
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.events import records as col
 from particlerb.events.flight import flight_at, pull, set_flight
-from particlerb.events.queue import put
+from particlerb.events.queue import enter_list, insert, leave_list, take_out
 from particlerb.events.records import EventScene, EventState
 from particlerb.events.search import LOST, Flying, balls_meet, bodies_meet, soonest, wall_meets
 from particlerb.impulses import records as impulses
@@ -47,30 +47,13 @@ def _home(scene: EventScene, state: EventState, b: int) -> tuple[int, int, int]:
 def _enter_cell(scene: EventScene, state: EventState, b: int) -> None:
     """Add a body to the list of its cell."""
     i, j, k = _home(scene, state, b)
-    c = _cell(scene, i, j, k)
-    first = state.head[c]
-    state.next[b], state.info[b, col.PREVIOUS] = first, -1 - c
-    if first >= 0:
-        state.info[first, col.PREVIOUS] = b
-    state.head[c] = b
-
-
-@inline
-def _leave_cell(state: EventState, b: int) -> None:
-    """Take a body out of the list of its cell."""
-    before, after = state.info[b, col.PREVIOUS], state.next[b]
-    if before >= 0:
-        state.next[before] = after
-    else:
-        state.head[-1 - before] = after
-    if after >= 0:
-        state.info[after, col.PREVIOUS] = before
+    enter_list(state.head, state.next, state.info, col.PREVIOUS, _cell(scene, i, j, k), b)
 
 
 @inline
 def cross(scene: EventScene, state: EventState, b: int) -> None:
     """Let a body go into the next cell."""
-    _leave_cell(state, b)
+    leave_list(state.head, state.next, state.info, col.PREVIOUS, b)
     state.info[b, col.CELL + state.info[b, col.EXIT] // 2] += 2 * (state.info[b, col.EXIT] % 2) - 1
     _enter_cell(scene, state, b)
     state.tally[impulses.CROSSINGS] += 1.0
@@ -206,14 +189,15 @@ def predict(
     if i != i0 or j != j0 or k != k0:
         home = state.head.size
     ended = _look_at_walls(scene, state, data, flying, home, stays) and ended
-    put(state, b, min(state.at[b, col.HIT], state.at[b, col.LEAVE]))
+    take_out(state, b)
+    insert(scene, state, b)
     return ended
 
 
 @kernel
 def set_all(scene: EventScene, state: EventState, columns: Ints, initial: State) -> None:
     """Flights and cells of all bodies at time 0; of b from column columns[b] of `initial`."""
-    for b in range(state.place.size - 1, -1, -1):
+    for b in range(state.info.shape[0] - 1, -1, -1):
         set_flight(scene, state, b, initial, columns[b])
         for k in range(3):
             along = state.flight[b, k] - scene.origin[k]

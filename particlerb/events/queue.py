@@ -1,13 +1,45 @@
-"""The next event of each body: a heap of four branches, earliest first, then by number."""
+"""The next event of each body: of those that come soon a heap, of later ones lists by their time.
+
+A heap of all events is deep, and each of its levels one more line of the cache. So a period is cut
+into as many intervals as there are lists. A body whose event comes in a later interval is in the
+list of that, or of the last one that has a list. When those before are over, the events of a list
+come into the heap of four branches, earliest first, then by number.
+
+G. Paul, A complexity O(1) priority queue for event driven molecular dynamics simulations, J.
+Comput. Phys. 221, 615 (2007).
+"""
 
 from typing import Final
 
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.events.records import EventState
+from particlerb.events import records as col
+from particlerb.events.records import EventScene, EventState
+from particlerb.maths.vec3 import Indices
 
 _HEAP_BRANCHES: Final = 4
+
+
+@inline
+def enter_list(first: Indices, behind: Indices, info: Indices, before: int, k: int, b: int) -> None:
+    """Let body b be the first of list k; column `before` of `info` is the body before each."""
+    after = first[k]
+    behind[b], info[b, before], first[k] = after, -1 - k, b
+    if after >= 0:
+        info[after, before] = b
+
+
+@inline
+def leave_list(first: Indices, behind: Indices, info: Indices, before: int, b: int) -> None:
+    """Take body b out of its list."""
+    previous, after = info[b, before], behind[b]
+    if previous >= 0:
+        behind[previous] = after
+    else:
+        first[-1 - np.int64(previous)] = after
+    if after >= 0:
+        info[after, before] = previous
 
 
 @inline
@@ -18,16 +50,15 @@ def _sift_up(state: EventState, k: int, t: float, b: int) -> int:
         parent = (k - 1) // _HEAP_BRANCHES
         if t > time[parent] or (t == time[parent] and b > heap[parent]):
             break
-        time[k], heap[k], state.place[heap[parent]] = time[parent], heap[parent], k
+        time[k], heap[k], state.info[heap[parent], col.PLACE] = time[parent], heap[parent], k
         k = parent
     return k
 
 
 @inline
-def _sift_down(state: EventState, k: int, t: float, b: int) -> int:
-    """Let the free place at k sink until body b belongs there; where that is."""
+def _sift_down(state: EventState, n: int, k: int, t: float, b: int) -> int:
+    """Let the free place at k, of n, sink until body b belongs there; where that is."""
     heap, time = state.heap, state.heap_time
-    n = heap.size
     while True:
         low = _HEAP_BRANCHES * k + 1
         if low >= n:
@@ -39,14 +70,59 @@ def _sift_down(state: EventState, k: int, t: float, b: int) -> int:
                 best = child
         if time[best] > t or (time[best] == t and heap[best] > b):
             break
-        time[k], heap[k], state.place[heap[best]] = time[best], heap[best], k
+        time[k], heap[k], state.info[heap[best], col.PLACE] = time[best], heap[best], k
         k = best
     return k
 
 
 @inline
-def put(state: EventState, b: int, t: float) -> None:
-    """Queue the event of body b at a time, in place of the one before."""
-    k = _sift_up(state, int(np.int64(state.place[b])), t, b)
-    k = _sift_down(state, k, t, b)
-    state.heap_time[k], state.heap[k], state.place[b] = t, b, k
+def _settle(state: EventState, n: int, k: int, t: float, b: int) -> None:
+    """Let body b, with an event at t, take the free place at k of a heap of n, or a better one."""
+    k = _sift_down(state, n, _sift_up(state, k, t, b), t, b)
+    state.heap_time[k], state.heap[k], state.info[b, col.PLACE] = t, b, k
+
+
+@inline
+def take_out(state: EventState, b: int) -> None:
+    """Take body b out of the heap or its list."""
+    k = int(np.int64(state.info[b, col.PLACE]))
+    if k < 0:
+        leave_list(state.later, state.behind, state.info, col.BEFORE, b)
+        return
+    state.sums[col.SOON] -= 1.0
+    n = int(state.sums[col.SOON])
+    if k < n:
+        _settle(state, n, k, state.heap_time[n], int(np.int64(state.heap[n])))
+
+
+@inline
+def insert(scene: EventScene, state: EventState, b: int) -> None:
+    """Queue the next event of body b, which is not in the queue."""
+    t = min(state.at[b, col.HIT], state.at[b, col.LEAVE])
+    lists, interval = state.later.size, state.sums[col.INTERVAL]
+    due = t * (lists / scene.period)
+    if due < interval:
+        state.sums[col.SOON] += 1.0
+        n = int(state.sums[col.SOON])
+        _settle(state, n, n - 1, t, b)
+    else:
+        k = int(min(due, interval + (lists - 1))) & (lists - 1)
+        enter_list(state.later, state.behind, state.info, col.BEFORE, k, b)
+        state.info[b, col.PLACE] = -1
+
+
+@inline
+def comes(scene: EventScene, state: EventState, until: float) -> bool:
+    """Whether an event comes until a time; it is the first of the heap then."""
+    lists = state.later.size
+    while state.sums[col.SOON] == 0.0:
+        interval = state.sums[col.INTERVAL]
+        if interval * (scene.period / lists) + state.sums[col.EPOCH] > until:
+            return False
+        k, state.sums[col.INTERVAL] = int(interval) & (lists - 1), interval + 1.0
+        b, state.later[k] = int(np.int64(state.later[k])), -1
+        while b >= 0:
+            after = int(np.int64(state.behind[b]))
+            insert(scene, state, b)
+            b = after
+    return state.heap_time[0] + state.sums[col.EPOCH] <= until

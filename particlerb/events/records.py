@@ -46,18 +46,20 @@ N_SPIN: Final = 6
 
 # Columns of `EventState.info`
 CELL: Final = 0  # three numbers
-PREVIOUS: Final = 3  # body before it in its cell; -1 - its number where it is the first of a cell
+PREVIOUS: Final = 3  # body before it in its cell: or -1 - the number of that
 EXIT: Final = 4  # side by which it leaves its cell: 2 axis, + 1 along it
 PARTNER: Final = 5  # which its next impact is with
 STAMP: Final = 6  # HITS of the partner when that was found; AGAIN: it looks for its next event
 OWN: Final = 7  # sphere of the body with the lower number
 OTHER: Final = 8  # sphere of the other body, or primitive
 HITS: Final = 9  # impacts so far
+BEFORE: Final = 10  # body before it in its list of the queue
+PLACE: Final = 11  # in the heap; -1: in a list
 N_INFO: Final = 16  # a line of the cache
 
-# Columns of `EventState.at`
-HIT: Final = 0  # [s] next impact
-LEAVE: Final = 1  # [s] end of the stay in its cell
+# Columns of `EventState.at`, behind the others of `EventState.info`
+HIT: Final = 6  # [s] next impact
+LEAVE: Final = 7  # [s] end of the stay in its cell
 
 # Numbers of `EventState.sums`
 INSTANT: Final = 0  # [s] start of an instant,
@@ -65,7 +67,9 @@ AT_ONCE: Final = 1  # impacts since then
 EPOCH: Final = 2  # [s] from which times count
 SUM_BOOKED: Final = 3  # seven: work, impulse, angular impulse
 MOMENT: Final = 10  # three [kg m s] of all mass on the flights that have ended
-N_SUMS: Final = 13
+SOON: Final = 13  # bodies in the heap
+INTERVAL: Final = 14  # number of the first whose events are not in the heap
+N_SUMS: Final = 15
 
 # Values of PARTNER that are not bodies
 NOBODY: Final = -1  # nothing is hit
@@ -83,6 +87,7 @@ UNFOUND: Final = 4  # a search took too many steps
 FAR: Final = 5  # a body is in the last cell that has a number
 
 _CACHE_LINE_BYTES: Final = 64
+_LISTS_PER_BODY: Final = 2  # at least, of the queue
 
 
 class EventScene(NamedTuple):
@@ -121,12 +126,13 @@ class EventState(NamedTuple):
     spin: Floats  # (n, N_SPIN)
     turn: Floats  # (n, ..) see rotors/single_turn.py
     info: Indices  # (n, N_INFO)
-    at: Floats  # (n, 2) [s]
+    at: Floats  # (n, N_INFO / 2) [s] the same memory as `info`
     next: Indices  # (n,) body in the same cell; -1: there is none
     head: Indices  # (n_cells,) first body of each cell
-    heap: Indices  # (n_moving,) bodies, the one whose event is next first
+    behind: Indices  # (n,) body in the same list of the queue; -1: there is none
+    later: Indices  # (2^k,) first body of the list of each interval
+    heap: Indices  # (n_moving,) bodies with an event soon, the one whose event is next first
     heap_time: Floats  # (n_moving,) [s] of their events
-    place: Indices  # (n,) in the heap
     contact: Ints  # (n, REMEMBERED) latest contacts of each body with those of higher number
     contact_at: Floats  # (n, REMEMBERED) [s] when
     sums: Floats  # (N_SUMS,)
@@ -149,25 +155,26 @@ def empty_data(most: int) -> EventData:
     return EventData(*(np.zeros(shape) for shape in widths))
 
 
-def _rows(n: int, columns: int, dtype: Any, value: float) -> Any:
-    """Array (n, columns) of a value that begins with a line of the cache."""
+def _rows(n: int, columns: int, dtype: Any) -> Any:
+    """Array (n, columns) of zeros that begins with a line of the cache."""
     size = n * columns * np.dtype(dtype).itemsize
     space = np.zeros(size + _CACHE_LINE_BYTES, dtype=np.uint8)
     start = -space.ctypes.data % _CACHE_LINE_BYTES
-    rows = space[start : start + size].view(dtype).reshape(n, columns)
-    rows[:] = value
-    return rows
+    return space[start : start + size].view(dtype).reshape(n, columns)
 
 
 def empty_state(n: int, n_moving: int, n_cells: int, columns: int) -> EventState:
     """State of n bodies at time 0: each that moves looks for its next event."""
-    bodies = np.arange(n, dtype=np.int32)
-    info = _rows(n, N_INFO, np.int32, 0)
-    info[:, PARTNER], info[:, STAMP] = bodies, AGAIN
+    bodies, info, sums = np.arange(n, dtype=np.int32), _rows(n, N_INFO, np.int32), np.zeros(N_SUMS)
+    info[:, PARTNER], info[:, STAMP], info[:, PLACE] = bodies, AGAIN, bodies
+    at = info.view(float)
+    at[:, HIT:] = np.inf
+    sums[SOON], sums[INTERVAL] = n_moving, 1.0 if n_moving else np.inf
+    lists = 1 << (_LISTS_PER_BODY * n_moving).bit_length()
+    sizes = n, n_cells, n, lists
+    following, head, behind, later = (np.full(size, -1, dtype=np.int32) for size in sizes)
     return EventState(
-        _rows(n, N_FLIGHT, float, 0.0), np.zeros((n, N_SPIN)), np.zeros((n, columns)), info,
-        _rows(n, 2, float, np.inf), np.full(n, -1, dtype=np.int32),
-        np.full(n_cells, -1, dtype=np.int32), bodies[:n_moving].copy(), np.zeros(n_moving), bodies,
-        np.full((n, REMEMBERED), -1), np.full((n, REMEMBERED), -np.inf), np.zeros(N_SUMS),
-        np.zeros(TALLY),
+        _rows(n, N_FLIGHT, float), np.zeros((n, N_SPIN)), np.zeros((n, columns)), info, at,
+        following, head, behind, later, bodies[:n_moving].copy(), np.zeros(n_moving),
+        np.full((n, REMEMBERED), -1), np.full((n, REMEMBERED), -np.inf), sums, np.zeros(TALLY),
     )  # fmt: skip

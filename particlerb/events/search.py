@@ -74,12 +74,9 @@ def rounding(x: Vec3, size: float, path: float) -> float:
 @inline
 def _balls_meet(x: Vec3, u: Vec3, R: float) -> float:
     """Time until |x + u t| = R [s], inf: never, or they part."""
-    b = dot(x, u)
-    if b >= 0.0:
-        return math.inf
-    square, least = dot(u, u), cross(x, u)
+    b, square, least = dot(x, u), dot(u, u), cross(x, u)
     root = R * R * square - dot(least, least)
-    if root < 0.0:
+    if (b >= 0.0) | (root < 0.0):
         return math.inf
     distance = norm(x)
     if distance <= R:

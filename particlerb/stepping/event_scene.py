@@ -213,11 +213,11 @@ def _walls_near(walls: Walls, grid: _Grid, bound: float) -> tuple[Indices, Indic
 def _period(velocity: Floats, gravity: Floats, width: float) -> float:
     """A power of two near the time [s] in which the fastest body, or one that falls, passes cells.
 
-    Subtracted from a later time it leaves no error.
+    Subtracted from a later time it leaves no error. Where nothing moves it has no end.
     """
     g = float(np.linalg.norm(gravity))
     speed = max(float(np.linalg.norm(velocity, axis=0).max()), np.sqrt(g * width))
-    return float(2.0 ** np.rint(np.log2(_CELLS * width / speed))) if speed > 0.0 else np.inf
+    return float(2.0 ** np.rint(np.log2(_CELLS * width / speed))) if speed > 0.0 else 2.0**1000
 
 
 def _bends(inertia: Floats, inverse: Floats) -> Floats:

@@ -1,5 +1,7 @@
 """Collisions at the instants of impacts: closed forms, conservation, what is refused."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from impulse_scenes import (
@@ -22,7 +24,8 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
-from particlerb.events import advance, search
+from particlerb.events import advance, queue, search
+from particlerb.events.records import EPOCH, HIT, empty_state
 from particlerb.impulses.records import IMPACTS
 from particlerb.simulation.run import Run, prepare
 
@@ -342,3 +345,25 @@ def test_a_body_that_flies_beyond_the_last_cell_with_a_number_ends_the_run(monke
     assert near.position[-1, 0, 0] == -1.0
     with pytest.raises(particlerb.RunError, match="as many cells as 32 bits number"):
         go(*balls, contact=events(), t_end=40.0, every=1.0)
+
+
+@plain
+def test_the_queue_gives_events_by_time_then_by_number():
+    n, rng, scene = 30, np.random.default_rng(1), SimpleNamespace(period=1.0)
+    state, times = empty_state(n, n, 1, 1), np.zeros(n)
+    later = [0.0, 2.0**-9, 0.25, 1.5, 40.0, np.inf]  # at once, soon, behind the last list
+    state.at[:, HIT] = 0.0
+    for _ in range(3000):
+        until = times.min() + rng.choice([-(2.0**-9), 0.0, 2.0**-9, 1.5])
+        assert queue.comes(scene, state, until) == (times.min() <= until)
+        if times.min() > until:
+            continue
+        if state.heap_time[0] > 2.0 * scene.period:
+            advance._count_anew(scene, state)
+        b, now = int(state.heap[0]), times.min()
+        assert (state.heap_time[0] + state.sums[EPOCH], b) == (now, np.flatnonzero(times == now)[0])
+        for c in {b, int(rng.integers(n))}:
+            times[c] = now + rng.choice(later, p=[0.1, 0.3, 0.3, 0.2, 0.05, 0.05])
+            queue.take_out(state, c)
+            state.at[c, HIT] = times[c] - state.sums[EPOCH]
+            queue.insert(scene, state, c)
