@@ -85,9 +85,7 @@ def _partner(
 @inline
 def _wall_partner(data: EventData) -> None:
     """Write a wall as the second partner of an impact."""
-    data.inverse[1:] = 0.0
-    data.velocity[1:] = 0.0
-    data.position[1:] = 0.0
+    data.inverse[1:], data.velocity[1:], data.position[1:] = 0.0, 0.0, 0.0
 
 
 @inline

@@ -361,13 +361,14 @@ def _wall_meets(
 
 
 @inline
-def _at_least_away(wall: Primitive, x: Vec3) -> float:
-    """Distance [m] that a primitive has from x, or less."""
+def _away(wall: Primitive, x: Vec3, v: Vec3) -> tuple[float, float]:
+    """Distance [m] that a primitive has from x, or less; how fast v closes it [m/s], or more."""
     if wall.kind == SIDE:
         _, rho, _ = radial(wall.a, wall.b, x)
-        return abs(rho - wall.c[0])
-    away = dot(subtract(x, wall.a), wall.n if wall.kind == FACE else wall.b)
-    return away if wall.kind == PLANE else abs(away)
+        return abs(rho - wall.c[0]), norm(v)
+    n = wall.n if wall.kind == FACE else wall.b
+    away, closing = dot(subtract(x, wall.a), n), -dot(v, n)
+    return (away, closing) if wall.kind == PLANE or away >= 0.0 else (-away, -closing)
 
 
 @inline
@@ -379,8 +380,8 @@ def wall_meets(
     As `bodies_meet`.
     """
     wall = primitive_at(scene.wall_kind, scene.wall_parameter, p)
-    reach = state.flight[flying.body, col.BOUND]
-    reach += (norm(flying.v) + norm(pull(scene, flying.body)) * until) * until
-    if _at_least_away(wall, flying.x) > reach:
+    away, closing = _away(wall, flying.x, flying.v)
+    path = (max(closing, 0.0) + norm(pull(scene, flying.body)) * until) * until
+    if away > state.flight[flying.body, col.BOUND] + path:
         return math.inf, -1
     return _wall_meets(scene, state, data, flying.body, p, flying.t, until)
