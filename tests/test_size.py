@@ -32,7 +32,7 @@ BUDGETS = {
     "one scene over ranks": 2225,
     "reports, pictures, the page": 1726,
     "scenes for other programs": 472,
-    "speed of compiling and of whole calls": 1291,
+    "speed of compiling and of whole calls": 1320,
     "watches": 62,
     "beside all these": 304,
 }

@@ -13,21 +13,24 @@ comes in behind the optimising of its callers, which does it no good and took a 
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
-from typing import Any, Final, TypeAlias, cast
+from typing import Any, Final, NamedTuple, TypeAlias, cast
 
 from llvmlite import binding
 from numba import types
-from numba.core import caching, codegen, compiler
+from numba.core import caching, codegen, compiler, targetconfig
 
-from particlerb.compiled.beside import wait_for
+from particlerb.compiled.beside import share, wait_for
 from particlerb.compiled.calls import insert_function
 from particlerb.compiled.deferred import Dispatcher, Function, Keep, Options
 from particlerb.compiled.lowering import Compiler
 
 Compile: TypeAlias = Callable[[Function], Function]
 _MIN_LARGE_INSTRUCTIONS: Final = 100
+_MIN_LATER_ARRAYS: Final = 10  # of the arguments: such functions call many
+_RETURNED: Final[dict[Any, Any]] = {None: types.none, bool: types.boolean}
+_LATER: Final[list[tuple["Helper", Any]]] = []
 _NO_SYMBOLS: Final = ("particlerb.", "numba.np.arrayobj")  # modules that add none for LLVM
 _COPIED_OPTIONS: Final = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _CALLED_OPTIONS: Final = {"nogil": True, "no_cfunc_wrapper": True}
@@ -232,10 +235,29 @@ class _Kept(Dispatcher):
         with no_collection():
             return super().compile(signature)
 
+    def is_kept(self, signature: Any) -> bool:
+        """Whether there is compiled code of a signature on disk."""
+        has = getattr(cast(Any, self)._cache, "has", None)
+        return has is not None and has(signature, self.targetctx)
+
     def is_new(self) -> bool:
         """Whether nothing of it is compiled, here or on disk, where it could be kept."""
         is_empty = getattr(cast(Any, self)._cache, "is_empty", None)
         return not self.overloads and is_empty is not None and is_empty()
+
+
+class _Later(NamedTuple):
+    """What stands for the code of a signature until somebody needs more than its type."""
+
+    signature: Any
+    entry_point: object = None
+    objectmode: bool = False
+
+
+def _count_arrays(kind: Any) -> int:
+    """Arrays in a type, and in the tuples that it has."""
+    parts: Any = kind if isinstance(kind, (tuple, types.BaseTuple)) else ()
+    return int(isinstance(kind, types.Array)) + sum(_count_arrays(part) for part in parts)
 
 
 class Helper(_Kept):
@@ -276,6 +298,50 @@ class Helper(_Kept):
     def __call__(self, *args: Any, **keys: Any) -> Any:
         """Call it from Python."""
         return self.alone(*args, **keys)
+
+    def compile(self, signature: Any) -> Any:
+        """Code for a signature; nothing yet where a loop calls what is large, and knows its type.
+
+        The loop needs code of what it calls at once, behind all of its own types.
+        """
+        returned = _RETURNED.get(self.py_func.__annotations__.get("return", self))
+        if (
+            returned is not None
+            and signature[:1] != (types.none,)  # for contact, for instance: it does nothing
+            and len(cast(Any, targetconfig).ConfigStack()) == 1
+            and signature not in self.overloads
+            and _count_arrays(signature) >= _MIN_LATER_ARRAYS
+            and not self.is_kept(signature)
+        ):
+            self.overloads[signature] = cast(Any, _Later(returned(*signature)))
+            _LATER.append((self, signature))
+        return super().compile(signature)
+
+    def make(self, signature: Any) -> None:
+        """Compile what was left for later."""
+        if isinstance(later := cast(Any, self.overloads[signature]), _Later):
+            del self.overloads[signature]
+            super().compile(signature)
+            made = cast(Any, self.overloads[signature]).signature.return_type
+            assert cast(Any, types).unliteral(made) == later.signature.return_type, self
+
+    def get_overload(self, signature: Any) -> Any:
+        """The code of a signature, for callers.
+
+        What was left for later is compiled now, but for what calls others of it, as `close` calls
+        `kick`, which two processes would compile at once: these follow when they are asked for.
+        """
+        if isinstance(self.overloads[signature], _Later):
+            names = {helper.py_func.__name__ for helper, _ in _LATER}
+            works = [
+                partial(helper.make, later)
+                for helper, later in _LATER
+                if names.isdisjoint(helper.py_func.__code__.co_names)
+            ]
+            _LATER.clear()
+            share(works)
+            self.make(signature)
+        return cast(Any, super()).get_overload(signature)
 
     def add_overload(self, result: Any) -> None:
         """Let callers find the code of a signature, by an object in place of its address."""

@@ -129,13 +129,7 @@ class UnfusedKernel(Kernel):
         if self.spent + expected < self.looks_after:
             return True
         self.looks_after = 2.0 * (self.spent + expected)
-        return not self.is_kept(args)
-
-    def is_kept(self, args: tuple[Any, ...]) -> bool:
-        """Whether there is compiled code for arguments of these types on disk."""
-        cache, this = cast(Any, self)._cache, cast(Any, self)
-        has = getattr(cache, "has", None)
-        return has is not None and has(tuple(map(this.typeof_pyval, args)), this.targetctx)
+        return not self.is_kept(tuple(map(cast(Any, self).typeof_pyval, args)))
 
     def run_in_python(self, *args: Any) -> Any:
         """Do a call in Python."""

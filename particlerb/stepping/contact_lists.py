@@ -10,6 +10,7 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
+from particlerb.compiled.beside import compile_afterwards
 from particlerb.contact import records
 from particlerb.contact.contact_model import (
     ContactList,
@@ -106,6 +107,9 @@ class ContactLists:
         corners = np.abs(walls.parameter[:, :3]).max(initial=0.0)
         self._extent = math.sqrt(3.0) * float(corners) + largest
         self._buffers: dict[str, Floats] = {}
+        none, short, history = np.zeros(0, dtype=int), np.zeros(0, np.int32), self.histories[0]
+        old = (none, none), (none, none), none, none, history
+        compile_afterwards(order_contacts, *old, history, short, short, none)
 
     def count_cost(self, n_spheres: int) -> None:
         """Reckon with lists of so many spheres [ns]."""

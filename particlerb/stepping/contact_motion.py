@@ -32,7 +32,6 @@ from particlerb.model.state import Frames, State, room_for
 from particlerb.model.superblocks import sum_by_number
 from particlerb.model.worlds import bins_of, shape_of
 from particlerb.ranks import ALONE, Ranks, ending_all
-from particlerb.stepping.beside_contact import compile_steps_beside
 from particlerb.stepping.contact_checks import ContactChecks, is_due
 from particlerb.stepping.contact_frames import ContactRows, output_of
 from particlerb.stepping.contact_lists import ContactLists, Histories, ListLifetime, WallsAhead
@@ -96,7 +95,6 @@ class ContactMotion(SteppedMotion):
         self.contacts: dict[int, ContactOutput] = {}  # in rows of the last `record`
         nothing = Schedule(self.dt, np.zeros(0, int), np.zeros(0), np.zeros(0, int))
         self.entered = nothing, self.recording(room_for(0, 0, np.empty((0, 4))))
-        compile_steps_beside(self, self.entered[1], self._copies())
         self.make_lists()
         self.initial_energies = self._elastic_energies()
 

@@ -13,6 +13,8 @@ pytestmark = [
 
 PROGRAM = """
 import os, sys
+from functools import partial
+import numba
 import numpy as np
 from numba.core.event import Listener, register
 from particlerb.compiled import beside
@@ -27,7 +29,9 @@ class Here(Listener):
 
 THREADS.use(2)
 arguments = np.ones((1, 3000)), np.zeros((1, 3000)), np.ones(1, dtype=np.int64), 0, 1
-function, work = beside.job_of(copy_blocks, *arguments)
+signature = tuple(map(numba.typeof, arguments))
+function = copy_blocks.copied
+work = partial(function.compile, signature)
 register("numba:compile", Here())
 forks = []
 fork = os.fork
@@ -45,7 +49,7 @@ ONE = "beside.compile_beside([(function, work)])"
 DIES = "beside.compile_beside([(function, lambda: os._exit(1))])"
 FAILS = "beside.compile_beside([(function, lambda: 1 / 0)])"
 SOME = (
-    "beside.compile_beside([beside.job_of(copy_blocks, *arguments, is_called=True), "
+    "beside.compile_beside([(copy_blocks, partial(copy_blocks.compile, signature)), "
     "(function, lambda: os._exit(1))])"
 )
 ALONE = "THREADS.use(1)\n" + ONE
@@ -83,3 +87,30 @@ def test_one_thread_makes_no_copy(tmp_path):
     lines = said(ALONE, tmp_path)
     assert "here copy_blocks" in lines
     assert lines[-2:] == ["forks 0 compiled 1", "none left"]
+
+
+SHARED = """
+import time
+def note():
+    with open("notes", "a") as notes:
+        print(os.getpid(), file=notes)
+    start = time.monotonic()
+    while len(forks) and len(set(open("notes").read().split())) < 2:
+        assert time.monotonic() < start + 60.0
+        time.sleep(0.01)
+forks.clear()
+beside.share([note] * 2)
+print("forks", len(forks))
+forks.append(0)
+beside.share([note] * 3)
+forks.remove(0)
+"""
+
+
+def test_whoever_is_free_takes_what_nobody_has_begun(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = said(SHARED, tmp_path)
+    assert [line for line in lines if "forks" in line] == ["forks 0", "forks 1 compiled 1"]
+    done = (tmp_path / "notes").read_text().split()
+    assert len(done) == 5
+    assert len(set(done)) == 2

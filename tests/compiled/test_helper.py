@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numba import types
 from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
 
 from particlerb.compiled.jit import compile_with, config, inline, kernel, unfused_kernel
 from particlerb.maths import vec3
@@ -196,3 +197,36 @@ def test_a_kernel_and_an_unfused_one_of_one_function_are_kept_apart():
         found[made].add(one.overloads[numbers].entry_point(x, square))
     assert found[unfused_kernel] == {difference(x, square)} == {0.0}
     assert len(found[kernel]) == 1
+
+
+@kernel
+def _add(rows: tuple[vec3.Floats, ...], by: float) -> None:
+    for row in rows:
+        row[:] += by
+
+
+@kernel
+def _add_twice(rows: tuple[vec3.Floats, ...], by: float) -> None:
+    _add(rows, by)
+    _add(rows, by)
+
+
+@kernel
+def _are_positive(rows: tuple[vec3.Floats, ...]) -> bool:
+    return rows[0][0] > 0.0
+
+
+@kernel
+def _loop(rows):
+    _add(rows, 0.25)
+    _add_twice(rows, 1.0)
+    return _are_positive(rows)
+
+
+def test_what_is_large_and_has_a_type_that_is_known_is_compiled_behind_the_types():
+    rows = tuple(np.zeros(2) for _ in range(10))
+    assert _loop(rows) is True
+    assert rows[9].tolist() == [2.25, 2.25]
+    for helper in (_add.copied, _add_twice.copied, _are_positive.copied):
+        assert len(helper.overloads) == 1
+        assert all(isinstance(one, CompileResult) for one in helper.overloads.values())
