@@ -66,8 +66,7 @@ def sweep(
         CSV file of the rows: those that it has are not run again, so what was stopped goes on.
         With replicates their means are beside it, in table_means.csv.
     overwrite : bool
-        Whether to forget what a table has that is there; without, what lies where the means of a
-        new table are to be is an error.
+        Whether to forget what a table has; without, a file where new means are to be is an error.
     axes : mapping, optional
         Keys of the case and their values, in place of [sweep.axes]: all combinations.
     executor : concurrent.futures.Executor, optional

@@ -200,7 +200,7 @@ class Stage:
             low = self.position - self.surfaces.reach[:, None]
             floor = float((low[:, 2].min() - self.home[2]) / self.unit) - 0.35 * self.size
             colours: Any = {"cell_color": (236, 238, 241), "section_color": (218, 222, 227)}
-            cells = {"cell_size": self.size / 3.0, "section_size": self.size / 0.75}
+            cells: Any = {"cell_size": self.size / 3.0, "section_size": self.size / 0.75}
             extent, where = 8.0 * self.size, (0.0, 0.0, floor)
             scene.add_grid("/fixed/grid", extent, extent, position=where, **cells, **colours)
         scene.configure_default_lights(enabled=False)
