@@ -24,7 +24,7 @@ _WORDS_OF_KINDS = {
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",
 }
-_CLOSE = 0.75  # likeness of a key and of the one that is guessed, as axis and axes
+_CLOSE = 0.7  # likeness of a key and of the one that is guessed, as length and rest_length
 _GUESS = r'did you mean "(.*?)"|\S+ is a key of (\w+)$'
 _EMPTY_KINDS = ("string_too_short", "too_short")
 _BOUND_KINDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"),

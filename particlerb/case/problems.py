@@ -24,17 +24,16 @@ _MAX_MESSAGE_LENGTH = 1000
 _MAX_NAMES_LISTED = 20  # in a hint
 _MAX_NAMES_COMPARED = 1000
 _SYNONYMS = {
-    "box": ("cube", "cuboid", "brick", "block", "plate"),
-    "drag": ("wind", "friction", "damping"),
-    "hinge": ("pin", "revolute"),
-    "slider": ("prismatic", "piston"),
-    "fixed": ("weld", "glue"),
-    "spring": ("damper", "dashpot"),
-    "strang": ("verlet", "leapfrog", "velocity_verlet"),
-    "semi_implicit_euler": ("euler", "symplectic_euler"),
-    "hooke": ("linear", "penalty", "spring"),
-    "mesh": ("stl", "obj"),
-}
+    "box": ("cube", "cuboid", "brick", "block", "plate"), "mesh": ("stl", "obj"),
+    "drag": ("wind", "friction", "damping"), "spring": ("damper", "dashpot"),
+    "hinge": ("pin", "revolute"), "slider": ("prismatic", "piston"), "fixed": ("weld", "glue"),
+    "strang": ("verlet", "leapfrog", "velocity_verlet"), "hooke": ("linear", "penalty", "spring"),
+    "semi_implicit_euler": ("euler", "symplectic_euler"), "plane": ("floor", "ground"),
+    "angular_velocity": ("omega", "spin", "w"), "acceleration": ("g", "gravity"),
+    "lower": ("low", "min", "minimum"), "upper": ("high", "max", "maximum"), "friction": ("mu",),
+    "dt": ("step", "timestep", "time_step"), "t_end": ("duration", "tmax", "t_max", "time"),
+    "translation": ("linear", "coefficient"), "at": ("point",), "during": ("time", "interval"),
+}  # fmt: skip
 """Names of cases, and what other programs and books call the same."""
 LONGEST_SCANNED = 8 * 2**20  # characters; messages of longer files have no lines
 
@@ -131,7 +130,7 @@ def nearest(word: str, names: Sequence[str], label: str = "known") -> str:
     """Hint with the known word that is meant, in double quotes, and all that are known."""
     if not names:
         return ""
-    meant = [name for name, others in _SYNONYMS.items() if word.lower() in others and name in names]
+    meant = [name for name in names if word.lower() in (name, *_SYNONYMS.get(name, ()))]
     close = meant or difflib.get_close_matches(word[:100], names[:_MAX_NAMES_COMPARED], 1, 0.5)
     guess = f'did you mean "{close[0]}"? ' if close else ""
     rest = f", ... ({len(names)} in all)" if len(names) > _MAX_NAMES_LISTED else ""

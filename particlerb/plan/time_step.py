@@ -254,7 +254,8 @@ def step_reason(
     """The steps in words, and why these."""
     stepped = [group for group in groups if group.stepped]
     if not stepped:
-        return "none: every motion has a closed form"
+        unused = "" if system.run.dt is None else ", and run.dt is not used"
+        return f"none: every motion has a closed form{unused}"
     chosen = (one for group, one in zip(groups, choice, strict=True) if group.stepped)
     if reasons := dict.fromkeys(one.reason for one in chosen if one is not None):
         return "; ".join(reasons)

@@ -185,6 +185,8 @@ def test_plan_gives_a_reason_for_what_is_left_out(make):
     assert text["left out"] == left_out
     assert not {"gravity", "attraction", "joints", "contact", "push"} & text.keys()
     assert text["step"] == "none: every motion has a closed form\n"
+    unused = lines(make.case(make.body(), dt=0.01))["step"]
+    assert unused == "none: every motion has a closed form, and run.dt is not used\n"
     assert text["energy balance"].strip().endswith("every force has a potential")
     assert text["body"] == "from 0 s: free, closed form, no step (nothing acts)\n"
     zero = lines(make.case(make.body(), gravity={"acceleration": [0, 0, 0]}))
