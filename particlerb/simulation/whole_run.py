@@ -285,7 +285,8 @@ class Run:
 
     def named(self, text: str) -> str:
         """Text with bodies and walls by their names, not by their numbers."""
-        if self.moving.merging is not None:
+        # merged bodies and those of ranks have other numbers
+        if self.moving.merging is not None or self.ranks.count > 1:
             return text
         names = {"body": self.system.names, "wall": [wall.name for wall in self.system.wall]}
         return re.sub(r"\b(body|wall) (\d+)\b", lambda m: f"{m[1]} {names[m[1]][int(m[2])]}", text)
