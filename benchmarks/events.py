@@ -1,7 +1,8 @@
 """Measure collisions by events: what one costs, and what is conserved over many.
 
     python benchmarks/events.py [--spheres 1000,100000] [--clumps 512] [--impacts 200000]
-                                [--haff 10000 [--seeds 6]] [--laws] [--exact] [--record]
+                                [--haff 10000 [--seeds 6]] [--laws] [--exact]
+                                [--edmd FOLDER] [--record]
 
 Gases of frictionless balls, and of clumps of eight on the corners of a cube, fill a hundredth of a
 smooth elastic box. They first run for some impacts of each body; then the next `--impacts` are
@@ -10,6 +11,8 @@ cool after five elastic impacts of each, until T = T₀/4, and compares with Haf
 cases/granular_gas.toml. `--laws` compares the height of a ball after
 a bounce with the other laws of contact. `--exact`: a ball in a box for 1e4 hits beside unfolding,
 the break of cases/billiard_break.toml turned around, a gas of 1000 clumps for 1e6 impacts.
+`--edmd` takes gases of the same balls in a box that repeats, in turn with an event-driven program
+for hard spheres of which that folder is a checkout: see peers/edmd.py.
 `--record` adds the figures to results/events.csv.
 
 Goals: at most 5 µs a collision with 1e3 and with 1e5 balls, at most 1.5 times as much with 1e5, 50
@@ -20,11 +23,13 @@ gaps above -1e-14 of a radius; Haff's law within 2 %.
 
 import argparse
 import math
+import statistics
 import time
 import tomllib
 from pathlib import Path
 
 import numpy as np
+from peers import edmd
 from results import record
 
 import particlerb
@@ -37,6 +42,7 @@ from particlerb.simulation.run import Run, prepare
 
 R = 0.1
 FILLING = 0.01
+ROUNDS = 5
 CORNERS = [[x, y, z] for x in (-R, R) for y in (-R, R) for z in (-R, R)]
 ELASTIC = 1.0
 G = 9.81
@@ -123,6 +129,22 @@ def costs(n: int, is_clump: bool, impacts: float) -> dict[str, float]:
         f"{name}: momenta less those of walls, change over their sums": changed.max(),
         f"{name}: smallest gap, radii": tally[SMALLEST_GAP],
         f"{name}: largest gap, radii": tally[LARGEST_GAP],
+    }
+
+
+def beside_edmd(folder: Path, n: int, impacts: float) -> dict[str, float]:
+    """What a collision costs in a gas that repeats, in turn with EDMD; medians [µs]."""
+    one, ours, theirs = Gas(gas(n, repeats=True)), [], []
+    one.advance(4.0 * n)
+    for _ in range(ROUNDS):
+        seconds, counted = one.advance(impacts)
+        ours.append(1e6 * seconds / counted[IMPACTS])
+        theirs.append(edmd.cost(folder, n, impacts, FILLING))
+    ratio = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
+    return {
+        f"{n} balls in a box that repeats: µs a collision": statistics.median(ours),
+        f"{n} balls in a box that repeats: µs a collision of EDMD": statistics.median(theirs),
+        f"{n} balls in a box that repeats: over EDMD": ratio,
     }
 
 
@@ -251,12 +273,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1, help="of --haff, from 1 on")
     parser.add_argument("--laws", action="store_true")
     parser.add_argument("--exact", action="store_true")
+    parser.add_argument("--edmd", type=Path, metavar="FOLDER")
     parser.add_argument("--record", action="store_true")
     given = parser.parse_args()
     found: dict[str, float] = {}
     sizes = [(int(n), False) for n in given.spheres.split(",") if n]
     for n, is_clump in sizes + [(int(n), True) for n in given.clumps.split(",") if n]:
         found |= costs(n, is_clump, given.impacts)
+    for n, _ in sizes if given.edmd else ():
+        found |= beside_edmd(given.edmd, n, given.impacts)
     if given.exact:
         found |= unfolded(1e4) | turned_around(0.7) | turned_around(1.5) | costs(1000, True, 1e6)
     if given.laws:
