@@ -24,7 +24,7 @@ BUDGETS = {
     "closed forms under force": 1608,
     "joints": 5316,
     "contact with every method": 480,
-    "contact by impulses": 4113,
+    "contact by impulses": 4140,
     "collisions by events": 1755,
     "forces: tables, gradients, written by users": 2143,
     "scenes and simulations in Python": 646,

@@ -11,12 +11,14 @@ from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.impulses.records import Impulses, Partners
 from particlerb.integrators.external_work import book
-from particlerb.integrators.pair_stages import Layout
+from particlerb.integrators.pair_stages import Layout, PairTerms, gather_states, pair_loads
+from particlerb.joints.actions import stored_energy
 from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import matrix
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, dot, subtract
 from particlerb.model.block import COM, L, P, Q, get3, get4, put3
+from particlerb.model.load import FORCE
 
 
 @inline
@@ -95,3 +97,39 @@ def book_among_joints(
     for k in range(jointed.joints.order.size):
         rows, lane = blocks[jointed.block[k]], jointed.lane[k]
         _book_along(books, rows, lane, partners, jointed.joints.order[k])
+
+
+# Push-out
+
+
+@inline
+def stored_in_joints(jointed: Jointed | None) -> float:
+    """Energy of all springs and stops in joints where bodies are now [J]."""
+    energy = 0.0
+    if jointed is None:
+        return energy
+    for r in range(jointed.joints.rows.kind.size if jointed.joints.acts else 0):
+        energy += stored_energy(jointed.joints, jointed.data.y, r)
+    return energy
+
+
+@inline
+def half_work_of_pairs(
+    pairs: PairTerms | None, move: Floats, blocks: Floats, layout: Layout
+) -> float:
+    """Half of what springs, and pairs of users, do where bodies are now along a move [J].
+
+    Attraction changes little within a move, and may be dear: its work is left as it was before.
+    """
+    work = 0.0
+    if pairs is None:
+        return work
+    links, users, load = pairs.links, pairs.user_pairs, pairs.load
+    if links is None and users is None:
+        return work
+    gather_states(blocks, layout, pairs.y)
+    pair_loads(links, users, None, None, False, pairs.clock, pairs.y, load)
+    for b in range(load.shape[1]):
+        for i in range(6):
+            work += 0.5 * load[FORCE + i, b] * move[b, i]
+    return work

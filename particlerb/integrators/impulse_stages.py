@@ -37,7 +37,9 @@ from particlerb.integrators.impulse_booking import (
     book_among_joints,
     book_bodies,
     book_kick,
+    half_work_of_pairs,
     keep_kick_start,
+    stored_in_joints,
 )
 from particlerb.integrators.pair_stages import BlockShare, Layout, PairTerms, shift_pair_time
 from particlerb.joints.records import Jointed
@@ -304,12 +306,13 @@ def _move(acting: Acting, books: Flag, rows: Floats, i: int, dx: Vec3, turn: Vec
 
 @inline
 def _move_bodies(
-    contact: MovingContact, jointed: Jointed | None, impulses: Impulses, acting: Acting,
-    books: Flag, blocks: Floats, layout: Layout,
+    contact: MovingContact, jointed: Jointed | None, pairs: PairTerms | None, impulses: Impulses,
+    acting: Acting, books: Flag, blocks: Floats, layout: Layout,
 ) -> None:  # fmt: skip
-    """Move all bodies that are to be moved, and book it."""
+    """Move all bodies that are to be moved, and book it; `_move` takes springs as before it."""
     partners, move = impulses.partners, impulses.partners.move
     pistons, state = contact.setup.pistons, contact.memory.pistons
+    stored = half_work_of_pairs(pairs, move, blocks, layout) - stored_in_joints(jointed)
     impulses.tally[PUSH_OUT_WORK] += move_pistons(pistons, state, move, contact.setup.max_arm.size)
     for k in range(layout.first.size):
         rows, lo = blocks[k], layout.first[k]
@@ -320,6 +323,10 @@ def _move_bodies(
                 impulses.tally[PUSH_OUT_WORK] += work
                 contact.workspace.gross_work[b] += abs(work)
                 _keep_pose(jointed, partners.mechanisms, b, get3(rows, COM, i), get4(rows, Q, i))
+    stored += stored_in_joints(jointed) - half_work_of_pairs(pairs, move, blocks, layout)
+    impulses.tally[PUSH_OUT_WORK] += stored
+    contact.workspace.gross_work[0] += abs(stored)
+    book(books, blocks[0], 0, 1.0, (stored, ZERO, ZERO))
 
 
 @inline
@@ -345,17 +352,18 @@ def _note_overlap(contact: MovingContact, impulses: Impulses, dt: float) -> None
 def press(
     contact: MovingContact | None,
     jointed: Jointed | None,
+    pairs: PairTerms | None,
     team: Team | None,
     acting: Acting,
     books: Flag,
-    blocks: Floats,
-    layout: Layout,
+    share: BlockShare,
     dt: float,
 ) -> None:
     """Solve all contacts of a step, and push out of each other what overlaps."""
     if contact is None or team is None or contact.workspace.impulses is None:
         return
     impulses, rows = contact.workspace.impulses, contact.workspace.impulses.rows
+    blocks, layout = share.blocks, share.layout
     meet(team)
     solving = who_solves(team, rows.colours)
     if solving.thread < solving.size:
@@ -385,6 +393,6 @@ def press(
         for _ in range(_MAX_MOVES if is_first else 0):
             if not moves:
                 break
-            _move_bodies(contact, jointed, impulses, acting, books, blocks, layout)
+            _move_bodies(contact, jointed, pairs, impulses, acting, books, blocks, layout)
             moves = _back_to_joints(jointed, partners.mechanisms, partners)
     meet(team)

@@ -76,7 +76,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     project(moving, 0.5 * dt, 0.5 * dt)
     count_projection(jointed, team)
     gather_velocities(contact, blocks, layout, first, last)
-    press(contact, jointed, team, moving.acting, moving.books, blocks, layout, dt)
+    press(contact, jointed, moving.pairs, team, moving.acting, moving.books, share, dt)
     project(moving, 0.0, 0.0)
     count_projection(jointed, team)
     _drift_alone(jointed, moving, first, last, 0.5 * dt)

@@ -102,20 +102,26 @@ def work_of_motor(joints: Joints, data: JointData, r: int) -> float:
     return motor * shorter(joints.rows.kind[r], moved) if motor != 0.0 else 0.0
 
 
+@inline
+def stored_energy(joints: Joints, y: Floats, r: int) -> float:
+    """Energy of the spring and the stops of row r [J] in the poses y; 0 of one that holds."""
+    actions, k = joints.actions, joints.rows.action[r]
+    if k == HOLDS:
+        return 0.0
+    x, kind = coordinate(joints.rows, y, r), joints.rows.kind[r]
+    away, beyond = _from_rest(actions, k, kind, x), _beyond(actions, k, kind, x)
+    energy: float = actions.stiffness[k] * away * away + actions.stop[k] * beyond * beyond
+    return 0.5 * energy
+
+
 @unfused_kernel
 def add_stored_energy(joints: Joints, y: Floats, world: Ints, sums: Floats) -> None:
-    """Add the energy of all springs and stops [J] in the poses y to the sum of their scene.
+    """Add the energy of all springs and stops in the poses y to the sum of their scene.
 
     World: of each body.
     """
-    actions = joints.actions
     for r in range(joints.rows.kind.size):
-        k = joints.rows.action[r]
-        if k != HOLDS:
-            x, kind = coordinate(joints.rows, y, r), joints.rows.kind[r]
-            away, beyond = _from_rest(actions, k, kind, x), _beyond(actions, k, kind, x)
-            energy = actions.stiffness[k] * away * away + actions.stop[k] * beyond * beyond
-            sums[world[joints.rows.a[r]]] += 0.5 * energy
+        sums[world[joints.rows.a[r]]] += stored_energy(joints, y, r)
 
 
 @inline
