@@ -166,7 +166,7 @@ def find_bounded(
     Bodies are in `data` where they may touch, and the clock is there.
     """
     bounds = joints.bounds
-    mechanisms.is_known[:] = False
+    mechanisms.is_known[: joints.order.size] = False
     _accelerate(joints, data, partners, mechanisms)
     if bounded is None or bounds is None:
         return

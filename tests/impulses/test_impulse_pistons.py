@@ -56,6 +56,19 @@ def test_a_ball_rests_on_a_piston_that_a_load_lifts():
     assert max(errors(t)) < 1e-12
 
 
+def test_two_balls_on_a_hinge_rest_on_a_piston_that_a_load_lifts():
+    """As one does; a run with a piston and joints read behind the end of the list of joints."""
+    balls = [sphere(f"ball {x}", position=[x, 0, R]) for x in (-0.15, 0.15)]
+    hinge = {"type": "hinge", "body": "ball -0.15", "to": "ball 0.15", "axis": [0, 1, 0],
+             "at": [0, 0, R]}  # fmt: skip
+    t = go(*balls, contact=exact(), wall=[piston(3.0, 100.0)], gravity=DOWN, joint=[hinge],
+           dt=0.01, t_end=0.2, every=0.1, output={"fields": FIELDS})  # fmt: skip
+    a = 100.0 / 7.0 - G
+    assert np.abs(t.position[:, :, 2] - R - 0.5 * a * t.time[:, None] ** 2).max() < 1e-12
+    assert t.wall_force[-1, 0] == pytest.approx([0.0, 0.0, -4.0 * (G + a)], abs=1e-10)
+    assert max(errors(t)) < 1e-12
+
+
 def test_a_ball_bounces_on_a_piston_in_the_balance():
     """M g is borne by the load: the ball comes back after 2 v/g, the piston moves on."""
     v, dt = 1.5, 1e-3
