@@ -30,6 +30,7 @@ def restore_contacts(
     team: Team | None,
     changes: ContactChanges | None,
     saved: ContactChanges | None,
+    is_frame: bool,
 ) -> None:
     """Go back to what was saved; contacts that keep something act, so that they may forget it.
 
@@ -39,7 +40,8 @@ def restore_contacts(
         return
     meet(team)
     _copy(saved, changes, team)
-    _forget_worst(contact.workspace.impulses, team)
+    if is_frame:
+        _forget_worst(contact.workspace.impulses, team)
     _recall(contact.lists.spheres, team)
     _recall(contact.lists.walls, team)
     meet(team)

@@ -117,10 +117,10 @@ def _save(moving: MovingBodies, first: int, last: int, saved: Copies) -> None:
 
 
 @stages
-def _restore(moving: MovingBodies, first: int, last: int, saved: Copies) -> None:
+def _restore(moving: MovingBodies, first: int, last: int, saved: Copies, is_frame: bool) -> None:
     """Go back to what was saved."""
     copy_blocks(saved.blocks, moving.blocks, moving.layout.size, first, last)
-    restore_contacts(moving.contact, moving.team, saved.contact, saved.saved)
+    restore_contacts(moving.contact, moving.team, saved.contact, saved.saved, is_frame)
 
 
 @stages
@@ -245,7 +245,7 @@ def advance(
                 close_prescribed(moving.contact, own_blocks, time)
             if frame[s] >= 0:
                 _store(moving, lo, hi, recording, frame[s])
-                _restore(moving, lo, hi, saved)
+                _restore(moving, lo, hi, saved, recording.frames.is_frame[frame[s]])
                 last_step, last_kick = step_on_grid, kick_on_grid
                 open_kick = CLOSING_KICK * last_step
     return Position(steps.size, 0, step_number)

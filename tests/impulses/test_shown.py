@@ -5,6 +5,7 @@ import pytest
 from impulse_scenes import DOWN, G, R, assert_goes_on_alike, case, clump, impulse, plane, sphere
 
 import particlerb
+from particlerb import Simulation
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.cli.run import impulse_text, run_warnings
@@ -45,6 +46,20 @@ def test_frames_show_residuals_and_what_was_pushed_out_and_a_resumed_run_the_sam
     assert work[-1] > 0.0
     gained = np.diff(whole.energy)  # a step may gain what it pushes out, and m (g h)²/2 a contact
     assert (gained <= np.diff(work) + 20 * 12 * 0.5 * (G * 5e-3) ** 2).all()
+
+
+def test_what_is_looked_at_between_frames_is_in_the_next_frame_too(tmp_path):
+    checks = {"quantity": "impulse_overlap", "value": 0.0, "tolerance": 1.0}
+    looked = stack() | {"check": {"value": [checks | {"time": t} for t in (0.13, 0.19, 0.37)]}}
+    plain, probed = particlerb.run(stack()), particlerb.run(looked)
+    with Simulation(stack(), tmp_path / "by_hand.h5") as simulation:
+        for until in (0.09, 0.13, 0.4):
+            simulation.advance(until)
+    with particlerb.open(tmp_path / "by_hand.h5") as by_hand:
+        for name in NAMES:
+            right = plain.observable(name)
+            assert probed.observable(name).tolist() == right.tolist()
+            assert by_hand.observable(name).tolist() == right.tolist()
 
 
 def test_a_check_asks_for_the_largest_residual_and_overlap_until_then():
