@@ -31,11 +31,12 @@ def piston(mass, load=0.0, point=(0, 0, 0), **keys):
     return plane(point=list(point), piston={"mass": mass, "axis": [0, 0, 2], "load": load} | keys)
 
 
+@pytest.mark.parametrize("joint", [[], [{"type": "slider", "body": "ball", "axis": [0, 0, 1]}]])
 @pytest.mark.parametrize("restitution", [1.0, 0.5, 0.0])
-def test_a_piston_of_3_kg_is_hit_by_a_ball_as_a_free_body(restitution):
+def test_a_piston_of_3_kg_is_hit_by_a_ball_as_a_free_body(restitution, joint):
     """Without gravity: v = (m - e M)/(m + M) v₀, V = m (1 + e)/(m + M) v₀."""
-    t = go(sphere(position=[0, 0, 0.15], velocity=[0, 0, -2.0]), contact=exact(restitution),
-           wall=[piston(3.0)], dt=5e-3, t_end=0.1, every=0.05,
+    t = go(sphere("ball", position=[0, 0, 0.15], velocity=[0, 0, -2.0]), joint=joint,
+           contact=exact(restitution), wall=[piston(3.0)], dt=5e-3, t_end=0.1, every=0.05,
            output={"fields": FIELDS})  # fmt: skip
     v = -2.0 * (2.0 - restitution * 3.0) / 5.0
     V = -2.0 * 2.0 * (1.0 + restitution) / 5.0
