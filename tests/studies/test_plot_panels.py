@@ -3,13 +3,18 @@
 import math
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import particlerb
+from particlerb.case.problems import Source
+from particlerb.files import Files
+from particlerb.studies.charts import solids
 from particlerb.studies.charts import trajectory as chart
 from particlerb.studies.charts.bodies import side_axes
+from particlerb.tables import MeshWall
 
 BALL = {"type": "sphere", "radius": 0.1}
 BAR = {"type": "box", "size": [1.0, 0.1, 0.1], "arrangement": "exact"}
@@ -417,3 +422,26 @@ def test_each_joint_of_a_chain_has_its_line_and_its_name(make, monkeypatch):
     lines = panel(figure, "forces in joints").lines
     assert len(lines) == 3
     assert [line.get_label() for line in lines] == list(trajectory.joint_names)
+
+
+def test_an_open_tube_is_drawn_from_each_side_with_pale_rims(tmp_path):
+    """From above it showed nothing, and from the side its rims looked like lids."""
+    from matplotlib.colors import to_rgba
+    from matplotlib.figure import Figure
+
+    trimesh = pytest.importorskip("trimesh")
+    at = np.array([[x, y, z] for z in (0, 3) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    sides = [(k, (k + 1) % 4, 4 + (k + 1) % 4) for k in range(4)]
+    sides += [(k, 4 + (k + 1) % 4, 4 + k) for k in range(4)]
+    trimesh.Trimesh(at, sides).export(tmp_path / "tube.stl")
+    wall = MeshWall(type="mesh", name="tube", file="tube.stl")
+    files = Files(contents={"tube.stl": (tmp_path / "tube.stl").read_bytes()})
+    trajectory = SimpleNamespace(case=SimpleNamespace(source=Source(files=files)))
+    for shown, uprights in (([0, 1], 0.0), ([0, 2], 3.0)):
+        axes = Figure().add_subplot()
+        solids._draw_outline(axes, trajectory, wall, np.eye(3), np.zeros(3), shown)
+        (lines,) = axes.collections
+        length = np.array([np.ptp(line, axis=0).max() for line in lines.get_segments()])
+        is_pale = (lines.get_colors() == to_rgba(solids._RIM)).all(axis=1)
+        assert set(length[is_pale]) - {0.0} == {2.0}
+        assert set(length[~is_pale]) == {uprights}

@@ -33,6 +33,7 @@ _SOLID_SHAPES: Final = frozenset(
 )
 """Shapes with a surface; loose particles are drawn as such."""
 _MAX_TRIANGLES: Final = 40_000  # triangles in a picture
+_RIM: Final = "#b5bcc4"
 _MAX_EDGE_COSINE: Final = 0.85  # cosine of the angle of two faces whose edge is drawn
 _LIGHT_DIRECTION: Final = np.array([-0.4, 0.6, -0.7]) / np.linalg.norm([-0.4, 0.6, -0.7])
 
@@ -198,15 +199,20 @@ def draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int])
 def _draw_outline(
     axes: Axes, trajectory: Trajectory, wall: Any, turn: Floats, shift: Floats, shown: list[int]
 ) -> None:
-    """Outline and edges of a wall; nothing without trimesh or the file of its triangles."""
+    """Outline and edges of a wall, front and back; nothing without trimesh or its triangles.
+
+    Rims of openings are pale: nothing closes them.
+    """
     try:
         mesh = surface_of_wall(trajectory.case.source.files, wall, 1.0).moved(turn, shift)
     except (ImportError, OSError, ValueError):
         return
-    view = view_along(*shown)
-    placed = mesh._replace(vertices=mesh.vertices @ view.T)
+    placed = mesh._replace(vertices=mesh.vertices @ view_along(*shown).T)
     normal = _normals(placed)
-    ends, _ = _sharp_edges(placed, normal, normal[:, 2] < 0.0)
-    edges = placed.vertices[ends][:, :, :2]
-    axes.add_collection(LineCollection(list(edges), colors=INK, linewidths=0.8, zorder=0.4))
+    is_front = normal[:, 2] < 0.0
+    sides = [_sharp_edges(placed, normal, faces) for faces in (is_front, ~is_front)]
+    ends, beside = (np.concatenate(parts) for parts in zip(*sides, strict=True))
+    colours = np.where(beside[:, 0] == beside[:, 1], _RIM, INK).tolist()
+    lines = {"colors": colours, "linewidths": 0.8, "capstyle": "round", "zorder": 0.4}
+    axes.add_collection(LineCollection(list(placed.vertices[ends][:, :, :2]), **lines))
     axes.update_datalim(placed.vertices[:, :2])
