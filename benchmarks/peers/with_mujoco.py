@@ -47,7 +47,10 @@ VARIANTS = {
     "RK4": (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002),
 }
 CONTACT = {name: VARIANTS[name] for name in ("implicitfast", "RK4")}
-OTHERWISE = "its spring is softer by 1 %, between two bodies by m_eff/m, and what rests creeps"
+OTHERWISE = (
+    "springs of hooke are softer by 1 %, between two bodies by m_eff/m, other contacts critically"
+    " damped, as stiff as the step bears; what rests creeps"
+)
 STORES = True  # whether the energy of contacts is in springs like ours
 
 table = np.zeros(4, np.uintp)  # where the callback finds the number of bodies and three arrays

@@ -23,6 +23,7 @@ _MAX_LINE_LENGTH = 96
 _MAX_MESSAGE_LENGTH = 1000
 _MAX_NAMES_LISTED = 20  # in a hint
 _MAX_NAMES_COMPARED = 1000
+_LEAST_FOLDED = 2  # other problems that are like a first one
 _SYNONYMS = {
     "box": ("cube", "cuboid", "brick", "block", "plate"), "mesh": ("stl", "obj"),
     "drag": ("wind", "friction", "damping"), "spring": ("damper", "dashpot"),
@@ -82,8 +83,20 @@ class CaseError(Exception):
         super().__init__(self.problems)
 
     def __str__(self) -> str:
-        """One block per problem."""
-        return "\n".join(str(problem) for problem in self.problems)
+        """One block per problem; of three and more alike, the first with the keys of the others."""
+        alike: dict[tuple[str, ...], list[Problem]] = {}
+        for p in self.problems:
+            kind = p.file, re.sub(r"\[\d+\]", "", p.key), p.reason, p.hint
+            alike.setdefault(kind, []).append(p)
+        blocks = []
+        for first, *others in alike.values():
+            is_folded = len(others) >= _LEAST_FOLDED
+            blocks += map(str, (first, *(() if is_folded else others)))
+            if is_folded:
+                keys = ", ".join(p.key for p in others[:_MAX_NAMES_LISTED])
+                rest = f", ... ({len(others)} in all)" if len(others) > _MAX_NAMES_LISTED else ""
+                blocks.append(_printable(f"      likewise: {keys}{rest}"))
+        return "\n".join(blocks)
 
 
 def refuse(problems: Collection[Problem]) -> None:

@@ -128,7 +128,10 @@ def _without_radius(system: System) -> list[Problem]:
         for i, first in enumerate(system.names.first[:-1])
         if system.body[i].contact and largest[system.kind[first]] == 0.0
     ]
-    hint = "take a `ball` without `n`, give `points` a radius, or say contact = false"
+    hint = (
+        "take a `ball` without `n`, give `points` a radius, add a part of `points` with a radius"
+        " and mass = 0, which only touch (see [contact] in docs/case.md), or say contact = false"
+    )
     reason = "no particle has a radius: nothing can touch this body"
     return [
         problem_at(system, f"body[{i}].{'part' if system.body[i].part else 'shape'}", reason, hint)

@@ -747,7 +747,7 @@ OF_CONTACT = [
         "restitution = 0.8",
         "restitution = 0",
         "contact.restitution",
-        "no damping gives 0 where it may not pull",
+        "0 takes a dashpot that pulls, which contacts here do not",
         "contact.attract = true",
     ),
     ("friction = 0.5", "friction = -0.5", "contact.friction", "must be >= 0, got -0.5", ""),
@@ -783,7 +783,7 @@ OF_CONTACT = [
         "friction = 0.3",
         "restitution = 0",
         "contact.pair[0].restitution",
-        "no damping gives 0 where it may not pull",
+        "0 takes a dashpot that pulls, which contacts here do not",
         "contact.attract = true",
     ),
     (
@@ -1625,3 +1625,21 @@ def test_what_others_depend_on_is_mended_before_they_are_judged(make, wrong):
     with pytest.raises(CaseError) as caught:
         load(case | wrong)
     assert len(caught.value.problems) == 1
+
+
+def test_mistakes_that_are_alike_are_shown_once_with_the_keys_of_the_others():
+    """Six links of an arm with one mistake each filled two screens."""
+    bodies = "".join(
+        f'[[body]]\nname = "{k}"\nshape = {{ type = "ball", radus = 1.0 }}\nmass = 1.0\n'
+        for k in range(30)
+    )
+    with pytest.raises(CaseError) as caught:
+        parse(f"[run]\nt_end = 1.0\nevery = -1.0\n{bodies}", Path("x.toml"))
+    text = str(caught.value)
+    assert len(caught.value.problems) > 30
+    assert text.count("unknown key") == 1
+    assert 'hint: did you mean "radius"?' in text
+    assert "      likewise: body[1].shape.radus, body[2].shape.radus, " in text
+    assert "body[20].shape.radus, ... (29 in all)\n" in text + "\n"
+    two = [p for p in caught.value.problems if "radus" in p.key][:2]
+    assert str(CaseError(two)).count("unknown key") == 2

@@ -132,7 +132,7 @@ def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[F
                 hint = "give `young` and `poisson` of each [[material]]"
                 yield (*path, key), "hertz takes its stiffness from the materials", hint
     if number(table, "restitution") == 0.0 and contact.get("attract") is not True:
-        reason = "no damping gives 0 where it may not pull"
+        reason = "0 takes a dashpot that pulls, which contacts here do not"
         yield (*path, "restitution"), reason, "give a small number, or contact.attract = true"
 
 

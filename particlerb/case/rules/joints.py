@@ -57,13 +57,15 @@ def _chain_rules(path: Path, raw: dict[str, Any], bodies: list[range] | None) ->
             yield (*path, key), "each link of a chain is tied in its own frame", hint
 
 
-def within_bounds(raw: dict[str, Any]) -> dict[str, str]:
-    """Keys of a joint that are impulses within bounds, and what to take in their place."""
+def within_bounds(raw: dict[str, Any]) -> dict[str, tuple[str, str]]:
+    """Keys of a joint that are impulses within bounds: what they are, what to take instead."""
     limit = raw.get("limit")
     is_hard = isinstance(limit, dict) and not has(limit, "stiffness")
-    replacements = {"limit": "give a stiffness"} if is_hard else {}
-    replacements |= {"motor": "give a number"} if isinstance(raw.get("motor"), dict) else {}
-    return replacements | ({"friction": "take a damper"} if raw.get("friction") else {})
+    stop = {"limit": ("a stop without stiffness", "give it a stiffness")}
+    motor = {"motor": ("a motor with a speed", "give a number, a constant torque or force")}
+    friction = {"friction": ("Coulomb's friction", "take a damper")}
+    found = (stop if is_hard else {}) | (motor if isinstance(raw.get("motor"), dict) else {})
+    return found | (friction if raw.get("friction") else {})
 
 
 def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]:
@@ -79,9 +81,9 @@ def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]
             yield (*path, "limit", "damping"), "hard stops have none", "give `restitution`"
     elif isinstance(limit, dict) and limit.get("restitution"):
         yield (*path, "limit", "restitution"), "springs have none", "give `damping`"
-    for key, other in within_bounds(raw).items():
+    for key, (what, other) in within_bounds(raw).items():
         if law in ("", "hooke", "hertz"):
-            reason = "is solved by impulses alone"
+            reason = f"{what}, which needs contact by impulses"
             yield (*path, key), reason, f'take contact.law = "impulse", or {other}'
         elif has(raw, "drive"):
             yield (*path, key), "given beside drive, which leaves nothing free", "leave one out"

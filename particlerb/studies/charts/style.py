@@ -22,6 +22,7 @@ METHOD_COLOURS: Final = {
     "semi_implicit_euler": "#d55e00",
     "explicit_euler": "#b2182b",
     "momentum_euler": "#cc79a7",
+    "moreau": "#009e73",
     "rattle": "#0072b2",
     "rattle4": "#56b4e9",
     "rattle6": "#009e73",

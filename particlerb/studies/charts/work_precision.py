@@ -49,7 +49,7 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     """Draw a chart; the suffix of the path is the format."""
     figure = Figure(figsize=(10.5, 6.8), layout="constrained")
     axes = figure.add_subplot()
-    curves = [list(group) for _, group in groupby(chart.points, lambda p: p.label)]
+    curves = [list(g) for _, g in groupby(chart.points, lambda p: p.label.partition(",")[0])]
     engines = list(dict.fromkeys(p.engine for p in chart.points if p.engine))
     drawn = []
     for points in curves:
@@ -87,9 +87,13 @@ def height(point: Point, floor: float) -> float:
 
 
 def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> _Curve | None:
-    """Draw one curve, crosses for failed points; None where all failed."""
-    first = points[0]
-    colour = _PEER_COLOUR if first.engine else style.METHOD_COLOURS.get(first.method, style.INK)
+    """Draw one curve, of one method at all its steps or springs, crosses for failed points.
+
+    None where all failed.
+    """
+    first, last = points[0], points[-1]
+    method = first.method.partition(",")[0]
+    colour = _PEER_COLOUR if first.engine else style.METHOD_COLOURS.get(method, style.INK)
     dashes, size, width = ("--", 3.2, 1.1) if first.engine else ("-", 4.5, 1.8)
     marker, size = ("D", 9) if len(points) == 1 else (mark, size)
     failed = [p.seconds for p in points if p.failure]
@@ -100,7 +104,8 @@ def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> _Cu
         return None
     x, y = zip(*good, strict=True)
     axes.plot(x, y, dashes, marker=marker, ms=size, lw=width, color=colour)
-    return _Curve(np.array(good), first.label, colour)
+    end = "" if last.label == first.label else f" to {last.label.partition(', ')[2]}"
+    return _Curve(np.array(good), first.label + end, colour)
 
 
 def limits(chart: WorkPrecision, curves: Sequence[_Curve]) -> dict[str, Any]:
