@@ -4,6 +4,7 @@ The kind of the input decides: a case, a table or a mesh holds bodies, all else 
 """
 
 import argparse
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -67,7 +68,7 @@ def _export_scene(options: argparse.Namespace, case: Case) -> int:
     """Export all of a case: bodies where they start, joints, contact, walls and gravity."""
     from particlerb.export.lammps_scene import lammps_scene
     from particlerb.export.mjcf_scene import mjcf_scene
-    from particlerb.export.scene import left_out, springs_of, step_of, tethers_of
+    from particlerb.export.scene import step_of
     from particlerb.simulation.run import prepare
 
     source = Path(options.file)
@@ -76,15 +77,15 @@ def _export_scene(options: argparse.Namespace, case: Case) -> int:
         prepared = prepare(to_system(case))
         system, step = prepared.system, step_of(prepared)
         if options.to == "lammps":
-            texts, springs = lammps_scene(system, step, path.stem), tethers_of(system)
+            texts = lammps_scene(system, step, path.stem)
         else:
-            texts, springs = {".xml": mjcf_scene(system, step)}, springs_of(system)
+            texts = {".xml": mjcf_scene(system, step)}
         written = _with_others(path, list(texts)[1:], options)
         for file, text in zip(written, texts.values(), strict=True):
             file.write_text(text, encoding="utf-8")
     print(f"written: {', '.join(map(str, written))}")
-    for line in left_out(system, springs):
-        print(f"left out: {line}")
+    for line in re.findall(r"^\W*(left out: .*?)(?: -->)?$", next(iter(texts.values())), re.M):
+        print(line)
     return DONE
 
 

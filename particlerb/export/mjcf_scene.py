@@ -11,6 +11,8 @@ m against what does not move, at so small an impedance that it acts as a spring;
 it is softer, by m_eff/m. Other laws become a critically damped contact, as stiff as the step bears.
 A box has planes as faces, which go on beyond its edges. Springs become tendons.
 
+What acts along joints of the tree: mjcf_joints.py.
+
 Source: mujoco.readthedocs.io, XML reference, and «Solver parameters» for `solref` and `solimp`.
 Joints of a body act in the order in which they stand, the last one next to the body.
 """
@@ -26,15 +28,16 @@ import numpy as np
 from particlerb.contact.sphere_search import bodies_of_keys
 from particlerb.export import ExportError
 from particlerb.export.bodies import COMMENT, numbers, six
+from particlerb.export.mjcf_joints import Joint, freedoms, joint_at_start, laws_of
 from particlerb.export.mjcf_walls import geoms_of
 from particlerb.export.scene import FREE_STEP, left_out, springs_of
 from particlerb.forces.links import WORLD
 from particlerb.geometry.particles import kind_of
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Floats
 from particlerb.model import state
 from particlerb.model.system import System
 from particlerb.plan.contact_setup import NOTHING, SystemContact, contact_of
-from particlerb.plan.joints import SystemJoints, joints_of
+from particlerb.plan.joints import joints_of
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 _TREE_ONLY_TYPES: Final = ("slider", "cylindrical", "universal", "planar", "screw")
@@ -66,20 +69,6 @@ class _Body(NamedTuple):
     def speed_at(self, x: Floats) -> Floats:
         """Velocity of its point at x."""
         return self.velocity + np.cross(self.spin, x - self.position)
-
-
-class _Joint(NamedTuple):
-    """A joint at the start, world frame."""
-
-    name: str
-    type: str
-    first: int
-    second: int
-    at: Floats
-    at_to: Floats
-    axis: Floats
-    axis_to: Floats
-    radius: float  # k of a rack or a screw [m/rad], z_b/z_a of a gear: joints/wheels.py
 
 
 def mjcf_scene(system: System, step: float = FREE_STEP) -> str:
@@ -121,12 +110,19 @@ class _Writer:
         self.bodies.append(_Body(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)))
         setup, self.contact = joints_of(system), contact_of(system)
         n_joints = 0 if setup is None else len(setup.names)
-        self.joints = [_joint_of(system, setup, j) for j in range(n_joints) if setup is not None]
+        self.joints = [
+            joint_at_start(system, setup, j) for j in range(n_joints) if setup is not None
+        ]
         self.speeds: dict[str, list[float]] = {}  # by the names of bodies
         self.coordinates: dict[tuple[str, str], str] = {}  # by those of joints, and kinds
         self.root = ET.Element("mujoco", model=system.title or "scene")
-        missing = [f"left out: {line}" for line in left_out(system, springs_of(system))]
+        self.soft = {"solref": numbers(_SOFT_TIME_STEPS * step, 1.0)}
+        self.tree = self.spanning_tree()
+        self.laws = self.joint_laws()
+        acting = {(self.joints[j].record, key) for j, laws in self.laws.items() for key in laws}
+        missing = [f"left out: {line}" for line in left_out(system, springs_of(system), acting)]
         self.root.extend(ET.Comment(f" {line} ") for line in (COMMENT, *missing))
+        ET.SubElement(self.root, "compiler", angle="radian")
         options = {"timestep": numbers(step), "gravity": numbers(system.acceleration)}
         options |= {"integrator": "RK4" if self.contact is None else "implicitfast"}
         self.option = ET.SubElement(self.root, "option", options, cone="elliptic")
@@ -134,20 +130,20 @@ class _Writer:
         self.geoms = ET.SubElement(default, "geom", contype="0", conaffinity="0")
         self.world = ET.SubElement(self.root, "worldbody")
         self.elements, self.tendons = {WORLD: self.world}, ET.Element("tendon")
+        self.actuators = ET.Element("actuator")
         if self.contact is not None:
             self.add_contact(self.contact)
 
     def text(self) -> str:
         """The whole model."""
-        tree = self.spanning_tree()
-        for b, (parent, j) in tree.items():
+        for b, (parent, j) in self.tree.items():
             self.add_body(b, parent, j)
-        used = {j for _, j in tree.values()}
+        used = {j for _, j in self.tree.values()}
         rest = [one for j, one in enumerate(self.joints) if j not in used or one.type == "screw"]
         if rest:
             self.add_equalities(rest)
         self.add_springs()
-        self.root.append(self.tendons)
+        self.root.extend((self.tendons, self.actuators))
         keys = ET.SubElement(self.root, "keyframe")
         ET.SubElement(keys, "key", name="start", qvel=numbers(self.qvel()))
         try:
@@ -155,6 +151,16 @@ class _Writer:
             return ET.tostring(self.root, encoding="unicode") + "\n"
         except RecursionError:
             raise ExportError("too many bodies hang one from the other for an MJCF file") from None
+
+    def joint_laws(self) -> dict[int, dict[str, dict[str, str]]]:
+        """What acts along joints of the tree, of records of the case that have no others."""
+        used = {j for _, j in self.tree.values()}
+        open_records = {one.record for j, one in enumerate(self.joints) if j not in used}
+        return {
+            j: laws_of(one.table, self.soft["solref"])
+            for j, one in enumerate(self.joints)
+            if one.record not in open_records
+        }
 
     def qvel(self) -> Floats:
         """Speeds of all joints in the order of the bodies in the model."""
@@ -217,6 +223,12 @@ class _Writer:
             self.speeds[name] = [*body.velocity.tolist(), *body.turned_back(body.spin).tolist()]
         else:
             self.speeds[name] = self.add_joints(element, b, parent, self.joints[j])
+            for key, law in self.laws.get(j, {}).items():
+                joint = element.find("joint")
+                assert joint is not None
+                if key == "motor":
+                    joint = ET.SubElement(self.actuators, "general", joint=self.joints[j].name)
+                joint.attrib.update(law)
 
     def add_particles(self, element: ET.Element, b: int) -> None:
         """Spheres of a body as geoms without mass, its points as sites."""
@@ -246,7 +258,7 @@ class _Writer:
             if name != "can_meet" and np.unique(values[pairs.can_meet]).size > 1:
                 raise ExportError(f"{name} differs from pair to pair: in MJCF a body has one")
         self.geoms.set("friction", numbers(pairs.friction.max(), 0.0, 0.0))
-        self.geoms.set("solref", numbers(_SOFT_TIME_STEPS * self.step, 1.0))
+        self.geoms.attrib.update(self.soft)
         is_spring = contact.record.law == "hooke"
         self.geoms.set("solimp", _SPRING_SOLIMP if is_spring else _RIGID_SOLIMP)
         if is_spring:
@@ -261,7 +273,7 @@ class _Writer:
                 a, b = (self.system.names[k] for k in pair)
                 ET.SubElement(excluded, "exclude", body1=a, body2=b)
 
-    def add_joints(self, element: ET.Element, b: int, parent: int, joint: _Joint) -> list[float]:
+    def add_joints(self, element: ET.Element, b: int, parent: int, joint: Joint) -> list[float]:
         """Add what a joint of the tree leaves free; its speeds."""
         body, other = self.bodies[b], self.bodies[parent]
         is_first = b == joint.first
@@ -273,7 +285,7 @@ class _Writer:
             ET.SubElement(element, "joint", name=joint.name, type="ball", pos=place)
             return list(body.turned_back(spin).tolist())
         speeds = []
-        for k, (kind, axis) in enumerate(_freedoms(joint)[:: 1 if is_first else -1]):
+        for k, (kind, axis) in enumerate(freedoms(joint)[:: 1 if is_first else -1]):
             along, name = sign * axis, joint.name + (f" {k}" if k else "")
             text = numbers(body.turned_back(along))
             ET.SubElement(element, "joint", name=name, type=kind, pos=place, axis=text)
@@ -281,10 +293,9 @@ class _Writer:
             speeds.append(float(along @ (spin if kind == "hinge" else moved)))
         return speeds
 
-    def add_equalities(self, joints: Sequence[_Joint]) -> None:
+    def add_equalities(self, joints: Sequence[Joint]) -> None:
         """Constraints that close loops, and distances."""
-        equality = ET.SubElement(self.root, "equality")
-        soft = {"solref": numbers(_SOFT_TIME_STEPS * self.step, 1.0)}
+        equality, soft = ET.SubElement(self.root, "equality"), self.soft
         for joint in joints:
             if joint.type in _RATIO_TYPES or (joint.name, "slide") in self.coordinates:
                 names, factor = self.coupled(joint)
@@ -312,7 +323,7 @@ class _Writer:
                     anchor = numbers(self.bodies[joint.first].local(x))
                     ET.SubElement(equality, "connect", soft | ends, anchor=anchor)
 
-    def coupled(self, joint: _Joint) -> tuple[tuple[str, str], float]:
+    def coupled(self, joint: Joint) -> tuple[tuple[str, str], float]:
         """Two coordinates, and the first over the second, of a gear, a rack or a screw."""
         if joint.type == "screw":
             names = self.coordinates[joint.name, "slide"], self.coordinates[joint.name, "hinge"]
@@ -357,37 +368,3 @@ class _Writer:
         for (b, x), end in zip(ends, "ab", strict=True):
             ET.SubElement(self.elements[b], "site", name=f"{name} {end}", pos=numbers(x))
             ET.SubElement(spatial, "site", site=f"{name} {end}")
-
-
-def _joint_of(system: System, setup: SystemJoints, j: int) -> _Joint:
-    """A joint of a system at its start."""
-    ends: Ints = np.array([setup.first[j], setup.second[j]])
-    points = []
-    for b, k in zip(ends.tolist(), (0, 1), strict=True):
-        vectors = setup.places[j, [k, k + 2]].T
-        if b != WORLD:
-            vectors = state.rotate(np.repeat(system.state.q[:, [b]], 2, axis=1), vectors)
-            vectors = vectors + system.state.com[:, [b]] * np.array([1.0, 0.0])
-        points.append(vectors.T)
-    wheel = setup.rows.wheel[setup.start[j] : setup.start[j + 1]]
-    radius = wheel[np.abs(wheel[:, 9]).argmax(), 10 if setup.types[j] == "gear" else 9]
-    (at, axis), (at_to, axis_to) = points
-    first, second = ends.tolist()
-    kind = setup.types[j]
-    return _Joint(setup.names[j], kind, first, second, at, at_to, axis, axis_to, float(radius))
-
-
-def _freedoms(joint: _Joint) -> list[tuple[str, Floats]]:
-    """What a joint leaves free, the first next to the second body: kind and axis."""
-    n, m = joint.axis, joint.axis_to
-    if joint.type == "planar":
-        e, f = state.axes_across(n)
-        return [("slide", e), ("slide", f), ("hinge", n)]
-    kinds: dict[str, list[tuple[str, Floats]]] = {
-        "hinge": [("hinge", n)],
-        "slider": [("slide", n)],
-        "cylindrical": [("slide", n), ("hinge", n)],
-        "screw": [("slide", n), ("hinge", n)],
-        "universal": [("hinge", m), ("hinge", n)],
-    }
-    return kinds.get(joint.type, [])

@@ -1,7 +1,7 @@
 """What the models of a whole scene share: what they leave out, and a step that meets the frames."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final
 
 import numpy as np
@@ -33,8 +33,13 @@ def tethers_of(system: System) -> list[Link]:
     ]
 
 
-def left_out(system: System, springs: Sequence[Link] = ()) -> list[str]:
-    """What acts in a scene and is not written, in words, where these springs are."""
+def left_out(
+    system: System, springs: Sequence[Link] = (), acting: Collection[tuple[int, str]] = ()
+) -> list[str]:
+    """What acts in a scene and is not written, in words.
+
+    These springs are, and what acts in joints by the number of the joint and the key.
+    """
     written = {link.number for link in springs}
     forces = enumerate(system.force)
     lines = [f"force[{k}], {force.type}" for k, force in forces if k not in written]
@@ -44,9 +49,10 @@ def left_out(system: System, springs: Sequence[Link] = ()) -> list[str]:
     for key in ("rolling_friction", "torsional_friction"):
         if contact and any(getattr(table, key) for table in (contact, *contact.pair)):
             lines.append(key.replace("_", " "))
-    for joint in system.joint:
-        acting = [key for key in _ACTING if getattr(joint, key)]
-        lines += [f"{key} of a {joint.type}" for key in acting]
+    joints = [(k, joint.name or f"joint[{k}]", joint) for k, joint in enumerate(system.joint)]
+    for key in _ACTING:
+        names = [n for k, n, joint in joints if getattr(joint, key) and (k, key) not in acting]
+        lines += [f"{key} of {', '.join(names)}"] if names else []
     return lines
 
 

@@ -239,6 +239,60 @@ def test_a_joint_may_have_the_name_of_a_body_in_mujoco():
     assert np.linalg.norm(position[3] - [9, 0, 1]) == pytest.approx(1.0, abs=1e-9)
 
 
+BLOCK = {"type": "box", "size": [0.3, 0.1, 0.2], "arrangement": "exact"}
+ACTED = [
+    {"type": "hinge", "body": "a", "at": [0, 0, 0], "axis": [0, 1, 0], "damper": 0.05,
+     "spring": {"stiffness": 3.0, "rest": 0.4}},
+    {"type": "slider", "body": "a", "to": "b", "axis": [1, 0, 0], "motor": 2.0, "damper": 0.3,
+     "spring": {"stiffness": 40.0, "rest": -0.05}},
+    {"type": "ball", "body": "c", "to": "b", "at": [0.6, 0, 0], "damper": 0.02,
+     "spring": {"stiffness": 1.5}},
+]  # fmt: skip
+
+
+@pytest.mark.plain
+def test_what_acts_in_joints_acts_in_mujoco_as_here():
+    """A slider whose first body is the inner one: its coordinate turns round in MuJoCo's tree."""
+    bodies = [{"name": n, "shape": BLOCK, "mass": 1.0, "position": [x, 0, 0]}
+              for n, x in (("a", 0.15), ("b", 0.45), ("c", 0.75))]  # fmt: skip
+    run = {"t_end": 0.2, "every": 0.2, "dt": 5e-4}
+    scene = {"run": run, "gravity": WEIGHT, "body": bodies, "joint": ACTED}
+    assert "left out" not in mjcf_scene(*made(scene))
+    position, _ = in_mujoco(scene)
+    by_dop853 = {"t_end": 0.2, "every": 0.2, "method": "dop853", "tolerance": 1e-10}
+    here = particlerb.run(scene | {"run": by_dop853}).position[-1]
+    bare = [{k: v for k, v in j.items() if k not in ("spring", "damper", "motor")} for j in ACTED]
+    assert np.abs(in_mujoco(scene | {"joint": bare})[0] - here).max() > 0.01
+    assert np.abs(position - here).max() < 1e-6
+
+
+def test_a_motor_a_stop_and_friction_act_in_mujoco():
+    """0.5 N m bring a block of moment I to 2 rad/s, which it keeps; it ends at its stop."""
+    inertia = (0.3**2 + 0.2**2) / 12.0 + 0.15**2  # kg m², about the hinge
+    block = {"name": "a", "shape": BLOCK, "mass": 1.0, "position": [0.15, 0, 0], "contact": False}
+    hinge = {"name": "knee", "type": "hinge", "body": "a", "at": [0, 0, 0], "axis": [0, 1, 0]}
+    scene = {
+        "run": {"t_end": 0.4, "every": 0.4, "dt": 1e-3},
+        "contact": {"law": "impulse", "restitution": 0.0, "friction": 0.0},
+        "body": [block],
+        "wall": REST["wall"],
+    }
+
+    def angle(**acting):
+        (x, _, z), *_ = in_mujoco(scene | {"joint": [hinge | acting]})[0]
+        return math.atan2(-z, x)
+
+    motor = {"speed": 2.0, "largest": 0.5}
+    faster = 0.5 / inertia  # rad/s²
+    assert angle(motor=motor) == pytest.approx(2.0 * 0.4 - 2.0**2 / (2.0 * faster), rel=3e-3)
+    assert angle(motor=motor, limit={"range": [-0.1, 0.3]}) == pytest.approx(0.3, abs=2e-3)
+    slower = (0.5 - 0.2) / inertia
+    turned = 2.0 * 0.4 - 2.0**2 / (2.0 * slower)
+    assert angle(motor=motor, friction=0.2) == pytest.approx(turned, rel=0.01)
+    bouncy = hinge | {"limit": {"range": [-1, 1], "restitution": 0.5}}
+    assert "left out: limit of knee " in mjcf_scene(*made(scene | {"joint": [bouncy]}))
+
+
 def test_fixed_bodies_and_boxes_stand_in_mujoco():
     position, _ = in_mujoco(HIT | {"gravity": WEIGHT, "run": {"t_end": 1.0, "every": 1.0,
                                                               "dt": 1e-3}})  # fmt: skip
