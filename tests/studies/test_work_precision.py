@@ -13,6 +13,7 @@ from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.simulation.trials import Error
 from particlerb.studies.chart import chart, curve_count
+from particlerb.studies.charts.style import METHOD_COLOURS
 from particlerb.studies.contact_laws import LawStudy
 from particlerb.studies.peers import engines, peer_scene, refusal_by
 from particlerb.studies.points import Point, WorkPrecision, failure
@@ -398,6 +399,18 @@ def test_the_chart_names_what_failed(monkeypatch):
     axes = drawn_axes(monkeypatch, made(point(0.1, 1e-3, "rk4"), point(0.3, 1e-4), *lost))
     (text,) = (text.get_text() for text in axes.texts if "failed" in text.get_text())
     assert text.endswith("; at some steps: rk4; at every step: explicit_euler")
+
+
+@pytest.mark.plain
+def test_springs_of_one_method_are_one_curve_of_its_colour(monkeypatch):
+    """Each stiffness was a curve of one point, without colour."""
+    springs = [point(k, 1.0 / k, f"strang, {k:g} N/m") for k in (1.0, 10.0, 100.0)]
+    axes = drawn_axes(monkeypatch, made(*springs, point(2.0, 1e-3, "moreau"), target=1e-3))
+    curve, other = axes.lines[:2]
+    assert curve.get_xdata().tolist() == [1.0, 10.0, 100.0]
+    assert curve.get_color() == METHOD_COLOURS["strang"] != other.get_color()
+    names = [text.get_text() for text in axes.texts]
+    assert "strang, 1 N/m to 100 N/m" in names
 
 
 def drawn_axes(monkeypatch, found):
