@@ -365,8 +365,18 @@ CLUMPS = {
 }
 
 
+SLOWER = {
+    ("", "strang"): ((0.0784, 0.0178), (0.153, 0.0192), (0.25, 7.88e-3)),
+    ("", "rk4"): ((0.244, 0.0339), (0.53, 0.0303), (0.906, 0.0317)),
+    ("LAMMPS", "granular"): ((0.119, 0.119),),
+    ("MuJoCo", "implicitfast"): ((2.02, 0.057),),
+    ("MuJoCo", "RK4"): ((2.89, 0.0689),),
+    ("PyBullet", "btMultiBody"): ((10.1, 0.0641),),
+}
+
+
 @pytest.mark.plain
-@pytest.mark.parametrize("curves", [CRADLE, CLUMPS], ids=["cradle", "clumps"])
+@pytest.mark.parametrize("curves", [CRADLE, CLUMPS, SLOWER], ids=["cradle", "clumps", "slower"])
 def test_names_of_curves_stand_on_no_line_mark_or_other_text(monkeypatch, tmp_path, curves):
     """Curves as dense as those of a cradle with three engines, in the picture as it is drawn."""
     from matplotlib.text import Text

@@ -24,7 +24,8 @@ _FAILED: Final = 2.0 * math.pi  # rad: where runs that failed are put
 _HALO: Final = [withStroke(linewidth=2.5, foreground="white")]
 _LETTER, _LINE = 0.0098, 0.034  # width of a letter and height of a label, as shares of a panel
 _LABEL_GAP = 0.013  # share of the width between a point and a name
-_MARK_WIDTH = 0.006  # share of the width that a mark takes on either side
+_MARK_REACH: Final = np.array([[-0.006, 0.0], [0.006, 0.0], [0.0, -0.012], [0.0, 0.012]])
+"""To the edges of a mark, as shares of a panel."""
 _SHIFTS: Final = 0.25 * _LINE * np.arange(-16, 17)  # of a name against its point
 
 
@@ -130,8 +131,7 @@ def _label_curves(axes: Axes, curves: Sequence[_Curve], taken: list[_Place]) -> 
     to_share = axes.transScale + axes.transLimits
     shares = [to_share.transform(curve.points) for curve in curves]
     levels = [np.array([[0.0, label.point[1]], [1.0, label.point[1]]]) for label in taken]
-    sides = np.array([[-_MARK_WIDTH, 0.0], [_MARK_WIDTH, 0.0]])
-    marks = [points + side for points in shares for side in sides]
+    marks = [points + edge for points in shares for edge in _MARK_REACH]
     drawn = np.concatenate([*map(_along, (*shares, *levels)), *marks])
 
     def cost(place: _Place, is_end: bool) -> float:
