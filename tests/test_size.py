@@ -34,7 +34,7 @@ BUDGETS = {
     "scenes for other programs": 531,
     "speed of compiling and of whole calls": 1320,
     "watches": 62,
-    "beside all these": 312,
+    "beside all these": 333,
 }
 """Lines of code that an ability took: see «Where things go» in docs/architecture.md."""
 

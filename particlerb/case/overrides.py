@@ -72,6 +72,6 @@ def with_value(node: Any, path: Path, value: Any) -> Any:
         return {**node, str(head): with_value(node.get(str(head), {}), rest, value)}
     if not isinstance(head, int) or head >= len(node):
         raise LookupError(
-            f"there is no entry {shown(head)}: there are {len(node)}, from 0 as body.0"
+            f"there is no entry {shown(head)} of {len(node)}, counted from 0 as in body.0"
         )
     return [*node[:head], with_value(node[head], rest, value), *node[head + 1 :]]

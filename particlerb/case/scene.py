@@ -33,6 +33,8 @@ def _adds(
     """Method that makes a table from its keys and appends it to a list of the scene."""
 
     def add(scene: "Scene", /, *args: _Keys.args, **keys: _Keys.kwargs) -> _Record:
+        if args:
+            raise TypeError(f"add_{to} takes keys by name, such as add_{to}(name=..), got {args}")
         record = table(*args, **keys)
         getattr(scene, to).append(record)
         return record

@@ -49,7 +49,9 @@ def output_path(path: Path, overwrite: bool) -> Path:
         if not stat.S_ISREG(mode):
             raise FileExistsError(f"{path} is not a regular file, and stays: name a file with -o")
         if not overwrite:
-            raise FileExistsError(f"{path} exists: give another name with -o, or --overwrite")
+            raise FileExistsError(
+                f"{path} exists: give another name with -o, or --overwrite (overwrite=True)"
+            )
     place = Path(os.path.realpath(path))
     folder = next(parent for parent in place.parents if parent.exists())
     if not os.access(folder, os.W_OK | os.X_OK):

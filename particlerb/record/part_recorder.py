@@ -247,7 +247,9 @@ def _folder(path: Path, overwrite: bool, ranks: Ranks) -> str:
     folder = place.parent / name
     is_left_over = waiting_in(folder, place).exists()  # of a run that was killed
     if any(folder.glob(_PART_PATTERN)) and not (overwrite or is_left_over):
-        raise FileExistsError(f"{folder} exists: give another name with -o, or --overwrite")
+        raise FileExistsError(
+            f"{folder} exists: give another name with -o, or --overwrite (overwrite=True)"
+        )
     return name
 
 

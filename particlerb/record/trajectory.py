@@ -274,8 +274,17 @@ class Trajectory(LabelledReader):
         -------
         ndarray, shape (T,) or (T, 3)
             SI units, world frame.
+
+        Raises
+        ------
+        KeyError
+            If there is none of that name.
         """
-        return self.series(f"{schema.OBSERVABLES}/{name}/value", frames)
+        path = f"{schema.OBSERVABLES}/{name}/value"
+        if path not in schema.SERIES:
+            known = [p.split("/")[1] for p in schema.SERIES if p.startswith(schema.OBSERVABLES)]
+            raise KeyError(f"no observable {name}; there are {', '.join(known)}")
+        return self.series(path, frames)
 
     @property
     def energy(self) -> Floats:

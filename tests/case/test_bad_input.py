@@ -228,7 +228,7 @@ MISTAKES = [
         10,
         "body[1].name",
         '"cube" is the name of body[0] already',
-        "",
+        "rename one",
     ),
     (
         '"clump"\nshape',
@@ -295,7 +295,7 @@ MISTAKES = [
         14,
         "body[1].place.n",
         "holds 2 of 4 bodies",
-        "",
+        "give larger numbers",
     ),
     (
         "spacing = 2.0 }",
@@ -311,7 +311,7 @@ MISTAKES = [
         14,
         "body[1].velocity",
         "must have count = 4 rows, has 1",
-        "",
+        "give a row for each",
     ),
     (
         "mass = 2.0",
@@ -812,7 +812,7 @@ OF_CONTACT = [
         '[[material]]\nname = "glass"\n[[material]]\nname = "glass"',
         "material[2].name",
         '"glass" is the name of material[1] already',
-        "",
+        "rename one",
     ),
     ('"steel"\n[[m', '"steel"\nyoung = 0\n[[m', "material[0].young", "must be > 0, got 0", ""),
     (
@@ -906,14 +906,14 @@ OF_CONTACT = [
         'name = "bin"',
         "wall[1].name",
         '"bin" is the name of wall[0] already',
-        "",
+        "rename one",
     ),
     (
         'name = "floor"',
         'name = "ball"',
         "wall[0].name",
         '"ball" is the name of body[0] already',
-        "",
+        "rename one",
     ),
     (
         'normal = [0, 0, 1]\nmaterial = "steel"',

@@ -255,3 +255,5 @@ def test_what_a_scene_has_not_cannot_be_set():
         scene.gravitation = (0, 0, -9.81)
     with pytest.raises(AttributeError, match=r"RunTable\.dt cannot be set: take a model_copy"):
         scene.run.dt = 1e-3
+    with pytest.raises(TypeError, match=r"^add_body takes keys by name, such as add_body"):
+        scene.add_body("ball")

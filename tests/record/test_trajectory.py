@@ -48,6 +48,8 @@ def test_arrays_have_the_customary_shapes(written):
         assert t.energy.shape == (11,)
         assert list(t.names) == ["odd", "pair[0]", "pair[1]", "rod", "point"]
         assert t.fields == ["position", "orientation", "linear_momentum", "angular_momentum"]
+        with pytest.raises(KeyError, match="no observable kinetic; there are kinetic_energy, "):
+            t.observable("kinetic")
         assert t.read("position", slice(2, None, 3)).shape == (3, 5, 3)
         assert (t.read("position", slice(-1, None)) == t.position[-1:]).all()
         with pytest.raises(KeyError, match="velocity was not recorded"):

@@ -29,6 +29,7 @@ from particlerb.model.names import REFERENCE
 from particlerb.user_force import UserForce
 
 _MAX_FRAMES = 10**9
+_LATER = "take an earlier time, or a longer run.t_end"
 
 
 def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
@@ -90,14 +91,15 @@ def _time_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     if t_end is None or t_end <= 0:
         return
     if every is not None and every > t_end:
-        yield ("run", "every"), f"must be <= run.t_end = {t_end!r}, got {every!r}", ""
+        hint = "take a shorter time between frames, or a longer run.t_end"
+        yield ("run", "every"), f"must be <= run.t_end = {t_end!r}, got {every!r}", hint
     if every is not None and every > 0 and t_end > every * _MAX_FRAMES:
         yield ("run", "every"), f"makes more than {_MAX_FRAMES:.0e} frames", "take a longer time"
     for i, force in tables(raw, "force"):
         during = [finite(time) or 0.0 for time in entry_at(force, "during", list)]
         for start in during[:1]:
             if start >= t_end and during[-1] > start:
-                yield ("force", i, "during"), f"must start before run.t_end = {t_end!r}", ""
+                yield ("force", i, "during"), f"must start before run.t_end = {t_end!r}", _LATER
         yield from _within(("force", i, "time"), number(force, "time"), t_end)
     for i, check in tables(raw.get("check"), "value"):
         yield from _within(("check", "value", i, "time"), number(check, "time"), t_end)
@@ -106,7 +108,7 @@ def _time_rules(raw: dict[str, Any]) -> Iterator[Finding]:
 def _within(path: Path, time: float | None, t_end: float) -> Iterator[Finding]:
     """A time is not after the end."""
     if time is not None and time > t_end:
-        yield path, f"must be <= run.t_end = {t_end!r}, got {time!r}", ""
+        yield path, f"must be <= run.t_end = {t_end!r}, got {time!r}", _LATER
 
 
 def _name_rules(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -117,7 +119,11 @@ def _name_rules(raw: dict[str, Any]) -> Iterator[Finding]:
             for i, table in tables(raw, kind):
                 name, place = table.get("name"), f"{kind}[{i}]"
                 if isinstance(name, str) and first.setdefault(name, place) != place:
-                    yield (kind, i, "name"), f'"{name}" is the name of {first[name]} already', ""
+                    yield (
+                        (kind, i, "name"),
+                        f'"{name}" is the name of {first[name]} already',
+                        "rename one",
+                    )
 
 
 def _reference_rules(raw: dict[str, Any]) -> Iterator[Finding]:

@@ -27,7 +27,7 @@ def body_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
     else:
         yield from _mass_rules(path, body)
         if _is_massless(body) and body["shape"]["type"] == "points":
-            yield (*path, "shape", "mass"), "must not all be zero", ""
+            yield (*path, "shape", "mass"), "must not all be zero", "give one above 0"
 
 
 def _is_massless(table: Any) -> bool:
@@ -107,7 +107,8 @@ def count_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
         return
     for key in ("position", "orientation", "velocity", "angular_velocity"):
         if is_rows(body.get(key)) and len(body[key]) != count:
-            yield (*path, key), f"must have count = {count} rows, has {len(body[key])}", ""
+            reason = f"must have count = {count} rows, has {len(body[key])}"
+            yield (*path, key), reason, "give a row for each body, or another `count`"
     if has(body, "place"):
         if has(body, "position") and not is_origin(body["position"]):
             yield (*path, "position"), "given beside place", "give one of them"
@@ -121,7 +122,7 @@ def _grid_rules(path: Path, place: Any, count: int) -> Iterator[Finding]:
     """A grid has room for all."""
     n = entry_at(place, "n", list) if entry_at(place, "type", str) == "grid" else []
     if n and all(isinstance(k, int) and k > 0 for k in n) and math.prod(n) < count:
-        yield (*path, "n"), f"holds {math.prod(n)} of {count} bodies", ""
+        yield (*path, "n"), f"holds {math.prod(n)} of {count} bodies", "give larger numbers"
 
 
 def shape_file_rules(path: Path, body: dict[str, Any], files: Files) -> Iterator[Finding]:

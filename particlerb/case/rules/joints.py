@@ -78,9 +78,13 @@ def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]
             reason = "the bodies stand at 0 at the start, beyond a hard stop"
             yield (*path, "limit", "range"), reason, "let the range hold 0"
         if limit.get("damping"):
-            yield (*path, "limit", "damping"), "hard stops have none", "give `restitution`"
+            yield (
+                (*path, "limit", "damping"),
+                "a stop without stiffness has none",
+                "give `restitution`",
+            )
     elif isinstance(limit, dict) and limit.get("restitution"):
-        yield (*path, "limit", "restitution"), "springs have none", "give `damping`"
+        yield (*path, "limit", "restitution"), "a stop with a stiffness has none", "give `damping`"
     for key, (what, other) in within_bounds(raw).items():
         if law in ("", "hooke", "hertz"):
             reason = f"{what}, which needs contact by impulses"
@@ -92,6 +96,7 @@ def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]
 def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
     """What acts along a coordinate needs one, and stops a range."""
     kind = entry_at(raw, "type", str)
+    several = nearest("", list(ALONG.get(kind, ())), "name one")
     for key in (*ACTIONS, "drive"):
         if raw.get(key) and kind in JOINT_TYPES and kind not in ALONG:
             reason = f"nothing acts along a {kind} joint yet"
@@ -99,7 +104,7 @@ def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
         elif raw.get(key) and kind == "ball" and key not in ("spring", "damper"):
             yield (*path, key), "along a ball joint act springs and dampers alone", "leave it out"
         elif raw.get(key) and len(ALONG.get(kind, "")) > 1 and not has(raw, "along"):
-            yield (*path, "along"), f"missing: a {kind} joint has several coordinates", ""
+            yield (*path, "along"), f"missing: a {kind} joint has several coordinates", several
         if raw.get(key) and has(raw, "breaks_at"):
             yield (*path, "breaks_at"), f"given beside {key}", "let a second joint have one of them"
     if kind == "ball" and entry_at(raw, "spring", dict).get("rest"):
