@@ -2,6 +2,8 @@
 
 A case from a trajectory has the contents that lie in it. Its names are then names and no paths:
 nothing is looked up on disk.
+
+Why it is so: docs/decisions/0017.
 """
 
 from collections.abc import Mapping

@@ -224,3 +224,11 @@ def test_a_page_begins_with_what_its_reader_can_do_afterwards():
         assert title.startswith("# "), page
         assert not blank
         assert first.startswith("After this page you "), page
+
+
+@pytest.mark.once
+def test_each_decision_is_named_where_it_holds():
+    """By the code that follows it, or on a page: nobody reads a list of thirty."""
+    pages = [*DOCS.glob("*.md"), *(DOCS.parent / "particlerb").rglob("*.py")]
+    named = set(re.findall(r"decisions/(\d{4})", "\n".join(p.read_text() for p in pages)))
+    assert named >= {path.name[:4] for path in (DOCS / "decisions").glob("0*.md")}

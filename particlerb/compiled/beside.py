@@ -6,6 +6,8 @@ Who reaches one of them waits until it is there; if the copy ends without it, it
 What a loop calls is shared: the process and a copy each take the next that nobody has begun.
 Nothing is done so where a copy is no use or no good: on one core, beside other threads, in a
 process of a sweep or of MPI, or where there is code on disk already.
+
+Why it is so: docs/decisions/0029.
 """
 
 import contextlib

@@ -3,6 +3,8 @@
 Numba takes tuples and arrays apart into their numbers where a function is called, and puts them
 together again in it. With tuples of some hundred arrays this was half of all code that the compiler
 was given, for nothing: it takes them apart itself where it has to.
+
+Why it is so: docs/decisions/0027.
 """
 
 import copy

@@ -2,6 +2,8 @@
 
 To make one takes a third of a millisecond, and there are more than a thousand, of which a run uses
 a few. Until Python calls one, or Numba meets it in the code of another, it has a function alone.
+
+Why it is so: docs/decisions/0030.
 """
 
 import functools

@@ -8,6 +8,8 @@ Called from Python, as tests do, it is compiled as any other function. Without o
 well a first run would be shorter by another eighth, but contact would be rounded otherwise: what is
 fused to a b + c depends on it. What is too long to be copied is called: its code, optimised here,
 comes in behind the optimising of its callers, which does it no good and took a third of the time.
+
+Why it is so: docs/decisions/0026.
 """
 
 import gc

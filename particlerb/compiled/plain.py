@@ -4,6 +4,8 @@ In these kernels each operation is rounded by itself, compiled or not, so that P
 bits, and the clock may decide: a process spends less than half a second so, then it compiles. What
 has been compiled in a process, or is on disk and worth its loading, runs compiled. Where Python
 stops and compiled code would not, as at 1 / 0, the arrays are put back and the kernel is compiled.
+
+Why it is so: docs/decisions/0025.
 """
 
 import threading

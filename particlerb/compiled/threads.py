@@ -6,6 +6,8 @@ Numba's parallel loops would double the time to compile, and stop a fork of the 
 
 How many threads a run uses is a setting of the thread that runs it: several runs side by side, each
 in a thread of its own, have their own numbers, and share the threads of those with the same one.
+
+Why it is so: docs/decisions/0002.
 """
 
 import os

@@ -4,6 +4,8 @@ A piston is one more degree of freedom beside the bodies: M s̈ = F + a·Σ f, w
 along the axis a, F the load and the weight along it, and f the forces of contacts. It is kicked
 and drifts with the bodies, so the order of the step stays. Where it has limits it stops there,
 without bouncing; what it loses then is booked.
+
+Why it is so: docs/decisions/0010.
 """
 
 import math

@@ -8,6 +8,8 @@ Follower loads are constant in the body and turn with it: a thruster at a body p
 body force F and the body torque r × F. They have no potential: their work is booked by kicks.
 
 A force that changes with time is a `Ramp` between two knots, each for itself.
+
+Why it is so: docs/decisions/0003.
 """
 
 from typing import TYPE_CHECKING, Final, NamedTuple

@@ -8,6 +8,8 @@ docs/mass_properties.md; solids with round sections are in `geometry.sections`.
 
 A *cell sum* has ten numbers over the matter of one cell, in coordinates u, v, w of the cell from 0
 to 1 and in units of its volume: 1, u, v, w, uu, vv, ww, uv, uw, vw.
+
+Why it is so: docs/decisions/0011.
 """
 
 from collections.abc import Iterable, Iterator

@@ -3,6 +3,8 @@
 A *kind* is one distinct set of particles. Many equal bodies share one kind, so that its mass
 properties are summed once; bodies refer to kinds by index. `Particles` first, then what joins and
 checks and moves sets. Nothing here knows of shapes, tensors or motion.
+
+Why it is so: docs/decisions/0001.
 """
 
 import math

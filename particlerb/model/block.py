@@ -3,6 +3,8 @@
 Row r of body b is rows[r * STRIDE + b]. All distances between rows are known while compiling, so
 LLVM needs no checks for overlap, and a loop over the bodies of a block fills SIMD lanes however
 long its body is; with separate arrays it gives up silently beyond some sixteen rows.
+
+Why it is so: docs/decisions/0005.
 """
 
 from collections.abc import Sequence

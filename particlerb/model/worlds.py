@@ -3,6 +3,8 @@
 Worlds have as many bodies each, numbered one world after the other. A sum over a world takes its
 bodies in the order, and in the blocks, in which a run of that world alone would take them: it has
 the same bits. Where there is one scene only there is no `Worlds`, and a sum is one number.
+
+Why it is so: docs/decisions/0023.
 """
 
 from typing import NamedTuple

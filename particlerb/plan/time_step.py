@@ -1,4 +1,7 @@
-"""The step of each group, and why; steps above which a motion grows: refused or told."""
+"""The step of each group, and why; steps above which a motion grows: refused or told.
+
+Why it is so: docs/decisions/0004.
+"""
 
 import math
 from collections.abc import Sequence

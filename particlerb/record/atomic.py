@@ -11,6 +11,8 @@ file at any time. A commit
 
 A record that is not whole counts for nothing. One that is can be applied any number of times, until
 the next pages are written over it.
+
+Why it is so: docs/decisions/0015.
 """
 
 import contextlib

@@ -3,6 +3,8 @@
 A dataset is used only if hard links lead to it, its type and shape are those of the schema, and its
 numbers lie in this file: no external storage, no views of other files, no filters that HDF5 would
 have to load. So a foreign file can neither run code nor have another one read or written.
+
+Why it is so: docs/decisions/0009.
 """
 
 import os

@@ -3,6 +3,8 @@
 A slot is an archive of NumPy arrays (`numpy.load` reads its bytes) with the hash of these bytes
 and the number of frames that lay behind. The attribute `current` says which slot counts; it changes
 with the counter of frames, in one commit. Where the slot that counts is damaged, the other serves.
+
+Why it is so: docs/decisions/0012.
 """
 
 import hashlib

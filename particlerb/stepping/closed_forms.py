@@ -5,6 +5,8 @@ turns a body is its lever tensor T (forces/push.py). It is Lagrange's top where 
 the axis of a symmetric body or of a rod, or anywhere in a sphere. What the start tells beside that
 of bodies that turn about one axis, or move on a line, plan/known_courses.py has found: `Terms.axis`
 and `Terms.is_straight`. Theory: docs/closed_forms.md.
+
+Why it is so: docs/decisions/0021.
 """
 
 from typing import Final, NamedTuple

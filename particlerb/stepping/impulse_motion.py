@@ -1,4 +1,7 @@
-"""Bodies that touch without stiffness, on a grid of steps: impulses in place of forces."""
+"""Bodies that touch without stiffness, on a grid of steps: impulses in place of forces.
+
+Why it is so: docs/decisions/0022.
+"""
 
 from typing import Final
 

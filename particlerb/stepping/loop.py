@@ -4,6 +4,8 @@ Steps stand on a grid that starts with the segment. A frame is reached by a part
 copy, so that what is recorded never changes the motion. Where bodies do not act on each other, a
 block takes all its steps before the next one does, in the cache; where they do, all blocks take
 each step together.
+
+Why it is so: docs/decisions/0007.
 """
 
 import math

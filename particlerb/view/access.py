@@ -5,6 +5,8 @@ number or by a name that was turned to it (DNS rebinding). So a request must nam
 ours, come from no other origin, and bring the token of the printed address, or the cookie that the
 page got for it. viser has no place for such questions, but what it gives to `websockets` passes
 through here. Knows no scene.
+
+Why it is so: docs/decisions/0014.
 """
 
 import contextlib

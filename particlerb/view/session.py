@@ -7,6 +7,8 @@ was asked for in between, frame rate included, changes nothing.
 
 Where steps go on without end, a push starts on their grid and the step is a power of two: then the
 grid before the push stays as it was. Must not know the browser.
+
+Why it is so: docs/decisions/0013.
 """
 
 import copy
