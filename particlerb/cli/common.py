@@ -15,8 +15,10 @@ from particlerb.case.schema import Case
 from particlerb.cli.exit_codes import FAILED, Ending, ending
 from particlerb.record.output_path import output_path
 from particlerb.record.trajectory import Trajectory, TrajectoryError, open_trajectory
+from particlerb.record.verify import verify
 
 PICTURES: Final = (".png", ".svg", ".pdf")
+_FAULTS_OF_VALUES: Final = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 
 
 def find_case(name: str, commands: tuple[str, ...] = ()) -> Path:
@@ -72,17 +74,25 @@ def output_of(options: argparse.Namespace, default: Path, source: Path | None = 
     return path
 
 
-def opened(path: str) -> Trajectory:
-    """Trajectory in a file; wrong usage where it is none."""
+@contextlib.contextmanager
+def opened(path: str) -> Iterator[Trajectory]:
+    """Trajectory in a file, open: wrong usage where it is none, one message where it is damaged.
+
+    What its values lead to is their fault only where the file is not whole.
+    """
     if Path(path).suffix == ".toml":
         raise Ending(f"{path} is a case, not a trajectory: run it, and give the .h5 file it makes")
     with ending(TrajectoryError, FileNotFoundError, IsADirectoryError):
-        return open_trajectory(path)
-
-
-def readable() -> contextlib.AbstractContextManager[None]:
-    """End the command with one message where a trajectory turns out to be damaged."""
-    return ending(TrajectoryError, code=FAILED)
+        trajectory = open_trajectory(path)
+    with trajectory, ending(TrajectoryError, code=FAILED):
+        try:
+            yield trajectory
+        except _FAULTS_OF_VALUES:
+            flaws = [one for one in verify(trajectory) if not one.is_whole]
+            if not flaws:
+                raise
+            told = f"{path} is damaged: {flaws[0].what} {flaws[0].words}"
+            raise Ending(told, FAILED) from None
 
 
 @contextlib.contextmanager

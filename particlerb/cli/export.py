@@ -13,7 +13,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
 from particlerb.cli.bodies import case_of, holds_bodies, is_case, named_bodies
-from particlerb.cli.common import opened, output_of, readable, to_write, writing
+from particlerb.cli.common import opened, output_of, to_write, writing
 from particlerb.cli.exit_codes import DONE, Ending, ending
 from particlerb.export import FORMATS, ExportError, export
 from particlerb.export.bodies import BODY_FORMATS, export_bodies, file_name
@@ -97,7 +97,7 @@ def _export_trajectory(options: argparse.Namespace) -> int:
     added = {"particles": "_particles", "h5": "_whole"}.get(options.to, "")
     named = source.with_name(f"{source.stem}{added}{source.suffix}")
     path = output_of(options, named.with_suffix(FORMATS[options.to]), Path(options.file))
-    with opened(options.file) as trajectory, readable(), ending(ExportError), writing(path):
+    with opened(options.file) as trajectory, ending(ExportError), writing(path):
         n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)
     print(f"written: {path} ({count_of(n, 'frame')})")
     return DONE

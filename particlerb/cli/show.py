@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import particlerb
-from particlerb.cli.common import PICTURES, amount, opened, output_of, readable, writing
+from particlerb.cli.common import PICTURES, amount, opened, output_of, writing
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
 from particlerb.model.state import STATE_FIELDS
 from particlerb.record.parts import part_paths
@@ -27,7 +27,7 @@ def info_command(options: argparse.Namespace) -> int:
     if options.machine:
         print(json.dumps(this_machine()) if options.json else _lines_of(this_machine()))
         return DONE
-    with opened(options.file) as trajectory, readable():
+    with opened(options.file) as trajectory:
         facts = _facts_of(trajectory)
         texts = {name: trajectory.parameter(name) for name in ("plan", "case", "case_resolved")}
         findings = verify(trajectory) if options.verify else []
@@ -93,7 +93,7 @@ def _text_of(name: str, value: Any) -> str:
 
 def plot_command(options: argparse.Namespace) -> int:
     """`plot`: a picture of a trajectory."""
-    with opened(options.file) as trajectory, readable():
+    with opened(options.file) as trajectory:
         source = Path(options.file)
         stem = f"{source.stem}_contacts" if options.contacts else source.stem
         path = output_of(options, source.with_name(f"{stem}.png"), source)

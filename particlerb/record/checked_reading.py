@@ -168,13 +168,14 @@ def object_at(file: h5py.File, path: str) -> Any:
 
 
 def has(file: h5py.File | Memory, path: str) -> bool:
-    """Whether something is there, and hard links lead to it."""
+    """Whether something is there, and hard links lead to it; TrajectoryError where others do."""
     if isinstance(file, Memory):
         return path in file
-    try:
-        object_at(file, path)
-    except KeyError:
-        return False
+    with trajectory_errors(file):
+        try:
+            object_at(file, path)
+        except KeyError:
+            return False
     return True
 
 

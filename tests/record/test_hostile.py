@@ -448,6 +448,41 @@ def test_a_case_in_the_file_that_is_not_its_own_is_told(copy, capsys, old, new):
     assert re.search(r"NOT OK +energy balance", capsys.readouterr().out)
 
 
+@pytest.mark.parametrize("old", ['"joint":', '"force":', '"title":'])
+def test_a_picture_of_a_case_that_lacks_a_table_is_one_message(copy, tmp_path, capsys, old):
+    with h5py.File(copy, "r+") as file:
+        words = file[f"{PARAMETERS}/case_resolved"][()].decode()
+        provenance.write_text(file, "case_resolved", words.replace(old, '"other":', 1))
+    assert main(["plot", str(copy), "-o", str(tmp_path / "a.png")]) == 1
+    err = capsys.readouterr().err
+    assert "harmed.h5 is damaged: tables, texts have the digest" in err
+    assert not (tmp_path / "a.png").exists()
+
+
+@pytest.mark.parametrize("path", ["particles/trajectory/time", POSITION])
+def test_a_file_whose_frames_are_damaged_is_not_played(copy, capsys, path):
+    pytest.importorskip("viser")
+    with h5py.File(copy, "r+") as file:
+        file[path][0] = np.nan
+    assert main(["view", str(copy), "--no-browser"]) == 1
+    assert "has entries that are not finite" in capsys.readouterr().err
+
+
+def test_a_fault_of_the_program_is_none_of_a_whole_file(copy, tmp_path, monkeypatch):
+    monkeypatch.setattr(particlerb, "plot", lambda *_, **__: {}["a"])
+    with pytest.raises(KeyError):
+        main(["plot", str(copy), "-o", str(tmp_path / "a.png")])
+
+
+def test_what_is_copied_by_a_link_to_elsewhere_is_one_message(copy, tmp_path, capsys):
+    with h5py.File(copy, "r+") as file:
+        del file["observables/work/value"]
+        file["observables/work/value"] = h5py.SoftLink("/observables/work/value")
+    assert main(["export", str(copy), "--to", "h5", "-o", str(tmp_path / "b.h5")]) == 1
+    assert "observables/work/value is a link to elsewhere" in capsys.readouterr().err
+    assert not (tmp_path / "b.h5").exists()
+
+
 # Refusals that pass
 
 
