@@ -101,13 +101,16 @@ def number_of(value: object, what: str) -> float:
 
     Raises
     ------
-    TypeError
-        If it is none.
+    TypeError, ValueError
+        If it is none, or too large.
     """
     number = value.item() if hasattr(value, "item") and not getattr(value, "ndim", 0) else value
     if isinstance(number, bool) or not isinstance(number, Real):
         raise TypeError(f"{what} must be a number, got {type(value).__name__}")
-    return float(number)
+    try:
+        return float(number)
+    except OverflowError:
+        raise ValueError(f"{what} must be a number of float64, got a larger one") from None
 
 
 def path_of(value: object, what: str) -> FilePath:

@@ -82,7 +82,7 @@ def load(
     TypeError
         If the source, or an override, is none of these.
     """
-    if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides):
+    if not isinstance(overrides, (list, tuple)) or not all(isinstance(o, str) for o in overrides):
         raise TypeError(f'overrides must be a list of texts like "run.dt=1e-4", got {overrides!r}')
     case = _loaded(source, overrides)
     if allow_code:

@@ -3,7 +3,7 @@
 A scene is a mapping with the keys of a case file, so whatever takes a case takes a scene.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from inspect import Parameter, Signature, signature
 from os import PathLike
 from pathlib import Path
@@ -50,7 +50,7 @@ def _adds(
 _T = TypeVar("_T")
 
 
-def _table(kind: str, table: _T, example: str) -> _T:
+def _table(kind: str, table: _T) -> _T:
     """A record, or a mapping with its keys, as it is.
 
     Raises
@@ -59,8 +59,27 @@ def _table(kind: str, table: _T, example: str) -> _T:
         If it is anything else.
     """
     if not isinstance(table, (Table, Mapping)):
-        raise TypeError(f"a {kind} is a table, such as {example}(..), got {table!r:.60}")
+        raise TypeError(f"a {kind} is one of particlerb.tables, or a mapping, got {table!r:.60}")
     return table
+
+
+def _checked(name: str, value: Any) -> Any:
+    """What an attribute of a scene is set to; of tables that there may be many of, a list.
+
+    Raises
+    ------
+    TypeError
+        If it is of another kind.
+    """
+    if name in _LIST_KEYS:
+        if isinstance(value, (str, Mapping)) or not isinstance(value, Iterable):
+            raise TypeError(f"{name} is a list of tables, got {value!r:.60}")
+        return [_table(name, one) for one in value]
+    kind = {"title": str, "files": Files}.get(name)
+    if kind is not None and not isinstance(value, kind):
+        raise TypeError(f"{name} of a scene must be {kind.__name__}, got {value!r:.60}")
+    is_table = kind is None and not name.endswith("gravity") and value is not None
+    return _table(name, value) if is_table else value
 
 
 class Scene(Mapping[str, Any]):
@@ -121,7 +140,7 @@ class Scene(Mapping[str, Any]):
             if name not in Case.model_fields and name not in ("files", "_gravity"):
                 has = ", ".join(Case.model_fields)
                 raise AttributeError(f"a scene has no {name}; it has: {has}")
-            super().__setattr__(name, value)
+            super().__setattr__(name, _checked(name, value))
 
     @property
     def gravity(self) -> Gravity | None:
@@ -136,12 +155,12 @@ class Scene(Mapping[str, Any]):
 
     def add_force(self, force: AnyForce) -> AnyForce:
         """Add a force, such as `PushTable(body="cube", force=(0, 0, 50))`; return it."""
-        self.force.append(_table("force", force, "PushTable"))
+        self.force.append(_table("force", force))
         return force
 
     def add_wall(self, wall: AnyWall) -> AnyWall:
         """Add a wall, such as `PlaneWall(name="floor", normal=(0, 0, 1))`; return it."""
-        self.wall.append(_table("wall", wall, "PlaneWall"))
+        self.wall.append(_table("wall", wall))
         return wall
 
     @classmethod

@@ -25,7 +25,8 @@ from particlerb.files import File
 class Case(Table):
     """A whole scene; made by `particlerb.case.reader.load`."""
 
-    title: Annotated[str, Strict()] = ""
+    # A text with a bound is looked at, one without may hold half a character.
+    title: Annotated[str, Strict(), Field(min_length=0)] = ""
     """What the case shows. [-]"""
     run: RunTable
     """How long, how often, and how. [-]"""

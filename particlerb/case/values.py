@@ -5,7 +5,7 @@ type here, so that the schema reads like the format. The docstring of a key ends
 """
 
 import ast
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from inspect import getsource
 from itertools import chain, pairwise
@@ -246,7 +246,7 @@ def plain(value: Any, keeps_rows: bool = False, keeps_tables: bool = False) -> A
     """Plain dicts, lists and numbers of what Python callers pass.
 
     Two-dimensional arrays stay where they may be rows for many bodies, and nowhere else: rules read
-    plain data.
+    plain data. What can be gone through once, as a generator, is gone through here.
     """
     if type(value) in _PLAIN_TYPES:
         return value
@@ -255,11 +255,11 @@ def plain(value: Any, keeps_rows: bool = False, keeps_tables: bool = False) -> A
     if isinstance(value, Mapping):
         rows_at = () if "type" in value else _KEYS_WITH_ROWS
         return {str(k): plain(entry, k in rows_at, keeps_tables) for k, entry in value.items()}
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value if keeps_rows and value.ndim == 2 else value.tolist()
+    if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
         return [plain(entry, keeps_tables=keeps_tables) for entry in value]
-    if isinstance(value, np.ndarray) and not (keeps_rows and value.ndim == 2):
-        return value.tolist()
-    return value.item() if isinstance(value, np.generic) else value
+    return value
 
 
 Real = Annotated[float, Strict()]

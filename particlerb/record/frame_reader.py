@@ -129,6 +129,8 @@ class FrameReader(Closing):
         self, path: str, frames: slice = slice(None), bodies: int | slice = slice(None)
     ) -> Floats:
         """Values of one of `schema.SERIES` in some frames, of all bodies or of some."""
+        if not isinstance(frames, slice) or (frames.step or 1) < 1:
+            raise TypeError(f"frames must be a slice, such as slice(0, 10, 2), got {frames!r:.60}")
         element = schema.SERIES[path]
         n = len(self.names_of(element.per)) if element.per in schema.PARTS else self.n_bodies
         shape = (None, *((n,) if element.per else ()), *element.width)
@@ -194,7 +196,10 @@ class FrameReader(Closing):
         elif isinstance(bodies, slice):
             pick = bodies
         else:
-            pick = np.arange(self.n_bodies)[np.asarray(bodies) if len(bodies) else []]
+            numbers = np.asarray(bodies)
+            if numbers.size and numbers.dtype.kind not in "biu":
+                raise TypeError(f"bodies must be numbers of bodies, got {bodies!r:.60}")
+            pick = np.arange(self.n_bodies)[numbers if numbers.size else []]
         path = f"{schema.TRAJECTORY}/{name}/value"
         if isinstance(pick, np.ndarray):  # HDF5 is slow in picking one by one
             return self.series(path, frames)[:, pick]

@@ -202,9 +202,10 @@ def test_arrays_stand_for_lists_of_points():
 
 
 def test_a_name_is_no_force_and_no_wall():
-    with pytest.raises(TypeError, match=r"a force is a table, such as PushTable\(..\), got 'push'"):
+    words = "is one of particlerb.tables, or a mapping, got"
+    with pytest.raises(TypeError, match=f"a force {words} 'push'"):
         pushed_cubes().add_force("push")
-    with pytest.raises(TypeError, match="a wall is a table"):
+    with pytest.raises(TypeError, match=f"a wall {words} 'plane'"):
         pushed_cubes().add_wall("plane")
 
 
@@ -247,6 +248,42 @@ def test_gravity_is_assigned_as_it_is_given():
         assigned.gravity = (0, 0)
     assigned.gravity = None
     assert "gravity" not in assigned.to_toml()
+
+
+@pytest.mark.parametrize("name", ["body", "wall"])
+def test_tables_may_come_one_by_one(name):
+    """From a generator, as a view of a dict, in a scene and in a mapping: rules read them first."""
+    tables = {"body": Body(name="a", shape=Ball(radius=0.5), mass=1.0)}
+    tables["wall"] = PlaneWall(name="floor", normal=(0, 0, 1))
+    scene = pushed_cubes()
+    setattr(scene, name, (table for table in [tables[name]]))
+    assert getattr(scene, name) == [tables[name]]
+    run = {"t_end": 1.0, "every": 0.5}
+    for given in ((table for table in [tables[name]]), {1: tables[name]}.values()):
+        keys = {"run": run, "body": [tables["body"]], "contact": {"stiffness": 1e3}} | {name: given}
+        assert getattr(load(keys), name) == (tables[name],)
+
+
+def test_lists_of_a_scene_may_be_emptied():
+    scene = pushed_cubes()
+    scene.force = ()
+    assert "force" not in scene
+    assert "force" not in scene.to_toml()
+
+
+def test_half_a_character_is_no_title():
+    """Which no file can hold."""
+    scene = pushed_cubes()
+    scene.title = "\ud800"
+    with pytest.raises(CaseError, match="title: must be a text that UTF-8 can hold"):
+        load(scene)
+
+
+@pytest.mark.parametrize("name", ["run", "body", "wall", "contact", "title", "files", "chart"])
+@pytest.mark.parametrize("value", [3, b"a", [1, 2], np.zeros(3), Path("a")])
+def test_what_is_no_table_is_set_nowhere(name, value):
+    with pytest.raises(TypeError, match=f"{name} "):
+        setattr(pushed_cubes(), name, value)
 
 
 def test_what_a_scene_has_not_cannot_be_set():

@@ -146,9 +146,21 @@ def test_bodies_are_chosen_by_numbers_or_by_a_mask(written):
         assert np.array_equal(t.read("position", bodies=mask), every[:, mask])
         assert np.array_equal(t.read("position", bodies=[n - 1, 0]), every[:, [n - 1, 0]])
         assert t.read("position", bodies=[]).shape == (t.n_frames, 0, 3)
-        for wrong in ([n], [0.5], mask[1:]):
+        for wrong in ([n], mask[1:]):
             with pytest.raises(IndexError):
                 t.read("position", bodies=wrong)
+
+
+@pytest.mark.parametrize("frames", [0, "a", (0, 1), slice(None, None, -1), slice(0, 3, 0)])
+def test_frames_are_a_slice_that_goes_forward(written, frames):
+    with particlerb.open(written) as t, pytest.raises((TypeError, ValueError), match="slice"):
+        t.read("position", frames)
+
+
+@pytest.mark.parametrize("bodies", ["odd", [0.0], 1.5, [None]])
+def test_bodies_are_numbers(written, bodies):
+    with particlerb.open(written) as t, pytest.raises(TypeError, match="must be numbers of bodies"):
+        t.read("position", bodies=bodies)
 
 
 def test_uncommitted_frames_do_not_count(written, tmp_path):

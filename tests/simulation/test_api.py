@@ -168,10 +168,26 @@ def test_what_is_no_case_and_no_path_is_a_type_error(given, case_file):
             particlerb.run(case_file, given)
 
 
-@pytest.mark.parametrize("overrides", ["run.dt=1", [3], [b"run.dt=1"], {"run.dt": 1}.items()])
+@pytest.mark.parametrize(
+    "overrides", ["run.dt=1", [3], [b"run.dt=1"], {"run.dt": 1}.items(), 3, iter([])]
+)
 def test_overrides_are_texts(case_file, overrides):
     with pytest.raises(TypeError, match="overrides must be a list of texts"):
         particlerb.run(case_file, overrides=overrides)
+
+
+def test_an_end_that_is_no_float_is_a_value_error(case_file, tmp_path):
+    particlerb.run(case_file, tmp_path / "a.h5").close()
+    with pytest.raises(ValueError, match="t_end must be a number of float64"):
+        particlerb.resume(tmp_path / "a.h5", 10**400)
+
+
+def test_a_picture_of_no_body_or_at_no_path_is_refused(case_file):
+    with particlerb.run(case_file) as trajectory:
+        with pytest.raises(ValueError, match="'cub': no such body; the first is cube"):
+            particlerb.plot(trajectory, body="cub")
+        with pytest.raises(TypeError, match="the picture must be a path, got int"):
+            particlerb.plot(trajectory, 3)
 
 
 @pytest.mark.parametrize("t_end", ["2", True, [2.0]])

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
+from particlerb.files import path_of
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import derived, rotate
 from particlerb.record.trajectory import Trajectory, check_trajectory
@@ -69,6 +70,8 @@ def plot(
         If it is no trajectory.
     """
     check_trajectory(trajectory)
+    if body is not None and body not in trajectory.names:
+        raise ValueError(f"{body!r:.60}: no such body; the first is {trajectory.names[0]}")
     case = trajectory.parameter("case_resolved")
     figure = _titled_figure(trajectory, case)
     with rc_context(
@@ -76,7 +79,7 @@ def plot(
     ):  # no line of one
         _draw_panels(figure, trajectory, case, body)
     if path is not None:
-        figure.savefig(path, dpi=130)
+        figure.savefig(path_of(path, "the picture"), dpi=130)
     return figure
 
 
