@@ -27,7 +27,7 @@ import numpy as np
 
 from particlerb.contact.sphere_search import bodies_of_keys
 from particlerb.export import ExportError
-from particlerb.export.bodies import COMMENT, numbers, six
+from particlerb.export.bodies import COMMENT, numbers
 from particlerb.export.mjcf_joints import Joint, freedoms, joint_at_start, laws_of
 from particlerb.export.mjcf_walls import geoms_of
 from particlerb.export.scene import FREE_STEP, left_out, springs_of
@@ -215,9 +215,10 @@ class _Writer:
         if j == _HELD_BODY:
             self.speeds[name] = []
             return
-        inertia = numbers(six(state.inertia_in_body(self.system.bodies, b)))
-        mass = numbers(self.system.bodies.mass[b])
-        ET.SubElement(element, "inertial", pos="0 0 0", mass=mass, fullinertia=inertia)
+        bodies = self.system.bodies
+        mass, axes = numbers(bodies.mass[b]), numbers(bodies.rotor_frame[:, b])
+        inertial = {"pos": "0 0 0", "mass": mass, "quat": axes}
+        ET.SubElement(element, "inertial", inertial, diaginertia=numbers(bodies.inertia[:, b]))
         if j == _FREE_BODY:
             ET.SubElement(element, "freejoint")  # a joint may have the name of a body
             self.speeds[name] = [*body.velocity.tolist(), *body.turned_back(body.spin).tolist()]
