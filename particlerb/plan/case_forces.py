@@ -68,7 +68,7 @@ def loads_of(system: System) -> list[ResolvedForce]:
     unmerged = system if system.merging is None else system.merging.unmerged
     for number, table, members in _acting_forces(system):
         try:
-            force = with_code(_with_knots(table, system), system)
+            force = with_code(with_knots(table, system), system)
             acting = force_of(force).resolve(force, members, unmerged)
         except ForceError as error:
             problems.append(force_problem(system, number, error, members))
@@ -111,7 +111,7 @@ def _acting_forces(system: System) -> Iterator[tuple[int, AnyForce, Ints]]:
             yield number, force, bodies
 
 
-def _with_knots(force: AnyForce, system: System) -> AnyForce:
+def with_knots(force: AnyForce, system: System) -> AnyForce:
     """A force whose knots, if it has any, are read from their file.
 
     Raises

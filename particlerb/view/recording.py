@@ -1,10 +1,12 @@
 """Writes a session as a case file that a batch run repeats bit for bit. Knows no browser."""
 
 import copy
+import math
 from typing import Any, Final
 
 import particlerb
 from particlerb.case.toml_writer import toml_text
+from particlerb.plan.case_forces import with_knots
 from particlerb.view.session import Session
 
 _MAX_TITLE_LENGTH: Final = 80
@@ -14,7 +16,8 @@ def recorded(session: Session) -> str:
     """TOML text of a session until now.
 
     Every number is written with as many digits as bring back the same float. A push that begins at
-    this instant is kept: the run then goes on to its end.
+    this instant is kept: the run then goes on to its end. Forces of the case that begin later are
+    left out, as no run may have them: steps that end where these begin are then other ones.
 
     Raises
     ------
@@ -29,15 +32,25 @@ def recorded(session: Session) -> str:
         raise ValueError("nothing to record: the session is at t = 0")
     raw: dict[str, Any] = copy.deepcopy(session.raw)
     raw["run"] = {**raw["run"], "t_end": t_end, "every": min(session.every, t_end)}
-    raw["force"] = [f for f in forces if "during" not in f or f["during"][0] < t_end]
+    begins = [first < t_end for first in _firsts(session)]
+    raw["force"] = [force for force, is_kept in zip(forces, begins, strict=True) if is_kept]
     if not raw["force"]:
         del raw["force"]
     title = raw.pop("title", "") or "a case without a title"
     raw["title"] = f"Session: {title[:_MAX_TITLE_LENGTH]}"
-    return toml_text(raw, header(session, t_end))
+    return toml_text(raw, header(session, all(begins[: len(session.start["force"])])))
 
 
-def header(session: Session, t_end: float) -> list[str]:
+def _firsts(session: Session) -> list[float]:
+    """When each force of the case that was recorded acts first [s]; an impulse before its time."""
+    own = [with_knots(f, session.system) for f in session.system.force]
+    del own[len(session.start["force"]) :]
+    when = [f.edges or (0.0,) for f in own]
+    when += [f.get("during") or (f["time"],) for f in session.raw["force"][len(own) :]]
+    return [math.nextafter(w[0], 0.0) if len(w) == 1 else w[0] for w in when]
+
+
+def header(session: Session, is_whole: bool) -> list[str]:
     """What the file says of itself."""
     path = session.start_path
     pushes = session.n_pushes
@@ -45,8 +58,7 @@ def header(session: Session, t_end: float) -> list[str]:
         f"Recorded by `particlerb view` {particlerb.__version__}"
         + (f" from {path.name}" if path else "")
         + f", with {pushes} push{'' if pushes == 1 else 'es'}.",
-        f"Expect: at t = {t_end!r} s the state that was on the screen"
-        + (f" at {session.time!r} s" if t_end != session.time else "")
-        + ", bit for bit.",
+        f"Expect: at t = {session.time!r} s the state that was on the screen, "
+        + ("bit for bit." if is_whole else "but for errors of steps: later forces are left out."),
         "",
     ]

@@ -260,3 +260,27 @@ def test_a_recorded_session_says_what_it_is(session):
     data = tomllib.loads(text)
     assert data["force"][0]["during"] == [0.1, 0.12000000000000001]
     assert data["run"]["t_end"] == 0.12000000000000001  # to the end of the push that begins now
+
+
+@pytest.mark.plain
+def test_forces_of_the_case_that_begin_later_are_left_out_of_a_record(make):
+    """No run may have them; an impulse of this instant is kept."""
+    knots = {"times": [0.3, 0.4], "values": [[0, 0, 1], [0, 0, 2]]}
+    later = [
+        make.impulse([0.5, 0, 0], [0, 0.1, 0], 0.25),
+        {"type": "push", "body": "body", "force": knots},
+        make.push([0, 1, 0], [0.1, 0, 0], "body", during=[0.33, 0.5]),
+    ]
+    body = make.body(angular_velocity=[1.0, 0.4, -0.7])
+    session = Session(to_system(make.case(body, force=later, t_end=1.0, every=0.1, dt=0.01)))
+    session.advance(0.1)
+    assert "later forces are left out" in recorded(session)
+    for live, batch in zip(session.frame[:4], batch_of(session), strict=True):
+        assert live[0] == pytest.approx(batch, abs=1e-12)
+    session.advance(0.25)
+    assert [f["type"] for f in tomllib.loads(recorded(session))["force"]] == ["impulse"]
+    assert batch_of(session)[2][0] == pytest.approx([0.5, 0.0, 0.0])
+    session.advance(0.4)
+    assert "bit for bit" in recorded(session)
+    for live, batch in zip(session.frame[:4], batch_of(session), strict=True):
+        assert (live[0] == batch).all()
