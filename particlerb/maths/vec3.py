@@ -32,7 +32,8 @@ def differences(values: Array, before: Any) -> Array:
 
 def rows_of(array: Floats) -> Any:
     """All rows of a (3, n) or (4, n) array, which may be a view, for a kernel: each contiguous."""
-    return tuple([np.ascontiguousarray(array[k], np.float64) for k in range(len(array))])
+    array = np.asarray(array, np.float64)
+    return tuple(array if array[0].flags.c_contiguous else np.ascontiguousarray(array))
 
 
 @inline

@@ -64,6 +64,8 @@ def range_of(n: int, ranks: Ranks) -> Range:
 
 def over_blocks(blocks: Floats) -> list[Floats]:
     """Sums of blocks of bodies, (T, n_blocks, ..), over each superblock, (T, ..)."""
+    if blocks.shape[1] == 1:
+        return [blocks[:, 0]]
     ranges = superblocks(blocks.shape[1] * BLOCK)
     return [np.add.reduce(blocks[:, a // BLOCK : b // BLOCK], axis=1) for a, b in ranges]
 

@@ -207,7 +207,7 @@ def sums_over(
         blocks = np.zeros((n_frames, last, N_TOTALS))
         add_up = partial(sum_blocks, frames, bodies, gravity, None, blocks)
         THREADS.share(lambda lo, hi: add_up(k + lo, k + hi), last - k, (stop - first) * n_frames)
-        return np.asarray(np.add.reduce(blocks[:, k:], axis=1))
+        return blocks[:, k] if last == k + 1 else np.asarray(np.add.reduce(blocks[:, k:], axis=1))
     in_each = -(-(n // n_worlds) // BLOCK)
     blocks = np.zeros((n_frames, n_worlds * in_each, N_TOTALS))
     world, b = np.divmod(np.arange(n), n // n_worlds)

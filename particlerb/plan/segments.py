@@ -387,8 +387,9 @@ def is_one(group: GroupPlan) -> bool:
 
 def in_superblocks(groups: Sequence[GroupPlan], n_bodies: int) -> list[tuple[int, list[GroupPlan]]]:
     """Groups that are one, with -1; those of each superblock by themselves, with its first body."""
-    together = [group for group in groups if is_one(group)]
-    apart = [group for group in groups if not is_one(group)]
+    together, apart = list[GroupPlan](), list[GroupPlan]()
+    for group in groups:
+        (together if is_one(group) else apart).append(group)
     ranges = list(superblocks(n_bodies))
     each = [(of.first, inside(apart, of) if len(ranges) > 1 else apart) for of in ranges]
     return [one for one in [(-1, together), *each] if one[1]]

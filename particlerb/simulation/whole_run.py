@@ -1,9 +1,8 @@
 """A prepared system on its way: all its groups, frames, and the energy balance of these."""
 
-import contextlib
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple, TypeAlias
 
@@ -84,8 +83,10 @@ class Run:
         for first, groups in in_superblocks(plan.groups, self.system.n_bodies):
             before = [motions.get(group.members.tobytes()) if motions else None for group in groups]
             states = [taken(state, group.members, group.is_closed) for group in groups]
-            with self.failing():
+            try:
                 begun = [GroupRun(*one) for one in zip(groups, states, before, strict=True)]
+            except Exception as failure:
+                raise self.told(failure) from None
             self.superblocks.append(begun)
             self.firsts.append(first)
         self.group_runs = [run for runs in self.superblocks for run in runs]
@@ -262,26 +263,23 @@ class Run:
         """Write rows of the frames; of each superblock what `record_all` returns, and its sums."""
         worlds = () if self.system.n_worlds == 1 else (self.system.n_worlds,)
         booked, energies, block_sums = [], [], []
-        with self.failing():
-            for runs, sums_itself in zip(self.superblocks, self.sums_itself, strict=True):
-                sums = np.zeros((times.size, *worlds, N_TOTALS)) if sums_itself else None
+        for runs, sums_itself in zip(self.superblocks, self.sums_itself, strict=True):
+            sums = np.zeros((times.size, *worlds, N_TOTALS)) if sums_itself else None
+            try:
                 group_booked, group_energies = record_all(runs, times, frames, self.joints, sums)
-                booked.append(group_booked)
-                energies.append(group_energies)
-                block_sums.append(sums)
+            except Exception as failure:
+                raise self.told(failure) from None
+            booked.append(group_booked)
+            energies.append(group_energies)
+            block_sums.append(sums)
         return booked, energies, block_sums
 
-    @contextlib.contextmanager
-    def failing(self) -> Iterator[None]:
-        """Say what has failed: a motion, or a force that a user wrote."""
-        try:
-            yield
-        except (MotionError, FloatingPointError) as problem:
-            raise RunError(self.named(str(problem))) from None
-        except Exception as failure:
-            if words := own_failure(failure, self.groups):
-                raise RunError(words) from None
-            raise
+    def told(self, failure: Exception) -> Exception:
+        """What has failed, where it is a motion, or a force that a user wrote; else itself."""
+        if isinstance(failure, MotionError | FloatingPointError):
+            return RunError(self.named(str(failure)))
+        words = own_failure(failure, self.groups)
+        return RunError(words) if words else failure
 
     def named(self, text: str) -> str:
         """Text with bodies and walls by their names, not by their numbers."""
@@ -304,9 +302,8 @@ class Run:
         try:
             for group_run in self.group_runs:
                 group_run.pose_at(time, frames)
-        except Exception:
-            with self.failing():  # which takes a tenth of a call where nothing fails
-                raise
+        except Exception as failure:
+            raise self.told(failure) from None
         is_finite = math.isfinite(sum(np.add.reduce(values, axis=None) for values in frames[:4]))
         problem = ""
         if not is_finite or self.checks.rods.size:
