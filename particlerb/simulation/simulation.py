@@ -4,8 +4,7 @@ What is asked for in between changes nothing: in any pieces, a simulation comes 
 run, bit for bit. A change is an edge: the last step ends there, and a new grid begins.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -30,6 +29,7 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, derived, initial_state
 from particlerb.model.system import System
 from particlerb.plan.make_plan import make_plan
+from particlerb.plan.segments import Plan
 from particlerb.record.frame_values import FrameError
 from particlerb.record.layout import tables_of
 from particlerb.record.provenance import texts_of
@@ -123,7 +123,7 @@ class Simulation(Closing):
             self._recorder = Recorder(path, system, content, overwrite)
         self._known: Entries | None = None  # the energy balance of now, where it has been asked for
         try:
-            self._state = self._go_to(0.0)
+            self._moved(system.run.threads, self._go_to, 0.0)
         except BaseException:  # nothing takes the place of a file from before
             if self._recorder is not None:
                 self._recorder.output.abandon()
@@ -193,7 +193,7 @@ class Simulation(Closing):
                 " s; a time between them is right"
             )
         if until > self.time:
-            self._state = self._go_to(until)
+            self._moved(self.system.run.threads, self._go_to, until)
         return self.state
 
     def frames(self, every: float) -> Iterator[BodyStates]:
@@ -307,11 +307,15 @@ class Simulation(Closing):
     def _restart(self, system: System, state: State | None) -> None:
         """Go on as another system, from the state of now or another one."""
         plan = make_plan(system, now=(self.time, state or self._state_now()))
-        entries = self._entries
-        with self._moving(system):
-            reached = self._run.finish(self.time)
-            self._run.restart(system, plan, state or reached, entries)
-            self._state = self._glance(self.time)
+        self._moved(system.run.threads, self._restarted, system, plan, state, self._entries)
+
+    def _restarted(
+        self, system: System, plan: Plan, state: State | None, entries: Entries
+    ) -> BodyStates:
+        """The state of now, behind such a change."""
+        reached = self._run.finish(self.time)
+        self._run.restart(system, plan, state or reached, entries)
+        return self._glance(self.time)
 
     def _state_now(self) -> State:
         """State of now, as a system has it at its start."""
@@ -325,13 +329,12 @@ class Simulation(Closing):
         if self._cut_off:
             raise RunError(f"this simulation was cut off, begin another: {self._cut_off}")
 
-    @contextmanager
-    def _moving(self, system: System) -> Iterator[None]:
+    def _moved(self, threads: int | None, move: Callable[..., BodyStates], *given: Any) -> None:
         """Move all bodies; where that is cut off they have no time in common, and never will."""
         self._refuse_if_cut_off()
         try:
-            with THREADS.using(system.run.threads):
-                yield
+            with THREADS.using(threads):
+                self._state = move(*given)
         except BaseException as error:
             self._cut_off = str(error) or type(error).__name__
             raise
@@ -348,20 +351,19 @@ class Simulation(Closing):
 
     def _go_to(self, until: float) -> BodyStates:
         """State at a time; frames in between go to the file."""
+        if self._recorder is None:
+            return self._glance(until)
         run, most = self.system.run, frames_at_once(self.system)
-        with self._moving(self.system):
-            if self._recorder is None:
-                return self._glance(until)
-            while True:
-                stop = min(self._due + most, frame_count(run))
-                due = frame_times(run, self._due, stop) if self._due < stop else np.zeros(0)
-                due = due[due <= until]
-                is_last = due.size < most
-                times = np.union1d(due, [until]) if is_last else due
-                state = self._look(times, np.isin(times, due))
-                self._due += due.size
-                if is_last:
-                    return state
+        while True:
+            stop = min(self._due + most, frame_count(run))
+            due = frame_times(run, self._due, stop) if self._due < stop else np.zeros(0)
+            due = due[due <= until]
+            is_last = due.size < most
+            times = np.union1d(due, [until]) if is_last else due
+            state = self._look(times, np.isin(times, due))
+            self._due += due.size
+            if is_last:
+                return state
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the state
     def _glance(self, time: float) -> BodyStates:

@@ -60,7 +60,7 @@ class Run:
         self.gravity = self.system.acceleration
         initial = as_frame(self.moving.bodies, self.moving.state)
         self.last = initial.last
-        self.single: tuple[Frames, Frames] | None = None  # room, and its first row, of `pose_at`
+        self.single: Frames | None = None  # of `pose_at`
         self.room = initial  # used again and again: fresh memory costs more than what fills it
         self.checks = StateChecks(self.moving, plan)
         asks = self.system.joint and asked_of_joints(self.system)
@@ -137,6 +137,7 @@ class Run:
         """
         motions = {t.plan.members.tobytes(): t.motion for t in self.group_runs}
         self.system, self.gravity, self.moving = system, system.acceleration, merged(system)
+        self.single = None
         if self.moving.merging is not None:
             state = self.moving.merging.together(state)
         self.checks = StateChecks(self.moving, plan)
@@ -216,9 +217,7 @@ class Run:
         before it, and the error says so. The next call writes over the frames.
         """
         if times.size > len(self.room.position):
-            self.room = room_for(times.size, len(self.system.kind), self.last)
-            if self.moving.merging is not None:
-                self.moving.merging.clear(self.room)
+            self.room = self.new_room(times.size)
         is_whole = times.size == len(self.room.position)
         frames = self.room if is_whole else self.room.rows(slice(times.size))
         frames.is_frame[:] = is_frame
@@ -256,6 +255,13 @@ class Run:
         if self.setup is not None and self.joints is not None:
             self.joints = joint_values.of_all_ranks(self.joints, self.setup, self.adding)
         return frames, entries, error
+
+    def new_room(self, n_frames: int) -> Frames:
+        """Room for frames, with nothing of bodies that others carry."""
+        room = room_for(n_frames, len(self.system.kind), self.last)
+        if self.moving.merging is not None:
+            self.moving.merging.clear(room)
+        return room
 
     def record(
         self, times: Floats, frames: Frames
@@ -295,16 +301,15 @@ class Run:
         Where one is not finite, or a torque has turned a rod about its own axis, the error says so.
         The next call writes over the frame.
         """
-        if self.single is None or self.single[0] is not self.room:
-            self.single = self.room, self.room.rows(slice(1))
-        frames = self.single[1]
-        frames.is_frame[0] = True
+        if self.single is None:
+            self.single = self.new_room(1)
+        frames = self.single
         try:
             for group_run in self.group_runs:
                 group_run.pose_at(time, frames)
         except Exception as failure:
             raise self.told(failure) from None
-        is_finite = math.isfinite(sum(np.add.reduce(values, axis=None) for values in frames[:4]))
+        is_finite = math.isfinite(np.add.reduce(frames.position.base))  # all of the room
         problem = ""
         if not is_finite or self.checks.rods.size:
             times = np.array([time])
