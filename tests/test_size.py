@@ -27,7 +27,7 @@ BUDGETS = {
     "contact by impulses": 4140,
     "collisions by events": 1755,
     "forces: tables, gradients, written by users": 2143,
-    "scenes and simulations in Python": 656,
+    "scenes and simulations in Python": 658,
     "sweeps": 1590,
     "one scene over ranks": 2225,
     "reports, pictures, the page": 1732,

@@ -29,7 +29,6 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, derived, initial_state
 from particlerb.model.system import System
 from particlerb.plan.make_plan import make_plan
-from particlerb.plan.segments import Plan
 from particlerb.record.frame_values import FrameError
 from particlerb.record.layout import tables_of
 from particlerb.record.provenance import texts_of
@@ -42,6 +41,8 @@ from particlerb.simulation.wall_changes import refuse_jumps
 from particlerb.simulation.whole_run import Run, RunError
 
 _STATE_NAMES = "position", "orientation", "velocity", "angular_velocity"
+_STAYS = "cannot change in a simulation"
+_KEYS_THAT_STAY = "t_end", "every", "accuracy"  # of run
 _CHANGEABLE_TABLES = ("force", "gravity", "attraction", "contact", "wall", "run")
 
 
@@ -214,10 +215,12 @@ class Simulation(Closing):
         Raises
         ------
         TypeError, ValueError
-            If `every` is no number, or not above 0.
+            If `every` is no number, not above 0, or less than rounding of `run.t_end`.
         """
-        if not 0.0 < number_of(every, "frames: every") < np.inf:
-            raise ValueError(f"frames(every={every!r}): must be above 0 s, and finite")
+        least = float(np.spacing(self.system.run.t_end))
+        if not least <= number_of(every, "frames: every") < np.inf:
+            told = f"must be above 0 s, and finite: at least {least:.3g} s, to which t_end rounds"
+            raise ValueError(f"frames(every={every!r}): {told}")
         yield self.state
         k = int(self.time / every)
         while (time := float(multiples(every, k, k + 1)[0])) <= self.system.run.t_end:
@@ -243,9 +246,9 @@ class Simulation(Closing):
             If the scene is wrong with it; nothing has changed then.
         """
         path, system = path_of(str(key)), self.system
-        if not path or path[0] not in _CHANGEABLE_TABLES or key in ("run.t_end", "run.every"):
+        if not path or path[0] not in _CHANGEABLE_TABLES:
             hint = f"what may: {', '.join(_CHANGEABLE_TABLES)}"
-            raise CaseError([problem_at(system, str(key), "cannot change in a simulation", hint)])
+            raise CaseError([problem_at(system, str(key), _STAYS, hint)])
         if system.run.accuracy is not None:
             hint = "give run.method and run.dt in its place"
             reason = "was kept for the run that was planned, and holds for no other"
@@ -255,6 +258,9 @@ class Simulation(Closing):
         except LookupError as error:
             raise CaseError([problem_at(system, key, str(error.args[0]))]) from None
         changed = with_records(system, build(system.source._replace(raw=raw), ()))
+        for name in _KEYS_THAT_STAY:
+            if getattr(changed.run, name) != getattr(system.run, name):
+                raise CaseError([problem_at(system, f"run.{name}", _STAYS)])
         refuse_jumps(system, changed, self.time, self._recorder is not None)
         self._restart(changed, None)
 
@@ -307,15 +313,14 @@ class Simulation(Closing):
     def _restart(self, system: System, state: State | None) -> None:
         """Go on as another system, from the state of now or another one."""
         plan = make_plan(system, now=(self.time, state or self._state_now()))
-        self._moved(system.run.threads, self._restarted, system, plan, state, self._entries)
+        entries = self._entries
 
-    def _restarted(
-        self, system: System, plan: Plan, state: State | None, entries: Entries
-    ) -> BodyStates:
-        """The state of now, behind such a change."""
-        reached = self._run.finish(self.time)
-        self._run.restart(system, plan, state or reached, entries)
-        return self._glance(self.time)
+        def restarted() -> BodyStates:
+            reached = self._run.finish(self.time)
+            self._run.restart(system, plan, state or reached, entries)
+            return self._glance(self.time)
+
+        self._moved(system.run.threads, restarted)
 
     def _state_now(self) -> State:
         """State of now, as a system has it at its start."""

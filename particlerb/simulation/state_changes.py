@@ -34,6 +34,8 @@ def new_state(system: System, old: Mapping[str, Floats], given: Mapping[str, Any
     new = {name: _array_of(name, values, given[name]) for name, values in old.items()}
     if not new["orientation"].any(axis=1).all():
         raise ValueError("set_state: an orientation of zero is none; no turn is [1, 0, 0, 0]")
+    largest = np.abs(new["orientation"]).max(axis=1, keepdims=True)  # whose square may overflow
+    new["orientation"] = np.ldexp(new["orientation"], -np.frexp(largest)[1])
     for b in np.flatnonzero(system.is_held).tolist():
         if system.body[system.block[b]].motion is not None:
             if not all(np.array_equal(old[name][b], new[name][b]) for name in old):
