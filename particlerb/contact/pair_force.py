@@ -1,4 +1,4 @@
-"""Forces of contacts at one instant, and of spheres with each other.
+"""Forces of contacts at one instant: what those between spheres and with walls have in common.
 
 An evaluation has three passes, each over ranges that threads can share: bodies move their spheres,
 contacts find their forces, bodies collect them in the order of the contacts (`body_loads`). So the
@@ -6,18 +6,10 @@ sums do not depend on the threads. Between two passes the threads have to meet. 
 the normal force has a potential and is kept apart from the rest, which is booked as work.
 """
 
-import math
 from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.contact_model import (
-    ContactList,
-    ContactModel,
-    Evaluation,
-    Growth,
-    Slope,
-    Workspace,
-)
+from particlerb.contact.contact_model import ContactList, ContactModel, Evaluation, Workspace
 from particlerb.contact.friction import friction_force, rolling_torque
 from particlerb.contact.law import (
     ContactState,
@@ -28,7 +20,6 @@ from particlerb.contact.law import (
     normal_force,
     with_motion,
 )
-from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.records import Records
 from particlerb.contact.spring_growth import (
     Sliding,
@@ -237,7 +228,6 @@ def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
     forces.boundary_power[c] = power
     on_boundary = power + dot(other, now.boundary_velocity)
     forces.gross_power[c] = abs(dot(other, now.velocity)) + abs(on_boundary)
-    on.contacts.active[c] = True
 
 
 @inline
@@ -262,131 +252,3 @@ def _resist_rolling(
     rolls = Sliding(omega, R, normal, now.turning, True)
     put_row3(history.rolling_spring, c, spring_after(on, c, rolls, state, (slid, cut)))
     put_row3(on.contacts.forces.rolling_torque, c, torque)
-
-
-# Spheres with each other
-
-
-@kernel
-def sphere_contact_forces(
-    model: ContactModel,
-    workspace: Workspace,
-    contacts: ContactList,
-    before: float,
-    after: float,
-    growth: Growth,
-    v: float,
-    w: float,
-    first: int,
-    end: int,
-    thread: int,
-) -> None:
-    """Forces of contacts between spheres, in units first to end.
-
-    Parameters
-    ----------
-    model, workspace, contacts : ContactModel, Workspace, ContactList
-    before, after : float [s]
-        Lengths of the drifts before and after this instant; 0 where there is none.
-    growth : Growth
-    v, w : float [m/s, rad/s]
-        Largest of all points of bodies, and of all bodies.
-    first, end, thread : int
-        Contacts, `end` excluded, and the thread that is at them.
-    """
-    on = Evaluation(model, workspace, contacts, before, after, growth, thread)
-    firsts, seconds, active = contacts.first, contacts.second, contacts.active
-    body, xyzr, bodies = model.spheres.body, workspace.xyzr, workspace.bodies
-    longer = max(before, after)
-    margin, stretch = longer * v, 1.0 + 4.0 * longer * w
-    for c in range(first, end):
-        i, j = firsts[c], seconds[c]
-        d = subtract(row3(xyzr, j), row3(xyzr, i))
-        square, touching = dot(d, d), xyzr[i, 3] + xyzr[j, 3]
-        far = stretch * touching + margin  # for all bodies, without reading these
-        is_far = square >= far * far
-        if not is_far and square >= touching * touching:
-            is_far = not _comes_near(bodies, xyzr, (i, j), (body[i], body[j]), square, longer)
-        if not is_far:
-            _sphere_pair_force(on, c, d)
-        elif active[c]:
-            end_contact(model.law.rolling, contacts, c)
-
-
-@inline
-def _sphere_pair_force(on: Evaluation, c: int, d: Vec3) -> None:
-    """Forces of contact c between two spheres, d [m] from centre to centre."""
-    model, workspace, contacts = on.model, on.workspace, on.contacts
-    i, j = contacts.first[c], contacts.second[c]
-    spheres, body = model.spheres, model.spheres.body
-    xyzr, bodies = workspace.xyzr, workspace.bodies
-    a, b, r_i, r_j = body[i], body[j], xyzr[i, 3], xyzr[j, 3]
-    distance = norm(d)
-    normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
-    overlap = r_i + r_j - distance
-    point = add_scaled(r_i - 0.5 * overlap, normal, row3(xyzr, i))
-    v_a, v_b = velocity_at(bodies, a, point), velocity_at(bodies, b, point)
-    omega = subtract(row3(bodies.angular_velocity, a), row3(bodies.angular_velocity, b))
-    boundary = boundary_velocity(model.prescribed, bodies, a, b, v_a, v_b)
-    r_eff = r_i * r_j / (r_i + r_j)
-    pair = model.pair_of[spheres.material[i], spheres.material_column[j]]
-    if contacts.history.inv_effective_mass[c] == 0.0:
-        inv_mass = inv_effective_mass(model, bodies, a, point, normal)
-        inv_mass += inv_effective_mass(model, bodies, b, point, normal)
-        if inv_mass == 0.0:  # neither can move: there is no force
-            return
-        start_contact(on, pair, c, inv_mass, r_eff)
-    if overlap > _MAX_SPHERE_OVERLAP * min(r_i, r_j):
-        note_overlap(on, overlap, min(r_i, r_j), a)
-    turning = _normal_rate(on.growth.slope, on, i, j, d)
-    now = Collision(overlap, normal, point, subtract(v_a, v_b), omega, boundary, r_eff, turning)
-    contact_force(on, pair, c, now)
-
-
-@inline
-def _normal_rate(slope: Slope | None, on: Evaluation, i: int, j: int, d: Vec3) -> Vec3:
-    """ṅ [1/s] between two spheres, d [m] from centre to centre, where a method asks for it."""
-    if slope is None:
-        return ZERO
-    body, xyzr, bodies = on.model.spheres.body, on.workspace.xyzr, on.workspace.bodies
-    v_i = velocity_at(bodies, body[i], row3(xyzr, i))
-    away, square = subtract(velocity_at(bodies, body[j], row3(xyzr, j)), v_i), dot(d, d)
-    if square == 0.0:
-        return ZERO
-    return scale(1.0 / math.sqrt(square), add_scaled(-dot(away, d) / square, d, away))
-
-
-@inline
-def boundary_velocity(
-    prescribed: PrescribedBodies | None, bodies: Records, a: int, b: int, v_a: Vec3, v_b: Vec3
-) -> Vec3:
-    """Velocity of the point of a held body: of b, or the opposite of that of a; else zero."""
-    if prescribed is None:
-        return 0.0, 0.0, 0.0
-    if bodies.inv_mass[b] == 0.0:
-        return v_b
-    return scale(-1.0, v_a) if bodies.inv_mass[a] == 0.0 else (0.0, 0.0, 0.0)
-
-
-@inline
-def _comes_near(
-    bodies: Records, xyzr: Floats, pair: tuple[int, int], owners: tuple[int, int], square: float,
-    longer: float,
-) -> bool:  # fmt: skip
-    """Whether two spheres that do not touch do so within half of the longer drift around now.
-
-    `square` is that of their distance.
-    """
-    (i, j), (a, b) = pair, owners
-    touching = xyzr[i, 3] + xyzr[j, 3]
-    v = subtract(row3(bodies.velocity, a), row3(bodies.velocity, b))
-    turning = bodies.angular_speed[a] * _lever(bodies, a, row3(xyzr, i), touching)
-    turning += bodies.angular_speed[b] * _lever(bodies, b, row3(xyzr, j), touching)
-    far = touching + 0.5 * longer * (norm(v) + turning)
-    return square < far * far
-
-
-@inline
-def _lever(bodies: Records, b: int, x: Vec3, touching: float) -> float:
-    """From a centre of mass to where a sphere at x touches [m], or more."""
-    return max(4.0 * touching, norm(subtract(x, row3(bodies.position, b))) + touching)

@@ -259,7 +259,7 @@ def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
     turning = wall_normal_rate(on.growth.slope, on, at, piece, normal)
     now = Collision(overlap, normal, point, relative, omega, moving, radius, turning)
     contact_force(on, pair, c, now)
-    forces = contacts.forces
+    contacts.active[c], forces = True, contacts.forces
     put_row3(forces.correction_impulse, c, (0.0, 0.0, 0.0))
     if piece.points > 1:
         put_row3(forces.elastic, c, piece.elastic)

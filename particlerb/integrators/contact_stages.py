@@ -30,12 +30,7 @@ from particlerb.contact.contact_model import (
     Workspace,
 )
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS, max_displacement
-from particlerb.contact.pair_force import (
-    body_kinematics,
-    max_point_speed,
-    max_speeds,
-    sphere_contact_forces,
-)
+from particlerb.contact.pair_force import body_kinematics, max_point_speed, max_speeds
 from particlerb.contact.piston import drift_pistons, kick_pistons, piston_poses, pistons_have_moved
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
@@ -44,6 +39,7 @@ from particlerb.contact.prescribed_motion import (
     prescribed_pose,
 )
 from particlerb.contact.records import Records
+from particlerb.contact.sphere_contacts import sphere_contact_forces
 from particlerb.contact.wall_contacts import wall_contact_forces
 from particlerb.contact.wall_motion import put_poses
 from particlerb.forces.registry import PAIR, STEADY
