@@ -45,7 +45,7 @@ def lattice_errors(system: System) -> Iterator[tuple[int, Floats, Floats]]:
                 ideal = _ideal_moments(system, i, body)
         except (ArithmeticError, np.linalg.LinAlgError):
             continue  # powers of its sizes are no numbers: nothing to compare with
-        moments = np.sort(system.properties.moments[system.kind[system.names.first[i]]])
+        moments = np.sort(system.properties.moments[system.first_kind[i]])
         off = moments / np.maximum(ideal, math.ulp(0.0)) - 1.0
         off[ideal == 0.0] = 0.0
         yield i, ideal, off
@@ -59,7 +59,7 @@ def coarse(system: System) -> Iterator[Problem]:
     for i, ideal, off in lattice_errors(system):
         body = system.body[i]
         filled = [shape for _, shape in _shapes_of(body) if _is_lattice(shape)]
-        k = int(system.kind[system.names.first[i]])
+        k = int(system.first_kind[i])
         worst = int(np.argmax(np.abs(off)))
         code = int(system.properties.rotor_class[k])
         is_changed = code == POINT or (code == ROD and ideal[0] > 0.0)
@@ -99,7 +99,7 @@ def _cells_of(shape: AnyShape) -> Any:
 def _ideal_moments(system: System, i: int, body: Body) -> Floats:
     """Principal moments of a body whose lattices are solids, ascending, (3,) [kg m²]."""
     if body.shape is not None:
-        whole = float(system.properties.mass[system.kind[system.names.first[i]]])
+        whole = float(system.properties.mass[system.first_kind[i]])
         return np.asarray(np.linalg.eigvalsh(whole * solid_of(body.shape).tensor))
     parts, stream = [], random_stream(system.run.seed, i, "shape")
     for part in body.part:

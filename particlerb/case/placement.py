@@ -4,8 +4,8 @@ Each block of the case draws its random numbers from streams of its own, one per
 another block, or random velocities asked for later, change none of those that were there before.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from particlerb.case.schema import Case
 from particlerb.case.values import Euler, FloatArray, IntArray
 from particlerb.model.names import BodyNames
 
+_DRAWN_AT_ONCE: Final = 65_536  # rows of random numbers that are drawn for others
 _SEED_OF_PURPOSE = {"place": 0, "orientation": 1, "velocity": 2, "angular_velocity": 3, "shape": 4}
 
 
@@ -34,25 +35,31 @@ class Placement(NamedTuple):
     """One per body."""
 
 
-def placement_of(case: Case) -> Placement:
-    """Initial values of all bodies of a case.
+def placement_of(case: Case, part: range | None = None) -> Placement:
+    """Initial values of all bodies of a case, or of a part of them: the same ones.
 
     Returns
     -------
     Placement
         Arrays of its own, which may be written to.
     """
-    names = BodyNames((body.name, body.count) for body in case.body)
-    first, n = names.first, len(names)
-    block = np.repeat(np.arange(len(case.body)), np.diff(first))
+    names = BodyNames(((body.name, body.count) for body in case.body), part)
+    span, n = names.part, len(names)
+    edges = names.first.clip(span.start, span.stop) - span.start
+    block = np.repeat(np.arange(len(case.body)), np.diff(edges))
     position, velocity, angular_velocity = (np.empty((n, 3)) for _ in range(3))
     orientation = np.empty((n, 4))
     for i, body in enumerate(case.body):
-        members = slice(first[i], first[i + 1])
-        position[members] = positions(case, i)
-        orientation[members] = q = orientations(case, i)
-        velocity[members] = vectors(case, i, "velocity", body.velocity, q)
-        angular_velocity[members] = vectors(case, i, "angular_velocity", body.angular_velocity, q)
+        members = slice(edges[i], edges[i + 1])
+        first = max(span.start - int(names.first[i]), 0)
+        own = range(first, first + int(edges[i + 1] - edges[i]))
+        if not own:
+            continue
+        position[members] = positions(case, i, own)
+        orientation[members] = q = orientations(case, i, own)
+        velocity[members] = vectors(case, i, "velocity", body.velocity, q, own)
+        omega = vectors(case, i, "angular_velocity", body.angular_velocity, q, own)
+        angular_velocity[members] = omega
     return Placement(block, position, orientation, velocity, angular_velocity, names)
 
 
@@ -72,25 +79,33 @@ def random_stream(seed: int, block: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng(entropy)
 
 
-def positions(case: Case, block: int) -> FloatArray:
-    """Centres of mass of a block, world frame [m], shape (count, 3) or (3,)."""
+def _drawn(draw: Callable[[tuple[int, int]], FloatArray], width: int, part: range) -> FloatArray:
+    """Some rows of what is drawn row by row, shape (len(part), width); those before are passed."""
+    for first in range(0, part.start, _DRAWN_AT_ONCE):
+        draw((min(_DRAWN_AT_ONCE, part.start - first), width))
+    return draw((len(part), width))
+
+
+def positions(case: Case, block: int, part: range) -> FloatArray:
+    """Centres of mass of some bodies of a block, world frame [m], shape (n, 3) or (3,)."""
     body = case.body[block]
     if isinstance(body.place, GridPlacement):
-        return grid(body.place, body.count)
+        return grid(body.place, body.count, part)
     if isinstance(body.place, RandomBox):
         lower, upper = np.array(body.place.lower), np.array(body.place.upper)
-        u = random_stream(case.run.seed, block, "place").random((body.count, 3))
+        stream = random_stream(case.run.seed, block, "place")
+        u = _drawn(stream.random, 3, part)
         return (1.0 - u) * lower + u * upper
     return np.asarray(body.position, dtype=np.float64)
 
 
-def grid(place: GridPlacement, count: int) -> FloatArray:
-    """The first `count` points of a grid, x fastest, shape (count, 3) [m].
+def grid(place: GridPlacement, count: int, part: range) -> FloatArray:
+    """Some of the first `count` points of a grid, x fastest, shape (n, 3) [m].
 
     The grid as a whole is centred at `origin`, also where the last layer is not full.
     """
     n = np.array(place.n or grid_size(count))
-    i = np.arange(count)
+    i = np.arange(part.start, part.stop)
     steps = np.stack((i % n[0], i // n[0] % n[1], i // (n[0] * n[1])), axis=1)
     return (steps - 0.5 * (n - 1)) * np.array(place.spacing) + np.array(place.origin)
 
@@ -110,8 +125,8 @@ def _ceil_root(value: int, degree: int) -> int:
     return root
 
 
-def orientations(case: Case, block: int) -> FloatArray:
-    """Unit quaternions of a block, shape (count, 4) or (4,).
+def orientations(case: Case, block: int, part: range) -> FloatArray:
+    """Unit quaternions of some bodies of a block, shape (n, 4) or (4,).
 
     Random ones are uniform: normal components, normalised.
 
@@ -124,7 +139,7 @@ def orientations(case: Case, block: int) -> FloatArray:
         return quaternion_of_euler(body.orientation.euler_deg)
     if isinstance(body.orientation, str):
         stream = random_stream(case.run.seed, block, "orientation")
-        return unit_vectors(stream.standard_normal((body.count, 4)))
+        return unit_vectors(_drawn(stream.standard_normal, 4, part))
     return unit_vectors(np.asarray(body.orientation, dtype=np.float64))
 
 
@@ -156,13 +171,13 @@ def quaternion_of(value: Euler | Sequence[float]) -> FloatArray:
     )
 
 
-def vectors(case: Case, block: int, key: str, motion: Motion, q: FloatArray) -> FloatArray:
-    """Velocities or angular velocities of a block, world frame, shape (count, 3) or (3,)."""
+def vectors(
+    case: Case, block: int, key: str, motion: Motion, q: FloatArray, part: range
+) -> FloatArray:
+    """Velocities or angular velocities of bodies of a block, world frame, shape (n, 3) or (3,)."""
     if isinstance(motion, NormalDistribution):
-        drawn = random_stream(case.run.seed, block, key).standard_normal(
-            (case.body[block].count, 3)
-        )
-        return motion.random * drawn
+        stream = random_stream(case.run.seed, block, key)
+        return motion.random * _drawn(stream.standard_normal, 3, part)
     if isinstance(motion, InBody):
         return in_world(q, np.array(motion.body))
     return np.asarray(motion, dtype=np.float64)

@@ -147,13 +147,14 @@ def _of_worlds(
         return unit_vectors(values) if key == "orientation" else values
     if q is not None and all(isinstance(entry, InBody) for entry in entries):
         return in_world(q, np.array([entry.body for entry in entries])[:, None])
-    rows, records = [], list(case.body)
+    rows, records, bodies = [], list(case.body), range(body.count)
     runs = changes.get(("run",), [case.run] * n_worlds)
     for w, (entry, run) in enumerate(zip(entries, runs, strict=True)):
         records[i] = body.model_copy(update={key: entry})
         variant = case.model_copy(update={"run": run, "body": tuple(records)})
         if q is not None:
-            rows.append(vectors(variant, i, key, entry, q[w]))
+            rows.append(vectors(variant, i, key, entry, q[w], bodies))
         else:
-            rows.append(orientations(variant, i) if key == "orientation" else positions(variant, i))
+            placed = orientations if key == "orientation" else positions
+            rows.append(placed(variant, i, bodies))
     return np.array([np.atleast_2d(row) for row in rows])

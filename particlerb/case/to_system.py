@@ -49,9 +49,11 @@ _SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its r
 
 
 def to_system(
-    source: str | PathLike[str] | Mapping[str, Any] | Case, keeps_all: bool = False
+    source: str | PathLike[str] | Mapping[str, Any] | Case,
+    keeps_all: bool = False,
+    part: range | None = None,
 ) -> System:
-    """System of a case.
+    """System of a case, or of a part of its bodies.
 
     Parameters
     ----------
@@ -59,6 +61,8 @@ def to_system(
         As `load` takes it.
     keeps_all : bool
         Whether to keep particles that nothing needs once they are summed.
+    part : range, optional
+        Bodies of the scene, in which no body is drawn, and no force needs particles.
 
     Raises
     ------
@@ -67,7 +71,7 @@ def to_system(
         body spins where it cannot, or faster than its energy can tell; and as `load`.
     """
     case = load(source)
-    placement = placement_of(case)
+    placement = placement_of(case, part)
     notes: list[tuple[str, str]] = []
     particles, properties, first_kind = kinds(case, notes)
     kind = _kinds_of_bodies(case, placement, first_kind)
@@ -86,6 +90,7 @@ def to_system(
         names=placement.names,
         block=placement.block,
         kind=kind,
+        first_kind=first_kind,
         particles=centred if keeps_all else reduced(case, placement, kind, centred, properties),
         properties=properties,
         summed=counts,

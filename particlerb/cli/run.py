@@ -42,6 +42,7 @@ from particlerb.simulation.checks import Result, results, table
 from particlerb.simulation.outcome import Outcome, Progress
 from particlerb.simulation.resume import ResumeError, look_at, resume_pending
 from particlerb.simulation.run import run_prepared
+from particlerb.simulation.set_up_apart import prepared_apart
 from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, RunError
 
@@ -54,12 +55,14 @@ _BROKEN_NAMED: Final = 3  # joints at most
 _UNSOLVED_RESIDUAL: Final = 1.0  # of impulses that are no better than none
 
 
-def prepared_case(options: argparse.Namespace) -> Prepared:
-    """System of a case, made ready to run."""
-    case = read_case(options)
+def prepared_case(options: argparse.Namespace, ranks: Ranks = ALONE) -> Prepared:
+    """System of a case, made ready to run; on ranks that can, the part of this one."""
+    case = ranks.together(partial(read_case, options))
     with ending(CaseError):
-        prepared = prepare_accurately(to_system(case))
-    _warn(options, prepared.plan.warnings)
+        prepared = prepared_apart(case, ranks)
+        if prepared is None:
+            prepared = ranks.together(lambda: prepare_accurately(to_system(case)))
+    ranks.together(partial(_warn, options, prepared.plan.warnings))
     return prepared
 
 
@@ -74,7 +77,7 @@ def _warn(options: argparse.Namespace, warnings: Sequence[str]) -> None:
 def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
     with ranks_of(options) as ranks:
-        prepared = ranks.together(partial(prepared_case, options))
+        prepared = prepared_case(options, ranks)
         system = prepared.system
         if ranks is not ALONE:
             part_of(prepared, ranks)

@@ -83,26 +83,29 @@ class BodyNames(Sequence[str]):
         Those of several scenes are of one scene after the other.
         """
         listed = [names] if isinstance(names, str) else names
-        index = np.concatenate([self._find_one(name) for name in listed])
-        inside = index[(index >= self.part.start) & (index < self.part.stop)] - self.part.start
+        start, stop = self.part.start, self.part.stop
+        spans = [self._find_one(name) for name in listed]
+        ends = [(max(span.start, start), min(span.stop, stop)) for span in spans]
+        inside = np.concatenate([np.arange(*end) for end in ends]) - start
         worlds = np.arange(self.n_worlds, dtype=np.int64)[:, None]
         return np.asarray((worlds * len(self.part) + inside).ravel())
 
     def has(self, name: str) -> bool:
         """Whether there is such a body."""
         try:
-            return self._find_one(name).size > 0
+            return len(self._find_one(name)) > 0
         except KeyError:
             return False
 
-    def _find_one(self, name: str) -> _Ints:
+    def _find_one(self, name: str) -> range:
+        """Bodies of the scene."""
         match = REFERENCE.fullmatch(name)
         if match is None or match["name"] not in self._number:
             raise KeyError(name)
         number = self._number[match["name"]]
-        lo, hi = self.first[number], self.first[number + 1]
+        lo, hi = self.first[number : number + 2].tolist()
         if match["index"] is None:
-            return np.arange(lo, hi)
+            return range(lo, hi)
         if int(match["index"]) >= hi - lo:
             raise KeyError(name)
-        return np.array([lo + int(match["index"])])
+        return range(lo + int(match["index"]), lo + int(match["index"]) + 1)

@@ -65,6 +65,8 @@ class System(NamedTuple):
     """Record of each body, shape (n_bodies,)."""
     kind: Ints
     """Kind of each body, shape (n_bodies,): bodies of a kind have the same particles."""
+    first_kind: Ints
+    """Kind of the first body of each record, shape (n_records,)."""
     particles: Particles
     """Of all kinds; positions in the body frame, from the centre of mass [m]."""
     properties: MassProperties
@@ -96,6 +98,11 @@ class System(NamedTuple):
     def n_bodies(self) -> int:
         """Number of bodies."""
         return len(self.block)
+
+    @property
+    def n_of_scene(self) -> int:
+        """Number of bodies of the scene of which these are all, or a part."""
+        return int(self.names.first[-1])
 
     @property
     def in_each(self) -> int:

@@ -102,6 +102,8 @@ def _acting_forces(system: System) -> Iterator[tuple[int, AnyForce, Ints]]:
         if is_link(table):
             continue
         members = system.names.find(table.body)
+        if not members.size:  # all of them are on other ranks
+            continue
         if number not in system.others and not getattr(table, "per_body", None):
             yield number, table, members
             continue

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 
@@ -15,12 +15,14 @@ from particlerb.forces.kinds import TIME
 from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Ints
 from particlerb.model.bodies import Bodies
+from particlerb.model.names import BodyNames
 from particlerb.model.system import System
 from particlerb.plan.contact_rules import MOST_BODIES
 from particlerb.plan.joint_words import joint_line
 from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.plan.time_step import cheaper_law, expected_overlap
+from particlerb.ranks import ALONE, Ranks
 from particlerb.stepping.closed_forms import words_of_forms
 from particlerb.stepping.sparse_contact import can_fly
 
@@ -28,32 +30,63 @@ _MAX_GROUPS_SHOWN = 20
 _MAX_SEGMENTS_SHOWN = 12
 _MAX_RUNS_SHOWN = 4
 _PLAIN = 1e-9  # an offset, or an error of moments, that nobody asks about
+_BALANCE = (  # the hardest first
+    "work and impulses summed step by step: a force without potential acts",
+    "work from potentials and their change with time; impulses summed step by step",
+    "work from potentials; impulses summed step by step: a force is not constant",
+    "work and impulses in closed form",
+    "work and impulses in closed form: every force has a potential",
+)
 _CLASS_WORDS = ("point", "rod", "spherical top", "symmetric top", "asymmetric top")
 
 
-def describe(system: System, plan: Plan, accuracy: str = "") -> str:
-    """Text of a plan, with what is known of its accuracy."""
+def describe(system: System, plan: Plan, accuracy: str = "", ranks: Ranks = ALONE) -> str:
+    """Text of a plan, with what is known of its accuracy; of several, each with own bodies."""
     lines = [
-        ("bodies", _bodies_line(system)),
+        ("bodies", _bodies_line(system, ranks)),
         ("particles", _particles_line(system)),
         *system.notes,
-        *_acting_lines(system, plan),
+        *_acting_lines(system, plan, ranks),
         ("left out", _left_out_line(system, plan)),
         ("step", plan.step),
         *([("accuracy", accuracy)] if accuracy else []),
-        ("energy balance", _balance_line(plan)),
+        ("energy balance", _BALANCE[min(ranks.gathered(_hardest_balance(plan)))]),
+        *_group_lines(system, plan, ranks),
     ]
-    for group in plan.groups[:_MAX_GROUPS_SHOWN]:
-        lines += [(group_name(system, group.members), text) for text in _segment_lines(group)]
-    if len(plan.groups) > _MAX_GROUPS_SHOWN:
-        lines.append(("...", f"and {len(plan.groups) - _MAX_GROUPS_SHOWN} more groups of bodies"))
     width = min(44, max(len(name) for name, _ in lines))
     return "\n".join(f"  {name:<{width}}  {text}" for name, text in lines)
 
 
-def _bodies_line(system: System) -> str:
+def _group_lines(system: System, plan: Plan, ranks: Ranks) -> Iterator[tuple[str, str]]:
+    """Groups of bodies, with lines of their segments.
+
+    Over ranks, those of which the same is to be said are one.
+    """
+    names, first = system.names, system.names.part.start
+    told = [
+        (_runs(group.members + first), group.members.size, _segment_lines(group))
+        for group in plan.groups[: _MAX_GROUPS_SHOWN if ranks is ALONE else None]
+    ]
+    n = len(plan.groups)
+    if ranks is not ALONE:
+        alike: dict[tuple[str, ...], tuple[list[tuple[int, int]], int]] = {}
+        for runs, size, lines in chain(*ranks.gathered(told)):
+            before, n_before = alike.get(tuple(lines), ([], 0))
+            follows = bool(before) and before[-1][1] + 1 == runs[0][0]
+            joined = [(before.pop()[0], runs[0][1])] if follows else []
+            alike[tuple(lines)] = before + joined + runs[follows:], n_before + size
+        told = [(*bodies, list(lines)) for lines, bodies in alike.items()]
+        names, n = BodyNames(names.records), len(told)
+    for runs, size, lines in told[:_MAX_GROUPS_SHOWN]:
+        yield from ((_name_of(names, runs, size), text) for text in lines)
+    if n > _MAX_GROUPS_SHOWN:
+        yield "...", f"and {n - _MAX_GROUPS_SHOWN} more groups of bodies"
+
+
+def _bodies_line(system: System, ranks: Ranks) -> str:
     """How many bodies of which rotor class."""
-    counts = np.bincount(system.bodies.rotor_class, minlength=len(_CLASS_WORDS))
+    own = np.bincount(system.bodies.rotor_class, minlength=len(_CLASS_WORDS))
+    counts = ranks.added(own)
     counted = zip(counts.tolist(), _CLASS_WORDS, strict=True)
     return ", ".join(_counted(n, name) for n, name in counted if n)
 
@@ -83,14 +116,15 @@ def _particles_line(system: System) -> str:
     return f"{line}; kept of {system.summed[is_reduced].sum()}: {rest}6 points per set, as {why}"
 
 
-def _acting_lines(system: System, plan: Plan) -> Iterator[tuple[str, str]]:
+def _acting_lines(system: System, plan: Plan, ranks: Ranks) -> Iterator[tuple[str, str]]:
     """What acts, one line each."""
     if system.acceleration.any():
         yield "gravity", f"{vector(system.acceleration.tolist())} m/s²"
     if system.attraction is not None:
         yield "attraction", _attraction_line(system.attraction, plan)
     for kind, count in Counter(force.type for force in system.force).items():
-        yield kind, f"{count} in the case{_origin_of_points(system, kind)}"
+        origins = ranks.gathered(_origin_of_points(system, kind))
+        yield kind, f"{count} in the case{next(filter(None, origins), '')}"
     if system.joint:
         yield "joints", joint_line(merged(system), plan)
     if plan.contacts:
@@ -196,30 +230,38 @@ def _flying(plan: Plan) -> str:
     return ", closed form where none is in reach" if flies else ""
 
 
-def _balance_line(plan: Plan) -> str:
-    """How the work of forces is found, for the energy balance."""
+def _hardest_balance(plan: Plan) -> int:
+    """How the work of forces is found, for the energy balance: which of the words says it."""
     stepped = [segment for group in plan.groups for segment in group.stepped]
     if not all(has_potential(segment.terms) for segment in stepped):
-        return "work and impulses summed step by step: a force without potential acts"
+        return 0
     if any(TIME in needs for s in stepped for needs in needs_of(s.terms).values()):
-        return "work from potentials and their change with time; impulses summed step by step"
+        return 1
     if not all(is_constant(segment.terms) for segment in stepped):
-        return "work from potentials; impulses summed step by step: a force is not constant"
-    if not all(has_potential(segment.terms) for _, segment in plan.segments):
-        return "work and impulses in closed form"
-    return "work and impulses in closed form: every force has a potential"
+        return 2
+    return 4 if all(has_potential(segment.terms) for _, segment in plan.segments) else 3
 
 
 def group_name(system: System, index: Ints) -> str:
     """Which bodies these are: names of a few, ranges of many."""
+    return _name_of(system.names, _runs(index), index.size)
+
+
+def _runs(index: Ints) -> list[tuple[int, int]]:
+    """First and last of bodies that follow each other, not of more than can be shown."""
     index = np.sort(index)
-    if index.size <= 2:
-        return ", ".join(system.names[int(b)] for b in index)
-    breaks = np.flatnonzero(np.diff(index) > 1)
+    breaks = np.flatnonzero(np.diff(index) > 1)[: _MAX_RUNS_SHOWN + 1]
     first, last = index[np.r_[0, breaks + 1]], index[np.r_[breaks, index.size - 1]]
-    runs = [f"{a}-{b}" if a < b else f"{a}" for a, b in zip(first, last, strict=True)]
-    more = f", ... ({index.size})" if len(runs) > _MAX_RUNS_SHOWN else ""
-    return "bodies " + ", ".join(runs[:_MAX_RUNS_SHOWN]) + more
+    return list(zip(first.tolist(), last.tolist(), strict=True))
+
+
+def _name_of(names: BodyNames, runs: Sequence[tuple[int, int]], size: int) -> str:
+    """Words for so many bodies, which are in these runs first."""
+    if size <= 2:
+        return ", ".join(names[b] for first, last in runs for b in range(first, last + 1))
+    words = [f"{a}-{b}" if a < b else f"{a}" for a, b in runs]
+    more = f", ... ({size})" if len(words) > _MAX_RUNS_SHOWN else ""
+    return "bodies " + ", ".join(words[:_MAX_RUNS_SHOWN]) + more
 
 
 def _segment_lines(group: GroupPlan) -> list[str]:

@@ -392,4 +392,5 @@ def in_superblocks(groups: Sequence[GroupPlan], n_bodies: int) -> list[tuple[int
         (together if is_one(group) else apart).append(group)
     ranges = list(superblocks(n_bodies))
     each = [(of.first, inside(apart, of) if len(ranges) > 1 else apart) for of in ranges]
+    each = [(b, sorted(some, key=lambda group: int(group.members.min()))) for b, some in each]
     return [one for one in [(-1, together), *each] if one[1]]

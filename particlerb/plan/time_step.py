@@ -20,6 +20,7 @@ from particlerb.model.state import omega_world
 from particlerb.model.system import System
 from particlerb.plan.rates import deepest_impact, falling_speed, fastest_contact, fastest_rate
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
+from particlerb.ranks import ALONE, Ranks
 
 STEPS_PER_CONTACT: Final = 20  # below which a contact is not accurate
 LONGEST_UNSTABLE: Final = 2.0  # ω dt [rad] of a contact with a method that has no stable step
@@ -299,8 +300,22 @@ def refuse_endless(system: System, groups: tuple[GroupPlan, ...]) -> None:
                 raise CaseError([problem_at(system, key, f"{reason} times until t_end", hint)])
 
 
-def step_warnings(system: System, groups: tuple[GroupPlan, ...]) -> list[str]:
-    """Warnings about steps that turn a body too far, now or by t_end, or let springs explode."""
+def step_warnings(system: System, groups: tuple[GroupPlan, ...], ranks: Ranks = ALONE) -> list[str]:
+    """Warnings about steps that turn a body too far, now or by t_end, or let springs explode.
+
+    Of ranks that have groups of their own, those about the worst of all.
+    """
+    worst: dict[str, tuple[float, str, float]] = {}
+    for own in ranks.gathered(_worst_steps(system, groups)):
+        worst |= {kind: max(worst.get(kind, found), found) for kind, found in own.items()}
+    advice = ((reason, f"advised: dt = {dt:.3g} s or less") for _, reason, dt in worst.values())
+    return [as_warning(problem_at(system, step_key(system), *words)) for words in advice]
+
+
+def _worst_steps(
+    system: System, groups: tuple[GroupPlan, ...]
+) -> dict[str, tuple[float, str, float]]:
+    """Turn in a step that is too long, in each way that it may be: the largest, why, better."""
     worst: dict[str, tuple[float, str, float]] = {}
     for group in groups:
         stepped = [segment for segment in group.stepped if not is_adaptive(segment.method)]
@@ -329,8 +344,7 @@ def step_warnings(system: System, groups: tuple[GroupPlan, ...]) -> list[str]:
             else:
                 continue
             worst[kind] = max(worst.get(kind, (0.0, "", 0.0)), (turn, reason, advised))
-    advice = ((reason, f"advised: dt = {dt:.3g} s or less") for _, reason, dt in worst.values())
-    return [as_warning(problem_at(system, step_key(system), *words)) for words in advice]
+    return worst
 
 
 def as_warning(problem: Problem) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from particlerb.record import schema
 from particlerb.record.checked_reading import object_at, require_own_storage
+from particlerb.record.hdf5 import InPieces
 from particlerb.record.vtkhdf import TOPOLOGY
 
 Words = NDArray[np.uint64]
@@ -107,6 +108,11 @@ def digest_of(content: Mapping[str, Any]) -> str:
     hasher = hashlib.sha256()
     for path in sorted(content, key=_order):
         value = content[path]
+        if isinstance(value, InPieces):
+            hasher.update(f"{path} {math.prod(value.shape) * value.dtype.itemsize} ".encode())
+            for piece in value:
+                hasher.update(piece.tobytes())
+            continue
         data = value if isinstance(value, bytes) else np.ascontiguousarray(value).tobytes()
         hasher.update(f"{path} {len(data)} ".encode())
         hasher.update(data)

@@ -4,6 +4,7 @@ Paths are from the root; groups on the way are made.
 """
 
 import math
+from collections.abc import Callable, Iterator
 from functools import cache, lru_cache
 from typing import Any, Final, TypeAlias
 
@@ -15,8 +16,40 @@ WITH_GROUPS: Final = h5p.create(h5p.LINK_CREATE)
 WITH_GROUPS.set_create_intermediate_group(True)
 Form: TypeAlias = tuple["np.dtype[Any]", tuple[int, ...]]  # type of the numbers, and shape
 _MIN_LARGE_BYTES: Final = 2**20
+_ROWS_AT_ONCE: Final = 65_536
 _MAX_ATTRIBUTE_BYTES: Final = 65536
 _ANY_TEXT: Final = h5t.py_create(h5py.string_dtype(), logical=True)
+
+
+class InPieces:
+    """An array of which some rows are made at a time, when they are written.
+
+    Parameters
+    ----------
+    n : int
+        Rows.
+    rows : callable
+        Makes those from a first one to a last one, excluded.
+    """
+
+    def __init__(self, n: int, rows: Callable[[int, int], Any]) -> None:
+        none = rows(0, 0)
+        self.dtype, self.shape, self.rows = none.dtype, (n, *none.shape[1:]), rows
+
+    def __len__(self) -> int:
+        """Rows."""
+        return self.shape[0]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        """All rows."""
+        del copy
+        return np.concatenate(list(self)).astype(dtype or self.dtype, copy=False)
+
+    def __iter__(self) -> Iterator[Any]:
+        """Rows, in pieces."""
+        for first in range(0, max(len(self), 1), _ROWS_AT_ONCE):
+            last = min(first + _ROWS_AT_ONCE, len(self))
+            yield np.ascontiguousarray(self.rows(first, last))
 
 
 def put(file: h5py.File, path: str, values: Any) -> h5d.DatasetID:
@@ -38,6 +71,8 @@ def put(file: h5py.File, path: str, values: Any) -> h5d.DatasetID:
 
 def form_of(values: Any) -> Form:
     """What `reserve` has to know of an array."""
+    if isinstance(values, InPieces):
+        return values.dtype, values.shape
     return np.asarray(values).dtype, np.shape(values)
 
 
@@ -54,7 +89,15 @@ def reserve(file: h5py.File, path: str, form: Form) -> h5d.DatasetID:
 
 def fill(file: h5py.File, path: str, values: Any) -> None:
     """Write an array of which the form is known."""
-    h5d.open(file.id, path.encode()).write(h5s.ALL, h5s.ALL, np.ascontiguousarray(values))
+    made, first = h5d.open(file.id, path.encode()), 0
+    if not isinstance(values, InPieces):
+        made.write(h5s.ALL, h5s.ALL, np.ascontiguousarray(values))
+        return
+    space = made.get_space()
+    for piece in values:
+        space.select_hyperslab((first, *[0] * (piece.ndim - 1)), piece.shape)
+        made.write(h5s.create_simple(piece.shape), space, piece)
+        first += len(piece)
 
 
 def growing(

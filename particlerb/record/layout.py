@@ -1,7 +1,7 @@
 """What a trajectory file has before its first frame: header, bodies, clock, empty elements."""
 
-from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
 from threading import get_ident
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -13,11 +13,14 @@ from h5py import h5d, h5ds
 import particlerb
 from particlerb.case.output import Output
 from particlerb.case.run import RunTable, frame_count
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import bodies_of_kind
+from particlerb.model.names import BodyNames
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
 from particlerb.record import hdf5, schema
 from particlerb.record.checksums import digest_of
+from particlerb.record.hdf5 import InPieces
 from particlerb.record.parts import Parts, growing_over, note_master, note_part
 from particlerb.record.vtkhdf import create_vtkhdf
 
@@ -176,18 +179,14 @@ def tables_of(scene: System, labels: Labels = MappingProxyType({})) -> dict[str,
 
     `labels` are names and units of joints and of their coordinates.
     """
-    bodies, particles, n = scene.bodies, scene.particles, len(scene.kind)
+    particles, n = scene.particles, scene.n_of_scene
+    is_part = scene.n_bodies < n  # the first rank has its own bodies only
     tables = {
-        schema.BODY: np.arange(n),
+        **{
+            path: InPieces(n, partial(_rows, scene, of)) if is_part else of(scene)
+            for path, of in _OF_BODIES.items()
+        },
         **{axis: np.array([letter.encode() for letter in axis]) for axis in schema.AXES},
-        f"{schema.TRAJECTORY}/id": np.arange(n),
-        f"{schema.TRAJECTORY}/mass": bodies.mass,
-        f"{schema.TRAJECTORY}/moment_inertia": bodies.inertia.T,
-        f"{schema.TRAJECTORY}/extent": extents(scene),
-        f"{schema.BODIES}/names": np.array([name.encode() for name in scene.names]),
-        f"{schema.BODIES}/kind": scene.kind,
-        f"{schema.BODIES}/rotor_class": bodies.rotor_class,
-        f"{schema.BODIES}/rotor_frame": bodies.rotor_frame.T,
         f"{schema.BODIES}/particles/position": particles.position,
         f"{schema.BODIES}/particles/mass": particles.mass,
         f"{schema.BODIES}/particles/radius": particles.radius,
@@ -201,6 +200,23 @@ def tables_of(scene: System, labels: Labels = MappingProxyType({})) -> dict[str,
         if units:
             tables[units] = np.array([unit.encode() for _, unit in words])
     return tables
+
+
+def _rows(scene: System, of: Callable[[System], Any], first: int, stop: int) -> Any:
+    """Rows of a table for bodies of a scene, of which others may be at hand: from their kinds."""
+    names = BodyNames(scene.names.records, range(first, stop))
+    kind = np.repeat(scene.first_kind, np.diff(names.first.clip(first, stop)))
+    bodies = bodies_of_kind(scene.properties, kind)
+    return of(scene._replace(names=names, kind=kind, bodies=bodies))
+
+
+def _names_of(scene: System) -> Any:
+    """Names of bodies as bytes, as long as the longest of the scene."""
+    longest = max(
+        len((name if count == 1 else f"{name}[{count - 1}]").encode())
+        for name, count in scene.names.records
+    )
+    return np.array([name.encode() for name in scene.names], dtype=f"S{longest}")
 
 
 def _describe_tables(made: Made) -> None:
@@ -233,6 +249,24 @@ def extents(scene: System) -> Floats:
     longest = edges.max(axis=1, keepdims=True)
     longest[longest == 0.0] = longest.max() or 1.0
     return np.maximum(edges, _MIN_EDGE_SHARE * longest)[scene.kind]
+
+
+def _numbers_of(scene: System) -> Ints:
+    """Numbers of bodies in their scene."""
+    return np.arange(len(scene.names)) + scene.names.part.start
+
+
+_OF_BODIES: Final[Mapping[str, Callable[[System], Any]]] = {
+    schema.BODY: _numbers_of,
+    f"{schema.TRAJECTORY}/id": _numbers_of,
+    f"{schema.TRAJECTORY}/mass": lambda scene: scene.bodies.mass,
+    f"{schema.TRAJECTORY}/moment_inertia": lambda scene: scene.bodies.inertia.T,
+    f"{schema.TRAJECTORY}/extent": extents,
+    f"{schema.BODIES}/names": _names_of,
+    f"{schema.BODIES}/kind": lambda scene: scene.kind,
+    f"{schema.BODIES}/rotor_class": lambda scene: scene.bodies.rotor_class,
+    f"{schema.BODIES}/rotor_frame": lambda scene: scene.bodies.rotor_frame.T,
+}
 
 
 def make_clock(file: h5py.File, n_frames: int) -> dict[str, h5d.DatasetID]:

@@ -9,14 +9,14 @@ h5netcdf.
 """
 
 from collections.abc import Container, Mapping
-from typing import Final
+from typing import Any, Final
 
 import h5py
 import numpy as np
 from h5py import h5d, h5p, h5s
 
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.record.hdf5 import WITH_GROUPS, change, growing, note
+from particlerb.record.hdf5 import WITH_GROUPS, InPieces, change, growing, note
 from particlerb.record.parts import Parts, rows_over
 from particlerb.record.schema import SERIES, VTKHDF, rows_per_chunk
 
@@ -81,14 +81,15 @@ def create_vtkhdf(
     note(h5py.h5g.open(file.id, _STEPS_GROUP.encode()), NSteps=np.int64(0))
 
 
-def topology_of(fields: Container[str], n: int) -> dict[str, Ints]:
+def topology_of(fields: Container[str], n: int) -> dict[str, Any]:
     """What VTK is told once of n bodies, by paths: each is a vertex, if its place is recorded."""
     if _POINTS_FIELD not in fields:
         return {}
-    counts = [np.array([n])]
+    counts: list[Any] = [np.array([n])]
     for name in CELL_KINDS:
         count = n if name == CELL_KINDS[0] else 0
-        counts += [np.array([count])] * 2 + [np.arange(count + 1), np.arange(count)]
+        counts += [np.array([count])] * 2
+        counts += [InPieces(count + 1, np.arange), InPieces(count, np.arange)]
     return dict(zip(TOPOLOGY, counts, strict=True))
 
 

@@ -36,6 +36,7 @@ from particlerb.simulation.accuracy import prepare_again
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.outcome import Outcome, Progress, joined, of_no_body
 from particlerb.simulation.run import advance, identity
+from particlerb.simulation.set_up_apart import prepared_apart
 from particlerb.simulation.shares import attraction_of, part_of
 from particlerb.simulation.whole_run import SHARED, Prepared
 
@@ -94,29 +95,39 @@ def look_at(
     FileNotFoundError, TrajectoryError
         If the file is not there, or no trajectory.
     """
-    pending = ranks.together(lambda: _looked_at(path, t_end, threads, allow_code))
-    if pending.parts is not None:
-        return _from_parts(pending, pending.parts, ranks)
-    if ranks.count > 1:
+    case, stepping, parts = ranks.together(lambda: _case_in(path, t_end, threads, allow_code))
+    if ranks.count > 1 and parts is None:
         raise ResumeError(f"{path} is one file, which one process writes: continue without --mpi")
-    return pending
+    prepared = prepared_apart(case, ranks) if stepping is None else None
+    if prepared is None:
+        prepared = ranks.together(lambda: prepare_again(to_system(case), stepping))
+    hashed = identity(prepared, ranks if prepared.is_part else ALONE)
+    pending = ranks.together(lambda: _looked_at(path, prepared, hashed, parts))
+    return pending if parts is None else _from_parts(pending, parts, ranks)
 
 
-def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code: bool) -> _Pending:
-    """The same, where the state behind parts is not known yet."""
+def _case_in(
+    path: Path, t_end: float | None, threads: int | None, allow_code: bool
+) -> tuple[Case, str | None, Parts | None]:
+    """Case of a file that can be gone on with, how that was stepped for its accuracy, its parts."""
     with open_trajectory(path) as trajectory:
-        file, n = trajectory.file, trajectory.n_frames
+        file = trajectory.file
         require_self_contained(file)
-        parts = parts_in(file)
         _refuse_other_version(path, _text_in(file, "versions"), _text_in(file, "git_revision"))
         if _text_in(file, "case_resolved") is None or _text_in(file, "identity") is None:
             raise ResumeError(f"{path} does not say how it was made, so it cannot be continued")
         source = stored_case(file)
         if allow_code:
             source = source._replace(files=source.files.copied(True))
-        system = to_system(_case_of(source, t_end, threads))
-        prepared = prepare_again(system, _text_in(file, "stepping"))
-        if identity(prepared) != _text_in(file, "identity"):
+        return _case_of(source, t_end, threads), _text_in(file, "stepping"), parts_in(file)
+
+
+def _looked_at(path: Path, prepared: Prepared, hashed: str, parts: Parts | None) -> _Pending:
+    """What there is to do, where the state behind parts is not known yet."""
+    system = prepared.system
+    with open_trajectory(path) as trajectory:
+        file, n = trajectory.file, trajectory.n_frames
+        if hashed != _text_in(file, "identity"):
             raise ResumeError(
                 f"{path}: its case gives other bodies or another plan than the run had: it was"
                 " changed in the file; run it anew"
@@ -135,7 +146,7 @@ def _looked_at(path: Path, t_end: float | None, threads: int | None, allow_code:
         start = checkpoint.n_frames if checkpoint else 0
         if start > n_kept:
             raise ResumeError(f"{path}: the checkpoint lies behind the frames; run the case anew")
-    is_prolonged = source.raw["run"]["t_end"] != system.run.t_end
+        is_prolonged = stored_case(file).raw["run"]["t_end"] != system.run.t_end
     warnings = prepared.plan.warnings
     if is_prolonged and system.run.accuracy is not None:
         warnings = (*warnings, _UNVERIFIED_WARNING)

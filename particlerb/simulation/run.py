@@ -13,12 +13,13 @@ import numpy as np
 
 from particlerb.case.to_system import to_case
 from particlerb.compiled.threads import THREADS
-from particlerb.model.superblocks import parts_of
+from particlerb.model.superblocks import Range, parts_of, superblocks
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
 from particlerb.plan.joints import assembled
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
+from particlerb.plan.segments import inside
 from particlerb.ranks import ALONE, Ranks, as_agreed, end_all
 from particlerb.record.checkpoint import Checkpoint
 from particlerb.record.frame_values import FrameError
@@ -81,7 +82,7 @@ def run_prepared(
     progress : callable
         Called with what was reached, after some frames.
     ranks : Ranks
-        That share the scene; each gives the whole of it. ALONE: it is not shared.
+        That share the scene; each gives the whole of it, or its part. ALONE: it is not shared.
 
     Raises
     ------
@@ -93,7 +94,8 @@ def run_prepared(
         If the run fails; the frames until then are committed.
     """
     system = prepared.system
-    texts = {"plan": prepared.text, "identity": identity(prepared), **prepared.parameters}
+    hashed = identity(prepared, ranks if prepared.is_part else ALONE)
+    texts = {"plan": prepared.text, "identity": hashed, **prepared.parameters}
     content = {}
     if ranks.number == 0:  # which writes what does not change
         content = tables_of(system, labels_of(system)) | texts_of(system, texts)
@@ -103,7 +105,7 @@ def run_prepared(
     elif ranks is ALONE:
         recorder = Recorder(path, system, content, overwrite)
     else:
-        parts, prepared = parts_of(system.n_bodies), part_of(prepared, ranks)
+        parts, prepared = parts_of(system.n_of_scene), part_of(prepared, ranks)
         recorder = PartRecorder.create(
             path, prepared.system, content, parts, texts["identity"], ranks, overwrite
         )
@@ -194,19 +196,34 @@ def _one_batch(run: "Run", recorder: Any, batch: Batch) -> tuple[Reached, RunErr
     return Reached(rows.size, *map(float, last)), error
 
 
-def identity(prepared: Prepared) -> str:
-    """Hash of what decides the motion: the records without its end and threads, bodies, plan."""
-    system, plan = prepared.system, prepared.plan
+def identity(prepared: Prepared, ranks: Ranks = ALONE) -> str:
+    """Hash of what decides the motion: the records without its end and threads, bodies, plan.
+
+    Ranks that have set up their own bodies find it together.
+    """
+    system = prepared.system
     hasher = hashlib.sha256(
         to_case(system).model_dump_json(exclude={"run": {"t_end", "threads"}}).encode()
     )
-    for values in (*system.bodies, *system.state, *system.particles, system.kind):
+    for values in system.particles:
         hasher.update(np.ascontiguousarray(values).tobytes())
-    for group in plan.groups:
+    own = [_digest(prepared, of) for of in superblocks(system.n_bodies)]
+    for digests in ranks.gathered(own):
+        hasher.update(b"".join(digests))
+    return hasher.hexdigest()
+
+
+def _digest(prepared: Prepared, of: Range) -> bytes:
+    """Hash of some bodies and their plan."""
+    system, hasher = prepared.system, hashlib.sha256()
+    for values in (*system.bodies, *system.state, system.kind):
+        hasher.update(np.ascontiguousarray(values[..., of.first : of.stop]).tobytes())
+    groups = inside(prepared.plan.groups, of)
+    for group in sorted(groups, key=lambda group: int(group.members.min())):
         for s in group.segments:
             hasher.update(repr((s.start, s.stop, s.method, s.dt, s.tolerance)).encode())
-        hasher.update(group.members.tobytes())
-    return hasher.hexdigest()
+        hasher.update((group.members + prepared.first).tobytes())
+    return hasher.digest()
 
 
 def run_unrecorded(prepared: Prepared) -> Outcome:

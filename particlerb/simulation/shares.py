@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.case.run import frame_count
+from particlerb.case.schema import Case
 from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.forces import Terms, terms_on
 from particlerb.forces.attraction import TILE
@@ -18,10 +19,11 @@ from particlerb.model.load import STATE_ROWS
 from particlerb.model.superblocks import Range, own_parts, parts_of, range_of, superblocks, writers
 from particlerb.model.system import System
 from particlerb.plan.joint_ends import Ties, joint_name, pairs_of
-from particlerb.plan.links import AnyLink, components, links_of
+from particlerb.plan.links import AnyLink, components, is_link, links_of
 from particlerb.plan.segments import GroupPlan, Plan, Segment, inside, jumps_on
 from particlerb.ranks import NoRanksError, Ranks
 from particlerb.record.file_size import estimated_size
+from particlerb.rotors.rotor_class import POINT
 from particlerb.simulation.whole_run import Prepared
 from particlerb.stepping.motion import Shared
 
@@ -116,6 +118,27 @@ def _with_attraction_shared(prepared: Prepared, ranks: Ranks) -> Prepared:
     return prepared._replace(plan=prepared.plan._replace(groups=tuple(groups)), is_copied=True)
 
 
+def can_be_apart(scene: Case | System) -> bool:
+    """Whether each rank can set up its bodies: they and their forces need nothing of the others."""
+    couples = scene.contact or scene.attraction or scene.joint
+    is_drawn = any(body.is_drawn for body in scene.body)
+    is_of_several = any(
+        is_link(force) or force.needs_particles or getattr(force, "per_body", None)
+        for force in scene.force
+    )
+    return not (couples or is_drawn or is_of_several or scene.run.accuracy is not None)
+
+
+def is_planned_together(system: System, plan: Plan) -> bool:
+    """Whether other bodies of a scene may decide how these are moved: by which step and method.
+
+    A method that is named moves points among other bodies, but not points alone.
+    """
+    is_point = np.unique(system.properties.rotor_class == POINT)
+    is_mixed = system.run.method not in ("auto", "exact") and is_point.size > 1
+    return is_mixed or (system.run.dt is None and any(group.stepped for group in plan.groups))
+
+
 def share_of(n_bodies: int, ranks: Ranks) -> Range:
     """Bodies of a rank.
 
@@ -135,13 +158,15 @@ def share_of(n_bodies: int, ranks: Ranks) -> Range:
 
 
 def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
-    """The share of a rank in a prepared system.
+    """The share of a rank in a prepared system; itself where it has been set up apart.
 
     Raises
     ------
     NoRanksError
         If bodies act on each other in a way that ranks cannot share, or ranks are too many.
     """
+    if prepared.is_part:
+        return prepared
     if prepared.plan.contacts:
         refuse_contact(prepared, ranks)
         return _part_of_touching(prepared, touching_in(prepared.plan), ranks)
@@ -226,7 +251,7 @@ class Shares(NamedTuple):
     bodies_of_rank: int
     """Bodies that a rank moves."""
     set_up_bytes: int
-    """Memory of the set-up, which is of the whole scene on each rank."""
+    """Memory of the set-up, of the bodies of a rank or of the whole scene: see docs/scale.md."""
     run_bytes: int
     """Memory of the run, beside it."""
     copies_of_rank: int = 0
@@ -286,5 +311,7 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
         refuse_coupled(prepared)
         share_of(system.n_bodies, ranks)
         bodies = min(len(own_parts(len(ranges), ranks)) * in_part, system.n_bodies)
+        if can_be_apart(system) and not is_planned_together(system, prepared.plan):
+            set_up = BYTES_SET_UP * bodies
         most, run_bytes, exchanged = len(ranges), BYTES_MOVED * bodies + of_ties, ()
     return Shares(most, len(ranges), in_part, of_part, bodies, set_up, run_bytes, *exchanged)

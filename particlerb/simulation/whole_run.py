@@ -47,6 +47,11 @@ class Prepared(NamedTuple):
     first: int = 0  # number of its first body in the scene, where it is a part of one
     is_copied: bool = False  # whether each of several ranks moves all bodies
 
+    @property
+    def is_part(self) -> bool:
+        """Whether it has some of the bodies of a scene only."""
+        return self.system.n_bodies < self.system.n_of_scene
+
 
 class Run:
     """A prepared system on its way; where ranks share a scene, the part of this one."""

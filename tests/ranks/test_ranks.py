@@ -267,6 +267,10 @@ def test_check_says_how_ranks_would_share_a_case(monkeypatch, capsys):
     found = json.loads(capsys.readouterr().out)["ranks"]
     names = "ranks_at_most", "parts", "bodies_of_part", "bodies_of_rank", "bytes_of_step"
     assert [found[name] for name in names] == [4, 4, 256, 512, 0]
+    assert found["set_up_bytes"] == 512 * shares.BYTES_SET_UP  # each its own bodies
+    words = "--set", "run.method=strang"
+    assert main(["check", case, "--ranks", "3", "--json", *words]) == 0
+    found = json.loads(capsys.readouterr().out)["ranks"]
     assert found["set_up_bytes"] == 1000 * shares.BYTES_SET_UP
     assert main(["check", case, "--ranks", "5"]) == 2
     assert "so 4 may share them" in capsys.readouterr().err

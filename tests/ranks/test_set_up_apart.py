@@ -1,0 +1,161 @@
+"""Ranks that set up their own bodies alone have the same ones, and the same plan, as of all."""
+
+import threading
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from particlerb.case import placement
+from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
+from particlerb.model import superblocks
+from particlerb.plan.segments import in_superblocks
+from particlerb.ranks import NoRanksError, Ranks
+from particlerb.record.layout import tables_of
+from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.simulation.run import identity
+from particlerb.simulation.set_up_apart import prepared_apart
+from particlerb.simulation.shares import part_of
+
+pytestmark = pytest.mark.plain
+MIX = Path(__file__).with_name("mix.toml")
+
+
+class Threads(Ranks):
+    """One of several ranks, each in a thread of this process."""
+
+    def __init__(self, number, values, barrier):
+        self.number, self.count = number, len(values)
+        self.values, self.barrier = values, barrier
+
+    def gathered(self, value):
+        self.values[self.number] = value
+        self.barrier.wait()
+        found = list(self.values)
+        self.barrier.wait()
+        return found
+
+    def added(self, counts):
+        return np.sum(self.gathered(counts), axis=0)
+
+
+def over_ranks(n, work):
+    """What each of n ranks returns."""
+    found, barrier = [None] * n, threading.Barrier(n, timeout=60.0)
+    ranks = [Threads(k, found.copy(), barrier) for k in range(n)]
+    for each in ranks:
+        each.values = ranks[0].values
+
+    def does(k):
+        try:
+            found[k] = work(ranks[k])
+        except BaseException as error:
+            barrier.abort()
+            found[k] = error
+
+    threads = [threading.Thread(target=does, args=(k,)) for k in range(n)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return ranks, found
+
+
+def steps_of(prepared):
+    """Who is moved how, in the order in which sums are taken."""
+    return [
+        (first, group.members.tolist(), [s[:2] + s[4:7] for s in group.segments])
+        for first, groups in in_superblocks(prepared.plan.groups, prepared.system.n_bodies)
+        for group in groups
+    ]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        (),
+        ("run.method=dop853", "body.4.shape.inertia=[1, 1, 1]"),
+        ("force.0.body=['brick[0]', 'ball[100]']",),
+        ("force.0.torque=[300, 1, 1]", "body.0.shape={type='ball', n=2, radius=1.0}"),
+    ],
+)
+def test_the_bodies_and_the_plan_of_a_rank_are_those_of_the_scene(monkeypatch, n, changes):
+    """Also the words of the plan, the hash of the run, and tables of all bodies on the first."""
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    monkeypatch.setattr(placement, "_DRAWN_AT_ONCE", 100)
+    whole = prepare_accurately(to_system(load(MIX, changes)))
+
+    def work(ranks):
+        apart = prepared_apart(load(MIX, changes), ranks)
+        return apart, identity(apart, ranks)
+
+    ranks, found = over_ranks(n, work)
+    tables = tables_of(whole.system)
+    for one, result in zip(ranks, found, strict=True):
+        assert not isinstance(result, BaseException), result
+        apart, hashed = result
+        expected = part_of(whole, one)
+        assert apart.first == expected.first
+        assert list(apart.system.names) == list(expected.system.names)
+        assert hashed == identity(whole)
+        assert apart.text == whole.text
+        assert apart.plan.warnings == whole.plan.warnings
+        for name in ("bodies", "state"):
+            pairs = zip(getattr(apart.system, name), getattr(expected.system, name), strict=True)
+            assert all(a.tobytes() == b.tobytes() for a, b in pairs), name
+        assert np.array_equal(apart.system.kind, expected.system.kind)
+        assert steps_of(apart) == steps_of(expected)
+    for path, values in tables_of(found[0][0].system).items():
+        assert np.asarray(values).dtype == tables[path].dtype, path
+        assert np.array_equal(values, tables[path]), path
+
+
+def test_a_rank_has_nothing_of_the_bodies_of_others():
+    """The last of 31 ranks, of 2e6 bodies: an array over all of them would have 16 MB."""
+    shape = {"type": "moments", "inertia": [1.0, 2.0, 2.5]}
+    body = {"name": "b", "shape": shape, "mass": 1.0, "count": 2 * 10**6}
+    body |= {"place": {"type": "grid", "spacing": 1.0}, "angular_velocity": [0.1, 0.2, 0.3]}
+    push = {"type": "push", "body": "b", "force": [0, 1, 0], "at": [0.1, 0, 0]}
+    case = load({"run": {"t_end": 1.0, "every": 1.0, "dt": 0.1}, "body": [body], "force": [push]})
+    ranks = Ranks()
+    ranks.number, ranks.count = 30, 31
+    tracemalloc.start()
+    apart = prepared_apart(case, ranks)
+    tables = tables_of(apart.system)
+    names = tables["bodies/names"].rows(2 * 10**6 - 2, 2 * 10**6)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert apart.system.n_bodies < superblocks.SUPERBLOCK
+    assert names.tolist() == [b"b[1999998]", b"b[1999999]"]
+    assert most < 1000.0 * apart.system.n_bodies
+
+
+@pytest.mark.parametrize(
+    "change",
+    ["run.method=strang", "run.accuracy=1e-4", "body.0.shape={type='cloud', n=5, radius=1.0}"],
+)
+def test_what_all_bodies_decide_is_set_up_as_a_whole(monkeypatch, change):
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    found = over_ranks(2, lambda ranks: prepared_apart(load(MIX, [change]), ranks))[1]
+    assert found == [None, None]
+
+
+def test_a_default_step_is_chosen_by_all_bodies(monkeypatch):
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    raw = load(MIX).source.raw
+    case = load({**raw, "run": {k: v for k, v in raw["run"].items() if k != "dt"}})
+    assert over_ranks(2, lambda ranks: prepared_apart(case, ranks))[1] == [None, None]
+
+
+def test_too_many_ranks_and_wrong_bodies_are_refused(monkeypatch):
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    found = over_ranks(5, lambda ranks: prepared_apart(load(MIX), ranks))[1]
+    assert all(isinstance(one, NoRanksError) for one in found)
+    spin = ["body.4.angular_velocity=[0, 0, 1]"]
+    with pytest.raises(CaseError, match="is a point"):
+        to_system(load(MIX, spin), part=range(512, 1000))
+    to_system(load(MIX, spin), part=range(512))
