@@ -1,5 +1,14 @@
-"""`python -m particlerb`."""
+"""`python -m particlerb`; an interrupt while it begins or ends is as any other."""
 
-from particlerb.cli import entry
+import signal
+import sys
 
-entry()
+try:
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    from particlerb.cli import entry
+
+    entry()
+except KeyboardInterrupt:
+    print("particlerb: interrupted", file=sys.stderr)
+    sys.exit(130)

@@ -76,8 +76,8 @@ def main(words: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that lacks Σ shows ? and goes on
             stream.reconfigure(errors="replace")
-    top = parser()
     try:
+        top = parser()
         if words[0] not in (*COMMANDS, "-h", "--help", "--version"):
             if near := difflib.get_close_matches(words[0], ("--help", "--version"), 1, 0.7):
                 raise Ending(f"there is no {words[0]}; did you mean {near[0]}?")

@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import re
+import runpy
 import signal
 import subprocess
 import sys
@@ -585,6 +586,25 @@ def test_sigterm_ends_every_command_with_130(monkeypatch, capsys):
         signal.signal(signal.SIGTERM, before)
     assert ended.value.code == 130
     assert capsys.readouterr().err == "particlerb: interrupted\n"
+
+
+def test_an_interrupt_while_a_command_begins_is_one_message(monkeypatch, capsys):
+    """While options are made, and while the command line is imported or left."""
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "parser", interrupt)
+    assert main(["cases"]) == 130
+    monkeypatch.setattr(cli, "entry", interrupt)
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_module("particlerb", run_name="__main__")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == 2 * "particlerb: interrupted\n"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
