@@ -59,7 +59,7 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
         if attraction is not None:
             swing = np.maximum(swing, _attraction_rates(attraction, state.com))
         if segment.terms.contact is not None:
-            fall = falling_speed(system, segment.terms)
+            fall = falling_speed(segment.terms, state.com)
             swing = np.maximum(swing, _contact_rates(segment.terms.contact, bodies, state, fall))
     return np.asarray(np.maximum(spin, swing))
 
@@ -69,14 +69,14 @@ def fastest_rate(system: System, group: GroupPlan, t_end: float = 0.0) -> float:
     return float(rates(system, group, t_end).max())
 
 
-def falling_speed(system: System, terms: Terms) -> float:
-    """Speed [m/s] that bodies reach by falling from the highest to the lowest body or wall.
+def falling_speed(terms: Terms, com: Floats) -> float:
+    """Speed [m/s] that bodies at `com` (3, n) reach by falling from the highest to the lowest.
 
-    A plane counts where it is nearest to the middle of all bodies.
+    Walls count as they do; a plane where it is nearest to the middle of all these bodies.
     """
     if terms.gravity is None:
         return 0.0
-    g, com, walls = terms.gravity.acceleration, system.state.com, terms.known_contact.model.walls
+    g, walls = terms.gravity.acceleration, terms.known_contact.model.walls
     point, normal, middle = walls.parameter[:, :3], walls.parameter[:, 3:6], com.mean(axis=1)
     beside = middle - ((middle - point) * normal).sum(axis=1)[:, None] * normal
     point = np.where(walls.kind[:, None] == PLANE, beside, point)
@@ -100,7 +100,7 @@ def _attraction_rates(attraction: Attraction, com: Floats) -> Floats:
 def fastest_contact(system: System, group: GroupPlan, segment: Segment) -> float:
     """Largest rate of a contact in a segment [rad/s]."""
     contact, state = segment.terms.known_contact, taken(system.state, group.members)
-    fall = falling_speed(system, segment.terms)
+    fall = falling_speed(segment.terms, state.com)
     return float(_contact_rates(contact, group.bodies, state, fall).max())
 
 

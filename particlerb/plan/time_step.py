@@ -51,7 +51,7 @@ def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
 def _crowded_rate(system: System, group: GroupPlan) -> float:
     """Rate of the fastest swing of bodies on all contacts with which they begin [rad/s]."""
     terms, state = group.segments[0].terms, taken(system.state, group.members)
-    contact, fall = terms.known_contact, falling_speed(system, terms)
+    contact, fall = terms.known_contact, falling_speed(terms, state.com)
     depth = deepest_impact(contact, group.bodies, state, fall)
     return initial_contact_frequency(contact, state.com, state.q, depth)
 
@@ -139,7 +139,7 @@ def _speed(system: System, group: GroupPlan, segment: Segment) -> float:
     spin = np.linalg.norm(omega_world(group.bodies, state), axis=0)
     largest = contact.model.spheres.radius.max(initial=0.0)
     points: Floats = speed + spin * (contact.max_arm + largest)
-    return math.hypot(float(points.max()), falling_speed(system, segment.terms))
+    return math.hypot(float(points.max()), falling_speed(segment.terms, state.com))
 
 
 def impulse_step(system: System, group: GroupPlan) -> float:
@@ -173,7 +173,8 @@ def expected_overlap(system: System, group: GroupPlan, segment: Segment) -> floa
     assert contact is not None
     if contact.model.law.hertz is not None:
         state = taken(system.state, group.members)
-        return deepest_impact(contact, group.bodies, state, falling_speed(system, segment.terms))
+        fall = falling_speed(segment.terms, state.com)
+        return deepest_impact(contact, group.bodies, state, fall)
     inverse = group.bodies.inv_mass
     lightest, k = inverse[inverse > 0.0].min(initial=math.inf), contact.model.law.stiffness
     return speed / math.sqrt(float(lightest * k[k > 0.0].min(initial=math.inf)))

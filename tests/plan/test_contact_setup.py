@@ -14,6 +14,7 @@ from particlerb.case.to_system import to_case, to_system
 from particlerb.contact.wall_motion import PrescribedMotion
 from particlerb.contact.walls import DISC, FACE, PLANE, RIM, SIDE
 from particlerb.plan.contact_setup import NOTHING, contact_of
+from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
 
 
@@ -661,3 +662,21 @@ def test_a_ball_that_is_filled_has_particles_without_radius(make, filled):
     again = load(to_case(system).model_dump(mode="json"))
     assert again.body == system.body
     assert "nothing can touch this body" in only(make.case(body, contact=make.hooke()))[1]
+
+
+@pytest.mark.parametrize("law", ["hertz", "impulse"])
+def test_who_touches_nothing_changes_no_step_of_those_that_touch(make, law):
+    """However high above them it is."""
+    balls = [make.sphere(name, position=[k, 0, 0.3]) for k, name in enumerate(("a", "b"))]
+    high = make.body("high", position=[0, 0, 1e4], contact=False)
+    tables = {
+        "contact": {"law": law, "restitution": 0.9, "friction": 0.3},
+        "material": [{"name": "glass", "young": 1e7, "poisson": 0.25}],
+        "gravity": {"acceleration": [0.0, 0.0, -9.81]},
+        "wall": [make.plane()],
+    }
+    alone, beside = (
+        make_plan(to_system(make.case(*bodies, **tables))).groups[0].segments[0].dt
+        for bodies in (balls, [*balls, high])
+    )
+    assert alone == beside > 0.0
