@@ -54,11 +54,12 @@ def levers_on(bodies: Bodies, lever: Floats) -> Levers:
     is_sphere = bodies.rotor_class == SPHERE
     axis = np.zeros((3, n))
     axis[2] = 1.0
-    column = T[np.abs(T).max(axis=1).argmax(axis=0), :, np.arange(n)].T
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.sqrt((lever * lever).sum(axis=0))
-        length = np.sqrt((column * column).sum(axis=0))
-        np.divide(column, length, out=axis, where=is_sphere & (length > 0.0))
+        if is_sphere.any():
+            column = T[np.abs(T).max(axis=1).argmax(axis=0), :, np.arange(n)].T
+            length = np.sqrt((column * column).sum(axis=0))
+            np.divide(column, length, out=axis, where=is_sphere & (length > 0.0))
         g = (T * axis).sum(axis=1)
         rest = np.sqrt(((T - g[:, None] * axis) ** 2).sum(axis=(0, 1)))
     has_axis = is_sphere | (bodies.rotor_class == SYMMETRIC) | (bodies.rotor_class == ROD)
