@@ -314,7 +314,7 @@ class Run:
                 group_run.pose_at(time, frames)
         except Exception as failure:
             raise self.told(failure) from None
-        is_finite = math.isfinite(np.add.reduce(frames.position.base))  # all of the room
+        is_finite = math.isfinite(np.add.reduce(np.asarray(frames.position.base)))  # the whole room
         problem = ""
         if not is_finite or self.checks.rods.size:
             times = np.array([time])
