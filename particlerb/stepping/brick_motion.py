@@ -23,7 +23,7 @@ from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare, Layout
 from particlerb.integrators.stages import MovingBodies
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import CHANGING, in_blocks, into_blocks, out_of_blocks
+from particlerb.model.block import CHANGING, STRIDE, in_blocks, into_blocks
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.power_method import Oscillating
 from particlerb.model.state import State, state_of
@@ -32,7 +32,7 @@ from particlerb.ranks import ending_all
 from particlerb.stepping.contact_frames import ContactRows
 from particlerb.stepping.contact_lists import Histories
 from particlerb.stepping.contact_part import contact_part
-from particlerb.stepping.exchange import Domains, Exchange, kept_of
+from particlerb.stepping.exchange import Domains, Exchange, Swap, kept_of
 from particlerb.stepping.loop import POSES, Position, Recording, loop_over_ranks, store_blocks
 from particlerb.stepping.motion import ForceAccount, MotionError, SegmentGroup
 from particlerb.stepping.shared_motion import GROSS, SharedMotion, initial_rows
@@ -98,8 +98,13 @@ class BrickMotion(SharedMotion):
         self.allocate_contact(state, numbers, histories, None, self.is_own)
         self.set_body_rows(values)
         self._count_costs()
-        width = self.blocks.shape[1]
-        self.domains.find_cells(lambda indices: self.slots[np.searchsorted(local, indices)], width)
+        self.swap = Swap(self.domains, self._cells_of)
+
+    def _cells_of(self, bodies: Ints) -> Ints:
+        """Where in the blocks the states of some bodies are, (STATE_ROWS, n)."""
+        block, place = np.divmod(self.slots[np.searchsorted(self.local, bodies)], BLOCK)
+        rows = STRIDE * np.arange(STATE_ROWS)[:, None]
+        return np.asarray(block * self.blocks.shape[1] + place + rows)
 
     def _count_costs(self) -> None:
         """Costs of all bodies: who decides by them decides the same on all ranks."""
@@ -170,7 +175,7 @@ class BrickMotion(SharedMotion):
 
     def kinematics(self, moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
         """As `stages.kinematics`, after states of ghosts have come: whether the lists hold."""
-        self.domains.update_ghosts(self.blocks)
+        self.swap.bring(self.blocks)
         contact = moving.contact
         assert contact is not None
         note_step_start(contact, instant)
@@ -256,21 +261,18 @@ class _Oscillating(Oscillating):
     def __init__(self, motion: BrickMotion) -> None:
         super().__init__(motion.sum_of)
         self.own, self.motion = motion.is_own, motion
-        self.blocks = np.zeros(motion.blocks.shape)  # memory that is touched where it is needed
+        rows = (motion.local.size + 1) * np.arange(6)[:, None]
+        self.swap = Swap(motion.domains, lambda of: np.searchsorted(motion.local, of) + rows)
 
     def random(self, n: int) -> Floats:
         """Velocities and spins of bodies and of the world to begin with: those of one process."""
         n = self.motion.is_free.size
-        return super().random(n)[..., np.append(self.motion.local, n)]
+        some = super().random(n)[..., np.append(self.motion.local, n)]
+        return np.ascontiguousarray(some)
 
     def complete(self, motion: Floats) -> None:
         """Bring velocities and spins of ghosts."""
-        slots, n_slots = self.motion.slots, len(self.motion.blocks) * BLOCK
-        rows = self.motion.spaced(motion[..., :-1].reshape(6, -1))
-        into_blocks(self.blocks, 0, rows)
-        self.motion.domains.update_ghosts(self.blocks)
-        rows = out_of_blocks(self.blocks, 0, 6, n_slots)[:, slots]
-        motion[..., :-1] = rows.reshape(2, 3, -1)
+        self.swap.bring(motion)
 
     def largest(self, size: float) -> float:
         """The largest of what is the largest of own bodies."""

@@ -9,14 +9,11 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.compiled.threads import BLOCK
 from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.sphere_search import KEY_BITS
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.block import STRIDE
 from particlerb.model.bricks import Bricks
-from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import State, state_of
 from particlerb.model.superblocks import parts_of, writers
 from particlerb.ranks import Rows
@@ -100,8 +97,8 @@ class Domains:
         self.exchange, self.ranks = exchange, exchange.ranks
         self.bound = bounding_radii(exchange.model.spheres, exchange.is_free.size)
         self.reach = float(self.bound[exchange.is_free].max(initial=0.0))
-        self.border: dict[int, tuple[Ints, Floats]] = {}  # by rank: where they are, buffer
-        self.ghosts: dict[int, tuple[Ints, Floats]] = {}
+        self.border: dict[int, Ints] = {}  # bodies here of which a rank has ghosts,
+        self.ghosts: dict[int, Ints] = {}  # and bodies of which ghosts of it are here
         self.fit(com)
 
     def fit(self, com: Floats) -> None:
@@ -143,23 +140,36 @@ class Domains:
             indices = np.flatnonzero(near) if k != ranks.number else np.zeros(0, dtype=np.int64)
             out.append(np.column_stack([bodies[indices], rows[indices]]))
             if indices.size:
-                self.border[k] = bodies[indices], rows[:0]
+                self.border[k] = bodies[indices]
         received = ranks.sent(out)
         numbers = [of[:, 0].astype(np.int64) for of in received]
-        self.ghosts = {k: (of, rows[:0]) for k, of in enumerate(numbers) if of.size}
+        self.ghosts = {k: of for k, of in enumerate(numbers) if of.size}
         return np.concatenate(received)[:, 1:], np.concatenate(numbers)
 
-    def find_cells(self, slots_of: Callable[[Ints], Ints], width: int) -> None:
-        """Note where in blocks of a width those are that are swapped, and make room for them."""
-        rows = STRIDE * np.arange(STATE_ROWS)[:, None]
-        for swapped in (self.border, self.ghosts):
-            for k, (bodies, _) in swapped.items():
-                block, place = np.divmod(slots_of(bodies), BLOCK)
-                swapped[k] = block * width + place + rows, np.empty((STATE_ROWS, bodies.size))
 
-    def update_ghosts(self, blocks: Floats) -> None:
-        """Send states to ranks that have ghosts, and get those of the ghosts here."""
-        numbers = blocks.reshape(-1)
+class Swap:
+    """Numbers of bodies that are brought to their ghosts on other ranks, again and again.
+
+    Parameters
+    ----------
+    domains : Domains
+        Who has ghosts of whom.
+    cells_of : callable
+        Where in an array the numbers (rows, n) of some bodies are.
+    """
+
+    def __init__(self, domains: Domains, cells_of: Callable[[Ints], Ints]) -> None:
+        self.ranks = domains.ranks
+
+        def with_room(of: dict[int, Ints]) -> dict[int, tuple[Ints, Floats]]:
+            cells = {k: cells_of(bodies) for k, bodies in of.items()}
+            return {k: (each, np.empty(each.shape)) for k, each in cells.items()}
+
+        self.border, self.ghosts = with_room(domains.border), with_room(domains.ghosts)
+
+    def bring(self, values: Floats) -> None:
+        """Send numbers to ranks that have ghosts, and get those of the ghosts here."""
+        numbers = values.reshape(-1)
         for cells, out in self.border.values():
             np.take(numbers, cells, out=out, mode="clip")  # which is faster than to look
         self.ranks.swapped(
