@@ -5,8 +5,9 @@ Where a group has no joints, the compiler leaves all of it out.
 
 from math import nan
 
-from particlerb.compiled.barrier import Team, meet, share_of
+from particlerb.compiled.barrier import Team, share_of
 from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.lanes import LANES
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
     prescribed_acceleration,
@@ -26,6 +27,7 @@ from particlerb.joints.breaking import (
     sum_half_step,
 )
 from particlerb.joints.coordinates import count_turns, store_turns
+from particlerb.joints.packs import Packs, data_of, drift_pack, numbers_of
 from particlerb.joints.records import HOLDS, JointData, Jointed, L, P, Q, X
 from particlerb.joints.rows import by_inverse_inertia, put_pose
 from particlerb.joints.solver import constrained_drift, project_momenta
@@ -192,13 +194,104 @@ def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, sp
 
 
 @inline
-def _share_of_clusters(jointed: Jointed, team: Team | None) -> tuple[int, int]:
-    """Clusters that this thread moves, once all have come here: they are of all blocks."""
-    n = jointed.joints.clusters.body.size - 1
-    if team is None:
-        return 0, n
-    meet(team)
-    return share_of(team, 0, n)
+def _share_of(team: Team | None, n: int) -> tuple[int, int]:
+    """Which of n clusters, or packs, this thread moves."""
+    return (0, n) if team is None else share_of(team, 0, n)
+
+
+@inline
+def _drift_alone(
+    jointed: Jointed, blocks: Floats, c: int, kick_dt: float, t: float, dt: float
+) -> None:
+    """Kick of springs and constrained drift of cluster c."""
+    body, time = jointed.joints.clusters.body, jointed.start + t
+    _gather(jointed, blocks, c)
+    set_prescribed(jointed.prescribed, jointed.data, time, dt, body[c], body[c + 1])
+    constrained_drift(jointed.joints, jointed.data, c, kick_dt, t, dt)
+    if dt == jointed.data.clock[1]:  # and not a part of a step, to a frame
+        foresee_breaks(jointed.joints.breaks, jointed.joints, jointed.data, c, kick_dt, t)
+
+
+@inline
+def _finish_drift(books: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float) -> None:
+    """Book what joints of cluster c did in a drift, and give its states back."""
+    _book_world(books, jointed, blocks, c, jointed.data.pose)
+    _book_drives(books, jointed, blocks, c)
+    _book_motors(books, jointed, blocks, c)
+    _correct_work(books, jointed.keeps_kick, jointed, blocks, c, kick_dt)
+    _scatter(jointed, blocks, c)
+
+
+@inline
+def _gather_pack(packs: Packs, jointed: Jointed, blocks: Floats, p: int) -> None:
+    """States of pack p."""
+    body, block, lane = jointed.joints.clusters.body, jointed.block, jointed.lane
+    for i in range(LANES):
+        c = packs.cluster[p, i] if packs.cluster[p, i] >= 0 else packs.cluster[p, 0]
+        at = packs.joints.clusters.body[p]
+        for k in range(body[c], body[c + 1]):
+            for j in range(STATE_ROWS):
+                packs.data.y[at + k - body[c], j, i] = get(blocks[block[k]], COM + j, lane[k])
+
+
+@inline
+def _take_from_pack(books: Flag, packs: Packs, jointed: Jointed, p: int, i: int, c: int) -> None:
+    """States of cluster c, lane i of pack p, and what is booked of its impulses."""
+    joints, data, of_pack = jointed.joints, jointed.data, packs.data
+    start, joint, body = joints.program.start, joints.clusters.joint, joints.clusters.body
+    at = packs.joints.clusters.body[p] - body[c]
+    for k in range(body[c], body[c + 1]):
+        for j in range(STATE_ROWS):
+            data.y[k, j] = of_pack.y[at + k, j, i]
+    if books is None:
+        return
+    for k in range(body[c], body[c + 1]):
+        for j in range(X, X + 3):
+            data.pose[k, j] = of_pack.pose[at + k, j, i]
+    at = packs.joints.program.start[packs.joints.clusters.joint[p]] - start[joint[c]]
+    for r in range(start[joint[c]], start[joint[c + 1]]):
+        if joints.inv_mass[joints.rows.a[r]] == 0.0 or joints.inv_mass[joints.rows.b[r]] == 0.0:
+            data.impulse[r] = of_pack.impulse[at + r, i]
+            for j in range(9):
+                data.gradient[r, j] = of_pack.gradient[at + r, j, i]
+
+
+@inline
+def _exchange_past(packs: Packs, jointed: Jointed, p: int, i: int, c: int) -> None:
+    """Exchange what cluster c, lane i of pack p, remembers of its impulses."""
+    start, joint = jointed.joints.program.start, jointed.joints.clusters.joint
+    past = packs.data.past
+    at = packs.joints.program.start[packs.joints.clusters.joint[p]] - start[joint[c]]
+    for r in range(start[joint[c]], start[joint[c + 1]]):
+        for j in range(past.shape[1]):
+            mine, its = jointed.data.past[r, j], past[at + r, j, i]
+            jointed.data.past[r, j], past[at + r, j, i] = its, mine
+
+
+@inline
+def _drift_packs(
+    packs: Packs | None, jointed: Jointed, team: Team | None, books: Flag, blocks: Floats,
+    kick_dt: float, t: float, dt: float,
+) -> None:  # fmt: skip
+    """Constrained drift of clusters in packs; those that are lost there drift anew alone."""
+    if packs is None:
+        return
+    joints, data = numbers_of(packs.joints), data_of(packs.data)
+    first, last = _share_of(team, packs.cluster.shape[0])
+    for p in range(first, last):
+        _gather_pack(packs, jointed, blocks, p)
+        drift_pack(joints, data, p, kick_dt, t, dt)
+        for i in range(LANES):
+            c = packs.cluster[p, i]
+            if c < 0:
+                continue
+            if packs.data.failed_row[LANES * p + i] == 0:
+                _take_from_pack(books, packs, jointed, p, i, c)
+            else:
+                _exchange_past(packs, jointed, p, i, c)
+                _drift_alone(jointed, blocks, c, kick_dt, t, dt)
+                _exchange_past(packs, jointed, p, i, c)
+            _finish_drift(books, jointed, blocks, c, kick_dt)
 
 
 @kernel
@@ -212,21 +305,14 @@ def drift_clusters(
     """
     if jointed is None:
         return
-    first, last = _share_of_clusters(jointed, team)
-    t, body = jointed.data.clock[0] + ahead, jointed.joints.clusters.body
-    time = jointed.start + t
-    for c in range(first, last):
-        _gather(jointed, blocks, c)
-        set_prescribed(jointed.prescribed, jointed.data, time, dt, body[c], body[c + 1])
-        constrained_drift(jointed.joints, jointed.data, c, kick_dt, t, dt)
-        if dt == jointed.data.clock[1]:  # and not a part of a step, to a frame
-            joints = jointed.joints
-            foresee_breaks(joints.breaks, joints, jointed.data, c, kick_dt, t)
-        _book_world(books, jointed, blocks, c, jointed.data.pose)
-        _book_drives(books, jointed, blocks, c)
-        _book_motors(books, jointed, blocks, c)
-        _correct_work(books, jointed.keeps_kick, jointed, blocks, c, kick_dt)
-        _scatter(jointed, blocks, c)
+    meet_all(team)  # clusters are of all blocks
+    t = jointed.data.clock[0] + ahead
+    _drift_packs(jointed.packs, jointed, team, books, blocks, kick_dt, t, dt)
+    first, last = _share_of(team, jointed.alone.size)
+    for k in range(first, last):
+        c = jointed.alone[k]
+        _drift_alone(jointed, blocks, c, kick_dt, t, dt)
+        _finish_drift(books, jointed, blocks, c, kick_dt)
     meet_all(team)
     if team is None or team.thread == 0:
         count_turns(jointed.joints.coordinates, jointed.data.y, jointed.data.turned)
@@ -240,8 +326,9 @@ def project_clusters(
     """Kick of springs, projection of the momenta and damping over a span, as above."""
     if jointed is None:
         return
-    first, last = _share_of_clusters(jointed, team)
+    meet_all(team)
     t, body = jointed.data.clock[0], jointed.joints.clusters.body
+    first, last = _share_of(team, body.size - 1)
     time = jointed.start + t
     for c in range(first, last):
         _gather(jointed, blocks, c)

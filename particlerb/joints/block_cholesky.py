@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
+from particlerb.compiled.lanes import choose
 from particlerb.joints.fives import down_fives, up_fives, update_fives
 from particlerb.joints.records import Clusters, ConstraintRows, JointData, Program
 from particlerb.maths.rows import row3_at
@@ -211,7 +212,8 @@ def _factorise_diagonal(
     """L D Lᵀ of a block: L below the diagonal, 1/D on it, 0 where a pivot is too small."""
     for c in range(n):
         v = factor[k, c, c]
-        f = 1.0 / v if v > smallest * scale[at + c] else 0.0
+        is_large = v > smallest * scale[at + c]
+        f = choose(is_large, 1.0 / choose(is_large, v, 1.0), 0.0)
         factor[k, c, c] = f
         for r in range(n - 1, c, -1):
             share = factor[k, r, c] * f

@@ -16,6 +16,7 @@ from particlerb.model.state import State
 
 if TYPE_CHECKING:
     from particlerb.contact.prescribed_motion import PrescribedBodies
+    from particlerb.joints.packs import Packs
     from particlerb.joints.trees import JointTree
 
 ALONG: Final = 0  # u·d = 0 with d = x_a + r_a - x_b - r_b, u fixed in b
@@ -211,6 +212,8 @@ class Jointed(NamedTuple):
     damps: Flag  # whether something damps
     prescribed: "PrescribedBodies | None"  # in the order of the clusters; None: there are none
     start: float  # [s] when the segment began
+    packs: "Packs | None"  # of clusters that are alike, side by side
+    alone: Ints  # clusters that are in none
     tree: "JointTree | None" = None  # the joints as trees, for accelerations; None: by multipliers
 
 

@@ -22,6 +22,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel, unfused_kernel, unsigned
+from particlerb.compiled.lanes import any_of, choose, lane, opposite
 from particlerb.joints.drives import course
 from particlerb.joints.records import (
     ALONG,
@@ -131,7 +132,8 @@ def _rotation(rows: ConstraintRows, y: Floats, r: int) -> Vec3:
     q = multiply(turned, conjugate(orientation(y, rows.b[r])))
     v = q[1], q[2], q[3]
     s = norm(v)
-    f = 2.0 * atan2(s, abs(q[0])) / s if s > 0.0 else 2.0
+    turns = s > 0.0
+    f = choose(turns, 2.0 * atan2(s, abs(q[0])) / choose(turns, s, 1.0), 2.0)
     return scale(copysign(f, q[0]), v)
 
 
@@ -207,8 +209,10 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
         else:
             g[r] = residual(rows, joints.drives, y, r, t)
         share = abs(g[r]) / (turned if is_of_directions(kind) else rows.size[r] + far)
-        if not share <= worst:
-            worst, where = share, r
+        is_larger = opposite(share <= worst)
+        worst = choose(is_larger, share, worst)
+        if any_of(is_larger):
+            where = r
     return worst, where
 
 
@@ -309,12 +313,12 @@ def add_impulses(
     for r in range(lo, hi):
         a, b = rows.a[r], rows.b[r]
         by_x = row3_at(gradient, r, 0)
-        if inv_mass[a] > 0.0:
+        if lane(inv_mass[a], 0) > 0.0:
             put_row3_at(y, a, at, add_scaled(z[r], by_x, row3_at(y, a, at)))
             put_row3_at(
                 y, a, at + 3, add_scaled(z[r], row3_at(gradient, r, 3), row3_at(y, a, at + 3))
             )
-        if inv_mass[b] > 0.0:
+        if lane(inv_mass[b], 0) > 0.0:
             put_row3_at(y, b, at, add_scaled(-z[r], by_x, row3_at(y, b, at)))
             put_row3_at(
                 y, b, at + 3, add_scaled(z[r], row3_at(gradient, r, 6), row3_at(y, b, at + 3))

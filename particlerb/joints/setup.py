@@ -83,7 +83,9 @@ def joints_among(
     )
     first, rank = np.r_[0, ends], np.r_[0, np.cumsum(count)]
     holds = np.logical_or.reduceat(rows.action == HOLDS, rank[:-1])
-    clusters, program = _programs(first, label[a[index]], label[order], rows, rank, inv_mass, holds)
+    clusters, program = programs_of(
+        first, label[a[index]], label[order], rows, rank, inv_mass, holds
+    )
     acts = any(values.any() for values in (actions.stiffness, actions.stop, actions.motor))
     damps = actions.damping.any() or actions.stop_damping.any()
     return Joints(
@@ -108,7 +110,7 @@ def _beside(rows: ConstraintRows) -> Bools:
     return np.asarray(is_equal & (rows.kind == WORLD_ALONG))
 
 
-def _programs(
+def programs_of(
     first: Ints,
     of_joint: Ints,
     of_body: Ints,

@@ -22,54 +22,37 @@ from math import inf
 from typing import Final
 
 from particlerb.compiled.jit import Flag, inline, kernel, unfused_kernel
+from particlerb.compiled.lanes import choose, lane
 from particlerb.joints.actions import gives_way, kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.breaking import leave_out, let_break
-from particlerb.joints.drives import carry, set_moving
-from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, JointData, Joints, L, P, Q, X
+from particlerb.joints.drives import set_moving
+from particlerb.joints.iterations import (
+    GAIN_RATIO,
+    add_gains,
+    find_impulses,
+    remember,
+    take_back,
+    warm_start,
+)
+from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, JointData, Joints, L, P
 from particlerb.joints.rows import (
-    add_impulses,
     arms_at,
     by_inverse_inertia,
     is_of_directions,
     linearise,
     orientation,
-    rate,
     rates,
     residuals,
     rotations,
 )
-from particlerb.joints.wheels import nearest, out_of_mesh
-from particlerb.maths.quaternion import to_body
+from particlerb.joints.wheels import out_of_mesh
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import Floats, Vec3, add, dot, scale
-from particlerb.rotors.symmetric_split import symmetric_split, symmetric_top
 
-MOST_ITERATIONS: Final = 60
-_RESIDUAL_ROUNDING: Final = 1e-15  # residuals, over their size, that are as good as none
-_LAST_RESIDUAL: Final = 1e-10  # below it an iteration that gains little is the last
-_GAIN_RATIO: Final = 0.5  # of a residual by that before: with more an iteration gains little
-_MAX_MIXED: Final = 1e-2  # residual: from farther off, guessed or mixed, another branch is near
-_STRAYED_RATIO: Final = 100.0  # of the least residual so far, or the last: a loop leaves its branch
 _MAX_PASSES: Final = 4  # of a projection of momenta
 _MAX_PIVOT_DECADES: Final = 7  # by which the pivot below which rows rest grows, from 1e-8 on
 _MAX_RESTING: Final = 1e-4  # residual of a row that rests, over its size
-
-
-@inline
-def fly(joints: Joints, data: JointData, c: int, dt: float) -> None:
-    """Drift of cluster c from where it began, with the momenta of now."""
-    y, pose = data.y, data.pose
-    for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
-        path = dt * joints.inv_mass[k]
-        for i in range(3):
-            y[k, X + i] = pose[k, X + i] + path * y[k, P + i]
-        q = orientation(pose, k)
-        m = to_body(q, row3_at(y, k, L))
-        a = row3_at(joints.inv_inertia, k, 0)
-        q = symmetric_top(q, m, a, dt) if a[0] == a[1] else symmetric_split(q, m, a, dt)
-        y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
-    carry(joints, data, joints.clusters.body[c], joints.clusters.body[c + 1])
 
 
 @inline
@@ -83,11 +66,11 @@ def factorise_cluster(joints: Joints, data: JointData, c: int, span: float, t: f
     leave_out(joints.breaks, joints, data, c, t)
     linearise(joints, data, start[lo], start[hi])
     set_moving(joints, data, start[lo], start[hi], t)
-    _factor(joints, data, c)
+    factorise_gradients(joints, data, c)
 
 
 @inline
-def _factor(joints: Joints, data: JointData, c: int) -> None:
+def factorise_gradients(joints: Joints, data: JointData, c: int) -> None:
     """Factor of A of cluster c from its gradients."""
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
@@ -98,7 +81,7 @@ def _factor(joints: Joints, data: JointData, c: int) -> None:
     assemble(joints.program, joints.rows, joints.inv_mass, data, block[c], block[c + 1])
     if judges:
         for r in range(lo, hi):
-            data.scale[r] = inf if data.last_gain[r] == 0.0 else 0.0
+            data.scale[r] = choose(data.last_gain[r] == 0.0, inf, 0.0)
     factorise(joints.program, clusters, data.factor, data.scale, c)
 
 
@@ -128,46 +111,9 @@ def _even_out(
     """J⁻¹ times gradients of rows lo to hi, when 1/M of bodies becomes another."""
     for r in range(lo, hi):
         for at, k in ((9, joints.rows.a[r]), (12, joints.rows.b[r])):
-            by = after[k] / before[k] if before[k] > 0.0 else 1.0
+            by = after[k] / before[k] if lane(before[k], 0) > 0.0 else 1.0
             for i in range(at, at + 3):
                 gradient[r, i] *= by
-
-
-@inline
-def _add(joints: Joints, data: JointData, lo: int, hi: int) -> None:
-    """Add impulses z of rows lo to hi to the momenta, and to `total`."""
-    for r in range(lo, hi):
-        data.impulse[r] += data.z[r]
-    add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, lo, hi, data.y, P)
-
-
-@inline
-def warm_start(joints: Joints, data: JointData, c: int, kick_dt: float) -> None:
-    """Begin with the impulses that a cubic through those of the last four steps foresees.
-
-    Rows that the factor leaves out have none.
-    """
-    start, first = joints.program.start, joints.clusters.joint[c]
-    last = joints.clusters.joint[c + 1]
-    for j in range(first, last):
-        d = joints.clusters.block[c] + j - first
-        for r in range(start[j], start[j + 1]):
-            force = 0.0
-            if data.factor[d, r - start[j], r - start[j]] != 0.0:
-                for i in range(data.past.shape[1]):
-                    force += data.past[r, i] if data.past[r, i] == data.past[r, i] else 0.0
-            data.z[r] = kick_dt * force
-    _add(joints, data, start[first], start[last])
-
-
-@inline
-def remember(data: JointData, lo: int, hi: int, kick_dt: float) -> None:
-    """Keep the impulses of rows lo to hi for the guess of the next step."""
-    for r in range(lo, hi):
-        force = data.impulse[r] / kick_dt
-        for i in range(data.past.shape[1]):
-            before, data.past[r, i] = data.past[r, i], force
-            force -= before
 
 
 @unfused_kernel
@@ -196,9 +142,9 @@ def constrained_drift(
     if data.failed_row[c] > 0 and clusters.smallest_pivot[c] > 0.0:
         _pass_singular_pose(joints, data, c, t, dt)
     if is_whole:
-        remember(data, lo, hi, kick_dt)
+        remember(data, lo, hi, kick_dt, False)
     if let_break(joints.breaks, joints, data, c, kick_dt, t, dt):
-        _factor(joints, data, c)
+        factorise_gradients(joints, data, c)
         _fly_to_joints(joints, data, c, t, dt, False)
     _see_teeth(joints.rolls, joints, data, c, dt)
     if joints.acts or joints.bounds is not None:
@@ -234,18 +180,6 @@ def _see_teeth(rolls: Flag, joints: Joints, data: JointData, c: int, dt: float) 
                 data.failed_row[c] = 1 + r + (wrong - 1) * rows.kind.size
 
 
-@inline
-def _take_back(joints: Joints, data: JointData, c: int) -> None:
-    """Begin the drift of cluster c anew, without impulses of rows that hold."""
-    clusters, start = joints.clusters, joints.program.start
-    for k in range(clusters.body[c], clusters.body[c + 1]):
-        for i in range(P, STATE):
-            data.y[k, i] = data.pose[k, i]
-    for r in range(start[clusters.joint[c]], start[clusters.joint[c + 1]]):
-        if joints.rows.action[r] == HOLDS:
-            data.impulse[r] = 0.0
-
-
 @kernel
 def _pass_singular_pose(joints: Joints, data: JointData, c: int, t: float, dt: float) -> None:
     """Drift anew without the rows that all but depend on others: for this step they rest.
@@ -259,8 +193,8 @@ def _pass_singular_pose(joints: Joints, data: JointData, c: int, t: float, dt: f
     lo, hi = start[first], start[last]
     for _ in range(_MAX_PIVOT_DECADES):
         share[c] *= 10.0
-        _take_back(joints, data, c)
-        _factor(joints, data, c)
+        take_back(joints, data, c, True)
+        factorise_gradients(joints, data, c)
         for j in range(first, last):
             d = clusters.block[c] + j - first
             for r in range(start[j], start[j + 1]):
@@ -299,68 +233,12 @@ def _is_weak(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> bool:
 
 
 @inline
-def _share_of_last(joints: Joints, data: JointData, lo: int, hi: int) -> float:
-    """How much of the last gain to take back, so that the residual over the sizes is least."""
-    along, square = 0.0, 0.0
-    for r in range(lo, hi):
-        relative = data.g[r] / joints.rows.size[r]
-        change = relative - data.last_g[r] / joints.rows.size[r]
-        along, square = along + change * relative, square + change * change
-    return along / square if square > 0.0 else 0.0
-
-
-@inline
-def _count_teeth(
-    rolls: Flag, joints: Joints, data: JointData, lo: int, hi: int, dt: float, worst: float
-) -> float:
-    """Residuals of what rolls, with the teeth that it passes by its rates as no impulses hold it.
-
-    Returns the largest of all over its size.
-    """
-    if rolls is None:
-        return worst
-    rows = joints.rows
-    for r in range(lo, hi):
-        if rows.kind[r] in (RACK, GEAR) and data.compliance[r] == 0.0 and data.impulse[r] == 0.0:
-            passed = dt * (rate(joints, data.gradient, r, data.y, P) + data.dg_dt[r])
-            data.g[r] = nearest(data.g[r], passed, rows.wheel[r, 11])
-            worst = max(worst, abs(data.g[r]) / rows.size[r])
-    return worst
-
-
-@kernel
 def _fly_to_joints(
     joints: Joints, data: JointData, c: int, t: float, dt: float, is_guessed: bool
 ) -> None:
-    """Drift with impulses along the gradients so that g = 0 at its end: see above."""
-    clusters, start = joints.clusters, joints.program.start
-    lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
-    before, least, mixes = 1e300, 1e300, joints.clusters.smallest_pivot[c] == 0.0
-    for _ in range(MOST_ITERATIONS):
-        fly(joints, data, c, dt)
-        worst, where = residuals(joints, data, lo, hi, t + dt)
-        if before == 1e300:
-            worst = _count_teeth(joints.rolls, joints, data, lo, hi, dt, worst)
-            if is_guessed and worst > _MAX_MIXED:
-                _take_back(joints, data, c)
-                is_guessed = False
-                continue
-        if worst <= _RESIDUAL_ROUNDING or (worst < _LAST_RESIDUAL and worst > _GAIN_RATIO * before):
-            return
-        if not mixes and worst > _STRAYED_RATIO * least:
-            break
-        least = max(min(least, worst), _LAST_RESIDUAL)
-        share = _share_of_last(joints, data, lo, hi) if mixes and before < _MAX_MIXED else 0.0
-        before = worst
-        for r in range(lo, hi):
-            data.z[r] = (share * (data.g[r] - data.last_g[r]) - data.g[r]) / dt
-            data.last_g[r] = data.g[r]
-        solve(joints.program, joints.clusters, data.factor, data.z, c)
-        for r in range(lo, hi):
-            data.z[r] -= share * data.last_gain[r]
-            data.last_gain[r] = data.z[r]
-        _add(joints, data, lo, hi)
-    if data.failed_row[c] == 0:  # later steps of what is lost are not numbers
+    """Drift of `find_impulses`; later steps of what is lost are not numbers."""
+    is_lost, where = find_impulses(joints, data, c, t, dt, is_guessed)
+    if is_lost and data.failed_row[c] == 0:
         data.failed_row[c] = 1 + where
 
 
@@ -387,8 +265,8 @@ def keep_rates(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> Non
     before = 1e300
     for _ in range(_MAX_PASSES):
         worst = rates(joints, data, lo, hi)
-        if not 0.0 < worst < _GAIN_RATIO * before:
+        if not 0.0 < worst < GAIN_RATIO * before:
             return
         before = worst
         solve(joints.program, joints.clusters, data.factor, data.z, c)
-        _add(joints, data, lo, hi)
+        add_gains(joints, data, lo, hi)

@@ -7,6 +7,7 @@ from particlerb.compiled.threads import BLOCK
 from particlerb.contact.prescribed_motion import prescribed_among
 from particlerb.forces import has_potential
 from particlerb.joints.coordinates import count_turns
+from particlerb.joints.packs import packs_of, past_of, set_past
 from particlerb.joints.records import Jointed, joint_data_at
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import State
@@ -15,9 +16,12 @@ from particlerb.stepping.saved_arrays import Saved
 
 
 def jointed_in(
-    group: SegmentGroup, first: State, slots: Ints, start: float, dt: float
+    group: SegmentGroup, first: State, slots: Ints, start: float, dt: float, packed: bool = False
 ) -> Jointed | None:
-    """Joints of a group with their data, its bodies at these places; None: it has none."""
+    """Joints of a group with their data, its bodies at these places; None: it has none.
+
+    Packed: drifts take mechanisms that are alike side by side.
+    """
     joints = group.terms.joints
     if joints is None:
         return None
@@ -29,7 +33,9 @@ def jointed_in(
     no_potential = flag(not has_potential(group.terms))
     prescribed = prescribed_among(group.terms.prescribed, joints.order)
     places = body_slots // BLOCK, body_slots % BLOCK
-    return Jointed(joints, data, *places, no_potential, flag(joints.damps), prescribed, start)
+    packs, alone = packs_of(joints, data) if packed else (None, np.arange(data.failed_row.size))
+    damps = flag(joints.damps)
+    return Jointed(joints, data, *places, no_potential, damps, prescribed, start, packs, alone)
 
 
 class JointedMotion(Motion):
@@ -71,11 +77,14 @@ class JointedMotion(Motion):
         saved = {"turned": data.turned.copy()} if data.turned.size else {}
         if self.breaks:
             saved |= {"broken": self.broken.copy(), "load": data.load.copy()}
-        return saved if np.isnan(data.past).all() else saved | {"past": data.past.copy()}
+        past = past_of(self.jointed.packs, data)
+        return saved if np.isnan(past).all() else saved | {"past": past}
 
     def restore_joints(self, saved: Saved) -> None:
         """Go on from what was kept."""
-        for name in ("turned", "broken", "load", "past"):
+        if self.jointed is not None and "past" in saved:
+            set_past(self.jointed.packs, self.jointed.data, saved["past"])
+        for name in ("turned", "broken", "load"):
             if self.jointed is not None and name in saved:
                 array = self.broken if name == "broken" else getattr(self.jointed.data, name)
                 array[:] = saved[name]

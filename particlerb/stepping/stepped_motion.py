@@ -104,7 +104,9 @@ class SteppedMotion(JointedMotion):
         self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`,
         self.pose_loop: Callable[..., Position] | None = None  # and for it
         self.account = ForceAccount(group, state, method.keeps_angular_momentum)
-        self.jointed = jointed_in(group, state, self.slots, start, dt)
+        self.jointed = jointed_in(
+            group, state, self.slots, start, dt, packed=not method.takes_impulses
+        )
         links, user_pairs = terms.links, terms.user_pairs
         has_dashpots = links is not None and links.damping is not None
         has_dashpots |= user_pairs is not None and bool(user_pairs.takes_velocities.any())

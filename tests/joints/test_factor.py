@@ -7,10 +7,11 @@ from scipy.spatial.transform import Rotation
 
 from particlerb.case.to_system import to_system
 from particlerb.joints.block_cholesky import solve
+from particlerb.joints.iterations import remember, warm_start
 from particlerb.joints.records import HOLDS, P, Q, joint_data_at
 from particlerb.joints.records import X as AT
 from particlerb.joints.rows import residual
-from particlerb.joints.solver import factorise_cluster, remember, warm_start
+from particlerb.joints.solver import factorise_cluster
 from particlerb.simulation.run import prepare
 
 pytestmark = pytest.mark.plain
@@ -132,4 +133,4 @@ def test_a_step_begins_with_the_impulses_that_a_cubic_foresees():
         given = data.y[0, P : P + 3] - before[0, P : P + 3]
         assert given == pytest.approx(data.impulse @ data.gradient[:, :3], abs=1e-12)
         data.impulse[:] = 0.5 * row * (1 + known + known**2 + known**3)
-        remember(data, 0, 10, 0.5)
+        remember(data, 0, 10, 0.5, False)

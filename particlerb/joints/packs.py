@@ -1,0 +1,220 @@
+"""Packs of mechanisms of the same structure: each of them is a lane of SIMD.
+
+What a cluster is made of, its bodies and joints and how they are tied, is the same for all of a
+pack; masses, places of joints and states are of each lane. A pack is a cluster of joints whose
+numbers are packs (see compiled/lanes.py): one program serves all.
+"""
+
+from collections import defaultdict
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.compiled.jit import config, inline, unfused_kernel
+from particlerb.compiled.lanes import LANES, as_packs, lane
+from particlerb.joints.iterations import find_impulses, remember, warm_start
+from particlerb.joints.records import HOLDS, STATE, Clusters, ConstraintRows, JointData, Joints
+from particlerb.joints.rows import linearise
+from particlerb.joints.setup import programs_of
+from particlerb.joints.solver import factorise_gradients
+from particlerb.maths.vec3 import Floats, Ints
+
+MIN_ALIKE: Final = 16  # mechanisms: fewer are not worth the time to compile this
+
+
+class Packs(NamedTuple):
+    """Clusters of joints by packs; numbers have lanes as the last axis."""
+
+    joints: Joints
+    data: JointData
+    cluster: Ints  # (packs, LANES) of the group; -1: the first one once more, and of no interest
+    row: Ints  # (m, LANES) of the group
+
+
+def _like(joints: Joints) -> dict[bytes, list[int]]:
+    """Clusters of the same structure."""
+    rows, clusters, start = joints.rows, joints.clusters, joints.program.start
+    world, found = joints.inv_mass.size - 1, defaultdict[bytes, list[int]](list)
+    for c in range(clusters.body.size - 1):
+        first, last = clusters.body[c : c + 2]
+        own = start[clusters.joint[c] : clusters.joint[c + 1] + 1]
+        of = slice(own[0], own[-1])
+        ends = [np.where(end == world, -1, end - first) for end in (rows.a[of], rows.b[of])]
+        moments = joints.inv_inertia[first:last]
+        moves, turns = joints.inv_mass[first:last] > 0.0, moments > 0.0
+        is_top = moments[:, 0] == moments[:, 1]
+        kinds = (
+            own - own[0], *ends, rows.kind[of], joints.beside[of], moves, turns, is_top,
+            clusters.is_uneven[c : c + 1], clusters.smallest_pivot[c : c + 1],
+        )  # fmt: skip
+        found[b"".join(array.tobytes() for array in kinds)].append(c)
+    return found
+
+
+def packs_of(joints: Joints, data: JointData) -> tuple[Packs | None, Ints]:
+    """Packs of the clusters of joints, and those that are in none.
+
+    There are none where few are alike, something acts in joints, or nothing is compiled.
+    """
+    none = None, np.arange(joints.clusters.body.size - 1)
+    if (
+        config.DISABLE_JIT
+        or (joints.rows.action != HOLDS).any()
+        or joints.moves
+        or joints.damps
+        or joints.breaks is not None
+        or joints.bounds is not None
+        or joints.rolls is not None
+    ):
+        return none
+    packs, alone = list[list[int]](), list[int]()
+    for like in _like(joints).values():
+        if len(like) < MIN_ALIKE:
+            alone += like
+            continue
+        packs += [like[k : k + LANES] for k in range(0, len(like), LANES)]
+    if not packs:
+        return none
+    cluster = np.array([[*pack, *[-1] * (LANES - len(pack))] for pack in packs])
+    packed, row = _packed(joints, np.where(cluster < 0, cluster[:, :1], cluster))
+    return Packs(packed, _room(packed, data), cluster, row), np.array(alone, dtype=np.int64)
+
+
+def _ranges(first: Ints, which: Ints) -> Ints:
+    """Numbers from first[k] to first[k + 1] of some k, one behind the other."""
+    return np.concatenate([np.arange(first[k], first[k + 1]) for k in which])
+
+
+def _packed(joints: Joints, cluster: Ints) -> tuple[Joints, Ints]:
+    """Joints of packs of clusters (packs, LANES), and rows of the group (m, LANES)."""
+    clusters, start, rows = joints.clusters, joints.program.start, joints.rows
+    world, leading = joints.inv_mass.size - 1, cluster[:, 0]
+    body = np.stack([np.append(_ranges(clusters.body, lane), world) for lane in cluster.T], -1)
+    row = np.stack([_ranges(start[clusters.joint], lane) for lane in cluster.T], -1)
+    place = np.zeros(world + 1, dtype=np.int64)
+    place[body[:, 0]] = np.arange(len(body))
+    sizes, counts = (np.diff(of)[leading] for of in (clusters.body, clusters.joint))
+    joint = _ranges(clusters.joint, leading)
+    own_start = np.append(0, np.cumsum(np.diff(start)[joint]))
+    of_lanes = {
+        name: np.stack([getattr(rows, name)[lane] for lane in row.T], -1)
+        for name in ("vector_a", "vector_b", "axis", "length", "size")
+    }
+    of_pack = ConstraintRows(*(array[row[:, 0]] for array in rows))
+    of_pack = of_pack._replace(a=place[of_pack.a], b=place[of_pack.b], **of_lanes)
+    label = np.arange(len(leading))
+    made, program = programs_of(
+        np.append(0, np.cumsum(sizes)), np.repeat(label, counts), np.repeat(label, sizes), of_pack,
+        own_start, joints.inv_mass[body[:, 0]], np.ones(joint.size, dtype=np.bool_),
+    )  # fmt: skip
+    packed = joints._replace(
+        order=joints.order[:0], inv_mass=joints.inv_mass[body],
+        inv_inertia=np.stack([joints.inv_inertia[lane] for lane in body.T], -1), rows=of_pack,
+        clusters=made._replace(even_inv_mass=clusters.even_inv_mass[body]), program=program,
+        number=joints.number[joint], drag=joints.drag[body[:, 0]],
+        beside=joints.beside[row[:, 0]], prescribed=joints.prescribed[body[:, 0]],
+    )  # fmt: skip
+    return packed, row
+
+
+def past_of(packs: Packs | None, data: JointData) -> Floats:
+    """`JointData.past` of all joints of a group."""
+    past = data.past.copy()
+    if packs is not None:
+        for k in reversed(range(LANES)):  # the first lane last: others may stand for it
+            past[packs.row[:, k]] = packs.data.past[..., k]
+    return past
+
+
+def set_past(packs: Packs | None, data: JointData, past: Floats) -> None:
+    """Go on from what it was."""
+    data.past[:] = past
+    if packs is not None:
+        packs.data.past[:] = np.moveaxis(past[packs.row], 1, -1)
+
+
+def _room(joints: Joints, data: JointData) -> JointData:
+    """Room for what packs read and write; the clock is that of all joints."""
+    n, m = len(joints.inv_mass), joints.rows.kind.size
+    of_bodies = {"y", "pose", "motion", "end_pose", "change", "inv_mass", "inv_inertia"}
+    width = int(np.diff(joints.program.start).max())
+    room = {
+        name: np.zeros((n if name in of_bodies else m, *array.shape[1:], LANES))
+        for name, array in data._asdict().items()
+    }
+    return data._replace(
+        **room
+        | {
+            "factor": np.zeros((len(joints.program.pair), width, width, LANES)),
+            "past": np.full((m, 4, LANES), np.nan),
+            "compliance": np.zeros(m),
+            "failed_row": np.zeros(LANES * (len(joints.clusters.body) - 1), dtype=np.int64),
+            "turned": data.turned[:0], "clock": data.clock, "broken": data.broken[:0],
+            "load": data.load[:0],
+        }
+    )  # fmt: skip
+
+
+@unfused_kernel
+def drift_pack(
+    joints: Joints, data: JointData, c: int, kick_dt: float, t: float, dt: float
+) -> None:
+    """Drift of `constrained_drift` for a pack of clusters, along whose joints nothing acts.
+
+    Those that no impulses keep are lost, and remember none of these: `failed_row` is 1.
+    """
+    clusters, start = joints.clusters, joints.program.start
+    lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
+    for k in range(clusters.body[c], clusters.body[c + 1]):
+        for i in range(STATE):
+            data.pose[k, i] = data.y[k, i]
+    for r in range(lo, hi):
+        data.impulse[r] = 0.0
+    linearise(joints, data, lo, hi)
+    factorise_gradients(joints, data, c)
+    is_whole = dt == data.clock[1]
+    guesses = is_whole and not clusters.is_uneven[c]
+    if guesses:
+        warm_start(joints, data, c, kick_dt)
+    is_lost, _ = find_impulses(joints, data, c, t, dt, guesses)
+    if is_whole:
+        remember(data, lo, hi, kick_dt, is_lost)
+    for k in range(LANES):
+        data.failed_row[LANES * c + k] = lane(is_lost, k)
+
+
+@inline
+def numbers_of(joints: Joints) -> Joints:
+    """Joints of packs, as kernels take them."""
+    rows, clusters = joints.rows, joints.clusters
+    return Joints(
+        joints.order,
+        as_packs(joints.inv_mass),
+        as_packs(joints.inv_inertia),
+        ConstraintRows(
+            rows.kind, rows.a, rows.b, as_packs(rows.vector_a), as_packs(rows.vector_b),
+            as_packs(rows.axis), as_packs(rows.length), as_packs(rows.size), rows.action,
+            rows.drive, rows.wheel,
+        ),
+        Clusters(
+            clusters.body, clusters.joint, clusters.block, clusters.smallest_pivot,
+            clusters.is_uneven, as_packs(clusters.even_inv_mass),
+        ),
+        joints.program, joints.number, joints.actions, joints.drag, joints.beside, joints.acts,
+        joints.damps, joints.coordinates, joints.drives, joints.prescribed, joints.moves, None,
+        None, None,
+    )  # fmt: skip
+
+
+@inline
+def data_of(data: JointData) -> JointData:
+    """Their data."""
+    return JointData(
+        as_packs(data.y), as_packs(data.pose), as_packs(data.gradient), as_packs(data.motion),
+        as_packs(data.end_pose), as_packs(data.change), as_packs(data.inv_mass),
+        as_packs(data.inv_inertia), as_packs(data.g), as_packs(data.dg_dt), as_packs(data.z),
+        as_packs(data.impulse), as_packs(data.half_step), as_packs(data.step_impulse),
+        as_packs(data.last_g), as_packs(data.last_gain), as_packs(data.scale), data.compliance,
+        as_packs(data.past), as_packs(data.factor), data.failed_row, data.turned, data.clock,
+        data.broken, data.load,
+    )  # fmt: skip

@@ -1,0 +1,77 @@
+"""Mechanisms that are alike drift side by side: each bit for bit as it does alone."""
+
+import numpy as np
+import pytest
+from scenes import X, Z, bar, case, hinge_chain, joint
+
+import particlerb
+from particlerb import RunError
+from particlerb.joints import packs
+
+RUN = {"t_end": 0.12, "every": 0.04, "dt": 5e-3, "method": "rattle", "threads": 1}
+N = 18  # four packs, and two more
+
+
+def copies(bodies, speeds):
+    """Copies of bodies at the same place, with their (v, ω) times each of these speeds."""
+    return [
+        b | {"count": len(speeds), "position": [b["position"]] * len(speeds)}
+        | {key: np.outer(speeds, b[key]).tolist() for key in ("velocity", "angular_velocity")}
+        for b in bodies
+    ]  # fmt: skip
+
+
+def chains(speeds):
+    """Chains of three hinges that turn about x, some slowly and some fast."""
+    scene = hinge_chain(3, 0.3)
+    for link in scene["body"]:
+        link["angular_velocity"] = X
+    joints = [j | {"assemble": True} for j in scene["joint"]]
+    return copies(scene["body"], speeds), joints
+
+
+def parallelograms(speeds):
+    """They fold, sooner or later, and pass the line in which some rows have to rest."""
+    angle = np.pi - 0.15
+    pin, foot = np.array([np.cos(angle), np.sin(angle), 0]), np.array([2.0, 0, 0])
+    v = np.cross(Z, pin)
+    bars = [bar("a", 0 * pin, pin, 1.0, 0.1, v / 2, Z),
+            bar("b", foot, foot + pin, 1.0, 0.1, v / 2, Z),
+            bar("c", pin, foot + pin, 1.0, 0.1, v)]  # fmt: skip
+    joints = [joint("hinge", "a", None, 0 * pin, Z), joint("hinge", "b", None, foot, Z)]
+    joints += [joint("hinge", "c", end, pin + at, Z) for end, at in (("a", 0 * foot), ("b", foot))]
+    return copies(bars, speeds), joints
+
+
+def recorded(scene, path=None):
+    """All that a run of a scene records of the motion and of its energy."""
+    with particlerb.open(path) if path else particlerb.run({"run": RUN, **scene}) as trajectory:
+        fields = ("position", "orientation", "velocity", "angular_velocity")
+        states = [np.array(getattr(trajectory, name)) for name in fields]
+        return [*states, trajectory.ledger.energy_error, trajectory.ledger.work]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(
+    ("made", "speeds"),
+    [(chains, np.linspace(0.0, 60.0, N)), (parallelograms, np.linspace(1.0, 12.0, N))],
+)
+def test_mechanisms_side_by_side_move_as_each_does_alone(made, speeds, tmp_path, monkeypatch):
+    """Over a pause too; some take more iterations than others."""
+    path, scene = tmp_path / "paused.h5", case(*made(speeds), g=(0.0, 0.0, -9.81))
+    particlerb.run({"run": RUN | {"t_end": 0.04}, **scene}, path).close()
+    particlerb.resume(path, RUN["t_end"]).close()
+    together = recorded(scene, path)
+    monkeypatch.setattr(packs, "MIN_ALIKE", N + 1)
+    for alone, beside in zip(recorded(scene), together, strict=True):
+        assert np.array_equal(alone, beside)
+
+
+@pytest.mark.compiled
+def test_one_that_is_lost_among_others_is_named():
+    bodies, joints = chains(np.zeros(N))
+    for i, link in enumerate(bodies):
+        link["angular_velocity"][6] = [0, 0, 600]
+        link["velocity"][6] = [0, 60 * (i + 0.5), 0]
+    with pytest.raises(RunError, match=r"joint b\d\[6\].*no longer holds"):
+        particlerb.run({"run": RUN | {"dt": 0.02}, **case(bodies, joints)})
