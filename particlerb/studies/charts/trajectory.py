@@ -74,9 +74,8 @@ def plot(
         raise ValueError(f"{body!r:.60}: no such body; the first is {trajectory.names[0]}")
     case = trajectory.parameter("case_resolved")
     figure = _titled_figure(trajectory, case)
-    with rc_context(
-        {"lines.marker": "o" if trajectory.n_frames == 1 else "None"}
-    ):  # no line of one
+    marker = "o" if trajectory.n_frames == 1 else "None"  # no line of one
+    with rc_context({"lines.marker": marker}):
         _draw_panels(figure, trajectory, case, body)
     if path is not None:
         figure.savefig(path_of(path, "the picture"), dpi=130)
