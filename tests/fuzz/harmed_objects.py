@@ -33,7 +33,10 @@ def paths_in(file: h5py.File) -> list[str]:
 def harm(path: Path, dice: random.Random) -> str:
     """Harm a sound file in one to three ways; say how."""
     done: list[str] = []
-    with contextlib.suppress(RuntimeError), h5py.File(path, "r+", locking=False) as file:
+    with (
+        contextlib.suppress(RuntimeError, OSError, ValueError),
+        h5py.File(path, "r+", locking=False) as file,
+    ):
         for _ in range(dice.choice((1, 1, 1, 1, 2, 3))):
             names = paths_in(file)
             if not names:

@@ -29,6 +29,7 @@ from kills import contents
 from tqdm import tqdm
 
 import particlerb
+from particlerb.case import output
 from particlerb.cli import main as command
 from particlerb.record import schema
 from particlerb.record.atomic import MARK
@@ -64,10 +65,10 @@ def joints() -> dict[str, Any]:
     return {"run": RUN | {"dt": 0.02}, "gravity": gravity, "body": bodies, "joint": held}
 
 
-def contact() -> dict[str, Any]:
+def contact(spacing: float = 0.19) -> dict[str, Any]:
     """Balls that fall on a floor and on each other; all that can be is recorded."""
     ball = {"name": "b", "shape": {"type": "sphere", "radius": 0.1}, "mass": 2.0, "count": 3}
-    place = {"type": "grid", "spacing": 0.19, "origin": [0, 0, 0.11]}
+    place = {"type": "grid", "spacing": spacing, "origin": [0, 0, 0.11]}
     fields = [*schema.FIELDS, *schema.CONTACT_FIELDS, *schema.WALLS, schema.CONTACTS]
     return {
         "run": RUN | {"t_end": 0.425, "every": 0.05, "dt": 5e-3},
@@ -79,16 +80,31 @@ def contact() -> dict[str, Any]:
     }
 
 
+def unsprung(law: str) -> dict[str, Any]:
+    """The same balls by impulses or events; all that can be is recorded."""
+    case = contact(0.21)
+    own = output.FIELDS_OF_LAWS["impulse" if law == "impulse" else "events"]
+    fields = [*schema.FIELDS, *own]
+    if law == "impulse":
+        fields += [*schema.CONTACT_FIELDS, *schema.WALLS, schema.CONTACTS]
+    run = {key: value for key, value in case["run"].items() if law == "impulse" or key != "dt"}
+    law_keys = {"law": law, "restitution": 0.7, "friction": 0.5}
+    return case | {"run": run, "contact": law_keys, "output": {"fields": fields}}
+
+
 KINDS: dict[str, Callable[[], dict[str, Any]]] = {
     "free": free,
     "driven": driven,
     "contact": contact,
     "dop853": lambda: driven("dop853"),
     "joints": joints,
+    "impulses": lambda: unsprung("impulse"),
+    "events": lambda: unsprung("events"),
 }
 MORE = (  # how, and which of these
     "resumed driven", "resumed contact", "resumed dop853", "resumed joints", "prolonged driven",
     "prolonged contact", "prolonged dop853", "whole chunks contact", "whole chunks driven",
+    "resumed impulses", "resumed events", "prolonged impulses", "prolonged events",
 )  # fmt: skip
 ONE_FRAME = {  # in a chunk: each is whole; and small arrays do not wait for a commit
     "particlerb.record.schema.MOST_IN_CHUNK": 1,
