@@ -88,7 +88,7 @@ class CaseError(Exception):
         for p in self.problems:
             kind = p.file, re.sub(r"\[\d+\]", "", p.key), p.reason, p.hint
             alike.setdefault(kind, []).append(p)
-        blocks = []
+        blocks: list[str] = []
         for first, *others in alike.values():
             is_folded = len(others) >= _LEAST_FOLDED
             blocks += map(str, (first, *(() if is_folded else others)))

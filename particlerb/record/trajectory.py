@@ -266,7 +266,8 @@ class Trajectory(LabelledReader):
         Parameters
         ----------
         name : str
-            Such as kinetic_energy or angular_momentum; docs/schema.md lists them.
+            Such as kinetic_energy or angular_momentum; docs/schema.md lists them, and so does the
+            KeyError of any other.
         frames : slice
             Which frames; default: all.
 
@@ -274,11 +275,6 @@ class Trajectory(LabelledReader):
         -------
         ndarray, shape (T,) or (T, 3)
             SI units, world frame.
-
-        Raises
-        ------
-        KeyError
-            If there is none of that name.
         """
         path = f"{schema.OBSERVABLES}/{name}/value"
         if path not in schema.SERIES:
