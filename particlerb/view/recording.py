@@ -43,10 +43,9 @@ def recorded(session: Session) -> str:
 
 def _firsts(session: Session) -> list[float]:
     """When each force of the case that was recorded acts first [s]; an impulse before its time."""
-    own = [with_knots(f, session.system) for f in session.system.force]
-    del own[len(session.start["force"]) :]
-    when = [f.edges or (0.0,) for f in own]
-    when += [f.get("during") or (f["time"],) for f in session.raw["force"][len(own) :]]
+    n = len(session.start["force"])
+    when = [with_knots(f, session.system).edges or (0.0,) for f in session.system.force[:n]]
+    when += [f.get("during") or (f["time"],) for f in session.raw["force"][n:]]
     return [math.nextafter(w[0], 0.0) if len(w) == 1 else w[0] for w in when]
 
 
