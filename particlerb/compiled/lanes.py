@@ -71,13 +71,13 @@ TRUTHS: Final = PackOfTruths()
 @register_model(PackOfFloats)
 class _PackModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _PACK)
+        cast(Any, super()).__init__(manager, kind, _PACK)
 
 
 @register_model(PackOfTruths)
 class _TruthsModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _TRUTHS)
+        cast(Any, super()).__init__(manager, kind, _TRUTHS)
 
 
 def _in_all_lanes(builder: Any, value: Any, vector: Any) -> Any:

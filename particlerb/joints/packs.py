@@ -100,7 +100,7 @@ def _packed(joints: Joints, cluster: Ints) -> tuple[Joints, Ints]:
         name: np.stack([getattr(rows, name)[lane] for lane in row.T], -1)
         for name in ("vector_a", "vector_b", "axis", "length", "size")
     }
-    of_pack = ConstraintRows(*(array[row[:, 0]] for array in rows))
+    of_pack = ConstraintRows._make(array[row[:, 0]] for array in rows)
     of_pack = of_pack._replace(a=place[of_pack.a], b=place[of_pack.b], **of_lanes)
     label = np.arange(len(leading))
     made, program = programs_of(
