@@ -175,7 +175,11 @@ def test_a_run_goes_on_bit_for_bit_and_does_not_see_its_frames(tmp_path):
         ({"motor": {"speed": 1.0, "largest": 1.0}}, None, "motor"),
         ({"limit": {"range": [0, 1]}}, None, 'contact.law = "impulse", or give a stiffness'),
         ({"friction": 1.0, "drive": {"speed": [[0, 0], [1, 1]]}}, impulse(), "given beside drive"),
-        ({"limit": {"range": [0, 1], "damping": 1.0}}, impulse(), "hard stops have none"),
+        (
+            {"limit": {"range": [0, 1], "damping": 1.0}},
+            impulse(),
+            "a stop without stiffness has none",
+        ),
         ({"limit": {"range": [0.1, 1]}}, impulse(), "beyond a hard stop"),
     ],
 )

@@ -61,7 +61,7 @@ def within_bounds(raw: dict[str, Any]) -> dict[str, tuple[str, str]]:
     """Keys of a joint that are impulses within bounds: what they are, what to take instead."""
     limit = raw.get("limit")
     is_hard = isinstance(limit, dict) and not has(limit, "stiffness")
-    stop = {"limit": ("a stop without stiffness", "give it a stiffness")}
+    stop = {"limit": ("a stop without stiffness", "give a stiffness")}
     motor = {"motor": ("a motor with a speed", "give a number, a constant torque or force")}
     friction = {"friction": ("Coulomb's friction", "take a damper")}
     found = (stop if is_hard else {}) | (motor if isinstance(raw.get("motor"), dict) else {})
