@@ -119,7 +119,7 @@ def half_work_of_pairs(
 ) -> float:
     """Half of what springs, and pairs of users, do where bodies are now along a move [J].
 
-    Attraction changes little within a move, and may be dear: its work is left as it was before.
+    Attraction changes little within a move, and may cost much: its work is that of before.
     """
     work = 0.0
     if pairs is None:
