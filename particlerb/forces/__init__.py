@@ -80,8 +80,8 @@ class Terms(NamedTuple):
     @property
     def is_coupled(self) -> bool:
         """Whether bodies act on each other."""
-        loads = self.links is self.user_pairs is self.attraction is None
-        return not (loads and self.contact is self.joints is None)
+        between = self.links, self.user_pairs, self.attraction, self.contact, self.joints
+        return between.count(None) < len(between)
 
     @property
     def has_other_pair_loads(self) -> bool:
