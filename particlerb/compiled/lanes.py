@@ -19,7 +19,6 @@ from numba.core import typeconv
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, models, register_model
-from numba.np.arrayobj import populate_array
 
 from particlerb.compiled.jit import config
 
@@ -235,6 +234,8 @@ def _typed_packs(context: Any, array: Any) -> Any:
     packs = types.Array(PACK, array.ndim - 1, "C", aligned=False)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        from numba.np.arrayobj import populate_array
+
         given = context.make_array(array)(context, builder, values[0])
         made = context.make_array(packs)(context, builder)
         size = ir.Constant(ir.IntType(64), 8 * LANES)
