@@ -32,10 +32,10 @@ class Packs(NamedTuple):
 
 
 def _like(joints: Joints) -> dict[bytes, list[int]]:
-    """Clusters of the same structure."""
+    """Mechanisms of the same structure; bodies without joints are none."""
     rows, clusters, start = joints.rows, joints.clusters, joints.program.start
     world, found = joints.inv_mass.size - 1, defaultdict[bytes, list[int]](list)
-    for c in range(clusters.body.size - 1):
+    for c in np.flatnonzero(np.diff(clusters.joint)).tolist():
         first, last = clusters.body[c : c + 2]
         own = start[clusters.joint[c] : clusters.joint[c + 1] + 1]
         of = slice(own[0], own[-1])
@@ -67,7 +67,7 @@ def packs_of(joints: Joints, data: JointData) -> tuple[Packs | None, Ints]:
         or joints.rolls is not None
     ):
         return none
-    packs, alone = list[list[int]](), list[int]()
+    packs, alone = list[list[int]](), np.flatnonzero(np.diff(joints.clusters.joint) == 0).tolist()
     for like in _like(joints).values():
         if len(like) < MIN_ALIKE:
             alone += like

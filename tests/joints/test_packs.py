@@ -1,5 +1,7 @@
 """Mechanisms that are alike drift side by side: each bit for bit as it does alone."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scenes import X, Z, bar, case, hinge_chain, joint
@@ -75,3 +77,18 @@ def test_one_that_is_lost_among_others_is_named():
         link["velocity"][6] = [0, 60 * (i + 0.5), 0]
     with pytest.raises(RunError, match=r"joint b\d\[6\].*no longer holds"):
         particlerb.run({"run": RUN | {"dt": 0.02}, **case(bodies, joints)})
+
+
+@pytest.mark.plain
+def test_one_mechanism_among_bodies_without_joints_drifts_alone(monkeypatch):
+    """They share its group where all may touch."""
+    monkeypatch.setattr(packs, "config", SimpleNamespace(DISABLE_JIT=False))
+    link = {"shape": {"type": "points", "position": [[0, 0, 0]], "mass": [1.0], "radius": [0.1]}}
+    ball = {"name": "ball", "mass": 1.0, "shape": {"type": "ball", "radius": 0.1}, "count": N}
+    places = [[1.0 + k, 0.0, 0.0] for k in range(N)]
+    bodies = [link | {"name": "link", "position": [0, 0, 0]}, ball | {"position": places}]
+    contact = {"stiffness": 1e4, "restitution": 0.5, "friction": 0.0}
+    scene = case(bodies, [joint("hinge", "link", None, [0, 0, 0], Z)], contact=contact)
+    position, *_ = recorded(scene | {"run": RUN | {"t_end": 0.04}})
+    assert np.allclose(position[-1, 1:], np.array(places) - [0.0, 0.0, 0.5 * 9.81 * 0.04**2])
+    assert np.allclose(position[-1, 0], 0.0)
