@@ -45,7 +45,6 @@ from particlerb.maths.vec3 import (
 from particlerb.model.block import COM, L, P, Q, get3, get4
 
 _POINT_FAR_AWAY: Final = 1e100  # [m] where contacts act that have ended
-_MAX_SPHERE_OVERLAP: Final = 1.0  # of two spheres, in the smaller radius: more is an error
 
 
 class Collision(NamedTuple):
