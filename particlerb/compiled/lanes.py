@@ -9,7 +9,6 @@ around; each lane is rounded as a float is. A comparison of packs is a pack of t
 import math
 import operator
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any, Final, TypeVar, cast
 
 import numpy as np
@@ -240,7 +239,7 @@ def _typed_packs(context: Any, array: Any) -> Any:
         given = context.make_array(array)(context, builder, values[0])
         made = context.make_array(packs)(context, builder)
         size = ir.Constant(ir.IntType(64), 8 * LANES)
-        import_module("numba.np.arrayobj").populate_array(  # 0.1 s of a start, for compiling alone
+        cast(Any, populate_array)(
             made,
             data=builder.bitcast(given.data, _PACK.as_pointer()),
             shape=cgutils.unpack_tuple(builder, given.shape)[:-1],
