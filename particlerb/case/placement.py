@@ -86,6 +86,12 @@ def _drawn(draw: Callable[[tuple[int, int]], FloatArray], width: int, part: rang
     return draw((len(part), width))
 
 
+def _given(values: Sequence[float] | FloatArray, part: range) -> FloatArray:
+    """Some rows of those for all bodies of a block, or the one for all of them."""
+    given = np.asarray(values, dtype=np.float64)
+    return given if given.ndim == 1 else given[part.start : part.stop]
+
+
 def positions(case: Case, block: int, part: range) -> FloatArray:
     """Centres of mass of some bodies of a block, world frame [m], shape (n, 3) or (3,)."""
     body = case.body[block]
@@ -96,7 +102,7 @@ def positions(case: Case, block: int, part: range) -> FloatArray:
         stream = random_stream(case.run.seed, block, "place")
         u = _drawn(stream.random, 3, part)
         return (1.0 - u) * lower + u * upper
-    return np.asarray(body.position, dtype=np.float64)
+    return _given(body.position, part)
 
 
 def grid(place: GridPlacement, count: int, part: range) -> FloatArray:
@@ -140,7 +146,7 @@ def orientations(case: Case, block: int, part: range) -> FloatArray:
     if isinstance(body.orientation, str):
         stream = random_stream(case.run.seed, block, "orientation")
         return unit_vectors(_drawn(stream.standard_normal, 4, part))
-    return unit_vectors(np.asarray(body.orientation, dtype=np.float64))
+    return unit_vectors(_given(body.orientation, part))
 
 
 def unit_vectors(q: FloatArray) -> FloatArray:
@@ -180,7 +186,7 @@ def vectors(
         return motion.random * _drawn(stream.standard_normal, 3, part)
     if isinstance(motion, InBody):
         return in_world(q, np.array(motion.body))
-    return np.asarray(motion, dtype=np.float64)
+    return _given(motion, part)
 
 
 def in_world(q: FloatArray, v: FloatArray) -> FloatArray:

@@ -114,6 +114,18 @@ def test_the_bodies_and_the_plan_of_a_rank_are_those_of_the_scene(monkeypatch, n
         assert np.array_equal(values, tables[path]), path
 
 
+def test_a_rank_takes_its_rows_of_what_is_given_for_each_body():
+    """One block of rows ends in the part of a rank, the next one begins there."""
+    rows, block = np.random.default_rng(1).standard_normal((10, 4)), {"mass": 1.0, "count": 10}
+    block |= dict.fromkeys(("position", "velocity", "angular_velocity"), rows[:, 1:])
+    block |= {"shape": {"type": "moments", "inertia": [1.0, 2.0, 2.5]}, "orientation": rows}
+    bodies = [{"name": name, **block} for name in "ab"]
+    case = load({"run": {"t_end": 1.0, "every": 1.0}, "body": bodies})
+    whole, part = placement.placement_of(case), placement.placement_of(case, range(3, 15))
+    for own, of_all in zip(part[:5], whole[:5], strict=True):
+        assert np.array_equal(own, of_all[3:15])
+
+
 def test_a_rank_has_nothing_of_the_bodies_of_others():
     """The last of 31 ranks, of 2e6 bodies: an array over all of them would have 16 MB."""
     shape = {"type": "moments", "inertia": [1.0, 2.0, 2.5]}
