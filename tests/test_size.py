@@ -29,7 +29,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2143,
     "scenes and simulations in Python": 658,
     "sweeps": 1590,
-    "one scene over ranks": 2404,
+    "one scene over ranks": 2407,
     "reports, pictures, the page": 1732,
     "scenes for other programs": 532,
     "speed of compiling and of whole calls": 1320,

@@ -5,6 +5,7 @@ Why it is so: docs/decisions/0004.
 
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -308,7 +309,8 @@ def step_warnings(system: System, groups: tuple[GroupPlan, ...], ranks: Ranks = 
     """
     worst: dict[str, tuple[float, str, float]] = {}
     for own in ranks.gathered(_worst_steps(system, groups)):
-        worst |= {kind: max(worst.get(kind, found), found) for kind, found in own.items()}
+        for kind, found in own.items():
+            worst[kind] = max(worst.get(kind, found), found, key=itemgetter(0))
     advice = ((reason, f"advised: dt = {dt:.3g} s or less") for _, reason, dt in worst.values())
     return [as_warning(problem_at(system, step_key(system), *words)) for words in advice]
 
@@ -344,7 +346,8 @@ def _worst_steps(
                 reason += f" turns bodies like {name} by up to {turn:.3g} rad"
             else:
                 continue
-            worst[kind] = max(worst.get(kind, (0.0, "", 0.0)), (turn, reason, advised))
+            if turn > worst.get(kind, (0.0,))[0]:
+                worst[kind] = turn, reason, advised
     return worst
 
 

@@ -81,6 +81,7 @@ def steps_of(prepared):
         ("run.method=dop853", "body.4.shape.inertia=[1, 1, 1]"),
         ("force.0.body=['brick[0]', 'ball[100]']",),
         ("force.0.torque=[300, 1, 1]", "body.0.shape={type='ball', n=2, radius=1.0}"),
+        ("force.0.body=ball", "body.2.velocity=[1, 0, 0]", "body.2.angular_velocity=[90, 0, 0]"),
     ],
 )
 def test_the_bodies_and_the_plan_of_a_rank_are_those_of_the_scene(monkeypatch, n, changes):
