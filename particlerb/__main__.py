@@ -12,3 +12,5 @@ try:
 except KeyboardInterrupt:
     print("particlerb: interrupted", file=sys.stderr)
     sys.exit(130)
+finally:
+    exec("")  # one that was interrupted would make Python end by SIGINT in place of the code

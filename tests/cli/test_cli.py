@@ -607,6 +607,16 @@ def test_an_interrupt_while_a_command_begins_is_one_message(monkeypatch, capsys)
     assert capsys.readouterr().err == 2 * "particlerb: interrupted\n"
 
 
+def test_an_interrupt_while_a_class_is_made_of_text_ends_with_its_code_too(tmp_path):
+    """As named tuples and dataclasses are: CPython keeps in mind that it left `exec`."""
+    patch = "import particlerb.cli as c\nc.entry = lambda: exec('raise KeyboardInterrupt')\n"
+    (tmp_path / "sitecustomize.py").write_text(patch)
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    command = [sys.executable, "-m", "particlerb"]
+    done = subprocess.run(command, env=env, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (130, b"particlerb: interrupted\n")
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_guard_takes_its_process_along(tmp_path, monkeypatch):
     other, note = tmp_path / "python", tmp_path / "pid"
