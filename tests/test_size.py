@@ -31,7 +31,7 @@ BUDGETS = {
     "sweeps": 1590,
     "one scene over ranks": 2407,
     "reports, pictures, the page": 1732,
-    "scenes for other programs": 532,
+    "scenes for other programs": 534,
     "speed of compiling and of whole calls": 1320,
     "watches": 93,
     "beside all these": 383,

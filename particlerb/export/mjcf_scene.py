@@ -18,6 +18,7 @@ Joints of a body act in the order in which they stand, the last one next to the 
 """
 
 import math
+import re
 from collections import deque
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -121,7 +122,8 @@ class _Writer:
         self.laws = self.joint_laws()
         acting = {(self.joints[j].record, key) for j, laws in self.laws.items() for key in laws}
         missing = [f"left out: {line}" for line in left_out(system, springs_of(system), acting)]
-        self.root.extend(ET.Comment(f" {line} ") for line in (COMMENT, *missing))
+        texts = (re.sub("-(?=-)", "- ", line) for line in (COMMENT, *missing))  # as XML asks
+        self.root.extend(ET.Comment(f" {text} ") for text in texts)
         ET.SubElement(self.root, "compiler", angle="radian")
         options = {"timestep": numbers(step), "gravity": numbers(system.acceleration)}
         options |= {"integrator": "RK4" if self.contact is None else "implicitfast"}

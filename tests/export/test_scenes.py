@@ -3,6 +3,7 @@
 import math
 import sys
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -303,6 +304,8 @@ def test_a_motor_a_stop_and_friction_act_in_mujoco():
     assert angle(motor=motor, friction=0.2) == pytest.approx(turned, rel=0.01)
     bouncy = hinge | {"limit": {"range": [-1, 1], "restitution": 0.5}}
     assert "left out: limit of knee " in mjcf_scene(*made(scene | {"joint": [bouncy]}))
+    dashes = mjcf_scene(*made(scene | {"joint": [bouncy | {"name": "a---b"}]}))
+    assert ET.fromstring(dashes).tag == "mujoco"
 
 
 def test_fixed_bodies_and_boxes_stand_in_mujoco():
