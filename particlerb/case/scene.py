@@ -59,7 +59,7 @@ def _table(kind: str, table: _T) -> _T:
         If it is anything else.
     """
     if not isinstance(table, (Table, Mapping)):
-        raise TypeError(f"a {kind} is one of particlerb.tables, or a mapping, got {table!r:.60}")
+        raise TypeError(f"{kind} is one of particlerb.tables, or a mapping, got {table!r:.60}")
     return table
 
 

@@ -130,7 +130,7 @@ class FrameReader(Closing):
     ) -> Floats:
         """Values of one of `schema.SERIES` in some frames, of all bodies or of some."""
         if not isinstance(frames, slice) or (frames.step or 1) < 1:
-            raise TypeError(f"frames must be a slice, such as slice(0, 10, 2), got {frames!r:.60}")
+            raise TypeError(f"frames must be a slice forward, as slice(0, 9), got {frames!r:.60}")
         element = schema.SERIES[path]
         n = len(self.names_of(element.per)) if element.per in schema.PARTS else self.n_bodies
         shape = (None, *((n,) if element.per else ()), *element.width)

@@ -203,9 +203,9 @@ def test_arrays_stand_for_lists_of_points():
 
 def test_a_name_is_no_force_and_no_wall():
     words = "is one of particlerb.tables, or a mapping, got"
-    with pytest.raises(TypeError, match=f"a force {words} 'push'"):
+    with pytest.raises(TypeError, match=f"force {words} 'push'"):
         pushed_cubes().add_force("push")
-    with pytest.raises(TypeError, match=f"a wall {words} 'plane'"):
+    with pytest.raises(TypeError, match=f"wall {words} 'plane'"):
         pushed_cubes().add_wall("plane")
 
 
