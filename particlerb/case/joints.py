@@ -210,7 +210,7 @@ class JointTable(Table):
     """Torque or force over the speed. [N m s/rad or N s/m]"""
     limit: JointLimit | None = None
     """Stops of the free coordinate. [-]"""
-    motor: _Motor = 0.0
+    motor: _Motor | None = None
     """Constant torque about, or force along it, on `body`; or a speed that it keeps. [N m or N]"""
     friction: NonNegative = 0.0
     """Coulomb's: torque or force at most. [N m or N]"""

@@ -64,6 +64,7 @@ class Actions(NamedTuple):
     stop: Floats  # (k,) a spring of this stiffness pushes back,
     stop_damping: Floats  # (k,) and this damps
     motor: Floats  # (k,) a constant force or torque
+    has_motor: Floats  # (k,) 1 where there is one, which may be 0 until it is changed
 
 
 class Drives(NamedTuple):
@@ -161,7 +162,7 @@ class Joints(NamedTuple):
     @property
     def has_potential(self) -> bool:
         """Whether all that acts along coordinates has one."""
-        return not self.damps and not self.actions.motor.any()
+        return not self.damps and not self.actions.has_motor.any()
 
     @property
     def reach_out(self) -> bool:

@@ -29,7 +29,7 @@ from particlerb.model.bodies import Bodies
 _LOOP_PIVOT = 1e-8  # over its diagonal: below it a row of a closed loop depends on those before
 _MOST_EVEN_RATIO = 1e2  # of masses of a cluster; beyond it see `Clusters.is_uneven`
 
-NO_ACTIONS: Final = Actions(*np.zeros((8, 0)))
+NO_ACTIONS: Final = Actions(*np.zeros((9, 0)))
 _NO_INDEX: Final = np.zeros(0, dtype=np.int64)
 _NO_COORDINATES: Final = Coordinates(
     _NO_INDEX, _NO_INDEX, _NO_INDEX, _NO_INDEX, np.zeros(0, dtype=np.bool_), np.zeros((0, 4, 3))

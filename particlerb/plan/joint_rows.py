@@ -88,9 +88,9 @@ def actions_of(tables: Sequence[JointTable]) -> Actions:
         if limit is not None:
             stops = (*limit.range, limit.stiffness or 0.0, limit.damping)
         own = (spring.stiffness, spring.rest) if spring else (0.0, 0.0)
-        motor = 0.0 if isinstance(table.motor, JointMotor) else table.motor
-        numbers.append((*own, table.damper, *stops, motor))
-    return Actions(*np.array(numbers).reshape(-1, 8).T.copy())
+        motor = None if isinstance(table.motor, JointMotor) else table.motor
+        numbers.append((*own, table.damper, *stops, motor or 0.0, motor is not None))
+    return Actions(*np.array(numbers).reshape(-1, 9).T.copy())
 
 
 def bounds_of(tables: Sequence[JointTable]) -> Bounds:
@@ -188,7 +188,7 @@ def with_dashpots(
         np.full(m, AT_REST),
         np.zeros((m, WHEEL)),
     )
-    none = np.zeros((8, m))
+    none = np.zeros((9, m))
     damping = Actions(*none)._replace(
         damping=links.damping, lower=none[3] - np.inf, upper=none[4] + np.inf
     )

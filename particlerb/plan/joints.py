@@ -158,7 +158,7 @@ def joints_of(system: System) -> SystemJoints | None:
             problems.append(problem)
             continue
         drive, action = driven.index(number) if number in driven else AT_REST, HOLDS
-        if any(getattr(table, key) for key in ACTIONS):
+        if table.motor is not None or any(getattr(table, key) for key in ACTIONS):
             action = len(acting)
             acting.append(table)
         parts.append(joint_rows.joints_of_table(system, number, ends, merging, (action, drive)))

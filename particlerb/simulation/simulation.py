@@ -37,13 +37,11 @@ from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples
 from particlerb.simulation.joint_values import labels_of
 from particlerb.simulation.state_changes import new_state
-from particlerb.simulation.wall_changes import refuse_jumps
+from particlerb.simulation.table_changes import STAYS, refuse_what_stays
 from particlerb.simulation.whole_run import Run, RunError
 
 _STATE_NAMES = "position", "orientation", "velocity", "angular_velocity"
-_STAYS = "cannot change in a simulation"
-_KEYS_THAT_STAY = "t_end", "every", "accuracy"  # of run
-_CHANGEABLE_TABLES = ("force", "gravity", "attraction", "contact", "wall", "run")
+_CHANGEABLE_TABLES = ("force", "gravity", "attraction", "contact", "wall", "joint", "run")
 
 
 class BodyStates(NamedTuple):
@@ -229,14 +227,15 @@ class Simulation(Closing):
             k += 1
 
     def change(self, key: str, value: Any) -> None:
-        """Change a key of a force, a wall, gravity, attraction, contact or the run from now on.
+        """Change a key of a force, a wall, a joint, gravity, attraction, contact or the run.
 
-        Bodies keep their states, and what changes the energy is booked as work.
+        It holds from now on; bodies keep their states, and what changes the energy is booked as
+        work. Of joints the numbers of springs, dampers, motors and friction may change.
 
         Parameters
         ----------
         key : str
-            As in messages: `"force[0].torque"`, `"run.dt"`.
+            As in messages: `"force[0].torque"`, `"joint[2].motor"`, `"run.dt"`.
         value : object
             As the key takes it in a case.
 
@@ -248,7 +247,7 @@ class Simulation(Closing):
         path, system = path_of(str(key)), self.system
         if not path or path[0] not in _CHANGEABLE_TABLES:
             hint = f"what may: {', '.join(_CHANGEABLE_TABLES)}"
-            raise CaseError([problem_at(system, str(key), _STAYS, hint)])
+            raise CaseError([problem_at(system, str(key), STAYS, hint)])
         if system.run.accuracy is not None:
             hint = "give run.method and run.dt in its place"
             reason = "was kept for the run that was planned, and holds for no other"
@@ -258,10 +257,7 @@ class Simulation(Closing):
         except LookupError as error:
             raise CaseError([problem_at(system, key, str(error.args[0]))]) from None
         changed = with_records(system, build(system.source._replace(raw=raw), ()))
-        for name in _KEYS_THAT_STAY:
-            if getattr(changed.run, name) != getattr(system.run, name):
-                raise CaseError([problem_at(system, f"run.{name}", _STAYS)])
-        refuse_jumps(system, changed, self.time, self._recorder is not None)
+        refuse_what_stays(system, changed, self.time, self._recorder is not None)
         self._restart(changed, None)
 
     def set_state(

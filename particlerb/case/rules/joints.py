@@ -98,14 +98,15 @@ def _action_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
     kind = entry_at(raw, "type", str)
     several = nearest("", list(ALONG.get(kind, ())), "name one")
     for key in (*ACTIONS, "drive"):
-        if raw.get(key) and kind in JOINT_TYPES and kind not in ALONG:
+        acts = has(raw, key) if key == "motor" else raw.get(key)
+        if acts and kind in JOINT_TYPES and kind not in ALONG:
             reason = f"nothing acts along a {kind} joint yet"
             yield (*path, key), reason, f"take one of {', '.join(ALONG)}"
-        elif raw.get(key) and kind == "ball" and key not in ("spring", "damper"):
+        elif acts and kind == "ball" and key not in ("spring", "damper"):
             yield (*path, key), "along a ball joint act springs and dampers alone", "leave it out"
-        elif raw.get(key) and len(ALONG.get(kind, "")) > 1 and not has(raw, "along"):
+        elif acts and len(ALONG.get(kind, "")) > 1 and not has(raw, "along"):
             yield (*path, "along"), f"missing: a {kind} joint has several coordinates", several
-        if raw.get(key) and has(raw, "breaks_at"):
+        if acts and has(raw, "breaks_at"):
             yield (*path, "breaks_at"), f"given beside {key}", "let a second joint have one of them"
     if kind == "ball" and entry_at(raw, "spring", dict).get("rest"):
         hint = "place the bodies where the spring does nothing"

@@ -1,6 +1,6 @@
-"""Changes of walls in a running simulation that would let them jump."""
+"""What stays in a running simulation while tables of its scene change."""
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -10,14 +10,23 @@ from particlerb.contact.wall_motion import poses_at
 from particlerb.model.system import System
 from particlerb.plan.obstacles import middle, motion_of
 
+STAYS: Final = "cannot change in a simulation"
+_RUN_KEYS: Final = "t_end", "every", "accuracy"  # that stay
+_ACTING: Final = "spring", "damper", "motor", "friction"  # of a joint; their numbers may change
 _ROUNDING: Final = 1e-12  # of the place of a wall
 
 
-def refuse_jumps(system: System, changed: System, time: float, is_recorded: bool) -> None:
-    """Raise CaseError where a wall would jump at a time [s], or a file has no room for it.
+def refuse_what_stays(system: System, changed: System, time: float, is_recorded: bool) -> None:
+    """Raise CaseError where a change at a time [s] touches what stays.
 
-    A motion counts from t = 0, and a piston goes on along its axis from where it is.
+    The times of frames do, and joints with all but the numbers of what acts along them. No wall
+    jumps, and a file has room for those that it began with: a motion counts from t = 0, and a
+    piston goes on along its axis from where it is.
     """
+    for name in _RUN_KEYS:
+        if getattr(changed.run, name) != getattr(system.run, name):
+            raise CaseError([problem_at(system, f"run.{name}", STAYS)])
+    _refuse_other_joints(system, changed)
     if is_recorded and len(changed.wall) != len(system.wall):
         reason = f"the file has {len(system.wall)} walls in each frame"
         raise CaseError([problem_at(system, "wall", reason)])
@@ -25,6 +34,29 @@ def refuse_jumps(system: System, changed: System, time: float, is_recorded: bool
         problem = _piston_jumps(system, changed, w) if time > 0.0 else None
         if problem := problem or _motion_jumps(system, changed, w, time):
             raise CaseError([problem])
+
+
+def _refuse_other_joints(system: System, changed: System) -> None:
+    """Raise CaseError where joints, or what acts along them, come or go: others are compiled."""
+    if len(changed.joint) != len(system.joint):
+        raise CaseError([problem_at(system, "joint", f"their number {STAYS}")])
+    for k, tables in enumerate(zip(system.joint, changed.joint, strict=True)):
+        before, after = (table.model_dump(mode="json") for table in tables)
+        for key, old in before.items():
+            if _staying(key, old) == _staying(key, after[key]):
+                continue
+            reason, hint = STAYS, f"what may of a joint: {', '.join(_ACTING)}"
+            if key in _ACTING:
+                reason = f"{STAYS} but for its numbers: it comes, goes or is of another kind"
+                hint = "let it be there from the start: motor = 0, or another number above 0"
+            raise CaseError([problem_at(system, f"joint[{k}].{key}", reason, hint)])
+
+
+def _staying(key: str, value: Any) -> Any:
+    """What of the value of a key of a joint stays: of what acts, whether it does and its form."""
+    if key not in _ACTING:
+        return value
+    return type(value) if key in ("motor", "spring") else value > 0.0
 
 
 def _piston_jumps(system: System, changed: System, w: int) -> Problem | None:

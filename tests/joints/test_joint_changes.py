@@ -1,0 +1,180 @@
+"""Motors, springs, dampers and friction in joints that change while a simulation goes on."""
+
+import numpy as np
+import pytest
+from numba import typeof
+from scenes import X, Y, bar, body, case, joint
+
+import particlerb
+from particlerb import CaseError, Simulation
+
+pytestmark = pytest.mark.plain
+
+MOMENT = 0.5  # kg m² of a wheel about its axle
+LEAST = 1e-300  # what acts, and changes no bit
+
+
+def wheel(spin=0.0, **keys):
+    """A wheel on an axle along y through its centre; half of it is another body, welded on."""
+    halves = [
+        body(name, 1.0, [0.2, 0.5 * MOMENT, 0.2], [0, 0, 0], spin=[0, spin, 0]) for name in "ab"
+    ]
+    joints = [
+        joint("hinge", "a", None, [0, 0, 0], Y, name="axle", **keys),
+        joint("fixed", "b", "a"),
+    ]
+    return case(halves, joints, (0, 0, 0), output={"fields": ["position", "joint_coordinate"]})
+
+
+def simulated(scene, t_end, dt, path=None, **keys):
+    """A simulation with a frame for each step."""
+    return Simulation({"run": {"t_end": t_end, "every": dt, "dt": dt} | keys, **scene}, path)
+
+
+def without_stiffness(scene):
+    """The scene with contact by impulses, where nothing touches."""
+    bodies = [one | {"contact": False} for one in scene["body"]]
+    return scene | {"body": bodies, "contact": {"law": "impulse"}}
+
+
+def rate(simulation):
+    """Angular velocity of the first body about y [rad/s]."""
+    return simulation.state.angular_velocity[0, 1]
+
+
+def test_a_motor_that_is_changed_turns_a_wheel_by_the_closed_form(tmp_path):
+    """Constant accelerations, one after the other, over many turns; no type is another one."""
+    edges, torques = [0.0, 0.5, 1.123, 1.123, 1.6, 2.0], [0.0, 40.0, 3.0, -7.0, 0.0]
+    with simulated(wheel(motor=0), 2.0, 0.02, tmp_path / "a.h5", method="rattle") as simulation:
+        (first,) = (typeof(group.motion.moving) for group in simulation._run.group_runs)
+        for time, torque in zip(edges, torques, strict=False):
+            simulation.advance(time)
+            simulation.change("joint[0].motor", torque)
+            assert abs(simulation.energy_error) < 1e-11
+            (now,) = (typeof(group.motion.moving) for group in simulation._run.group_runs)
+            assert now == first
+        simulation.advance(2.0)
+        assert abs(simulation.energy_error) < 1e-11
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        angle, t = trajectory.joint_coordinate[:, 0], trajectory.time
+        work = trajectory.ledger.work[-1]
+    spans = np.clip(t[:, None] - edges[:-1], 0.0, np.diff(edges))
+    omega, exact = np.zeros(t.size), np.zeros(t.size)
+    for span, torque in zip(spans.T, torques, strict=True):
+        exact += omega * span + 0.5 * torque / MOMENT * span**2
+        omega += torque / MOMENT * span
+    assert exact[-1] > 8.0 * np.pi
+    assert angle == pytest.approx(exact, abs=1e-10)
+    assert work == pytest.approx(0.5 * MOMENT * omega[-1] ** 2, rel=1e-12)
+
+
+def test_a_motor_with_a_largest_torque_changes_both_and_leaves_its_stop():
+    """It speeds up, faster, keeps its speed, presses against a hard stop, less, and goes back."""
+    scene = wheel(motor={"speed": 1.0, "largest": 1.0}, limit={"range": [-1.0, 1.0]})
+    simulation = simulated(without_stiffness(scene), 3.0, 0.05)
+    simulation.advance(0.2)
+    assert rate(simulation) == pytest.approx(0.4, abs=1e-13)
+    simulation.change("joint[0].motor.largest", 2.0)
+    simulation.advance(0.35)
+    assert rate(simulation) == pytest.approx(1.0, abs=1e-13)
+    simulation.change("joint[0].motor", {"speed": 2.0, "largest": 1.0})
+    simulation.advance(0.6)
+    assert rate(simulation) == pytest.approx(1.5, abs=1e-13)
+    simulation.advance(1.5)
+    assert abs(turned(simulation) - 1.0) < 1e-9
+    simulation.change("joint[0].motor.largest", 0.1)
+    simulation.advance(2.0)
+    assert abs(turned(simulation) - 1.0) < 1e-9
+    simulation.change("joint[0].motor.speed", -5.0)
+    simulation.advance(2.5)
+    assert turned(simulation) == pytest.approx(1.0 - 0.5 * 0.1 / MOMENT * 0.25, abs=1e-9)
+    assert abs(simulation.energy_error) < 1e-12
+
+
+def turned(simulation):
+    """Angle of the first body about y, from its start on [rad]."""
+    q = simulation.state.orientation[0]
+    return 2.0 * np.arctan2(q[2], q[0])
+
+
+def test_friction_that_is_changed_brakes_by_what_it_is_now():
+    simulation = simulated(without_stiffness(wheel(3.0, friction=0.5)), 2.0, 0.05)
+    simulation.advance(0.5)
+    simulation.change("joint[0].friction", 2.0)
+    simulation.advance(0.8)
+    assert rate(simulation) == pytest.approx(3.0 - (0.5 * 0.5 + 2.0 * 0.3) / MOMENT, abs=1e-12)
+    assert abs(simulation.energy_error) < 1e-12
+
+
+def test_a_spring_and_a_damper_that_are_changed_are_booked():
+    """Of order two: a swing about another rest with another stiffness, then e^(-c t/I)."""
+    simulation = simulated(wheel(2.0, spring={"stiffness": 8.0}, damper=LEAST), 2.0, 0.002)
+    simulation.advance(0.25)
+    assert turned(simulation) == pytest.approx(0.5 * np.sin(4.0 * 0.25), abs=1e-5)
+    x, v = turned(simulation), rate(simulation)
+    simulation.change("joint[0].spring", {"stiffness": 32.0, "rest": 0.3})
+    assert simulation.energy == pytest.approx(0.25 * v * v + 16.0 * (x - 0.3) ** 2, rel=1e-12)
+    simulation.advance(0.65)
+    exact = 0.3 + (x - 0.3) * np.cos(8.0 * 0.4) + v / 8.0 * np.sin(8.0 * 0.4)
+    assert turned(simulation) == pytest.approx(exact, abs=3e-5)
+    simulation.change("joint[0].spring.stiffness", LEAST)
+    v = rate(simulation)
+    simulation.change("joint[0].damper", 2.0)
+    simulation.advance(1.0)
+    assert rate(simulation) == pytest.approx(v * np.exp(-2.0 * 0.35 / MOMENT), rel=1e-4)
+    assert abs(simulation.energy_error) < 1e-3
+
+
+def test_a_loop_holds_a_pendulum_at_an_angle():
+    """Feedback on angle and rate, and the torque of the weight: it comes to rest at 0.4 rad."""
+    arm, wanted = bar("arm", [0, 0, 0], [1, 0, 0]), -0.4
+    hinge = joint("hinge", "arm", None, [0, 0, 0], Y, motor=0)
+    simulation = simulated(case([arm], [hinge]), 3.0, 0.015, method="rattle")
+    for state in simulation.frames(every=0.03):
+        q, start = state.orientation[0], arm["orientation"]
+        angle = 2.0 * np.arctan2(start[0] * q[2] - start[2] * q[0], q @ start)
+        weight = 9.81 * 0.5 * np.cos(angle)
+        torque = 40.0 * (wanted - angle) - 7.0 * state.angular_velocity[0, 1] - weight
+        simulation.change("joint[0].motor", torque)
+    assert angle == pytest.approx(wanted, abs=1e-6)
+    assert torque == pytest.approx(-9.81 * 0.5 * np.cos(wanted), rel=1e-5)
+    assert abs(simulation.energy_error) < 1e-4
+
+
+HELD = {"limit": {"range": [-1.0, 1.0]}}  # by impulses
+
+
+@pytest.mark.parametrize(
+    ("keys", "key", "value", "words"),
+    [
+        ({}, "joint[0].motor", 1.0, r"joint\[0\]\.motor: .*\n.*from the start: motor = 0"),
+        ({"motor": 1.0}, "joint[0].motor", None, "comes, goes or is of another kind"),
+        ({"motor": 1.0}, "joint[0].motor", {"speed": 1.0, "largest": 1.0}, "of another kind"),
+        ({"motor": 1.0}, "joint[0].motor.speed", 1.0, "there is no 'speed'"),
+        ({"damper": 1.0}, "joint[0].damper", 0.0, r"joint\[0\]\.damper: cannot change in a sim"),
+        ({}, "joint[0].friction", 2.0, r"joint\[0\]\.friction: cannot change in a simulation"),
+        ({}, "joint[0].spring", {"stiffness": 2.0}, r"joint\[0\]\.spring: cannot change in a sim"),
+        ({}, "joint[0].axis", X, r"joint\[0\]\.axis: cannot change in a simulation"),
+        ({}, "joint[0].limit.range", [-2, 2], r"joint\[0\]\.limit: cannot change"),
+        ({}, "joint[1].merge", False, r"joint\[1\]\.merge: cannot change in a simulation"),
+        (
+            {},
+            "joint",
+            [joint("hinge", "a", axis=Y)],
+            "joint: their number cannot change in a simulation",
+        ),
+    ],
+)
+def test_what_acts_and_joints_themselves_stay(keys, key, value, words):
+    simulation = simulated(without_stiffness(wheel(**HELD | keys)), 1.0, 0.1)
+    before = simulation.system
+    with pytest.raises(CaseError, match=words):
+        simulation.change(key, value)
+    assert simulation.system is before
+
+
+def test_a_motor_of_zero_is_one():
+    """Nowhere but along a coordinate that is free, and beside nothing that breaks."""
+    scene = case([bar("a", [0, 0, 0], [1, 0, 0])], [joint("ball", "a", motor=0)])
+    with pytest.raises(CaseError, match="along a ball joint act springs and dampers alone"):
+        simulated(scene, 1.0, 0.1)
