@@ -34,14 +34,14 @@ def new_state(system: System, old: Mapping[str, Floats], given: Mapping[str, Any
     new = {name: _array_of(name, values, given[name]) for name, values in old.items()}
     if not new["orientation"].any(axis=1).all():
         raise ValueError("set_state: an orientation of zero is none; no turn is [1, 0, 0, 0]")
-    largest = np.abs(new["orientation"]).max(axis=1, keepdims=True)  # whose square may overflow
-    new["orientation"] = np.ldexp(new["orientation"], -np.frexp(largest)[1])
     for b in np.flatnonzero(system.is_held).tolist():
         if system.body[system.block[b]].motion is not None:
             if not all(np.array_equal(old[name][b], new[name][b]) for name in old):
                 raise ValueError(f"set_state: {system.names[b]} moves as its `motion` says")
         elif new["velocity"][b].any() or new["angular_velocity"][b].any():
             raise ValueError(f"set_state: {system.names[b]} is held and has no velocity")
+    largest = np.abs(new["orientation"]).max(axis=1, keepdims=True)  # whose square may overflow
+    new["orientation"] = np.ldexp(new["orientation"], -np.frexp(largest)[1])
     state, spin = initial_state(system.bodies, *new.values()), new["angular_velocity"]
     lost = np.abs(omega_world(system.bodies, state).T - spin).max(axis=1)
     is_thin = np.isin(system.bodies.rotor_class, (POINT, ROD))
