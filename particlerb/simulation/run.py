@@ -19,7 +19,6 @@ from particlerb.plan.describe import describe
 from particlerb.plan.joints import assembled
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
-from particlerb.plan.segments import inside
 from particlerb.ranks import ALONE, Ranks, as_agreed, end_all
 from particlerb.record.checkpoint import Checkpoint
 from particlerb.record.frame_values import FrameError
@@ -218,11 +217,14 @@ def _digest(prepared: Prepared, of: Range) -> bytes:
     system, hasher = prepared.system, hashlib.sha256()
     for values in (*system.bodies, *system.state, system.kind):
         hasher.update(np.ascontiguousarray(values[..., of.first : of.stop]).tobytes())
-    groups = inside(prepared.plan.groups, of)
-    for group in sorted(groups, key=lambda group: int(group.members.min())):
-        for s in group.segments:
+    planned = []
+    for group in prepared.plan.groups:
+        here = group.members[(group.members >= of.first) & (group.members < of.stop)]
+        planned += [(int(here.min()), here, group.segments)] if here.size else []
+    for _, members, segments in sorted(planned, key=lambda one: one[0]):
+        for s in segments:
             hasher.update(repr((s.start, s.stop, s.method, s.dt, s.tolerance)).encode())
-        hasher.update((group.members + prepared.first).tobytes())
+        hasher.update((members + prepared.first).tobytes())
     return hasher.digest()
 
 

@@ -2,12 +2,11 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from particlerb.case.run import frame_count
-from particlerb.case.schema import Case
 from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.forces import Terms, terms_on
 from particlerb.forces.attraction import TILE
@@ -118,8 +117,11 @@ def _with_attraction_shared(prepared: Prepared, ranks: Ranks) -> Prepared:
     return prepared._replace(plan=prepared.plan._replace(groups=tuple(groups)), is_copied=True)
 
 
-def can_be_apart(scene: Case | System) -> bool:
-    """Whether each rank can set up its bodies: they and their forces need nothing of the others."""
+def can_be_apart(scene: Any) -> bool:
+    """Whether each rank can set up its bodies: they and their forces need nothing of the others.
+
+    Of a case, or of the system that was made of it.
+    """
     couples = scene.contact or scene.attraction or scene.joint
     is_drawn = any(body.is_drawn for body in scene.body)
     is_of_several = any(

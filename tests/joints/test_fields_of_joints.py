@@ -271,7 +271,6 @@ def test_checks_of_joints_that_cannot_be_are_named(check, words):
 def test_one_thread_counts_turns_however_many_share_a_mechanism(size, monkeypatch):
     """Two at once would count a turn twice."""
     counts = []
-    monkeypatch.setattr(joint_stages, "meet", lambda team: None)
     monkeypatch.setattr(joint_stages, "meet_all", lambda team: None)
     monkeypatch.setattr(joint_stages, "count_turns", lambda *_: counts.append(1))
     run = {"t_end": 1.0, "every": 1.0, "dt": 0.1}
