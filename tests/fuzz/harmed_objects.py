@@ -17,6 +17,8 @@ import h5py
 import numpy as np
 from h5py import h5d, h5p, h5s
 
+from particlerb.record.checked_reading import FAULTS
+
 NUMBERS = (0, 1, -1, 2, 3, 255, 2**31 - 1, -(2**31), 2**40, 2**63 - 1, -(2**63))
 REALS = (0.0, -0.0, -1.0, 1e-320, 1e-160, 1e154, 1e300, np.inf, -np.inf, np.nan, 0.5)
 WORDS = ("", "a", "\x00", "\x1b[2J", "é" * 70, "/", "..", "nan", "1e999", "x" * 5000)
@@ -43,14 +45,7 @@ def harm(path: Path, dice: random.Random) -> str:
                 break
             try:
                 done.append(_harm_one(file, dice.choice(names), dice))
-            except (
-                OSError,
-                RuntimeError,
-                KeyError,
-                ValueError,
-                TypeError,
-                AttributeError,
-            ) as error:
+            except FAULTS as error:
                 done.append(f"not done: {type(error).__name__}")
     return "; ".join(done)
 
