@@ -23,6 +23,7 @@ from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
+from particlerb.words import count_of
 
 _MAX_MOMENT_ERROR: Final = 0.01  # of a principal moment, relative
 _ERROR_ROUNDING: Final = 1e-9  # a lattice of 10 cells in a row is off by 1 % to rounding
@@ -68,7 +69,7 @@ def coarse(system: System) -> Iterator[Problem]:
         if not is_changed and (is_asked or not is_off):
             continue
         count = int(system.summed[k])
-        subject = f"{body.name}: as {count} particle{'s' if count > 1 else ''} it"
+        subject = f"{body.name}: as {count_of(count, 'particle')} it"
         if is_changed:
             reason = f"{subject} is a {NAMES[code]}, which the solid is not, and cannot turn as it"
         else:

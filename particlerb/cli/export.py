@@ -17,7 +17,7 @@ from particlerb.cli.common import opened, output_of, to_write, writing
 from particlerb.cli.exit_codes import DONE, Ending, ending
 from particlerb.export import FORMATS, ExportError, export
 from particlerb.export.bodies import BODY_FORMATS, export_bodies, file_name
-from particlerb.studies.text import count_of
+from particlerb.words import count_of
 
 _SCENE_SUFFIXES: Final = {"mjcf": ".xml", "lammps": ".in"}  # of formats that hold a whole case
 

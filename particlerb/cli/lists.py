@@ -6,7 +6,7 @@ import tomllib
 
 from particlerb.case.case_names import case_folders
 from particlerb.cli.exit_codes import DONE
-from particlerb.studies.text import aligned
+from particlerb.words import aligned
 
 
 def cases_command(_: argparse.Namespace) -> int:

@@ -45,6 +45,7 @@ from particlerb.simulation.run import run_prepared
 from particlerb.simulation.set_up_apart import prepared_apart
 from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, RunError
+from particlerb.words import count_of
 
 _MAX_ENDING_LINES: Final = 10  # that a run ends with
 _OTHER_SUFFIXES: Final = (
@@ -255,7 +256,7 @@ def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
     try:
         with open_trajectory(path) as trajectory:
             n = trajectory.n_frames
-            text = f"{n} {'frame is' if n == 1 else 'frames are'} kept in {path}"
+            text = f"{count_of(n, 'frame is', 'frames are')} kept in {path}"
             if can_go_on and (can_be_continued(trajectory.file) or not n):
                 text += f"\ncontinue with: python -m particlerb resume {shlex.quote(str(path))}"
             return text

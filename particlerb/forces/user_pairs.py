@@ -33,6 +33,7 @@ from particlerb.model.load import FORCE, OTHER, POWER, STATE_ROWS, TORQUE
 from particlerb.model.state import State
 from particlerb.rotors.rotor_class import POINT
 from particlerb.user_force import UserForce, arguments_of
+from particlerb.words import count_of
 
 _MAX_FLOW_ITERATIONS: Final = 200
 _LEAST_CHANGE: Final = 4e-16  # share of momenta: iterations end before one that changes less
@@ -68,7 +69,7 @@ class UserPairs(NamedTuple):
         """How many pairs of which forces."""
         counts = np.bincount(self.kind, minlength=len(self.functions.forces)).tolist()
         named = zip(counts, self.functions.forces, strict=True)
-        return " and ".join(f"{n} pair{'s' * (n > 1)} of {force.name}" for n, force in named)
+        return " and ".join(f"{count_of(n, 'pair')} of {force.name}" for n, force in named)
 
 
 # From functions to kernels

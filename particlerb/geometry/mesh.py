@@ -24,6 +24,7 @@ from particlerb.geometry.crossings import crossings
 from particlerb.geometry.solid import UniformSolid
 from particlerb.geometry.winding import oriented, windings
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.words import count_of
 
 MESH_SUFFIXES: Final = (".stl", ".obj", ".ply")
 _MIN_FACE_HEIGHT: Final = 1e-12  # over the longest side: below it the corners lie on one line
@@ -187,7 +188,7 @@ def _refuse_open(vertices: Floats, faces: Ints, number: Ints) -> None:
         return
     places = [
         f"edge {_point_text(vertices[unique[e, 0]])} to {_point_text(vertices[unique[e, 1]])}"
-        f" of face {number[first[e] // 3]} has {count[e]} face{'s' if count[e] > 1 else ''}"
+        f" of face {number[first[e] // 3]} has {count_of(count[e], 'face')}"
         for e in odd[:_MAX_PLACES_NAMED]
     ]
     rest = f"; ... {len(odd)} edges in all" if len(odd) > _MAX_PLACES_NAMED else ""

@@ -25,6 +25,7 @@ from particlerb.plan.time_step import cheaper_law, expected_overlap
 from particlerb.ranks import ALONE, Ranks
 from particlerb.stepping.closed_forms import words_of_forms
 from particlerb.stepping.sparse_contact import can_fly
+from particlerb.words import count_of
 
 _MAX_GROUPS_SHOWN = 20
 _MAX_SEGMENTS_SHOWN = 12
@@ -88,12 +89,7 @@ def _bodies_line(system: System, ranks: Ranks) -> str:
     own = np.bincount(system.bodies.rotor_class, minlength=len(_CLASS_WORDS))
     counts = ranks.added(own)
     counted = zip(counts.tolist(), _CLASS_WORDS, strict=True)
-    return ", ".join(_counted(n, name) for n, name in counted if n)
-
-
-def _counted(number: int, noun: str) -> str:
-    """A number with its noun: 1 spring, 3 springs, 3 springs and dashpots."""
-    return f"{number} {noun if number == 1 else noun.replace(' and', 's and') + 's'}"
+    return ", ".join(count_of(n, name) for n, name in counted if n)
 
 
 def _particles_line(system: System) -> str:
@@ -180,7 +176,7 @@ def _contact_line(system: System, plan: Plan) -> str:
     assert system.contact is not None
     contact = plan.contacts[0]
     spheres, walls = contact.model.spheres.radius.size, len(contact.motions)
-    line = f"{_counted(spheres, 'sphere')} and {_counted(walls, 'wall')}, {system.contact.law}"
+    line = f"{count_of(spheres, 'sphere')} and {count_of(walls, 'wall')}, {system.contact.law}"
     if contact.n_interior:
         line += f", {contact.n_interior} inner spheres left out, which nothing can reach"
     if contact.rules is not None:
@@ -280,7 +276,7 @@ def _segment_line(bodies: Bodies, segment: Segment) -> str:
     """When, how, why."""
     begin = f"{segment.start:.9g} s"
     when = f"from {begin}" if np.isinf(segment.stop) else f"{begin} to {segment.stop:.9g} s"
-    start = f"after {_counted(len(segment.jumps), 'impulse')}, " if segment.jumps else ""
+    start = f"after {count_of(len(segment.jumps), 'impulse')}, " if segment.jumps else ""
     if not has_step(segment.method):
         return f"{when}: {start}{_closed_reason(bodies, segment.terms)}"
     driver = f"{_driving(segment.terms)}, {segment.method}"
@@ -312,8 +308,10 @@ def _driving(terms: Terms) -> str:
         return outside or "driven by nothing, but the case names the method"
     between = []
     if terms.links is not None:
-        kind = "spring" if terms.links.damping is None else "spring and dashpot"
-        between.append(_counted(terms.links.first.size, kind))
+        kinds = "spring", "springs"
+        if terms.links.damping is not None:
+            kinds = "spring and dashpot", "springs and dashpots"
+        between.append(count_of(terms.links.first.size, *kinds))
     if terms.user_pairs is not None:
         between.append(terms.user_pairs.words)
     if terms.attraction is not None:
@@ -321,5 +319,5 @@ def _driving(terms: Terms) -> str:
     if terms.contact is not None:
         between.append("contact")
     if terms.joints is not None:
-        between.append(_counted(int((terms.joints.number >= 0).sum()), "joint"))
+        between.append(count_of(int((terms.joints.number >= 0).sum()), "joint"))
     return f"coupled by {' and '.join(between)}{outside and f', {outside}'}"

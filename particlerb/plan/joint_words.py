@@ -25,6 +25,7 @@ from particlerb.plan.joints import joints_of
 from particlerb.plan.merging import why_rows
 from particlerb.plan.segments import GroupPlan, Plan
 from particlerb.rotors.rotor_class import POINT, ROD
+from particlerb.words import count_of
 
 _MAX_CLUSTER_ROWS: Final = 1500  # of a cluster whose redundant rows are looked for
 _MIN_NULL_COMPONENT: Final = 1e-6  # share of a null vector of Gᵀ from which on a row is in it
@@ -147,14 +148,14 @@ def joint_line(system: System, plan: Plan) -> str:
         n_dependent += count.n_dependent
     lasting = np.repeat(setup.until > 0.0, np.diff(setup.start))
     rows = int((setup.rows.action[lasting] == HOLDS).sum())
-    held = f"{bodies} bod{'ies' if bodies > 1 else 'y'} in {clusters} cluster{'s' * (clusters > 1)}"
-    line = f"{counts}; {held}, {rows} row{'s' * (rows != 1)}"
+    held = f"{count_of(bodies, 'body', 'bodies')} in {count_of(clusters, 'cluster')}"
+    line = f"{counts}; {held}, {count_of(rows, 'row')}"
     if n_dependent:
         names = ", ".join(dependent[:_MAX_ROWS_NAMED])
         more = ", ..." if len(dependent) > _MAX_ROWS_NAMED else ""
         line += f", {n_dependent} of them redundant among those of {names}{more}"
         line += " (only sums of their reactions are determined)"
-    line = f"{line}; {free} degree{'s' * (free != 1)} of freedom" if bodies else counts
+    line = f"{line}; {count_of(free, 'degree')} of freedom" if bodies else counts
     numbers = np.bincount(setup.bounds.kind, minlength=3)[[STOP, MOTOR, RUBS]].tolist()
     words = ("stops", "motors with a largest load", "joints with friction")
     bounded = [f"{n} {word}" for n, word in zip(numbers, words, strict=True) if n]

@@ -36,6 +36,7 @@ from particlerb.plan.merging import unmerged
 from particlerb.plan.segments import GroupPlan, Segment, inside
 from particlerb.ranks import Ranks
 from particlerb.stepping.stepped_motion import SteppedMotion
+from particlerb.words import count_of
 
 
 class JointValues(NamedTuple):
@@ -76,7 +77,7 @@ def refuse_checks(system: System, parent: str = "check") -> None:
         elif check.quantity == "joint_coordinate" and check.tolerance < math.inf:
             n = int(np.sum(setup.coordinates.joint == setup.names.index(check.joint)))
             if np.size(check.value) != n:
-                reason = f"{check.joint} has {n} coordinate{'s' * (n != 1)}"
+                reason = f"{check.joint} has {count_of(n, 'coordinate')}"
                 problems.append(problem_at(system, f"check.value[{k}].value", reason, ""))
     refuse(problems)
 

@@ -24,7 +24,8 @@ from particlerb.geometry import shapes as particle_shapes
 from particlerb.geometry.analytic import ANALYTIC, Analytic
 from particlerb.geometry.particles import Particles
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.studies.text import aligned, chosen_names
+from particlerb.studies.text import chosen_names
+from particlerb.words import aligned
 
 _MAX_PARTICLES: Final = 1_000_000  # of the finest lattice
 _MIN_PARTICLES: Final = 1000  # with fewer, some curves have too few n to say anything

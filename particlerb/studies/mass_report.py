@@ -18,7 +18,7 @@ from particlerb.geometry.solid import impossible
 from particlerb.maths.vec3 import Floats
 from particlerb.plan.time_step import RADIANS_PER_STEP
 from particlerb.rotors.rotor_class import NAMES, POINT
-from particlerb.studies.text import count_of
+from particlerb.words import count_of
 
 _UNIT_ROUNDOFF: Final = 2.0**-53
 _MAX_DEFICIT: Final = 64 * _UNIT_ROUNDOFF  # of I3: below 0 by so much is rounding

@@ -9,7 +9,7 @@ import numpy as np
 from particlerb.studies import stability
 from particlerb.studies.stability_limits import Limit
 from particlerb.studies.stability_runs import LARGE, SMALL, VERDICTS
-from particlerb.studies.text import aligned
+from particlerb.words import aligned
 
 _LIMIT_HEAD: Final = ("method", "limit", "theory", "measured", "difference")
 _DRIFT_HEAD: Final = ("method", "motion", "h|ω|", "energy error", "exponent", "|L| error")

@@ -11,20 +11,6 @@ PENALTY: Final = "strang"  # with springs, on a chart of contact by impulses
 _NICE_DIGITS: Final = (5.0, 2.0, 1.0)
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Columns of text, two blanks apart."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )
-
-
-def count_of(number: int, noun: str, plural: str = "") -> str:
-    """A number with its noun: 1 body, 3 bodies."""
-    return f"{number} {noun if number == 1 else plural or noun + 's'}"
-
-
 def chosen_names(asked: Sequence[str], available: Sequence[str], what: str) -> list[str]:
     """Names that were asked for, each once, or all; ValueError names those that are not known."""
     unknown = [name for name in asked if name not in available]

@@ -5,7 +5,7 @@ from math import isnan
 from typing import Final
 
 from particlerb.studies.points import BESIDE, POSE, Point, WorkPrecision
-from particlerb.studies.text import count_of
+from particlerb.words import count_of
 
 _ERROR_HEADS: Final = ("worst rad", "rms rad", "position", "energy")
 

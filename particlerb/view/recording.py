@@ -8,6 +8,7 @@ import particlerb
 from particlerb.case.toml_writer import toml_text
 from particlerb.plan.case_forces import with_knots
 from particlerb.view.session import Session
+from particlerb.words import count_of
 
 _MAX_TITLE_LENGTH: Final = 80
 
@@ -52,11 +53,10 @@ def _firsts(session: Session) -> list[float]:
 def header(session: Session, is_whole: bool) -> list[str]:
     """What the file says of itself."""
     path = session.start_path
-    pushes = session.n_pushes
     return [
         f"Recorded by `particlerb view` {particlerb.__version__}"
         + (f" from {path.name}" if path else "")
-        + f", with {pushes} push{'' if pushes == 1 else 'es'}.",
+        + f", with {count_of(session.n_pushes, 'push', 'pushes')}.",
         f"Expect: at t = {session.time!r} s the state that was on the screen, "
         + ("bit for bit." if is_whole else "but for errors of steps: later forces are left out."),
         "",

@@ -12,7 +12,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.record.trajectory import Contacts, Trajectory
 from particlerb.studies.charts.bodies import draw_particles, side_axes
 from particlerb.studies.charts.style import COLOURS, INK, bare, plain
-from particlerb.studies.text import count_of
+from particlerb.words import count_of
 
 _FIGURE_WIDTH = 11.0  # inches
 _MAX_WIDTH = 4.0  # points, of the strongest force

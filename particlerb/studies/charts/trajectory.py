@@ -31,7 +31,7 @@ from particlerb.studies.charts.style import (
     plain,
     write_beside,
 )
-from particlerb.studies.text import count_of
+from particlerb.words import count_of
 
 _MIN_TURN: Final = 1e-6  # rad in the whole time
 _STILL_SHARE: Final = 1e-6  # motion beside the size of a scene which is none
@@ -144,7 +144,7 @@ def _titled_figure(trajectory: Trajectory, case: dict[str, Any]) -> Figure:
     figure = Picture(figsize=(11, 7.2), layout="constrained")
     title = case["title"] or Path(trajectory.file.filename).name
     counted = count_of(trajectory.n_bodies, "body", "bodies")
-    frames = count_of(trajectory.n_frames, "frame", "frames")
+    frames = count_of(trajectory.n_frames, "frame")
     figure.suptitle(f"{plain(title)}   ({counted}, {frames})", color=INK)
     return figure
 

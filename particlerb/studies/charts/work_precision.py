@@ -15,8 +15,8 @@ from particlerb.compiled.vector_width import processor
 from particlerb.maths.vec3 import Floats
 from particlerb.studies.charts import style
 from particlerb.studies.points import Point, WorkPrecision
-from particlerb.studies.text import count_of
 from particlerb.studies.work_precision_table import advice, cheapest, frontier
+from particlerb.words import count_of
 
 _PEER_COLOUR: Final = "#75808c"
 _PEER_MARKS: Final = "s^vPX<>p"  # one for each engine

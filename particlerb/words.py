@@ -1,0 +1,17 @@
+"""Words of messages and tables that all folders share. Imports nothing."""
+
+from collections.abc import Sequence
+
+
+def count_of(number: int, noun: str, plural: str = "") -> str:
+    """A number with its noun: 1 body, 3 bodies."""
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Columns of text, two blanks apart."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
