@@ -59,35 +59,39 @@ def results(system: System, outcome: Outcome, ranks: Ranks = ALONE) -> list[Resu
     for check in system.check.value:
         time = system.run.t_end if check.time is None else check.time
         if check.body is not None:
-            of_body = [
-                _value_result(check, time, system, int(b), probes[time].frame)
-                for b in system.names.find(check.body)
-            ]
-            values.append(of_body)
+            index = system.names.find(check.body)
+            rows = quantities(check, system, index, probes[time].frame)
+            owners = zip(rows, index[:, None], strict=True)
+            values.append([_result(check, time, value, system, b) for value, b in owners])
         elif ranks.number:  # the first has what there is once
             values.append([])
         else:
             number = bodiless_quantity(check, system, setup, probes[time])[0]
-            values.append([_number_result(check, time, number)])
+            values.append([_result(check, time, number, system)])
     of_checks = zip(*ranks.gathered(values), strict=True)
     value_results = [result for of_ranks in of_checks for of_rank in of_ranks for result in of_rank]
     return limits(system.check, outcome.drift) + value_results
 
 
-def _value_result(check: CheckValue, time: float, system: System, b: int, frames: Frames) -> Result:
-    """One expected value of one body."""
+def _result(
+    check: CheckValue, time: float, value: Floats, system: System, body: Ints | None = None
+) -> Result:
+    """One expected value of one body, (1,), of a joint, or of all contacts by impulses."""
     expected = np.array(check.value, dtype=np.float64)
-    value = quantities(check, system, np.array([b]), frames)[0]
     if check.quantity == "inertia" and expected.ndim == 1:
         expected = np.diag(expected)
+    expected = expected.reshape(value.shape)
     error = float(np.abs(value - expected).max())
-    if check.quantity == "orientation":
+    owner = check.joint or "all contacts"
+    if body is not None:
+        owner = system.names[int(body[0])]
+    if body is not None and check.quantity == "orientation":
         expected = unit_vectors(expected)
-        error = float(angles(taken(system.bodies, np.array([b])), expected[None], value[None])[0])
+        error = float(angles(taken(system.bodies, body), expected[None], value[None])[0])
         value = value if value @ expected >= 0 else -value
     frame = f", {check.frame} frame" if check.frame == "body" else ""
     when = "" if check.quantity == "inertia" else f" at {time:.9g} s"
-    name = f"{check.quantity} of {system.names[b]}{when}{frame}"
+    name = f"{check.quantity} of {owner}{when}{frame}"
     return Result(name, numbers(expected), numbers(value), error, check.tolerance)
 
 
@@ -116,15 +120,6 @@ def quantities(check: SweepValue, system: System, index: Ints, frames: Frames) -
     if check.frame == "body":
         vector = rotate_back(orientation.T, vector)
     return vector.T
-
-
-def _number_result(check: CheckValue, time: float, value: Floats) -> Result:
-    """One expected value of one joint, or of all contacts by impulses."""
-    expected = np.atleast_1d(np.array(check.value, dtype=np.float64))
-    error = float(np.abs(value - expected).max())
-    owner = "all contacts" if check.joint is None else check.joint
-    name = f"{check.quantity} of {owner} at {time:.9g} s"
-    return Result(name, numbers(expected), numbers(value), error, check.tolerance)
 
 
 def bodiless_quantity(

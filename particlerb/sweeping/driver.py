@@ -24,7 +24,7 @@ from particlerb.plan.case_forces import loads_of
 from particlerb.simulation.joint_values import refuse_checks
 from particlerb.sweeping.designs import written_out
 from particlerb.sweeping.executors import processes
-from particlerb.sweeping.rows import Row, asked_as_checks, columns, failed
+from particlerb.sweeping.rows import Row, asking, columns, failed
 from particlerb.sweeping.table import SweepRows, TableFile
 from particlerb.sweeping.together import may_share
 from particlerb.sweeping.variants import Variant, built, label, variants
@@ -170,8 +170,7 @@ def _columns_of(base: Case, asked: SweepTable, system: System, t_end: float) -> 
             wrong = "body", f'there is no body "{one.body}"'
         if wrong is not None:
             raise CaseError([problem_at(base, f"sweep.value[{k}].{wrong[0]}", wrong[1])])
-    check = system.check.model_copy(update={"value": asked_as_checks(asked.value)})
-    refuse_checks(system._replace(check=check, source=base.source), "sweep")
+    refuse_checks(asking(system, asked.value)._replace(source=base.source), "sweep")
     return [columns(one, system) for one in asked.value]
 
 

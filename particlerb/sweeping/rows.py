@@ -26,11 +26,10 @@ def failed(number: int, reason: str) -> Row:
     return Row(number, f"failed: {reason}", math.nan, 0, ())
 
 
-def asked_as_checks(asked: Sequence[SweepValue]) -> tuple[CheckValue, ...]:
-    """What is asked for as checks that always hold, so that a run looks at it."""
-    return tuple(
-        CheckValue.model_construct(**dict(one), value=0.0, tolerance=math.inf) for one in asked
-    )
+def asking(system: System, asked: Sequence[SweepValue]) -> System:
+    """A system with what is asked for as checks that always hold, so that a run looks at it."""
+    checks = (CheckValue.model_construct(**dict(v), value=0.0, tolerance=math.inf) for v in asked)
+    return system._replace(check=system.check.model_copy(update={"value": tuple(checks)}))
 
 
 def columns(asked: SweepValue, system: System) -> list[str]:

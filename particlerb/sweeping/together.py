@@ -22,7 +22,7 @@ from particlerb.simulation.outcome import Outcome
 from particlerb.simulation.run import run_unrecorded
 from particlerb.simulation.whole_run import Prepared
 from particlerb.stepping.sparse_contact import can_fly
-from particlerb.sweeping.rows import Row, asked_as_checks
+from particlerb.sweeping.rows import Row, asking
 
 
 def may_share(system: System) -> bool:
@@ -45,8 +45,7 @@ def rows_together(numbers: Sequence[int], system: System, asked: Sequence[SweepV
     CaseError, RunError
         If one of them is wrong, or fails: each alone says which.
     """
-    check = system.check.model_copy(update={"value": asked_as_checks(asked)})
-    system = system._replace(check=check).with_run(threads=1)
+    system = asking(system, asked).with_run(threads=1)
     if not may_share(system):
         raise WorldsDifferError("bodies act on each other as they cannot in worlds")
     system = assembled(system)

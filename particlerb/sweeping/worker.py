@@ -21,7 +21,7 @@ from particlerb.model.worlds import WorldsDifferError
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.run import prepare, run_unrecorded
 from particlerb.simulation.whole_run import RunError
-from particlerb.sweeping.rows import Row, asked_as_checks, failed
+from particlerb.sweeping.rows import Row, asking, failed
 from particlerb.sweeping.together import rows_of, rows_together
 
 
@@ -76,9 +76,7 @@ def batch_of(task: Task) -> System:
 
 def _row(number: int, source: Source, asked: Sequence[SweepValue]) -> Row:
     """Run a variant."""
-    system = to_system(build(source, ()))
-    check = system.check.model_copy(update={"value": asked_as_checks(asked)})
-    system = system._replace(check=check)
+    system = asking(to_system(build(source, ())), asked)
     is_free = system.run.accuracy is None
     prepared = prepare(system, describes=False) if is_free else prepare_accurately(system)
     system = prepared.system.with_run(threads=1)
