@@ -30,8 +30,7 @@ def write(selection: Selection, path: Path) -> None:
     for k in frames:
         contacts = selection.contacts(k)
         of_frames.append(contacts)
-        x = trajectory.read("position", slice(k, k + 1))[0]
-        points.append(contacts.lines(x).reshape(-1, 3))
+        points.append(contacts.lines(trajectory.read("position", k)).reshape(-1, 3))
     counts = np.array([len(ends) // 2 for ends in points])
     force, overlap, wall = (
         np.concatenate([getattr(one, name) for one in of_frames])

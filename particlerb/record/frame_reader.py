@@ -162,7 +162,7 @@ class FrameReader(Closing):
     def read(
         self,
         name: str,
-        frames: slice = slice(None),
+        frames: int | slice = slice(None),
         bodies: int | slice | Sequence[int] | Ints = slice(None),
     ) -> Floats:
         """Values of one recorded field for some frames and bodies.
@@ -171,23 +171,28 @@ class FrameReader(Closing):
         ----------
         name : str
             One of `fields`.
-        frames : slice, optional
-            Left out: all. With a positive stride.
+        frames : int or slice, optional
+            Number of a frame, of which -1 is the last; or several, with a positive stride.
+            Left out: all.
         bodies : int, slice or sequence of int, optional
             Numbers of bodies, or whether each is asked for. Left out: all.
 
         Returns
         -------
         ndarray, shape (T, N, 3), (T, N, 4), or (T, N) for fields of contacts
-            Without the axis of bodies where `bodies` is a number.
+            Without the axis of frames, or of bodies, where a number is given.
 
         Raises
         ------
         KeyError
             If the field was not recorded.
         IndexError
-            If there is no such body.
+            If there is no such frame, or body.
         """
+        if isinstance(frames, (int, np.integer)):
+            k = range(self.n_frames)[int(frames)]
+            one: Floats = self.read(name, slice(k, k + 1), bodies)[0]
+            return one
         per_body = schema.FIELDS | schema.CONTACT_FIELDS
         if name not in per_body or name not in self.fields + self.other_fields:
             raise KeyError(f"{name} was not recorded: see [output] fields")

@@ -305,11 +305,9 @@ class Trajectory(LabelledReader):
         IndexError
             If there is no such frame.
         """
-        k = range(self.n_frames)[frame]
         body, row = self.constituents
         local = self.particles.position[row]
-        q = self.read("orientation", slice(k, k + 1))[0]
-        x = self.read("position", slice(k, k + 1))[0]
+        x, q = (self.read(name, frame) for name in ("position", "orientation"))
         return x[body] + rotate(q[body].T, local.T).T
 
     @cached_property

@@ -202,8 +202,7 @@ class Replay(Page):
     def state_at(self, k: int) -> list[Floats]:
         """Position and orientation of all bodies in a frame, and both momenta if recorded."""
         names = (*_NEEDED_FIELDS, *_MOMENTUM_FIELDS) if self.has_momenta else _NEEDED_FIELDS
-        rows = [self.trajectory.read(name, slice(k, k + 1))[0] for name in names]
-        return [np.asarray(row, dtype=np.float64) for row in rows]
+        return [np.asarray(self.trajectory.read(name, k), dtype=np.float64) for name in names]
 
     def paint(self) -> None:
         """Colours of all bodies by what the field says."""

@@ -151,7 +151,18 @@ def test_bodies_are_chosen_by_numbers_or_by_a_mask(written):
                 t.read("position", bodies=wrong)
 
 
-@pytest.mark.parametrize("frames", [0, "a", (0, 1), slice(None, None, -1), slice(0, 3, 0)])
+def test_one_frame_is_read_by_its_number(written):
+    with particlerb.open(written) as t:
+        every, last = t.position, t.n_frames - 1
+        for frame in (0, last, np.int64(1), -1, -t.n_frames):
+            assert np.array_equal(t.read("position", frame), every[frame])
+        assert np.array_equal(t.read("position", -1, bodies=[1, 0]), every[last, [1, 0]])
+        for wrong in (last + 1, -last - 2):
+            with pytest.raises(IndexError):
+                t.read("position", wrong)
+
+
+@pytest.mark.parametrize("frames", [0.5, "a", (0, 1), slice(None, None, -1), slice(0, 3, 0)])
 def test_frames_are_a_slice_that_goes_forward(written, frames):
     with particlerb.open(written) as t, pytest.raises((TypeError, ValueError), match="slice"):
         t.read("position", frames)

@@ -62,7 +62,7 @@ def side_axes(trajectory: Trajectory, x: Floats) -> list[int]:
 def motion_of_bodies(trajectory: Trajectory) -> Floats:
     """How far bodies come from where they begin, (3,) [m], in a few frames."""
     frames = np.unique(np.linspace(0, trajectory.n_frames - 1, _FRAMES).astype(int)).tolist()
-    x = [trajectory.read("position", slice(k, k + 1))[0] for k in frames]
+    x = [trajectory.read("position", k) for k in frames]
     return np.asarray(np.abs(np.stack(x) - x[0]).max(axis=(0, 1)))
 
 
@@ -87,8 +87,7 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     across, up = shown = side_axes(trajectory, centres)
     depth = centres[:, 3 - across - up]
     order = np.argsort(depth if (across, up) != (0, 2) else -depth)
-    momenta = trajectory.read("linear_momentum", slice(frame, frame + 1))[0]
-    speed = np.linalg.norm(momenta, axis=1) / trajectory.mass
+    speed = np.linalg.norm(trajectory.read("linear_momentum", frame), axis=1) / trajectory.mass
     reach = np.ptp(centres[:, shown], axis=0).max() or 1.0
     is_still = speed.max() * np.ptp(trajectory.time) <= _STILL_SHARE * reach
     share = (speed / (1.0 if is_still else speed.max()))[body][order, None]
@@ -111,8 +110,7 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
 
 def draw_at_rest(axes: Axes, trajectory: Trajectory, shown: list[int]) -> None:
     """Bodies whose centres rest, in the last frame, seen from above at an angle."""
-    last = slice(trajectory.n_frames - 1, trajectory.n_frames)
-    x, q = (trajectory.read(name, last, bodies=shown)[0] for name in ("position", "orientation"))
+    x, q = (trajectory.read(name, -1, bodies=shown) for name in ("position", "orientation"))
     view = solids.view_at_angle(upright(trajectory))
     shapes = shapes_of(trajectory)
     placed = solids.placed([shapes[b] for b in shown], view, q, x)
@@ -137,9 +135,7 @@ def draw_paths(axes: Axes3D, trajectory: Trajectory, shown: list[int], body: int
 
 def _draw_outlines(axes: Axes, trajectory: Trajectory, frame: int, shown: tuple[int, int]) -> None:
     """Solids of bodies, and boxes around those of several particles, behind the particles."""
-    x, q = (
-        trajectory.read(name, slice(frame, frame + 1))[0] for name in ("position", "orientation")
-    )
+    x, q = (trajectory.read(name, frame) for name in ("position", "orientation"))
     view = solids.view_along(*shown)
     several = np.flatnonzero(np.bincount(trajectory.constituents[0]) > 1)
     shapes = shapes_of(trajectory)

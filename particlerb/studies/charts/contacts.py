@@ -35,7 +35,7 @@ def draw_contacts(trajectory: Trajectory, path: Path) -> None:
         Where to; the suffix is the format.
     """
     k = trajectory.n_frames - 1
-    x = trajectory.read("position", slice(k, k + 1))[0]
+    x = trajectory.read("position", k)
     contacts = trajectory.contacts(k)
     shown = side_axes(trajectory, x)
     centres = trajectory.particle_positions(k)[:, shown]

@@ -169,7 +169,7 @@ def draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int])
     `shown` are the axes to the right and upwards. A wall that slides is left out where its place
     was not recorded.
     """
-    middle_of_scene = trajectory.read("position", slice(frame, frame + 1))[0].mean(axis=0)[shown]
+    middle_of_scene = trajectory.read("position", frame).mean(axis=0)[shown]
     style: dict[str, Any] = {"color": INK, "lw": 1.2, "zorder": 0.4}
     for k, wall in enumerate(trajectory.case.wall):
         motion = motion_of(wall.motion, middle(wall))

@@ -151,9 +151,8 @@ def _titled_figure(trajectory: Trajectory, case: dict[str, Any]) -> Figure:
 
 def _fastest(trajectory: Trajectory) -> int:
     """Body with the largest angular velocity in the last frame."""
-    last = slice(trajectory.n_frames - 1, trajectory.n_frames)
-    momenta = trajectory.read("angular_momentum", last)
-    omega = derived(trajectory.bodies, trajectory.read("orientation", last), momenta, momenta)[1]
+    q, L = (trajectory.read(name, -1)[None] for name in ("orientation", "angular_momentum"))
+    omega = derived(trajectory.bodies, q, L, L)[1]
     return int(np.argmax(np.linalg.norm(omega[0], axis=1)))
 
 
@@ -277,7 +276,7 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
 def _rises(trajectory: Trajectory) -> bool:
     """Whether heights of bodies change, beside how far they move at all, or all are at rest."""
     moved = bodies.motion_of_bodies(trajectory)
-    size = np.ptp(trajectory.read("position", slice(0, 1))[0], axis=0).max()
+    size = np.ptp(trajectory.read("position", 0), axis=0).max()
     is_still = moved.max() <= _STILL_SHARE * size
     return bool(is_still or moved[bodies.upright(trajectory)] >= _LEVEL_SHARE * moved.max())
 
