@@ -16,6 +16,13 @@ _KEYS_OF_LAWS = {
     "events": ("contact_time", "periodic"),
 }
 _NAMES_OF_LAWS = {"impulse": "impulses", "events": "events"}
+_WITHOUT_STIFFNESS = {  # laws that take none from a contact, and what is right
+    **dict.fromkeys(_NAMES_OF_LAWS, ("impulses have no stiffness", "leave it out")),
+    "hertz": (
+        "hertz takes its stiffness from the materials",
+        "give `young` and `poisson` of each [[material]]",
+    ),
+}
 
 
 def contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -118,20 +125,18 @@ def _number_rules(path: Path, table: dict[str, Any], contact: Any) -> Iterator[F
     if law != "impulse" and has(table, "torsional_friction"):
         reason = "impulses alone resist spinning about the normal"
         yield (*path, "torsional_friction"), reason, 'leave it out, or take law = "impulse"'
-    if law in output.FIELDS_OF_LAWS:
-        for key in ("stiffness", "tangential_stiffness"):
-            if has(table, key):
-                yield (*path, key), "impulses have no stiffness", "leave it out"
-        if law == "events" and has(table, "rolling_friction"):
-            reason = "impacts at an instant do not resist rolling"
-            yield (*path, "rolling_friction"), reason, 'leave it out, or take law = "impulse"'
+    for key in ("stiffness", "tangential_stiffness"):
+        if law in _WITHOUT_STIFFNESS and has(table, key):
+            yield ((*path, key), *_WITHOUT_STIFFNESS[law])
+    if law == "events" and has(table, "rolling_friction"):
+        reason = "impacts at an instant do not resist rolling"
+        yield (*path, "rolling_friction"), reason, 'leave it out, or take law = "impulse"'
+    if number(table, "restitution") != 0.0 or law == "impulse":
         return
-    if law == "hertz":
-        for key in ("stiffness", "tangential_stiffness"):
-            if has(table, key):
-                hint = "give `young` and `poisson` of each [[material]]"
-                yield (*path, key), "hertz takes its stiffness from the materials", hint
-    if number(table, "restitution") == 0.0 and contact.get("attract") is not True:
+    if law == "events":
+        reason = "bodies that do not part again would collide without end"
+        yield (*path, "restitution"), reason, 'give more than 0, or take law = "impulse"'
+    elif contact.get("attract") is not True:
         reason = "0 takes a dashpot that pulls, which contacts here do not"
         yield (*path, "restitution"), reason, "give a small number, or contact.attract = true"
 
@@ -154,15 +159,12 @@ def _event_rules(raw: dict[str, Any], contact: dict[str, Any]) -> Iterator[Findi
 
 
 def _event_number_rules(contact: dict[str, Any]) -> Iterator[Finding]:
-    """Keys of [contact] that events have no use for, and restitutions that they cannot have."""
+    """Keys of [contact] that events have no use for."""
     for key in ("attract", "allow_unstable", "relax", "skin"):
         if has(contact, key) and contact[key] is not False:
             yield ("contact", key), "collisions by events have no use for it", "leave it out"
     if number(contact, "overlap"):
         yield ("contact", "overlap"), "collisions by events begin without overlap", "leave it out"
-    yield from _restitution_rules(("contact",), contact)
-    for i, pair in tables(contact, "pair"):
-        yield from _restitution_rules(("contact", "pair", i), pair)
 
 
 def _term_rules(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -188,13 +190,6 @@ def _periodic_rules(raw: dict[str, Any], sides: Any) -> Iterator[Finding]:
         if not is_along or any(n and side for n, side in zip(normal, sides, strict=False)):
             reason = "a box that repeats has no walls but planes along the axes on which it does"
             yield ("wall", i), reason, "leave it out, or give a side 0 to contact.periodic"
-
-
-def _restitution_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
-    """What does not part after an impact cannot be held together by impacts."""
-    if number(table, "restitution") == 0.0:
-        reason = "bodies that do not part again would collide without end"
-        yield (*path, "restitution"), reason, 'give more than 0, or take law = "impulse"'
 
 
 def _still_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
