@@ -4,14 +4,11 @@ They stand here and not beside the physics because whoever reads a case must not
 compiler. A new one is a class, and a member of `AnyForce`.
 """
 
-from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, model_validator
 
-from particlerb.case.problems import Path
-from particlerb.case.raw import Finding, has, out_of_place, pair_rules
 from particlerb.case.values import (
     ORIGIN,
     Array3,
@@ -67,11 +64,6 @@ class ForceTable(Table):
     def edges(self) -> tuple[float, ...]:
         """Times [s] at which it begins, bends, stops, or acts at one instant; none: always."""
         return ()
-
-    @classmethod
-    def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
-        """Rules that involve more than one key of the table, or other tables; see case/rules/."""
-        yield from ()
 
 
 def _is_interval(value: tuple[float, float]) -> tuple[float, float]:
@@ -161,13 +153,6 @@ class LoadTable(LastingForceTable):
         """Times [s] of all knots, or at which it begins and stops."""
         return super().edges if self.timed is None else self.timed.times or ()
 
-    @classmethod
-    def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
-        """Knots say when a load acts."""
-        if isinstance(raw.get(cls.load_key), Mapping) and has(raw, "during"):
-            reason = f"given beside the knots of {cls.load_key}"
-            yield (*path, "during"), reason, "it acts from the first to the last: leave it out"
-
 
 class PushTable(LoadTable):
     """A force at a point of the body that stays on that point while the body turns."""
@@ -252,28 +237,6 @@ class SpringTable(LastingForceTable):
 
     names_bodies: ClassVar[tuple[str, ...]] = ("body", "to")
 
-    @classmethod
-    def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
-        """A spring has one other end, and as many bodies there as it needs."""
-        has_end = any(has(raw, key) for key in ("anchor", "to", "reach"))
-        has_typo = not cls.model_fields.keys() >= raw.keys()
-        if not has_end and not has_typo:
-            hint = "give `anchor` for the world, `to` or `reach` for other bodies"
-            yield (*path, "anchor"), "missing", hint
-        if has(raw, "anchor"):
-            for key in ("to", "reach"):
-                if has(raw, key):
-                    yield (*path, key), "given beside anchor", "a spring has one other end"
-            yield from out_of_place(path, raw, "to_at", "an anchor")
-        yield from _pairing(path, raw, blocks)
-
-
-def _pairing(path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
-    """Bodies at both ends make pairs, where reach does not find them."""
-    if not has(raw, "reach"):
-        hint = "name equal numbers, or one for all; or give `reach`"
-        yield from pair_rules(path, raw, blocks, hint, either_way=True)
-
 
 class UniformField(LastingForceTable):
     """A uniform field that acts on charges and on a dipole of the body: Σ q E and d × E."""
@@ -294,12 +257,6 @@ class UniformField(LastingForceTable):
     def needs_particles(self) -> bool:
         """Whether each particle has a charge of its own."""
         return isinstance(self.charge, tuple)
-
-    @classmethod
-    def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
-        """A single charge has a place, others sit where the particles are."""
-        if isinstance(raw.get("charge"), list):
-            yield from out_of_place(path, raw, "at", "a charge for each particle")
 
 
 class CentralTable(LastingForceTable):
@@ -357,11 +314,6 @@ class PythonTable(LastingForceTable):
     names_bodies: ClassVar[tuple[str, ...]] = ("body", "to")
     at: ClassVar[tuple[float, float, float]] = ORIGIN  # where pairs are looked for
     to_at: ClassVar[tuple[float, float, float]] = ORIGIN
-
-    @classmethod
-    def rules(cls, path: Path, raw: dict[str, Any], blocks: dict[str, range]) -> Iterator[Finding]:
-        """Of two bodies, they make pairs."""
-        yield from _pairing(path, raw, blocks)
 
     @property
     def is_pairwise(self) -> bool:

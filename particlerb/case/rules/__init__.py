@@ -2,14 +2,14 @@
 
 They read the plain data of the file, before or beside the types, and pass over whatever is not of
 the right kind: that is reported by the schema. So one reading finds all mistakes. Here are times,
-names and what is named, files and attraction; beside are bodies, joints, and contact with what its
-laws do not know. The few rules of forces stand with their tables.
+names, what is named, and attraction; beside are bodies, forces, joints, and contact with what its
+laws do not know.
 """
 
 from collections.abc import Iterator
 from typing import Any
 
-from particlerb.case.forces import FORCES, ForceTable
+from particlerb.case.forces import ForceTable
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import (
     Finding,
@@ -23,10 +23,10 @@ from particlerb.case.raw import (
 )
 from particlerb.case.rules import bodies
 from particlerb.case.rules.contact import contact_rules
+from particlerb.case.rules.forces import code_rules, force_rules, table_of
 from particlerb.case.rules.joints import driven_rules, joint_rules
 from particlerb.files import Files
 from particlerb.model.names import REFERENCE
-from particlerb.user_force import UserForce
 
 _MAX_FRAMES = 10**9
 _LATER = "take an earlier time, or a longer run.t_end"
@@ -37,20 +37,15 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     yield from _time_rules(raw)
     yield from _name_rules(raw)
     yield from _reference_rules(raw)
+    blocks = members(raw)
     for i, force in tables(raw, "force"):
-        table = _table_of(force)
-        if table is not None:
-            yield from table.rules(("force", i), force, members(raw))
-            path = ("force", i, table.load_key, "table")
-            yield from bodies.file_rules(
-                path, entry_at(force, table.load_key, dict).get("table"), files
-            )
-    yield from _code_rules(raw, files)
+        yield from force_rules(("force", i), force, blocks, files)
+    yield from code_rules(raw, files)
     law = entry_at(raw.get("contact"), "law", str)
     for i, joint in tables(raw, "joint"):
-        yield from joint_rules(("joint", i), joint, members(raw), law)
+        yield from joint_rules(("joint", i), joint, blocks, law)
     yield from driven_rules([joint for _, joint in tables(raw, "joint")])
-    yield from _attraction_rules(raw.get("attraction"), members(raw))
+    yield from _attraction_rules(raw.get("attraction"), blocks)
     yield from contact_rules(raw)
     for i, body in tables(raw, "body"):
         yield from bodies.body_rules(("body", i), body)
@@ -59,29 +54,6 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
         yield from bodies.shape_file_rules(("body", i), body, files)
     for i, wall in tables(raw, "wall"):
         yield from bodies.file_rules(("wall", i, "file"), wall.get("file"), files)
-
-
-def _code_rules(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
-    """Files with code are there; of functions the texts go along with the case. Nothing is run."""
-    texts: dict[str, bytes] = {}
-    for i, force in tables(raw, "force"):
-        function, file, data = force.get("function"), force.get("file"), None
-        if isinstance(function, UserForce):
-            text = function.text() or f"# {function.name} has no source that could be kept\n"
-            name, data = function.file, text.encode()
-        elif isinstance(function, str) and force.get("type") == "python":
-            name = file if isinstance(file, str) else f"{function}.py"
-            yield from bodies.file_rules(("force", i, "file"), name, files)
-            data = files.contents.get(name)
-        if data is not None and texts.setdefault(name, data) != data:
-            reason = f"two forces are called {name.removesuffix('.py')}: rename one of them"
-            yield ("force", i, "function"), reason, ""
-    files.contents.update(texts)
-
-
-def _table_of(force: dict[str, Any]) -> type[ForceTable] | None:
-    """Table of a [[force]] by its type; None where there is none of that name."""
-    return FORCES.get(entry_at(force, "type", str))
 
 
 def _time_rules(raw: dict[str, Any]) -> Iterator[Finding]:
@@ -135,7 +107,7 @@ def _reference_rules(raw: dict[str, Any]) -> Iterator[Finding]:
         if isinstance(body.get("name"), str):
             counts.setdefault(body["name"], body.get("count", 1))
     for i, force in tables(raw, "force"):
-        for key in (_table_of(force) or ForceTable).names_bodies:
+        for key in (table_of(force) or ForceTable).names_bodies:
             yield from _named_body(("force", i, key), force.get(key), counts)
     for i, joint in tables(raw, "joint"):
         for key in ("body", "to"):
