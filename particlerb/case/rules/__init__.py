@@ -47,9 +47,9 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     yield from driven_rules([joint for _, joint in tables(raw, "joint")])
     yield from _attraction_rules(raw.get("attraction"), blocks)
     yield from contact_rules(raw)
+    yield from bodies.held_rules(raw)
     for i, body in tables(raw, "body"):
         yield from bodies.body_rules(("body", i), body)
-        yield from bodies.held_rules(("body", i), body, raw)
         yield from bodies.count_rules(("body", i), body)
         yield from bodies.shape_file_rules(("body", i), body, files)
     for i, wall in tables(raw, "wall"):

@@ -1,7 +1,7 @@
 """Rules of bodies that involve more than one key: matter, places, and what is held."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from particlerb.case.problems import Path
@@ -67,16 +67,34 @@ def _mass_rules(path: Path, table: dict[str, Any]) -> Iterator[Finding]:
         yield (*path, "mass"), "must be > 0 for all but spheres, got 0", hint
 
 
-def held_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterator[Finding]:
+def held_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """A body that is fixed or driven is an obstacle of contact: it is not moved nor pulled."""
+    pulls, ties = (_keys_by_body(raw, kind) for kind in ("force", "joint"))
+    for i, body in tables(raw, "body"):
+        if body.get("fixed") is True or isinstance(body.get("motion"), dict):
+            name = entry_at(body, "name", str)
+            yield from _obstacle_rules(("body", i), body, raw, name in ties, pulls.get(name, ()))
+
+
+def _keys_by_body(raw: dict[str, Any], kind: str) -> dict[str, list[Path]]:
+    """Keys of forces or joints that name bodies, by the names of the blocks of these."""
+    keys: dict[str, list[Path]] = {}
+    for i, table in tables(raw, kind):
+        for key in ("body", "to"):
+            for name in bases(table.get(key)):
+                keys.setdefault(name, []).append((kind, i, key))
+    return keys
+
+
+def _obstacle_rules(
+    path: Path, body: dict[str, Any], raw: dict[str, Any], is_tied: bool, pulls: Sequence[Path]
+) -> Iterator[Finding]:
+    """A held body has a use, and nothing acts on it; `pulls` are keys of forces that name it."""
+    name = entry_at(body, "name", str)
     is_driven = isinstance(body.get("motion"), dict)
-    if body.get("fixed") is not True and not is_driven:
-        return
     key, is_held = ("motion", "driven") if is_driven else ("fixed", "fixed")
     if is_driven and body.get("fixed") is True:
         yield (*path, "fixed"), "given beside motion", "give one of them"
-    name, joints = entry_at(body, "name", str), tables(raw, "joint")
-    is_tied = any(name in bases(joint.get(end)) for _, joint in joints for end in ("body", "to"))
     if raw.get("contact") is None and not is_tied:
         reason = f"a {is_held} body is an obstacle of [contact], which is not there"
         yield (*path, key), reason, "or tie a [[joint]] to it"
@@ -89,10 +107,8 @@ def held_rules(path: Path, body: dict[str, Any], raw: dict[str, Any]) -> Iterato
             reason = "a driven body has its velocities in motion" if is_driven else reason
             yield (*path, key), reason, "leave it out"
     hint = f"leave the {is_held} body out; a spring has `anchor` for the world"
-    for i, force in tables(raw, "force"):
-        for key in ("body", "to"):
-            if name in bases(force.get(key)):
-                yield ("force", i, key), f"{name} is {is_held}: no force acts on it", hint
+    for key_of_force in pulls:
+        yield key_of_force, f"{name} is {is_held}: no force acts on it", hint
     named = entry_at(raw, "attraction", dict).get("body")
     attracts = isinstance(raw.get("attraction"), dict) and (named is None or name in bases(named))
     if attracts and name:
