@@ -21,7 +21,7 @@ LINES_OF_CODE = 24396
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
-    "closed forms under force": 1608,
+    "closed forms under force": 1582,
     "joints": 5770,
     "contact with every method": 670,
     "contact by impulses": 4140,
@@ -32,7 +32,7 @@ BUDGETS = {
     "one scene over ranks": 2407,
     "reports, pictures, the page": 1732,
     "scenes for other programs": 534,
-    "speed of compiling and of whole calls": 1320,
+    "speed of compiling and of whole calls": 1361,
     "watches": 93,
     "beside all these": 383,
 }

@@ -31,9 +31,11 @@ from numba.core import (
     targetconfig,
     transforms,
     typed_passes,
+    untyped_passes,
 )
 
 from particlerb.compiled.calls import as_they_are
+from particlerb.compiled.none_fields import DecideNoneFields
 from particlerb.compiled.vector_width import is_wide
 
 
@@ -249,6 +251,8 @@ class Compiler(compiler.CompilerBase):
             for step, said in passes.passes
             if step is not typed_passes.AnnotateTypes  # text for `inspect_types`
         ]
+        for before in (untyped_passes.RewriteSemanticConstants, untyped_passes.InlineInlinables):
+            passes.add_pass_after(DecideNoneFields, before)
         passes.finalize()
         passes._ENFORCING = False
         return [passes]

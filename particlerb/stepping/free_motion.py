@@ -34,7 +34,6 @@ from particlerb.rotors.exact import (
     turns_of,
 )
 from particlerb.rotors.tops import N_THETA, prepare_tops
-from particlerb.stepping.centres import translate
 from particlerb.stepping.closed_forms import (
     Levers,
     lever_of,
@@ -43,9 +42,9 @@ from particlerb.stepping.closed_forms import (
     translations_of,
     turned_about,
 )
-from particlerb.stepping.damped_oscillators import DampedOscillator
+from particlerb.stepping.damped_oscillators import DampedOscillator, braked
 from particlerb.stepping.motion import Motion, MotionError, SegmentGroup, constant_force, force_of
-from particlerb.stepping.orbits import Orbit, orbits_of
+from particlerb.stepping.orbits import Orbit, orbited, orbits_of
 from particlerb.stepping.saved_arrays import Saved
 from particlerb.stepping.top_rows import top_block
 from particlerb.stepping.translations import (
@@ -55,7 +54,11 @@ from particlerb.stepping.translations import (
     ExternalWork,
     Oscillator,
     Spinning,
+    add_drift,
     add_external,
+    damped,
+    parabola,
+    sprung,
     spun,
 )
 
@@ -107,25 +110,6 @@ class _Turned(NamedTuple):
 
 
 @inline
-def _add_turned(
-    top: Floats | None, near: Floats | None, lo: int, n: int, out: Floats, external: Any
-) -> None:
-    """Sums over the tops of a block of the work of what turns them, and of L."""
-    if top is not None or near is not None:
-        for b in range(n):
-            add_external(external, lo + b, get(out, BOOKED, b), (0.0, 0.0, 0.0), get3(out, L, b))
-
-
-@inline
-def _spin(
-    spinning: Spinning | None, lo: int, hi: int, t: float, out: Floats, external: Any
-) -> None:
-    """Turns about a line, where there are some."""
-    if spinning is not None:
-        spun(spinning, lo, hi, t, out, external)
-
-
-@inline
 def _gather(part: _Part, lo: int, n: int, inputs: Floats) -> None:
     """Copy bodies from `lo` on into rows: x, p, L, force, rotor frame, 1/M, M, 1/I."""
     for b in range(n):
@@ -140,18 +124,36 @@ def _gather(part: _Part, lo: int, n: int, inputs: Floats) -> None:
 
 
 @inline
+def _translate(part: _Part, of: Centres, lo: int, t: float, external: Any) -> None:
+    """Centres of mass of a block, by whatever moves them in closed form."""
+    if part.drag is not None:
+        damped(of, part.drag, lo, t, external)
+    if part.spring is not None:
+        sprung(of, part.spring, lo, t, external)
+    if part.braked is not None:
+        braked(of, part.braked, lo, t, external)
+    if part.drift is not None:
+        add_drift(of, part.drift, lo, t)
+    if part.orbit is not None:
+        orbited(of, part.orbit, lo, t, external)
+    if part.drag is None and part.spring is None and part.braked is None and part.orbit is None:
+        parabola(of, t)
+
+
+@inline
 def _move_block(
     part: _Part, k: int, t: float, of: Centres, q: Rows4, out: Floats, external: Any
 ) -> None:
     """State of block k after the time t, in rows of `out`; L where it changes."""
-    lo = k * BLOCK
-    hi = lo + of.inv_mass.size
-    turn_block(part.steady, part.theta, part.hyperbolic, t, lo, hi, q)
-    _spin(part.spinning, lo, hi, t, out, external)
-    top_block(part.top, part.near, k, t, hi - lo, out)
-    _add_turned(part.top, part.near, lo, hi - lo, out, external)
-    drag, spring, brake, drift = part.drag, part.spring, part.braked, part.drift
-    translate(drag, spring, brake, drift, part.orbit, of, lo, t, external)
+    lo, n = k * BLOCK, of.inv_mass.size
+    turn_block(part.steady, part.theta, part.hyperbolic, t, lo, lo + n, q)
+    if part.spinning is not None:
+        spun(part.spinning, lo, lo + n, t, out, external)
+    top_block(part.top, part.near, k, t, n, out)
+    if part.top is not None or part.near is not None:
+        for b in range(n):
+            add_external(external, lo + b, get(out, BOOKED, b), (0.0, 0.0, 0.0), get3(out, L, b))
+    _translate(part, of, lo, t, external)
 
 
 @unfused_kernel
