@@ -17,14 +17,14 @@ pytestmark = pytest.mark.once
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 24396
+LINES_OF_CODE = 24359
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
     "closed forms under force": 1582,
     "joints": 5770,
     "contact with every method": 670,
-    "contact by impulses": 4140,
+    "contact by impulses": 4121,
     "collisions by events": 1755,
     "forces: tables, gradients, written by users": 2143,
     "scenes and simulations in Python": 677,

@@ -49,7 +49,7 @@ def _type_of(function: Any, args: Any, variable: Any) -> Any:
     if isinstance(found, ir.Arg):
         kind = args[found.index]
     elif isinstance(found, ir.Expr) and found.op == "getattr":
-        of = _type_of(function, args, found.value)
+        of: Any = _type_of(function, args, found.value)
         if isinstance(of, types.BaseNamedTuple) and found.attr in of.fields:
             kind = of.types[of.fields.index(found.attr)]
     return None if isinstance(kind, (types.Optional, types.Omitted)) else kind

@@ -9,7 +9,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
 from particlerb.contact.contact_model import ContactChanges, ContactList, MovingContact
 from particlerb.contact.records import Records
-from particlerb.impulses.records import DEEPEST_NOW, WORST, Impulses
+from particlerb.impulses.records import DEEPEST_NOW, WORST
 from particlerb.maths.vec3 import Floats
 
 
@@ -40,8 +40,9 @@ def restore_contacts(
         return
     meet(team)
     _copy(saved, changes, team)
-    if is_frame:
-        _forget_worst(contact.workspace.impulses, team)
+    impulses = contact.workspace.impulses
+    if is_frame and impulses is not None and team.thread == 0:  # look for the worst anew
+        impulses.tally[WORST] = impulses.tally[DEEPEST_NOW] = 0.0
     _recall(contact.lists.spheres, team)
     _recall(contact.lists.walls, team)
     meet(team)
@@ -84,24 +85,8 @@ def store_contacts(contact: MovingContact | None, team: Team | None, frame: int)
         frames.elastic[frame, :] = 0.0
         find_stored_energy(contact.setup.model, lists, frames.stored)
         sum_in_bins(frames.stored, frames.bins, frames.elastic[frame])
-        _store_tally(contact.workspace.impulses, frames.tally, frame)
+        if contact.workspace.impulses is not None:
+            for k in range(frames.tally.shape[1]):
+                frames.tally[frame, k] = contact.workspace.impulses.tally[k]
         for k in range(pistons.size):
             frames.pistons[frame, k] = pistons[k]
-
-
-@inline
-def _forget_worst(impulses: Impulses | None, team: Team) -> None:
-    """Begin anew to look for the worst: a frame shows residual and overlap since the last one."""
-    if impulses is None:
-        return
-    if team.thread == 0:
-        impulses.tally[WORST] = impulses.tally[DEEPEST_NOW] = 0.0
-
-
-@inline
-def _store_tally(impulses: Impulses | None, tally: Floats, frame: int) -> None:
-    """Write what was counted of impulses into a frame, if there are any."""
-    if impulses is None:
-        return
-    for k in range(impulses.tally.size):
-        tally[frame, k] = impulses.tally[k]

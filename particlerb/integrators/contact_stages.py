@@ -43,7 +43,6 @@ from particlerb.contact.sphere_contacts import sphere_contact_forces
 from particlerb.contact.wall_contacts import wall_contact_forces
 from particlerb.contact.wall_motion import put_poses
 from particlerb.forces.registry import PAIR, STEADY
-from particlerb.impulses.records import ImpulseRules
 from particlerb.integrators.pair_stages import BlockShare, PairTerms
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import (
@@ -117,9 +116,12 @@ def keep_extremes(
     extremes = memory.extremes
     extremes.displacement[0] = max(extremes.displacement[0], reached)
     extremes.speed[0], extremes.angular_speed[0] = v, w
-    used = _used_up(lists.spheres.stages, path, reached)
-    ahead = after * (v + 4.0 * w * lists.max_contact_arm)
-    is_too_far = _comes_too_far(setup.rules, path + 1.5 * ahead, setup.skin)
+    used, is_too_far = path, False
+    if lists.spheres.stages is not None and path > 0.0:  # contacts are found within the step too
+        used = reached
+    if setup.rules is not None:  # what closes within the step after the next drift is to be listed
+        ahead = after * (v + 4.0 * w * lists.max_contact_arm)
+        is_too_far = path + 1.5 * ahead > _IMPULSE_SKIN_SHARE * setup.skin
     return not (is_too_far or used > allowance or time >= memory.valid_until)
 
 
@@ -161,9 +163,13 @@ def kinematics_at(
         _put_prescribed(model.prescribed, t, False, rows, lo, n)
         path = max(path, farthest(memory.listed_pose, rows, setup.max_arm, lo, n))
         body_kinematics(model, workspace, rows, memory.momenta, ahead, lo, n)
-        speeds = _speeds(setup, workspace.bodies, lists.max_contact_arm, lo, lo + n)
-        v, w = max(v, speeds[0]), max(w, speeds[1])
-        _gather_states(pairs, rows, lo, n)
+        if setup.rules is None:
+            speeds = max_speeds(workspace.bodies, lo, lo + n)
+            v, w = max(v, speeds[0]), max(w, speeds[1])
+        else:
+            v = max(v, max_point_speed(workspace.bodies, lists.max_contact_arm, lo, lo + n))
+        if pairs is not None:
+            gather_block(rows, pairs.y, lo, n)
     wall_poses(contact, team, time, ahead)
     if team.thread == 0 and pistons_have_moved(setup.pistons, memory.pistons, allowance):
         path = np.inf
@@ -179,40 +185,6 @@ def wall_poses(contact: MovingContact | None, team: Team | None, time: float, ah
     if team.thread == 0:
         put_poses(setup.motions, memory.start + time, poses)
         piston_poses(setup.pistons, memory.pistons, ahead, poses)
-
-
-@inline
-def _speeds(
-    setup: GroupContact, bodies: Records, arm: float, first: int, end: int
-) -> tuple[float, float]:
-    """Largest speed [m/s] and angular speed [rad/s] of bodies; of points alone for impulses."""
-    if setup.rules is None:
-        return max_speeds(bodies, first, end)
-    return max_point_speed(bodies, arm, first, end), 0.0
-
-
-@inline
-def _used_up(stages: Records | None, path: float, reached: float) -> float:
-    """How much of the skin is used up [m]: of new lists nothing.
-
-    Methods that take several slopes evaluate contacts within the step too.
-    """
-    if stages is None:
-        return path
-    return reached if path > 0.0 else 0.0
-
-
-@inline
-def _comes_too_far(rules: ImpulseRules | None, path: float, skin: float) -> bool:
-    """Whether contacts that close within the step after the next drift may not be listed."""
-    return rules is not None and path > _IMPULSE_SKIN_SHARE * skin
-
-
-@inline
-def _gather_states(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> None:
-    """Bring states of a block to where forces without touching are evaluated, if there are any."""
-    if pairs is not None:
-        gather_block(rows, pairs.y, lo, n)
 
 
 @inline
@@ -319,7 +291,8 @@ def contact_loads(
         for c in range(CONTACT_ROWS):
             for b in range(n):
                 put(rows, PAIR + c, b, 0.0)
-        _scatter_loads(pairs, rows, lo, n)
+        if pairs is not None:
+            scatter_block(pairs.load, rows, PAIR, 0, lo, n)
         collect_loads(model, workspace, lists, rows, PAIR, STEADY, lo, n, later, span)
     if team.thread == 0:
         load_pistons(setup.pistons, memory.pistons, lists.walls, model, later)
@@ -333,14 +306,7 @@ def put_loads_of_pairs(team: Team | None, pairs: PairTerms | None, share: BlockS
     meet(team)
     blocks, layout, first, last = share
     for k in range(first, last):
-        _scatter_loads(pairs, blocks[k], layout.first[k], layout.size[k])
-
-
-@inline
-def _scatter_loads(pairs: PairTerms | None, rows: Floats, lo: int, n: int) -> None:
-    """Write forces without touching into the rows of a block, if there are any."""
-    if pairs is not None:
-        scatter_block(pairs.load, rows, PAIR, 0, lo, n)
+        scatter_block(pairs.load, blocks[k], PAIR, 0, layout.first[k], layout.size[k])
 
 
 @kernel

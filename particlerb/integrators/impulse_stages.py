@@ -11,7 +11,7 @@ from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.impulse_contacts import find_impulse_contacts, keep_impulses
 from particlerb.contact.piston import keep_pistons, move_pistons, push_pistons
-from particlerb.contact.prescribed_motion import PrescribedBodies, prescribed_acceleration
+from particlerb.contact.prescribed_motion import prescribed_acceleration
 from particlerb.contact.wall_motion import acceleration_at, motion_in
 from particlerb.forces.kernels import Acting, kick_potential, shift_time
 from particlerb.impulses.bookkeeping import book_impulses
@@ -19,15 +19,7 @@ from particlerb.impulses.bounded import keep_bounded
 from particlerb.impulses.colours import who_solves
 from particlerb.impulses.impacts import take_impacts
 from particlerb.impulses.push_out import push_out
-from particlerb.impulses.records import (
-    GAP,
-    PUSH_OUT_WORK,
-    RADIUS,
-    Bounded,
-    Impulses,
-    Mechanisms,
-    Partners,
-)
+from particlerb.impulses.records import GAP, PUSH_OUT_WORK, RADIUS, Impulses, Mechanisms, Partners
 from particlerb.impulses.rolling import write_rolling
 from particlerb.impulses.rows import approach, write_through_pistons
 from particlerb.impulses.solver import leave_out_what_leans, leave_out_what_will_bounce, solve
@@ -148,19 +140,15 @@ def gather_velocities(
 
 
 @inline
-def _gather_prescribed(prescribed: PrescribedBodies | None, before: Floats, t: float) -> None:
-    """Write how bodies are accelerated that move as prescribed, if there are any."""
-    if prescribed is not None:
-        for k in range(prescribed.body.size):
-            put_row3_at(before, prescribed.body[k], 9, prescribed_acceleration(prescribed, k, t))
-
-
-@inline
 def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None:
     """The same of walls, which come behind the bodies, after a kick of dt [s] of pistons."""
     poses, n = contact.workspace.poses, contact.setup.max_arm.size
     t = contact.memory.start + contact.workspace.step_start.time[0] + dt
-    _gather_prescribed(contact.setup.model.prescribed, partners.before, t)
+    prescribed = contact.setup.model.prescribed
+    if prescribed is not None:
+        for k in range(prescribed.body.size):
+            by = prescribed_acceleration(prescribed, k, t)
+            put_row3_at(partners.before, prescribed.body[k], 9, by)
     for w in range(poses.size):
         by = acceleration_at(motion_in(contact.setup.motions, w), ZERO, t)
         put_row3_at(partners.before, n + w, 9, by)
@@ -204,15 +192,6 @@ def _apply_impulses(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
 
 
 @inline
-def _bound_joints(jointed: Jointed | None, impulses: Impulses, dt: float) -> None:
-    """Find what acts in joints within bounds, if there are joints."""
-    partners, mechanisms = impulses.partners, impulses.partners.mechanisms
-    if jointed is not None and mechanisms is not None:
-        bounded = impulses.rows.bounded
-        find_bounded(jointed.joints, jointed.data, partners, mechanisms, bounded, dt)
-
-
-@inline
 def _let_joints_hold(jointed: Jointed | None, impulses: Impulses) -> None:
     """Let contacts feel what joints tie to their partners, if there is anything, and pistons."""
     mechanisms = impulses.partners.mechanisms
@@ -238,7 +217,10 @@ def bounce(
     meet(team)
     if team.thread == 0:
         _gather_walls(contact, impulses.partners, 0.5 * dt)
-        _bound_joints(jointed, impulses, dt)
+        mechanisms, bounded = impulses.partners.mechanisms, impulses.rows.bounded
+        if jointed is not None and mechanisms is not None:
+            joints, data = jointed.joints, jointed.data
+            find_bounded(joints, data, impulses.partners, mechanisms, bounded, dt)
     extremes = contact.memory.extremes
     find_impulse_contacts(setup, workspace, contact.lists, impulses, team, extremes, dt)
     if team.thread == 0:
@@ -268,16 +250,6 @@ def _keep_pose(
     c = mechanisms.number[b]
     if c >= 0:
         put_pose(jointed.data.y, mechanisms.first[c] + mechanisms.local[b], x, q)
-
-
-@inline
-def _back_to_joints(
-    jointed: Jointed | None, mechanisms: Mechanisms | None, partners: Partners
-) -> bool:
-    """Find moves to where joints hold; whether there are any."""
-    if jointed is None or mechanisms is None:
-        return False
-    return move_to_joints(jointed.joints, jointed.data, partners, mechanisms)
 
 
 @inline
@@ -330,13 +302,6 @@ def _move_bodies(
 
 
 @inline
-def _keep_among_joints(jointed: Jointed | None, bounded: Bounded | None, dt: float) -> None:
-    """Keep what acts in joints within bounds, for the next step unless this goes to a frame."""
-    if jointed is not None and bounded is not None:
-        keep_bounded(bounded, dt, dt == jointed.data.clock[1])
-
-
-@inline
 def _note_overlap(contact: MovingContact, impulses: Impulses, dt: float) -> None:
     """Note the first contact that is going to be too deep, for the host to say."""
     workspace, rows, k = contact.workspace, impulses.rows, impulses.counts[1]
@@ -385,7 +350,8 @@ def press(
             book_bodies(contact, impulses, books, blocks, layout)
             book_among_joints(books, jointed, partners, blocks)
             keep_pistons(pistons, state, partners.velocity, n)
-            _keep_among_joints(jointed, bounded, dt)
+            if jointed is not None and bounded is not None:  # not for a step to a frame
+                keep_bounded(bounded, dt, dt == jointed.data.clock[1])
         keep_impulses(contact.lists, impulses, solving, dt)
         moves = push_out(impulses, bounded, solving, dt)
         if is_first:
@@ -394,5 +360,8 @@ def press(
             if not moves:
                 break
             _move_bodies(contact, jointed, pairs, impulses, acting, books, blocks, layout)
-            moves = _back_to_joints(jointed, partners.mechanisms, partners)
+            moves = False
+            if jointed is not None and partners.mechanisms is not None:  # to where joints hold
+                joints, mechanisms = jointed.joints, partners.mechanisms
+                moves = move_to_joints(joints, jointed.data, partners, mechanisms)
     meet(team)

@@ -40,12 +40,10 @@ from particlerb.model.load import STATE_ROWS
 
 @inline
 def keep_kick(
-    keeps_kick: Flag, acting: Acting, rows: Floats, b: int, R: Matrix, dt: float,
-    old: tuple[Vec3, Vec3], new: tuple[Vec3, Vec3],
+    acting: Acting, rows: Floats, b: int, R: Matrix, dt: float, old: tuple[Vec3, Vec3],
+    new: tuple[Vec3, Vec3],
 ) -> None:  # fmt: skip
-    """Keep what forces without potential gave body b in a kick, if there are any among joints."""
-    if keeps_kick is None:
-        return
+    """Keep what forces without potential gave body b in a kick."""
     put3(rows, STAGE + 6, b, subtract(new[0], old[0]))
     put3(rows, STAGE + 9, b, subtract(new[1], old[1]))
     p, spin = kick_potential(acting, rows, b, get3(rows, COM, b), R, dt, old[0], old[1])

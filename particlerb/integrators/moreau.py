@@ -13,7 +13,6 @@ docs/impulses.md.
 
 from typing import Final
 
-from particlerb.compiled.jit import inline
 from particlerb.contact.contact_model import Instant
 from particlerb.forces.kinds import BODIES, IMPULSES, JOINTS, PISTONS, POSE, TIME, VELOCITY
 from particlerb.integrators.contact_stages import drift_walls, wall_poses
@@ -38,16 +37,6 @@ from particlerb.integrators.stages import (
     stages,
 )
 from particlerb.integrators.strang import drift
-from particlerb.joints.records import Jointed
-
-
-@inline
-def _drift_alone(
-    jointed: Jointed | None, moving: MovingBodies, first: int, last: int, dt: float
-) -> None:
-    """Drift where no joints are."""
-    if jointed is None:
-        drift(moving, first, last, dt)
 
 
 @stages
@@ -55,7 +44,8 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     """Drift, kick, impacts, kick, solve, drift."""
     contact, team, blocks, layout = moving.contact, moving.team, moving.blocks, moving.layout
     jointed = moving.jointed
-    _drift_alone(jointed, moving, first, last, 0.5 * dt)
+    if jointed is None:
+        drift(moving, first, last, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
     drift_walls(contact, team, 0.5 * dt)
     count_drift(jointed, team, True)
@@ -79,7 +69,8 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     press(contact, jointed, moving.pairs, team, moving.acting, moving.books, share, dt)
     project(moving, 0.0, 0.0)
     count_projection(jointed, team)
-    _drift_alone(jointed, moving, first, last, 0.5 * dt)
+    if jointed is None:
+        drift(moving, first, last, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
     drift_walls(contact, team, 0.5 * dt)
     count_drift(jointed, team, False)

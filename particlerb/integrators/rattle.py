@@ -33,7 +33,8 @@ def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, 
     loads(moving, first, last, LoadTimes(dt, kick_dt, LEAPFROG, None))
     kick_walls(moving.contact, moving.team, open_kick, CLOSING_KICK * dt, True)
     kick_jointed(moving, first, last, open_kick, CLOSING_KICK * dt)
-    own_kick = CLOSING_KICK * dt if moving.damps is not None else kick_dt
+    damps = moving.jointed is not None and moving.jointed.damps is not None
+    own_kick = CLOSING_KICK * dt if damps else kick_dt
     constrained_drift(moving, own_kick, 0.0, dt)
     drift_walls(moving.contact, moving.team, dt)
 

@@ -67,8 +67,6 @@ class MovingBodies(NamedTuple):
     dashpots: Flag  # whether they act as flows
     jointed: Jointed | None = None  # None: no joint holds them
     contact: MovingContact | None = None  # None: nothing touches anything
-    damps: Flag = None  # whether something damps jointed bodies
-    keeps_kick: Flag = None  # whether they keep what a kick without potential gave: `Jointed`
     team: Team | None = None  # threads that share each step; None: blocks do not wait for others
 
 
@@ -176,17 +174,10 @@ def set_times(moving: MovingBodies, first: int, last: int, t: float) -> None:
     """Take loads that depend on time at t [s] since the segment began."""
     for k in range(first, last):
         set_time(moving.acting.clock, moving.acting, moving.blocks[k], moving.layout.size[k], t)
-    _set_clock(moving.jointed, t)
+    if moving.jointed is not None:
+        moving.jointed.data.clock[0] = t
     if first == 0:  # the thread that evaluates pairs
         set_pair_time(moving.pairs, t)
-
-
-@inline
-def _set_clock(jointed: Jointed | None, t: float) -> None:
-    """Tell joints the time, if there are any."""
-    if jointed is None:
-        return
-    jointed.data.clock[0] = t
 
 
 @stage
@@ -198,7 +189,8 @@ def kick(moving: MovingBodies, first: int, last: int, dt: float) -> None:
         for b in range(n):
             old = get3(rows, P, b), get3(rows, L, b)
             p, spin, R = kick_body(moving.acting, moving.books, rows, b, dt)
-            keep_kick(moving.keeps_kick, moving.acting, rows, b, R, dt, old, (p, spin))
+            if moving.jointed is not None and moving.jointed.keeps_kick is not None:
+                keep_kick(moving.acting, rows, b, R, dt, old, (p, spin))
 
 
 @stages
@@ -223,10 +215,12 @@ def kick_jointed(
     moving: MovingBodies, first: int, last: int, closing: float, opening: float
 ) -> None:
     """Kick of jointed bodies; between its two parts what damps acts, for as long as both."""
-    kick(moving, first, last, closing if moving.damps is not None else closing + opening)
-    if moving.damps is not None:
+    if moving.jointed is not None and moving.jointed.damps is not None:
+        kick(moving, first, last, closing)
         project(moving, closing, closing + opening)
         kick(moving, first, last, opening)
+    else:
+        kick(moving, first, last, closing + opening)
 
 
 @kernel

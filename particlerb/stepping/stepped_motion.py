@@ -119,8 +119,6 @@ class SteppedMotion(JointedMotion):
             None if self.forces is None else self.forces.pairs,
             flag(has_dashpots and method.has_dashpot_flows),
             self.jointed,
-            damps=None if self.jointed is None else self.jointed.damps,
-            keeps_kick=None if self.jointed is None else self.jointed.keeps_kick,
         )
         self.cost = method.cost * n  # [ns] of a step, roughly
         self.cost += 0.0 if self.forces is None else method.evaluations * self.forces.cost
