@@ -6,10 +6,12 @@ that it is None; here it is told, by the types of the arguments.
 """
 
 import operator
-from typing import Any
+from typing import Any, Final
 
 from numba import types
 from numba.core import compiler_machinery, ir, ir_utils
+
+_FIELD_OPERATIONS: Final = ("getattr", "static_getitem", "exhaust_iter")
 
 
 @compiler_machinery.register_pass(mutates_CFG=False, analysis_only=False)
@@ -45,11 +47,15 @@ class DecideNoneFields(compiler_machinery.FunctionPass):
 def _type_of(function: Any, args: Any, variable: Any) -> Any:
     """Type of an argument, or of a field of one; None of what is neither, or may be None or not."""
     found = ir_utils.guard(ir_utils.get_definition, function, variable)
-    kind = None
     if isinstance(found, ir.Arg):
         kind = args[found.index]
-    elif isinstance(found, ir.Expr) and found.op == "getattr":
-        of: Any = _type_of(function, args, found.value)
-        if isinstance(of, types.BaseNamedTuple) and found.attr in of.fields:
-            kind = of.types[of.fields.index(found.attr)]
-    return None if isinstance(kind, (types.Optional, types.Omitted)) else kind
+        return None if isinstance(kind, (types.Optional, types.Omitted)) else kind
+    if not isinstance(found, ir.Expr) or found.op not in _FIELD_OPERATIONS:
+        return None
+    of: Any = _type_of(function, args, found.value)
+    if found.op == "exhaust_iter":  # a tuple that is taken apart, item by item
+        return of
+    if found.op == "static_getitem":
+        return of.types[found.index] if isinstance(of, types.BaseTuple) else None
+    is_field = isinstance(of, types.BaseNamedTuple) and found.attr in of.fields
+    return of.types[of.fields.index(found.attr)] if is_field else None

@@ -13,6 +13,7 @@ from particlerb.contact.records import Records
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.rows import row3, row4
 from particlerb.maths.vec3 import (
+    ZERO,
     Bools,
     Floats,
     Indices,
@@ -55,7 +56,9 @@ def _add_contact(
 ) -> _BodyLoad:
     """Add contact c to the load of a body at x; of the opposite sign where it is the second."""
     elastic, other, point = row3(forces.elastic, c), row3(forces.other, c), row3(forces.point, c)
-    arm, resistance = subtract(point, x), _rolling_torque_of(rolling, forces, c)
+    arm, resistance = subtract(point, x), ZERO
+    if rolling is not None:
+        resistance = row3(forces.rolling_torque, c)
     torque, time = cross(arm, elastic), sign * forces.correction_time[c]
     other_torque = add_scaled(1.0, cross(arm, other), resistance)
     outside_force, outside_torque = load.outside_force, load.outside_torque
@@ -89,14 +92,6 @@ def _add_correction(forces: Records, c: int, arm: Vec3, load: _BodyLoad) -> _Bod
     correction = add_scaled(1.0, impulse, load.correction)
     torque = add_scaled(1.0, cross(arm, impulse), load.correction_torque)
     return _BodyLoad(*load[:7], correction, torque, load.gross_power)
-
-
-@inline
-def _rolling_torque_of(rolling: Floats | None, forces: Records, c: int) -> Vec3:
-    """Torque of contact c against rolling, if anything resists."""
-    if rolling is None:
-        return 0.0, 0.0, 0.0
-    return row3(forces.rolling_torque, c)
 
 
 @inline

@@ -7,7 +7,7 @@ import math
 
 from particlerb.compiled.jit import inline
 from particlerb.contact.law import ContactState, Law, NormalForce, with_motion
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale
+from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, dot, scale
 
 
 @inline
@@ -108,15 +108,9 @@ def friction_force(
 
 @inline
 def rolling_torque(
-    rolling: Floats,
-    law: Law,
-    pair: int,
-    state: ContactState,
-    angular_velocity: Vec3,
-    normal: NormalForce,
-    spring: Vec3,
-    dt: float,
-) -> tuple[Vec3, Vec3]:
+    law: Law, pair: int, state: ContactState, angular_velocity: Vec3, normal: NormalForce,
+    spring: Vec3, dt: float,
+) -> tuple[Vec3, Vec3]:  # fmt: skip
     """Torque [N m] on the first against rolling, and the spring [m] to be kept.
 
     The law of sliding with R* times angles, cut at μ_r R* F_n, with k_t R*² for the stiffness,
@@ -124,8 +118,6 @@ def rolling_torque(
 
     Parameters
     ----------
-    rolling : ndarray, shape (n_pairs,)
-        `law.rolling`, not None.
     law, pair, state, normal
         As for `friction_force`; the sliding velocity is not used.
     angular_velocity : tuple of 3 floats [rad/s]
@@ -137,9 +129,11 @@ def rolling_torque(
         Length of the drift before.
     """
     R = state.r_eff
+    if law.rolling is None:
+        return ZERO, spring
     rolling_state = with_motion(state, state.overlap_rate, scale(R, angular_velocity))
     stiffness = tangential_stiffness(law, pair, state)
     c = law.tangential_damping[pair] * normal.damping
-    limit = rolling[pair] * max(normal.force, 0.0)
+    limit = law.rolling[pair] * max(normal.force, 0.0)
     force, spring = _spring_and_slider(rolling_state, stiffness, c, limit, spring, dt)
     return scale(-R, force), spring

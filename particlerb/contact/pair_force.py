@@ -9,7 +9,7 @@ the normal force has a potential and is kept apart from the rest, which is booke
 from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.contact_model import ContactList, ContactModel, Evaluation, Workspace
+from particlerb.contact.contact_model import ContactModel, Evaluation, Workspace
 from particlerb.contact.friction import friction_force, rolling_torque
 from particlerb.contact.law import (
     ContactState,
@@ -21,13 +21,7 @@ from particlerb.contact.law import (
     with_motion,
 )
 from particlerb.contact.records import Records
-from particlerb.contact.spring_growth import (
-    Sliding,
-    overlap_before,
-    reset_stages,
-    spring_after,
-    spring_at,
-)
+from particlerb.contact.spring_growth import Sliding, reset_stages, spring_after, spring_at
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.rows import put_row3, put_row4, row3, row4
 from particlerb.maths.vec3 import (
@@ -178,17 +172,17 @@ def start_contact(on: Evaluation, pair: int, c: int, inv_mass: float, r_eff: flo
 
 
 @inline
-def end_contact(rolling: Floats | None, contacts: ContactList, c: int) -> None:
+def end_contact(on: Evaluation, c: int) -> None:
     """Contact c has no force and no history; it stays so for who looks at a frame."""
-    history, forces = contacts.history, contacts.forces
+    history, forces = on.contacts.history, on.contacts.forces
     put_row3(history.spring, c, ZERO)
     history.overlap[c], history.normal_force[c] = 0.0, 0.0
     history.inv_effective_mass[c], history.damping[c] = 0.0, 0.0
-    if rolling is not None:
+    if on.model.law.rolling is not None:
         put_row3(history.rolling_spring, c, ZERO)
     put_row3(forces.elastic, c, ZERO)
     put_row3(forces.point, c, (_POINT_FAR_AWAY, 0.0, 0.0))
-    contacts.active[c] = False
+    on.contacts.active[c] = False
 
 
 @inline
@@ -203,9 +197,9 @@ def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
     normal = now.normal
     rate = dot(now.velocity, normal)
     sliding = add_scaled(-rate, normal, now.velocity)
-    slid = spring_at(growth.slope, growth.before, row3(history.spring, c), sliding, normal)
+    slid = spring_at(growth, growth.before, row3(history.spring, c), sliding, normal)
     inv_mass, damping = history.inv_effective_mass[c], history.damping[c]
-    previous = overlap_before(growth.slope, history.overlap[c], now.overlap)
+    previous = history.overlap[c] if growth.slope is None else now.overlap
     state = ContactState(now.overlap, previous, rate, sliding, inv_mass, damping, now.r_eff)
     rate = corrected_rate(law, pair, state, history.normal_force[c], before)
     state = with_motion(state, rate, sliding)
@@ -220,7 +214,7 @@ def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
     put_row3(forces.elastic, c, scale(-elastic, normal))
     put_row3(forces.other, c, other)
     put_row3(forces.point, c, now.point)
-    _resist_rolling(law.rolling, on, pair, c, state, now, pressed)
+    _resist_rolling(on, pair, c, state, now, pressed)
     forces.elastic_energy[c] = pressed.energy
     forces.correction_time[c] = correction_time(pressed, state, before, after)
     power = -elastic * dot(normal, now.boundary_velocity)
@@ -231,23 +225,17 @@ def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
 
 @inline
 def _resist_rolling(
-    rolling: Floats | None,
-    on: Evaluation,
-    pair: int,
-    c: int,
-    state: ContactState,
-    now: Collision,
-    pressed: NormalForce,
+    on: Evaluation, pair: int, c: int, state: ContactState, now: Collision, pressed: NormalForce
 ) -> None:
     """Torque of contact c against rolling, if anything resists."""
-    if rolling is None:
+    if on.model.law.rolling is None:
         return
     history, law, normal, R = on.contacts.history, on.model.law, now.normal, state.r_eff
     growth = on.growth
     omega = add_scaled(-dot(now.angular_velocity, normal), normal, now.angular_velocity)
     kept = row3(history.rolling_spring, c)
-    slid = spring_at(growth.slope, growth.before * R, kept, omega, normal)
-    torque, cut = rolling_torque(rolling, law, pair, state, omega, pressed, slid, growth.since)
+    slid = spring_at(growth, growth.before * R, kept, omega, normal)
+    torque, cut = rolling_torque(law, pair, state, omega, pressed, slid, growth.since)
     rolls = Sliding(omega, R, normal, now.turning, True)
     put_row3(history.rolling_spring, c, spring_after(on, c, rolls, state, (slid, cut)))
     put_row3(on.contacts.forces.rolling_torque, c, torque)

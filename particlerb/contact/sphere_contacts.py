@@ -12,14 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import config, inline, kernel, unsigned
-from particlerb.contact.contact_model import (
-    ContactList,
-    ContactModel,
-    Evaluation,
-    Growth,
-    Slope,
-    Workspace,
-)
+from particlerb.contact.contact_model import ContactList, ContactModel, Evaluation
 from particlerb.contact.law import Law
 from particlerb.contact.pair_force import (
     Collision,
@@ -107,7 +100,8 @@ class _Pack(NamedTuple):
 def _empty_pack(on: Evaluation) -> _Pack:
     """Room for contacts of a list, and what is to be known to find their forces."""
     rows, model, contacts = np.zeros((_ROWS, _LANES)), on.model, on.contacts
-    law = model.law
+    law, stages = model.law, contacts.stages
+    rolling = None if law.rolling is None else rows[61]
     spheres = _Spheres(rows[0:3].T, rows[3:6].T, rows[6], rows[7], rows[8:11].T)
     first = _Bodies(rows[11:14].T, rows[14:17].T, rows[17:20].T, rows[20])
     second = _Bodies(rows[21:24].T, rows[24:27].T, rows[27:30].T, rows[30])
@@ -117,12 +111,15 @@ def _empty_pack(on: Evaluation) -> _Pack:
         rows[54:57].T,
     )  # fmt: skip
     each = Law(
-        rows[57], rows[58], law.damping_ratio, rows[59], rows[60], _row_if(law.rolling, rows[61]),
+        rows[57], rows[58], law.damping_ratio, rows[59], rows[60], rolling,
         law.hertz, law.attract,
     )  # fmt: skip
+    within: Any = None
+    if stages is not None:
+        within = _Stages(rows[62:65].T, rows[65:68].T, rows[68:71].T, rows[71:74].T)
     lanes = ContactList(
         contacts.first, contacts.second, history, forces, contacts.active, contacts.shell_ends,
-        _stages_if(contacts.stages, rows[62:74]),
+        within,
     )  # fmt: skip
     of_each = ContactModel(
         model.spheres, each, model.pair_of, model.wall_material, model.walls, model.inv_mass,
@@ -132,22 +129,6 @@ def _empty_pack(on: Evaluation) -> _Pack:
         np.zeros(_LANES, dtype=np.int64), spheres, first, second,
         Evaluation(of_each, on.workspace, lanes, on.before, on.after, on.growth, on.thread),
     )  # fmt: skip
-
-
-@inline
-def _row_if(rolling: Floats | None, row: Floats) -> Floats | None:
-    """Room for the resistance to rolling, if there is any."""
-    if rolling is None:
-        return None
-    return row
-
-
-@inline
-def _stages_if(stages: Records | None, rows: Floats) -> Any:
-    """Room for springs within a step, if a method takes several slopes."""
-    if stages is None:
-        return None
-    return _Stages(rows[0:3].T, rows[3:6].T, rows[6:9].T, rows[9:12].T)
 
 
 @inline
@@ -204,33 +185,12 @@ def _copy_stages(stages: Records | None, source: Any, c: int, to: Any, k: int) -
 
 
 @kernel
-def sphere_contact_forces(
-    model: ContactModel,
-    workspace: Workspace,
-    contacts: ContactList,
-    before: float,
-    after: float,
-    growth: Growth,
-    v: float,
-    w: float,
-    first: int,
-    end: int,
-    thread: int,
-) -> None:
-    """Forces of contacts between spheres, in units first to end.
+def sphere_contact_forces(on: Evaluation, v: float, w: float, first: int, end: int) -> None:
+    """Forces of contacts between spheres, first to end, end excluded.
 
-    Parameters
-    ----------
-    model, workspace, contacts : ContactModel, Workspace, ContactList
-    before, after : float [s]
-        Lengths of the drifts before and after this instant; 0 where there is none.
-    growth : Growth
-    v, w : float [m/s, rad/s]
-        Largest of all points of bodies, and of all bodies.
-    first, end, thread : int
-        Contacts, `end` excluded, and the thread that is at them.
+    `v` and `w` [m/s, rad/s] are the largest of all points of bodies, and of all bodies.
     """
-    on = Evaluation(model, workspace, contacts, before, after, growth, thread)
+    model, workspace, contacts, before, after, _, _ = on
     pack = _empty_pack(on)
     firsts, seconds, active = contacts.first, contacts.second, contacts.active
     body, xyzr, bodies = model.spheres.body, workspace.xyzr, workspace.bodies
@@ -250,7 +210,7 @@ def sphere_contact_forces(
                 _pack_forces(on, pack, n)
                 n = 0
         elif active[unsigned(c)]:
-            end_contact(model.law.rolling, contacts, c)
+            end_contact(on, c)
     if n > 0:
         _pack_forces(on, pack, n)
 
@@ -280,7 +240,7 @@ def _put_contact(on: Evaluation, c: int, d: Vec3, pack: _Pack, n: int) -> int:
     put_row3(near.centre, lane, row3(xyzr, i))
     put_row3(near.away, lane, d)
     near.radius[lane], near.other_radius[lane] = r_i, r_j
-    put_row3(near.turning, lane, _normal_rate(on.growth.slope, on, i, j, d))
+    put_row3(near.turning, lane, _normal_rate(on, i, j, d))
     _put_body(bodies, a, pack.first, lane)
     _put_body(bodies, b, pack.second, lane)
     _put_law(rolling, model.law, pair, pack.on.model.law, lane)
@@ -360,9 +320,9 @@ def _boundary_velocity(
 
 
 @inline
-def _normal_rate(slope: Slope | None, on: Evaluation, i: int, j: int, d: Vec3) -> Vec3:
+def _normal_rate(on: Evaluation, i: int, j: int, d: Vec3) -> Vec3:
     """ṅ [1/s] between two spheres, d [m] from centre to centre, where a method asks for it."""
-    if slope is None:
+    if on.growth.slope is None:
         return ZERO
     body, xyzr, bodies = on.model.spheres.body, on.workspace.xyzr, on.workspace.bodies
     v_i = velocity_at(bodies, body[i], row3(xyzr, i))

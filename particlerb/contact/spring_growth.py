@@ -11,10 +11,10 @@ take all three terms at each: turned by `rotated_spring` alone, they would be of
 
 from typing import NamedTuple
 
-from particlerb.compiled.jit import Flag, inline
-from particlerb.contact.contact_model import Evaluation, Slope
+from particlerb.compiled.jit import inline
+from particlerb.contact.contact_model import Evaluation, Growth
 from particlerb.contact.friction import rotated_spring
-from particlerb.contact.law import ContactState
+from particlerb.contact.law import ContactState, Law
 from particlerb.contact.records import Records
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale, subtract
@@ -31,21 +31,13 @@ class Sliding(NamedTuple):
 
 
 @inline
-def spring_at(slope: Slope | None, before: float, kept: Vec3, sliding: Vec3, normal: Vec3) -> Vec3:
+def spring_at(growth: Growth, before: float, kept: Vec3, sliding: Vec3, normal: Vec3) -> Vec3:
     """Spring [m] at an evaluation, from what was kept, in the tangent plane."""
-    if slope is None:
+    if growth.slope is None:
         return add_scaled(before, sliding, rotated_spring(kept, normal))
-    if slope.is_first:
+    if growth.slope.is_first:
         return rotated_spring(kept, normal)
     return add_scaled(-dot(kept, normal), normal, kept)
-
-
-@inline
-def overlap_before(slope: Slope | None, kept: float, now: float) -> float:
-    """Overlap [m] to which what is kept belongs; with slopes, that of now."""
-    if slope is None:
-        return kept
-    return now
 
 
 @inline
@@ -69,9 +61,9 @@ def hand_over_stages(stages: Records | None, source: int, to: int) -> None:
 
 
 @inline
-def _lost_share(hertz: Flag, state: ContactState, step: float) -> float:
+def _lost_share(law: Law, state: ContactState, step: float) -> float:
     """Share of a spring that the force kept of a stiffer one takes in a step, at most all of it."""
-    if hertz is None:
+    if law.hertz is None:
         return 0.0
     lost = 0.5 * step * state.overlap_rate
     if lost <= 0.0:
@@ -93,27 +85,10 @@ def spring_after(
     springs : tuple of two vectors [m]
         As it was at this evaluation, and cut to the limit of friction.
     """
-    growth, contacts = on.growth, on.contacts
-    return _spring_after(
-        growth.slope, growth.after, contacts.stages, c, on.model.law.hertz, now, state, springs
-    )
-
-
-@inline
-def _spring_after(
-    slope: Slope | None,
-    after: float,
-    stages: Records | None,
-    c: int,
-    hertz: Flag,
-    now: Sliding,
-    state: ContactState,
-    springs: tuple[Vec3, Vec3],
-) -> Vec3:
-    """Do the work of `spring_after`."""
     spring, cut = springs
+    slope, stages = on.growth.slope, on.contacts.stages
     if slope is None:
-        return add_scaled(after * now.lever, now.velocity, cut)
+        return add_scaled(on.growth.after * now.lever, now.velocity, cut)
     if stages is None:
         return cut
     start: Floats = stages.rolling_start if now.is_rolling else stages.start
@@ -123,7 +98,7 @@ def _spring_after(
         put_row3(start, c, cut)
         put_row3(total, c, cut)
     turned = add_scaled(-dot(spring, now.turning), now.normal, scale(now.lever, now.velocity))
-    lost = _lost_share(hertz, state, slope.step)
+    lost = _lost_share(on.model.law, state, slope.step)
     change = subtract(scale(slope.step, turned), scale(lost, spring))
     put_row3(total, c, add_scaled(slope.share, change, row3(total, c)))
     if slope.ahead > 0.0:

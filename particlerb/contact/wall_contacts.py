@@ -29,14 +29,7 @@ how it changes at the vertices of a polyhedron.
 from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.contact_model import (
-    ContactList,
-    ContactModel,
-    Evaluation,
-    Growth,
-    Slope,
-    Workspace,
-)
+from particlerb.contact.contact_model import ContactList, ContactModel, Evaluation
 from particlerb.contact.pair_force import (
     Collision,
     contact_force,
@@ -98,11 +91,9 @@ def _gap_rate(primitive: Primitive, y: Vec3, v: Vec3) -> Vec3:
 
 
 @inline
-def wall_normal_rate(
-    slope: Slope | None, on: Evaluation, at: SphereAtWall, piece: WallPiece, normal: Vec3
-) -> Vec3:
+def wall_normal_rate(on: Evaluation, at: SphereAtWall, piece: WallPiece, normal: Vec3) -> Vec3:
     """ṅ [1/s] of a piece of a wall, world axes; of several points only by how the wall turns."""
-    if slope is None:
+    if on.growth.slope is None:
         return ZERO
     walls, poses = on.model.walls, on.workspace.poses
     turning = cross(row3(poses.angular_velocity, at.wall), normal)
@@ -161,28 +152,18 @@ def _sphere_at_wall(on: Evaluation, c: int, end: int) -> SphereAtWall:
 
 
 @kernel
-def wall_contact_forces(
-    model: ContactModel,
-    workspace: Workspace,
-    contacts: ContactList,
-    before: float,
-    after: float,
-    growth: Growth,
-    part: tuple[int, int, int],
-    thread: int,
-) -> None:
+def wall_contact_forces(on: Evaluation, part: tuple[int, int, int]) -> None:
     """Forces of contacts of spheres with walls, whose poses are those of this instant.
 
     `part` is a shell and what this thread does of it: spheres and walls whose contacts begin there.
     """
-    on = Evaluation(model, workspace, contacts, before, after, growth, thread)
-    shell, c, end = part
+    contacts, (shell, c, end) = on.contacts, part
     least = contacts.shell_ends[shell - 1] if shell > 0 else 0
     most = contacts.shell_ends[shell]
     if least < c < end:
-        c = _end_of(model, contacts, c - 1, end)
+        c = _end_of(on.model, contacts, c - 1, end)
     while c < end:
-        until = _end_of(model, contacts, c, most)
+        until = _end_of(on.model, contacts, c, most)
         at = _sphere_at_wall(on, c, until)
         around = _survey(on, at)
         c, nearest = until, around.last_nearest
@@ -242,7 +223,7 @@ def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
     omega = subtract(row3(bodies.angular_velocity, a), row3(poses.angular_velocity, w))
     if overlap <= -0.5 * max(on.before, on.after) * abs(dot(relative, normal)):
         if contacts.active[c]:
-            end_contact(model.law.rolling, contacts, c)
+            end_contact(on, c)
         return
     primitive = contacts.second[c]
     material = model.spheres.material[contacts.first[c]]
@@ -256,7 +237,7 @@ def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
     is_thin = model.walls.kind[primitive] != PLANE
     if piece.is_too_weak or (piece.overlap > _MAX_WALL_OVERLAP * radius and is_thin):
         note_overlap(on, piece.overlap, radius, a)
-    turning = wall_normal_rate(on.growth.slope, on, at, piece, normal)
+    turning = wall_normal_rate(on, at, piece, normal)
     now = Collision(overlap, normal, point, relative, omega, moving, radius, turning)
     contact_force(on, pair, c, now)
     contacts.active[c], forces = True, contacts.forces

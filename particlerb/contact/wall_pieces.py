@@ -182,7 +182,7 @@ def hand_over_history(on: Evaluation, at: SphereAtWall, root: int, to: int) -> N
 
     The piece counts as dealt with then.
     """
-    contacts, rolling = on.contacts, on.model.law.rolling
+    contacts = on.contacts
     history, active, pieces = contacts.history, contacts.active, contacts.forces.piece
     source = -1
     for c in range(at.first, at.end):
@@ -195,7 +195,7 @@ def hand_over_history(on: Evaluation, at: SphereAtWall, root: int, to: int) -> N
         active[to] = True
     for c in range(at.first, at.end):
         if c != to and active[c] and _belongs_to(on, at, c, root):
-            end_contact(rolling, contacts, c)
+            end_contact(on, c)
     for c in range(at.first, at.end):
         if pieces[c] == root:
             pieces[c] = _HANDLED_PIECE
@@ -218,7 +218,7 @@ def _belongs_to(on: Evaluation, at: SphereAtWall, c: int, root: int) -> bool:
 @inline
 def end_leftovers(on: Evaluation, at: SphereAtWall) -> None:
     """End contacts whose points have ended, and have handed on nothing."""
-    contacts, rolling = on.contacts, on.model.law.rolling
+    contacts = on.contacts
     for c in range(at.first, at.end):
         if contacts.active[c] and contacts.forces.piece[c] >= 0.0:
-            end_contact(rolling, contacts, c)
+            end_contact(on, c)

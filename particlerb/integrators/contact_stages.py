@@ -20,15 +20,7 @@ import numpy as np
 from particlerb.compiled.barrier import Team, largest, meet, share_of
 from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.body_loads import collect_loads, load_pistons
-from particlerb.contact.contact_model import (
-    GroupContact,
-    Growth,
-    Instant,
-    LoadTimes,
-    MovingContact,
-    NeighbourLists,
-    Workspace,
-)
+from particlerb.contact.contact_model import Evaluation, Growth, Instant, LoadTimes, MovingContact
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS, max_displacement
 from particlerb.contact.pair_force import body_kinematics, max_point_speed, max_speeds
 from particlerb.contact.piston import drift_pistons, kick_pistons, piston_poses, pistons_have_moved
@@ -38,7 +30,6 @@ from particlerb.contact.prescribed_motion import (
     prescribed_momenta,
     prescribed_pose,
 )
-from particlerb.contact.records import Records
 from particlerb.contact.sphere_contacts import sphere_contact_forces
 from particlerb.contact.wall_contacts import wall_contact_forces
 from particlerb.contact.wall_motion import put_poses
@@ -236,30 +227,24 @@ def close_prescribed(contact: MovingContact | None, share: BlockShare, time: flo
 
 @kernel
 def find_contact_forces(
-    setup: GroupContact,
-    workspace: Workspace,
-    lists: NeighbourLists,
-    extremes: Records,
-    before: float,
-    after: float,
-    growth: Growth,
-    team: Team,
+    contact: MovingContact, before: float, after: float, growth: Growth, team: Team
 ) -> None:
     """Find the forces of contacts in shells that have come into reach, each shared out equally."""
-    model, spheres, walls, skin = setup.model, lists.spheres, lists.walls, setup.skin
+    setup, workspace, lists, memory, _ = contact
+    spheres, walls, skin, thread = lists.spheres, lists.walls, setup.skin, team.thread
+    between = Evaluation(setup.model, workspace, spheres, before, after, growth, thread)
+    outside = Evaluation(setup.model, workspace, walls, before, after, growth, thread)
+    extremes = memory.extremes
     reached, w = extremes.displacement[0], extremes.angular_speed[0]
     v = extremes.speed[0] + w * lists.max_contact_arm
     end_spheres, end_walls = 0, 0
     for s in range(N_SHELLS):
         if SHELL_GAPS[s] * skin <= 2.0 * reached:  # both may come
             first, end = share_of(team, end_spheres, spheres.shell_ends[s])
-            sphere_contact_forces(
-                model, workspace, spheres, before, after, growth, v, w, first, end, team.thread
-            )
+            sphere_contact_forces(between, v, w, first, end)
         if SHELL_GAPS[s] * skin <= reached:
             first, end = share_of(team, end_walls, walls.shell_ends[s])
-            part = s, first, end
-            wall_contact_forces(model, workspace, walls, before, after, growth, part, team.thread)
+            wall_contact_forces(outside, (s, first, end))
         end_spheres, end_walls = spheres.shell_ends[s], walls.shell_ends[s]
 
 
@@ -283,7 +268,7 @@ def contact_loads(
     before, after = shares.mean * since, shares.mean * times.dt
     growth = Growth(shares.before * since, shares.after * times.dt, since, times.slope)
     model, later, span = setup.model, after - before, times.span
-    find_contact_forces(setup, workspace, lists, memory.extremes, before, after, growth, team)
+    find_contact_forces(contact, before, after, growth, team)
     meet(team)
     blocks, layout, first, last = share
     for k in range(first, last):

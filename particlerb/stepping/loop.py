@@ -170,8 +170,7 @@ def _part_with_contacts(
     if asked.stop == POSES:
         kinematics(moving, first, last, Instant(0.0, 0.0, time, 0.0))
     elif asked.stop == FORCES:
-        setup, workspace, lists, memory, _ = contact
-        find_contact_forces(setup, workspace, lists, memory.extremes, 0.0, 0.0, growth, team)
+        find_contact_forces(contact, 0.0, 0.0, growth, team)
     else:
         store_contacts(contact, team, asked.step)
 

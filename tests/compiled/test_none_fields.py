@@ -41,7 +41,7 @@ def second_row(outer):
 @kernel
 def summed(outer, least):
     """By a chain of fields, by names for them, and among other conditions."""
-    inner, size = outer.inner, outer.size
+    inner, size = outer
     if inner is None:
         return -1.0
     rows = inner.rows
