@@ -11,7 +11,7 @@ import sys
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import h5py
 import numpy as np
@@ -28,6 +28,8 @@ from particlerb.record.checksums import seal
 from particlerb.record.hdf5 import put
 from particlerb.record.memory import Memory
 from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
+
+CHANGED: Final = "changed"  # text of a file whose case a Simulation has changed: how first
 
 
 def texts_of(system: System, more: Mapping[str, str]) -> dict[str, Any]:

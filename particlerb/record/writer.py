@@ -20,12 +20,12 @@ from particlerb.model.system import System
 from particlerb.record import frame_values, schema, vtkhdf
 from particlerb.record.atomic import PAGE
 from particlerb.record.checkpoint import count_from, write_checkpoint
-from particlerb.record.checksums import Words, frame_checksums, list_checksums
+from particlerb.record.checksums import Words, frame_checksums, list_checksums, seal
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import laid_out, part_laid_out, write_rest
 from particlerb.record.output_file import OutputFile, new_file
 from particlerb.record.parts import Parts, parts_in
-from particlerb.record.provenance import replace_case
+from particlerb.record.provenance import CHANGED, replace_case, write_text
 from particlerb.record.writer_lock import WriterLock
 
 SECONDS_BETWEEN_COMMITS = 1.0
@@ -183,6 +183,13 @@ class Recorder:
         if self.pending:
             return int(self.pending[-1][schema.OFFSET][-1])
         return int(self.contacts.offset[self.n_written])
+
+    def note_change(self, words: str) -> None:
+        """Let the file say that its case has changed: the first change, and when."""
+        if f"{schema.PARAMETERS}/{CHANGED}" not in self.file:
+            with self.output.writing():
+                write_text(self.file, CHANGED, words)
+                seal(self.file)
 
     def append(self, frames: frame_values.NewFrames) -> None:
         """Append new frames, but for those that the file had before.

@@ -12,6 +12,9 @@ from particlerb.case.to_system import to_system
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.plan.joints import joints_of
+from particlerb.record.checked_reading import has
+from particlerb.record.provenance import CHANGED
+from particlerb.record.schema import PARAMETERS
 from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.simulation.joint_values import LoadReader, room_for_values
 from particlerb.simulation.run import prepare
@@ -51,8 +54,16 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
         If it has no joints.
     TypeError
         If it is no trajectory.
+    ValueError
+        If its Simulation has changed the scene: the file has the case as it began.
     """
     check_trajectory(trajectory)
+    if has(trajectory.file, f"{PARAMETERS}/{CHANGED}"):
+        raise ValueError(
+            f"{trajectory.path}: its Simulation has changed {trajectory.parameter(CHANGED)}, and"
+            " loads would be those of the scene as it began: record output.fields ="
+            ' ["joint_force", "joint_torque"] in place of joint_loads'
+        )
     system = prepare(to_system(trajectory.case)).system
     setup = joints_of(system)
     if setup is None:

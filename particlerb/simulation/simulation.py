@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from particlerb.case.overrides import with_value
-from particlerb.case.problems import CaseError, path_of, problem_at
+from particlerb.case.problems import CaseError, key_of, path_of, problem_at
 from particlerb.case.reader import build, load
 from particlerb.case.run import frame_count
 from particlerb.case.schema import Case
@@ -259,6 +259,8 @@ class Simulation(Closing):
         changed = with_records(system, build(system.source._replace(raw=raw), ()))
         refuse_what_stays(system, changed, self.time, self._recorder is not None)
         self._restart(changed, None)
+        if self._recorder is not None and path[0] != "run":
+            self._recorder.note_change(f"{key_of(path)}, at t = {self.time!r} s")
 
     def set_state(
         self,

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scenes import SCENES, bar, body, case, joint, moved
 
-from particlerb import joint_loads, run
+import particlerb
+from particlerb import CaseError, Simulation, joint_loads, run
+from particlerb.record.verify import verify
 
 G = 9.81
 RUN = {"t_end": 0.1, "every": 0.1}
@@ -213,3 +215,26 @@ def test_loads_that_redundant_rows_leave_open_do_not_depend_on_units():
     large, small_loads = found
     assert small_loads.force / small == pytest.approx(large.force, abs=1e-7)
     assert small_loads.torque / small**2 == pytest.approx(large.torque, abs=1e-7)
+
+
+def test_loads_of_a_scene_that_has_changed_are_refused(tmp_path):
+    """The file has the case as it began: a motor of 0, and then one that turns the bar.
+
+    Another step, and a value that was refused, change nothing in what joints carry.
+    """
+    scene = case([bar("a", [0, 0, 0], [1, 0, 0], 1.0)],
+                 [joint("hinge", "a", None, [0, 0, 0], [0, 0, 1], motor=0)])  # fmt: skip
+    times = {"t_end": 0.2, "every": 0.1, "dt": 0.01, "method": "rattle"}
+    for name, change in (("a", ("run.dt", 0.02)), ("b", ("joint[0].motor", 5.0))):
+        with Simulation({"run": times, **scene}, tmp_path / name) as simulation:
+            simulation.advance(0.1)
+            with pytest.raises(CaseError):
+                simulation.change("joint[0].motor", "much")
+            simulation.change(*change)
+            simulation.advance(0.2)
+    with particlerb.open(tmp_path / "a") as trajectory:
+        assert joint_loads(trajectory).force.shape == (3, 1, 3)
+    with particlerb.open(tmp_path / "b") as trajectory:
+        assert all(found.is_whole for found in verify(trajectory))
+        with pytest.raises(ValueError, match=r"has changed joint\[0\].motor, at t = 0.1 s"):
+            joint_loads(trajectory)
