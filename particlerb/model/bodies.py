@@ -114,9 +114,10 @@ def taken(record: Record, index: Ints, is_view: bool = False) -> Record:
     is_range = bool((index == np.arange(first, first + index.size)).all())
     if is_range and index.size == record[0].shape[-1]:
         return record
-    chosen = slice(first, first + index.size) if is_range else index
-    placed = np.asarray if is_view and is_range else np.ascontiguousarray
-    return type(record)(*(placed(array[..., chosen]) for array in record))
+    if not is_range:
+        return type(record)(*(array.take(index, axis=-1) for array in record))
+    placed = np.asarray if is_view else np.ascontiguousarray
+    return type(record)(*(placed(array[..., first : first + index.size]) for array in record))
 
 
 def held(bodies: Bodies, fixed: Bools) -> Bodies:

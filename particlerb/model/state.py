@@ -86,8 +86,10 @@ def state_in(frames: Frames, row: int, index: Ints, bodies: Bodies) -> State:
 
 def states_in(frames: Frames, rows: Ints, index: Ints, bodies: Bodies) -> State:
     """The same in several rows: (k, T n), one state after the other."""
+    at = (rows[:, None] * frames.position.shape[1] + index).ravel()
     x, q, p, L = (
-        values[rows[:, None], index].reshape(-1, values.shape[-1]).T for values in frames[:4]
+        np.ascontiguousarray(values.reshape(-1, values.shape[-1]).take(at, axis=0).T)
+        for values in frames[:4]
     )
     return State(x, quaternion_product(q, np.tile(bodies.rotor_frame, rows.size)), p, L)
 

@@ -65,7 +65,7 @@ def over_bodies(values: Floats, worlds: Worlds | None) -> Floats:
     """
     if worlds is None:
         return np.asarray(np.ascontiguousarray(values).sum(axis=-1))
-    by_world = np.ascontiguousarray(np.moveaxis(values[..., worlds.bodies], -2, 0))
+    by_world = np.ascontiguousarray(np.moveaxis(values.take(worlds.bodies, axis=-1), -2, 0))
     return np.asarray(by_world.sum(axis=-1))
 
 
@@ -80,7 +80,7 @@ def over_all(values: Floats, worlds: Worlds | None) -> Floats:
     """Sums over all components and bodies, (k, n), of one scene or of each world."""
     if worlds is None:
         return np.asarray(values.sum())
-    by_world = np.ascontiguousarray(np.moveaxis(values[..., worlds.bodies], -2, 0))
+    by_world = np.ascontiguousarray(np.moveaxis(values.take(worlds.bodies, axis=-1), -2, 0))
     return np.asarray(by_world.reshape(len(by_world), -1).sum(axis=-1))
 
 
