@@ -27,7 +27,7 @@ BUDGETS = {
     "contact by impulses": 4121,
     "collisions by events": 1755,
     "forces: tables, gradients, written by users": 2143,
-    "scenes and simulations in Python": 694,
+    "scenes and simulations in Python": 707,
     "sweeps": 1590,
     "one scene over ranks": 2407,
     "reports, pictures, the page": 1732,

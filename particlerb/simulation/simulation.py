@@ -230,7 +230,7 @@ class Simulation(Closing):
         """Change a key of a force, a wall, a joint, gravity, attraction, contact or the run.
 
         It holds from now on; bodies keep their states, and what changes the energy is booked as
-        work. Of joints the numbers of springs, dampers, motors and friction may change.
+        work. Of joints the numbers of springs, dampers, stops, motors and friction may change.
 
         Parameters
         ----------

@@ -12,7 +12,7 @@ from particlerb.plan.obstacles import middle, motion_of
 
 STAYS: Final = "cannot change in a simulation"
 _RUN_KEYS: Final = "t_end", "every", "accuracy"  # that stay
-_ACTING: Final = "spring", "damper", "motor", "friction"  # of a joint; their numbers may change
+_ACTING: Final = "spring", "damper", "limit", "motor", "friction"  # of a joint; numbers may change
 _ROUNDING: Final = 1e-12  # of the place of a wall
 
 
@@ -50,13 +50,26 @@ def _refuse_other_joints(system: System, changed: System) -> None:
                 reason = f"{STAYS} but for its numbers: it comes, goes or is of another kind"
                 hint = "let it be there from the start: motor = 0, or another number above 0"
             raise CaseError([problem_at(system, f"joint[{k}].{key}", reason, hint)])
+        if _moves_inwards(before["limit"], after["limit"]):
+            reason = "a hard stop moves outwards alone: what is beyond it would jump back"
+            hint = "give it a stiffness from the start, or a range that holds that of now"
+            raise CaseError([problem_at(system, f"joint[{k}].limit.range", reason, hint)])
 
 
 def _staying(key: str, value: Any) -> Any:
     """What of the value of a key of a joint stays: of what acts, whether it does and its form."""
     if key not in _ACTING:
         return value
-    return type(value) if key in ("motor", "spring") else value > 0.0
+    if key == "limit" and value is not None:
+        return value["stiffness"] is None, value["damping"] > 0.0
+    return type(value) if key in ("motor", "spring", "limit") else value > 0.0
+
+
+def _moves_inwards(before: Any, after: Any) -> bool:
+    """Whether a hard stop of a joint does, from one limit to another of the same form."""
+    if before is None or before["stiffness"] is not None:
+        return False
+    return bool(after["range"][0] > before["range"][0] or after["range"][1] < before["range"][1])
 
 
 def _piston_jumps(system: System, changed: System, w: int) -> Problem | None:

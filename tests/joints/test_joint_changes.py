@@ -125,6 +125,39 @@ def test_a_spring_and_a_damper_that_are_changed_are_booked():
     assert abs(simulation.energy_error) < 1e-3
 
 
+def test_a_hard_stop_moves_away_and_lets_a_motor_on():
+    """A wheel that presses against it begins anew from rest, to where the stop is now."""
+    simulation = simulated(without_stiffness(wheel(motor=1.0, limit={"range": [-1, 1]})), 4.0, 0.05)
+    simulation.advance(2.0)
+    assert abs(turned(simulation) - 1.0) < 1e-9
+    simulation.change("joint[0].limit.range", [-1.0, 1.5])
+    simulation.advance(2.5)
+    assert turned(simulation) == pytest.approx(1.0 + 0.5 / MOMENT * 0.5**2, abs=1e-9)
+    simulation.advance(4.0)
+    assert abs(turned(simulation) - 1.5) < 1e-9
+    assert abs(simulation.energy_error) < 1e-12
+
+
+def test_a_stop_with_a_stiffness_moves_to_where_a_wheel_is():
+    """What that stores is booked, and it swings back about the stop's new place."""
+    limit = {"range": [-1.0, 1.0], "stiffness": 32.0}
+    simulation = simulated(wheel(2.0, limit=limit), 2.0, 0.002)
+    simulation.advance(0.4)
+    assert turned(simulation) == pytest.approx(0.8, abs=1e-12)
+    simulation.change("joint[0].limit.range", [-1.0, 0.5])
+    assert simulation.energy == pytest.approx(0.25 * 4.0 + 16.0 * 0.3**2, rel=1e-12)
+    simulation.advance(0.55)
+    x = 0.5 + 0.3 * np.cos(8.0 * 0.15) + 0.25 * np.sin(8.0 * 0.15)
+    assert turned(simulation) == pytest.approx(x, abs=3e-5)
+    simulation.change("joint[0].limit.stiffness", 8.0)
+    y, v = x - 0.5, rate(simulation)
+    simulation.advance(0.65)
+    assert turned(simulation) - 0.5 == pytest.approx(
+        y * np.cos(4.0 * 0.1) + v / 4.0 * np.sin(4.0 * 0.1), abs=6e-5
+    )
+    assert abs(simulation.energy_error) < 1e-3
+
+
 def test_a_loop_holds_a_pendulum_at_an_angle():
     """Feedback on angle and rate, and the torque of the weight: it comes to rest at 0.4 rad."""
     arm, wanted = bar("arm", [0, 0, 0], [1, 0, 0]), -0.4
@@ -155,7 +188,9 @@ HELD = {"limit": {"range": [-1.0, 1.0]}}  # by impulses
         ({}, "joint[0].friction", 2.0, r"joint\[0\]\.friction: cannot change in a simulation"),
         ({}, "joint[0].spring", {"stiffness": 2.0}, r"joint\[0\]\.spring: cannot change in a sim"),
         ({}, "joint[0].axis", X, r"joint\[0\]\.axis: cannot change in a simulation"),
-        ({}, "joint[0].limit.range", [-2, 2], r"joint\[0\]\.limit: cannot change"),
+        ({}, "joint[0].limit.range", [-0.9, 2], r"limit\.range: a hard stop moves outwards alone"),
+        ({}, "joint[0].limit.stiffness", 2.0, r"joint\[0\]\.limit: cannot change"),
+        ({}, "joint[0].limit", None, r"joint\[0\]\.limit: cannot change"),
         ({}, "joint[1].merge", False, r"joint\[1\]\.merge: cannot change in a simulation"),
         (
             {},
