@@ -221,4 +221,5 @@ def end_all(ranks: Ranks, error: BaseException) -> None:
         is_asked = isinstance(error, KeyboardInterrupt)
         what = "interrupted" if is_asked else f"{type(error).__name__}: {error}"
         print(ranks.named(ranks.number, f"particlerb: {what}"), file=sys.__stderr__, flush=True)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPI adds words of its own
         ranks.communicator.Abort(130 if is_asked else 1)

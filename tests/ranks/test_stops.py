@@ -2,9 +2,22 @@
 
 import random
 import signal
+import subprocess
 
 import pytest
-from stops import LONG, command, frames_in, needs_mpi, next_words, run_words, stopped, whole
+from stops import (
+    HERE,
+    LONG,
+    PLAIN,
+    command,
+    frames_in,
+    line,
+    needs_mpi,
+    next_words,
+    run_words,
+    stopped,
+    whole,
+)
 
 pytestmark = [needs_mpi, pytest.mark.plain]
 
@@ -29,6 +42,18 @@ def test_a_run_goes_on_on_another_number_of_ranks(tmp_path):
     done = command("resume", path, "--t-end", "0.35", ranks=2)
     assert done.returncode == 0, done.stderr
     assert frames_in(path) == 19
+
+
+def test_an_interrupt_of_one_rank_that_is_still_imported_ends_all(tmp_path):
+    """The others are about to wait for it in MPI, and launchers let them."""
+    words = run_words(tmp_path / "run.h5", "-q", scene="free.toml")
+    words = [*line(ranks=3)[:4], str(HERE / "interrupted.py"), *map(str, words), "--mpi"]
+    done = subprocess.run(
+        words, env=PLAIN, capture_output=True, text=True, timeout=60.0, check=False
+    )
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "particlerb: interrupted\n"
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_full_disk_of_one_rank_ends_all(tmp_path):

@@ -1,0 +1,21 @@
+"""The program, whose second rank is interrupted while it imports the package."""
+
+import importlib.abc
+import os
+import runpy
+import sys
+
+
+class _Interrupted(importlib.abc.MetaPathFinder):
+    """Raises what an interrupt does."""
+
+    def find_spec(self, name, path, target=None):
+        """Interrupt at the commands."""
+        if name == "particlerb.cli":
+            raise KeyboardInterrupt
+
+
+if __name__ == "__main__":
+    if os.environ.get("PMI_RANK") == "1":
+        sys.meta_path.insert(0, _Interrupted())
+    runpy.run_module("particlerb", run_name="__main__", alter_sys=True)
