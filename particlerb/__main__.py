@@ -6,6 +6,21 @@ import os
 import signal
 import sys
 
+
+def _end(code: object) -> None:
+    """End this process; where it is one of several, and not yet with them in MPI, all of them.
+
+    Launchers let them wait there for one that has ended.
+    """
+    is_together = getattr(sys.modules.get("particlerb.ranks"), "TOGETHER", False)
+    if code and "--mpi" in sys.argv and not is_together:
+        with contextlib.suppress(Exception):
+            mpi = importlib.import_module("mpi4py.MPI")
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPI adds words of its own
+            mpi.COMM_WORLD.Abort(code)
+    sys.exit(code)  # type: ignore[arg-type]
+
+
 try:
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -14,10 +29,8 @@ try:
     entry()
 except KeyboardInterrupt:
     print("particlerb: interrupted", file=sys.stderr)
-    if "--mpi" in sys.argv:  # launchers let the others wait for a rank that has ended before MPI
-        with contextlib.suppress(Exception):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPI adds words of its own
-            importlib.import_module("mpi4py.MPI").COMM_WORLD.Abort(130)
-    sys.exit(130)
+    _end(130)
+except SystemExit as end:
+    _end(end.code)
 finally:
     exec("")  # one that was interrupted would make Python end by SIGINT in place of the code

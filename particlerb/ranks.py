@@ -71,6 +71,8 @@ class Ranks:
 
 
 ALONE: Final = Ranks()
+TOGETHER: Final[list[Ranks]] = []
+"""Those of this process, once all of them have come to MPI."""
 
 
 class _RanksOfMPI(Ranks):
@@ -201,6 +203,7 @@ def ranks_of_mpi() -> Ranks:
         )
     if ranks.number:  # until the process ends
         sys.stdout = sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    TOGETHER.append(ranks)
     return ranks
 
 

@@ -1,4 +1,4 @@
-"""The program, whose second rank is interrupted while it imports the package."""
+"""The program, whose second rank is interrupted once, while it imports the module MODULE."""
 
 import importlib.abc
 import os
@@ -10,8 +10,9 @@ class _Interrupted(importlib.abc.MetaPathFinder):
     """Raises what an interrupt does."""
 
     def find_spec(self, name, path, target=None):
-        """Interrupt at the commands."""
-        if name == "particlerb.cli":
+        """Interrupt there."""
+        if name == os.environ["MODULE"]:
+            sys.meta_path.remove(self)
             raise KeyboardInterrupt
 
 

@@ -44,12 +44,18 @@ def test_a_run_goes_on_on_another_number_of_ranks(tmp_path):
     assert frames_in(path) == 19
 
 
-def test_an_interrupt_of_one_rank_that_is_still_imported_ends_all(tmp_path):
+@pytest.mark.parametrize("module", ["particlerb.cli", "particlerb.cli.run", "mpi4py.MPI"])
+def test_an_interrupt_of_one_rank_that_is_still_imported_ends_all(tmp_path, module):
     """The others are about to wait for it in MPI, and launchers let them."""
     words = run_words(tmp_path / "run.h5", "-q", scene="free.toml")
     words = [*line(ranks=3)[:4], str(HERE / "interrupted.py"), *map(str, words), "--mpi"]
     done = subprocess.run(
-        words, env=PLAIN, capture_output=True, text=True, timeout=60.0, check=False
+        words,
+        env=PLAIN | {"MODULE": module},
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        check=False,
     )
     assert done.returncode == 130, done.stderr
     assert done.stderr == "particlerb: interrupted\n"
