@@ -58,9 +58,9 @@ class Ranks:
         """The largest of each number on all ranks."""
         return values
 
-    def added(self, counts: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The sum of each integer over all ranks."""
-        return counts
+    def added(self, numbers: Rows) -> Rows:
+        """The sum of each number over all ranks: of integers, or of what adds without rounding."""
+        return numbers
 
     def sent(self, rows: Sequence[Rows]) -> list[Rows]:
         """Rows from each rank, where each has given some for each: all of one type and width."""
@@ -116,9 +116,9 @@ class _RanksOfMPI(Ranks):
         """The largest of each number on all ranks."""
         return self._reduced(values, self.mpi.MAX)
 
-    def added(self, counts: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The sum of each integer over all ranks."""
-        return self._reduced(counts, self.mpi.SUM)
+    def added(self, numbers: Rows) -> Rows:
+        """The sum of each number over all ranks: of integers, or of what adds without rounding."""
+        return self._reduced(numbers, self.mpi.SUM)
 
     def _reduced(self, values: Rows, how: Any) -> Rows:
         """Numbers of all ranks, brought together."""

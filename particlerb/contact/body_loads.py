@@ -8,7 +8,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, kernel, unsigned
 from particlerb.contact.contact_model import ContactList, ContactModel, NeighbourLists, Workspace
 from particlerb.contact.neighbour_list import Incidence
-from particlerb.contact.piston import Pistons
+from particlerb.contact.piston import IMPULSE, PUSH, REST, SHARE, Pistons, add_exactly
 from particlerb.contact.records import Records
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.rows import row3, row4
@@ -216,39 +216,27 @@ def _load_of(
     return touches, load
 
 
-@inline
-def load_pistons(
-    pistons: Pistons | None,
-    state: Records,
-    contacts: ContactList,
-    model: ContactModel,
-    later: float,
+@kernel
+def sum_piston_loads(
+    pistons: Pistons | None, sums: Floats, contacts: ContactList, model: ContactModel
 ) -> None:
-    """Sum what contacts do to walls that slide, along their axes, and how stiff they are.
-
-    `later` as for `collect_loads`.
-    """
+    """Sum what contacts do to walls that slide, along their axes, and how stiff they are."""
     if pistons is None:
         return
     forces, history = contacts.forces, contacts.history
-    for k in range(state.size):
-        state.elastic_force[k], state.other_force[k], state.stiffness[k] = 0.0, 0.0, 0.0
-        state.correction_power[k] = later * pistons.force[k]
+    sums[:] = 0.0
     for c in range(contacts.second.size):
         k = pistons.of_wall[model.walls.wall[contacts.second[c]]]
         if k >= 0 and contacts.active[c]:
             a = row3(pistons.axis, k)
             push = dot(a, row3(forces.elastic, c))
-            state.elastic_force[k] -= push
-            impulse = dot(a, row3(forces.correction_impulse, c))
-            state.correction_power[k] -= push * forces.correction_time[c] + impulse
-            state.other_force[k] -= dot(a, row3(forces.other, c))
+            impulse = dot(a, row3(forces.correction_impulse, c)) + push * forces.correction_time[c]
             overlap, radius = history.overlap[c], model.spheres.radius[contacts.first[c]]
             share = math.sqrt(4.0 * radius * overlap) if model.law.hertz is not None else 1.0
-            state.stiffness[k] += share if overlap > 0.0 else 0.0
-    for k in range(state.size):
-        state.max_stiffness[k] = max(state.max_stiffness[k], state.stiffness[k])
-        state.correction_power[k] *= -0.25 * state.other_force[k] / pistons.mass[k]
+            add_exactly(pistons, sums, k, PUSH, push)
+            add_exactly(pistons, sums, k, REST, dot(a, row3(forces.other, c)))
+            add_exactly(pistons, sums, k, IMPULSE, impulse)
+            add_exactly(pistons, sums, k, SHARE, share if overlap > 0.0 else 0.0)
 
 
 @inline

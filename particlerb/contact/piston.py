@@ -5,19 +5,30 @@ along the axis a, F the load and the weight along it, and f the forces of contac
 and drifts with the bodies, so the order of the step stays. Where it has limits it stops there,
 without bouncing; what it loses then is booked.
 
-Why it is so: docs/decisions/0010.
+Contacts of one piston may be on several ranks, so their sums are exact: no order changes a bit.
+Each number is cut into three, multiples of powers of two that are 2^26 apart, and numbers of one
+power add without rounding, up to 2^53 of it. Source: Demmel and Nguyen, IEEE ARITH 21, 163 (2013).
+
+Why it is so: docs/decisions/0010 and 0032.
 """
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline
+from particlerb.compiled.jit import inline, kernel
+from particlerb.contact.law import Law
 from particlerb.contact.records import PISTON, Records, zero_records
 from particlerb.impulses.records import Mechanisms
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import Floats, Ints, add_scaled, divide, dot
+
+PUSH, REST, IMPULSE, SHARE = range(4)
+"""Sums of a piston: elastic and other force [N], correction [N s], contacts or √(4 r overlap)."""
+PARTS: Final = 3
+_APART: Final = 2.0**-26  # of a power of two in the one before
+_CUT: Final = 1.5 * 2.0**26  # times a bound: what is added to this keeps multiples of bound 2^-26
 
 
 class Pistons(NamedTuple):
@@ -30,6 +41,14 @@ class Pistons(NamedTuple):
     force: Floats  # (k,) [N] load and weight, along the axis
     limit: Floats  # (k, 2) [m] least and largest displacement
     start: Floats  # (k, 2) displacement [m] and velocity [m/s] at the start
+    bound: Floats  # (4,) powers of two, of which no contact adds 2^25 to a sum; see `PUSH`
+
+
+def bounds(law: Law, radius: float) -> Floats:
+    """Powers of two, (4,), above what a contact of spheres with a radius [m] may add to sums."""
+    share = 1.0 if law.hertz is None else 2.0 * radius
+    largest = float(law.stiffness.max(initial=0.0)) * share * radius
+    return np.ldexp(1.0, np.frexp([largest, largest, largest, share])[1])
 
 
 def initial_piston_state(pistons: Pistons | None) -> Records:
@@ -76,6 +95,51 @@ def pistons_have_moved(pistons: Pistons | None, state: Records, allowance: float
         displacement = abs(state.displacement[k] - state.listed_displacement[k])
         have_moved = have_moved or not displacement <= allowance
     return have_moved
+
+
+@inline
+def add_exactly(pistons: Pistons, sums: Floats, k: int, which: int, value: float) -> None:
+    """Add a number to one of the sums of a piston, without rounding."""
+    big = _CUT * pistons.bound[which]
+    for part in range(PARTS):
+        kept = (value + big) - big
+        sums[k, which, part] += kept
+        value -= kept
+        big *= _APART
+
+
+@inline
+def _total(sums: Floats, k: int, which: int) -> float:
+    """What the parts of a sum are together."""
+    return sums[k, which, 0] + sums[k, which, 1] + sums[k, which, 2]
+
+
+@inline
+def take_loads(pistons: Pistons | None, state: Records, sums: Floats, later: float) -> None:
+    """Let pistons have the loads that were summed; `later` as for `body_loads.collect_loads`."""
+    if pistons is None:
+        return
+    for k in range(state.size):
+        push, other = _total(sums, k, PUSH), _total(sums, k, REST)
+        impulse, stiffness = _total(sums, k, IMPULSE), _total(sums, k, SHARE)
+        state.elastic_force[k], state.other_force[k], state.stiffness[k] = -push, -other, stiffness
+        state.max_stiffness[k] = max(state.max_stiffness[k], stiffness)
+        correction = later * pistons.force[k] - impulse
+        state.correction_power[k] = 0.25 * other / pistons.mass[k] * correction
+
+
+@kernel
+def step_pistons(
+    pistons: Pistons, state: Records, sums: Floats, later: float, kicks: tuple[float, float],
+    dt: float,
+) -> None:  # fmt: skip
+    """Take summed loads, kick over the end of a step and the begin of another, and drift over dt.
+
+    At a frame there is no other: dt is 0.
+    """
+    take_loads(pistons, state, sums, later)
+    kick_pistons(pistons, state, kicks[0], kicks[1], dt > 0.0)
+    drift_pistons(pistons, state, dt)
 
 
 @inline

@@ -19,11 +19,17 @@ import numpy as np
 
 from particlerb.compiled.barrier import Team, largest, meet, share_of
 from particlerb.compiled.jit import inline, kernel
-from particlerb.contact.body_loads import collect_loads, load_pistons
+from particlerb.contact.body_loads import collect_loads, sum_piston_loads
 from particlerb.contact.contact_model import Evaluation, Growth, Instant, LoadTimes, MovingContact
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS, max_displacement
 from particlerb.contact.pair_force import body_kinematics, max_point_speed, max_speeds
-from particlerb.contact.piston import drift_pistons, kick_pistons, piston_poses, pistons_have_moved
+from particlerb.contact.piston import (
+    drift_pistons,
+    kick_pistons,
+    piston_poses,
+    pistons_have_moved,
+    take_loads,
+)
 from particlerb.contact.prescribed_motion import (
     PrescribedBodies,
     prescribed_in,
@@ -280,7 +286,9 @@ def contact_loads(
             scatter_block(pairs.load, rows, PAIR, 0, lo, n)
         collect_loads(model, workspace, lists, rows, PAIR, STEADY, lo, n, later, span)
     if team.thread == 0:
-        load_pistons(setup.pistons, memory.pistons, lists.walls, model, later)
+        sums = workspace.piston_loads
+        sum_piston_loads(setup.pistons, sums, lists.walls, model)
+        take_loads(setup.pistons, memory.pistons, sums, later)
 
 
 @kernel

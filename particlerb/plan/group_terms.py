@@ -9,6 +9,7 @@ from particlerb.compiled.jit import flag
 from particlerb.contact.contact_model import ContactModel, ContactSpheres, GroupContact
 from particlerb.contact.interior_spheres import outer_spheres
 from particlerb.contact.law import TANGENTIAL_DAMPING, Law
+from particlerb.contact.piston import bounds
 from particlerb.contact.prescribed_motion import prescribed_among
 from particlerb.contact.sphere_search import bodies_of_keys, pair_keys
 from particlerb.contact.wall_motion import motion_records
@@ -164,6 +165,8 @@ def _contact_among(
     asked = {*system.output.fields, *(check.quantity for check in system.check.value)}
     is_shown = not asked.isdisjoint((*FIELDS_OF_CONTACT, *_LOADS))
     is_fixed, pistons = touching.record.skin is not None, touching.pistons
+    if pistons is not None:
+        pistons = pistons._replace(bound=bounds(law, float(radius.max(initial=0.0))))
     left_out, is_forced = int(may_touch.sum()) - owner.size, touching.record.allow_unstable
     return GroupContact(
         model, motions, reach, skin, is_fixed, is_shown, left_out, pistons, is_forced,

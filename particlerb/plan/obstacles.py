@@ -119,6 +119,7 @@ def pistons_of(system: System) -> Pistons | None:
         np.array([piston.load for piston in pistons]) + mass * (axis @ system.acceleration),
         np.array([piston.limits or (-np.inf, np.inf) for piston in pistons]),
         np.array([[0.0, piston.velocity] for piston in pistons]),
+        np.ones(4),
     )
 
 

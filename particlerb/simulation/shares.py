@@ -235,8 +235,6 @@ def _unshared(prepared: Prepared) -> Iterator[str]:
         yield from (w for key, w in _COUPLING_WORDS.items() if getattr(terms, key) is not None)
         if contact is not None and not terms.has_springy_contact:
             yield f'the law "{system.contact.law}"' if system.contact else "contact by impulses"
-        if contact is not None and contact.pistons is not None:
-            yield "walls that slide under a load"
         if segment.method != "strang":
             yield f"the method {segment.method}"
 

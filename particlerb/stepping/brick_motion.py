@@ -16,8 +16,9 @@ import numpy as np
 
 from particlerb.compiled.barrier import Team, together
 from particlerb.compiled.threads import BLOCK
-from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
+from particlerb.contact.body_loads import find_stored_energy, sum_in_bins, sum_piston_loads
 from particlerb.contact.contact_model import ContactFrames, Instant
+from particlerb.contact.piston import step_pistons
 from particlerb.integrators.contact_stages import keep_extremes, kinematics_at, note_step_start
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare, Layout
@@ -72,7 +73,7 @@ class BrickMotion(SharedMotion):
             histories = exchange.routed(kept, owner) if kept else None
             skin = exchange.group.terms.known_contact.skin
             self.rebuild(bodies, self.initial[bodies], skin, histories)
-            self.loop = loop_over_ranks(method, self.kinematics, self.store, self.enter)
+            self.loop = loop_over_ranks(method, self.kinematics, self.store, self.enter_kick)
             self.make_first_lists()
 
     # Who is where
@@ -133,11 +134,12 @@ class BrickMotion(SharedMotion):
                 f"at t = {self.now:.6g} s ranks have {total} bodies of {self.is_free.size}: that"
                 " is a fault of this program, please report it with the case"
             )
-        watch, frames = self.checks.watch, self.frames
+        watch, frames, pistons = self.checks.watch, self.frames, self.contact.memory.pistons
         self.rebuild(bodies, arrived, old.skin, histories)
         self.lists.go_on(old)
         self.checks.watch, self.frames = watch, frames
-        self.contact = self.contact._replace(frames=frames)
+        memory = self.contact.memory._replace(pistons=pistons)
+        self.contact = self.contact._replace(frames=frames, memory=memory)
         self.part_of_step(POSES)
 
     def relocate(self, rows: Floats, skin: float, contacts: list[tuple[Ints, Floats]]) -> Floats:
@@ -172,6 +174,28 @@ class BrickMotion(SharedMotion):
             return kernel(moving._replace(team=team), lo, hi, *others)
 
         return together(share, self.threads)
+
+    def enter_kick(
+        self, kernel: Callable[..., Any], moving: MovingBodies, first: int, last: int,
+        open_kick: float, dt: float = 0.0,
+    ) -> None:  # fmt: skip
+        """Enter a kernel that kicks, and makes a step of dt [s] if there is one.
+
+        Walls that slide, of which each rank has all, then follow what all ranks have found.
+        """
+        contact, step = moving.contact, (dt,) if dt > 0.0 else ()
+        assert contact is not None
+        setup, workspace, lists, memory, _ = contact
+        if setup.pistons is None:
+            self.enter(kernel, moving, first, last, open_kick, *step)
+            return
+        without = contact._replace(setup=setup._replace(pistons=None))
+        self.enter(kernel, moving._replace(contact=without), first, last, open_kick, *step)
+        sum_piston_loads(setup.pistons, workspace.piston_loads, lists.walls, setup.model)
+        sums = self.ranks.added(workspace.piston_loads)
+        later = dt - float(workspace.step_start.before[0])  # as of `LEAPFROG`
+        kicks = open_kick, self.method.closing_kick * dt
+        step_pistons(setup.pistons, memory.pistons, sums, later, kicks, dt)
 
     def kinematics(self, moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
         """As `stages.kinematics`, after states of ghosts have come: whether the lists hold."""
@@ -231,7 +255,7 @@ class BrickMotion(SharedMotion):
         stored = np.zeros(self.local.size)
         find_stored_energy(self.contact.setup.model, self.contact.lists, stored)
         frames.stored[:] = self.to_show(stored[:, None])[:, 0]
-        frames.elastic[frame] = 0.0
+        frames.elastic[frame], frames.pistons[frame] = 0.0, self.contact.memory.pistons
         sum_in_bins(frames.stored, self.bins, frames.elastic[frame])
 
     def store(

@@ -22,7 +22,7 @@ from particlerb.contact.contact_model import (
 )
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.contact.missed_pairs import Watch
-from particlerb.contact.piston import initial_piston_state, piston_energies
+from particlerb.contact.piston import PARTS, initial_piston_state, piston_energies
 from particlerb.impulses.records import Impulses
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Bools, Floats, Ints
@@ -120,10 +120,11 @@ class ContactMotion(SteppedMotion):
         xyzr, bodies = np.zeros((n_spheres, 4)), records.zero_records(records.BODY, n)
         deepest = np.zeros((len(self.blocks), 5))
         step_start = records.zero_records(records.STEP_START, 1)
-        workspace = Workspace(
-            xyzr, poses, bodies, deepest, np.zeros(n), step_start, self.impulses_of(setup)
-        )
         y, pistons = np.vstack(state), initial_piston_state(setup.pistons)
+        workspace = Workspace(
+            xyzr, poses, bodies, deepest, np.zeros(n), step_start,
+            np.zeros((len(pistons), 4, PARTS)), self.impulses_of(setup),
+        )  # fmt: skip
         extremes = records.zero_records(records.EXTREMES, 1)
         memory = ContactMemory(y[7:].copy(), y[:7].copy(), start, np.inf, pistons, extremes)
         self.origin = y[:3].copy()  # [m]

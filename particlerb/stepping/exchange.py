@@ -35,7 +35,9 @@ class Exchange:
     def __init__(self, shown: SegmentGroup) -> None:
         shared = shown.shared
         assert shared is not None
-        self.shared, self.group, self.ranks = shared, shared.group, shared.ranks
+        terms = shared.group.terms._replace(contact=shown.terms.contact)  # pistons have gone on
+        self.shared, self.ranks = shared, shared.ranks
+        self.group = shared.group._replace(terms=terms)
         self.model = self.group.terms.known_contact.model
         self.is_free = self.model.inv_mass > 0.0
         parts = parts_of(shared.n_bodies)

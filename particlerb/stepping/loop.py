@@ -339,7 +339,7 @@ def loop_over_ranks(
     method: Method,
     kinematics: Callable[..., bool],
     store: Callable[..., None],
-    enter: Callable[..., None],
+    enter_kick: Callable[..., None],
 ) -> Callable[..., Position]:
     """The same as Python, where ranks share bodies that touch.
 
@@ -349,12 +349,13 @@ def loop_over_ranks(
     kinematics, store : callable
         In place of the stages that find where spheres and walls are, and that write a
         frame: these exchange bodies.
-    enter : callable
-        Enters a kernel `(moving, first, last, ...)` with all threads: takes it, then `moving`, ...
+    enter_kick : callable
+        Enters a kernel `(moving, first, last, open_kick)`, or with a step too, with all threads:
+        takes it, then `moving`, ...
     """
     name = f"{method.name}_touching"
-    one_step = partial(enter, kernel_from(_one_step, name, step=_step_of(method, True)))
-    closing = over_threads(_close_at, kinematics=kinematics, close=partial(enter, close))
+    one_step = partial(enter_kick, kernel_from(_one_step, name, step=_step_of(method, True)))
+    closing = over_threads(_close_at, kinematics=kinematics, close=partial(enter_kick, close))
     names = {"step": one_step, "finish": closing, "CLOSING_KICK": method.closing_kick}
     names |= _compiled_parts(method)
     return over_threads(advance, kinematics=kinematics, _store=store, **names)

@@ -99,6 +99,7 @@ class SharedMotion(ContactMotion):
             "ahead": np.array(self.ahead),
             "valid_until": np.array(memory.valid_until),
             "extremes": to_floats(memory.extremes).copy(),
+            "pistons": to_floats(memory.pistons).copy(),
             "frequency": np.array(self.contact_frequency),
         }
 
@@ -117,6 +118,9 @@ class SharedMotion(ContactMotion):
         contacts = [(bodies[f"keys.{kind}"], bodies[f"values.{kind}"]) for kind in (0, 1)]
         self.steps_done = self.grid_step = int(saved["list_step"])
         now = self.relocate(rows, skin, contacts)
+        pistons, sliding = saved.get("pistons", np.zeros((0, 1))), self.contact.memory.pistons
+        to_floats(sliding)[:] = pistons
+        sliding.displacement[:] = sliding.listed_displacement
         self.lists.skin, self.lists.count = skin, int(saved["lists"]) - 1
         self.part_of_step(POSES)
         self.list_pairs(WallsAhead(*saved["ahead"].tolist()))
@@ -124,6 +128,7 @@ class SharedMotion(ContactMotion):
         values[:_POSE_COLUMNS, self.is_own] = now.T
         into_blocks(self.blocks, 0, self.spaced(values))
         memory = self.contact.memory
+        to_floats(memory.pistons)[:] = pistons
         extremes = from_floats(saved["extremes"], memory.extremes.dtype)
         memory = memory._replace(valid_until=float(saved["valid_until"]), extremes=extremes)
         self.contact = self.contact._replace(memory=memory)

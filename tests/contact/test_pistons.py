@@ -8,6 +8,7 @@ import pytest
 import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
+from particlerb.contact import piston
 from particlerb.simulation.whole_run import RunError
 from particlerb.stepping import contact_motion
 
@@ -269,3 +270,29 @@ def test_what_a_lid_and_a_fixed_body_are_made_of_has_to_meet(make):
     pairs.append({"materials": ["wood", "steel"], "stiffness": K})
     with particlerb.run(case) as t:
         assert t.wall_position[:, 0, 2].min() > 0.1 - 2e-3
+
+
+@pytest.mark.plain
+def test_no_order_of_contacts_and_no_shares_of_them_change_what_a_lid_feels():
+    """To the last digit of the exact sum (`math.fsum`); a plain sum has another in each order."""
+    dice, none = np.random.default_rng(3), np.zeros(1)
+    lids = piston.Pistons(none, none, none, none, none, none, none, none)
+    lids = lids._replace(bound=np.full(4, 2.0**14))  # above 1e5 N/m of a radius of 0.1 m
+    values = 1e4 * dice.standard_normal(1000) * 10.0 ** dice.uniform(-9.0, 0.5, 1000)
+
+    def summed(some):
+        sums = np.zeros((1, 4, piston.PARTS))
+        for value in some.tolist():
+            piston.add_exactly(lids, sums, 0, piston.PUSH, value)
+        return sums
+
+    whole, orders = summed(values), [dice.permutation(values) for _ in range(5)]
+    assert len({sum(order.tolist()) for order in orders}) > 1
+    for order in orders:
+        assert np.array_equal(summed(order), whole)
+        assert np.array_equal(summed(order[:300]) + summed(order[300:]), whole)
+    assert whole[0, piston.PUSH].sum() == pytest.approx(math.fsum(values), rel=1e-15)
+    assert not whole[0, piston.REST].any()
+    for wrong in (np.nan, np.inf):  # is not lost: a later check ends the run
+        with np.errstate(invalid="ignore"):
+            assert np.isnan(summed(np.append(values, wrong))[0, piston.PUSH].sum())

@@ -123,7 +123,6 @@ stiffness = 1.0
 @pytest.mark.parametrize(
     ("case", "more", "told"),
     [
-        ("press", [], "walls that slide under a load"),
         ("pyramid", [], 'the law "impulse"'),
         ("granular_gas", [], 'the law "events"'),
         ("cradle_on_strings", [], "joints"),
