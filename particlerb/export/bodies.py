@@ -182,12 +182,11 @@ def mjcf(bodies: Sequence[NamedBody]) -> dict[str, str]:
     world = ET.SubElement(root, "worldbody")
     for body in bodies:
         _refuse_degenerate(body, "MuJoCo", POINT, ROD)
-        mass, com, tensor, *_ = (array[0] for array in body.properties)
+        mass, com, _, moments, axes, _ = body.properties
         element = ET.SubElement(world, "body", name=body.name)
         ET.SubElement(element, "freejoint")
-        tensor_text = numbers(six(tensor))
-        inertial = {"pos": numbers(com), "mass": numbers(mass), "fullinertia": tensor_text}
-        ET.SubElement(element, "inertial", inertial)
+        inertial = {"pos": numbers(com), "mass": numbers(mass), "quat": numbers(quaternions(axes))}
+        ET.SubElement(element, "inertial", inertial, diaginertia=numbers(moments))
         carrying = _carriers_of(body)
         for position, radius in zip(carrying.position, carrying.radius, strict=True):
             place = {"type": "sphere", "pos": numbers(position)}
