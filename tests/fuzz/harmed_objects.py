@@ -10,6 +10,7 @@ import hashlib
 import io
 import json
 import random
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ def harm(path: Path, dice: random.Random) -> str:
                 break
             try:
                 done.append(_harm_one(file, dice.choice(names), dice))
-            except FAULTS as error:
+            except (*FAULTS, EOFError, zipfile.BadZipFile) as error:
                 done.append(f"not done: {type(error).__name__}")
     return "; ".join(done)
 

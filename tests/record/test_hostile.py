@@ -1,5 +1,6 @@
 """Files that are damaged, foreign, or made to harm: one clear error, and nothing elsewhere."""
 
+import hashlib
 import lzma
 import os
 import re
@@ -399,6 +400,22 @@ def test_what_resume_misses_while_it_writes_is_told(copy, capsys):
     assert "harmed.h5 is damaged" in err
     assert "5 frames are kept" in err
     assert "continue with" not in err
+
+
+def test_a_state_packed_in_a_foreign_way_is_damaged(copy, capsys):
+    """Its hash is right; zipfile says that it does not know method 77."""
+    with h5py.File(copy, "r+") as file:
+        for slot in file["checkpoint"].values():
+            content = slot[()].tobytes()
+            for head, at in ((b"PK\3\4", 8), (b"PK\1\2", 10)):
+                places = [found.start() + at for found in re.finditer(head, content)]
+                for place in places:
+                    content = content[:place] + b"\x4d\0" + content[place + 2 :]
+            slot[()] = np.frombuffer(content, np.uint8)
+            slot.attrs.modify("sha256", np.bytes_(hashlib.sha256(content).hexdigest()))
+    assert main(["resume", str(copy), "-q", "--t-end", "0.6"]) == 2
+    told = "harmed.h5 is damaged: the checkpoint cannot be read: That compression method is not"
+    assert told in capsys.readouterr().err
 
 
 def test_a_crash_of_hdf5_is_a_message(tmp_path, monkeypatch, capfd):
