@@ -256,7 +256,8 @@ def plain(value: Any, keeps_rows: bool = False, keeps_tables: bool = False) -> A
         rows_at = () if "type" in value else _KEYS_WITH_ROWS
         return {str(k): plain(entry, k in rows_at, keeps_tables) for k, entry in value.items()}
     if isinstance(value, (np.ndarray, np.generic)):
-        return value if keeps_rows and value.ndim == 2 else value.tolist()
+        is_kept = keeps_rows and value.ndim == 2 and not np.ma.is_masked(value)
+        return value if is_kept else value.tolist()
     if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
         return [plain(entry, keeps_tables=keeps_tables) for entry in value]
     return value

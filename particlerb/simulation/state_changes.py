@@ -54,9 +54,10 @@ def _array_of(name: str, old: Floats, given: Any) -> Floats:
     """An array of the shape of the old one."""
     try:
         array = np.array(old if given is None else given)
-        array = array.astype(np.float64, casting="same_kind")
+        with np.errstate(over="ignore"):
+            array = array.astype(np.float64, casting="same_kind")
     except (TypeError, ValueError):  # no real numbers, or rows of several lengths
         array = np.zeros(())
-    if array.shape != old.shape or not np.isfinite(array).all():
-        raise ValueError(f"set_state: {name} must be finite, of shape {old.shape}")
+    if array.shape != old.shape or not np.isfinite(array).all() or np.ma.is_masked(given):
+        raise ValueError(f"set_state: {name} must be finite, of shape {old.shape}, nothing masked")
     return array

@@ -1520,6 +1520,7 @@ def test_dict_has_keys_and_no_lines(everything):
         (np.full((4, 3), np.nan), "must be finite, row 0 is not"),
         (np.array([["a"] * 3] * 4), "must be rows of 3 numbers each"),
         (np.zeros((4, 3), dtype=complex), "must be rows of 3 numbers each"),
+        (np.ma.array(np.zeros((4, 3)), mask=np.eye(4, 3)), "must be rows of 3 numbers each"),
     ],
 )
 def test_rows_from_python_are_checked(rows, reason, everything):

@@ -169,6 +169,10 @@ def test_a_new_state_is_booked_as_work_and_goes_on_from_there():
         assert np.array_equal(np.abs(simulation.state.orientation), [[0.0, 0.0, 0.0, 1.0]])
 
 
+MASKED = np.ma.array([[1.0, 2.0, 3.0]], mask=[[False, True, False]])
+HUGE = np.longdouble("1e4000")
+
+
 def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
     simulation = Simulation(turned_box())
     simulation.advance(2.0)
@@ -193,9 +197,11 @@ def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
     for every in (-1, 1e-320, 1e-17):  # multiples of the last two are not told apart
         with pytest.raises(ValueError, match=r"frames\(every=.*\): must be above 0 s"):
             next(simulation.frames(every=every))
-    for position in ([1, 2, 3], "abc", [[1, 2], [3]], np.array([[1j, 0, 0]])):
+    for position in ([1, 2, 3], "abc", [[1, 2], [3]], np.array([[1j, 0, 0]]), MASKED, [[HUGE] * 3]):
         with pytest.raises(ValueError, match="position must be finite, of shape"):
             simulation.set_state(position=position)
+    with pytest.raises(ValueError, match="until must be a number of float64, got a larger one"):
+        simulation.advance(10**400)
     with pytest.raises(TypeError, match=r"^advance: until must be a number, got str$"):
         simulation.advance("3")
     with pytest.raises(TypeError, match=r"^frames: every must be a number, got NoneType$"):
