@@ -190,7 +190,7 @@ def _take_stages(bodies: CommonSteps, at: Floats, t: float, h: float, i: int, j:
 def _error_of(
     blocks: Floats, layout: Layout, vectors: CommonVectors, h: float, tolerance: float
 ) -> float:
-    """Largest error of a step over the tolerance, of the bodies that are numbers."""
+    """Largest error of a step over the tolerance, or NaN, of the bodies that were numbers."""
     five, three, K, errors = vectors.five, vectors.three, vectors.K, vectors.errors
     differences(K, five.reshape(five.size), three.reshape(three.size))
     worst = 0.0
@@ -198,7 +198,7 @@ def _error_of(
         y, new = vectors.y[k], vectors.new[k]
         pack = Pack(blocks[k], layout.size[k], vectors.width, y, new)
         error = errors_of(pack, five[k], three[k], h, tolerance, errors[k])
-        if not error <= worst:
+        if worst <= np.inf and not error <= worst:
             worst = error
     return worst
 

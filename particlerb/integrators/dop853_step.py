@@ -178,7 +178,7 @@ def errors_of(
         errors[b] = 0.0
         if sum5 != 0.0:
             errors[b] = abs(h) * sum5 / math.sqrt((sum5 + 0.01 * sum3) * 13.0) / tolerance
-        if not np.isnan(pack.y[b]) and not errors[b] <= worst:
+        if worst <= np.inf and not (np.isnan(pack.y[b]) or errors[b] <= worst):
             worst = errors[b]
     return worst
 

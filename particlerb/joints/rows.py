@@ -182,7 +182,10 @@ def is_of_other_bodies(rows: ConstraintRows, lo: int, r: int) -> bool:
 
 @unfused_kernel
 def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tuple[float, int]:
-    """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row."""
+    """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row.
+
+    A row that is no number is the largest.
+    """
     rows, y, g = joints.rows, data.y, data.g
     worst, where, d = 0.0, lo, (0.0, 0.0, 0.0)
     if lo == hi:
@@ -209,7 +212,7 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
         else:
             g[r] = residual(rows, joints.drives, y, r, t)
         share = abs(g[r]) / (turned if is_of_directions(kind) else rows.size[r] + far)
-        is_larger = opposite(share <= worst)
+        is_larger = (worst <= inf) & opposite(share <= worst)
         worst = choose(is_larger, share, worst)
         if any_of(is_larger):
             where = r
@@ -290,7 +293,7 @@ def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
 
 @unfused_kernel
 def rates(joints: Joints, data: JointData, lo: int, hi: int) -> float:
-    """z = -ġ of rows lo to hi; the largest over its size [1/s]."""
+    """z = -ġ of rows lo to hi; the largest over its size [1/s], or NaN."""
     worst = 0.0
     for r in range(lo, hi):
         speed = rate(joints, data.gradient, r, data.y, P) + data.dg_dt[r]
@@ -299,7 +302,7 @@ def rates(joints: Joints, data: JointData, lo: int, hi: int) -> float:
             speed = speed + soft * data.impulse[r] if soft < inf else 0.0
         data.z[r] = -speed
         speed = abs(speed) / joints.rows.size[r]
-        if not speed <= worst:
+        if worst <= inf and not speed <= worst:
             worst = speed
     return worst
 

@@ -308,7 +308,7 @@ def assembled(system: System) -> System:
     data.motion[:] = 0.0  # else teeth would be passed meanwhile
     for c, cluster_rows in enumerate(rows):
         bodies = slice(joints.clusters.body[c], joints.clusters.body[c + 1])
-        if cluster_rows.start < cluster_rows.stop and off[cluster_rows].max() > 0.0:
+        if cluster_rows.start < cluster_rows.stop and off[cluster_rows].any():
             data.y[bodies, 7:] = 0.0
             constrained_drift(joints, data, c, 0.0, -1.0, 1.0)
             data.y[bodies, 7:] = before[bodies, 7:]
@@ -336,7 +336,7 @@ def _refuse_misfits(
     for row in np.argsort(-off).tolist():
         joint = joint_of_row(joints, row)
         number = int(setup.record[joint])
-        if not off[row] > _MAX_START_MISFIT or system.joint[number].assemble or number in problems:
+        if off[row] <= _MAX_START_MISFIT or system.joint[number].assemble or number in problems:
             continue
         reason = f"{what.format(name=setup.names[joint])} off by {off[row]:.3g} of its size"
         hint = "correct it, or give assemble = true, which moves bodies until it fits"

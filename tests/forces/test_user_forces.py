@@ -11,6 +11,7 @@ import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ import particlerb
 from particlerb import CaseError, RunError, Scene, Simulation
 from particlerb.forces import Terms, acting_of, row_count, rows_of_terms
 from particlerb.forces.user_kicks import class_of
-from particlerb.integrators import METHODS
+from particlerb.integrators import METHODS, dop853_stages
 from particlerb.integrators.kick import kick_body, solve_kicks
 from particlerb.maths.quaternion import turn
 from particlerb.maths.vec3 import cross, dot, scale
@@ -278,6 +279,42 @@ def test_the_step_follows_the_stiffness_of_the_force():
             steps.append(float(line.split()[1]))
     assert steps[0] == pytest.approx(steps[1], rel=0.5)
     assert steps[0] < 0.01
+
+
+@particlerb.force
+def barrier(x):
+    """F = -5 (1 - x)^-1.5, and no number beyond 1 m."""
+    s = np.sqrt(1.0 - x[0])
+    return (-5.0 / (s * s * s), 0.0, 0.0), NO_TORQUE
+
+
+@plain
+def test_a_step_to_where_a_force_is_no_number_is_shortened_beside_another_body():
+    """E = v²/2 + 10 / √(1 - x) tells where a body has come to by its speed."""
+    made = Scene(RunTable(t_end=50.0, every=50.0, method="dop853", tolerance=1e-4))
+    for name, x, v in (("fast", -50.0, 10.0), ("slow", -3.0, 0.0)):
+        made.add_body(
+            name=name, shape=Moments(inertia=(1, 2, 2.5)), mass=1, position=(x, 0, 0),
+            velocity=(v, 0, 0),
+        )  # fmt: skip
+        made.add_force(PythonTable(function=barrier, body=name))
+    with np.errstate(invalid="ignore"), particlerb.run(made) as t:
+        x, v = t.position[:, 0, 0], t.velocity[:, 0, 0]
+    first, last = 0.5 * v**2 + 10.0 / np.sqrt(1.0 - x)
+    assert v[1] < -10.0
+    assert last == pytest.approx(first, rel=1e-3)
+
+
+@plain
+def test_a_block_whose_step_is_no_number_is_not_hidden_by_the_next(monkeypatch):
+    of_blocks = iter((0.25, math.nan, 0.5))
+    monkeypatch.setattr(dop853_stages, "errors_of", lambda *_: next(of_blocks))
+    rows = np.zeros((3, 1))
+    vectors = SimpleNamespace(
+        five=rows, three=rows, K=np.zeros((13, 3)), errors=rows, y=rows, new=rows, width=1
+    )
+    layout = SimpleNamespace(first=rows[:, 0], size=(1, 1, 1))
+    assert math.isnan(dop853_stages._error_of(rows, layout, vectors, 0.1, 1e-6))
 
 
 # What is refused

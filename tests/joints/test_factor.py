@@ -10,7 +10,7 @@ from particlerb.joints.block_cholesky import solve
 from particlerb.joints.iterations import remember, warm_start
 from particlerb.joints.records import HOLDS, P, Q, joint_data_at
 from particlerb.joints.records import X as AT
-from particlerb.joints.rows import residual
+from particlerb.joints.rows import rates, residual, residuals
 from particlerb.joints.solver import factorise_cluster
 from particlerb.simulation.run import prepare
 
@@ -111,6 +111,19 @@ def test_which_rows_are_redundant_does_not_depend_on_masses(coupler):
     factorise_cluster(joints, data, 0, 0.0, 0.0)
     left_out = data.factor[:, range(5), range(5)][:4] == 0.0
     assert np.argwhere(left_out).tolist() == [[3, 2], [3, 3], [3, 4]]
+
+
+def test_a_row_that_is_no_number_is_not_hidden_by_those_behind_it():
+    joints, data = at_start(wheel())
+    factorise_cluster(joints, data, 0, 0.0, 0.0)
+    rows, y = joints.rows, data.y.copy()
+    for b in range(len(y) - 1):
+        data.y[b] = np.nan
+        assert np.isnan(rates(joints, data, 0, rows.kind.size))
+        worst, r = residuals(joints, data, 0, rows.kind.size, 0.0)
+        assert np.isnan(worst)
+        assert b in (rows.a[r], rows.b[r])
+        data.y[b] = y[b]
 
 
 def test_a_step_begins_with_the_impulses_that_a_cubic_foresees():
