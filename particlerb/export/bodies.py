@@ -233,7 +233,7 @@ def _write_gsd(bodies: Sequence[NamedBody], path: Path) -> None:
         np.concatenate(column) for column in zip(*(b.properties for b in bodies), strict=True)
     )
     particles.N, particles.typeid = len(bodies), np.arange(len(bodies))
-    particles.types = [body.name for body in bodies]
+    particles.types = [body.name.encode() for body in bodies]
     particles.type_shapes = [_shape_of(body) for body in bodies]
     particles.mass, particles.moment_inertia = mass, moments
     particles.position, particles.orientation = com, quaternions(axes)

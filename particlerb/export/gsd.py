@@ -3,6 +3,8 @@
 `orientation` turns the principal frame, and not the user's body frame, into the world, since
 `moment_inertia` has room for three principal moments only. `angmom` is HOOMD's quaternion
 p = 2 q (0, S) with S the angular momentum in the principal frame. Numbers have single precision.
+Names are handed over as UTF-8, since gsd takes texts in ASCII only, and with the first frame: it
+compares those of later ones with the text that it reads back.
 A kind of body with radii is shown as its spheres, another as the solid ellipsoid of its moments.
 
 Sources: the HOOMD schema of gsd (gsd.readthedocs.io); Kamberaj, Li, Hansen, J. Chem. Phys. 122,
@@ -35,7 +37,7 @@ def write(selection: Selection, path: Path) -> None:
     bodies = taken(trajectory.bodies, selection.bodies)
     kinds, types = np.unique(trajectory.kind[selection.bodies], return_inverse=True)
     edges = selection.box_edges()
-    names = [_type_name(trajectory, int(kind)) for kind in kinds]
+    names = [_type_name(trajectory, int(kind)).encode() for kind in kinds]
     shapes = [_type_shape(trajectory, int(kind)) for kind in kinds]
     with hoomd.open(path, "w") as file:
         for frames in selection.portions():
@@ -46,7 +48,7 @@ def write(selection: Selection, path: Path) -> None:
                 frame.configuration.box = [*edges, 0, 0, 0]
                 particles = frame.particles
                 particles.N, particles.typeid = len(selection.bodies), types
-                particles.types, particles.type_shapes = names, shapes
+                particles.types, particles.type_shapes = None if len(file) else names, shapes
                 particles.mass, particles.moment_inertia = bodies.mass, bodies.inertia.T
                 for name, values in columns.items():
                     setattr(particles, name, values[row])

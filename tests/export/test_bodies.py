@@ -151,10 +151,11 @@ def test_mujoco_has_the_mass_com_and_tensor_of_the_file(tmp_path):
 
 def test_gsd_has_principal_axes_and_the_tensor_in_full(tmp_path):
     gsd = pytest.importorskip("gsd.hoomd")
-    bodies = [clump(), cloud()]
+    bodies = [clump(), cloud()._replace(name="Wolke ü")]
     (path,) = export_bodies(bodies, tmp_path / "bodies.gsd", "gsd")
     with gsd.open(path, "r") as file:
         frame = file[0]
+    assert frame.particles.types == [body.name for body in bodies]
     for k, body in enumerate(bodies):
         mass, com, tensor, moments, axes, _ = (array[0] for array in body.properties)
         assert frame.particles.mass[k] == pytest.approx(mass, rel=1e-7)

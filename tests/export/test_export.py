@@ -27,7 +27,7 @@ def path(make, tmp_path_factory):
     bodies = [
         {"name": "odd", "shape": {"type": "points"} | points, "orientation": [0.8, 0, 0.6, 0]},
         make.body("brick", count=2, place={"type": "grid", "spacing": 3.0}, **motion),
-        {"name": "dumbbell", "shape": dumbbell | {"radius": [0.2, 0.3]}, "position": [5, 0, 0]},
+        {"name": "Hantel ü", "shape": dumbbell | {"radius": [0.2, 0.3]}, "position": [5, 0, 0]},
     ]
     bodies[0].update(motion)
     bodies[2].update(motion)
@@ -64,7 +64,7 @@ def test_gsd_has_the_principal_frame(path, tmp_path, make):
                 S = 0.5 * product([1, -1, -1, -1] * q, frame.particles.angmom[b])
                 assert S[0] == pytest.approx(0.0, abs=1e-5)
                 assert pytest.approx(t.angular_momentum[k, b], abs=2e-5) == Q @ S[1:]
-        assert frames[0].particles.types == ["odd", "brick", "dumbbell"]
+        assert frames[0].particles.types == ["odd", "brick", "Hantel ü"]
         assert frames[0].particles.typeid.tolist() == [0, 1, 1, 2]
         assert (frames[0].configuration.box[:3] / 2 >= np.abs(t.position).max(axis=(0, 1))).all()
 
@@ -127,7 +127,7 @@ def test_particles_are_those_of_all_bodies(path, tmp_path):
             mass, momentum = group["mass"][:], t.linear_momentum[::2].sum(axis=1)
             total = np.einsum("p,tpc->tc", mass, group["velocity/value"][:])
             assert total == pytest.approx(momentum, abs=1e-13)
-        export(t, tmp_path / "one.h5", "particles", ["dumbbell"], slice(4, 5), ["position"])
+        export(t, tmp_path / "one.h5", "particles", ["Hantel ü"], slice(4, 5), ["position"])
         with h5py.File(tmp_path / "one.h5") as file:
             assert (
                 file["particles/trajectory/position/value"][0] == t.particle_positions(4)[-2:]
