@@ -200,6 +200,9 @@ def _type_message(path: Path, context: dict[str, Any], keys: Sequence[str]) -> M
         return Message((*path, "type"), "missing", f"known: {', '.join(keys)}")
     tags = re.findall(r"'([^']*)'", context["expected_tags"])
     tag = str(context["tag"])
+    if tag in Case.model_fields:
+        hint = f"{tag} is a table of its own: {_header(tag, Case)}"
+        return Message((*path, "type"), f"unknown type {shown(tag)}", hint)
     return Message((*path, "type"), f"unknown type {shown(tag)}", nearest(tag, tags))
 
 

@@ -32,6 +32,7 @@ _SYNONYMS = {
     "semi_implicit_euler": ("euler", "symplectic_euler"), "plane": ("floor", "ground"),
     "angular_velocity": ("omega", "spin", "w"), "acceleration": ("g", "gravity"),
     "lower": ("low", "min", "minimum"), "upper": ("high", "max", "maximum"), "friction": ("mu",),
+    "method": ("integrator", "solver", "scheme"), "stiffness": ("k",), "radius": ("r", "diameter"),
     "dt": ("step", "timestep", "time_step"), "t_end": ("duration", "tmax", "t_max", "time"),
     "translation": ("linear", "coefficient"), "at": ("point",), "during": ("time", "interval"),
 }  # fmt: skip
@@ -83,7 +84,7 @@ class CaseError(Exception):
         super().__init__(self.problems)
 
     def __str__(self) -> str:
-        """One block per problem; of three and more alike, the first with the keys of the others."""
+        """One block per problem; of three and more alike, the first, then where the others are."""
         alike: dict[tuple[str, ...], list[Problem]] = {}
         for p in self.problems:
             kind = p.file, re.sub(r"\[\d+\]", "", p.key), p.reason, p.hint
@@ -93,7 +94,7 @@ class CaseError(Exception):
             is_folded = len(others) >= _LEAST_FOLDED
             blocks += map(str, (first, *(() if is_folded else others)))
             if is_folded:
-                keys = ", ".join(p.key for p in others[:_MAX_NAMES_LISTED])
+                keys = ", ".join(map(_named, others[:_MAX_NAMES_LISTED]))
                 rest = f", ... ({len(others)} in all)" if len(others) > _MAX_NAMES_LISTED else ""
                 blocks.append(_printable(f"      likewise: {keys}{rest}"))
         return "\n".join(blocks)
@@ -103,6 +104,11 @@ def refuse(problems: Collection[Problem]) -> None:
     """Raise CaseError if there are problems."""
     if problems:
         raise CaseError(problems)
+
+
+def _named(problem: Problem) -> str:
+    """Key and line of a problem that is like another one."""
+    return f"{problem.key} (line {problem.line})" if problem.line else problem.key
 
 
 def _printable(text: str) -> str:

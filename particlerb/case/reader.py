@@ -37,7 +37,11 @@ _MAX_PROBLEMS_LISTED = 100
 _PLAIN_WORDS = {
     "Invalid value": "this is not a TOML value: text needs quotes, numbers none",
     "Expected '=' after a key": "a key needs a `=` and a value",
-    "Expected newline or end": "more on this line than one `key = value`",
+    "Expected newline or end": "more on this line than one `key = value`: a unit, a comma?",
+    "Expected ']": "a header is not closed: `]` or `]]` is missing",
+    "Expected": "a text is not closed: its quotes are missing",
+    "Found invalid character": "this character is not allowed here",
+    **dict.fromkeys(("Unescaped", "Invalid hex"), "a backslash is written twice; paths may have /"),
     "Unclosed array": "a list is not closed: `]` is missing",
     "Unclosed inline table": "a table is not closed: `}` is missing",
     "Cannot overwrite": "this key has been given before",

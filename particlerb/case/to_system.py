@@ -45,6 +45,7 @@ from particlerb.rotors.rotor_class import POINT, ROD
 
 _MIN_INERTIA = 1e-307  # [kg] of a mass, [kg m²] of a moment of inertia
 _OUT_OF_RANGE = "its volume or moment of inertia is out of the range of float64"
+_OUT_OF_MEMORY = "its particles do not fit into the memory: take a smaller n"
 _SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
 
 
@@ -159,7 +160,8 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
 
     def blame(i: int, error: Exception) -> None:
         key = f"body[{i}].shape" if case.body[i].shape is not None else f"body[{i}].part"
-        why = _OUT_OF_RANGE if isinstance(error, ArithmeticError) else error
+        words = {ArithmeticError: _OUT_OF_RANGE, MemoryError: _OUT_OF_MEMORY}
+        why = next((words[kind] for kind in words if isinstance(error, kind)), error)
         problems.append(problem_at(case, key, f"{case.body[i].name}: {why}"))
 
     for i, body in enumerate(case.body):
@@ -167,7 +169,7 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
         if matter not in kinds_of_matter:
             try:
                 particles, lines = _particle_sets(case, i, body)
-            except (ValueError, ArithmeticError) as error:
+            except (ValueError, ArithmeticError, MemoryError) as error:
                 blame(i, error)
                 continue
             sets.append(particles)

@@ -355,6 +355,14 @@ MISTAKES = [
     ),
     (
         'type = "push"',
+        'type = "gravity"',
+        16,
+        "force[0].type",
+        "unknown type 'gravity'",
+        "gravity is a table of its own: [gravity]",
+    ),
+    (
+        'type = "push"',
         'type = "psh"',
         16,
         "force[0].type",
@@ -1316,13 +1324,31 @@ def test_all_problems_at_once_and_by_line():
         ('a = "x\n', 1, 7, "broken TOML: this character is not allowed here"),
         ('a = "x', 1, 7, "broken TOML: a text is not closed: its quotes are missing"),
         ("a = 1 b = 2", 1, 7, "broken TOML: more on this line than one `key = value`"),
+        (
+            "mass = 2,0",
+            1,
+            9,
+            "broken TOML: more on this line than one `key = value`: a unit, a comma?",
+        ),
         ("?", 1, 1, "broken TOML: this is neither `key = value` nor a [table]"),
+        ("a = 'x\n", 2, 1, "broken TOML: a text is not closed: its quotes are missing"),
+        ("[body", 1, 6, "broken TOML: a header is not closed"),
+        ('a = "C:\\data"', 1, 10, "broken TOML: a backslash is written twice"),
+        ('a = "C:\\Users"', 1, 10, "broken TOML: a backslash is written twice"),
     ],
 )
 def test_broken_toml(text, line, column, reason):
     (problem,) = problems(text)
     assert (problem.line, problem.column) == (line, column)
     assert problem.reason.startswith(reason)
+
+
+def test_particles_beyond_the_memory_are_refused_where_they_are_asked_for():
+    """What 10^15 particles take no machine gives; the message named no body."""
+    text = edited("size = [1.0, 1.0, 1.0]", "size = [1.0, 1.0, 1.0], n = 100_000")
+    with pytest.raises(CaseError) as caught:
+        to_system(parse(text, Path("cases/x.toml")))
+    assert "x.toml:7:9: error: body[0].shape: cube: its particles do not fit" in str(caught.value)
 
 
 def test_numbers_and_nesting_out_of_range():
@@ -1640,7 +1666,7 @@ def test_mistakes_that_are_alike_are_shown_once_with_the_keys_of_the_others():
     assert len(caught.value.problems) > 30
     assert text.count("unknown key") == 1
     assert 'hint: did you mean "radius"?' in text
-    assert "      likewise: body[1].shape.radus, body[2].shape.radus, " in text
-    assert "body[20].shape.radus, ... (29 in all)\n" in text + "\n"
+    assert "likewise: body[1].shape.radus (line 10), body[2].shape.radus (line 14), " in text
+    assert "body[20].shape.radus (line 86), ... (29 in all)\n" in text + "\n"
     two = [p for p in caught.value.problems if "radus" in p.key][:2]
     assert str(CaseError(two)).count("unknown key") == 2
