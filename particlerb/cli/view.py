@@ -5,7 +5,6 @@ import contextlib
 import signal
 import sys
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -33,9 +32,6 @@ def view_command(options: argparse.Namespace) -> int:
     """`view`: serve the page until Ctrl-C."""
     try:
         import viser  # noqa: F401
-
-        if find_spec("trimesh") is None:  # whose import takes long: boxes go without it
-            raise ImportError
 
         from particlerb.view.access import Access, AccessError
         from particlerb.view.server import listening

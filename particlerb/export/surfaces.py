@@ -7,7 +7,6 @@ else where the triangles are that the screen shows. Lengths in metres, body fram
 
 import math
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -226,23 +225,14 @@ def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _S
         return _balls_of(np.array(record.position) @ R.T + shift, np.array(record.radius), copies)
     if kind == "box":
         return triangles(box(np.array(record.size)).moved(R, shift))
-    made: dict[str, Callable[[], Any]] = {
-        "cylinder": lambda: _hollow(record.radius, record.inner_radius, record.height),
-        "cone": lambda: _trimesh().creation.cone(record.radius, record.height, sections=_FACETS),
-        "torus": lambda: _trimesh().creation.torus(record.major_radius, record.minor_radius),
-        "tetrahedron": lambda: _trimesh().convex.convex_hull(np.array(record.vertices)),
-        "rod": lambda: _trimesh().creation.cylinder(
-            _ROD_THICKNESS * record.length, record.length, sections=12
-        ),
+    made: dict[str, Callable[[], SurfaceMesh]] = {
+        "cylinder": lambda: _turned(_tube(record.radius, record.height, record.inner_radius)),
+        "cone": lambda: _turned([[0, 0], [record.radius, 0], [0, record.height]]),
+        "torus": lambda: _turned(record.minor_radius * _circle() + [record.major_radius, 0], True),
+        "tetrahedron": lambda: _tetrahedron(np.array(record.vertices)),
+        "rod": lambda: _turned(_tube(_ROD_THICKNESS * record.length, record.length), facets=12),
     }
-    return (
-        triangles(_as_mesh(made[kind](), kind == "torus").moved(R, shift)) if kind in made else None
-    )
-
-
-def _trimesh() -> Any:
-    """Module trimesh, whose import takes a third of the start: boxes go without it."""
-    return import_module("trimesh")
+    return triangles(made[kind]().moved(R, shift)) if kind in made else None
 
 
 def box(size: Floats) -> SurfaceMesh:
@@ -250,16 +240,43 @@ def box(size: Floats) -> SurfaceMesh:
     return SurfaceMesh((np.array([*np.ndindex(2, 2, 2)]) - 0.5) * size, np.array(_BOX_FACES))
 
 
-def _hollow(radius: float, inner: float, height: float) -> Any:
-    """Cylinder about z, with or without a bore."""
-    if inner > 0.0:
-        return _trimesh().creation.annulus(inner, radius, height, sections=_FACETS)
-    return _trimesh().creation.cylinder(radius, height, sections=_FACETS)
+def _circle(n: int = _FACETS) -> Floats:
+    """Points of the unit circle at equal angles, (n, 2)."""
+    angle = 2.0 * np.pi / n * np.arange(n)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _as_mesh(made: Any, is_smooth: bool = False) -> SurfaceMesh:
-    """Triangles of trimesh."""
-    return SurfaceMesh(np.array(made.vertices, dtype=np.float64), np.array(made.faces), is_smooth)
+def _turned(outline: Any, is_smooth: bool = False, facets: int = _FACETS) -> SurfaceMesh:
+    """Surface that a closed outline sweeps about z.
+
+    Parameters
+    ----------
+    outline : array_like, shape (n, 2) [m]
+        Distances from z and heights, the inside at the left; edges on z sweep nothing.
+    """
+    radius, height = np.array(outline, dtype=np.float64).T
+    spokes = _circle(facets)
+    rings = np.empty((len(radius), facets, 3))
+    rings[..., :2], rings[..., 2] = radius[:, None, None] * spokes, height[:, None]
+    here = np.arange(rings.shape[0] * facets).reshape(rings.shape[:2])
+    beside, after = np.roll(here, -1, axis=1), np.roll(here, -1, axis=0)
+    lower = np.stack([here, beside, np.roll(after, -1, axis=1)], axis=-1)
+    upper = np.stack([here, np.roll(after, -1, axis=1), after], axis=-1)
+    faces = np.concatenate([lower[radius > 0.0], upper[np.roll(radius, -1) > 0.0]])
+    return SurfaceMesh(rings.reshape(-1, 3), faces.reshape(-1, 3), is_smooth)
+
+
+def _tube(radius: float, height: float, inner: float = 0.0) -> list[list[float]]:
+    """Outline of a cylinder about z, with or without a bore."""
+    z = 0.5 * height
+    return [[inner, -z], [radius, -z], [radius, z], [inner, z]]
+
+
+def _tetrahedron(vertices: Floats) -> SurfaceMesh:
+    """Tetrahedron; its triangles look outward."""
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    is_left = np.linalg.det(vertices[1:] - vertices[0]) < 0.0
+    return SurfaceMesh(vertices, faces[:, ::-1] if is_left else faces)
 
 
 def triangles(mesh: SurfaceMesh) -> _Surface:
@@ -270,8 +287,10 @@ def triangles(mesh: SurfaceMesh) -> _Surface:
 
 def unit_ball(copies: int) -> SurfaceMesh:
     """Ball of radius 1, of as many triangles as the number of copies allows."""
-    fineness = 4 if copies <= 10 else 3 if copies <= 200 else 2 if copies <= 2000 else 1
-    return _as_mesh(_trimesh().creation.icosphere(subdivisions=fineness), True)
+    half = 36 if copies <= 10 else 18 if copies <= 200 else 9 if copies <= 2000 else 5
+    angle = np.pi / half * np.arange(half + 1)  # from the lower pole
+    outline = np.stack([np.sin(angle), -np.cos(angle)], axis=1).round(15)  # on z at both ends
+    return _turned(outline, True, 2 * half)
 
 
 def _particles_surface(system: System, body: Body, kind: int, copies: int) -> _Surface:
@@ -355,9 +374,8 @@ def surface_of_wall(files: Files, wall: Any, size: float) -> SurfaceMesh:
         return box(upper - lower).moved(np.eye(3), 0.5 * (lower + upper))
     if wall.type == "cylinder":
         axis = np.array(wall.axis) / np.linalg.norm(wall.axis)
-        R = _trimesh().geometry.align_vectors([0.0, 0.0, 1.0], axis)[:3, :3]
-        made = _trimesh().creation.cylinder(wall.radius, wall.length, sections=_FACETS)
-        return _as_mesh(made).moved(R, np.array(wall.centre))
+        turn = np.stack([*axes_across(axis), axis], axis=1)
+        return _turned(_tube(wall.radius, wall.length)).moved(turn, np.array(wall.centre))
     vertices, faces = triangles_of(files.read(wall.file))
     turn = rotation_matrix(quaternion_of(wall.orientation))
     return SurfaceMesh(wall.scale * vertices, faces).moved(turn, np.array(wall.position))

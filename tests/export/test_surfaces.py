@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("trimesh")
-
 from particlerb.case.to_system import to_system
 from particlerb.export.surfaces import Surfaces, equal_ellipsoid, walls_of
 from particlerb.model.state import as_frame
@@ -101,9 +99,33 @@ def test_every_shape_has_a_surface_around_its_centre_of_mass(shape):
     assert np.mean(met) > 0.8  # a corner may be missed by rounding
 
 
-def test_a_mesh_and_spheres_are_shown_as_they_are(tmp_path):
-    import trimesh
+SOLIDS = [
+    (SHAPES[0], np.pi * 0.25 * 2.0),
+    (SHAPES[1], np.pi * (0.25 - 0.04) * 2.0),
+    (SHAPES[2], np.pi * 0.25 * 2.0 / 3.0),
+    (SHAPES[3], 2.0 * np.pi**2 * 0.2**2),
+    (SHAPES[4], 4.0 / 3.0 * np.pi * 0.5**3),
+    (SHAPES[5], 1.0 / 6.0),
+    (SHAPES[5] | {"vertices": [[1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 0, 1]]}, 1.0 / 6.0),
+]
 
+
+@pytest.mark.parametrize(("shape", "volume"), SOLIDS)
+def test_a_surface_is_closed_looks_outward_and_holds_the_volume_of_its_solid(shape, volume):
+    """By the divergence theorem over its triangles; 48 facets take off less than 1 %."""
+    mesh = surfaces({"name": "b", "shape": shape, "mass": 1.0}).of_kind(0).mesh
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1], corners[:, 2])
+    assert np.einsum("ij,ij->", corners[:, 0], normals) / 6.0 == pytest.approx(volume, rel=0.01)
+    _, vertex = np.unique(mesh.vertices.round(12), axis=0, return_inverse=True)
+    faces = vertex.reshape(-1)[mesh.faces]
+    edges = [(int(f[k]), int(f[k - 1])) for f in faces for k in range(3)]
+    assert len(set(edges)) == len(edges)  # each one once, and once the other way round
+    assert {(b, a) for a, b in edges} == set(edges)
+
+
+def test_a_mesh_and_spheres_are_shown_as_they_are(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box(extents=[2000.0, 1000.0, 500.0]).export(tmp_path / "b.stl")
     shape = {"type": "mesh", "file": str(tmp_path / "b.stl"), "scale": 1e-3}
     found = hit(surfaces({"name": "b", "shape": shape, "mass": 1.0}), [9, 0.2, 0.1], [-1, 0, 0])

@@ -275,6 +275,31 @@ def test_a_rod_of_a_pendulum_is_a_line_from_its_pivot(make, monkeypatch):
     assert np.allclose(rods[-1, 0], path[-1], rtol=0, atol=1e-12)
 
 
+@pytest.mark.plain
+def test_what_meets_a_linkage_is_drawn_as_it_is_without_trimesh(make, monkeypatch):
+    """A ball beside a chain was a square for who had only what the package needs, and no floor."""
+    from matplotlib.figure import Figure
+
+    from particlerb.studies.charts.linkage import draw_linkage, jointed
+
+    monkeypatch.setitem(sys.modules, "trimesh", None)  # as if it were not installed
+    ball = {"name": "ball", "shape": BALL, "mass": 1.0, "position": [2.0, 0, 0]}
+    case = linkage(make) | {"wall": [FLOOR | {"point": [0, 0, -2.0]}]}
+    case["body"] = [ball, case["body"][0] | {"contact": False}]
+    case["joint"] += [case["joint"][0] | {"body": "ball", "at": [2.0, 0, 0.5]}]
+    case["contact"] = heap(make)["contact"] | {"stiffness": 10.0}
+    with particlerb.run(case) as trajectory:
+        axes = Figure().add_subplot()
+        draw_linkage(axes, trajectory, jointed(trajectory), [0])
+    (floor,) = [line for line in axes.lines if line.get_zorder() < 1.0]
+    assert floor.get_xy1()[1] == pytest.approx(-2.0, rel=1e-12)
+    last = axes.collections[-1].get_paths()
+    corners = np.concatenate([path.vertices for path in last])
+    reach = np.linalg.norm(corners - corners.mean(axis=0), axis=1)
+    assert 0.099 < reach.max() < 0.101
+    assert len(last) > 500  # a box has 21
+
+
 def test_the_axis_of_a_flip_turns_over(make, monkeypatch):
     figure, _ = drawn(flip(make), monkeypatch)
     (line,) = panel(figure, "angle of the y axis of body").lines
@@ -303,7 +328,6 @@ def test_a_wall_that_moves_is_drawn_where_it_is(make, monkeypatch):
     figure, _ = drawn(case, monkeypatch)
     (floor,) = [line for line in figure.axes[0].lines if line.get_zorder() < 1.0]
     assert floor.get_xy1()[1] == pytest.approx(0.01, rel=1e-12)
-    pytest.importorskip("trimesh")
     (outline,) = [c for c in figure.axes[0].collections if c.get_zorder() < 0.5]
     ends = np.concatenate(outline.get_segments()) - [0.6, 0.5]
     assert np.allclose(np.linalg.norm(ends, axis=1), 2.0, rtol=1e-12)

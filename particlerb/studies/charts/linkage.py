@@ -77,7 +77,9 @@ def draw_linkage(axes: Axes, trajectory: Trajectory, scene: Linkage, bodies: lis
     fixed = [place[None] for ends in distances for b, _, place in ends if b == WORLD]
     joined = [p for rows in (corners, circles, hinges) for row in rows for p in row]
     everywhere = np.concatenate([*joined, *fixed])
-    view, names = _view(trajectory, everywhere)
+    view, names, shown = _view(trajectory, everywhere)
+    if shown:
+        solids.draw_walls(axes, trajectory, frames[-1], shown)
     for path in np.moveaxis(x @ view.T, 1, 0):
         axes.plot(*path[:, :2].T, color=COLOURS[1], lw=0.9, alpha=0.7, zorder=1.0)
     for k in range(len(frames)):
@@ -97,8 +99,8 @@ def draw_linkage(axes: Axes, trajectory: Trajectory, scene: Linkage, bodies: lis
                 axes.plot(*end[:2], "o", ms=4, mfc="white", **line)
         for ends in distances:
             places = [place if b == WORLD else hinges[k][b][n] for b, n, place in ends]
-            shown = np.array(places) @ view.T
-            axes.plot(*shown.T[:2], "-o", ms=4, mfc="white", lw=2.2 if is_last else 1.2, **line)
+            seen = np.array(places) @ view.T
+            axes.plot(*seen.T[:2], "-o", ms=4, mfc="white", lw=2.2 if is_last else 1.2, **line)
     axes.update_datalim((everywhere @ view.T)[:, :2])
     times = ", ".join(f"{trajectory.time[frame]:.3g}" for frame in frames)
     title = f"t = {times} s (blue); orange: paths of centres"
@@ -186,11 +188,11 @@ def _ring(trajectory: Trajectory, body: int, axes: list[Floats], points: Floats)
     return np.asarray(radius * (np.cos(angle) * first + np.sin(angle) * second))
 
 
-def _view(trajectory: Trajectory, points: Floats) -> tuple[Floats, tuple[str, str]]:
-    """Rows to the right, upwards and away, and names of the axes: along an axis, or at an angle."""
-    across, up = side_axes(trajectory, points)
+def _view(trajectory: Trajectory, points: Floats) -> tuple[Floats, tuple[str, str], list[int]]:
+    """Rows to the right, upwards and away, names of the axes, and these: none at an angle."""
+    across, up = shown = side_axes(trajectory, points)
     away = 3 - across - up
     extent = np.ptp(points, axis=0)
     if extent[away] < _MIN_DEPTH_RATIO * extent.max():
-        return view_along(across, up), (f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]")
-    return view_at_angle(up), (ANGLED, f"upwards: {'xyz'[up]} [m]")
+        return view_along(across, up), (f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]"), shown
+    return view_at_angle(up), (ANGLED, f"upwards: {'xyz'[up]} [m]"), []

@@ -59,16 +59,13 @@ def system_of(trajectory: Trajectory) -> System | None:
 def solids_of(trajectory: Trajectory) -> list[SurfaceMesh | None]:
     """Surface of each body in its frame, from the centre of mass; None where it has none.
 
-    Without trimesh, which makes all but boxes, or where the case cannot be made again, no body has.
+    Where the case cannot be made again no body has.
     """
     none: list[SurfaceMesh | None] = [None] * trajectory.n_bodies
     system = system_of(trajectory)
-    try:
-        if system is None:
-            return none
-        surfaces = Surfaces(system)
-    except ImportError:
+    if system is None:
         return none
+    surfaces = Surfaces(system)
     has_surface = [_has_surface(body) for body in system.body]
     meshes = [
         surfaces.of_kind(kind).mesh if has_surface[block] else None
@@ -199,13 +196,13 @@ def draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int])
 def _draw_outline(
     axes: Axes, trajectory: Trajectory, wall: Any, turn: Floats, shift: Floats, shown: list[int]
 ) -> None:
-    """Outline and edges of a wall, front and back; nothing without trimesh or its triangles.
+    """Outline and edges of a wall, front and back; nothing without its file of triangles.
 
     Rims of openings are pale: nothing closes them.
     """
     try:
         mesh = surface_of_wall(trajectory.case.source.files, wall, 1.0).moved(turn, shift)
-    except (ImportError, OSError, ValueError):
+    except (OSError, ValueError):
         return
     placed = mesh._replace(vertices=mesh.vertices @ view_along(*shown).T)
     normal = _normals(placed)
