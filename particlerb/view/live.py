@@ -18,9 +18,10 @@ from particlerb.export.surfaces import meet
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import rotate
 from particlerb.model.system import System
+from particlerb.view import number_tables
 from particlerb.view.arrows import Arrows
 from particlerb.view.controls import ALONG_VIEW, AXES, INTO_SURFACE, Controls
-from particlerb.view.number_tables import BodyMotion, hand_part, motion_of, push_part, state_parts
+from particlerb.view.number_tables import BodyMotion
 from particlerb.view.page import NUMBERS_EVERY, UPDATES, Page, note
 from particlerb.view.recording import recorded
 from particlerb.view.server import finite, vector
@@ -41,6 +42,7 @@ _REAL_TIME_SECONDS: Final = (1.0, 60.0)  # that a case lasts whose clock runs as
 _WATCHED_SECONDS: Final = 20.0  # in which any other case is over
 _PUSH_PER_MASS: Final = 25.0  # N/kg, of the force that stands in its field at first
 _TO_POINT: Final = np.array([0.4, 0.4, -1.0])  # from the centre, to a point that a push turns about
+_NOISE: Final = 1e-12  # of the fastest motion so far, in what turns
 MOST_SAVED: Final = 100  # sessions that are written before a new start
 
 
@@ -94,7 +96,7 @@ class Live(Page):
         self.arrows.forget()
         self.history: deque[tuple[float, ...]] = deque(maxlen=_MAX_CHART_POINTS)
         self.reference: tuple[float, float] | None = None  # energy error, |L| after the push
-        self.next_numbers = self.next_charts = 0.0
+        self.next_numbers = self.next_charts = self.speed_so_far = 0.0
 
     def corner(self) -> Floats:
         """A point of the surface of the body that is looked at, far from its centre [m]."""
@@ -312,15 +314,22 @@ class Live(Page):
         """Bring the page up to the state of the session."""
         session = self.session
         position, q, p, L, _, _ = session.frame
-        motion = motion_of(session.system, self.body, position[0], q[0], p[0], L[0])
+        motion = number_tables.motion_of(session.system, self.body, position[0], q[0], p[0], L[0])
+        self.speed_so_far = max(
+            self.speed_so_far, number_tables.fastest(session.system, p[0], L[0])
+        )
+        rim = float(np.linalg.norm(motion.angular_velocity)) * self.stage.surfaces.reach[self.body]
+        turns = rim >= _NOISE * self.speed_so_far
+        still = {} if turns else {"angular_velocity": np.zeros(3), "angular_momentum": np.zeros(3)}
+        seen = motion._replace(**still)
         follow = self.body if self.controls.shown["follow"].value else None
         with self.server.atomic():
             self.stage.show(position[0], q[0], follow)
             frame = session.system.bodies.rotor_frame[:, self.body]
-            self.arrows.draw(session, motion, frame, self.arm)
+            self.arrows.draw(session, seen, frame, self.arm)
         kinetic, total = session.entries.kinetic_energy[0], session.entries.energy[0]
         if not self.history or self.history[-1][0] != session.time:
-            rates = tuple(motion.angular_velocity.tolist())
+            rates = tuple(seen.angular_velocity.tolist())
             self.history.append((session.time, *rates, float(kinetic), float(total)))
         if now >= self.next_numbers:
             self.next_numbers = now + NUMBERS_EVERY
@@ -334,16 +343,16 @@ class Live(Page):
     def write(self, motion: BodyMotion) -> None:
         """The table of numbers and the line of the clock."""
         session, b = self.session, self.body
-        parts = state_parts(session.system, b, motion)
+        parts = number_tables.state_parts(session.system, b, motion, self.speed_so_far)
         last, end = session.last.get(b), session.ends.get(b)
         if last is not None:
-            parts = [push_part(last, self.drift(last, motion)), *parts]
+            parts = [number_tables.push_part(last, self.drift(last, motion)), *parts]
             joints = self.stage.joints
             if joints is None or b not in joints.held:  # whose joints push too
                 rows = () if end is None else tuple(values[0] for values in end[:4])
-                met = motion_of(session.system, b, *rows) if rows else motion
+                met = number_tables.motion_of(session.system, b, *rows) if rows else motion
                 told = end is not None, session.has_gravity
-                parts = [hand_part(session.system, last, met, *told), *parts]
+                parts = [number_tables.hand_part(session.system, last, met, *told), *parts]
         self.write_numbers(parts)
         state = "running" if self.is_running else "paused"
         state = "waits for a push" if self.waits else state

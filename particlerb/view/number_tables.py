@@ -110,8 +110,19 @@ def euler_deg(q: Floats) -> Floats:
     return np.degrees([roll, pitch, yaw])
 
 
-def state_parts(system: System, b: int, motion: BodyMotion) -> list[NumberGroup]:
-    """Everything that is known of a body now."""
+def fastest(system: System, p: Floats, L: Floats) -> float:
+    """About how fast the fastest point of all bodies is [m/s], from momenta (N, 3)."""
+    reach = np.maximum(system.reach[system.kind], 1e-300)
+    speeds = np.linalg.norm(p, axis=1) + np.linalg.norm(L, axis=1) / reach
+    return float((speeds / system.bodies.mass).max())
+
+
+def state_parts(
+    system: System, b: int, motion: BodyMotion, speed: float = 0.0
+) -> list[NumberGroup]:
+    """Everything that is known of a body now, beside a speed [m/s] of the whole scene."""
+    M, reach = float(system.bodies.mass[b]), float(system.reach[system.kind[b]])
+    rate = speed / max(reach, 1e-300)
     q = motion.orientation
     body = inertia_in_body(system.bodies, b)
     R = rotation_matrix(q)
@@ -128,14 +139,14 @@ def state_parts(system: System, b: int, motion: BodyMotion) -> list[NumberGroup]
         row("euler", "roll pitch yaw  °", euler_deg(q)),
     )
     moves = (
-        row("velocity", "v  m/s", motion.velocity),
-        row("angular_velocity", "ω  rad/s", motion.angular_velocity),
-        row("angular_velocity_body", "ω, body axes", spin),
-        row("linear_momentum", "P  kg m/s", motion.linear_momentum),
-        row("angular_momentum", "L  kg m²/s", motion.angular_momentum),
+        row("velocity", "v  m/s", motion.velocity, speed),
+        row("angular_velocity", "ω  rad/s", motion.angular_velocity, rate),
+        row("angular_velocity_body", "ω, body axes", spin, rate),
+        row("linear_momentum", "P  kg m/s", motion.linear_momentum, M * speed),
+        row("angular_momentum", "L  kg m²/s", motion.angular_momentum, M * reach * speed),
         row("kinetic_energy", "energy  J", [motion.kinetic_energy]),
     )
-    mass = (row("mass", "mass  kg", [system.bodies.mass[b]]),)
+    mass = (row("mass", "mass  kg", [M]),)
     principal = (row("moments", "principal", np.sort(system.bodies.inertia[:, b])),)
     return [
         NumberGroup("where", where),

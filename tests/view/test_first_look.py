@@ -80,3 +80,20 @@ def test_arrows_have_names_unless_they_turn_fast(live):
     assert stage.arrow_names["L"].visible
     stage.name_arrow("L", start, np.array([[-1.0, 0.0, 0.0]]))
     assert not stage.arrow_names["L"].visible
+
+
+def test_what_rounding_leaves_of_a_turn_is_no_arrow_no_chart_and_no_number(live):
+    """Balls of a cradle turn at 4e-14 rad/s: the page drew that as its largest ω."""
+    session, spin = live.session, np.array([0.0, 4e-14, 0.0])
+    frame = session.frame
+    mass, inertia = session.system.bodies.mass[0], session.system.bodies.inertia[:, 0]
+    for rate, is_seen in ((spin, False), (1e6 * spin, True)):
+        live.reset()
+        momenta = np.array([[[mass, 0.0, 0.0]]]), (inertia * rate)[None, None]
+        session.frame = frame._replace(linear_momentum=momenta[0], angular_momentum=momenta[1])
+        session.time += 1.0
+        live.show(0.0)
+        drawn = [arrow in live.stage.arrows for arrow in ("omega", "L")]
+        assert drawn == [is_seen, is_seen]
+        assert any(live.history[-1][1:4]) == is_seen
+        assert (">0<i>…</i>" in str(live.numbers.content)) != is_seen
