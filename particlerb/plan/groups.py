@@ -7,7 +7,7 @@ through others, are a cluster and share one too, with copies of it; asymmetric b
 import itertools
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -24,11 +24,14 @@ from particlerb.plan.known_courses import Behind
 from particlerb.plan.links import AnyLink, attracted, components
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
+_Part = TypeVar("_Part")
+
 
 class GroupForces(NamedTuple):
     """Bodies that share a group, and all that ever acts on them."""
 
     members: Ints  # (n,) bodies of the system
+    is_held: Bools  # (n,) whether nothing can push them
     forces: list[Forces]  # on each of them
     links: list[AnyLink]  # among them, with numbers of the system
     attracts: bool  # whether they attract each other
@@ -53,28 +56,44 @@ def groups_of(
     ends = [end[end != WORLD] for tie in ties for end in (tie.first, tie.second)]
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     absent = bound if system.merging is None else np.union1d(bound, system.merging.guests)
+    is_held = system.is_held
     groups = [
-        GroupForces(members, forces, [], False, False)
+        GroupForces(members, is_held[members], forces, [], False, False)
         for members, forces in _groups_alone(system, loads, absent, apart)
     ]
     together = solid if joints is None else joints.solved_with(solid)
     label = components(len(system.kind), ties, heavy, together)
-    for members in clusters(system, loads, links, label, bound, apart, acting):
-        is_member = np.zeros(len(system.kind), dtype=bool)
-        is_member[members] = True
-        inside = [within(link, is_member) for link in links if is_member[link.first].any()]
-        attracts = bool(heavy.size) and bool(is_member[heavy[0]])
-        tied = joints if acting is not None and is_member[acting.first].any() else None
-        touches = bool(together.size) and bool(is_member[together[0]])
-        forces = _aligned(loads, members)
-        groups.append(GroupForces(members, forces, inside, attracts, touches, tied))
+    found = clusters(system, loads, links, label, bound, apart, acting)
+    number = np.full(len(system.kind), -1)  # of the group of each body
+    for k, members in enumerate(found):
+        number[members] = k
+    links_of = _by_group([(link, number[link.first]) for link in links])
+    loads_on = _by_group([(load, number[load.members]) for load in loads])
+    for k, members in enumerate(found):
+        inside = [within(link, number[link.first] == k) for link in links_of[k]]
+        attracts = bool(heavy.size) and bool(number[heavy[0]] == k)
+        tied = joints if acting is not None and (number[acting.first] == k).any() else None
+        touches = bool(together.size) and bool(number[together[0]] == k)
+        forces = _aligned(loads_on[k], members)
+        own = members, is_held[members], forces
+        groups.append(GroupForces(*own, inside, attracts, touches, tied))
     return sorted(groups, key=lambda group: int(group.members.min()))
+
+
+def _by_group(parts: Sequence[tuple[_Part, Ints]]) -> defaultdict[int, list[_Part]]:
+    """What acts in each group, in order, from the groups of the bodies that each part acts on."""
+    in_group: defaultdict[int, list[_Part]] = defaultdict(list)
+    for part, numbers in parts:
+        for k in np.unique(numbers).tolist():
+            in_group[k].append(part)
+    return in_group
 
 
 def part_of(group: GroupForces, index: Ints) -> GroupForces:
     """Some bodies of a group that do not act on each other."""
     forces = [Forces(form, numbers[:, index]) for form, numbers in group.forces]
-    return group._replace(members=group.members[index], forces=forces)
+    members, is_held = group.members[index], group.is_held[index]
+    return group._replace(members=members, is_held=is_held, forces=forces)
 
 
 def _groups_alone(
@@ -151,9 +170,9 @@ def clusters(
     return [members[np.argsort(~is_asymmetric[members], kind="stable")] for members in groups]
 
 
-def within(link: AnyLink, is_member: Bools) -> AnyLink:
-    """The pairs of a link on bodies of a cluster."""
-    pairs = np.flatnonzero(is_member[link.first])
+def within(link: AnyLink, is_inside: Bools) -> AnyLink:
+    """Those pairs of a link."""
+    pairs = np.flatnonzero(is_inside)
     values = {name: getattr(link, name)[..., pairs] for name in link._fields[2:]}
     return link._replace(**values)
 

@@ -68,7 +68,8 @@ def make_plan(
     cut = [part for one in grouped for part in segments.cut_into_segments(system, one, *setting)]
     cut.sort(key=lambda group: int(group.members.min()))
     segments.refuse_method(system, cut)
-    stepped = tuple(time_step.with_steps(group, time_step.step(system, group)) for group in cut)
+    steps = [time_step.step(system, group) for group in cut]
+    stepped = tuple(map(time_step.with_steps, cut, steps))
     time_step.refuse_endless(system, stepped)
     choice = [choose(group) for group in stepped]
     groups = tuple(
@@ -82,7 +83,7 @@ def make_plan(
         return segments.Plan(groups, "", ())
     told = [*(coarse(system) if now is None else ()), *time_step.growing_contacts(system, groups)]
     warnings = (*map(time_step.as_warning, told), *time_step.step_warnings(system, groups))
-    return segments.Plan(groups, time_step.step_reason(system, groups, choice), warnings)
+    return segments.Plan(groups, time_step.step_reason(system, groups, steps, choice), warnings)
 
 
 def _links_on_hosts(system: System) -> list[AnyLink]:

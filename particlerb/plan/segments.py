@@ -135,7 +135,7 @@ def cut_into_segments(
         driven = group.joints.drives_among(group.members)
         edges.update(*(course.knots.tolist() for course in driven))
     starts = sorted(edge for edge in edges if begin <= edge < np.inf)
-    bodies = held(taken(system.bodies, members), system.is_held[members])
+    bodies = held(taken(system.bodies, members), group.is_held)
     between: dict[tuple[int, ...], Terms] = {}  # by released joints and the numbers of the links
     stretches: list[Stretch] = []
     idle = acting_terms(system, bodies, [], begin)

@@ -255,9 +255,12 @@ def stepped_by(group: GroupPlan, chosen: Stepping) -> GroupPlan:
 
 
 def step_reason(
-    system: System, groups: tuple[GroupPlan, ...], choice: Sequence[Stepping | None]
+    system: System,
+    groups: tuple[GroupPlan, ...],
+    steps: Sequence[float],
+    choice: Sequence[Stepping | None],
 ) -> str:
-    """The steps in words, and why these."""
+    """The steps in words, and why these; `steps` are those that `step` has found, of each group."""
     stepped = [group for group in groups if group.stepped]
     if not stepped:
         unused = "" if system.run.dt is None else ", and run.dt is not used"
@@ -270,13 +273,13 @@ def step_reason(
         return f"{packs} take their own, error {system.run.tolerance!r} in each"
     if system.run.dt is not None:
         return f"{system.run.dt!r} s, as the case says"
-    steps = {step(system, group) for group in stepped}
+    distinct = {dt for group, dt in zip(groups, steps, strict=True) if group.stepped}
     rule = f"the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
-    if len(steps) > 1:
-        return f"{min(steps):.6g} s to {max(steps):.6g} s, for each group {rule}"
-    (dt,) = steps
-    rate = max(fastest_rate(system, group) for group in stepped)
-    why = "run.every" if dt == system.run.every else f"{RADIANS_PER_STEP} / ({rate:.6g} rad/s)"
+    if len(distinct) > 1:
+        return f"{min(distinct):.6g} s to {max(distinct):.6g} s, for each group {rule}"
+    (dt,) = distinct
+    by_rate = f"{RADIANS_PER_STEP} / ({RADIANS_PER_STEP / dt:.6g} rad/s)"
+    why = "run.every" if dt == system.run.every else by_rate
     if (by_impulses := min(impulse_step(system, group) for group in stepped)) < math.inf:
         rule = f"the smallest of run.every, {IMPULSE_RULE}, and {RADIANS_PER_STEP} / fastest rate"
         if dt == by_impulses:
