@@ -12,6 +12,7 @@ import numpy as np
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.ranks import Ranks
 
+SPARE: Final = 4.0  # skins beyond one within which a rank has copies, so that they serve for longer
 _N_BINS: Final = 1024  # places where space may be cut, and then where the bin of the cut may
 _MAX_REFINEMENTS: Final = 6  # beyond them places differ by rounding
 _MAX_CUT_ERROR: Final = 0.01  # bodies by which a cut may miss, in those of a brick
@@ -148,7 +149,8 @@ def shares_of_bricks(points: Floats, reach: Floats, skin: float, ranks: Ranks) -
         Of which one asks for all.
     """
     bricks = Bricks(points, ranks)
-    owner, far = bricks.owners(points), reach + float(reach.max(initial=0.0)) + skin
+    near = reach + float(reach.max(initial=0.0))
+    owner, far = bricks.owners(points), near + (1.0 + SPARE) * skin
     copies = [
         int(((bricks.distances(points, k) < far) & (owner != k)).sum()) for k in range(ranks.count)
     ]

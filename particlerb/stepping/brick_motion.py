@@ -116,9 +116,13 @@ class BrickMotion(SharedMotion):
         self.lists.count_cost(n_spheres)
 
     def migrate(self) -> None:
-        """Let bodies go to the ranks in whose bricks they are, with what their contacts keep."""
-        if self.lists.count == 0:
-            return  # they are where they belong
+        """Let bodies go to the ranks in whose bricks they are, with what their contacts keep.
+
+        As long as each rank has all ghosts that new lists need, they stay where they are.
+        """
+        moved = (self.values(0, 3) - self.origin)[:, self.is_own & self.is_free[self.local]]
+        if self.lists.count == 0 or self.domains.serve(moved, self.lists.skin):
+            return
         ranks, old = self.ranks, self.lists
         rows, local_own = self.body_rows(), np.flatnonzero(self.is_own)
         moves = self.is_free[self.local[local_own]]

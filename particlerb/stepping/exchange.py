@@ -13,7 +13,7 @@ from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.sphere_search import KEY_BITS
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.bricks import Bricks
+from particlerb.model.bricks import SPARE, Bricks
 from particlerb.model.state import State, state_of
 from particlerb.model.superblocks import parts_of, writers
 from particlerb.ranks import Rows
@@ -99,6 +99,7 @@ class Domains:
         self.exchange, self.ranks = exchange, exchange.ranks
         self.bound = bounding_radii(exchange.model.spheres, exchange.is_free.size)
         self.reach = float(self.bound[exchange.is_free].max(initial=0.0))
+        self.cover = 0.0  # [m] skin with which ghosts were found
         self.border: dict[int, Ints] = {}  # bodies here of which a rank has ghosts,
         self.ghosts: dict[int, Ints] = {}  # and bodies of which ghosts of it are here
         self.fit(com)
@@ -127,12 +128,14 @@ class Domains:
     def ghosts_of(self, bodies: Ints, rows: Floats, skin: float) -> tuple[Floats, Ints]:
         """Bodies of other ranks that may touch those of this one: rows, and who they are.
 
-        A rank without bodies gets a ghost of one, so that it has something to go through.
+        They are those of lists with this skin, and of some more, for as long as `serve` says. A
+        rank without bodies gets a ghost of one, so that it has something to go through.
         """
         ranks, free = self.ranks, self.exchange.is_free[bodies]
         counts = ranks.gathered(int(free.sum()))
         com = np.ascontiguousarray(rows[:, :3].T)
-        far = _DISTANCE_MARGIN * (self.bound[bodies] + self.reach + skin)
+        self.cover = (1.0 + SPARE) * skin
+        far = _DISTANCE_MARGIN * (self.bound[bodies] + self.reach + self.cover)
         leaders = [k for k, count in enumerate(counts) if count]
         out, self.border = [], {}
         for k, count in enumerate(counts):
@@ -147,6 +150,14 @@ class Domains:
         numbers = [of[:, 0].astype(np.int64) for of in received]
         self.ghosts = {k: of for k, of in enumerate(numbers) if of.size}
         return np.concatenate(received)[:, 1:], np.concatenate(numbers)
+
+    def serve(self, moved: Floats, skin: float) -> bool:
+        """Whether ranks have all ghosts for lists with a skin, as far as bodies (3, n) have moved.
+
+        Two that were too far apart may have come nearer by twice the longest way.
+        """
+        path = np.sqrt((moved * moved).sum(axis=0).max(initial=0.0))
+        return bool(2.0 * self.ranks.largest(np.array([path]))[0] + skin <= self.cover)
 
 
 class Swap:
