@@ -16,7 +16,7 @@ from particlerb.cli.bodies import case_of, holds_bodies, is_case, named_bodies
 from particlerb.cli.common import opened, output_of, to_write, writing
 from particlerb.cli.exit_codes import DONE, Ending, ending
 from particlerb.export import FORMATS, ExportError, export
-from particlerb.export.bodies import BODY_FORMATS, export_bodies, file_name
+from particlerb.export.bodies import BODY_FORMATS, export_bodies, file_name, write_texts
 from particlerb.words import count_of
 
 _SCENE_SUFFIXES: Final = {"mjcf": ".xml", "lammps": ".in"}  # of formats that hold a whole case
@@ -47,21 +47,20 @@ def _export_of_bodies(options: argparse.Namespace) -> int:
     bodies = [body for name in options.bodies or [None] for body in named_bodies(options, name)]
     stem = file_name(bodies[0].name if len(bodies) == 1 else Path(options.file).stem)
     path = output_of(options, Path(stem + BODY_FORMATS[options.to]), Path(options.file))
-    _with_others(path, [".rigid"] if options.to == "lammps" else [], options)
+    _find_room(path, [".rigid"] if options.to == "lammps" else [], options)
     with ending(ExportError), writing(path):
         written = export_bodies(bodies, path, options.to)
     print(f"written: {', '.join(map(str, written))}")
     return DONE
 
 
-def _with_others(path: Path, suffixes: Sequence[str], options: argparse.Namespace) -> list[Path]:
-    """A file and those that lie beside it, all of which may be written."""
+def _find_room(path: Path, suffixes: Sequence[str], options: argparse.Namespace) -> None:
+    """End the command where a file that is to lie beside another may not be written."""
     others = [path.with_suffix(suffix) for suffix in suffixes]
     if path in others:
         raise Ending(f"{path}: another file of this export has that name; give -o another suffix")
     for file in others:
         to_write(file, options.overwrite, Path(options.file))
-    return [path, *others]
 
 
 def _export_scene(options: argparse.Namespace, case: Case) -> int:
@@ -80,9 +79,8 @@ def _export_scene(options: argparse.Namespace, case: Case) -> int:
             texts = lammps_scene(system, step, path.stem)
         else:
             texts = {".xml": mjcf_scene(system, step)}
-        written = _with_others(path, list(texts)[1:], options)
-        for file, text in zip(written, texts.values(), strict=True):
-            file.write_text(text, encoding="utf-8")
+        _find_room(path, list(texts)[1:], options)
+        written = write_texts(path, texts)
     print(f"written: {', '.join(map(str, written))}")
     for line in re.findall(r"^\W*(left out: .*?)(?: -->)?$", next(iter(texts.values())), re.M):
         print(line)

@@ -10,6 +10,7 @@ import particlerb
 from particlerb.cli.common import PICTURES, amount, opened, output_of, writing
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
 from particlerb.model.state import STATE_FIELDS
+from particlerb.record.output_path import appearing
 from particlerb.record.parts import part_paths
 from particlerb.record.provenance import this_machine
 from particlerb.record.schema import CONTACTS
@@ -111,12 +112,12 @@ def plot_command(options: argparse.Namespace) -> int:
             near = difflib.get_close_matches(options.body, names, 3)
             hint = f"did you mean {' or '.join(near)}?" if near else f"the first is {names[0]}"
             raise Ending(f"{options.body}: no such body in {options.file}; {hint}")
-        with writing(path):
+        with writing(path), appearing(path) as (new,):
             if options.contacts:
                 from particlerb.studies.charts.contacts import draw_contacts
 
-                draw_contacts(trajectory, path)
+                draw_contacts(trajectory, new)
             else:
-                particlerb.plot(trajectory, path, body=options.body)
+                particlerb.plot(trajectory, new, body=options.body)
     print(f"written: {path}")
     return DONE

@@ -15,6 +15,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import read_case, to_write, writing
 from particlerb.cli.exit_codes import DONE, Ending, ending
+from particlerb.record.output_path import appearing
 
 
 def chart_command(options: argparse.Namespace) -> int:
@@ -78,12 +79,16 @@ def _show(
     """
     print(words.table(results))
     written = list(paths["csv"])
-    with writing(written[0]), written[0].open("w", newline="", encoding="utf-8") as file:
+    with (
+        writing(written[0]),
+        appearing(written[0]) as (new,),
+        new.open("w", newline="", encoding="utf-8") as file,
+    ):
         csv.writer(file).writerows(words.csv_rows(results))
     for name, draw in pictures.items():
         for path in paths[name]:
-            with writing(path):
-                draw(results, path)
+            with writing(path), appearing(path) as (new,):
+                draw(results, new)
             written.append(path)
     print(f"written: {', '.join(map(str, written))}")
     return DONE

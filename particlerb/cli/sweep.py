@@ -16,8 +16,9 @@ import numpy as np
 from tqdm import tqdm
 
 from particlerb.case.problems import CaseError
-from particlerb.cli.common import PICTURES, named_output, read_case, to_write
+from particlerb.cli.common import PICTURES, named_output, read_case, to_write, writing
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
+from particlerb.record.output_path import appearing
 from particlerb.sweeping.driver import sweep
 from particlerb.sweeping.executors import NoExecutorError, Workers, cluster
 from particlerb.sweeping.table import SweepRows, means_beside
@@ -92,7 +93,8 @@ def _plot(table: SweepRows, title: str, path: Path) -> bool:
     axes = [(name, numbers[name]) for name in varied if name in numbers]
     values = [(name, numbers[name]) for name in table.values or ("energy_drift",)]
     if axes:
-        draw_sweep(title, axes, values, path)
+        with writing(path), appearing(path) as (new,):
+            draw_sweep(title, axes, values, new)
     return bool(axes)
 
 

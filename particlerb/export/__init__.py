@@ -5,8 +5,6 @@ memory. What a format cannot hold, or a file was not asked to record, is said be
 written. The formats know of no command line.
 """
 
-import contextlib
-import os
 from collections.abc import Collection, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +16,7 @@ import numpy as np
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import derived
-from particlerb.record.output_path import output_path
+from particlerb.record.output_path import appearing
 from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, OBSERVED, SUMS
 from particlerb.record.trajectory import Contacts, Trajectory
 
@@ -157,22 +155,9 @@ def export(
     lacking = [name for name in writer.NEEDS if not is_known(trajectory, name)]
     if lacking:
         raise ExportError(f"{to} needs {', '.join(lacking)}, not recorded: see [output] fields")
-    with _appearing(path) as unfinished:
+    with appearing(path) as (unfinished,):
         writer.write(selection, unfinished)
     return len(selection.frames)
-
-
-@contextlib.contextmanager
-def _appearing(path: Path) -> Iterator[Path]:
-    """Give a file to write, which becomes the one at the path when it is whole."""
-    path = output_path(path, overwrite=True)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        yield unfinished
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def _chosen_fields(

@@ -10,7 +10,7 @@ ymport.textClumps of YADE, gsd.readthedocs.io for the shapes in gsd files.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from xml.etree import ElementTree as ET
@@ -23,6 +23,7 @@ from particlerb.geometry.mass_properties import MassProperties
 from particlerb.geometry.particles import Particles, one_kind
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import quaternions
+from particlerb.record.output_path import appearing
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
 
 COMMENT: Final = "made by particlerb; SI units"
@@ -92,14 +93,19 @@ def export_bodies(bodies: Sequence[NamedBody], path: Path, to: str) -> list[Path
         If a file cannot be written.
     """
     if to == "gsd":
-        _write_gsd(bodies, path)
+        with appearing(path) as (unfinished,):
+            _write_gsd(bodies, unfinished)
         return [path]
-    written: list[Path] = []
-    write = {"lammps": lammps, "mjcf": mjcf, "yade": yade}[to]
-    for suffix, text in write(bodies).items():
-        file = path.with_suffix(suffix) if written else path
-        file.write_text(text, encoding="utf-8")
-        written.append(file)
+    texts = {"lammps": lammps, "mjcf": mjcf, "yade": yade}[to](bodies)
+    return write_texts(path, texts)
+
+
+def write_texts(path: Path, texts: Mapping[str, str]) -> list[Path]:
+    """Write texts: the first at the path, the others beside it by their suffixes; the files."""
+    written = [path, *(path.with_suffix(suffix) for suffix in list(texts)[1:])]
+    with appearing(*written) as unfinished:
+        for file, text in zip(unfinished, texts.values(), strict=True):
+            file.write_text(text, encoding="utf-8")
     return written
 
 

@@ -1,8 +1,10 @@
 """Where a file is written: behind all links, and never in the place of what is no regular file."""
 
+import contextlib
 import errno
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 
 
@@ -57,3 +59,22 @@ def output_path(path: Path, overwrite: bool) -> Path:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(errno.EACCES, "its folder may not be written", str(folder))
     return place
+
+
+@contextlib.contextmanager
+def appearing(*paths: Path) -> Iterator[list[Path]]:
+    """Give files to write, which become those at the paths when all are whole.
+
+    Until then what was there stays. Their names have the same endings; errors as of `output_path`.
+    """
+    places = [output_path(path, overwrite=True) for path in paths]
+    unfinished = [place.with_name(f".{os.getpid()}.{place.name}") for place in places]
+    try:
+        for place in places:
+            place.parent.mkdir(parents=True, exist_ok=True)
+        yield unfinished
+        for new, place in zip(unfinished, places, strict=True):
+            new.replace(place)
+    finally:
+        for new in unfinished:
+            new.unlink(missing_ok=True)

@@ -267,8 +267,11 @@ class Live(Page):
         path, number = self.path, 1
         while True:
             try:
-                with path.open("x", encoding="utf-8") as file:
+                with path.open("x", encoding="utf-8") as file, contextlib.ExitStack() as torn:
+                    torn.callback(path.unlink)
                     file.write(text)
+                    file.flush()
+                    torn.pop_all()
                 break
             except FileExistsError:
                 number += 1

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import random
+import resource
 import threading
 import time
 from pathlib import Path
@@ -272,6 +273,22 @@ def test_sessions_are_saved_a_hundred_times_and_never_written_over(page, monkeyp
     assert page.path.read_text() == "old"
     assert not (tmp_path / "elsewhere.toml").exists()
     assert len(list(tmp_path.iterdir())) == 2 + MOST_SAVED
+
+
+def test_a_session_that_cannot_be_written_whole_leaves_no_file(page, monkeypatch, tmp_path):
+    monkeypatch.setattr(page, "path", tmp_path / "s.toml")
+    monkeypatch.setattr(page, "written", 0)
+    monkeypatch.setattr("particlerb.view.live.recorded", lambda session: "new" * 1000)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            page.save()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert list(tmp_path.iterdir()) == []
+    page.save()
+    assert page.path.read_text() == "new" * 1000
 
 
 def test_only_this_machine_is_listened_to(page):

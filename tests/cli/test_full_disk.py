@@ -1,0 +1,72 @@
+"""Commands whose file does not fit leave what was there, and nothing that is torn."""
+
+import contextlib
+import os
+import resource
+
+import pytest
+
+from particlerb.cli import main
+
+pytestmark = pytest.mark.once
+
+CASE = """
+[run]
+t_end = 0.2
+every = 0.1
+[[body]]
+name = "a"
+shape = { type = "points", position = [[0, 0, 0], [0, 1, 0], [1, 0, 0]], mass = 1.0, radius = 0.1 }
+angular_velocity = [1.0, 0.4, -0.7]
+"""
+OLD = "what was there before"
+ENOUGH_FOR_NO_FILE = 100
+
+
+@contextlib.contextmanager
+def full_disk():
+    """Files of this process cannot get longer than some bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (ENOUGH_FOR_NO_FILE, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.fixture(scope="module")
+def read(tmp_path_factory):
+    """A folder with a case and its trajectory."""
+    folder = tmp_path_factory.mktemp("read")
+    (folder / "a.toml").write_text(CASE)
+    assert main(["run", str(folder / "a.toml"), "-q", "-o", str(folder / "a.h5")]) == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        ("export a.h5 --to npz", ["out.npz"]),
+        ("export a.toml --bodies a --to mjcf", ["out.xml"]),
+        ("export a.toml --bodies a --to lammps", ["out.mol", "out.rigid"]),
+        ("export a.toml --bodies a --to gsd", ["out.gsd"]),
+        ("export a.toml --to mjcf", ["out.xml"]),
+        ("export a.toml --to lammps", ["out.in", "out.data"]),
+        ("plot a.h5", ["out.png"]),
+    ],
+)
+def test_a_file_that_does_not_fit_leaves_that_from_before(
+    read, tmp_path, monkeypatch, capsys, words, names
+):
+    monkeypatch.chdir(read)
+    argv = [*words.split(), "-o", str(tmp_path / names[0]), "--overwrite"]
+    for name in names:
+        (tmp_path / name).write_text(OLD)
+    with full_disk():
+        assert main(argv) == 1
+    err = capsys.readouterr().err
+    assert f"cannot write {tmp_path / names[0]}: {os.strerror(27)}" in err
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(names, OLD)
+    assert main(argv) == 0
+    assert {*names} <= {path.name for path in tmp_path.iterdir()}
+    assert all(OLD.encode() not in (tmp_path / name).read_bytes() for name in names)

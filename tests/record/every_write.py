@@ -1,0 +1,169 @@
+"""Lets every file operation of the commands beside `run` and `resume` fail.
+
+    python tests/record/every_write.py                # all of them; a table
+    python tests/record/every_write.py export plot    # those that begin so
+
+EIO once and from there on, and a disk that is full in the middle of a write. Each time: exit code 1
+with one message and no traceback, or 0 and what should be there; under each name the file from
+before, or the whole new one; and the same command does its work when the disk does. `run` and
+`resume` are left to `every_prefix.py`, and parts of ranks to `tests/ranks/test_prefixes.py`.
+"""
+
+import argparse
+import errno
+import os
+import sys
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+os.environ["NUMBA_DISABLE_JIT"] = "1"
+
+import tomlkit
+from crashes import Done, Fault, Session, build, in_folder, place, serve
+from every_prefix import contact, free
+
+from particlerb import cli
+
+WAYS = [(errno.EIO, "once"), (errno.EIO, "always"), (errno.ENOSPC, "full")]
+OUT = "watched/out"
+OLD = b"what was there before\n"
+GROWS = ("log", "sweep")
+"""Commands whose file is longer line by line; another run goes on with it."""
+SAVE = "save-session"
+
+
+def commands() -> dict[str, list[str]]:
+    """Command lines by name; files are named `out` with an ending."""
+    found = {}
+    for form, ending in {
+        "npz": "npz", "csv": "csv", "particles": "h5", "lammps": "dump", "contacts": "csv",
+        "gsd": "gsd", "h5": "h5",
+    }.items():  # fmt: skip
+        found[f"export {form}"] = ["export", "c.h5", "--to", form, "-o", f"{OUT}.{ending}"]
+    for form, ending in {"mjcf": "xml", "lammps": "mol", "yade": "txt", "gsd": "gsd"}.items():
+        words = ["export", "c.toml", "--bodies", "b", "--to", form, "-o", f"{OUT}.{ending}"]
+        found[f"export body {form}"] = words
+    for form, ending in {"mjcf": "xml", "lammps": "in"}.items():
+        found[f"export scene {form}"] = ["export", "c.toml", "--to", form, "-o", f"{OUT}.{ending}"]
+    found["plot"] = ["plot", "a.h5", "-o", f"{OUT}.png"]
+    found["plot contacts"] = ["plot", "c.h5", "--contacts", "-o", f"{OUT}.svg"]
+    found["converge"] = ["converge", "ball", "--most", "1000", "-o", OUT]
+    found["log"] = ["run", "a.toml", "-q", "--log", f"{OUT}.log", "-o", "b.h5", "--overwrite"]
+    found["sweep"] = ["sweep", "s.toml", "--workers", "1", "-o", f"{OUT}.csv"]
+    found["session"] = [SAVE, f"{OUT}.toml"]
+    return found
+
+
+def save_session(path: str) -> int:
+    """What the page's button does, and what it says on the page."""
+    from particlerb.view import live
+
+    text = "# a session\n" + "key = 1\n" * 2000
+    page: Any = SimpleNamespace(written=0, path=Path(path), session=MagicMock(), say=print)
+    live.recorded = lambda _: text
+    try:
+        live.Live.save(page)
+    except OSError as error:
+        print(f"particlerb: cannot write {path}: {error.strerror}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def prepared(folder: Path, session: Session) -> None:
+    """Cases and trajectories that the commands read."""
+    a, c = free(), contact()
+    s = a | {"sweep": {"axes": {"body.a.mass": [1.0, 2.0]}, "value": []}}
+    c["run"]["t_end"], c["run"]["every"] = 0.1, 0.05
+    for name, case in (("a", a), ("c", c), ("s", s)):
+        (folder / f"{name}.toml").write_text(tomlkit.dumps(case))
+    for name in "ac":
+        session.warm(["run", f"{name}.toml", "-q", "-o", f"{name}.h5"], folder)
+
+
+def torn(state: dict[str, bytes], before: dict[str, bytes], right: dict[str, bytes]) -> list[str]:
+    """Files that are neither those from before nor those that should be there."""
+    return [name for name, data in state.items() if data not in (before.get(name), right.get(name))]
+
+
+def complaint(done: Done, error: int) -> str:
+    """What is wrong with how a command took a fault."""
+    lines = done.err.strip().splitlines()
+    told = [line for line in lines if os.strerror(error) in line]
+    if done.code != 1 or "Traceback" in done.err or len(told) != 1:
+        return f"exit {done.code}: {done.err[-400:]}"
+    return ""
+
+
+def faults(
+    name: str, argv: list[str], folder: Path, session: Session
+) -> tuple[int, int, list[str]]:
+    """Operations, states, and what is wrong."""
+    watched, wrong, states = folder / "watched", [], 0
+    place({}, watched)
+    done = session.run(argv, watched, cwd=folder)
+    assert done.code == 0, done.err
+    right, n = in_folder(watched), len(done.operations)
+    befores: list[dict[str, bytes]] = [{}]
+    if name not in (*GROWS, "session"):
+        befores.append(dict.fromkeys(right, OLD))
+    for before in befores:
+        words = [*argv, *["--overwrite"] * bool(before)]
+        for k in range(n):
+            for error, how in WAYS:
+                states += 1
+                place(before, watched)
+                done = session.run(words, watched, Fault(k, error, how), folder)
+                state = in_folder(watched)
+                if how == "always":  # nor can be removed what is unfinished
+                    for left in [left for left in state if left.startswith(".")]:
+                        del state[left]
+                    place(state, watched)
+                what = f"{name} {k} {errno.errorcode[error]} {how} {'over' * bool(before)}"
+                if done.code == 0:
+                    if name != "log" and state != right:
+                        wrong.append(f"{what}: exit 0, and files are not as they should be")
+                    continue
+                if said := complaint(done, error):
+                    wrong.append(f"{what}: {said}")
+                if name not in GROWS and (bad := torn(state, before, right)):
+                    wrong.append(f"{what}: torn {bad}")
+                done = session.run(words, watched, cwd=folder)
+                if done.code or (name != "log" and in_folder(watched) != right):
+                    wrong.append(f"{what}: not done again: {done.code} {done.err[-200:]}")
+    return n, states, wrong
+
+
+def main() -> int:
+    """All commands, or some."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--table", type=Path)
+    options = parser.parse_args()
+    rows, is_right = ["command,operations,states,wrong"], True
+    memory = "/dev/shm" if os.path.isdir("/dev/shm") else None
+    with tempfile.TemporaryDirectory(dir=memory) as top:
+        folder = Path(top)
+        with Session(build(folder), script=__file__) as session:
+            prepared(folder, session)
+            for name, argv in commands().items():
+                if options.names and not name.startswith(tuple(options.names)):
+                    continue
+                n, states, wrong = faults(name, argv, folder, session)
+                rows.append(f"{name},{n},{states},{len(wrong)}")
+                is_right &= not wrong
+                print(rows[-1], *wrong, sep="\n", flush=True)
+    if options.table:
+        options.table.write_text("\n".join(rows) + "\n")
+    return 0 if is_right else 1
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--serve"]:
+        entry = cli.entry
+        cli.entry = lambda: sys.exit(save_session(sys.argv[2]) if sys.argv[1] == SAVE else entry())
+        serve(*sys.argv[2:4])
+    else:
+        sys.exit(main())
