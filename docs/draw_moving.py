@@ -1,4 +1,6 @@
-"""Draw the moving picture of README.md: a handle that turns over, and clumps that fall.
+"""Draw the moving picture of README.md, a handle that turns over and clumps that fall.
+
+Also the plot of the handle, dzhanibekov.png.
 
 python docs/draw_moving.py
 """
@@ -18,13 +20,15 @@ from particlerb.tables import BoxWall, ContactTable, GridPlacement, PointsShape,
 
 FRAMES, PER_SECOND = 90, 13
 PICTURE = Path(__file__).with_name("moving.gif")
+PLOT = PICTURE.with_name("dzhanibekov.png")
 
 
-def handle() -> Trajectory:
+def handle(frames: int = FRAMES) -> Trajectory:
     """A T-handle of balls that spins about its stem, the axis of its middle moment."""
     grip = [(x, 0.0, 0.5) for x in np.linspace(-1.0, 1.0, 15)]
     stem = [(0.0, 0.0, z) for z in np.linspace(0.35, -0.6, 8)]
-    scene = Scene(RunTable(t_end=10.0, every=10.0 / (FRAMES - 1)))
+    table = RunTable(t_end=10.0, every=10.0 / (frames - 1))
+    scene = Scene(table, title="A handle of 23 balls turns over")
     shape = PointsShape(position=grip + stem, mass=[0.1] * 23, radius=0.13)
     scene.add_body(name="handle", shape=shape, angular_velocity={"body": (0.03, 0.0, 3.0)})
     return particlerb.run(scene)
@@ -50,7 +54,8 @@ def heap() -> Trajectory:
 
 
 def main() -> None:
-    """Run both scenes and write the picture."""
+    """Run both scenes and write the pictures."""
+    handle(401).plot(PLOT)
     left, right = handle(), heap()
     figure, (turning, falling) = plt.subplots(1, 2, figsize=(7.0, 3.6), layout="constrained")
 

@@ -275,6 +275,23 @@ def test_a_rod_of_a_pendulum_is_a_line_from_its_pivot(make, monkeypatch):
     assert np.allclose(rods[-1, 0], path[-1], rtol=0, atol=1e-12)
 
 
+def test_a_body_of_loose_particles_is_drawn_by_these_as_it_turns_over(make):
+    """A T-handle was a plate, and nobody saw what turned over."""
+    from matplotlib.figure import Figure
+
+    from particlerb.studies.charts.bodies import draw_orientations
+
+    places = [[-1, 0, 0], [1, 0, 0], [0, 1, 0]]
+    handle = {"name": "handle", "shape": {"type": "points", "position": places, "mass": 1.0},
+              "angular_velocity": [0.01, 1.0, 0.0]}  # fmt: skip
+    with particlerb.run(make.case(handle, t_end=9.0, every=0.5)) as trajectory:
+        axes = Figure().add_subplot()
+        draw_orientations(axes, trajectory, 0)
+    assert axes.get_title().startswith("handle;")
+    first = axes.collections[0].get_paths()
+    assert len(first) > 1000  # triangles of three balls; a box has 21
+
+
 @pytest.mark.plain
 def test_what_meets_a_linkage_is_drawn_as_it_is_without_trimesh(make, monkeypatch):
     """A ball beside a chain was a square for who had only what the package needs, and no floor."""

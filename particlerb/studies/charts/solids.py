@@ -56,17 +56,17 @@ def system_of(trajectory: Trajectory) -> System | None:
     return None
 
 
-def solids_of(trajectory: Trajectory) -> list[SurfaceMesh | None]:
+def solids_of(trajectory: Trajectory, has_all: bool = False) -> list[SurfaceMesh | None]:
     """Surface of each body in its frame, from the centre of mass; None where it has none.
 
-    Where the case cannot be made again no body has.
+    Loose particles are one where `has_all`. Where the case cannot be made again no body has one.
     """
     none: list[SurfaceMesh | None] = [None] * trajectory.n_bodies
     system = system_of(trajectory)
     if system is None:
         return none
     surfaces = Surfaces(system)
-    has_surface = [_has_surface(body) for body in system.body]
+    has_surface = [has_all or _has_surface(body) for body in system.body]
     meshes = [
         surfaces.of_kind(kind).mesh if has_surface[block] else None
         for kind, block in zip(system.kind, system.block, strict=True)
