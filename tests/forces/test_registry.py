@@ -1,4 +1,4 @@
-"""The registry: a force is a file and a table, as CONTRIBUTING.md says; compiled once."""
+"""A force is a file and a table, a method a file and a name, as CONTRIBUTING.md says."""
 
 import math
 import os
@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import particlerb
+from particlerb import tables
 from particlerb.case.forces import FORCES as TABLES
 from particlerb.forces.registry import FORCES, KICKS, TERMS, complete
 
@@ -22,7 +23,7 @@ import numpy as np, particlerb
 from particlerb.compiled.jit import CACHE_FOLDER
 body = {"name": "body", "shape": {"type": "moments", "inertia": [1.0, 2.0, 2.5]}, "mass": 2.0,
         "velocity": [1.0, 0.0, 0.0], "angular_velocity": [0.3, 0.0, 0.2]}
-run = {"t_end": 0.8, "every": 0.8, "method": sys.argv[1], "dt": 0.1}
+run = {"t_end": 0.8, "every": 0.8, "method": sys.argv[1], "dt": float(sys.argv[2])}
 toy = {"type": "toy", "body": "body", "pull": 3.0}
 with particlerb.run({"run": run, "body": [body], "force": [toy]}) as t:
     print(*t.position[-1, 0], t.ledger.energy_error[-1], t.ledger.work[-1], CACHE_FOLDER)
@@ -31,22 +32,25 @@ with particlerb.run({"run": run, "body": [body], "force": [toy]}) as t:
 
 
 def example():
-    """The file and the table that CONTRIBUTING.md shows, by the path of the file."""
+    """The two files and the table that CONTRIBUTING.md shows, by the path of the file."""
     text = PAGE.read_text(encoding="utf-8")
-    text = text[text.index("**To add a force:**") :]
-    text = text[: text.index("**To add an integrator:**")]
+    text = text[text.index("## To add a force") :]
     pattern = r"`(particlerb/\S+\.py)`.*?```python\n(.*?)```"
     return dict(re.findall(pattern, text, re.DOTALL))
 
 
 @pytest.fixture
 def copy(tmp_path):
-    """A copy of the package with the force of CONTRIBUTING.md."""
+    """A copy of the package with the force and the method of CONTRIBUTING.md."""
     ignore = shutil.ignore_patterns("__pycache__")
     shutil.copytree(PACKAGE, tmp_path / "particlerb", ignore=ignore)
     parts = example()
-    assert list(parts) == ["particlerb/forces/toy.py", "particlerb/case/forces.py"]
-    (tmp_path / "particlerb/forces/toy.py").write_text(parts["particlerb/forces/toy.py"])
+    files = ["particlerb/forces/toy.py", "particlerb/integrators/yoshida4.py"]
+    assert list(parts) == [files[0], "particlerb/case/forces.py", files[1]]
+    for file in files:
+        (tmp_path / file).write_text(parts[file])
+    names = tmp_path / "particlerb/model/method_names.py"
+    names.write_text(names.read_text().replace('"exact",', '"exact", "yoshida4",'))
     tables = tmp_path / "particlerb/case/forces.py"
     text = tables.read_text().replace("| MagnusTable ", "| MagnusTable | ToyTable ")
     head, tail = text.split("AnyForce = (")
@@ -54,12 +58,12 @@ def copy(tmp_path):
     return tmp_path
 
 
-def run_copy(folder, method, cache, **flags):
+def run_copy(folder, method, cache, dt=0.1, **flags):
     """Numbers of the toy's run, the folder of compiled code, and the plan, by a copy."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
     environment |= {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache), **flags}
     done = subprocess.run(
-        [sys.executable, "-c", RUN, method],
+        [sys.executable, "-c", RUN, method, str(dt)],
         capture_output=True,
         text=True,
         check=False,
@@ -85,6 +89,17 @@ def test_the_force_of_the_page_acts_with_two_files(copy):
     assert re.search(r"toy +1 in the case", plan)
 
 
+def test_the_method_of_the_page_has_its_order(copy):
+    """Half the step has a sixteenth of the error."""
+    omega = (3.0 / 2.0) ** 0.5
+    errors = [
+        abs(run_copy(copy, "yoshida4", copy / "cache", dt, NUMBA_DISABLE_JIT="1")[0][0] - x)
+        for x in [math.sin(omega * 0.8) / omega]
+        for dt in (0.2, 0.1)
+    ]
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
+
+
 @pytest.mark.slow
 @pytest.mark.compiled
 def test_a_second_process_finds_the_kicks_in_the_cache(copy):
@@ -99,6 +114,7 @@ def test_a_second_process_finds_the_kicks_in_the_cache(copy):
 
 def test_every_table_has_a_force_and_every_name_is_there_once():
     assert list(FORCES) == list(TABLES)
+    assert {table.__name__ for table in TABLES.values()} <= set(dir(tables))
     assert len({kick.name for kick in KICKS}) == len(KICKS)
     assert len({term.name for term in TERMS.values()}) == len(TERMS)
     assert sum(kick.damp is not None for kick in KICKS) == 1  # two would not commute
