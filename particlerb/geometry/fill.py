@@ -69,14 +69,10 @@ class FilledShape(NamedTuple):
 def table(trials: Sequence[_Trial]) -> list[str]:
     """Lines of a table of trials, its head first."""
     has_volume = math.isfinite(trials[0].volume_error)
-    volume = [f"{'volume':>10}"] if has_volume else []
-    lines = [
-        "  ".join([f"{'n':>5}", f"{'particles':>9}", f"{'inertia':>9}", f"{'com':>9}", *volume])
-    ]
-    for trial in trials:
-        cells = [f"{trial.n:>5}", f"{trial.particles:>9}", f"{trial.inertia_error:>9.2e}"]
-        cells += [f"{trial.com_error:>9.2e}"] + [f"{trial.volume_error:>+10.2e}"] * has_volume
-        lines.append("  ".join(cells))
+    lines = [f"    n  particles    inertia        com{'      volume' * has_volume}"]
+    for n, particles, inertia, com, volume in trials:
+        line = f"{n:>5}  {particles:>9}  {inertia:>9.2e}  {com:>9.2e}"
+        lines.append(line + f"  {volume:>+10.2e}" * has_volume)
     return lines
 
 
@@ -96,11 +92,8 @@ def errors(particles: Particles, analytic: Analytic) -> tuple[float, float]:
 def differences(com: Floats, tensor: Floats, analytic: Analytic) -> tuple[float, float]:
     """The same of a com [m] and a tensor per mass [m²]."""
     gyration = math.sqrt(0.5 * np.trace(analytic.tensor))
-    off = float(np.linalg.norm(tensor - analytic.tensor, 2))
-    return (
-        off / float(np.linalg.norm(analytic.tensor, 2)),
-        float(np.linalg.norm(com - analytic.com)) / gyration,
-    )
+    off, size = np.linalg.norm([tensor - analytic.tensor, analytic.tensor], 2, axis=(1, 2))
+    return float(off) / float(size), float(np.linalg.norm(com - analytic.com)) / gyration
 
 
 def coarsest_within(
@@ -143,13 +136,9 @@ def coarsest_within(
 
 def _missed(wanted: float, trials: Sequence[_Trial]) -> str:
     """What was tried in vain."""
-    return "\n".join(
-        [
-            f"inertia_error = {wanted:g} is not met; the best of these has"
-            f" {min(trial.error for trial in trials):.3g}",
-            *table(trials),
-        ]
-    )
+    best = min(trial.error for trial in trials)
+    head = f"inertia_error = {wanted:g} is not met; the best of these has {best:.3g}"
+    return "\n".join([head, *table(trials)])
 
 
 # Meshes
@@ -216,11 +205,6 @@ def _spheres_in(
     """Inscribed spheres without mass, and six particles with all of it."""
     analytic = per_mass(solid)
 
-    def trial(count: int) -> _Trial:
-        union = union_solid(balls.centre[:count], balls.radius[:count])
-        off = differences(union.com, union.inertia / union.volume, analytic)
-        return _Trial(count, count + 6, *off, union.volume / solid.volume - 1.0)
-
     def filled(count: int, trials: Sequence[_Trial]) -> FilledShape:
         matter = equimomental_points(solid, mass)
         made = with_surface(matter, balls.centre[:count], balls.radius[:count])
@@ -237,7 +221,9 @@ def _spheres_in(
     trials: list[_Trial] = []
     count = 1
     while count <= len(balls.radius):
-        trials.append(trial(count))
+        union = union_solid(balls.centre[:count], balls.radius[:count])
+        off = differences(union.com, union.inertia / union.volume, analytic)
+        trials.append(_Trial(count, count + 6, *off, union.volume / solid.volume - 1.0))
         if trials[-1].error <= inertia_error:
             return filled(count, trials)
         count = max(count + 1, round(_SPHERES_RATIO * count))

@@ -270,17 +270,11 @@ def table(convergence: Convergence) -> str:
     """What the study found, a line per curve: law of the error, n and particles for some errors."""
     head = ("shape", "arrangement", "error", *(f"{wanted:g}" for wanted in WANTED))
     rows = [
-        (
-            c.shape,
-            c.arrangement,
-            _law_text(c),
-            *(_need_text(needed(c, wanted)) for wanted in WANTED),
-        )
+        (c.shape, c.arrangement, _law_text(c), *(_need_text(needed(c, w)) for w in WANTED))
         for c in convergence.curves
     ]
-    return f"{aligned([head, *rows])}\n\n" + _EXPLANATION.format(
-        most=convergence.most, cells=_MAX_CELLS
-    )
+    explanation = _EXPLANATION.format(most=convergence.most, cells=_MAX_CELLS)
+    return f"{aligned([head, *rows])}\n\n{explanation}"
 
 
 def _law_text(curve: Curve) -> str:

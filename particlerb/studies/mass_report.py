@@ -38,11 +38,9 @@ def record_of(body: NamedBody) -> dict[str, Any]:
     excess = float(moments[0] + moments[1] - moments[2])
     if moments[0] < 0.0 or excess < -_MAX_DEFICIT * moments[2]:
         raise ValueError(f"{name}: {impossible(moments)}")
-    tensors = body.properties.inertia_tensor
     with np.errstate(all="ignore"):
-        ratios = mass_properties.ratios(
-            *body.properties[:3], mass_properties.eigen_systems(tensors)[0]
-        )
+        eigenvalues, _ = mass_properties.eigen_systems(body.properties.inertia_tensor)
+        ratios = mass_properties.ratios(*body.properties[:3], eigenvalues)
     ratio = {key: float(value[0]) for key, value in ratios._asdict().items()}
     offset = 0.0 if code == POINT else ratio["offset"]  # of the com, in radii of gyration
     rounding = _UNIT_ROUNDOFF * (4.0 + 3.0 * math.hypot(1.0, offset))  # of the sums, relative
