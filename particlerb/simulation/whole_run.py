@@ -72,8 +72,8 @@ class Run:
         self.setup = joints_of(self.system) if asks else None
         ranks.together(lambda: self.start(plan, self.moving.state, {}))
         self.balance = EnergyBalance(self.totals_of(initial, self.initial_energies(initial)))
-        self.booked_before = np.zeros(7)  # before the last restart,
-        self.gross_work_before: Floats | float = 0.0  # and gross work of contacts [J]
+        self.booked_at_restart = np.zeros(7)  # until the last restart,
+        self.gross_work_at_restart: Floats | float = 0.0  # and gross work of contacts [J]
 
         self.joints: joint_values.JointValues | None = None  # of the last frames, if asked for
         self.broken: dict[int, float] = {}  # joints that broke before a restart, and when [s]
@@ -128,10 +128,10 @@ class Run:
         for group_run in self.group_runs:
             state, booked = group_run.finish(time)
             self.broken |= group_run.broken_until(time)
-            self.booked_before += booked
+            self.booked_at_restart += booked
             for values, group_values in zip(all_states, state, strict=True):
                 values[:, group_run.plan.members] = group_values
-        self.gross_work_before += sum(t.gross_work() for t in self.group_runs)
+        self.gross_work_at_restart += sum(t.gross_work() for t in self.group_runs)
         return all_states if self.moving.merging is None else self.moving.merging.apart(all_states)
 
     def restart(self, system: System, plan: Plan, state: State, last: Entries) -> None:
@@ -153,9 +153,9 @@ class Run:
                 run.motion.continue_joints(before)
         frame = as_frame(self.moving.bodies, state)
         now = self.totals_of(frame, self.initial_energies(frame))
-        self.booked_before[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
-        self.booked_before[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
-        self.booked_before[4:] += (now.angular_momentum - last.angular_momentum)[-1]
+        self.booked_at_restart[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
+        self.booked_at_restart[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
+        self.booked_at_restart[4:] += (now.angular_momentum - last.angular_momentum)[-1]
 
     @property
     def keyed_runs(self) -> list[tuple[int, str, GroupRun]]:
@@ -232,7 +232,7 @@ class Run:
         booked = self.over_ranks(booked_parts)
         energies = Energies(*(self.over_ranks(parts) for parts in zip(*beside, strict=True)))
         self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
-        booked += self.booked_before
+        booked += self.booked_at_restart
         now = self.totals_of(frames, energies, sums)
         is_finite = math.isfinite(np.add.reduce(now.sums, axis=None))
         verdict = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
@@ -251,7 +251,7 @@ class Run:
                 )
         if sound < times.size:
             frames, now = frames.rows(slice(sound)), Totals(now.sums[:sound])
-        gross_work = self.gross_work_before + sum(t.gross_work() for t in self.group_runs)
+        gross_work = self.gross_work_at_restart + sum(t.gross_work() for t in self.group_runs)
         entries = self.balance.enter(now, booked[:sound], gross_work)
         if self.moving.merging is not None:
             frames = self.moving.merging.shown(frames)
