@@ -17,22 +17,22 @@ pytestmark = pytest.mark.once
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 24267
+LINES_OF_CODE = 24237
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
     "closed forms under force": 1582,
-    "joints": 5770,
+    "joints": 5763,
     "contact with every method": 670,
     "contact by impulses": 4121,
-    "collisions by events": 1755,
+    "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2143,
     "scenes and simulations in Python": 707,
     "sweeps": 1590,
     "one scene over ranks": 2487,
     "reports, pictures, the page": 1754,
     "scenes for other programs": 534,
-    "speed of compiling and of whole calls": 1361,
+    "speed of compiling and of whole calls": 1365,
     "watches": 133,
     "beside all these": 383,
 }

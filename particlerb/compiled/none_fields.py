@@ -11,7 +11,7 @@ from typing import Any, Final
 from numba import types
 from numba.core import compiler_machinery, ir, ir_utils
 
-_FIELD_OPERATIONS: Final = ("getattr", "static_getitem", "exhaust_iter")
+_FIELD_OPERATIONS: Final = ("getattr", "getitem", "static_getitem", "exhaust_iter")
 
 
 @compiler_machinery.register_pass(mutates_CFG=False, analysis_only=False)
@@ -55,7 +55,11 @@ def _type_of(function: Any, args: Any, variable: Any) -> Any:
     of: Any = _type_of(function, args, found.value)
     if found.op == "exhaust_iter":  # a tuple that is taken apart, item by item
         return of
-    if found.op == "static_getitem":
-        return of.types[found.index] if isinstance(of, types.BaseTuple) else None
+    if found.op in ("getitem", "static_getitem"):
+        index = found.index
+        if isinstance(index, ir.Var):
+            index = ir_utils.guard(ir_utils.find_const, function, index)
+        is_item = isinstance(of, types.BaseTuple) and isinstance(index, int)
+        return of.types[index] if is_item else None
     is_field = isinstance(of, types.BaseNamedTuple) and found.attr in of.fields
     return of.types[of.fields.index(found.attr)] if is_field else None

@@ -9,7 +9,7 @@ contacts in place of bodies.
 
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.walls import primitive_at
 from particlerb.events import records as col
 from particlerb.events.flight import bring, flight_at, in_box, orientation_at, posed, set_spin
@@ -101,11 +101,9 @@ def _apply_impulse(scene: EventScene, state: EventState, data: EventData, b: int
 
 
 @inline
-def _sphere(
-    around: Flag, scene: EventScene, state: EventState, b: int, i: int, x: Vec3, t: float
-) -> Vec3:
+def _sphere(scene: EventScene, state: EventState, b: int, i: int, x: Vec3, t: float) -> Vec3:
     """Centre of sphere i of body b, whose centre of mass is at x."""
-    if around is None or scene.body[b, col.BODY_REACH] == 0.0:
+    if scene.around is None or scene.body[b, col.BODY_REACH] == 0.0:
         return x
     R, _ = posed(scene, state, b, t)
     return add(x, turn(R, row3(scene.sphere, i)))
@@ -120,14 +118,14 @@ def _geometry(
     By the shift [m] the image of b is away that hits a.
     """
     x, _ = flight_at(scene, state, a, t)
-    c, r = _sphere(scene.around, scene, state, a, i, x, t), scene.sphere[i, col.SPHERE_RADIUS]
+    c, r = _sphere(scene, state, a, i, x, t), scene.sphere[i, col.SPHERE_RADIUS]
     size = abs(c[0]) + abs(c[1]) + abs(c[2]) + r
     if b == col.WALL:
         wall = primitive_at(scene.wall_kind, scene.wall_parameter, j)
         distance, n, _ = normal_to(wall, c)
         return n, add_scaled(-distance, n, c), distance - r, size, ZERO
     y, _ = flight_at(scene, state, b, t)
-    apart = subtract(c, _sphere(scene.around, scene, state, b, j, y, t))
+    apart = subtract(c, _sphere(scene, state, b, j, y, t))
     d = in_box(scene.box, apart)
     distance = norm(d)
     n, radius = divide(d, distance), scene.sphere[j, col.SPHERE_RADIUS]
@@ -242,11 +240,9 @@ def _hit(scene: EventScene, state: EventState, data: EventData, of: Impact) -> V
 
 
 @inline
-def _hit_of_any(
-    rubs: Flag, scene: EventScene, state: EventState, data: EventData, of: Impact
-) -> Vec3:
+def _hit_of_any(scene: EventScene, state: EventState, data: EventData, of: Impact) -> Vec3:
     """Impact of any two, where some may change how a body turns, or none; the impulse on a."""
-    if rubs is None:
+    if scene.rubs is None:
         return _hit_of_balls(scene, state, of.a, of.b, of.normal, of.restitution)
     is_round = scene.body[of.a, col.BODY_REACH] == 0.0 and (
         of.b == col.WALL or scene.body[of.b, col.BODY_REACH] == 0.0
@@ -279,7 +275,7 @@ def collide(
     key = i * (n_spheres + scene.wall_kind.size) + (j + n_spheres if b == col.WALL else j)
     e, mu = _restitution(scene, state, a, key, pair, t), scene.rules[pair, 1]
     of = Impact(a, b, n, point, shift, e, mu, t)
-    p = _hit_of_any(scene.rubs, scene, state, data, of)
+    p = _hit_of_any(scene, state, data, of)
     state.info[a, col.HITS] += 1
     if b != col.WALL:
         state.info[b, col.HITS] += 1

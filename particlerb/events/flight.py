@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.events import records as col
 from particlerb.events.records import EventScene, EventState
 from particlerb.maths.quaternion import Matrix, Quat, matrix, normalised, to_body, turn, turn_back
@@ -55,33 +55,11 @@ def in_box(box: tuple[Vec3, Vec3] | None, d: Vec3) -> Vec3:
 
 
 @inline
-def _turned(turns: Flag, state: EventState, b: int, t: float) -> Quat:
-    """`orientation_at`, where some body is asymmetric or none."""
-    if turns is None:
-        return steadily_turned(state.turn, b, t - state.spin[b, col.TURNED])
-    return turned(state.turn, b, t - state.spin[b, col.TURNED])
-
-
-@inline
 def orientation_at(scene: EventScene, state: EventState, b: int, t: float) -> Quat:
     """Orientation of a body at a time, rotor frame to world."""
-    return _turned(scene.turns, state, b, t)
-
-
-@inline
-def _set_turn(
-    turns: Flag, scene: EventScene, state: EventState, b: int, q: Quat, spin: Vec3
-) -> None:
-    """Write the turn of a body, where some is asymmetric or none."""
-    inertia, inverse = (
-        row3_at(scene.body, b, col.BODY_INERTIA),
-        row3_at(scene.body, b, col.BODY_INV_INERTIA),
-    )
-    if turns is None:
-        set_steady_turn(state.turn, b, inverse, q, spin)
-    else:
-        is_asymmetric = scene.kind[b, col.IS_ASYMMETRIC] == 1
-        set_turn(state.turn, b, inertia, inverse, is_asymmetric, q, spin)
+    if scene.turns is None:
+        return steadily_turned(state.turn, b, t - state.spin[b, col.TURNED])
+    return turned(state.turn, b, t - state.spin[b, col.TURNED])
 
 
 @inline
@@ -102,7 +80,12 @@ def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, sp
     q, inverse = normalised(q), row3_at(scene.body, b, col.BODY_INV_INERTIA)
     put_row3_at(state.spin, b, col.SPIN_L, spin)
     state.spin[b, col.TURNED] = t
-    _set_turn(scene.turns, scene, state, b, q, spin)
+    if scene.turns is None:
+        set_steady_turn(state.turn, b, inverse, q, spin)
+    else:
+        inertia = row3_at(scene.body, b, col.BODY_INERTIA)
+        is_asymmetric = scene.kind[b, col.IS_ASYMMETRIC] == 1
+        set_turn(state.turn, b, inertia, inverse, is_asymmetric, q, spin)
     m = to_body(q, spin)
     largest = max(inverse[0], inverse[1], inverse[2])
     fastest = math.sqrt(largest * dot(m, component_product(inverse, m)))

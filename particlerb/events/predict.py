@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.events import records as col
 from particlerb.events.flight import flight_at, pull, set_flight
 from particlerb.events.queue import enter_list, insert, leave_list, take_out
@@ -117,12 +117,11 @@ def _goes_on(scene: EventScene, state: EventState, b: int, c: int, s: float, sph
 
 @inline
 def _look(
-    around: Flag, scene: EventScene, state: EventState, data: Floats, flying: Flying, c: int,
-    stays: float,
-) -> bool:  # fmt: skip
+    scene: EventScene, state: EventState, data: Floats, flying: Flying, c: int, stays: float
+) -> bool:
     """Note the impact of a body with body c, if it is the next; false: a search did not end."""
     b = flying.body
-    if around is None:
+    if scene.around is None:
         _note(state, b, flying.t, balls_meet(scene, state, flying, c), (c, min(b, c), max(b, c)))
         return True
     until = min(state.at[b, col.HIT] - flying.t, stays)
@@ -182,7 +181,7 @@ def predict(
                 c = int(np.int64(state.head[at]))
                 while c >= 0:
                     if c != b:
-                        ended = _look(scene.around, scene, state, data, flying, c, stays) and ended
+                        ended = _look(scene, state, data, flying, c, stays) and ended
                     c = int(np.int64(state.next[c]))
     home = _cell(scene, i0, j0, k0)
     i, j, k = state.info[b, col.CELL], state.info[b, col.CELL + 1], state.info[b, col.CELL + 2]

@@ -13,7 +13,7 @@ Rigid Body Systems, PhD thesis, Berkeley (1996), section 2.3.
 import math
 from typing import Final, NamedTuple
 
-from particlerb.compiled.jit import Flag, inline, kernel
+from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.walls import (
     DISC,
     FACE,
@@ -316,11 +316,9 @@ def _until_wall(
 
 
 @inline
-def _ready_for_wall(
-    around: Flag, scene: EventScene, state: EventState, data: Floats, b: int, t: float
-) -> None:
+def _ready_for_wall(scene: EventScene, state: EventState, data: Floats, b: int, t: float) -> None:
     """`_ready`, of balls without how they turn."""
-    if around is not None and scene.body[b, col.BODY_REACH] != 0.0:
+    if scene.around is not None and scene.body[b, col.BODY_REACH] != 0.0:
         _ready(scene, state, data, b, _NO_SHIFT, t)
         return
     x, v = flight_at(scene, state, b, t)
@@ -344,7 +342,7 @@ def _wall_meets(
     for _ in range(_MAX_SEARCH_STEPS):
         if s >= until:
             return math.inf, -1
-        _ready_for_wall(scene.around, scene, state, data, a, t + s)
+        _ready_for_wall(scene, state, data, a, t + s)
         step, best = math.inf, -1
         for k in range(lo, scene.kind[a + 1, col.FIRST_SPHERE]):
             c = row3(data, k - lo)

@@ -51,15 +51,13 @@ def add_pair_load(
 
 
 @inline
-def less_internal(
-    pair: int | None, contact: int | None, rows: Floats, b: int, x: Vec3, dt: float, entry: Entry
-) -> Entry:
+def less_internal(acting: Acting, rows: Floats, b: int, x: Vec3, dt: float, entry: Entry) -> Entry:
     """What is booked: without the impulses that bodies give each other, with dashpots' work."""
-    if pair is None:
+    if acting.pair is None:
         return entry
     work, impulse, angular = entry
     F, tau = get3(rows, PAIR, b), get3(rows, PAIR + PAIR_TORQUE, b)
-    F, tau = add_pair_load(contact, rows, PAIR + OTHER, b, 1.0, F, tau)
+    F, tau = add_pair_load(acting.contact, rows, PAIR + OTHER, b, 1.0, F, tau)
     turning = add_scaled(1.0, cross(x, F), tau)
     F = subtract(F, get3(rows, PAIR + OUTSIDE, b))
     turning = subtract(turning, get3(rows, PAIR + OUTSIDE + 3, b))
@@ -107,24 +105,22 @@ _FAMILIES: Final[list[_Family]] = []
 
 
 def _source_of(family: _Family, kicks: Iterable[Kick]) -> str:
-    """Source of a family: a function for each kick, left out if None, and one that calls all."""
-    parts, calls, result = [], [], family.result
+    """Source of a family: a call for each kick, left out if None."""
+    calls = []
     for kick in kicks:
-        name, row = f"{family.name}_{kick.name}", f"at + k * {kick.rows}" if kick.is_many else "at"
-        step = family.step(f"{kick.name}_{family.hook}(rows, {row}")
+        tag, row = f"acting.loads[{KICKS.index(kick)}]", _first_row(kick)
+        call = f"{kick.name}_{family.hook}(rows, {row}"
         if kick.is_many:  # the length is known while compiling: the loop is unrolled
-            step = f"for k in range(len(tag)):\n        {step}"
-        head = f"@inline\ndef {name}(tag, rows, at, {family.args}):\n    if tag is None:\n"
-        parts.append(f"{head}        {result}\n    {step}\n    {result}\n")
-        tag = f"acting.loads[{KICKS.index(kick)}]"
-        calls.append(family.step(f"{name}({tag}, rows, {_first_row(kick)}"))
-    head = f"@inline\ndef {family.name}_users(functions, rows, at, {family.args}):\n"
-    call = f"functions.{family.name}(rows, at, {family.args})"
-    parts.append(f"{head}    if functions is None:\n        {result}\n    return {call}\n")
-    of_users = family.step(f"{family.name}_users(acting.user_functions, rows, {_after(MANY_KICKS)}")
+            step = family.step(f"{call} + k * {kick.rows}")
+            step = f"for k in range(len({tag})):\n            {step}"
+        else:
+            step = family.step(call)
+        calls.append(f"if {tag} is not None:\n        {step}")
+    step = family.step(f"acting.user_functions.{family.name}(rows, {_after(MANY_KICKS)}")
+    of_users = f"if acting.user_functions is not None:\n        {step}"
     calls = [of_users, *calls] if family.is_reversed else [*calls, of_users]
-    body = "\n    ".join([*calls, *([family.last] if family.last else []), result])
-    return "\n\n".join([*parts, f"def {family.name}(acting, rows, {family.args}):\n    {body}\n"])
+    body = "\n    ".join([*calls, *([family.last] if family.last else []), family.result])
+    return f"def {family.name}(acting, rows, {family.args}):\n    {body}\n"
 
 
 def _first_row(kick: Kick) -> str:
@@ -146,8 +142,8 @@ def made(family: _Family) -> Callable[..., Any]:
     able = [kick for kick in KICKS if family.has(kick) and not family.is_of_users]
     able = able[::-1] if family.is_reversed else able
     names: dict[str, Any] = {
-        "inline": inline, "add_pair_load": add_pair_load, "count": count, "PAIR": PAIR,
-        "OTHER": OTHER, "CHANGE": CHANGE,
+        "add_pair_load": add_pair_load, "count": count, "PAIR": PAIR, "OTHER": OTHER,
+        "CHANGE": CHANGE,
         **{f"{kick.name}_{family.hook}": getattr(kick, family.hook) for kick in able},
     }  # fmt: skip
     _FAMILIES.append(family)
@@ -218,9 +214,9 @@ add_power: Callable[..., float] = made(_Family("add_power", "power", "b, x, R, p
 
 
 @inline
-def set_time(clock: int | None, acting: Acting, rows: Floats, n: int, t: float) -> None:
+def set_time(acting: Acting, rows: Floats, n: int, t: float) -> None:
     """Begin a step of a block at a time [s] since the segment began, if something depends on it."""
-    if clock is None:
+    if acting.clock is None:
         return
     for b in range(n):
         put(rows, CLOCK, b, t)
@@ -235,11 +231,10 @@ def shift_time(acting: Acting, rows: Floats, b: int, share: float) -> None:
 
 @inline
 def with_power(
-    clock: int | None, acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, dt: float,
-    entry: Entry,
-) -> Entry:  # fmt: skip
+    acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, dt: float, entry: Entry
+) -> Entry:
     """What is booked, with dt ∂V/∂t of body b, where something depends on time."""
-    if clock is None:
+    if acting.clock is None:
         return entry
     work, impulse, angular = entry
     return work + dt * add_power(acting, rows, b, x, R, 0.0), impulse, angular

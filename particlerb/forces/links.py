@@ -134,14 +134,6 @@ def _inverse_mass(links: Links, s: int, ends: tuple[_End, _End], n: Vec3) -> flo
 
 
 @inline
-def coefficient(damping: Floats | None, s: int) -> float:
-    """Damping of link s [N s/m]."""
-    if damping is None:
-        return 0.0
-    return damping[s]
-
-
-@inline
 def _act(
     links: Links, s: int, ends: tuple[_End, _End], vector: Vec3, rows: Floats, at: int, load: Floats
 ) -> None:
@@ -170,7 +162,7 @@ def link_loads(links: Links | None, y: Floats, load: Floats, with_dashpots: bool
         d = subtract(ends[1].point, ends[0].point)
         inverse = 1.0 / math.sqrt(dot(d, d) + _LENGTH_FLOOR_SQUARED)
         size = links.stiffness[s] * (1.0 - links.rest_length[s] * inverse)
-        c = coefficient(links.damping, s)
+        c = links.damping[s] if links.damping is not None else 0.0
         if with_dashpots and c > 0.0:
             v = rate(links, y, s, ends, scale(inverse, d))
             size += c * v * inverse
@@ -217,7 +209,7 @@ def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backward
         return
     for i in range(links.first.size):
         s = links.first.size - 1 - i if backwards else i
-        c = coefficient(links.damping, s)
+        c = links.damping[s] if links.damping is not None else 0.0
         if c == 0.0:
             continue
         ends = _first_end(links, y, s), _second_end(links, y, s)

@@ -62,7 +62,7 @@ def take_slopes(
 ) -> None:
     """Slopes of a pack in the states y at a time [s] since the segment began."""
     acting = equations.acting
-    set_time(acting.clock, acting, rows, n, t)
+    set_time(acting, rows, n, t)
     for c in range(STATE_ROWS):
         for b in range(n):
             put(rows, STAGE + c, b, y[c * w + b])

@@ -18,10 +18,10 @@ from particlerb.joints.actions import action_force
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.drives import set_moving
 from particlerb.joints.reactions import factorise_all, find_multipliers
-from particlerb.joints.records import HOLDS, STATE, JointData, Jointed, Joints, L, P, Q, X
+from particlerb.joints.records import HOLDS, STATE, Jointed, L, P, Q, X
 from particlerb.joints.rows import add_impulses, by_inverse_inertia, linearise, orientation
 from particlerb.joints.solver import constrained_drift, keep_rates
-from particlerb.joints.trees import JointTree, accelerate_tree
+from particlerb.joints.trees import accelerate_tree
 from particlerb.maths.rows import row3_at
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, cross, dot, scale, subtract
 from particlerb.model.block import BOOKED
@@ -108,13 +108,13 @@ def add_actions(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
             )
             power -= force * data.dg_dt[r]
             _book_row(books, jointed, slope, w, r, force, power)
-    _drag(jointed.damps, books, jointed, slope, w)
+    _drag(books, jointed, slope, w)
 
 
 @inline
-def _drag(damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
+def _drag(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
     """Add the drag of all bodies to the loads, if something damps."""
-    if damps is None:
+    if jointed.damps is None:
         return
     joints, y, load = jointed.joints, jointed.data.y, jointed.data.change
     for k in range(jointed.block.size):
@@ -129,22 +129,9 @@ def _drag(damps: Flag, books: Flag, jointed: Jointed, slope: Floats, w: int) -> 
 
 
 @inline
-def _prepare(tree: JointTree | None, joints: Joints, data: JointData, t: float) -> None:
-    """Gradients of all rows and the factor of A; in trees gradients alone, of what acts."""
-    if tree is None:
-        factorise_all(joints, data, t)
-        return
-    for r in range(joints.rows.kind.size):
-        if joints.rows.action[r] != HOLDS:
-            linearise(joints, data, r, r + 1)
-
-
-@inline
-def _add_what_holds(
-    tree: JointTree | None, books: Flag, jointed: Jointed, slope: Floats, w: int
-) -> None:
+def _add_what_holds(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
     """Add what keeps the joints to the loads in `data.change`, and book it."""
-    joints, data = jointed.joints, jointed.data
+    joints, data, tree = jointed.joints, jointed.data, jointed.tree
     if tree is None:
         find_multipliers(joints, data, data.change)
         m = joints.rows.kind.size
@@ -182,10 +169,15 @@ def add_reactions(
     for k in range(jointed.block.size):
         for i in range(6):
             data.change[k, i] = slope[jointed.block[k], (P + i) * w + jointed.lane[k]]
-    _prepare(jointed.tree, joints, data, t)
+    if jointed.tree is None:
+        factorise_all(joints, data, t)
+    else:
+        for r in range(joints.rows.kind.size):
+            if joints.rows.action[r] != HOLDS:
+                linearise(joints, data, r, r + 1)
     if joints.acts or joints.damps:
         add_actions(books, jointed, slope, w)
-    _add_what_holds(jointed.tree, books, jointed, slope, w)
+    _add_what_holds(books, jointed, slope, w)
     _give_slopes(jointed, slope, w)
 
 

@@ -116,15 +116,13 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
 
 
 @inline
-def _correct_work(
-    books: Flag, keeps_kick: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float
-) -> None:
+def _correct_work(books: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float) -> None:
     """Book the work that forces without potential do along what joints changed of the velocities.
 
     A kick has booked it with the velocities before the impulses of the joints; one of no length has
     given nothing.
     """
-    if books is None or keeps_kick is None or kick_dt == 0.0:
+    if books is None or jointed.keeps_kick is None or kick_dt == 0.0:
         return
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
@@ -170,9 +168,9 @@ def _book_motors(books: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
 
 
 @inline
-def _damp(books: Flag, damps: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) -> None:
+def _damp(books: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) -> None:
     """Let dampers, dashpots and drag of cluster c act over a span, within its constraints."""
-    if damps is None or span == 0.0:
+    if jointed.damps is None or span == 0.0:
         return
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     start, joint = joints.program.start, joints.clusters.joint
@@ -216,7 +214,7 @@ def _finish_drift(books: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt
     _book_world(books, jointed, blocks, c, jointed.data.pose)
     _book_drives(books, jointed, blocks, c)
     _book_motors(books, jointed, blocks, c)
-    _correct_work(books, jointed.keeps_kick, jointed, blocks, c, kick_dt)
+    _correct_work(books, jointed, blocks, c, kick_dt)
     _scatter(jointed, blocks, c)
 
 
@@ -335,8 +333,8 @@ def project_clusters(
         sum_half_step(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
         _book_world(books, jointed, blocks, c, jointed.data.y)
         _book_drives(books, jointed, blocks, c)
-        _correct_work(books, jointed.keeps_kick, jointed, blocks, c, kick_dt)
-        _damp(books, jointed.damps, jointed, blocks, c, span)
+        _correct_work(books, jointed, blocks, c, kick_dt)
+        _damp(books, jointed, blocks, c, span)
         _scatter(jointed, blocks, c)
     meet_all(team)
 

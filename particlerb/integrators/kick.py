@@ -62,10 +62,11 @@ _CHANGES_ROW: Final = SCRATCH + 6  # 1 until momenta change no more; before it o
 
 @inline
 def _with_flow(
-    flow: Flag, rows: Floats, b: int, x: Vec3, R: Matrix, old: Momenta, new: Momenta, entry: Entry,
+    acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, old: Momenta, new: Momenta,
+    entry: Entry,
 ) -> Entry:  # fmt: skip
     """What is booked, with what a flow did from old to new momenta."""
-    if flow is None:
+    if acting.flow is None:
         return entry
     work, dp, dL = entry_of_kick(rows, b, x, R, old, old, new)
     return work + entry[0], add_scaled(1.0, dp, entry[1]), add_scaled(1.0, dL, entry[2])
@@ -89,16 +90,11 @@ def solve_kicks(acting: Acting, rows: Floats, n: int, dt: float) -> None:
 
     Those that take velocities act by the implicit midpoint rule, iterated to rounding in SIMD
     lanes; a body that has converged keeps what it has, so that none depends on its neighbours.
-    Where one does not converge it is lost: NaN.
+    Where one does not converge it is lost: NaN. As many as the first level of the cache has go
+    together.
     """
     prepare_kick(acting, rows, n, dt)
-    _solve_user_kicks(acting.user_flow, acting, rows, n, dt)
-
-
-@inline
-def _solve_user_kicks(user_flow: Flag, acting: Acting, rows: Floats, n: int, dt: float) -> None:
-    """The same, where there are any, of as many at a time as the first level of the cache has."""
-    if user_flow is None:
+    if acting.user_flow is None:
         return
     for first in range(0, n, _BODIES_TOGETHER):
         _solve_some_kicks(acting, rows, first, min(first + _BODIES_TOGETHER, n), dt)
@@ -190,33 +186,18 @@ def kick_body(
     acting: Acting, books: Flag, rows: Floats, b: int, dt: float
 ) -> tuple[Vec3, Vec3, Matrix]:
     """Kick body b over dt after `solve_kicks`; its new momenta, stored, and its rotation matrix."""
-    kick = _kick_of(acting, rows, b, dt, _old(acting.user_flow, rows, b))
-    last = _momenta_before_flows(acting.user_flow, acting, rows, b, kick)
+    if acting.user_flow is None:
+        kick = _kick_of(acting, rows, b, dt, (get3(rows, P, b), get3(rows, L, b)))
+        (p, spin), (p_last, L_last) = kick.first, kick.last
+        last = damp(acting, rows, b, kick.R, p, spin, p_last, L_last)
+    else:
+        kick = _kick_of(acting, rows, b, dt, (get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)))
+        last = get3(rows, P, b), get3(rows, L, b)
     p, spin = flow_out(acting, rows, b, kick.R, 0.5 * dt, last[0], last[1])
     put3(rows, P, b, p)
     put3(rows, L, b, spin)
     book(books, rows, b, 1.0, _entry_of(acting, rows, b, dt, kick, last, (p, spin)))
     return p, spin, kick.R
-
-
-@inline
-def _old(user_flow: Flag, rows: Floats, b: int) -> Momenta:
-    """Momenta before a kick."""
-    if user_flow is None:
-        return get3(rows, P, b), get3(rows, L, b)
-    return get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)
-
-
-@inline
-def _momenta_before_flows(
-    user_flow: Flag, acting: Acting, rows: Floats, b: int, kick: _Kick
-) -> Momenta:
-    """Momenta before the second half of the flows: with drag, or as `solve_kicks` found them."""
-    if user_flow is None:
-        return damp(
-            acting, rows, b, kick.R, kick.first[0], kick.first[1], kick.last[0], kick.last[1]
-        )
-    return get3(rows, P, b), get3(rows, L, b)
 
 
 @inline
@@ -251,21 +232,21 @@ def _entry_of(
     """What a kick books that came to `last` before the second half of the flows, and then `end`."""
     x, R = kick.x, kick.R
     entry = entry_of_kick(rows, b, x, R, kick.first, kick.middle, last)
-    entry = _with_flow(acting.flow, rows, b, x, R, kick.old, kick.first, entry)
-    entry = _with_flow(acting.flow, rows, b, x, R, last, end, entry)
-    entry = with_power(acting.clock, acting, rows, b, x, R, dt, entry)
-    return less_internal(acting.pair, acting.contact, rows, b, x, dt, entry)
+    entry = _with_flow(acting, rows, b, x, R, kick.old, kick.first, entry)
+    entry = _with_flow(acting, rows, b, x, R, last, end, entry)
+    entry = with_power(acting, rows, b, x, R, dt, entry)
+    return less_internal(acting, rows, b, x, dt, entry)
 
 
 @inline
 def _less_change(
-    pair: int | None, rows: Floats, b: int, x: Vec3, v: Vec3, weight: float, entry: Entry
+    acting: Acting, rows: Floats, b: int, x: Vec3, v: Vec3, weight: float, entry: Entry
 ) -> Entry:
     """What is booked, without what the gradients of other bodies' forces give.
 
     As a rate, that of x × F + τ has the part v × F.
     """
-    if pair is None:
+    if acting.pair is None:
         return entry
     work, impulse, angular = entry
     F, tau = get3(rows, CHANGE, b), get3(rows, CHANGE + TORQUE, b)
@@ -297,6 +278,6 @@ def kick_with_gradient(
     put3(rows, P, b, p)
     put3(rows, L, b, spin)
     entry = entry_of_kick(rows, b, x, R, old, (p, spin), (p, spin))
-    entry = less_internal(acting.pair, None, rows, b, x, dt, entry)
-    book(books, rows, b, 1.0, _less_change(acting.pair, rows, b, x, v, weight, entry))
+    entry = less_internal(acting, rows, b, x, dt, entry)
+    book(books, rows, b, 1.0, _less_change(acting, rows, b, x, v, weight, entry))
     return spin, R

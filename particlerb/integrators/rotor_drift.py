@@ -120,7 +120,7 @@ def _finish_drift(rows: Floats, n: int, dt: float, pieces: int, iterations: int)
 
 
 @inline
-def _fly_and_split(rows: Floats, b: int, dt: float) -> None:
+def fly_and_split(rows: Floats, b: int, dt: float) -> None:
     """Drift of body b of any other class."""
     _fly(rows, b, dt)
     q, m = get4(rows, Q, b), _body_momentum(rows, b)
@@ -171,7 +171,7 @@ def _drift_symmetric(
         for b in range(moving.layout.size[block]):
             shift_time(acting, rows, b, move.before)
             kick_with_gradient(gradient, acting, books, rows, b, move.kick, move.weight)
-            _fly_and_split(rows, b, move.drift)
+            fly_and_split(rows, b, move.drift)
 
 
 @stage

@@ -83,6 +83,6 @@ def slopes(acting: Acting, rows: Floats, b: int, y: Pose, R: Matrix) -> tuple[Po
     F, tau, own_force, own_torque = load_at(acting, rows, b, y.x, R, y.p, y.L)
     power = dot(subtract(F, own_force), v) + dot(turn_back(R, subtract(tau, own_torque)), w)
     turning = add_scaled(1.0, tau, cross(y.x, F))
-    entry = less_internal(acting.pair, acting.contact, rows, b, y.x, 1.0, (power, F, turning))
-    entry = with_power(acting.clock, acting, rows, b, y.x, R, 1.0, entry)
+    entry = less_internal(acting, rows, b, y.x, 1.0, (power, F, turning))
+    entry = with_power(acting, rows, b, y.x, R, 1.0, entry)
     return Pose(v, times_vector(y.q, scale(0.5, w)), F, tau), entry

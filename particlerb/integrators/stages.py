@@ -173,7 +173,7 @@ def shift_pairs(moving: MovingBodies, first: int, later: float) -> None:
 def set_times(moving: MovingBodies, first: int, last: int, t: float) -> None:
     """Take loads that depend on time at t [s] since the segment began."""
     for k in range(first, last):
-        set_time(moving.acting.clock, moving.acting, moving.blocks[k], moving.layout.size[k], t)
+        set_time(moving.acting, moving.blocks[k], moving.layout.size[k], t)
     if moving.jointed is not None:
         moving.jointed.data.clock[0] = t
     if first == 0:  # the thread that evaluates pairs

@@ -16,10 +16,11 @@ from particlerb.integrators.contact_stages import drift_walls, keep_momenta, kic
 from particlerb.integrators.kick import kick_body, solve_kicks
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare
+from particlerb.integrators.rotor_drift import fly_and_split
 from particlerb.integrators.stages import MovingBodies, flow_dashpots, kick, loads, stage, stages
-from particlerb.maths.quaternion import matrix, turn_back
+from particlerb.maths.quaternion import turn_back
 from particlerb.maths.vec3 import add_scaled
-from particlerb.model.block import COM, INV_INERTIA, INV_MASS, L, P, Q, get, get3, get4, put3, put4
+from particlerb.model.block import COM, INV_INERTIA, INV_MASS, Q, get, get3, get4, put3, put4
 from particlerb.rotors.symmetric_split import symmetric_split
 
 CLOSING_KICK: Final = 0.5
@@ -31,11 +32,7 @@ def drift(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     for k in range(first, last):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
-            q = get4(rows, Q, b)
-            m = turn_back(matrix(q), get3(rows, L, b))
-            path = dt * get(rows, INV_MASS, b)
-            put3(rows, COM, b, add_scaled(path, get3(rows, P, b), get3(rows, COM, b)))
-            put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), dt))
+            fly_and_split(rows, b, dt)
 
 
 @stage

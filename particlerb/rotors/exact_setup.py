@@ -81,7 +81,7 @@ def complementary_modulus(inertia: Vec3, m: Vec3) -> float:
 
 
 @inline
-def _unit(v: Vec3) -> float:
+def unit_of(v: Vec3) -> float:
     """1 / the largest power of two in the largest component."""
     return scale_of(max(abs(v[0]), abs(v[1]), abs(v[2]), _MIN_SCALE))
 
@@ -104,7 +104,7 @@ def moduli(
         for b in range(BODIES_PER_BLOCK):
             j = indices[min(lo + b, hi - 1)]
             inertia_j, L_j = load3(inertia, j), load3(L, j)
-            units[0, j], units[1, j] = _unit(inertia_j), _unit(L_j)
+            units[0, j], units[1, j] = unit_of(inertia_j), unit_of(L_j)
             store3(moment, b, scale(units[0, j], inertia_j))
             store3(spin, b, scale(units[1, j], L_j))
             store4(turn, b, load4(q, j))

@@ -4,7 +4,6 @@ The formulas are those of `exact`; the constants of a body are a row, its first 
 turn. docs/free_rotation.md.
 """
 
-import math
 from typing import Final
 
 from particlerb.compiled.jit import inline, kernel
@@ -13,7 +12,7 @@ from particlerb.maths.quaternion import Quat, multiply, to_body
 from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, Vec3, norm, scale
 from particlerb.rotors.exact import CROSSOVER
-from particlerb.rotors.exact_setup import complementary_modulus, near_turn, theta_turn
+from particlerb.rotors.exact_setup import complementary_modulus, near_turn, theta_turn, unit_of
 from particlerb.rotors.theta import (
     TINY,
     NearCoefficients,
@@ -26,14 +25,6 @@ from particlerb.rotors.theta import (
 STEADY_COLUMNS: Final = 10
 COLUMNS: Final = 29  # where bodies may be asymmetric
 _STEADY_TURN, _THETA_TURN, _NEAR_TURN = 0.0, 1.0, 2.0
-_MIN_SCALE: Final = 1e-290
-
-
-@inline
-def _unit(v: Vec3) -> float:
-    """1 / the largest power of two in the largest component."""
-    largest = max(abs(v[0]), abs(v[1]), abs(v[2]), _MIN_SCALE)
-    return math.ldexp(1.0, 1 - math.frexp(largest)[1])
 
 
 @inline
@@ -109,7 +100,7 @@ def set_turn(
     if not is_asymmetric:
         set_steady_turn(turn, b, inverse, q, L)
         return
-    unit, unit_L = _unit(inertia), _unit(L)
+    unit, unit_L = unit_of(inertia), unit_of(L)
     moments, spin = scale(unit, inertia), scale(unit_L, L)
     m = dd.to_body(q, spin)
     modulus = complementary_modulus(moments, (m[0][0], m[1][0], m[2][0]))

@@ -40,9 +40,9 @@ def second_row(outer):
 
 @kernel
 def summed(outer, least):
-    """By a chain of fields, by names for them, and among other conditions."""
+    """By a chain of fields, by names for them, by their numbers, and among other conditions."""
     inner, size = outer
-    if inner is None:
+    if outer[0] is None:
         return -1.0
     rows = inner.rows
     total = first_row(outer) + second_row(outer)
