@@ -32,7 +32,7 @@ BUDGETS = {
     "one scene over ranks": 2487,
     "reports, pictures, the page": 1754,
     "scenes for other programs": 534,
-    "speed of compiling and of whole calls": 1365,
+    "speed of compiling and of whole calls": 1371,
     "watches": 133,
     "beside all these": 383,
 }

@@ -191,6 +191,9 @@ def vectors(
 
 def in_world(q: FloatArray, v: FloatArray) -> FloatArray:
     """R v = v + w t + u × t with u = (x, y, z), t = 2 u × v; q of shape (..., 4)."""
+    # Here, as reading a case loads no compiler.
+    from particlerb.model.state import cross_columns
+
     w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * np.cross(u, v)
-    return v + w * t + np.cross(u, t)
+    t = 2.0 * cross_columns(u.T, np.broadcast_to(v, u.shape).T)
+    return v + w * t.T + cross_columns(u.T, t).T

@@ -5,6 +5,7 @@ type here, so that the schema reads like the format. The docstring of a key ends
 """
 
 import ast
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from inspect import getsource
@@ -237,7 +238,7 @@ def _nested_numbers(value: Any) -> Any:
         number = float(value)
     except OverflowError:
         raise broken("must be finite") from None
-    if not np.isfinite(number):
+    if not math.isfinite(number):
         raise broken(f"must be finite, got {number}")
     return number
 

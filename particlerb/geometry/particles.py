@@ -116,6 +116,8 @@ def concatenate(sets: Sequence[Particles]) -> Particles:
     """
     if not sets:
         raise ValueError("no particles to concatenate")
+    if len(sets) == 1:
+        return sets[0]
     counts = np.concatenate([np.diff(s.offset) for s in sets])
     return Particles(
         np.concatenate([s.position for s in sets]),

@@ -132,14 +132,9 @@ def _store_rows(values: Floats, f: int, index: Ints, v: Rows3) -> None:
         values[f, i, 0], values[f, i, 1], values[f, i, 2] = load3(v, b)
 
 
-def store_state(frames: Frames, f: int, index: Ints, rotor_frame: Floats, state: State) -> None:
-    """Write bodies `index` of the scene into frame f."""
-    store_all(frames.rows(slice(f, f + 1)), 0, index, rotor_frame, state)
-
-
 @unfused_kernel
 def store_all(frames: Frames, f: int, index: Ints, rotor_frame: Floats, state: State) -> None:
-    """Write all bodies into frame f; a literal 0 would be a type of its own to the compiler."""
+    """Write bodies `index` of the scene into frame f."""
     n, (com, q, p, L) = index.size, state
     x, spin = rows3(com, 0, n), rows3(L, 0, n)
     store_frame(frames, f, index, rows4(rotor_frame, 0, n), x, rows4(q, 0, n), rows3(p, 0, n), spin)

@@ -160,7 +160,7 @@ class GroupRun:
         group = self.plan.group(self.segment)
         energy = np.zeros((n_states, *shape_of(self.plan.worlds)))
         for energies in energies_of_loads(self.segment.terms, com, q, n_states):
-            energy += np.moveaxis(group.totals(energies), -1, 0)
+            energy += group.totals(energies).T
         return energy
 
     def potentials(self, frames: Frames, rows: Ints) -> Floats:

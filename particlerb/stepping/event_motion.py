@@ -25,7 +25,7 @@ from particlerb.events.records import (
 )
 from particlerb.impulses.records import GROSS_WORK, RENEWED
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import Frames, State, store_state
+from particlerb.model.state import Frames, State, store_all
 from particlerb.rotors.single_turn import COLUMNS, STEADY_COLUMNS
 from particlerb.stepping.event_scene import bounds_of, order_of, scene_of
 from particlerb.stepping.motion import Motion, MotionError, SegmentGroup
@@ -95,7 +95,7 @@ class EventMotion(Motion):
         booked, self.tallies = np.zeros((times.size, 7)), {}
         for k, row in enumerate(rows.tolist()):
             state, booked[k] = self.state_at(float(times[k]))
-            store_state(frames, row, self.group.members, self.group.bodies.rotor_frame, state)
+            store_all(frames, row, self.group.members, self.group.bodies.rotor_frame, state)
             self.tallies[row] = self.state.tally.copy()
         return booked
 

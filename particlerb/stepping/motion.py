@@ -257,7 +257,7 @@ class ForceAccount:
         """Work of potentials, (T, ...) [J], up to a constant, in states one after the other."""
         total = np.zeros((elapsed.size, *shape_of(self.group.worlds)))
         for work in works_of(self.group.terms, com, q, elapsed):
-            total += np.moveaxis(self.group.totals(work), -1, 0)
+            total += self.group.totals(work).T
         return total
 
     def of_states(self, elapsed: Floats, com: Floats, q: Floats, L: Floats, sums: Floats) -> Floats:

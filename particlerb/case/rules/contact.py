@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from difflib import get_close_matches
+from functools import cache
 from typing import Any
 
 from particlerb.case import output
@@ -25,10 +26,16 @@ _WITHOUT_STIFFNESS = {  # laws that take none from a contact, and what is right
 }
 
 
+@cache
+def _has_like_contact(keys: tuple[str, ...]) -> bool:
+    """Whether one of these may mean contact."""
+    return bool(get_close_matches("contact", keys, 1))
+
+
 def contact_rules(raw: dict[str, Any]) -> Iterator[Finding]:
     """Walls and numbers of contact have a use, and materials that are named are there."""
     contact = raw.get("contact")
-    is_missing = contact is None and not get_close_matches("contact", raw, 1)
+    is_missing = contact is None and not _has_like_contact(tuple(raw))
     if is_missing:
         for i, _ in tables(raw, "wall")[:1]:
             yield ("wall", i), "nothing touches a wall without [contact]", "add [contact]"
