@@ -21,6 +21,7 @@ import os
 import random
 import re
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[2]
 SECONDS_FOR_ONE = 10.0  # of CPU time, in plain Python
+SECONDS_UNTIL_ENDED = 60.0  # the same, of a text that hangs
 MOST, MOST_BODIES = 300, 30  # particles and bodies of a scene that is made
 VALUES = """1e-320 nan inf -inf 1e999 -0.0 0 1 -1 2 0.5 1e308 1e100 9223372036854775807
     9223372036854775808 -9223372036854775809 1_000 0x10 0o7 true false "" "a" "world" "body" "all"
@@ -626,10 +628,17 @@ def is_small(case: "Case") -> bool:
     return case.n_bodies <= MOST_BODIES and particles <= MOST
 
 
+def hangs(*_: object) -> None:
+    """End a text that takes too long, as an escape."""
+    raise AssertionError(f"no end within {SECONDS_UNTIL_ENDED:.0f} s")
+
+
 def run(first: int, runs: int, plan_every: int) -> int:
     """Try numbers one after the other; return how many escaped."""
     escapes, counts, start = 0, Counter[str](), time.process_time()
+    signal.signal(signal.SIGPROF, hangs)
     for k in range(first, first + runs):
+        signal.setitimer(signal.ITIMER_PROF, SECONDS_UNTIL_ENDED)
         try:
             counts[check(mutated(k), k % plan_every == 0)] += 1
         except Exception as error:

@@ -296,6 +296,7 @@ class Worker:
         self.numbers, self.seeds, self.folder = numbers, seeds, folder
         self.found: list[str] = []  # escapes
         self.crashes = 0  # of HDF5, in commands that have a process of their own
+        self.tried = 0
         self.is_done = False
         self.fork()
 
@@ -328,6 +329,10 @@ class Worker:
             self.at = int(words[0]), words[1]
             if words[2:]:
                 self.note(words[3])
+            elif words[1] == "breaking":
+                self.tried += 1
+                if self.tried % 500 == 0:
+                    print(f"{self.at[0]} is the {self.tried}th", flush=True)
         if not said:
             self.bury("")
 

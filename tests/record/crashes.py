@@ -45,7 +45,7 @@ NAMES = ("", "open", "write", "truncate", "allocate", "rename", "unlink", "sync"
 HOWS = ("once", "always", "short", "full")
 HEAD = struct.Struct("<IIqqiIII")
 PAGE = 4096
-SECONDS = 120.0  # for one run, or one look at a state
+SECONDS = 900.0  # for one run, or one look at a state, on a busy machine
 OFTEN = {  # a commit with a checkpoint behind every three frames
     "particlerb.simulation.frame_times.BATCH_FRAMES": 3,
     "particlerb.simulation.frame_times.BATCH_SECONDS": 1e9,
