@@ -243,7 +243,7 @@ def box(size: Floats) -> SurfaceMesh:
 def _circle(n: int = _FACETS) -> Floats:
     """Points of the unit circle at equal angles, (n, 2)."""
     angle = 2.0 * np.pi / n * np.arange(n)
-    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1).round(15)  # on the axes 0
 
 
 def _turned(outline: Any, is_smooth: bool = False, facets: int = _FACETS) -> SurfaceMesh:

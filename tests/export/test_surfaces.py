@@ -124,6 +124,13 @@ def test_a_surface_is_closed_looks_outward_and_holds_the_volume_of_its_solid(sha
     assert {(b, a) for a, b in edges} == set(edges)
 
 
+def test_corners_of_what_is_round_lie_on_its_axes():
+    """The page proposed to push a top at 8.48e-18 m."""
+    for shape in (SHAPES[0], SHAPES[3], SHAPES[4]):
+        corners = surfaces({"name": "b", "shape": shape, "mass": 1.0}).of_kind(0).mesh.vertices
+        assert (corners[np.abs(corners) < 1e-12] == 0.0).all()
+
+
 def test_a_mesh_and_spheres_are_shown_as_they_are(tmp_path):
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box(extents=[2000.0, 1000.0, 500.0]).export(tmp_path / "b.stl")
