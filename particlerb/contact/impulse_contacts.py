@@ -119,7 +119,7 @@ def _write(
     force = row3(contacts.history.force, c)
     put_row3_at(rows.impulse, k, 0, scale(dt, force))
     a, b = rows.first[k], rows.second[k]
-    acc_a, acc_b = row3_at(partners.before, a, 6), row3_at(partners.before, b, 6)
+    acc_a, acc_b = row3_at(partners.before, a, 9), row3_at(partners.before, b, 9)
     changes = add(near.changes, cross(acc_a, row3_at(rows.frame, k, col.ARM)))
     changes = subtract(changes, cross(acc_b, row3_at(rows.frame, k, col.ARM + 3)))
     lean(partners, rows, k, changes, force, dt, impulses.rules.slop)

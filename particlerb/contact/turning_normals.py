@@ -13,7 +13,7 @@ def _turning(partners: Partners, a: int, x: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """Velocity before the kick [m/s] of a point of partner a, its change without forces, and ω."""
     omega = row3_at(partners.before, a, 3)
     v = cross(omega, subtract(x, row3_at(partners.position, a, 0)))
-    changes = add(row3_at(partners.before, a, 9), cross(omega, v))
+    changes = add(row3_at(partners.before, a, 6), cross(omega, v))
     return add(row3_at(partners.before, a, 0), v), changes, omega
 
 

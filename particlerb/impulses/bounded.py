@@ -26,13 +26,19 @@ _REST_RATE_SHARE: Final = 1e-12  # of the rate
 
 
 @inline
+def _rate(bounded: Bounded, y: Floats, k: int, at: int) -> float:
+    """Rate of the coordinate of row k with velocities that stand in y from `at` on."""
+    rate = 0.0
+    for end, of in ((bounded.first[k], 0), (bounded.second[k], 6)):
+        rate += dot(row3_at(bounded.gradient, k, of), row3_at(y, end, at))
+        rate += dot(row3_at(bounded.gradient, k, of + 3), row3_at(y, end, at + 3))
+    return rate
+
+
+@inline
 def rate_along(bounded: Bounded, velocity: Floats, k: int) -> float:
     """Rate of the coordinate of row k with these velocities."""
-    rate = 0.0
-    for end, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
-        rate += dot(row3_at(bounded.gradient, k, at), row3_at(velocity, end, 0))
-        rate += dot(row3_at(bounded.gradient, k, at + 3), row3_at(velocity, end, 3))
-    return rate
+    return _rate(bounded, velocity, k, 0)
 
 
 @inline
@@ -124,6 +130,24 @@ def write_response(
 
 
 @inline
+def lean_along(
+    bounded: Bounded, partners: Partners, k: int, convective: float, speed: float, dt: float
+) -> None:
+    """Write what the rate of row k changes by until the end of a step of dt [s], without forces.
+
+    As `rows.lean` of contacts: what a brake or a stop holds stands at the ends of steps. No more
+    than what came is given back of what turns, and all of what drives accelerate.
+    """
+    values, before = bounded.values, partners.before
+    driven = 0.5 * dt * _rate(bounded, before, k, 12)
+    turned = 0.5 * dt * (convective + _rate(bounded, before, k, 6)) - driven
+    came = rate_along(bounded, before, k) - speed - driven
+    values[k, col.B_SLOW] = col.REST_KICKS * abs(turned + driven)
+    turned = min(max(came, min(turned, 0.0)), max(turned, 0.0))
+    values[k, col.B_LEAN] = driven + turned
+
+
+@inline
 def write_bounds(
     bounded: Bounded, partners: Partners, k: int, speed: float, largest: float, dt: float
 ) -> None:
@@ -132,7 +156,7 @@ def write_bounds(
     Parameters
     ----------
     bounded, partners, k
-        With gaps, restitution, and velocities before and after half a kick.
+        With gaps, restitution, velocities before and after half a kick, and what they change by.
     speed : float
         That a motor or friction keeps.
     largest : float
@@ -141,14 +165,21 @@ def write_bounds(
     values = bounded.values
     before = rate_along(bounded, partners.before, k)
     after = rate_along(bounded, partners.velocity, k)
-    values[k, col.B_LEAST] = values[k, col.B_MOST] = speed
+    lean, force = values[k, col.B_LEAN], values[k, col.B_FORCE]
+    values[k, col.B_LEAST] = values[k, col.B_MOST] = speed - lean
     if bounded.kind[k] == col.STOP:
-        values[k, col.B_LEAST] = -max(values[k, col.B_GAP], 0.0) / dt
-        values[k, col.B_MOST] = max(values[k, col.B_GAP + 1], 0.0) / dt
+        # bodies go straight from step to step, and lie beyond the stop in the middle
+        values[k, col.B_GAP] -= 0.25 * dt * lean if force > 0.0 else 0.0
+        values[k, col.B_GAP + 1] += 0.25 * dt * lean if force < 0.0 else 0.0
+        lower, upper = values[k, col.B_GAP], values[k, col.B_GAP + 1]
+        at_lower, at_upper = lower <= 0.0 or force > 0.0, upper <= 0.0 or force < 0.0
+        values[k, col.B_LEAST] = -max(lower, 0.0) / dt - (lean if at_lower else 0.0)
+        values[k, col.B_MOST] = max(upper, 0.0) / dt - (lean if at_upper else 0.0)
+        values[k, col.B_LEAN] = lean if at_lower or at_upper else 0.0
     values[k, col.B_LARGEST] = largest
     if values[k, col.B_WEIGHT] == 0.0:
         values[k, col.B_LARGEST] = values[k, col.B_RESTITUTION] = 0.0
-    values[k, col.B_SLOW] = col.REST_KICKS * abs(after - before) + _REST_RATE_SHARE * abs(after)
+    values[k, col.B_SLOW] += col.REST_KICKS * abs(after - before) + _REST_RATE_SHARE * abs(after)
     values[k, col.B_IMPULSE], values[k, col.B_IMPACT] = dt * values[k, col.B_FORCE], 0.0
 
 

@@ -19,7 +19,8 @@ def find_overrun(bounded: Bounded, velocity: Floats, dt: float) -> bool:
     values, is_overrun = bounded.values, False
     for k in range(bounded.kind.size):
         u = rate_along(bounded, velocity, k)
-        lower, upper = values[k, col.B_GAP] + dt * u, values[k, col.B_GAP + 1] - dt * u
+        comes = dt * (u + values[k, col.B_LEAN])
+        lower, upper = values[k, col.B_GAP] + comes, values[k, col.B_GAP + 1] - comes
         parts, slow = u if lower < upper else -u, values[k, col.B_SLOW]
         is_left = values[k, col.B_LEAST] == -math.inf or values[k, col.B_MOST] == math.inf
         is_left |= parts > slow and values[k, col.B_IMPULSE] == 0.0

@@ -55,7 +55,8 @@ B_CHANGE: Final = 14  # c and
 B_SLOPE: Final = 15  # K of Newton's method; then on which side a stop is overrun, and by how much
 B_BEST: Final = 16  # impulse of the best solution so far
 B_SHOWN: Final = 17  # impulse and impact of the last step over its length
-_N_BOUNDED: Final = 18
+B_LEAN: Final = 18  # what the rate changes by until the end: `bounded.lean_along`
+_N_BOUNDED: Final = 19
 
 # Numbers of a tally
 STEPS: Final = 0  # steps in which something was near
@@ -135,7 +136,7 @@ class Partners(NamedTuple):
     """Bodies and walls, (n + n_walls, ..)."""
 
     velocity: Floats  # (.., 6) [m/s, rad/s] of the centre of mass, and angular; world axes
-    before: Floats  # (.., 12) before the kick; without forces ω̇ [rad/s²], v̇ [m/s²]
+    before: Floats  # (.., 18) before the kick; v̇ [m/s²], ω̇ [rad/s²] without forces; of drives
     free: Floats  # (.., 6) after it, without impulses of the solve
     inverse: Floats  # (.., 7) [1/kg, 1/(kg m²)] mass; xx, xy, xz, yy, yz, zz of the inertia
     move: Floats  # (.., 6) [m, rad] by which they are pushed out
@@ -160,7 +161,7 @@ class Bounded(NamedTuple):
     member: Ints  # partners of its mechanism, and
     response: Floats  # (.., 6) [m/s, rad/s] what a unit impulse does to their velocities
     gradient: Floats  # (k, 12) by the velocities of both
-    values: Floats  # (k, 17)
+    values: Floats  # (k, 19)
 
 
 class Rolling(NamedTuple):
@@ -231,7 +232,7 @@ def room_for_partners(
     n: int, mechanisms: Mechanisms | None = None, keeps_kick: Flag = None
 ) -> Partners:
     """Room for n bodies and walls."""
-    velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 12, 6, 7, 6))
+    velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 18, 6, 7, 6))
     position, reach, speeds, impulse, booked = (np.zeros((n, width)) for width in (3, 1, 4, 6, 8))
     has_moved, used = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64)
     arrays = velocity, before, free, inverse, move, has_moved, position, reach, speeds

@@ -128,7 +128,7 @@ def gather_velocities(
             put_row3_at(partners.before, b, 0, v)
             put_row3_at(partners.before, b, 3, omega)
             R, moments = matrix(get4(rows, Q, i)), get3(rows, INV_INERTIA, i)
-            put_row3_at(partners.before, b, 6, _free_turning(R, moments, omega))
+            put_row3_at(partners.before, b, 9, _free_turning(R, moments, omega))
             _put_inverse(partners.inverse, b, get(rows, INV_MASS, i), moments, R)
             if inv_mass[b] > 0.0:
                 v = scale(inv_mass[b], get3(rows, P, i))
@@ -148,10 +148,12 @@ def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None
     if prescribed is not None:
         for k in range(prescribed.body.size):
             by = prescribed_acceleration(prescribed, k, t)
-            put_row3_at(partners.before, prescribed.body[k], 9, by)
+            for to in (6, 12):
+                put_row3_at(partners.before, prescribed.body[k], to, by)
     for w in range(poses.size):
         by = acceleration_at(motion_in(contact.setup.motions, w), ZERO, t)
-        put_row3_at(partners.before, n + w, 9, by)
+        for i in (6, 12):
+            put_row3_at(partners.before, n + w, i, by)
         for to in (partners.velocity, partners.before):
             put_row3_at(to, n + w, 0, row3(poses.velocity, w))
             put_row3_at(to, n + w, 3, row3(poses.angular_velocity, w))

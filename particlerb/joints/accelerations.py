@@ -82,7 +82,7 @@ def _convective(
     if kind == DOT:
         return dot(ra2, u) + 2.0 * dot(ra1, u1) + dot(ra, u2)
     a, b = rows.a[r], rows.b[r]
-    k = add(subtract(ra2, rb2), _relative_prescribed_acceleration(data, a, b))
+    k = subtract(ra2, rb2)
     va, vb = _velocity(joints, data, a), _velocity(joints, data, b)
     d1 = subtract(add(va, ra1), add(vb, rb1))
     if kind == GEAR:
@@ -94,9 +94,12 @@ def _convective(
 
 
 @inline
-def _relative_prescribed_acceleration(data: JointData, a: int, b: int) -> Vec3:
-    """How the accelerations of bodies that move as prescribed differ."""
-    return subtract(row3_at(data.motion, a, 6), row3_at(data.motion, b, 6))
+def driven(joints: Joints, data: JointData, r: int) -> float:
+    """The part of -g̈ of row r by its drive, and by bodies that move as prescribed."""
+    rows, motion = joints.rows, data.motion
+    by = subtract(row3_at(motion, rows.a[r], 6), row3_at(motion, rows.b[r], 6))
+    by_drive = course(joints.drives, rows.drive[r], data.clock[0])[2]
+    return by_drive - dot(row3_at(data.gradient, r, 0), by)
 
 
 @inline
@@ -108,8 +111,16 @@ def _centripetal(
         turn(R[0], row3_at(joints.rows.vector_a, r, 0)),
         turn(R[1], row3_at(joints.rows.vector_b, r, 0)),
     )
-    k = subtract(cross(wa, cross(wa, ra)), cross(wb, cross(wb, rb)))
-    return add(k, _relative_prescribed_acceleration(data, joints.rows.a[r], joints.rows.b[r]))
+    return subtract(cross(wa, cross(wa, ra)), cross(wb, cross(wb, rb)))
+
+
+@kernel
+def convective_along(joints: Joints, data: JointData, r: int) -> float:
+    """Convective part of ẍ of row r, a coordinate."""
+    R = rotations(joints.rows, data.y, r)
+    wa = _spin_of(joints, data, joints.rows.a[r], R[0]).w
+    wb = _spin_of(joints, data, joints.rows.b[r], R[1]).w
+    return _convective(joints, data, r, R, wa, wb)
 
 
 @kernel
@@ -133,6 +144,6 @@ def accelerations(joints: Joints, data: JointData, lo: int, hi: int, load: Float
         else:
             acceleration = _convective(joints, data, r, R, spin_a.w, spin_b.w)
         acceleration += rate(joints, gradient, r, load, 0)
-        acceleration -= course(joints.drives, rows.drive[r], data.clock[0])[2]
+        acceleration -= driven(joints, data, r)
         acceleration -= dot(row3_at(gradient, r, 3), spin_a.lost)
         data.z[r] = dot(row3_at(gradient, r, 6), spin_b.lost) - acceleration

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.impulses.bounded import write_bounds, write_gradient, write_response
+from particlerb.impulses.bounded import lean_along, write_bounds, write_gradient, write_response
 from particlerb.impulses.records import (
     B_GAP,
     B_RESTITUTION,
@@ -25,10 +25,9 @@ from particlerb.impulses.records import (
     room_for_bounded,
 )
 from particlerb.impulses.rows import inverse_inertia_times, write_through_joints
-from particlerb.joints.accelerations import accelerations
+from particlerb.joints.accelerations import accelerations, convective_along, driven
 from particlerb.joints.actions import unwound
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.drives import course
 from particlerb.joints.records import JointData, Joints
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals
 from particlerb.joints.solver import factorise_cluster
@@ -134,24 +133,32 @@ def _accelerate(
 ) -> None:
     """Factorise all mechanisms, and write how joints alone accelerate their bodies.
 
-    Without what drives accelerate: the limit of `lean` is for velocities that turn, and would take
-    a part of that, so that a gripper lost its brick.
+    What drives and bodies that move as prescribed accelerate stands by itself as well: the limit of
+    `lean` is for velocities that turn, and would take a part of that, so that a gripper lost its
+    brick.
     """
+    before = partners.before
     for c in range(joints.clusters.body.size - 1):
         first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
         lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
         factorise_cluster(joints, data, c, 0.0, data.clock[0])
-        data.change[first:last] = 0.0
-        accelerations(joints, data, lo, hi, data.change)
-        for r in range(lo, hi):
-            data.z[r] -= course(joints.drives, joints.rows.drive[r], data.clock[0])[2]
-        _hold(joints, data, c, lo, hi)
-        for k in range(first, last):
-            b = mechanisms.member[k]
-            if partners.inverse[b, 0] > 0.0:
-                v, omega = _by_impulses(partners, data, b, k)
-                put_row3_at(partners.before, b, 6, add(row3_at(partners.before, b, 6), omega))
-                put_row3_at(partners.before, b, 9, v)
+        for to in range(12 if joints.moves else 6, 5, -6):
+            data.change[first:last] = 0.0
+            if to == 6:
+                accelerations(joints, data, lo, hi, data.change)
+            for r in range(lo, hi):
+                by = driven(joints, data, r)
+                data.z[r] = by if to == 12 else data.z[r] - by
+            _hold(joints, data, c, lo, hi)
+            for k in range(first, last):
+                b = mechanisms.member[k]
+                if partners.inverse[b, 0] > 0.0:
+                    v, omega = _by_impulses(partners, data, b, k)
+                    if to == 6:
+                        v = add(v, row3_at(before, b, 12))
+                        omega = add(add(omega, row3_at(before, b, 15)), row3_at(before, b, 9))
+                    put_row3_at(before, b, to, v)
+                    put_row3_at(before, b, to + 3, omega)
 
 
 @kernel
@@ -190,6 +197,7 @@ def find_bounded(
         x = unwound(joints.rows.kind[r], x, bounds.lower[k], bounds.upper[k])
         values[k, B_GAP], values[k, B_GAP + 1] = x - bounds.lower[k], bounds.upper[k] - x
         values[k, B_RESTITUTION], most = bounds.restitution[k], dt * bounds.largest[k]
+        lean_along(bounded, partners, k, convective_along(joints, data, r), bounds.speed[k], dt)
         write_bounds(bounded, partners, k, bounds.speed[k], most, dt)
 
 

@@ -1,0 +1,104 @@
+"""Brakes, stops and friction hold what a mechanism turns, or drives, and nothing creeps."""
+
+import numpy as np
+import pytest
+from impulse_scenes import DOWN, case, errors, impulse, sphere
+
+import particlerb
+
+pytestmark = pytest.mark.plain
+
+TURNING, OUT = 10.0, 0.5  # rad/s; m from the axis to a block of 1 kg: 50 N pull it outwards
+AMPLITUDE, RATE = 0.05, 4.0 * np.pi  # m, rad/s
+SHAKES = {"amplitude": AMPLITUDE, "frequency": 0.5 * RATE / np.pi}
+FIELDS = {"fields": ["position", "velocity", "joint_coordinate"]}
+
+
+def run(*bodies, joint, h, contact, **keys):
+    """Trajectory of 0.2 s."""
+    return particlerb.run(
+        case(*bodies, joint=joint, contact=contact, output=FIELDS, dt=h, t_end=0.2, every=0.02,
+             **keys)
+    )  # fmt: skip
+
+
+def on_an_arm(h, is_driven, **acting):
+    """Displacement of a block along an arm that turns, and the trajectory."""
+    spin = {"angular_velocity": [0.0, 0.0, TURNING], "contact": False}
+    arm = {"name": "arm", "shape": {"type": "box", "size": [1.0, 0.1, 0.1]}, "mass": 1.0} | spin
+    block = sphere("block", mass=1.0, position=[OUT, 0.0, 0.0], velocity=[0.0, OUT * TURNING, 0.0])
+    hinge = {"type": "hinge", "body": "arm", "axis": [0, 0, 1]}
+    hinge |= {"drive": {"speed": TURNING}} if is_driven else {}
+    slider = {"type": "slider", "body": "block", "to": "arm", "axis": [1, 0, 0]} | acting
+    t = run(arm, block | spin, joint=[hinge, slider], h=h, contact=impulse(tolerance=1e-12))
+    return t.joint_coordinate[:, 1], t
+
+
+@pytest.mark.parametrize(
+    "acting", [{"friction": 100.0}, {"motor": {"speed": 0.0, "largest": 100.0}}]
+)
+def test_a_brake_holds_on_an_arm_that_turns(acting):
+    """It could bear twice the pull, and crept outwards by 0.25 m/s at 10 ms."""
+    x, t = on_an_arm(1e-2, True, **acting)
+    assert np.abs(x).max() < 1e-14
+    assert errors(t)[0] < 1e-12
+    coarse, fine = (np.abs(on_an_arm(h, False, **acting)[0]).max() for h in (1e-2, 5e-3))
+    assert coarse < 1e-4
+    assert fine < coarse / 3.5
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_stop_holds_on_an_arm_that_turns(sign):
+    """The block was 6.5 mm beyond it at 10 ms, and 7 mJ were lost."""
+    limit = {"range": [-0.2, 0.0] if sign > 0.0 else [0.0, 0.2], "restitution": 0.0}
+    x, t = on_an_arm(1e-2, True, axis=[sign, 0, 0], limit=limit)
+    assert np.abs(x).max() < 2.0 * TURNING**2 * OUT * 1e-4 / 8.0
+    assert abs(x[-1]) < 1e-6
+    assert errors(t)[0] < 2e-5
+
+
+@pytest.mark.parametrize("is_driven", [True, False])
+def test_a_brake_holds_a_pendulum_on_a_cart_that_shakes(is_driven):
+    """A drive moves the cart, or a motion of its own; it swung by 11 mrad at 10 ms, to order 1."""
+    begin, most = {"velocity": [AMPLITUDE * RATE, 0.0, 0.0], "contact": False}, []
+    cart = sphere("cart", mass=1.0, contact=False)
+    bob = sphere("bob", mass=1.0, position=[0.0, 0.0, -0.5]) | begin
+    joint = [{"type": "hinge", "body": "bob", "to": "cart", "at": [0, 0, 0], "axis": [0, 1, 0],
+              "friction": 50.0}]  # fmt: skip
+    if is_driven:
+        cart |= begin
+        joint.append({"type": "slider", "body": "cart", "axis": [1, 0, 0], "drive": SHAKES})
+    else:
+        cart["motion"] = {"oscillation": SHAKES | {"amplitude": [AMPLITUDE, 0.0, 0.0]}}
+    for h in (1e-2, 5e-3):
+        t = run(cart, bob, joint=joint, h=h, contact=impulse(tolerance=1e-12), gravity=DOWN)
+        most.append(np.abs(t.joint_coordinate[:, 0]).max())
+    assert most[0] < 2e-4
+    assert most[1] < most[0] / 3.5
+
+
+@pytest.mark.parametrize("along", [0, 2])
+def test_what_a_drive_moves_carries_as_what_moves_as_prescribed(along):
+    """A block on guides, which friction or the floor of a tray takes along; it lagged by h/2."""
+    way = np.eye(3)[along]
+    begin = (AMPLITUDE * RATE * way).tolist()
+    tray = sphere("tray", radius=0.2, mass=1.0)
+    block = sphere("block", radius=0.1, mass=0.2, position=[0, 0, 0.3], velocity=begin)
+    guide = sphere("guide", mass=0.1, position=[0, 0, 0.3], contact=False)
+    guide["velocity"] = [0.0, 0.0, begin[2]]
+    guides = [
+        {"type": "slider", "body": "guide", "axis": [0, 0, 1]},
+        {"type": "slider", "body": "block", "to": "guide", "axis": [1, 0, 0]},
+    ]
+    moves = {"type": "slider", "body": "tray", "axis": way.tolist(), "drive": SHAKES}
+    motion = {"motion": {"oscillation": SHAKES | {"amplitude": (AMPLITUDE * way).tolist()}}}
+    contact = impulse(0.0, 20.0, tolerance=1e-11)
+    one = run(tray | {"velocity": begin}, block, guide, joint=[*guides, moves], h=1e-2,
+              contact=contact, gravity={"acceleration": [0.0, 0.0, -30.0]})  # fmt: skip
+    other = run(tray | motion, block, guide, joint=guides, h=1e-2, contact=contact,
+                gravity={"acceleration": [0.0, 0.0, -30.0]})  # fmt: skip
+    for name in ("position", "velocity"):
+        off = getattr(one, name)[:, 1] - getattr(other, name)[:, 1]
+        assert np.abs(off).max() < 1e-11
+    exact = AMPLITUDE * np.sin(RATE * one.time)
+    assert np.abs(one.position[:, 1] @ way - exact - 0.3 * way[2]).max() < 1e-4
