@@ -2,6 +2,7 @@
 
 import math
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple, TypeAlias
@@ -195,8 +196,10 @@ class Run:
         self.n_frames = n_frames
         self.last[:] = saved["last"]
         self.balance.restore(within("ledger", saved))
+        names = sorted(saved)  # which puts those of a group side by side: "/" comes after "."
         for _, key, group_run in self.keyed_runs:
-            group_run.restore(within(key, saved))
+            own = names[bisect_left(names, f"{key}.") : bisect_left(names, f"{key}/")]
+            group_run.restore(within(key, {name: saved[name] for name in own}))
         self.probes = restored_probes(saved, self.last)
 
     def flown(self) -> float | None:

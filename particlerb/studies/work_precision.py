@@ -308,14 +308,8 @@ class Study:
             while len(results) < REPEATS and THREADS.local.clock() - start < budget:
                 results.append(engine.run(self.peer_scene, variant, step))
             spent = float(np.median([result.seconds for result in results]))
-            error, energy, spin = peers.peer_errors(
-                results[0],
-                self.system,
-                self.sampled,
-                self.judged,
-                self.times,
-                self.reference.frames,
-            )
+            scene = self.system, self.sampled, self.judged, self.times, self.reference.frames
+            error, energy, spin = peers.peer_errors(results[0], *scene)
             to_point = partial(Point, variant, engine.NAME, step, engine.ADAPTIVE, spent)
             yield to_point(error, energy, spin, failure(error))
             if THREADS.local.clock() - start > budget:
