@@ -63,8 +63,9 @@ class BrickMotion(SharedMotion):
         self.shown_blocks = in_blocks(max(m, 1), CHANGING, [])
         self.account_shown = ForceAccount(shown, state)
         with ending_all(self.ranks):
-            everyone = exchange.everyone(state)
-            self.initial, com = initial_rows(np.vstack(everyone)), everyone.com
+            everyone = np.vstack(exchange.everyone(state))
+            com, self.held = np.ascontiguousarray(everyone[:3]), np.flatnonzero(~self.is_free)
+            self.held_rows = initial_rows(everyone[:, self.held])
             turns = slice(number, None, self.ranks.count)
             self.domains = Domains(exchange, com[:, self.is_free][:, turns])
             owner = self.domains.owners(np.arange(com.shape[1]), com)
@@ -72,7 +73,9 @@ class BrickMotion(SharedMotion):
             kept = [kept_of(each) for each in histories or ()]
             histories = exchange.routed(kept, owner) if kept else None
             skin = exchange.group.terms.known_contact.skin
-            self.rebuild(bodies, self.initial[bodies], skin, histories)
+            rows = initial_rows(everyone[:, bodies])
+            del everyone, com  # where the rest is made these are most of the memory
+            self.rebuild(bodies, rows, skin, histories)
             self.loop = loop_over_ranks(method, self.kinematics, self.store, self.enter_kick)
             self.make_first_lists()
 
@@ -84,10 +87,10 @@ class BrickMotion(SharedMotion):
         Lists with this skin [m] are to be made of them.
         """
         ghost_rows, ghosts = self.domains.ghosts_of(bodies, rows, skin)
-        held = np.flatnonzero(~self.is_free)
-        local = np.unique(np.concatenate([bodies, ghosts, held]))
-        values = self.initial[local]
-        for indices, new_rows in ((ghosts, ghost_rows), (bodies, rows)):
+        local = np.unique(np.concatenate([bodies, ghosts, self.held]))
+        values = np.empty((local.size, GROSS + 1))
+        held = self.held, self.held_rows
+        for indices, new_rows in (held, (ghosts, ghost_rows), (bodies, rows)):
             values[np.searchsorted(local, indices)] = new_rows
         self.local, self.is_own = local, np.isin(local, bodies)
         group, numbers = contact_part(self.exchange.group, local)
