@@ -75,6 +75,8 @@ def appearing(*paths: Path) -> Iterator[list[Path]]:
         yield unfinished
         for new, place in zip(unfinished, places, strict=True):
             new.replace(place)
-    finally:
+    except BaseException:
         for new in unfinished:
-            new.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                new.unlink(missing_ok=True)
+        raise

@@ -7,6 +7,7 @@ import resource
 import pytest
 
 from particlerb.cli import main
+from particlerb.record.output_path import appearing
 
 pytestmark = pytest.mark.once
 
@@ -70,3 +71,11 @@ def test_a_file_that_does_not_fit_leaves_that_from_before(
     assert main(argv) == 0
     assert {*names} <= {path.name for path in tmp_path.iterdir()}
     assert all(OLD.encode() not in (tmp_path / name).read_bytes() for name in names)
+
+
+def test_a_file_that_is_whole_is_said_to_be_written(tmp_path, monkeypatch):
+    """A disk that fails behind that, where there is nothing to remove, is not asked."""
+    monkeypatch.setattr(os, "unlink", lambda *_: pytest.fail("removed"))
+    with appearing(tmp_path / "a.txt") as (new,):
+        new.write_text("whole")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]

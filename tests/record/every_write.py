@@ -98,11 +98,14 @@ def complaint(done: Done, error: int) -> str:
 
 
 def faults(
-    name: str, argv: list[str], folder: Path, session: Session
+    name: str, argv: list[str], folder: Path, session: Session, every: int
 ) -> tuple[int, int, list[str]]:
     """Operations, states, and what is wrong."""
     watched, wrong, states = folder / "watched", [], 0
     place({}, watched)
+    if argv[0] != SAVE:
+        session.warm(argv, folder)  # what it imports is there for all
+        place({}, watched)
     done = session.run(argv, watched, cwd=folder)
     assert done.code == 0, done.err
     right, n = in_folder(watched), len(done.operations)
@@ -111,7 +114,7 @@ def faults(
         befores.append(dict.fromkeys(right, OLD))
     for before in befores:
         words = [*argv, *["--overwrite"] * bool(before)]
-        for k in range(n):
+        for k in range(0, n, every):
             for error, how in WAYS:
                 states += 1
                 place(before, watched)
@@ -141,6 +144,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--table", type=Path)
+    parser.add_argument("--every", type=int, default=1, help="operation that fails")
     options = parser.parse_args()
     rows, is_right = ["command,operations,states,wrong"], True
     memory = "/dev/shm" if os.path.isdir("/dev/shm") else None
@@ -151,7 +155,7 @@ def main() -> int:
             for name, argv in commands().items():
                 if options.names and not name.startswith(tuple(options.names)):
                     continue
-                n, states, wrong = faults(name, argv, folder, session)
+                n, states, wrong = faults(name, argv, folder, session, options.every)
                 rows.append(f"{name},{n},{states},{len(wrong)}")
                 is_right &= not wrong
                 print(rows[-1], *wrong, sep="\n", flush=True)
