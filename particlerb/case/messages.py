@@ -103,6 +103,8 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     if kind == "extra_forbidden":
         keys = _table_keys(raw, path[:-1], root)
         hint, where = nearest(str(path[-1]), keys, "keys here"), _elsewhere(path, root)
+        if path[-1] == "bodies" and "to" in keys:  # each of `body` alone would be tied to the world
+            hint = hint.replace('"body"?', '"body" and "to"?')
         if where and not forms(path[:-1]) and not _is_close(str(path[-1]), hint):
             hint = f"{where}; {hint[hint.find('keys here') :]}"
         elif not hint.startswith("did you mean"):

@@ -354,6 +354,14 @@ MISTAKES = [
         'did you mean "body"? keys here: body, random',
     ),
     (
+        'type = "push"\nbody = "cube"\nforce = [0, 0, 50]\nduring = [0.0, 0.02]',
+        'type = "spring"\nbodies = ["cube", "clump[0]"]\nstiffness = 1.0',
+        17,
+        "force[0].bodies",
+        "unknown key",
+        'did you mean "body" and "to"? keys here',
+    ),
+    (
         'type = "push"',
         'type = "gravity"',
         16,
