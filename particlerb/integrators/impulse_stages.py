@@ -67,13 +67,9 @@ _MOMENTUM_ROUNDING: Final = 1e-9  # of momenta, beside impulses of a kick
 
 @kernel
 def midpoint_kinematics(
-    contact: MovingContact | None,
-    team: Team | None,
-    pairs: PairTerms | None,
-    acting: Acting,
-    share: BlockShare,
-    dt: float,
-) -> None:
+    contact: MovingContact | None, team: Team | None, pairs: PairTerms | None, acting: Acting,
+    share: BlockShare, dt: float,
+) -> None:  # fmt: skip
     """Find kinematics, and take loads that depend on time, in the middle of a step."""
     for k in range(share.first, share.last):
         for b in range(share.layout.size[k]):
