@@ -9,7 +9,7 @@ Contacts of one piston may be on several ranks, so their sums are exact: no orde
 Each number is cut into three, multiples of powers of two that are 2^26 apart, and numbers of one
 power add without rounding, up to 2^53 of it. Source: Demmel and Nguyen, IEEE ARITH 21, 163 (2013).
 
-Why it is so: docs/decisions/0010 and 0032.
+Why it is so: docs/decisions/0010 and 0033.
 """
 
 import math
