@@ -61,5 +61,6 @@ def _type_of(function: Any, args: Any, variable: Any) -> Any:
             index = ir_utils.guard(ir_utils.find_const, function, index)
         is_item = isinstance(of, types.BaseTuple) and isinstance(index, int)
         return of.types[index] if is_item else None
-    is_field = isinstance(of, types.BaseNamedTuple) and found.attr in of.fields
-    return of.types[of.fields.index(found.attr)] if is_field else None
+    is_named = isinstance(of, types.BaseNamedTuple)
+    names = of.fields if is_named else ()
+    return of.types[names.index(found.attr)] if found.attr in names else None

@@ -144,8 +144,8 @@ def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None
     if prescribed is not None:
         for k in range(prescribed.body.size):
             by = prescribed_acceleration(prescribed, k, t)
-            for to in (6, 12):
-                put_row3_at(partners.before, prescribed.body[k], to, by)
+            for i in (6, 12):
+                put_row3_at(partners.before, prescribed.body[k], i, by)
     for w in range(poses.size):
         by = acceleration_at(motion_in(contact.setup.motions, w), ZERO, t)
         for i in (6, 12):
