@@ -26,8 +26,8 @@ _SECONDS_BETWEEN: Final = {"lines": 10.0, "log": 1.0}  # lines
 def _new_log(path: Path) -> TextIO:
     """File for lines, with its head; what is there may only be another log."""
     try:
-        data = path.read_bytes() if path.is_file() else b""
-        if data and not data.startswith(_LOG_HEAD.encode()):
+        data, head = path.read_bytes() if path.is_file() else b"", _LOG_HEAD.encode()
+        if not (data.startswith(head) or head.startswith(data)):
             raise Ending(f"--log {path} exists and is not a log: give another name")
         file = path.open("w", encoding="utf-8")
         try:

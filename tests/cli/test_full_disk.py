@@ -7,6 +7,8 @@ import resource
 import pytest
 
 from particlerb.cli import main
+from particlerb.cli.exit_codes import Ending
+from particlerb.cli.report import _new_log
 from particlerb.record.output_path import appearing
 
 pytestmark = pytest.mark.once
@@ -25,10 +27,10 @@ ENOUGH_FOR_NO_FILE = 100
 
 
 @contextlib.contextmanager
-def full_disk():
+def full_disk(most=ENOUGH_FOR_NO_FILE):
     """Files of this process cannot get longer than some bytes."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (ENOUGH_FOR_NO_FILE, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
     try:
         yield
     finally:
@@ -79,3 +81,12 @@ def test_a_file_that_is_whole_is_said_to_be_written(tmp_path, monkeypatch):
     with appearing(tmp_path / "a.txt") as (new,):
         new.write_text("whole")
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_log_whose_first_line_did_not_fit_is_begun_anew(tmp_path):
+    log = tmp_path / "a.log"
+    with full_disk(50), pytest.raises(Ending, match="File too large"):
+        _new_log(log)
+    assert log.stat().st_size == 50
+    _new_log(log).close()
+    assert log.read_text().startswith("      time [s]")

@@ -75,7 +75,7 @@ def save_session(path: str) -> int:
 def prepared(folder: Path, session: Session) -> None:
     """Cases and trajectories that the commands read."""
     a, c = free(), contact()
-    s = a | {"sweep": {"axes": {"body.a.mass": [1.0, 2.0]}, "value": []}}
+    s = a | {"sweep": {"axes": {"body.0.mass": [1.0, 2.0]}, "value": []}}
     c["run"]["t_end"], c["run"]["every"] = 0.1, 0.05
     for name, case in (("a", a), ("c", c), ("s", s)):
         (folder / f"{name}.toml").write_text(tomlkit.dumps(case))
