@@ -140,7 +140,7 @@ def lean_along(
     """
     values, before = bounded.values, partners.before
     driven = 0.5 * dt * _rate(bounded, before, k, 12)
-    turned = 0.5 * dt * (convective + _rate(bounded, before, k, 6)) - driven
+    turned = 0.5 * dt * (convective + _rate(bounded, before, k, 6))
     came = rate_along(bounded, before, k) - speed - driven
     values[k, col.B_SLOW] = col.REST_KICKS * abs(turned + driven)
     turned = min(max(came, min(turned, 0.0)), max(turned, 0.0))

@@ -185,9 +185,9 @@ def approach_at_end(partners: Partners, rows: ImpulseRows, c: int) -> Vec3:
 
 
 @inline
-def _driven(partners: Partners, a: int, arm: Vec3) -> Vec3:
-    """How a point of partner a is accelerated [m/s²] by its motion, or by drives of its joints."""
-    return add(row3_at(partners.before, a, 12), cross(row3_at(partners.before, a, 15), arm))
+def _driven(partners: Partners, a: int) -> Vec3:
+    """How partner a is accelerated [m/s²] if it moves as prescribed."""
+    return row3_at(partners.before, a, 6) if partners.inverse[a, 0] == 0.0 else ZERO
 
 
 @inline
@@ -200,7 +200,7 @@ def lean(
     Until then it changes without impulses, as the normal turns and as bodies turn. So what rolls or
     slides along what is bent leaves the middle of a step as it came there; without this, each step
     would take from its energy what the normal has turned towards it. No more than what came is
-    given back, beside what motions of walls and bodies and drives of joints accelerate, and across
+    given back, beside what walls and bodies that move as prescribed are accelerated by, and across
     the normal only to what stuck in the step before. What moves in contact over what is bent away
     from it lies beyond in the middle, which is not counted as a gap.
 
@@ -217,8 +217,7 @@ def lean(
     """
     put_row3_at(rows.limits, c, LEAN, ZERO)
     a, b = rows.first[c], rows.second[c]
-    arm_a, arm_b = row3_at(rows.frame, c, ARM), row3_at(rows.frame, c, ARM + 3)
-    driven = subtract(_driven(partners, a, arm_a), _driven(partners, b, arm_b))
+    driven = subtract(_driven(partners, a), _driven(partners, b))
     n_by, x_by, y_by = in_frame(rows.frame, c, scale(0.5 * dt, driven))
     n, x, y = in_frame(rows.frame, c, scale(0.5 * dt, subtract(changes, driven)))
     came, u, v = in_frame(rows.frame, c, velocity_between(partners.before, rows.frame, c, a, b))

@@ -144,12 +144,10 @@ def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None
     if prescribed is not None:
         for k in range(prescribed.body.size):
             by = prescribed_acceleration(prescribed, k, t)
-            for i in (6, 12):
-                put_row3_at(partners.before, prescribed.body[k], i, by)
+            put_row3_at(partners.before, prescribed.body[k], 6, by)
     for w in range(poses.size):
         by = acceleration_at(motion_in(contact.setup.motions, w), ZERO, t)
-        for i in (6, 12):
-            put_row3_at(partners.before, n + w, i, by)
+        put_row3_at(partners.before, n + w, 6, by)
         for to in (partners.velocity, partners.before):
             put_row3_at(to, n + w, 0, row3(poses.velocity, w))
             put_row3_at(to, n + w, 3, row3(poses.angular_velocity, w))

@@ -25,9 +25,10 @@ from particlerb.impulses.records import (
     room_for_bounded,
 )
 from particlerb.impulses.rows import inverse_inertia_times, write_through_joints
-from particlerb.joints.accelerations import accelerations, convective_along, driven
+from particlerb.joints.accelerations import accelerations, convective_along
 from particlerb.joints.actions import unwound
 from particlerb.joints.block_cholesky import solve
+from particlerb.joints.drives import course
 from particlerb.joints.records import JointData, Joints
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals
 from particlerb.joints.solver import factorise_cluster
@@ -133,9 +134,8 @@ def _accelerate(
 ) -> None:
     """Factorise all mechanisms, and write how joints alone accelerate their bodies.
 
-    What drives and bodies that move as prescribed accelerate stands by itself as well: the limit of
-    `lean` is for velocities that turn, and would take a part of that, so that a gripper lost its
-    brick.
+    What drives accelerate stands by itself: coordinates within bounds ask for it. Contacts do not:
+    where some of several slide, and so ask for nothing, a gripper lost its brick.
     """
     before = partners.before
     for c in range(joints.clusters.body.size - 1):
@@ -147,7 +147,7 @@ def _accelerate(
             if to == 6:
                 accelerations(joints, data, lo, hi, data.change)
             for r in range(lo, hi):
-                by = driven(joints, data, r)
+                by = course(joints.drives, joints.rows.drive[r], data.clock[0])[2]
                 data.z[r] = by if to == 12 else data.z[r] - by
             _hold(joints, data, c, lo, hi)
             for k in range(first, last):
@@ -155,8 +155,7 @@ def _accelerate(
                 if partners.inverse[b, 0] > 0.0:
                     v, omega = _by_impulses(partners, data, b, k)
                     if to == 6:
-                        v = add(v, row3_at(before, b, 12))
-                        omega = add(add(omega, row3_at(before, b, 15)), row3_at(before, b, 9))
+                        omega = add(row3_at(before, b, 9), omega)
                     put_row3_at(before, b, to, v)
                     put_row3_at(before, b, to + 3, omega)
 

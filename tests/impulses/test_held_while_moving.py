@@ -1,4 +1,4 @@
-"""Brakes, stops and friction hold what a mechanism turns, or drives, and nothing creeps."""
+"""Brakes, motors and stops hold what a mechanism turns, or drives, and nothing creeps."""
 
 import numpy as np
 import pytest
@@ -75,30 +75,3 @@ def test_a_brake_holds_a_pendulum_on_a_cart_that_shakes(is_driven):
         most.append(np.abs(t.joint_coordinate[:, 0]).max())
     assert most[0] < 2e-4
     assert most[1] < most[0] / 3.5
-
-
-@pytest.mark.parametrize("along", [0, 2])
-def test_what_a_drive_moves_carries_as_what_moves_as_prescribed(along):
-    """A block on guides, which friction or the floor of a tray takes along; it lagged by h/2."""
-    way = np.eye(3)[along]
-    begin = (AMPLITUDE * RATE * way).tolist()
-    tray = sphere("tray", radius=0.2, mass=1.0)
-    block = sphere("block", radius=0.1, mass=0.2, position=[0, 0, 0.3], velocity=begin)
-    guide = sphere("guide", mass=0.1, position=[0, 0, 0.3], contact=False)
-    guide["velocity"] = [0.0, 0.0, begin[2]]
-    guides = [
-        {"type": "slider", "body": "guide", "axis": [0, 0, 1]},
-        {"type": "slider", "body": "block", "to": "guide", "axis": [1, 0, 0]},
-    ]
-    moves = {"type": "slider", "body": "tray", "axis": way.tolist(), "drive": SHAKES}
-    motion = {"motion": {"oscillation": SHAKES | {"amplitude": (AMPLITUDE * way).tolist()}}}
-    contact = impulse(0.0, 20.0, tolerance=1e-11)
-    one = run(tray | {"velocity": begin}, block, guide, joint=[*guides, moves], h=1e-2,
-              contact=contact, gravity={"acceleration": [0.0, 0.0, -30.0]})  # fmt: skip
-    other = run(tray | motion, block, guide, joint=guides, h=1e-2, contact=contact,
-                gravity={"acceleration": [0.0, 0.0, -30.0]})  # fmt: skip
-    for name in ("position", "velocity"):
-        off = getattr(one, name)[:, 1] - getattr(other, name)[:, 1]
-        assert np.abs(off).max() < 1e-11
-    exact = AMPLITUDE * np.sin(RATE * one.time)
-    assert np.abs(one.position[:, 1] @ way - exact - 0.3 * way[2]).max() < 1e-4
