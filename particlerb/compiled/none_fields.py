@@ -2,7 +2,7 @@
 
 None is a type. Numba leaves out what an `if` on an argument that is None would do, and does not ask
 of what type anything in it is. Of a field of an argument, however deep, it does not know so early
-that it is None; here it is told, by the types of the arguments.
+that it is None; here it is told, by the types of the arguments. Why it is so: docs/decisions/0032.
 """
 
 import operator
