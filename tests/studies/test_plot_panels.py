@@ -276,20 +276,27 @@ def test_a_rod_of_a_pendulum_is_a_line_from_its_pivot(make, monkeypatch):
 
 
 def test_a_body_of_loose_particles_is_drawn_by_these_as_it_turns_over(make):
-    """A T-handle was a plate, and nobody saw what turned over."""
+    """A T-handle was a plate, and nobody saw what turned over; then an SVG of it had 10 MB.
+
+    However many loose bodies are beside it, a solid is drawn as it is.
+    """
     from matplotlib.figure import Figure
 
     from particlerb.studies.charts.bodies import draw_orientations
 
     places = [[-1, 0, 0], [1, 0, 0], [0, 1, 0]]
     handle = {"name": "handle", "shape": {"type": "points", "position": places, "mass": 1.0},
-              "angular_velocity": [0.01, 1.0, 0.0]}  # fmt: skip
-    with particlerb.run(make.case(handle, t_end=9.0, every=0.5)) as trajectory:
-        axes = Figure().add_subplot()
-        draw_orientations(axes, trajectory, 0)
-    assert axes.get_title().startswith("handle;")
-    first = axes.collections[0].get_paths()
-    assert len(first) > 1000  # triangles of three balls; a box has 21
+              "angular_velocity": [0.01, 1.0, 0.0],
+              "count": 20, "place": {"type": "grid", "spacing": 9.0}}  # fmt: skip
+    shape = {"type": "ball", "radius": 0.1}
+    ball = make.body("ball", shape=shape, angular_velocity=[0.0, 0.0, 1.0])
+    with particlerb.run(make.case(handle, ball, t_end=9.0, every=0.5)) as trajectory:
+        for body, name in ((0, "handle[0]"), (20, "ball")):
+            axes = Figure().add_subplot()
+            draw_orientations(axes, trajectory, body)
+            assert axes.get_title().startswith(f"{name};")
+            first = axes.collections[0].get_paths()
+            assert 300 < len(first) < 1000  # triangles of three balls or one; a box has 21
 
 
 @pytest.mark.plain

@@ -208,7 +208,7 @@ def draw_orientations(axes: Axes, trajectory: Trajectory, body: int) -> None:
         @ view
     )
     edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))[body]
-    solid = solids.solids_of(trajectory, has_all=True)[body]
+    solid = solids.small_solid_of(trajectory, body, _ATTITUDES)
     mesh = box(edges) if solid is None else solid
     edges = np.ptp(mesh.vertices, axis=0)  # particles may lie far below a surface
     mesh = mesh._replace(vertices=mesh.vertices / np.linalg.norm(edges))

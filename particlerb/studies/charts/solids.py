@@ -17,7 +17,7 @@ from particlerb.case.bodies import Body
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.contact.wall_motion import poses_at
-from particlerb.export.surfaces import SurfaceMesh, Surfaces, surface_of_wall
+from particlerb.export.surfaces import SurfaceMesh, Surfaces, surface_of, surface_of_wall
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import rotation_matrix
 from particlerb.model.system import System
@@ -33,6 +33,7 @@ _SOLID_SHAPES: Final = frozenset(
 )
 """Shapes with a surface; loose particles are drawn as such."""
 _MAX_TRIANGLES: Final = 40_000  # triangles in a picture
+_SMALL: Final = 10  # copies for one that is drawn small, and may be as coarse as these
 _RIM: Final = "#b5bcc4"
 _MAX_EDGE_COSINE: Final = 0.85  # cosine of the angle of two faces whose edge is drawn
 _LIGHT_DIRECTION: Final = np.array([-0.4, 0.6, -0.7]) / np.linalg.norm([-0.4, 0.6, -0.7])
@@ -56,23 +57,33 @@ def system_of(trajectory: Trajectory) -> System | None:
     return None
 
 
-def solids_of(trajectory: Trajectory, has_all: bool = False) -> list[SurfaceMesh | None]:
+def solids_of(trajectory: Trajectory) -> list[SurfaceMesh | None]:
     """Surface of each body in its frame, from the centre of mass; None where it has none.
 
-    Loose particles are one where `has_all`. Where the case cannot be made again no body has one.
+    Where the case cannot be made again no body has one.
     """
     none: list[SurfaceMesh | None] = [None] * trajectory.n_bodies
-    system = system_of(trajectory)
-    if system is None:
+    if (system := system_of(trajectory)) is None:
         return none
-    surfaces = Surfaces(system)
-    has_surface = [has_all or _has_surface(body) for body in system.body]
+    surfaces, has_surface = Surfaces(system), [_has_surface(body) for body in system.body]
     meshes = [
         surfaces.of_kind(kind).mesh if has_surface[block] else None
         for kind, block in zip(system.kind, system.block, strict=True)
     ]
     total = sum(len(mesh.faces) for mesh in meshes if mesh is not None)
     return meshes if total <= _MAX_TRIANGLES else none
+
+
+def small_solid_of(trajectory: Trajectory, body: int, times: int) -> SurfaceMesh | None:
+    """Surface of a body that is drawn small, so many times; of loose particles too, else as above.
+
+    None where there are too many triangles, of which half face who looks.
+    """
+    if (system := system_of(trajectory)) is None:
+        return None
+    record, kind = system.body[system.block[body]], int(system.kind[body])
+    mesh = surface_of(system, record, kind, _SMALL * times).mesh
+    return mesh if 0.5 * times * len(mesh.faces) <= _MAX_TRIANGLES else None
 
 
 def view_along(across: int, up: int) -> Floats:
