@@ -30,8 +30,18 @@ from particlerb.record.checked_reading import (
 )
 from particlerb.record.memory import Memory
 from particlerb.record.parts import range_in
+from particlerb.words import count_of
 
 PORTION = 100_000  # states that are read at a time where all are gone through
+
+
+def _counted(number: int, count: int, *nouns: str) -> int:
+    """A number of one of so many, negative ones counted from the end; IndexError says how many."""
+    try:
+        return range(count)[number]
+    except IndexError:
+        told = f"there is no {nouns[0]} {number}: the file has {count_of(count, *nouns)}"
+        raise IndexError(told) from None
 
 
 class Contacts(NamedTuple):
@@ -130,7 +140,7 @@ class FrameReader(Closing):
     ) -> Floats:
         """Values of one of `schema.SERIES` in some frames, of all bodies or of some."""
         if not isinstance(frames, slice) or (frames.step or 1) < 1:
-            raise TypeError(f"frames must be a slice forward, as slice(0, 9), got {frames!r:.60}")
+            raise TypeError(f"frames must be a number or a slice forward, got {frames!r:.60}")
         element = schema.SERIES[path]
         n = len(self.names_of(element.per)) if element.per in schema.PARTS else self.n_bodies
         shape = (None, *((n,) if element.per else ()), *element.width)
@@ -190,14 +200,14 @@ class FrameReader(Closing):
             If there is no such frame, or body.
         """
         if isinstance(frames, (int, np.integer)):
-            k = range(self.n_frames)[int(frames)]
+            k = _counted(frames, self.n_frames, "frame")
             one: Floats = self.read(name, slice(k, k + 1), bodies)[0]
             return one
         per_body = schema.FIELDS | schema.CONTACT_FIELDS
         if name not in per_body or name not in self.fields + self.other_fields:
             raise KeyError(f"{name} was not recorded: see [output] fields")
         if isinstance(bodies, (int, np.integer)):
-            pick: int | slice | Ints = range(self.n_bodies)[int(bodies)]
+            pick: int | slice | Ints = _counted(bodies, self.n_bodies, "body", "bodies")
         elif isinstance(bodies, slice):
             pick = bodies
         else:
@@ -296,7 +306,7 @@ class FrameReader(Closing):
         IndexError
             If there is no such frame.
         """
-        k = range(self.n_frames)[frame]
+        k = _counted(frame, self.n_frames, "frame")
         return self.contact_rows(k, k + 1)[0]
 
     def contact_rows(self, first: int, stop: int) -> tuple[Contacts, Ints]:

@@ -158,8 +158,10 @@ def test_one_frame_is_read_by_its_number(written):
             assert np.array_equal(t.read("position", frame), every[frame])
         assert np.array_equal(t.read("position", -1, bodies=[1, 0]), every[last, [1, 0]])
         for wrong in (last + 1, -last - 2):
-            with pytest.raises(IndexError):
+            with pytest.raises(IndexError, match=f"no frame {wrong}: the file has {last + 1} fra"):
                 t.read("position", wrong)
+        with pytest.raises(IndexError, match=f"no body 99: the file has {t.n_bodies} bodies"):
+            t.read("position", 0, bodies=99)
 
 
 @pytest.mark.parametrize("frames", [0.5, "a", (0, 1), slice(None, None, -1), slice(0, 3, 0)])
