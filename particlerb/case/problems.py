@@ -32,7 +32,7 @@ _SYNONYMS = {
     "semi_implicit_euler": ("euler", "symplectic_euler"), "plane": ("floor", "ground"),
     "angular_velocity": ("omega", "spin", "w"), "acceleration": ("g", "gravity"),
     "lower": ("low", "min", "minimum"), "upper": ("high", "max", "maximum"), "friction": ("mu",),
-    "method": ("integrator", "solver", "scheme"), "stiffness": ("k",), "radius": ("r", "diameter"),
+    "method": ("integrator", "solver", "scheme"), "stiffness": ("k",), "radius": ("r",),
     "dt": ("step", "timestep", "time_step"), "t_end": ("duration", "tmax", "t_max", "time"),
     "translation": ("linear", "coefficient"), "at": ("point",), "during": ("time", "interval"),
 }  # fmt: skip
