@@ -33,7 +33,7 @@ BUDGETS = {
     "reports, pictures, the page": 1757,
     "scenes for other programs": 534,
     "speed of compiling and of whole calls": 1371,
-    "watches": 144,
+    "watches": 145,
     "beside all these": 383,
 }
 """Lines of code that an ability took: see «Where things go» in docs/architecture.md."""

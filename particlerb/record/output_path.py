@@ -65,10 +65,12 @@ def output_path(path: Path, overwrite: bool) -> Path:
 def appearing(*paths: Path) -> Iterator[list[Path]]:
     """Give files to write, which become those at the paths when all are whole.
 
-    Until then what was there stays. Their names have the same endings; errors as of `output_path`.
+    Until then what was there stays. They lie beside it, behind links, and have the endings of the
+    paths; errors as of `output_path`.
     """
     places = [output_path(path, overwrite=True) for path in paths]
-    unfinished = [place.with_name(f".{os.getpid()}.{place.name}") for place in places]
+    pairs = zip(paths, places, strict=True)
+    unfinished = [place.with_name(f".{os.getpid()}.{path.name}") for path, place in pairs]
     try:
         for place in places:
             place.parent.mkdir(parents=True, exist_ok=True)
