@@ -186,11 +186,15 @@ def files(make, tmp_path_factory):
     for name, keys in SORTS.items():
         particlerb.run(scene(make, folder, **keys), folder / f"{name}.h5").close()
         found[name] = held(folder / f"{name}.h5")
+    with particlerb.Simulation(scene(make, folder), folder / "changed.h5") as simulation:
+        simulation.change("gravity", {"acceleration": [0.0, 0.0, -1.0]})
+        simulation.advance(1.0)
+    found["changed"] = held(folder / "changed.h5")
     return found
 
 
 @pytest.mark.plain
-@pytest.mark.parametrize("name", SORTS)
+@pytest.mark.parametrize("name", [*SORTS, "changed"])
 def test_what_a_file_holds_is_on_the_page(files, name):
     listed, described = page()
     rows, attributes = files[name]
@@ -211,7 +215,8 @@ def test_what_a_file_holds_is_on_the_page(files, name):
 
 def test_what_is_on_the_page_is_in_a_file(files):
     listed, described = page()
-    (rows, attributes), *others = (files[name] for name in ("all", "contact", "joints", "impulses"))
+    names = "all", "contact", "joints", "impulses", "changed"
+    (rows, attributes), *others = (files[name] for name in names)
     assert set(listed) == set(rows).union(*(set(more) for more, _ in others))
     assert set(described) == set(attributes)
 
