@@ -113,8 +113,8 @@ class _RanksOfMPI(Ranks):
         raise as_agreed(first)
 
     def largest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The largest of each number on all ranks."""
-        return self._reduced(values, self.mpi.MAX)
+        """The largest of each number on all ranks; inf where one has NaN, which MPI may lose."""
+        return self._reduced(np.where(np.isnan(values), np.inf, values), self.mpi.MAX)
 
     def added(self, numbers: Rows) -> Rows:
         """The sum of each number over all ranks: of integers, or of what adds without rounding."""

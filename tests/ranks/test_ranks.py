@@ -239,6 +239,25 @@ def test_several_processes_without_the_option_are_refused(tmp_path):
     assert "2 processes were started to run the same case" in done.stderr
 
 
+LARGEST = """
+import sys
+import numpy as np
+from particlerb.ranks import ranks_of_mpi
+ranks = ranks_of_mpi()
+found = ranks.largest(np.array([np.nan if ranks.number == 1 else 1.0, 2.0 - ranks.number]))
+print(*found.tolist(), file=sys.__stdout__)
+"""
+
+
+@needs_mpi
+@pytest.mark.plain
+def test_what_is_not_a_number_is_the_largest_on_all_ranks():
+    """MPI gave it to some of four ranks, and a run in which a body had it did not end."""
+    words = [*line(ranks=4)[:4], "-c", LARGEST]
+    done = subprocess.run(words, env=PLAIN, capture_output=True, text=True, check=False)
+    assert sorted(done.stdout.splitlines()) == ["inf 2.0"] * 4, done.stderr
+
+
 def test_launchers_say_how_many_they_started():
     assert launched({}) == 1
     assert launched({"PMI_SIZE": "3"}) == 3
