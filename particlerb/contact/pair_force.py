@@ -199,7 +199,7 @@ def contact_force(on: Evaluation, pair: int, c: int, now: Collision) -> None:
     sliding = add_scaled(-rate, normal, now.velocity)
     slid = spring_at(growth, growth.before, row3(history.spring, c), sliding, normal)
     inv_mass, damping = history.inv_effective_mass[c], history.damping[c]
-    previous = history.overlap[c] if growth.slope is None else now.overlap
+    previous = history.overlap[c] if on.growth.slope is None else now.overlap
     state = ContactState(now.overlap, previous, rate, sliding, inv_mass, damping, now.r_eff)
     rate = corrected_rate(law, pair, state, history.normal_force[c], before)
     state = with_motion(state, rate, sliding)
