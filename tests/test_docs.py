@@ -25,7 +25,7 @@ from particlerb.cli.arguments import COMMANDS
 DOCS = Path(__file__).parents[1] / "docs"
 BENCHMARKS = DOCS.parent / "benchmarks"
 TUTORIALS = sorted(f"tutorials/{path.name}" for path in (DOCS / "tutorials").glob("*.md"))
-SCENES = ["python.md", "forces.md"]
+SCENES = ["python.md", "forces.md", "events.md"]
 SLOW = {
     f"tutorials/{name}.md"
     for name in ("accuracy", "calibrate", "heap", "hopper", "magnet", "satellite", "sweep")

@@ -6,7 +6,7 @@ list of that, or of the last one that has a list. When those before are over, th
 come into the heap of four branches, earliest first, then by number.
 
 G. Paul, A complexity O(1) priority queue for event driven molecular dynamics simulations, J.
-Comput. Phys. 221, 615 (2007).
+Comput. Phys. 221, 615 (2007). Why it is so: docs/decisions/0034.
 """
 
 from typing import Final
