@@ -184,7 +184,7 @@ def is_of_other_bodies(rows: ConstraintRows, lo: int, r: int) -> bool:
 def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tuple[float, int]:
     """g of rows lo to hi at t; the largest over its size and what rounding leaves, and its row.
 
-    A row that is no number is the largest.
+    Rows that are no number are the largest, the last of them before all.
     """
     rows, y, g = joints.rows, data.y, data.g
     worst, where, d = 0.0, lo, (0.0, 0.0, 0.0)
@@ -212,7 +212,7 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
         else:
             g[r] = residual(rows, joints.drives, y, r, t)
         share = abs(g[r]) / (turned if is_of_directions(kind) else rows.size[r] + far)
-        is_larger = (worst <= inf) & opposite(share <= worst)
+        is_larger = opposite(share <= worst) & ((worst <= inf) | opposite(share <= inf))
         worst = choose(is_larger, share, worst)
         if any_of(is_larger):
             where = r

@@ -80,7 +80,7 @@ def roll(rolling, parameters, state, omega, normal, spring, dt):
     if rolling is None:
         return zero, zero, 0.0, 0.0, 0.0
     R = state.r_eff
-    torque, new = rolling_torque(rolling, parameters, 0, state, omega, normal, spring, dt)
+    torque, new = rolling_torque(parameters, 0, state, omega, normal, spring, dt)
     moved = law.with_motion(state, state.overlap_rate, scale(R, omega))
     stored, power, lost = energies(parameters, moved, scale(1.0 / R, torque), spring, new, dt)
     return torque, new, stored, power, lost
