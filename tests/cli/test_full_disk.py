@@ -3,6 +3,7 @@
 import contextlib
 import os
 import resource
+import sys
 
 import pytest
 
@@ -28,13 +29,18 @@ ENOUGH_FOR_NO_FILE = 100
 
 @contextlib.contextmanager
 def full_disk(most=ENOUGH_FOR_NO_FILE):
-    """Files of this process cannot get longer than some bytes."""
+    """Files of this process cannot get longer than some bytes.
+
+    Python 3.11 takes no note of bytecode that was cut, and could import it no more.
+    """
+    bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = bytecode
 
 
 @pytest.fixture(scope="module")

@@ -393,6 +393,7 @@ def test_an_interrupted_run_goes_on(make, tmp_path, count):
 
 LIMITED = """
 import resource, sys
+sys.dont_write_bytecode = True
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 from particlerb import cli
 from particlerb.simulation import frame_times

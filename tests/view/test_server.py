@@ -4,6 +4,7 @@ import contextlib
 import math
 import random
 import resource
+import sys
 import threading
 import time
 from pathlib import Path
@@ -279,6 +280,7 @@ def test_a_session_that_cannot_be_written_whole_leaves_no_file(page, monkeypatch
     monkeypatch.setattr(page, "path", tmp_path / "s.toml")
     monkeypatch.setattr(page, "written", 0)
     monkeypatch.setattr("particlerb.view.live.recorded", lambda session: "new" * 1000)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
     try:
