@@ -10,7 +10,7 @@ from pathlib import Path
 
 import llvmlite.binding
 
-from particlerb.compiled.vector_width import WIDE
+from particlerb.compiled.vector_width import is_wide
 from particlerb.compiled.vector_width import processor as known_as
 
 FOLDER = Path(__file__).parent / "results"
@@ -38,7 +38,7 @@ def load() -> str:
 def vector_bits() -> int:
     """Bits of the vectors that kernels use: LLVM takes 512 by itself on AMD's processors alone."""
     has = llvmlite.binding.get_host_cpu_features()
-    if has.get("avx512f") and (known_as() in WIDE or known_as().startswith("znver")):
+    if has.get("avx512f") and (is_wide() or known_as().startswith("znver")):
         return 512
     return 256 if has.get("avx2") else 128
 

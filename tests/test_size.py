@@ -32,7 +32,7 @@ BUDGETS = {
     "one scene over ranks": 2490,
     "reports, pictures, the page": 1757,
     "scenes for other programs": 534,
-    "speed of compiling and of whole calls": 1371,
+    "speed of compiling and of whole calls": 1374,
     "watches": 145,
     "beside all these": 383,
 }

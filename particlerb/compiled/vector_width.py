@@ -22,8 +22,15 @@ def processor() -> str:
 
 
 def is_wide() -> bool:
-    """Whether wide vectors are set for the processor that is compiled for."""
-    return processor() in WIDE
+    """Whether wide vectors are set for the processor that is compiled for.
+
+    A virtual machine may bear another processor's name. Half precision in vectors of 512 bits is in
+    Intel's since Sapphire Rapids, whatever the name.
+    """
+    has = config.CPU_FEATURES
+    if has is None:
+        has = llvmlite.binding.get_host_cpu_features().flatten()
+    return processor() in WIDE or "+avx512fp16" in has.split(",")
 
 
 def machine() -> str:

@@ -19,7 +19,7 @@ import hashlib, sys
 import numpy as np
 from particlerb.compiled import vector_width
 if sys.argv[1] == "narrow":
-    vector_width.WIDE = frozenset()
+    vector_width.is_wide = lambda: False
 from particlerb.compiled.jit import kernel, inline
 
 @inline
@@ -42,11 +42,11 @@ if sys.argv[2] == "run":
 """
 
 
-def answers(tmp_path, width, then, cpu):
+def answers(tmp_path, width, then, cpu, features=FEATURES):
     """What the program prints when it is compiled as for a processor."""
     env = os.environ | {
         "NUMBA_CPU_NAME": cpu,
-        "NUMBA_CPU_FEATURES": FEATURES,
+        "NUMBA_CPU_FEATURES": features,
         "NUMBA_CACHE_DIR": str(tmp_path / f"{width}-{cpu}"),
     }
     (tmp_path / "program.py").write_text(PROGRAM)
@@ -61,11 +61,18 @@ def answers(tmp_path, width, then, cpu):
         ("wide", "sapphirerapids", True),
         ("narrow", "sapphirerapids", False),
         ("wide", "skylake-avx512", False),
+        ("wide", "rocketlake", False),
     ],
 )
 def test_machine_code_of_a_named_processor(tmp_path, width, cpu, is_wide):
     """Nothing of it is run, so that any x86 will do."""
     assert answers(tmp_path, width, "stop", cpu) == [str(is_wide)]
+
+
+def test_a_processor_under_another_name_is_known_by_its_instructions(tmp_path):
+    """Virtual machines on a Sapphire Rapids or newer were seen that tell the name of a desktop."""
+    more = f"{FEATURES},+avx512fp16"
+    assert answers(tmp_path, "wide", "stop", "rocketlake", more) == ["True"]
 
 
 def test_the_width_changes_no_bit(tmp_path):
