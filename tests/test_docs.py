@@ -136,7 +136,7 @@ def test_parts_of_cases_are_parts_of_a_case(page, text, tmp_path, monkeypatch, m
     Path("magnet.py").write_text(magnet.partition("scene = ")[0])
     part = tomllib.loads(text)
     hinge = {"type": "hinge", "body": "door", "at": [0, 0, -0.8], "axis": [0, 0, 1]}
-    part = part if part.keys() & {"joint", "force", "sweep"} else {"joint": [hinge | part]}
+    part = part if part.keys() & {"run", "joint", "force", "sweep"} else {"joint": [hinge | part]}
     names = ("door", "planet", "block", "bar")
     bodies = [make.sphere(name, position=[0.75 * k, 0, 0]) for k, name in enumerate(names)]
     if part.get("joint", [{}])[0].get("type") == "gear":
