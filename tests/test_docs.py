@@ -121,7 +121,7 @@ def test_commands_are_those_that_there_are():
 
 FRAGMENTS = [
     (page, text)
-    for page in ("forces.md", "impulses.md", "joints.md", "sweeps.md")
+    for page in ("contact.md", "forces.md", "impulses.md", "joints.md", "sweeps.md")
     for language, text in blocks(page)
     if language == "toml"
 ]
