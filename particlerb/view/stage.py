@@ -144,10 +144,13 @@ class Stage:
         self.server, self.system = server, system
         self.surfaces = Surfaces(system)
         position = system.state.com.T
-        size = extent_of(position, self.surfaces.reach)
+        springs = SpringLines(system)
+        hung = springs.at(position, system.state.q.T)[springs.body < 0]  # anchors in the world
+        held = np.vstack([position, hung]), np.append(self.surfaces.reach, np.zeros(len(hung)))
+        size = extent_of(*held)
         self.unit = 1.0 if 0.05 < size < 50.0 else 10.0 ** round(math.log10(size))  # [m]
         self.size = size / self.unit
-        middle = 0.5 * (position.min(axis=0) + position.max(axis=0))
+        middle = 0.5 * (held[0].min(axis=0) + held[0].max(axis=0))
         self.home: Floats = middle if np.abs(middle).max() > 0.05 * size else np.zeros(3)
         self.origin: Floats = self.home
         self.position, self.q = position.copy(), np.tile([1.0, 0.0, 0.0, 0.0], (len(position), 1))
@@ -160,7 +163,7 @@ class Stage:
         self.lines: list[tuple[BodyLines, Any]] = []
         if self.joints is not None:
             self.lines.append((self.joints, self.add_line("/joints", _JOINT_COLOUR, 4.0)))
-        if len((springs := SpringLines(system)).body):
+        if len(springs.body):
             self.lines.append((springs, self.add_line("/springs", _SPRING_COLOUR)))
         self.furnish(size)
         server.initial_camera.position = self.size * np.array(_VIEW)

@@ -40,6 +40,22 @@ def test_a_screen_beside_two_panels_is_no_phone(live):
         assert np.any(camera.look_at) == is_phone
 
 
+def test_balls_of_a_cradle_stay_in_the_picture(tmp_path):
+    """At 1400 px, where the last one comes as far as the first one is held: 0.2 m."""
+    system = to_system(load("newtons_cradle"))
+    with listening(Access(), 8601) as server:
+        stage = Live(system, server, tmp_path / "session.toml").stage
+        camera = np.array(server.initial_camera.position)
+    first, *_, last = system.state.com.T
+    highest = np.array([last[0] + 0.2, 0.0, first[2]])
+    ahead = -camera / np.linalg.norm(camera)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    for place in (first, highest):
+        seen = stage.on_page(place) - camera
+        across = seen @ right / np.linalg.norm(right) / (seen @ ahead)
+        assert abs(across) < np.tan(np.radians(75.0 / 2.0)) * 640 / 900
+
+
 def test_a_scene_whose_updates_cost_the_same_however_short_goes_on(live, monkeypatch):
     """Time per simulated second grew as updates became shorter, until nothing moved."""
     clock = [0.0]
