@@ -6,8 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from particlerb.maths.vec3 import Floats
 from particlerb.view.page import Page
-from particlerb.view.stage import ARROWS, AXIS_COLOURS
+from particlerb.view.stage import ARROWS, AXIS_COLOURS, tell
 
 _DIRECTIONS: Final = (
     "along the view", "into the surface", "+x", "-x", "+y", "-y", "+z", "-z",
@@ -101,9 +102,22 @@ def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
         empty,
         series=({"label": "t  s"}, *lines),
         title=title,
-        scales={"x": {"time": False}},
+        scales=_scales(empty),
         axes=({}, {"space": 18}),  # pixels between two values, at least
         height=140,
         padding=(12, 12, 0, 0),  # room for half a value above and beside the last
         legend={"show": True, "live": False},
     )
+
+
+def draw(plot: Any, columns: tuple[Floats, ...]) -> None:
+    """Show time and values on a strip chart."""
+    tell(plot, scales=_scales(columns))
+    plot.data = columns
+
+
+def _scales(columns: tuple[Floats, ...]) -> dict[str, dict[str, Any]]:
+    """Axes from 0 to 1 for zeros alone, which uPlot would show from 0 to 100."""
+    unit = {"range": (0.0, 1.0)}
+    time = {"time": False} if columns[0].any() else {"time": False, **unit}
+    return {"x": time} if any(one.any() for one in columns[1:]) else {"x": time, "y": unit}

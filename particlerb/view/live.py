@@ -20,7 +20,7 @@ from particlerb.model.state import rotate
 from particlerb.model.system import System
 from particlerb.view import number_tables
 from particlerb.view.arrows import Arrows
-from particlerb.view.controls import ALONG_VIEW, AXES, INTO_SURFACE, Controls
+from particlerb.view.controls import ALONG_VIEW, AXES, INTO_SURFACE, Controls, draw
 from particlerb.view.number_tables import BodyMotion
 from particlerb.view.page import NUMBERS_EVERY, UPDATES, Page, note
 from particlerb.view.recording import recorded
@@ -340,8 +340,8 @@ class Live(Page):
         if now >= self.next_charts and len(self.history) > 1:
             self.next_charts = now + _SECONDS_BETWEEN_CHARTS
             columns = np.array(self.history).T.copy()
-            self.controls.rates.data = tuple(columns[:4])
-            self.controls.energy.data = (columns[0], columns[4], columns[5])
+            draw(self.controls.rates, tuple(columns[:4]))
+            draw(self.controls.energy, (columns[0], columns[4], columns[5]))
 
     def write(self, motion: BodyMotion) -> None:
         """The table of numbers and the line of the clock."""

@@ -56,6 +56,18 @@ def test_balls_of_a_cradle_stay_in_the_picture(tmp_path):
         assert abs(across) < np.tan(np.radians(75.0 / 2.0)) * 640 / 900
 
 
+def test_charts_of_zeros_end_at_one(live):
+    """UPlot shows zeros from 0 to 100; what moves has an axis of its own."""
+    chart, unit = live.controls.energy, {"range": (0.0, 1.0)}
+    assert chart.scales == {"x": {"time": False} | unit, "y": unit}
+    live.controls.direction.value = "+z"
+    live.push_at_point(None)
+    for time in (0.1, 0.2):
+        live.session.advance(time)
+        live.show(10.0 * time)
+    assert chart.scales == {"x": {"time": False}}
+
+
 def test_a_scene_whose_updates_cost_the_same_however_short_goes_on(live, monkeypatch):
     """Time per simulated second grew as updates became shorter, until nothing moved."""
     clock = [0.0]
