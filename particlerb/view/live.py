@@ -250,7 +250,10 @@ class Live(Page):
         else:
             text = f"a click gives {size!r} N for {duration!r} s"
         if applied is not None:
-            text = f"pushed at t = {applied.start!r} s; {text}"
+            b, at = applied.push.body, applied.push.at
+            far = np.linalg.norm(at) > (1.0 + 1e-9) * self.stage.surfaces.reach[b]
+            where = ", at a point outside the body" if far else ""
+            text = f"pushed at t = {applied.start!r} s{where}; {text}"
         self.controls.outcome.content = note(text)
 
     @property

@@ -68,6 +68,13 @@ def test_charts_of_zeros_end_at_one(live):
     assert chart.scales == {"x": {"time": False}}
 
 
+@pytest.mark.parametrize(("point", "is_outside"), [("0.2, 0.2, -0.5", False), ("5, 0, 0", True)])
+def test_a_push_outside_its_body_is_told(live, point, is_outside):
+    live.controls.direction.value, live.controls.point.value = "+z", point
+    live.push_at_point(None)
+    assert ("at a point outside the body" in live.controls.outcome.content) == is_outside
+
+
 def test_a_scene_whose_updates_cost_the_same_however_short_goes_on(live, monkeypatch):
     """Time per simulated second grew as updates became shorter, until nothing moved."""
     clock = [0.0]
