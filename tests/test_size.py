@@ -30,7 +30,7 @@ BUDGETS = {
     "scenes and simulations in Python": 707,
     "sweeps": 1590,
     "one scene over ranks": 2490,
-    "reports, pictures, the page": 1771,
+    "reports, pictures, the page": 1774,
     "scenes for other programs": 534,
     "speed of compiling and of whole calls": 1374,
     "watches": 145,

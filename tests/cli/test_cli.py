@@ -887,3 +887,27 @@ def test_check_leaves_compilation_out_of_the_time_of_a_run(make, monkeypatch):
 
     monkeypatch.setattr(Run, "frames_at", compiling)
     assert estimated_seconds(prepare(to_system(load(make.case(make.body()))))) < 1000.0
+
+
+@pytest.mark.plain
+def test_check_does_not_take_a_part_of_a_step_for_the_speed_of_a_run(make, monkeypatch):
+    """A call costs 0.5 s or more, however little it covers: 2e-7 of a run is no measure."""
+    from types import SimpleNamespace
+
+    from particlerb.case.reader import load
+    from particlerb.case.to_system import to_system
+    from particlerb.simulation import estimate
+    from particlerb.simulation.run import prepare
+
+    clock, reached, step, frames_at = [0.0], [0.0], 0.01, estimate.Run.frames_at
+
+    def slow(run, times, *arguments):
+        clock[0] += 0.5 * max(1.0, round((times[-1] - reached[0]) / step))  # s, a step
+        reached[0] = times[-1]
+        return frames_at(run, times, *arguments)
+
+    monkeypatch.setattr(estimate.Run, "frames_at", slow)
+    monkeypatch.setattr(estimate, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    times = {"dt": step, "t_end": 2.0, "every": 0.1, "method": "strang"}
+    case = make.case(make.body(), force=[make.torque([0.1, 0.2, 0.3])], **times)
+    assert 50.0 < estimate.estimated_seconds(prepare(to_system(load(case)))) < 200.0  # of 100
