@@ -27,7 +27,7 @@ BUDGETS = {
     "contact by impulses": 4154,
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2143,
-    "scenes and simulations in Python": 707,
+    "scenes and simulations in Python": 865,
     "sweeps": 1590,
     "one scene over ranks": 2490,
     "reports, pictures, the page": 1774,

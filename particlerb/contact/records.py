@@ -86,7 +86,9 @@ POSE: Final = record(
 )
 
 # How a wall or a body moves as prescribed: see `wall_motion.PrescribedMotion`
-MOTION: Final = record(centre=3, velocity=3, angular_velocity=3, amplitude=3, frequency=1, phase=1)
+MOTION: Final = record(
+    centre=3, velocity=3, angular_velocity=3, amplitude=3, frequency=1, phase=1, shift=3, turn=4
+)
 
 # A piston: a wall that slides along its axis
 PISTON: Final = record(

@@ -1,6 +1,7 @@
 """How walls move, and driven bodies: x = c + d(t) + R(t) (p - c).
 
-d = v t + A sin(2π f t + φ), R = exp(ω t).
+d = s + v t + A sin(2π f t + φ), R = exp(ω t) T. Shift s and turn T are those of a motion that has
+changed on the way: it goes on from where the one before has led to.
 """
 
 import math
@@ -11,9 +12,9 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.contact.records import MOTION, POSE, Records, to_floats, zero_records
-from particlerb.maths.quaternion import Quat, to_world
-from particlerb.maths.rows import put_row3, put_row4, row3
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot, scale, subtract
+from particlerb.maths.quaternion import Quat, conjugate, multiply, to_world
+from particlerb.maths.rows import put_row3, put_row4, row3, row4
+from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 
 class PrescribedMotion(NamedTuple):
@@ -25,6 +26,8 @@ class PrescribedMotion(NamedTuple):
     amplitude: Vec3 = (0.0, 0.0, 0.0)  # [m]
     frequency: float = 0.0  # [1/s]
     phase: float = 0.0  # [rad]
+    shift: Vec3 = (0.0, 0.0, 0.0)  # [m]
+    turn: Quat = (1.0, 0.0, 0.0, 0.0)
 
 
 @inline
@@ -37,6 +40,8 @@ def motion_in(records: Records, k: int) -> PrescribedMotion:
         row3(records.amplitude, k),
         records.frequency[k],
         records.phase[k],
+        row3(records.shift, k),
+        row4(records.turn, k),
     )
 
 
@@ -56,7 +61,7 @@ def pose_at(motion: PrescribedMotion, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]
     v, omega : tuples of 3 floats [m/s, rad/s]
         Velocity of the frame's origin, where p = 0, and angular velocity.
     """
-    centre, velocity, omega, amplitude, frequency, phase = motion
+    centre, velocity, omega, amplitude, frequency, phase, shift, turned = motion
     rate = 2.0 * math.pi * frequency
     angle = rate * t + phase
     displacement = add_scaled(math.sin(angle), amplitude, scale(t, velocity))
@@ -65,8 +70,10 @@ def pose_at(motion: PrescribedMotion, t: float) -> tuple[Vec3, Quat, Vec3, Vec3]
     half = 0.5 * speed * t
     f = math.sin(half) / speed if speed > 0.0 else 0.0
     q = (math.cos(half), f * omega[0], f * omega[1], f * omega[2])
+    if turned[1] != 0.0 or turned[2] != 0.0 or turned[3] != 0.0:
+        q = multiply(q, turned)
     arm = to_world(q, centre)
-    x = subtract(add_scaled(1.0, centre, displacement), arm)
+    x = add(shift, subtract(add_scaled(1.0, centre, displacement), arm))
     return x, q, subtract(v, cross(omega, arm)), omega
 
 
@@ -91,6 +98,17 @@ def put_poses(motions: Records, t: float, poses: Records) -> None:
         put_row3(poses.angular_velocity, w, omega)
 
 
+def continued(before: PrescribedMotion, after: PrescribedMotion, t: float) -> PrescribedMotion:
+    """A motion about the same centre that begins at a time where another one has led to."""
+    plain = after._replace(shift=PrescribedMotion().shift, turn=PrescribedMotion().turn)
+    (x, q, _, _), (y, turn, _, _) = pose_at(before, t), pose_at(plain, t)
+    gone, going = (
+        add_scaled(1.0, to_world(rotation, after.centre), place)
+        for place, rotation in ((x, q), (y, turn))
+    )
+    return plain._replace(shift=subtract(gone, going), turn=multiply(conjugate(turn), q))
+
+
 def poses_at(motions: Sequence[PrescribedMotion], t: float) -> Records:
     """Poses of all walls, (n_walls,) records POSE."""
     poses = zero_records(POSE, len(motions))
@@ -104,7 +122,7 @@ def wall_displacement(
 ) -> float:
     """How far a point of a wall may move in a time [m], within a `reach` of each wall's centre."""
     displacement = [0.0]
-    for (_, velocity, omega, amplitude, frequency, _), far in zip(motions, reach, strict=True):
+    for (_, velocity, omega, amplitude, frequency, *_), far in zip(motions, reach, strict=True):
         oscillation = min(2.0, 2.0 * math.pi * frequency * duration) * math.hypot(*amplitude)
         speed = math.hypot(*velocity) + far * math.hypot(*omega)
         displacement.append(duration * speed + oscillation)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from particlerb.case.output import ChartTable, Check, Output
     from particlerb.case.problems import Source
     from particlerb.case.run import AttractionTable, Gravity, RunTable
+    from particlerb.plan.continued import Continued
 
 
 class System(NamedTuple):
@@ -91,6 +92,8 @@ class System(NamedTuple):
     """Forces that differ from world to world: the record of each, by the number of the first."""
     contacts: tuple[ContactTable, ...] = ()
     """Contact of each world, where they differ in it."""
+    continued: Continued | None = None
+    """What is prescribed behind changes on the way; None: as the records say, from t = 0 on."""
     notes: tuple[tuple[str, str], ...] = ()
     """Name of a record and a line on how its shape became particles: what was tried, or changed."""
 

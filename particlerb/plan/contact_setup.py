@@ -22,7 +22,7 @@ from particlerb.model.system import System
 from particlerb.plan.initial_overlaps import refuse_misplaced
 from particlerb.plan.joint_ends import excluded_pairs
 from particlerb.plan.joint_rows import bounds_of
-from particlerb.plan.obstacles import middle, motion_of, pistons_of, prescribed_bodies, wall_of
+from particlerb.plan.obstacles import pistons_of, prescribed_bodies, wall_motions, wall_of
 
 _TANGENTIAL_RATIO: Final = 2.0 / 7.0  # default tangential over normal stiffness
 NOTHING: Final = -1  # material of a body that touches nothing
@@ -110,12 +110,12 @@ def contact_of(system: System) -> SystemContact | None:
         fixed=fixed,
         prescribed=prescribed_bodies(system),
         walls=joined(parts),
-        motions=tuple(motion_of(table.motion, middle(table)) for table in system.wall),
+        motions=wall_motions(system),
         pistons=pistons_of(system),
         wall_material=wall_material,
         excluded=excluded_pairs(system),
     )
-    if can_meet.any():
+    if can_meet.any() and system.continued is None:
         refuse_misplaced(system, contact)
     return contact
 

@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from particlerb.case.joints import JointDrive
+from particlerb.case.problems import problem_at, refuse
 from particlerb.joints.records import Drives
 from particlerb.maths.vec3 import Floats
+from particlerb.model.system import System
 
 
 class DriveCourse(NamedTuple):
@@ -25,6 +27,45 @@ class DriveCourse(NamedTuple):
         shifted = [a + s * (b + s * (c + s * d)), b + s * (2 * c + 3 * s * d), c + 3 * s * d, d]
         amplitude, rate, phase = self.wave
         return np.array(shifted), (amplitude, rate, math.remainder(phase + rate * start, math.tau))
+
+    def at(self, time: float) -> tuple[float, float]:
+        """The coordinate at a time, and its speed."""
+        polynomial, (amplitude, rate, phase) = self.since(time)
+        c, speed = polynomial[:2].tolist()
+        return c + amplitude * math.sin(phase), speed + amplitude * rate * math.cos(phase)
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Sizes of its coordinate and of its speed: the largest where a piece begins."""
+        amplitude, rate, _ = self.wave
+        c, speed, _, _ = np.abs(self.polynomial).max(axis=0).tolist()
+        return c + abs(amplitude), speed + abs(amplitude) * rate
+
+    def moved(self, by: float) -> Self:
+        """The same with this added to the coordinate."""
+        return self._replace(polynomial=self.polynomial + np.array([by, 0.0, 0.0, 0.0]))
+
+
+def courses_of(system: System) -> tuple[DriveCourse, ...]:
+    """What is prescribed of joints, in their order.
+
+    Raises
+    ------
+    CaseError
+        If a course does not begin where the bodies stand at t = 0.
+    """
+    if system.continued is not None:
+        return system.continued.drives
+    problems = []
+    for k, table in enumerate(system.joint):
+        for key in () if table.drive is None else ("position", "speed"):
+            knots = getattr(table.drive, key)
+            if isinstance(knots, np.ndarray) and knots[0, : 1 + (key == "position")].any():
+                start = "[0, 0]: where the bodies stand" if key == "position" else "the time 0"
+                reason = f"must begin at {start}"
+                problems.append(problem_at(system, f"joint[{k}].drive.{key}", reason))
+    refuse(problems)
+    return tuple(course_of(table.drive) for table in system.joint if table.drive is not None)
 
 
 def course_of(drive: JointDrive) -> DriveCourse:

@@ -38,7 +38,7 @@ from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import lengths, rotate_back, state_of
 from particlerb.model.system import System
 from particlerb.plan import joint_rows
-from particlerb.plan.joint_drives import DriveCourse, course_of, drives_from
+from particlerb.plan.joint_drives import DriveCourse, courses_of, drives_from
 from particlerb.plan.joint_ends import Ties, ends_of, pairs_of, unique, wrong_place
 from particlerb.plan.obstacles import prescribed_bodies
 from particlerb.rotors.rotor_class import NAMES, POINT, ROD
@@ -181,13 +181,13 @@ def joints_of(system: System) -> SystemJoints | None:
         "joint_coordinate" in asked_of_joints(system),
         joint_rows.actions_of(acting),
         until,
-        tuple(course_of(t.drive) for t in system.joint if t.drive is not None),
+        courses_of(system),
         joint_rows.breaks_of(system, record),
         prescribed_bodies(system),
         joint_rows.bounds_of(acting),
     )
     problems = _held_impulses(system, setup)
-    if merging is None:
+    if merging is None and system.continued is None:
         problems = _impossible(system, setup) + problems
     refuse(problems)
     return setup

@@ -89,6 +89,13 @@ def motion_of(motion: Prescribed | None, default_centre: Vec3) -> PrescribedMoti
     return moving._replace(amplitude=wave.amplitude, frequency=wave.frequency, phase=wave.phase)
 
 
+def wall_motions(system: System) -> tuple[PrescribedMotion, ...]:
+    """How walls of a system move."""
+    if system.continued is not None:
+        return system.continued.walls
+    return tuple(motion_of(table.motion, middle(table)) for table in system.wall)
+
+
 def drive_of(body: Body, com: Floats) -> PrescribedMotion:
     """Motion of a driven body whose centre of mass is at `com` at t = 0, where it may be displaced.
 
@@ -125,6 +132,8 @@ def pistons_of(system: System) -> Pistons | None:
 
 def prescribed_bodies(system: System) -> PrescribedBodies | None:
     """Those of a system that begins at t = 0; None where there are none."""
+    if system.continued is not None:
+        return system.continued.bodies
     prescribed = np.flatnonzero([system.body[k].motion is not None for k in system.block])
     if not prescribed.size:
         return None

@@ -28,6 +28,7 @@ from particlerb.model.balance import Entries
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State, derived, initial_state
 from particlerb.model.system import System
+from particlerb.plan.continued import with_continued
 from particlerb.plan.make_plan import make_plan
 from particlerb.record.frame_values import FrameError
 from particlerb.record.layout import tables_of
@@ -41,7 +42,7 @@ from particlerb.simulation.table_changes import STAYS, refuse_what_stays
 from particlerb.simulation.whole_run import Run, RunError
 
 _STATE_NAMES = "position", "orientation", "velocity", "angular_velocity"
-_CHANGEABLE_TABLES = ("force", "gravity", "attraction", "contact", "wall", "joint", "run")
+_CHANGEABLE_TABLES = "force", "gravity", "attraction", "contact", "wall", "joint", "run"
 
 
 class BodyStates(NamedTuple):
@@ -245,8 +246,9 @@ class Simulation(Closing):
             If the scene is wrong with it; nothing has changed then.
         """
         path, system = path_of(str(key)), self.system
-        if not path or path[0] not in _CHANGEABLE_TABLES:
-            hint = f"what may: {', '.join(_CHANGEABLE_TABLES)}"
+        is_motion = path[:1] == ("body",) and path[2:3] == ("motion",)
+        if not is_motion and (not path or path[0] not in _CHANGEABLE_TABLES):
+            hint = f"what may: {', '.join(_CHANGEABLE_TABLES)}; of a body its motion"
             raise CaseError([problem_at(system, str(key), STAYS, hint)])
         if system.run.accuracy is not None:
             hint = "give run.method and run.dt in its place"
@@ -258,7 +260,7 @@ class Simulation(Closing):
             raise CaseError([problem_at(system, key, str(error.args[0]))]) from None
         changed = with_records(system, build(system.source._replace(raw=raw), ()))
         refuse_what_stays(system, changed, self.time, self._recorder is not None)
-        self._restart(changed, None)
+        self._restart(with_continued(system, changed, self.time), None)
         if self._recorder is not None and path[0] != "run":
             self._recorder.note_change(f"{key_of(path)}, at t = {self.time!r} s")
 

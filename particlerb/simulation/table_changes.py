@@ -2,37 +2,31 @@
 
 from typing import Any, Final
 
-import numpy as np
-
 from particlerb.case.problems import CaseError, Problem, problem_at
-from particlerb.contact.records import to_floats
-from particlerb.contact.wall_motion import poses_at
 from particlerb.model.system import System
-from particlerb.plan.obstacles import middle, motion_of
 
 STAYS: Final = "cannot change in a simulation"
 _RUN_KEYS: Final = "t_end", "every", "accuracy"  # that stay
-_ACTING: Final = "spring", "damper", "limit", "motor", "friction"  # of a joint; numbers may change
-_ROUNDING: Final = 1e-12  # of the place of a wall
+_ACTING: Final = "spring", "damper", "limit", "motor", "friction", "drive"  # numbers may change
 
 
 def refuse_what_stays(system: System, changed: System, time: float, is_recorded: bool) -> None:
     """Raise CaseError where a change at a time [s] touches what stays.
 
-    The times of frames do, and joints with all but the numbers of what acts along them. No wall
-    jumps, and a file has room for those that it began with: a motion counts from t = 0, and a
+    The times of frames do, and joints with all but the numbers of what acts along them, and
+    bodies but for how they are driven. A file has room for the walls that it began with, and a
     piston goes on along its axis from where it is.
     """
     for name in _RUN_KEYS:
         if getattr(changed.run, name) != getattr(system.run, name):
             raise CaseError([problem_at(system, f"run.{name}", STAYS)])
     _refuse_other_joints(system, changed)
+    _refuse_other_motions(system, changed)
     if is_recorded and len(changed.wall) != len(system.wall):
         reason = f"the file has {len(system.wall)} walls in each frame"
         raise CaseError([problem_at(system, "wall", reason)])
     for w in range(min(len(system.wall), len(changed.wall))):
-        problem = _piston_jumps(system, changed, w) if time > 0.0 else None
-        if problem := problem or _motion_jumps(system, changed, w, time):
+        if problem := _piston_jumps(system, changed, w) if time > 0.0 else None:
             raise CaseError([problem])
 
 
@@ -62,7 +56,16 @@ def _staying(key: str, value: Any) -> Any:
         return value
     if key == "limit" and value is not None:
         return value["stiffness"] is None, value["damping"] > 0.0
-    return type(value) if key in ("motor", "spring", "limit") else value > 0.0
+    return type(value) if key in ("motor", "spring", "limit", "drive") else value > 0.0
+
+
+def _refuse_other_motions(system: System, changed: System) -> None:
+    """Raise CaseError where a body begins or ends to be driven: it is of another kind then."""
+    for i, (before, after) in enumerate(zip(system.body, changed.body, strict=True)):
+        if (before.motion is None) != (after.motion is None):
+            reason = f"{STAYS} but for its numbers: it comes or goes"
+            hint = "let it be there from the start: motion = {}"
+            raise CaseError([problem_at(system, f"body[{i}].motion", reason, hint)])
 
 
 def _moves_inwards(before: Any, after: Any) -> bool:
@@ -85,16 +88,3 @@ def _piston_jumps(system: System, changed: System, w: int) -> Problem | None:
     reason = f"{before.name} has slid and would jump back to another place now"
     hint = "leave its number among the walls, its piston and their axis as they are"
     return problem_at(system, f"wall[{w}].piston", reason, hint)
-
-
-def _motion_jumps(system: System, changed: System, w: int, time: float) -> Problem | None:
-    """What is wrong where another motion would have brought a wall to another place."""
-    before, after = system.wall[w], changed.wall[w]
-    motions = [motion_of(wall.motion, middle(wall)) for wall in (before, after)]
-    old, new = to_floats(poses_at(motions, time))[:, :7]
-    has_stayed = np.abs(new - old).max() <= _ROUNDING * np.abs(old).max()
-    if has_stayed or before.model_copy(update={"motion": after.motion}) != after:
-        return None
-    reason = f"counts from t = 0 on: {after.name} would jump to another place now"
-    hint = "change the wall as a whole, its place too, so that it is where it was"
-    return problem_at(system, f"wall[{w}].motion", reason, hint)

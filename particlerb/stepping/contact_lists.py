@@ -229,7 +229,7 @@ class ContactLists:
         """
         steps, skin = min(max(_MIN_STEPS, 2 * lasted), _MAX_STEPS), self.skin
         sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
-        if not records.to_floats(self.contact.motions)[:, 3:].any():
+        if not records.to_floats(self.contact.motions)[:, 3:14].any():
             return WallsAhead(_MAX_STEPS * self.dt, sliding)
         reach = [far + skin for far in reach]  # as bodies move
         while steps > 1 and wall_displacement(self.motions, steps * self.dt, reach) > skin:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from particlerb.compiled.jit import config, kernel
 from particlerb.contact import wall_search as module
 from particlerb.contact.records import to_floats
-from particlerb.contact.wall_motion import PrescribedMotion, poses_at, wall_displacement
+from particlerb.contact.wall_motion import PrescribedMotion, continued, poses_at, wall_displacement
 from particlerb.contact.wall_search import WallSearch, bounding_boxes
 from particlerb.contact.wall_shapes import box, cylinder, joined, plane, surface
 from particlerb.contact.walls import (
@@ -319,6 +319,33 @@ def test_motion_is_a_closed_form_and_velocity_its_derivative():
     gap, velocity = (u[0, 0] for u in touched(wall, place(t)[None], [motion], t))
     at = place(t) - gap - X
     assert np.allclose(velocity, v + np.cross(omega, at), atol=1e-14)
+
+
+def test_a_motion_goes_on_from_where_another_has_led_to():
+    """Twice: by turns R₃(t - t₂) R₂(t₂ - t₁) R₁(t₁) about a centre that goes along."""
+    centre, w = (1.0, 2.0, 3.0), np.array([(0.3, -0.5, 0.7), (-1.0, 0.2, 0.4), (0.1, 2.0, 0.0)])
+    v, times = np.array([(0.1, 0, 0.2), (0.3, 0.2, 0.0), (0.0, 0.0, -0.4)]), (0.0, 0.9, 1.6, 2.2)
+    waves = [((0, 0.4, 0.1), 1.7, 0.3), ((0.2, 0, 0), 0.5, 1.0), ((0.0, 0.1, 0), 1.0, -0.4)]
+    motions = [
+        PrescribedMotion(centre, *map(tuple, vw), *wave)
+        for *vw, wave in zip(v, w, waves, strict=True)
+    ]
+    now = motions[0]
+    for t, motion in zip(times[1:], motions[1:], strict=False):
+        now = continued(now, motion, t)
+    turn, at = Rotation.identity(), np.array(centre) + np.sin(0.3) * np.array(waves[0][0])
+    for k, (amplitude, frequency, phase) in enumerate(waves):
+        lasted, rate = times[k + 1] - times[k], 2.0 * np.pi * frequency
+        ends = np.sin(rate * np.array(times[k : k + 2]) + phase)
+        at = at + lasted * v[k] + np.diff(ends) * np.array(amplitude)
+        turn = Rotation.from_rotvec(lasted * w[k]) * turn
+    X, q = np.split(to_floats(poses_at([now], times[-1]))[0, :7], [3])
+    found = Rotation.from_quat(q, scalar_first=True)
+    p = np.array([0.5, 0.6, 0.7])
+    assert np.allclose(X + found.apply(p), at + turn.apply(p - centre), atol=1e-14)
+    h, t = 1e-5, times[-1]
+    before, after = (to_floats(poses_at([now], s))[0, :3] for s in (t - h, t + h))
+    assert np.allclose(poses_at([now], t).velocity[0], (after - before) / (2 * h), atol=1e-8)
 
 
 @settings(max_examples=20 if PLAIN else 100)

@@ -208,6 +208,91 @@ def test_what_acts_and_joints_themselves_stay(keys, key, value, words):
     assert simulation.system is before
 
 
+def steered(simulation, looks=()):
+    """A wheel whose speed rises, which then goes through points, and rests; also looked at."""
+    changes = [
+        (0.5, {"speed": [[0.5, 1.0], [1.0, 2.0]]}),
+        (1.2, {"position": [[1.2, 1.65], [1.6, 2.0]], "end_speeds": [2.0, 0.0]}),
+        (1.6, {"amplitude": 0.0, "frequency": 1.0}),
+    ]
+    for time, drive in changes:
+        for look in looks:
+            simulation.advance(max(simulation.time, min(look, time)))
+            assert np.isfinite(simulation.energy)
+        simulation.advance(time)
+        simulation.change("joint[0].drive", drive)
+    return simulation.advance(2.0)
+
+
+def test_set_points_of_a_drive_follow_each_other():
+    """Angles of the closed forms; the work is what the wheel has gained; no type is another one."""
+    simulation = simulated(wheel(1.0, drive={"speed": 1.0}), 2.0, 0.02)
+    (first,) = (typeof(group.motion.moving) for group in simulation._run.group_runs)
+    simulation.advance(0.5)
+    simulation.change("joint[0].drive.speed", [[0.5, 1.0], [1.0, 2.0]])
+    assert turned(simulation) == pytest.approx(0.5, abs=1e-12)
+    simulation.advance(1.0)
+    assert turned(simulation) == pytest.approx(1.25, abs=1e-12)
+    assert rate(simulation) == pytest.approx(2.0, abs=1e-12)
+    assert simulation.energy == pytest.approx(0.5 * MOMENT * 4.0, rel=1e-12)
+    assert abs(simulation.energy_error) < 1e-3
+    simulation.change("joint[0].drive", {"position": [[1, 1.25], [1.5, 2]], "end_speeds": [2, 0]})
+    simulation.advance(1.25)
+    middle = 0.5 * (1.25 + 2.0) + 0.5 * (2.0 - 0.0) / 8.0  # of a cubic: (x + y)/2 + h (v - w)/8
+    assert turned(simulation) == pytest.approx(middle, abs=1e-12)
+    simulation.advance(1.5)
+    simulation.change("joint[0].drive", {"amplitude": 0.1, "frequency": 1.0, "phase": np.pi / 2})
+    simulation.advance(1.75)
+    assert turned(simulation) == pytest.approx(2.0 + 0.1, abs=1e-12)
+    assert abs(simulation.energy_error) < 2e-3
+    (now,) = (typeof(group.motion.moving) for group in simulation._run.group_runs)
+    assert now == first
+
+
+def test_looks_between_changes_of_a_drive_change_no_bit():
+    one, two = (simulated(wheel(1.0, drive={"speed": 1.0}), 2.0, 0.02) for _ in range(2))
+    for got, other in zip(steered(one)[1:5], steered(two, (0.3, 0.77, 1.31))[1:5], strict=True):
+        assert got.tobytes() == other.tobytes()
+    assert one.energy_error == two.energy_error
+
+
+@pytest.mark.parametrize(
+    ("drive", "words"),
+    [
+        ({"speed": 2.0}, r"drive: its speed would jump from 1\.0 to 2\.0 at t = 0\.5 s"),
+        ({"speed": [[0.6, 1.0], [0.7, 1.0]]}, "must begin at t = 0.5 s, which is now, or before"),
+        ({"position": [[0, 0], [1, 2.0]]}, r"drive\.position: the coordinate would jump from 0\.5"),
+        ({"position": [[0.5, 0.5], [1, 2.0]]}, r"jump from 1\.0 to 0\.0 .*\n.*end_speeds = \[1\.0"),
+        ({"amplitude": 1.0, "frequency": 1.0}, "its speed would jump"),
+        (None, "comes, goes or is of another kind"),
+    ],
+)
+def test_a_drive_that_would_jump_is_refused(drive, words):
+    simulation = simulated(wheel(1.0, drive={"speed": 1.0}), 1.0, 0.1)
+    simulation.advance(0.5)
+    before = simulation.system
+    with pytest.raises(CaseError, match=words):
+        simulation.change("joint[0].drive", drive)
+    assert simulation.system is before
+
+
+def test_what_joints_hold_on_a_driven_body_takes_no_jump_of_its_speed():
+    base = body("base", 3.0, [1, 1, 1], [0, 0, 0]) | {"motion": {"velocity": [0.5, 0, 0]}}
+    del base["velocity"], base["angular_velocity"]
+    bob = body("bob", 1.0, [0.1, 0.1, 0.1], [0, 0, -1], [0.5, 0, 0])
+    simulation = simulated(case([base, bob], [joint("ball", "bob", "base", [0, 0, 0])]), 1.0, 0.01)
+    simulation.advance(0.25)
+    with pytest.raises(CaseError, match=r"the speed of base would jump at t = 0\.25 s, and joints"):
+        simulation.change("body[0].motion.velocity", [0.6, 0, 0])
+    wave = {"amplitude": [0.1, 0, 0], "frequency": 1.0, "phase": -np.pi / 2}  # cos(π/2 - π/2) = 1
+    gone = 0.5 - 0.1 * 2.0 * np.pi
+    simulation.change("body[0].motion", {"velocity": [gone, 0, 0], "oscillation": wave})
+    state = simulation.advance(0.5)
+    assert state.position[0, 0] == pytest.approx(0.125 + 0.25 * gone + 0.1, abs=1e-13)
+    assert np.linalg.norm(state.position[0] - state.position[1]) == pytest.approx(1.0, abs=1e-12)
+    assert abs(simulation.energy_error) < 1e-4
+
+
 def test_a_motor_of_zero_is_one():
     """Nowhere but along a coordinate that is free, and beside nothing that breaks."""
     scene = case([bar("a", [0, 0, 0], [1, 0, 0])], [joint("ball", "a", motor=0)])

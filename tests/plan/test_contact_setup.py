@@ -351,7 +351,7 @@ def test_a_wall_turns_about_its_own_centre_unless_told_otherwise(make):
     assert [m.centre for m in motions] == [(0, 0, 0.1), (0, 0, 1), (0, 0, 3), (9, 8, 7)]
     assert motions[0].angular_velocity == (0, 0, 0.5)
     assert motions[0][3:] == PrescribedMotion()[3:]
-    assert motions[3][1:] == ((1, 2, 3), (0, 0, 0), (0, 0, 0.01), 10.0, 0.3)
+    assert motions[3][1:6] == ((1, 2, 3), (0, 0, 0), (0, 0, 0.01), 10.0, 0.3)
 
 
 def test_a_wall_has_the_code_of_its_material(make):

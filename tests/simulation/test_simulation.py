@@ -277,14 +277,7 @@ def test_a_file_has_room_for_the_walls_that_it_began_with(tmp_path):
 
 @pytest.mark.plain
 def test_what_moves_as_prescribed_is_not_moved_by_hand():
-    """A motion counts from t = 0 on: another velocity alone would let the wall jump."""
     simulation = over_a_floor(motion={"velocity": (0, 0, 0.5)})
-    with pytest.raises(CaseError, match="floor would jump to another place now"):
-        simulation.change("wall[0].motion.velocity", (0, 0, 0.25))
-    floor = {"type": "plane", "name": "floor", "normal": (0, 0, 1)}
-    floor |= {"point": (0, 0, 0.25), "motion": {"velocity": (0, 0, 0.25)}}
-    simulation.change("wall[0]", floor)
-    simulation.change("wall[0].motion.velocity", (0, 0, 0.25))
     velocity = simulation.state.velocity.copy()
     velocity[0, 2] = 1.0
     simulation.set_state(velocity=velocity)
@@ -313,6 +306,39 @@ def test_contacts_begin_anew_with_another_law(law):
     simulation.change("contact", {"restitution": 0.5, "friction": 0.4, **law})
     assert simulation.energy_error == pytest.approx(before, abs=1e-12)
     assert (simulation.advance(0.15).position[:, 2] > 0.08).all()  # they fall no deeper
+
+
+@pytest.mark.plain
+def test_walls_and_driven_bodies_go_on_as_they_are_told_from_where_they_are(tmp_path):
+    """A floor that rises and sinks, one that is another; a ring of two that turn and are shaken."""
+    scene = Scene(RunTable(t_end=2.0, every=0.25, dt=0.125))
+    scene.contact = ContactTable(stiffness=10.0, restitution=0.5, friction=0.4)
+    scene.add_body(name="ball", shape=Ball(radius=0.1), mass=1.0, position=(0, 0, 9))
+    spin = {"angular_velocity": (0, 0, 1.0), "centre": (0, 0, 0)}
+    ring = {"shape": Ball(radius=0.4), "mass": 1.0, "motion": spin}
+    scene.add_body(name="ring", count=2, position=[(1, 0, 5), (-1, 0, 5)], **ring)
+    scene.add_wall(PlaneWall(name="floor", normal=(0, 0, 1), motion={"velocity": (0, 0, 0.5)}))
+    scene.output = Output(fields=("position", "wall_position", "wall_velocity"))
+    with Simulation(scene, tmp_path / "a.h5") as simulation:
+        simulation.advance(1.0)
+        simulation.change("wall[0].motion.velocity", (0, 0, -0.25))
+        wave = {"amplitude": (0, 0, 0.2), "frequency": 0.25}
+        simulation.change("body[1].motion", spin | {"velocity": (0.5, 0, 0), "oscillation": wave})
+        simulation.advance(1.5)
+        simulation.change("body[1].motion.angular_velocity", (0, 0, -2.0))
+        simulation.change("wall[0].material", None)
+        state = simulation.advance(2.0)
+        lift = 0.2 * (np.sin(np.pi) - np.sin(0.5 * np.pi))
+        arm = np.array([np.cos(0.5), np.sin(0.5), 0.0])  # 1.5 - 2 (2 - 1.5)
+        at = np.array([0.5, 0.0, 5.0 + lift])
+        assert state.position[1:] == pytest.approx(np.array([at + arm, at - arm]), abs=1e-14)
+        wrong = [("body[1].motion.centre", (0, 1, 0)), ("body[1].motion", None)]
+        for key, value in [*wrong, ("body[0].motion", spin), ("body[1].mass", 2.0)]:
+            with pytest.raises(CaseError, match="cannot change in a simulation"):
+                simulation.change(key, value)
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        t, height = trajectory.time, np.array(trajectory.wall_position)[:, 0, 2]
+        assert height == pytest.approx(np.where(t < 1, 0.5 * t, 0.75 - 0.25 * t), abs=1e-14)
 
 
 def test_a_motion_that_fails_at_its_start_is_a_failed_run():
