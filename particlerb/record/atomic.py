@@ -28,6 +28,7 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
+from particlerb.record.output_path import sync_open
 from particlerb.record.writer_lock import InUseError, WriterLock
 
 PAGE: Final = 4096  # bytes that a disk writes as one
@@ -182,7 +183,7 @@ class AtomicFile:
         """Wait until the disk has what was written."""
         if self.is_durable:
             start = time.monotonic()
-            os.fsync(self.descriptor)
+            sync_open(self.descriptor)
             self.seconds += time.monotonic() - start
 
     def commit(self) -> None:

@@ -14,7 +14,7 @@ import h5py
 
 from particlerb.record.atomic import AtomicFile
 from particlerb.record.checked_reading import FAULTS, reason_of
-from particlerb.record.output_path import output_path
+from particlerb.record.output_path import output_path, sync
 from particlerb.record.parts import parts_used_by
 from particlerb.record.writer_lock import InUseError, WriterLock
 
@@ -108,7 +108,7 @@ class OutputFile:
         folders = dict.fromkeys((self.place.parent, self.waiting.parent))
         self.place = self.waiting = None
         for folder in folders if self.disk.is_durable else ():
-            _sync_folder(folder)
+            sync(folder)
         with suppress(OSError):
             for part in self.replaced:
                 part.unlink(missing_ok=True)
@@ -162,16 +162,6 @@ def new_file(
     lock = WriterLock(waiting)
     replaced = parts_used_by(place) if place.exists() else ()
     return OutputFile(path, lock, is_durable, place, empty, waiting, replaced)
-
-
-def _sync_folder(path: Path) -> None:
-    """Wait until the disk has the names in a folder."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        with _blaming(path):
-            os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 @contextmanager

@@ -63,22 +63,53 @@ def output_path(path: Path, overwrite: bool) -> Path:
 
 @contextlib.contextmanager
 def appearing(*paths: Path) -> Iterator[list[Path]]:
-    """Give files to write, which become those at the paths when all are whole.
+    """Give files to write, which become those at the paths when all are whole, on the disk.
 
     Until then what was there stays. They lie beside it, behind links, and have the endings of the
-    paths; errors as of `output_path`.
+    paths; errors as of `output_path`. Of several the first takes its name last, and what had it
+    goes first: where it is, the others are those that belong to it.
     """
     places = [output_path(path, overwrite=True) for path in paths]
-    pairs = zip(paths, places, strict=True)
+    pairs = list(zip(paths, places, strict=True))
     unfinished = [place.with_name(f".{os.getpid()}.{path.name}") for path, place in pairs]
+    removed = list(unfinished)  # where something fails
     try:
         for place in places:
             place.parent.mkdir(parents=True, exist_ok=True)
         yield unfinished
-        for new, place in zip(unfinished, places, strict=True):
-            new.replace(place)
-    except BaseException:
         for new in unfinished:
+            sync(new)
+        (new, first), *others = zip(unfinished, places, strict=True)
+        if others:
+            first.unlink(missing_ok=True)
+            sync(first.parent)
+        for other, place in others:
+            other.replace(place)
+            removed.append(place)
+            sync(place.parent)
+        new.replace(first)
+    except BaseException:
+        for path in removed:
             with contextlib.suppress(OSError):
-                new.unlink(missing_ok=True)
+                path.unlink(missing_ok=True)
         raise
+
+
+def sync(path: Path) -> None:
+    """Wait until the disk has a file, or the names in a folder."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        sync_open(descriptor)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    finally:
+        os.close(descriptor)
+
+
+def sync_open(descriptor: int) -> None:
+    """The same of what is open; nothing where the file system has no such call."""
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise

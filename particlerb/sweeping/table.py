@@ -13,7 +13,7 @@ import numpy as np
 
 from particlerb.files import Closing
 from particlerb.maths.vec3 import Floats
-from particlerb.record.output_path import output_path
+from particlerb.record.output_path import appearing, output_path, sync, sync_open
 from particlerb.record.writer_lock import WriterLock
 from particlerb.sweeping.rows import Row
 from particlerb.sweeping.variants import Variant
@@ -105,15 +105,13 @@ def _put(path: Path, mode: str, lines: Sequence[Sequence[Any]]) -> None:
     with path.open(mode) as file:
         file.write(_text(lines))
         file.flush()
-        os.fsync(file.fileno())
+        sync_open(file.fileno())
 
 
 def _write(path: Path, lines: Sequence[Sequence[Any]]) -> None:
     """A CSV in place of what is there; a kill leaves one of both."""
-    beside = path.with_name(path.name + ".new")
-    beside.unlink(missing_ok=True)
-    _put(beside, "xb", lines)  # not through a link
-    beside.replace(path)
+    with appearing(path) as (new,):
+        new.write_bytes(_text(lines))
 
 
 class TableFile(Closing):
@@ -162,6 +160,7 @@ class TableFile(Closing):
         os.truncate(path, end)  # behind it is a last line that was torn
         if not lines:
             _put(path, "ab", [self.columns])
+            sync(path.parent)
         rows = [line for line in lines[1:] if line[2:3] == ["done"]]
         try:
             if any(len(row) != len(self.columns) for row in rows):

@@ -1,16 +1,18 @@
 """Where files are written: behind links, and never in the place of what is not a regular file."""
 
+import errno
 import os
 import shutil
 import socket
 import stat
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 import particlerb
 from particlerb.cli import main
-from particlerb.record.output_path import output_path
+from particlerb.record.output_path import appearing, output_path
 from particlerb.record.trajectory import TrajectoryError
 
 pytestmark = pytest.mark.once
@@ -126,19 +128,57 @@ def test_every_command_asks(place, name, capsys):
         assert b"precious" not in Path("folder", written).read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("words", "name"),
-    [
-        ("run a.toml -q -o a.h5", "a.h5"),
-        ("sweep a.toml --set sweep.replicates=2 -o a.csv", "a_means.csv"),
-    ],
-)
-def test_a_link_where_a_file_is_begun_leads_nowhere(place, words, name):
+def test_a_link_where_a_file_is_begun_leads_nowhere(place):
     """What is not finished lies beside its place; a link of that name is not written through."""
-    Path(f"{name}.new").symlink_to("folder/target")
-    assert main(words.split()) == 0
-    assert not Path(name).is_symlink()
+    Path("a.h5.new").symlink_to("folder/target")
+    assert main(["run", "a.toml", "-q", "-o", "a.h5"]) == 0
+    assert not Path("a.h5").is_symlink()
     assert b"precious" in Path("folder/target").read_bytes()
+
+
+@pytest.mark.parametrize("before", ["old", ""])
+def test_files_that_belong_together_are_so_at_every_moment(tmp_path, monkeypatch, before):
+    """Where the first one is, a kill at any rename has left others of its own; a failure none."""
+    paths = [tmp_path / name for name in ("a.in", "a.data", "a.rigid")]
+    replace, seen = Path.replace, []
+
+    def shown():
+        return [path.read_text() if path.exists() else "" for path in paths]
+
+    def failing(new, place, at):
+        seen.append(shown())
+        if len(seen) > at:
+            raise OSError(errno.EIO, "failed")
+        return replace(new, place)
+
+    for at in range(4):
+        for path in paths if before else ():
+            path.write_text(before)
+        seen.clear()
+        monkeypatch.setattr(Path, "replace", lambda new, place, at=at: failing(new, place, at))
+        raises = pytest.raises(OSError, match="failed") if at < 3 else nullcontext()
+        with raises, appearing(*paths) as unfinished:
+            for new in unfinished:
+                new.write_text("new")
+            assert shown() == [before] * 3
+        assert not any(first and {first, *rest} != {first} for first, *rest in [*seen, shown()])
+        assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+        if at < 3:
+            assert "new" not in shown()
+    assert shown() == ["new"] * 3
+
+
+def test_a_file_system_without_syncs_is_written(tmp_path, monkeypatch):
+    """Some have no such call for folders, some for none: there is nothing to wait for."""
+
+    def none(descriptor):
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+
+    monkeypatch.setattr(os, "fsync", none)
+    case = tmp_path / "a.toml"
+    case.write_text(CASE)
+    assert main(["run", str(case), "-q", "-o", str(tmp_path / "a.h5")]) == 0
+    assert main(["info", str(tmp_path / "a.h5"), "--verify"]) == 0
 
 
 def test_studies_and_sessions_ask(place, capsys):
