@@ -5,6 +5,7 @@ time that it covers.
 """
 
 import contextlib
+import os
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from particlerb.export.surfaces import meet
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import rotate
 from particlerb.model.system import System
+from particlerb.record.output_path import appearing
 from particlerb.view import number_tables
 from particlerb.view.arrows import Arrows
 from particlerb.view.controls import ALONG_VIEW, AXES, INTO_SURFACE, Controls, draw
@@ -266,19 +268,12 @@ class Live(Page):
         if self.written == MOST_SAVED:
             raise ValueError(f"{MOST_SAVED} sessions were saved: start again to save more")
         text = recorded(self.session)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
         path, number = self.path, 1
-        while True:
-            try:
-                with path.open("x", encoding="utf-8") as file, contextlib.ExitStack() as torn:
-                    torn.callback(path.unlink)
-                    file.write(text)
-                    file.flush()
-                    torn.pop_all()
-                break
-            except FileExistsError:
-                number += 1
-                path = self.path.with_stem(f"{self.path.stem}_{number}")
+        while os.path.lexists(path):
+            number += 1
+            path = self.path.with_stem(f"{self.path.stem}_{number}")
+        with appearing(path) as (new,):
+            new.write_text(text, encoding="utf-8")
         self.saved, self.written = self.session.raw["force"], self.written + 1
         self.say(f"saved: {path}; `python -m particlerb {path}` repeats it bit for bit")
         return path
