@@ -2,16 +2,20 @@
 
     python tests/record/every_write.py                # all of them; a table
     python tests/record/every_write.py export plot    # those that begin so
+    python tests/record/every_write.py --cuts         # kills and power cuts in place of faults
 
 EIO once and from there on, and a disk that is full in the middle of a write. Each time: exit code 1
 with one message and no traceback, or 0 and what should be there; under each name the file from
-before, or the whole new one; and the same command does its work when the disk does. `run` and
-`resume` are left to `every_prefix.py`, and parts of ranks to `tests/ranks/test_prefixes.py`.
+before, or the whole new one; and the same command does its work when the disk does. Behind kills
+and power cuts too; a first file stands beside others of its own only, and no row of a sweep is lost
+that was on the disk. `run` and `resume` are left to `every_prefix.py`, and parts of ranks to
+`tests/ranks/test_prefixes.py`.
 """
 
 import argparse
 import errno
 import os
+import random
 import sys
 import tempfile
 from pathlib import Path
@@ -22,7 +26,7 @@ from unittest.mock import MagicMock
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 
 import tomlkit
-from crashes import Done, Fault, Session, build, in_folder, place, serve
+from crashes import SYNC, Disk, Done, Fault, Session, build, in_folder, place, serve
 from every_prefix import contact, free
 
 from particlerb import cli
@@ -33,6 +37,8 @@ OLD = b"what was there before\n"
 GROWS = ("log", "sweep")
 """Commands whose file is longer line by line; another run goes on with it."""
 SAVE = "save-session"
+LINE = b"\n"
+STATES = 2  # of a power cut at each operation
 
 
 def commands() -> dict[str, list[str]]:
@@ -139,13 +145,86 @@ def faults(
     return n, states, wrong
 
 
+def behind_cut(
+    state: dict[str, bytes], before: dict[str, bytes], right: dict[str, bytes], first: str
+) -> list[str]:
+    """What is wrong with files behind a cut: torn ones, or some that do not belong together."""
+    shown = {name: data for name, data in state.items() if not name.startswith(".")}
+    wrong = [f"torn {name}" for name in torn(shown, before, right)]
+    whole = [
+        files for files in (before, right) if first in files and shown.get(first) == files[first]
+    ]
+    if whole and not any(shown == files for files in whole):
+        wrong.append(f"{first} beside others")
+    return wrong
+
+
+def rows_behind(state: dict[str, bytes], right: dict[str, bytes], least: int) -> list[str]:
+    """What is wrong with tables behind a cut: rows that are lost, or are others."""
+    tables = {name: state.get(name, b"") for name in right if name.endswith("out.csv")}
+    return [
+        f"{name}: {data.count(LINE)} rows of {least}"
+        for name, data in tables.items()
+        if data.count(LINE) < least or not right[name].startswith(data[: data.rfind(LINE) + 1])
+    ]
+
+
+def cuts(
+    name: str, argv: list[str], folder: Path, session: Session, every: int
+) -> tuple[int, int, list[str]]:
+    """Operations, states behind kills and power cuts, and what is wrong."""
+    watched, wrong, states, seen = folder / "watched", [], 0, set()
+    place({}, watched)
+    if argv[0] != SAVE:
+        session.warm(argv, folder)
+        place({}, watched)
+    done = session.run(argv, watched, cwd=folder)
+    assert done.code == 0, done.err
+    right = in_folder(watched)
+    first = next((one.other for one in reversed(done.operations) if one.other), "")
+    befores: list[dict[str, bytes]] = [{}]
+    if name not in (*GROWS, "session"):
+        befores.append(dict.fromkeys(right, OLD))
+    for before in befores:
+        words = [*argv, *["--overwrite"] * bool(before)]
+        place(before, watched)
+        done, disk, least = session.run(words, watched, cwd=folder), Disk(before), 0
+        for k, operation in enumerate(done.operations):
+            disk.apply(operation)
+            if operation.kind == SYNC and "out.csv" in disk.files:
+                least = max(least, bytes(disk.files["out.csv"].safe).count(LINE))
+            for cut in range(1 + STATES) if k % every == 0 else ():
+                states += 1
+                dice = random.Random(f"{name} {k} {cut}")
+                state = disk.power_cut(dice) if cut else disk.killed()
+                what = f"{name} {k} {cut} {'over' * bool(before)}"
+                if name == "sweep":
+                    said = rows_behind(state, right, least)
+                else:
+                    said = behind_cut(state, before, right, first) if name != "log" else []
+                wrong += [f"{what}: {one}" for one in said]
+                kind = tuple(sorted((one, data in right.values()) for one, data in state.items()))
+                if kind in seen:
+                    continue
+                seen.add(kind)
+                place(state, watched)
+                is_new = name in (*GROWS, "session") or not any(one in state for one in right)
+                again = session.run(argv if is_new else [*argv, "--overwrite"], watched, cwd=folder)
+                kept = {n: data for n, data in in_folder(watched).items() if not n.startswith(".")}
+                if again.code or (name != "log" and kept != right):
+                    wrong.append(f"{what}: not done again: {again.code} {again.err[-200:]}")
+    return len(done.operations), states, wrong
+
+
 def main() -> int:
     """All commands, or some."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--table", type=Path)
     parser.add_argument("--every", type=int, default=1, help="operation that fails")
+    parser.add_argument("--cuts", action="store_true", help="kills and power cuts")
     options = parser.parse_args()
+    tried = cuts if options.cuts else faults
     rows, is_right = ["command,operations,states,wrong"], True
     memory = "/dev/shm" if os.path.isdir("/dev/shm") else None
     with tempfile.TemporaryDirectory(dir=memory) as top:
@@ -155,7 +234,7 @@ def main() -> int:
             for name, argv in commands().items():
                 if options.names and not name.startswith(tuple(options.names)):
                     continue
-                n, states, wrong = faults(name, argv, folder, session, options.every)
+                n, states, wrong = tried(name, argv, folder, session, options.every)
                 rows.append(f"{name},{n},{states},{len(wrong)}")
                 is_right &= not wrong
                 print(rows[-1], *wrong, sep="\n", flush=True)
