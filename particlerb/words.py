@@ -15,3 +15,8 @@ def aligned(rows: Sequence[Sequence[str]]) -> str:
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     )
+
+
+def encodable(text: str) -> str:
+    r"""Text with \udcff and the like, which names of files may have, as UTF-8 can hold them."""
+    return text.encode(errors="backslashreplace").decode()

@@ -105,7 +105,7 @@ def write_texts(path: Path, texts: Mapping[str, str]) -> list[Path]:
     written = [path, *(path.with_suffix(suffix) for suffix in list(texts)[1:])]
     with appearing(*written) as unfinished:
         for file, text in zip(unfinished, texts.values(), strict=True):
-            file.write_text(text, encoding="utf-8")
+            file.write_text(text, encoding="utf-8", errors="surrogateescape")  # names of files
     return written
 
 

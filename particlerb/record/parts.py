@@ -102,7 +102,7 @@ def _looked_up(path: Path, what: Callable[[h5py.File], Found | None]) -> Found |
 def note_master(file: h5py.File, parts: Parts) -> None:
     """Let a file say which parts it has."""
     edges = np.array([0, *(of.stop for of in parts.ranges)], dtype=np.int64)
-    names = {_FOLDER: np.bytes_(parts.folder.encode()), _RUN: np.bytes_(parts.run)}
+    names = {_FOLDER: np.bytes_(os.fsencode(parts.folder)), _RUN: np.bytes_(parts.run)}
     note(file.id, **names, **{_EDGES: edges})
 
 
@@ -122,7 +122,7 @@ def parts_in(file: Any) -> Parts | None:
     if not isinstance(file, h5py.File) or _EDGES not in file.attrs:
         return None
     edges = header_attribute(file, _EDGES, "i")
-    folder = bytes(header_attribute(file, _FOLDER, "S")).decode(errors="replace")
+    folder = os.fsdecode(bytes(header_attribute(file, _FOLDER, "S")))
     if edges.size < 2 or edges[0] != 0 or (np.diff(edges) <= 0).any():
         raise ValueError("its parts do not follow each other")
     if not _FOLDER_NAME.fullmatch(folder):
@@ -162,7 +162,7 @@ def growing_over(
         ones, block = (1,) * len(most), (h5s.UNLIMITED, *extent)
         full_space.select_hyperslab((0, first, *rest), ones, block=block)
         part_space.select_hyperslab((0, 0, *rest), ones, block=block)
-        plan.set_virtual(full_space, name.encode(), f"/{path}".encode(), part_space)
+        plan.set_virtual(full_space, os.fsencode(name), f"/{path}".encode(), part_space)
     kind, space = h5py.h5t.py_create(np.dtype(dtype)), h5s.create_simple((0, *width), most)
     return h5d.create(file.id, path.encode(), kind, space, plan, WITH_GROUPS)
 
@@ -182,7 +182,7 @@ def rows_over(
         ones, block = (1,) * len(width), (stop - first, *width)
         rows.select_hyperslab((first, *rest), (n_frames, *ones), (n, *width), block)
         part_space.select_all()
-        plan.set_virtual(rows, name.encode(), f"/{source}".encode(), part_space)
+        plan.set_virtual(rows, os.fsencode(name), f"/{source}".encode(), part_space)
     h5d.create(
         file.id, path.encode(), h5py.h5t.py_create(np.dtype(dtype)), space, plan, WITH_GROUPS
     )

@@ -28,6 +28,7 @@ from particlerb.record.checksums import seal
 from particlerb.record.hdf5 import put
 from particlerb.record.memory import Memory
 from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
+from particlerb.words import encodable
 
 CHANGED: Final = "changed"  # text of a file whose case a Simulation has changed: how first
 
@@ -43,7 +44,7 @@ def texts_of(system: System, more: Mapping[str, str]) -> dict[str, Any]:
         "case_resolved": case.model_dump_json(),
         **more,
         "versions": json.dumps(versions()),
-        "case_path": str(case.path.absolute()) if case.path else "",
+        "case_path": encodable(str(case.path.absolute())) if case.path else "",
         "machine": machine(),
         "git_revision": git_revision(),
     }

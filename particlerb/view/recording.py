@@ -8,7 +8,7 @@ import particlerb
 from particlerb.case.toml_writer import toml_text
 from particlerb.plan.case_forces import with_knots
 from particlerb.view.session import Session
-from particlerb.words import count_of
+from particlerb.words import count_of, encodable
 
 _MAX_TITLE_LENGTH: Final = 80
 
@@ -55,7 +55,7 @@ def header(session: Session, is_whole: bool) -> list[str]:
     path = session.start_path
     return [
         f"Recorded by `particlerb view` {particlerb.__version__}"
-        + (f" from {path.name}" if path else "")
+        + (f" from {encodable(path.name)}" if path else "")
         + f", with {count_of(session.n_pushes, 'push', 'pushes')}.",
         f"Expect: at t = {session.time!r} s the state that was on the screen, "
         + ("bit for bit." if is_whole else "but for errors of steps: later forces are left out."),

@@ -23,6 +23,7 @@ from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.view.number_tables import motion_of, state_parts
 from particlerb.view.page import NUMBERS_EVERY, Page, note
 from particlerb.view.stage import COLOURS, tell
+from particlerb.words import encodable
 
 _COLOURED_BY: Final = ("body", "speed", "energy")
 _WATCHED_SECONDS: Final = 15.0  # in which a file is played
@@ -147,7 +148,7 @@ class Replay(Page):
 
         image = _rendered(event)
         data = imageio.imwrite("<bytes>", image, extension=".png")
-        name = f"{self.path.stem}_{self.frame}.png"
+        name = f"{encodable(self.path.stem)}_{self.frame}.png"
         event.client.send_file_download(name, data, save_immediately=True)
         self.say(f"sent: {name}")
 
@@ -172,7 +173,7 @@ class Replay(Page):
                 self.say(f"film: frame {k} of {len(self.times)}")
                 self.show(time.monotonic())
                 film.append_data(_rendered(event)[..., :3])
-        name = f"{self.path.stem}.{form}"
+        name = f"{encodable(self.path.stem)}.{form}"
         event.client.send_file_download(name, room.getvalue(), save_immediately=True)
         self.look_at_frame(was)
         self.say(f"sent: {name}, {frames.size} frames")

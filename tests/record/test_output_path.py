@@ -5,14 +5,18 @@ import os
 import shutil
 import socket
 import stat
+import sys
 from contextlib import nullcontext
 from pathlib import Path
 
+import h5py
 import pytest
 
 import particlerb
 from particlerb.cli import main
+from particlerb.model.superblocks import Range
 from particlerb.record.output_path import appearing, output_path
+from particlerb.record.parts import Parts, note_master, parts_in
 from particlerb.record.trajectory import TrajectoryError
 
 pytestmark = pytest.mark.once
@@ -206,3 +210,27 @@ def test_a_pipe_is_no_file_to_read(place, command, capsys):
     assert "pipe.h5 is not a regular file" in capsys.readouterr().err
     with pytest.raises(TrajectoryError, match="not a regular file"):
         particlerb.open("pipe.h5")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are bytes there")
+def test_a_name_that_is_no_text_is_as_any_other(place, capsys):
+    """Files have names of bytes: a case with one is run, drawn and exported like others."""
+    name = os.fsdecode(b"\xe9\xff")
+    shutil.copy("a.toml", f"{name}.toml")
+    moments = 'type = "moments", inertia = [1.0, 2.0, 2.5]'
+    Path("ball.toml").write_text(CASE.replace(moments, 'type = "sphere", radius = 0.1'))
+    for words in (
+        ["run", f"{name}.toml", "-q", "-o", f"{name}.h5"],
+        ["info", f"{name}.h5", "--verify"],
+        ["plot", f"{name}.h5"],
+        ["export", "ball.toml", "--to", "lammps", "-o", f"{name}.in"],
+    ):
+        assert main(words) == 0, words
+    capsys.readouterr()
+    assert b"read_data '\xe9\xff.data'" in Path(f"{name}.in").read_bytes().replace(b'"', b"'")
+    with particlerb.open(f"{name}.h5") as trajectory:
+        assert trajectory.parameter("case_path").endswith("\\udce9\\udcff.toml")
+    parts = Parts(f"{name}.parts", (Range(0, 1),), "")
+    with h5py.File("master.h5", "w") as file:
+        note_master(file, parts)
+        assert parts_in(file) == parts

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from particlerb.maths.vec3 import Floats
+from particlerb.words import encodable
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73")  # told apart also by the colour-blind
 METHOD_COLOURS: Final = {
@@ -58,7 +59,7 @@ def viridis(share: Floats) -> Any:
 
 def plain(text: str) -> str:
     """A name or title as it stands: no `$` begins a formula, no `_` keeps it out of a legend."""
-    return " " * text.startswith("_") + text.replace("$", r"\$")
+    return " " * text.startswith("_") + encodable(text).replace("$", r"\$")
 
 
 def bare(axes: Axes) -> None:
