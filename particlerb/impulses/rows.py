@@ -294,7 +294,9 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
     if by_n[0] <= LOCKED_SHARE * free:
         frame[c, LEAST], rows.limits[c, RESTITUTION] = NEVER, 0.0
         return
+    changes = in_world(frame, c, row3_at(rows.limits, c, LEAN))
     put_matrix(frame, c, (t1, t2), by_n, (by_1[1], by_1[2], by_2[2]))
+    put_row3_at(rows.limits, c, LEAN, in_frame(frame, c, changes))  # tangents are others now
     for i in range(2):
         frame[c, SCHUR + i] = max(frame[c, SCHUR + i], _MIN_SCHUR_SHARE * free)
     _put_shares(frame, c)
