@@ -11,6 +11,7 @@ import os
 import pickle
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 Result = TypeVar("Result")
 Rows: TypeAlias = NDArray[Any]
+Floats: TypeAlias = NDArray[np.float64]
 
 _SIZES: Final = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
 
@@ -54,13 +56,17 @@ class Ranks:
         """Words about a rank, which say which one."""
         return f"{words} (rank {number})" if self.count > 1 else words
 
-    def largest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def largest(self, values: Floats) -> Floats:
         """The largest of each number on all ranks."""
         return values
 
     def added(self, numbers: Rows) -> Rows:
         """The sum of each number over all ranks: of integers, or of what adds without rounding."""
         return numbers
+
+    def reduced(self, largest: Floats, added: Floats) -> tuple[Floats, Floats]:
+        """Both at once, of numbers for `largest`, and of others for `added`."""
+        return largest, added
 
     def sent(self, rows: Sequence[Rows]) -> list[Rows]:
         """Rows from each rank, where each has given some for each: all of one type and width."""
@@ -82,6 +88,7 @@ class _RanksOfMPI(Ranks):
         self.mpi, self.communicator = mpi, mpi.COMM_WORLD
         communicator = self.communicator
         self.number, self.count = communicator.rank, communicator.size
+        self.operations: dict[tuple[int, int], tuple[Any, Any]] = {}  # of `reduced`, by sizes
 
     def gathered(self, value: Result) -> list[Result]:
         """Values of all ranks, in their order."""
@@ -112,13 +119,25 @@ class _RanksOfMPI(Ranks):
             first = _with_rank(first, number)
         raise as_agreed(first)
 
-    def largest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def largest(self, values: Floats) -> Floats:
         """The largest of each number on all ranks; inf where one has NaN, which MPI may lose."""
-        return self._reduced(np.where(np.isnan(values), np.inf, values), self.mpi.MAX)
+        return self._reduced(_comparable(values), self.mpi.MAX)
 
     def added(self, numbers: Rows) -> Rows:
         """The sum of each number over all ranks: of integers, or of what adds without rounding."""
         return self._reduced(numbers, self.mpi.SUM)
+
+    def reduced(self, largest: Floats, added: Floats) -> tuple[Floats, Floats]:
+        """Both at once, of numbers for `largest`, and of others for `added`."""
+        n, size = largest.size, largest.size + added.size
+        if (n, size) not in self.operations:
+            one = self.mpi.DOUBLE.Create_contiguous(size).Commit()  # which MPI does not cut
+            self.operations[n, size] = one, self.mpi.Op.Create(partial(_reduce, n, size), True)
+        one, operation = self.operations[n, size]
+        values = np.append(_comparable(largest), added)
+        result = np.empty_like(values)
+        self.communicator.Allreduce([values, 1, one], [result, 1, one], op=operation)
+        return result[:n], result[n:].reshape(added.shape)
 
     def _reduced(self, values: Rows, how: Any) -> Rows:
         """Numbers of all ranks, brought together."""
@@ -145,6 +164,18 @@ class _RanksOfMPI(Ranks):
         requests = [self.communicator.Irecv(rows, k) for k, rows in incoming.items()]
         requests += [self.communicator.Isend(rows, k) for k, rows in outgoing.items()]
         self.mpi.Request.Waitall(requests)
+
+
+def _comparable(values: Floats) -> Floats:
+    """Numbers, with inf in place of NaN."""
+    return np.where(np.isnan(values), np.inf, values)
+
+
+def _reduce(n: int, size: int, values: Any, results: Any, _: Any) -> None:
+    """Bring rows of a size together in buffers: the first n numbers of each by their maximum."""
+    rows, into = (np.frombuffer(buffer).reshape(-1, size) for buffer in (values, results))
+    np.maximum(rows[:, :n], into[:, :n], out=into[:, :n])
+    into[:, n:] += rows[:, n:]
 
 
 def as_agreed(error: BaseException) -> BaseException:

@@ -97,6 +97,15 @@ def pistons_have_moved(pistons: Pistons | None, state: Records, allowance: float
     return have_moved
 
 
+@kernel
+def place_pistons(
+    pistons: Pistons, state: Records, ahead: float, poses: Records, allowance: float
+) -> bool:
+    """Displace poses as `piston_poses` does; whether a piston has moved by more than allowed."""
+    piston_poses(pistons, state, ahead, poses)
+    return pistons_have_moved(pistons, state, allowance)
+
+
 @inline
 def add_exactly(pistons: Pistons, sums: Floats, k: int, which: int, value: float) -> None:
     """Add a number to one of the sums of a piston, without rounding."""

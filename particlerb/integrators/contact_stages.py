@@ -59,7 +59,7 @@ from particlerb.model.block import (
 from particlerb.model.load import CONTACT_ROWS
 
 _IMPULSE_SKIN_SHARE: Final = 0.45  # of the skin, and of what the step after it brings
-_SKIN_SHARE: Final = 0.4  # that bodies may use up before a step: a frame may lie ahead
+SKIN_SHARE: Final = 0.4  # that bodies may use up before a step: a frame may lie ahead
 
 
 # Bodies and walls at the instant of an evaluation
@@ -107,7 +107,7 @@ def keep_extremes(
     """
     setup, _, lists, memory, _ = contact
     before, after, time, _ = instant
-    reached, allowance = path, _SKIN_SHARE * setup.skin
+    reached, allowance = path, SKIN_SHARE * setup.skin
     if setup.rules is None:
         reached += max(before, after) * (v + 4.0 * w * lists.max_contact_arm)
     extremes = memory.extremes
@@ -153,7 +153,7 @@ def kinematics_at(
     setup, workspace, lists, memory, _ = contact
     time, ahead = instant.time, instant.ahead
     model, t, path, v, w = setup.model, memory.start + time, 0.0, 0.0, 0.0
-    allowance = _SKIN_SHARE * setup.skin
+    allowance = SKIN_SHARE * setup.skin
     blocks, layout, first, last = share
     for k in range(first, last):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]

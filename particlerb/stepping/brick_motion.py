@@ -9,8 +9,9 @@ contacts keep. Bodies that are held are on all ranks. What is shown and summed g
 writes a fixed range of bodies.
 """
 
+import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,8 +19,13 @@ from particlerb.compiled.barrier import Team, together
 from particlerb.compiled.threads import BLOCK
 from particlerb.contact.body_loads import find_stored_energy, sum_in_bins, sum_piston_loads
 from particlerb.contact.contact_model import ContactFrames, Instant
-from particlerb.contact.piston import step_pistons
-from particlerb.integrators.contact_stages import keep_extremes, kinematics_at, note_step_start
+from particlerb.contact.piston import place_pistons, step_pistons
+from particlerb.integrators.contact_stages import (
+    SKIN_SHARE,
+    keep_extremes,
+    kinematics_at,
+    note_step_start,
+)
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare, Layout
 from particlerb.integrators.stages import MovingBodies
@@ -39,6 +45,8 @@ from particlerb.stepping.motion import ForceAccount, MotionError, SegmentGroup
 from particlerb.stepping.shared_motion import GROSS, SharedMotion, initial_rows
 from particlerb.stepping.stepped_motion import SteppedMotion
 
+_NOTHING: Final = np.zeros(0)
+
 
 class BrickMotion(SharedMotion):
     """The share of a rank in a group of bodies that touch; see `motion.Motion`.
@@ -47,6 +55,7 @@ class BrickMotion(SharedMotion):
     """
 
     is_spread = True  # the loop enters kernels with all threads
+    piston_step: tuple[Any, ...] | None = None  # which all ranks are still to make together
 
     def __init__(
         self, method: Method, shown: SegmentGroup, state: State, start: float, dt: float,
@@ -76,7 +85,8 @@ class BrickMotion(SharedMotion):
             rows = initial_rows(everyone[:, bodies])
             del everyone, com  # where the rest is made these are most of the memory
             self.rebuild(bodies, rows, skin, histories)
-            self.loop = loop_over_ranks(method, self.kinematics, self.store, self.enter_kick)
+            own_stages = self.kinematics, self.store, self.enter_kick, self.settle_pistons
+            self.loop = loop_over_ranks(method, *own_stages)
             self.make_first_lists()
 
     # Who is where
@@ -188,7 +198,8 @@ class BrickMotion(SharedMotion):
     ) -> None:  # fmt: skip
         """Enter a kernel that kicks, and makes a step of dt [s] if there is one.
 
-        Walls that slide, of which each rank has all, then follow what all ranks have found.
+        Walls that slide, of which each rank has all, follow what all ranks have found: in a frame
+        now, and else before they are looked at again.
         """
         contact, step = moving.contact, (dt,) if dt > 0.0 else ()
         assert contact is not None
@@ -196,13 +207,24 @@ class BrickMotion(SharedMotion):
         if setup.pistons is None:
             self.enter(kernel, moving, first, last, open_kick, *step)
             return
-        without = contact._replace(setup=setup._replace(pistons=None))
-        self.enter(kernel, moving._replace(contact=without), first, last, open_kick, *step)
+        self.enter(kernel, _without_pistons(moving), first, last, open_kick, *step)
         sum_piston_loads(setup.pistons, workspace.piston_loads, lists.walls, setup.model)
-        sums = self.ranks.added(workspace.piston_loads)
         later = dt - float(workspace.step_start.before[0])  # as of `LEAPFROG`
         kicks = open_kick, self.method.closing_kick * dt
-        step_pistons(setup.pistons, memory.pistons, sums, later, kicks, dt)
+        at = setup.pistons, memory.pistons, workspace.piston_loads
+        self.piston_step = *at, later, kicks, dt
+        if not step:
+            self.settle_pistons()
+
+    def settle_pistons(self, reached: Floats = _NOTHING) -> Floats:
+        """Let walls that slide make their last step, if they have not; the largest of all ranks."""
+        if self.piston_step is None:
+            return self.ranks.largest(reached) if reached.size else reached
+        pistons, state, loads, *times = self.piston_step
+        reached, sums = self.ranks.reduced(reached, loads)
+        step_pistons(pistons, state, sums, *times)
+        self.piston_step = None
+        return reached
 
     def kinematics(self, moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
         """As `stages.kinematics`, after states of ghosts have come: whether the lists hold."""
@@ -210,14 +232,21 @@ class BrickMotion(SharedMotion):
         contact = moving.contact
         assert contact is not None
         note_step_start(contact, instant)
+        pistons = contact.setup.pistons
 
         def here(moving: MovingBodies, lo: int, hi: int) -> tuple[float, float, float]:
             own_blocks = BlockShare(moving.blocks, moving.layout, lo, hi)
             assert moving.team is not None
-            return kinematics_at(contact, moving.team, None, own_blocks, instant)
+            assert moving.contact is not None
+            return kinematics_at(moving.contact, moving.team, None, own_blocks, instant)
 
-        reached = self.ranks.largest(np.array(self.enter(here, moving, first, last)))
-        return bool(keep_extremes(contact, instant, *reached.tolist()))
+        of_bodies = moving if pistons is None else _without_pistons(moving)
+        reached = np.array(self.enter(here, of_bodies, first, last))
+        path, v, w = self.settle_pistons(reached).tolist()
+        if pistons is not None:
+            at = pistons, contact.memory.pistons, instant.ahead, contact.workspace.poses
+            path = math.inf if place_pistons(*at, SKIN_SHARE * contact.setup.skin) else path
+        return bool(keep_extremes(contact, instant, path, v, w))
 
     def oscillating(self) -> Oscillating:
         """Who has which of the bodies that swing."""
@@ -284,6 +313,13 @@ class BrickMotion(SharedMotion):
         """Sum of values of bodies, (n,), in the order of their numbers."""
         shown, size = self.to_show(values[:, None])[:, 0], self.exchange.shared.size
         return sum_by_number(shown, self.shown.members, self.ranks, size)
+
+
+def _without_pistons(moving: MovingBodies) -> MovingBodies:
+    """Bodies among walls that do not slide: it is for all ranks together to move these."""
+    contact = moving.contact
+    assert contact is not None
+    return moving._replace(contact=contact._replace(setup=contact.setup._replace(pistons=None)))
 
 
 class _Oscillating(Oscillating):

@@ -340,6 +340,7 @@ def loop_over_ranks(
     kinematics: Callable[..., bool],
     store: Callable[..., None],
     enter_kick: Callable[..., None],
+    settle: Callable[[], Any],
 ) -> Callable[..., Position]:
     """The same as Python, where ranks share bodies that touch.
 
@@ -352,13 +353,21 @@ def loop_over_ranks(
     enter_kick : callable
         Enters a kernel `(moving, first, last, open_kick)`, or with a step too, with all threads:
         takes it, then `moving`, ...
+    settle : callable
+        Called before anything is saved.
     """
     name = f"{method.name}_touching"
     one_step = partial(enter_kick, kernel_from(_one_step, name, step=_step_of(method, True)))
     closing = over_threads(_close_at, kinematics=kinematics, close=partial(enter_kick, close))
     names = {"step": one_step, "finish": closing, "CLOSING_KICK": method.closing_kick}
     names |= _compiled_parts(method)
-    return over_threads(advance, kinematics=kinematics, _store=store, **names)
+    copy = over_threads(_save)
+
+    def save(moving: MovingBodies, first: int, last: int, saved: Copies) -> None:
+        settle()
+        copy(moving, first, last, saved)
+
+    return over_threads(advance, kinematics=kinematics, _save=save, _store=store, **names)
 
 
 def grid_position(elapsed: Floats, dt: float, start: float = 0.0) -> tuple[Ints, Floats]:

@@ -8,14 +8,18 @@ import h5py
 import numpy as np
 import pytest
 from stops import HERE, command, digests, needs_mpi, whole
+from threads_as_ranks import over_ranks
 
 import particlerb
+from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.cli import main
 from particlerb.cli import ranks as of_commands
 from particlerb.model import superblocks
 from particlerb.model.bricks import Bricks
 from particlerb.plan import contact_rules
 from particlerb.ranks import Ranks
+from particlerb.simulation.run import prepare, run_prepared
 
 
 def run(case: str, path: Path, ranks: int, *more: str) -> subprocess.CompletedProcess[str]:
@@ -83,6 +87,28 @@ def test_clumps_that_collide_across_borders_keep_their_momentum(tmp_path):
     assert np.abs(p[-1] - p[0]).sum() > 1.0  # [kg m/s] they have collided
     total = p.sum(axis=1)
     assert np.abs(total - total[0]).max() <= 1e-13 * np.abs(p[0]).sum()
+
+
+@pytest.mark.plain
+def test_a_piston_takes_no_reduction_of_its_own(monkeypatch, tmp_path):
+    """In each of 20 steps who has moved farthest is found with what pistons feel."""
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    raw = load(HERE / "heap.toml").source.raw
+    raw = {key: value for key, value in raw.items() if key not in ("force", "check")}
+    raw["run"] |= {"t_end": 0.02, "every": 0.02}
+    prepared = prepare(to_system(load(raw)))
+    assert prepared.plan.contacts
+    run_prepared(prepared, tmp_path / "0.h5")
+    expected = digests(tmp_path / "0.h5")
+
+    def work(ranks):
+        return run_prepared(prepared, tmp_path / "2.h5", ranks=ranks)
+
+    ranks, _ = over_ranks(2, work)
+    assert digests(tmp_path / "2.h5") == expected
+    for of in ranks:
+        assert of.calls["reduced"] >= 20
+        assert of.calls["added"] < 20  # of bodies and bricks, at new lists and frames
 
 
 @pytest.mark.plain

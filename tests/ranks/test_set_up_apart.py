@@ -1,11 +1,11 @@
 """Ranks that set up their own bodies alone have the same ones, and the same plan, as of all."""
 
-import threading
 import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
+from threads_as_ranks import over_ranks
 
 from particlerb.case import placement
 from particlerb.case.problems import CaseError
@@ -22,46 +22,6 @@ from particlerb.simulation.shares import part_of
 
 pytestmark = pytest.mark.plain
 MIX = Path(__file__).with_name("mix.toml")
-
-
-class Threads(Ranks):
-    """One of several ranks, each in a thread of this process."""
-
-    def __init__(self, number, values, barrier):
-        self.number, self.count = number, len(values)
-        self.values, self.barrier = values, barrier
-
-    def gathered(self, value):
-        self.values[self.number] = value
-        self.barrier.wait()
-        found = list(self.values)
-        self.barrier.wait()
-        return found
-
-    def added(self, counts):
-        return np.sum(self.gathered(counts), axis=0)
-
-
-def over_ranks(n, work):
-    """What each of n ranks returns."""
-    found, barrier = [None] * n, threading.Barrier(n, timeout=60.0)
-    ranks = [Threads(k, found.copy(), barrier) for k in range(n)]
-    for each in ranks:
-        each.values = ranks[0].values
-
-    def does(k):
-        try:
-            found[k] = work(ranks[k])
-        except BaseException as error:
-            barrier.abort()
-            found[k] = error
-
-    threads = [threading.Thread(target=does, args=(k,)) for k in range(n)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    return ranks, found
 
 
 def steps_of(prepared):
