@@ -36,6 +36,11 @@ class BodyNames(Sequence[str]):
         self.part = range(int(self.first[-1])) if part is None else part
         self.n_worlds = n_worlds
 
+    @property
+    def scene(self) -> "BodyNames":
+        """Those of all bodies, where these are a part."""
+        return BodyNames(self.records, n_worlds=self.n_worlds)
+
     def __len__(self) -> int:
         """Number of bodies."""
         return self.n_worlds * len(self.part)

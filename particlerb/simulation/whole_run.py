@@ -92,7 +92,7 @@ class Run:
             try:
                 begun = [GroupRun(*one) for one in zip(groups, states, before, strict=True)]
             except Exception as failure:
-                raise self.told(failure) from None
+                raise self.told(failure, groups) from None
             self.superblocks.append(begun)
             self.firsts.append(first)
         self.group_runs = [run for runs in self.superblocks for run in runs]
@@ -282,25 +282,25 @@ class Run:
             try:
                 group_booked, group_energies = record_all(runs, times, frames, self.joints, sums)
             except Exception as failure:
-                raise self.told(failure) from None
+                raise self.told(failure, [run.plan for run in runs]) from None
             booked.append(group_booked)
             energies.append(group_energies)
             block_sums.append(sums)
         return booked, energies, block_sums
 
-    def told(self, failure: Exception) -> Exception:
-        """What has failed, where it is a motion, or a force that a user wrote; else itself."""
+    def told(self, failure: Exception, groups: Sequence[GroupPlan]) -> Exception:
+        """What has failed in groups: a motion, or a force that a user wrote; else itself."""
         if isinstance(failure, MotionError | FloatingPointError):
-            return RunError(self.named(str(failure)))
+            return RunError(self.named(str(failure), any(group.shared for group in groups)))
         words = own_failure(failure, self.groups)
         return RunError(words) if words else failure
 
-    def named(self, text: str) -> str:
-        """Text with bodies and walls by their names, not by their numbers."""
-        # merged bodies and those of ranks have other numbers
-        if self.moving.merging is not None or self.ranks.count > 1:
+    def named(self, text: str, is_of_scene: bool) -> str:
+        """Text with bodies, here or of the scene, and walls by their names, not their numbers."""
+        if self.moving.merging is not None:  # merged bodies have other numbers
             return text
-        names = {"body": self.system.names, "wall": [wall.name for wall in self.system.wall]}
+        bodies = self.system.names.scene if is_of_scene else self.system.names
+        names = {"body": bodies, "wall": [wall.name for wall in self.system.wall]}
         return re.sub(r"\b(body|wall) (\d+)\b", lambda m: f"{m[1]} {names[m[1]][int(m[2])]}", text)
 
     def pose_at(self, time: float) -> tuple[Frames, RunError | None]:
@@ -316,7 +316,7 @@ class Run:
             for group_run in self.group_runs:
                 group_run.pose_at(time, frames)
         except Exception as failure:
-            raise self.told(failure) from None
+            raise self.told(failure, self.groups) from None
         is_finite = math.isfinite(np.add.reduce(np.asarray(frames.position.base)))  # the whole room
         problem = ""
         if not is_finite or self.checks.rods.size:

@@ -20,6 +20,7 @@ from particlerb.model.bricks import Bricks
 from particlerb.plan import contact_rules
 from particlerb.ranks import Ranks
 from particlerb.simulation.run import prepare, run_prepared
+from particlerb.simulation.whole_run import RunError
 
 
 def run(case: str, path: Path, ranks: int, *more: str) -> subprocess.CompletedProcess[str]:
@@ -75,6 +76,22 @@ def test_what_is_wrong_at_the_start_is_said_once(tmp_path):
     assert done.returncode == 1
     assert done.stderr.count("more than its smallest radius") == 1, done.stderr
     assert "0 frames are kept" in done.stderr
+
+
+@pytest.mark.plain
+def test_who_fails_on_a_rank_is_named(monkeypatch, tmp_path):
+    """One rank moves it, and another may show it: it is body 340 of the scene."""
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    fast = ["body.3.velocity=[1e5, 0.0, 0.0]", "body.3.count=1"]
+    prepared = prepare(to_system(load(HERE / "beside.toml", fast)))
+
+    def work(ranks):
+        return run_prepared(prepared, tmp_path / f"{ranks.count}.h5", ranks=ranks)
+
+    for n in (1, 2):
+        for told in over_ranks(n, work)[1]:
+            assert isinstance(told, RunError)
+            assert str(told).startswith("at t = 0 s body four moves by 100 m in a step")
 
 
 @needs_mpi
