@@ -27,7 +27,7 @@ BUDGETS = {
     "contact by impulses": 4156,
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2143,
-    "scenes and simulations in Python": 865,
+    "scenes and simulations in Python": 989,
     "sweeps": 1590,
     "one scene over ranks": 2555,
     "reports, pictures, the page": 1774,

@@ -5,17 +5,20 @@ turned to where that has led to. A drive by speeds adds to the coordinate of now
 are the coordinate itself. What joints hold takes no jump of speed: its force would be infinite.
 """
 
-from typing import Final, NamedTuple
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from particlerb.case.problems import Problem, problem_at, refuse
 from particlerb.contact.prescribed_motion import PrescribedBodies, prescribed_pose
+from particlerb.contact.records import MOTION, from_floats, to_floats
 from particlerb.contact.wall_motion import PrescribedMotion, continued, motion_in, motion_records
 from particlerb.model.system import System
 from particlerb.plan.joint_drives import DriveCourse, course_of, courses_of
 from particlerb.plan.joint_ends import pairs_of
 from particlerb.plan.obstacles import motion_of, prescribed_bodies, wall_motions
+from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 
 _ROUNDING: Final = 1e-9  # share of what is there that is no jump
 _NO_PLACE: Final = {"name", "material", "motion", "piston"}  # keys of a wall that do not place it
@@ -157,3 +160,28 @@ def _drive(
         keys = "end_speeds = [{speed!r}, ..]" if drive.position is not None else _RISE
         problems.append(problem_at(changed, key, reason, keys.format(time=time, speed=speed)))
     return after if drive.position is not None else after.moved(x - y)
+
+
+def saved_continued(continued: Continued | None) -> Saved:
+    """Arrays of what is prescribed, for a checkpoint."""
+    if continued is None:
+        return {}
+    saved = {"walls": to_floats(motion_records(continued.walls))}
+    if continued.bodies is not None:
+        saved["bodies"] = to_floats(continued.bodies.motions)
+    for j, course in enumerate(continued.drives):
+        saved |= under(f"drive.{j}", to_arrays(course))
+    return saved
+
+
+def continued_from(system: System, saved: Mapping[str, Any]) -> Continued | None:
+    """The same of these arrays, of a system as it was begun."""
+    if not saved:
+        return None
+    motions = from_floats(saved["walls"], MOTION)
+    bodies, courses = prescribed_bodies(system), courses_of(system)
+    if bodies is not None:
+        bodies = bodies._replace(motions=from_floats(saved["bodies"], MOTION))
+    drives = (from_arrays(one, within(f"drive.{j}", saved)) for j, one in enumerate(courses))
+    walls = (motion_in(motions, w) for w in range(motions.size))
+    return Continued(tuple(walls), bodies, tuple(drives))

@@ -58,13 +58,15 @@ def frames_at_once(system: System) -> int:
     return int(min(max(_BATCH_BYTES // (max(system.n_bodies, 1) * 13 * 8), 1), BATCH_FRAMES))
 
 
-def batches(system: System, done: int = 0, ranks: Ranks = ALONE, first: int = 0) -> Iterator[Batch]:
+def batches(
+    system: System, done: int = 0, ranks: Ranks = ALONE, first: int = 0, reached: float = 0.0
+) -> Iterator[Batch]:
     """Times of a run, or of its rest behind some frames.
 
     As many as fit into the cache and take about half a second, so that a long run is written,
     shows progress and can be interrupted. Large ones end where chunks of the file do, as far as
     their sizes allow: whole chunks are written without a copy. All ranks take the same. `first` is
-    how many frames the first has, if it is given.
+    how many frames the first has, if it is given; none has times until `reached` [s].
     """
     most, n = frames_at_once(system), frame_count(system.run)
     is_multiple = multiples(system.run.every, n - 1, n)[0] == system.run.t_end
@@ -72,7 +74,7 @@ def batches(system: System, done: int = 0, ranks: Ranks = ALONE, first: int = 0)
     asked = [system.run.t_end if v.time is None else v.time for v in system.check.value]
     probes = np.unique(np.array(asked, dtype=np.float64))
     if done:
-        probes = probes[probes > frame_times(system.run, done - 1, done)]
+        probes = probes[probes > max(float(frame_times(system.run, done - 1, done)[0]), reached)]
     size = min(first or FIRST_BATCH, most)
     while done < n:
         stop = whole_frames if done < whole_frames else n

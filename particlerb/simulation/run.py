@@ -93,11 +93,7 @@ def run_prepared(
         If the run fails; the frames until then are committed.
     """
     system = prepared.system
-    hashed = identity(prepared, ranks if prepared.is_part else ALONE)
-    texts = {"plan": prepared.text, "identity": hashed, **prepared.parameters}
-    content = {}
-    if ranks.number == 0:  # which writes what does not change
-        content = tables_of(system, labels_of(system)) | texts_of(system, texts)
+    content, hashed = content_of(prepared, ranks)
     recorder: Recorder | Memory | PartRecorder
     if path is None:
         recorder = Memory(system, content)
@@ -106,10 +102,19 @@ def run_prepared(
     else:
         parts, prepared = parts_of(system.n_of_scene), part_of(prepared, ranks)
         recorder = PartRecorder.create(
-            path, prepared.system, content, parts, texts["identity"], ranks, overwrite
+            path, prepared.system, content, parts, hashed, ranks, overwrite
         )
     with THREADS.using(system.run.threads):
         return advance(prepared, recorder, None, progress, ranks)
+
+
+def content_of(prepared: Prepared, ranks: Ranks = ALONE) -> tuple[dict[str, Any], str]:
+    """What a file has that does not change, on the rank that writes it, and the identity in it."""
+    system, hashed = prepared.system, identity(prepared, ranks if prepared.is_part else ALONE)
+    if ranks.number > 0:
+        return {}, hashed
+    texts = {"plan": prepared.text, "identity": hashed, **prepared.parameters}
+    return tables_of(system, labels_of(system)) | texts_of(system, texts), hashed
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # it is found in the frames
@@ -137,7 +142,7 @@ def advance(
             recorder.save_checkpoint(state)
         else:
             ranks.together(lambda: _restore(run, checkpoint))
-        for batch in batches(prepared.system, run.n_frames, ranks, first_batch):
+        for batch in batches(prepared.system, run.n_frames, ranks, first_batch, run.reached):
             reached, error = _one_batch(run, recorder, batch)
             progress(reached)
             if error is not None:

@@ -7,7 +7,7 @@ run, bit for bit. A change is an edge: the last step ends there, and a new grid 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 from weakref import finalize
 
 import numpy as np
@@ -25,57 +25,23 @@ from particlerb.files import Closing, number_of
 from particlerb.files import path_of as file_path_of
 from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
-from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, derived, initial_state
+from particlerb.model.state import State, initial_state
 from particlerb.model.system import System
 from particlerb.plan.continued import with_continued
 from particlerb.plan.make_plan import make_plan
 from particlerb.record.frame_values import FrameError
-from particlerb.record.layout import tables_of
-from particlerb.record.provenance import texts_of
 from particlerb.record.writer import Recorder
 from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.simulation.body_states import BodyStates
 from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples
-from particlerb.simulation.joint_values import labels_of
+from particlerb.simulation.restarts import saved_restart
+from particlerb.simulation.run import content_of
 from particlerb.simulation.state_changes import new_state
-from particlerb.simulation.table_changes import STAYS, refuse_what_stays
+from particlerb.simulation.table_changes import STAYS, is_same, refuse_what_stays
 from particlerb.simulation.whole_run import Run, RunError
 
 _STATE_NAMES = "position", "orientation", "velocity", "angular_velocity"
 _CHANGEABLE_TABLES = "force", "gravity", "attraction", "contact", "wall", "joint", "run"
-
-
-class BodyStates(NamedTuple):
-    """All bodies at one time, world frame; views, which the next `advance` writes over."""
-
-    time: float
-    """[s]"""
-    position: Floats
-    """Centres of mass (n, 3) [m]."""
-    orientation: Floats
-    """Unit quaternions (n, 4), scalar first, body frame to world."""
-    linear_momentum: Floats
-    """(n, 3) [kg m/s]"""
-    angular_momentum: Floats
-    """About the centre of mass (n, 3) [kg m²/s]."""
-    bodies: Bodies
-    """Constants."""
-
-    @property
-    def velocity(self) -> Floats:
-        """Of the centres of mass (n, 3) [m/s]."""
-        return self._derived()[0]
-
-    @property
-    def angular_velocity(self) -> Floats:
-        """Of the bodies (n, 3) [rad/s]."""
-        return self._derived()[1]
-
-    def _derived(self) -> tuple[Floats, Floats]:
-        """Velocity and angular velocity."""
-        rows = (self.orientation[None], self.linear_momentum[None], self.angular_momentum[None])
-        velocity, omega = derived(self.bodies, *rows)
-        return velocity[0], omega[0]
 
 
 class Simulation(Closing):
@@ -86,7 +52,7 @@ class Simulation(Closing):
     scene : Scene, path, str, mapping or Case
         As `particlerb.run` takes it. Its checks are not looked at.
     output : path, optional
-        File for the frames, one every `run.every`; it cannot be gone on with by `resume`.
+        File for the frames, one every `run.every`; `resume` goes on from how the scene was left.
     overwrite : bool
         Whether an existing file may be replaced.
     overrides : sequence of str
@@ -116,11 +82,11 @@ class Simulation(Closing):
         system = prepared.system
         self._cut_off = ""  # what was raised while bodies moved
         self._run, self._due = Run(prepared), 0  # frame that comes next
+        self._begun, self._run.is_by_hand = system, True
         self._recorder: Recorder | None = None
         if path is not None:
-            content = tables_of(system, labels_of(system))
-            content |= texts_of(system, {"plan": prepared.text})
-            self._recorder = Recorder(path, system, content, overwrite)
+            self._recorder = Recorder(path, system, content_of(prepared)[0], overwrite)
+            self._recorder.save_checkpoint(self._run.checkpoint)
         self._known: Entries | None = None  # the energy balance of now, where it has been asked for
         try:
             self._moved(system.run.threads, self._go_to, 0.0)
@@ -231,7 +197,8 @@ class Simulation(Closing):
         """Change a key of a force, a wall, a joint, gravity, attraction, contact or the run.
 
         It holds from now on; bodies keep their states, and what changes the energy is booked as
-        work. Of joints the numbers of springs, dampers, stops, motors and friction may change.
+        work. A value that is there already changes nothing. Of joints the numbers of springs,
+        dampers, stops, motors, friction and drives may change, and of bodies how they are driven.
 
         Parameters
         ----------
@@ -259,6 +226,8 @@ class Simulation(Closing):
         except LookupError as error:
             raise CaseError([problem_at(system, key, str(error.args[0]))]) from None
         changed = with_records(system, build(system.source._replace(raw=raw), ()))
+        if is_same(system, changed, path):
+            return
         refuse_what_stays(system, changed, self.time, self._recorder is not None)
         self._restart(with_continued(system, changed, self.time), None)
         if self._recorder is not None and path[0] != "run":
@@ -306,21 +275,38 @@ class Simulation(Closing):
     def close(self) -> None:
         """End the file, if there is one."""
         if self._recorder is not None:
+            self._save()
             self._recorder = None
             self._finish()
+
+    def _save(self) -> None:
+        """Keep what a run needs that goes on from here."""
+        if self._recorder is not None and not self._cut_off and not self._is_odd:
+            self._recorder.save_checkpoint(self._run.checkpoint)
+
+    @property
+    def _is_odd(self) -> bool:
+        """Whether a frame lies behind that a prolonged run does not have."""
+        run, n = self.system.run, frame_count(self.system.run)
+        return self._due == n and float(multiples(run.every, n - 1, n)[0]) != run.t_end
 
     @np.errstate(over="ignore")  # found in the energy, where it is asked for
     def _restart(self, system: System, state: State | None) -> None:
         """Go on as another system, from the state of now or another one."""
-        plan = make_plan(system, now=(self.time, state or self._state_now()))
-        entries = self._entries
+        planned = state or self._state_now()
+        plan, entries = make_plan(system, now=(self.time, planned)), self._entries
 
         def restarted() -> BodyStates:
             reached = self._run.finish(self.time)
-            self._run.restart(system, plan, state or reached, entries)
+            begins = state or reached
+            self._run.restart(system, plan, begins, entries)
+            if self._recorder is not None:
+                kept = saved_restart(self._begun, system, self.time, planned, begins)
+                self._run.kept_of_restart = kept
             return self._glance(self.time)
 
         self._moved(system.run.threads, restarted)
+        self._save()
 
     def _state_now(self) -> State:
         """State of now, as a system has it at its start."""
@@ -359,6 +345,8 @@ class Simulation(Closing):
         if self._recorder is None:
             return self._glance(until)
         run, most = self.system.run, frames_at_once(self.system)
+        if until == run.t_end:
+            self._save()  # behind its last frame is nothing to go on from, if that is odd
         while True:
             stop = min(self._due + most, frame_count(run))
             due = frame_times(run, self._due, stop) if self._due < stop else np.zeros(0)
@@ -366,7 +354,6 @@ class Simulation(Closing):
             is_last = due.size < most
             times = np.union1d(due, [until]) if is_last else due
             state = self._look(times, np.isin(times, due))
-            self._due += due.size
             if is_last:
                 return state
 
@@ -388,12 +375,14 @@ class Simulation(Closing):
             rows = np.flatnonzero(is_frame[: len(frames.position)])
             if self._recorder is not None and rows.size:
                 self._recorder.append(self._run.to_record(times, frames, rows, self._known))
-                self._recorder.commit_if_due(None)
+                self._due += rows.size
+                if error is None:
+                    self._recorder.commit_if_due(None if self._is_odd else self._run.checkpoint)
         except (RunError, FrameError) as problem:
-            self.close()
-            raise RunError(str(problem)) from None
+            error = RunError(str(problem))
         if error is not None:
+            self._cut_off = str(error)
             self.close()
-            raise error
+            raise error from None
         x, q, p, L = (values[-1] for values in frames[:4])
         return BodyStates(float(times[-1]), x, q, p, L, self._run.system.bodies)

@@ -1,13 +1,27 @@
 """What stays in a running simulation while tables of its scene change."""
 
+import operator
 from typing import Any, Final
 
-from particlerb.case.problems import CaseError, Problem, problem_at
+from particlerb.case.problems import CaseError, Path, Problem, problem_at
 from particlerb.model.system import System
 
 STAYS: Final = "cannot change in a simulation"
 _RUN_KEYS: Final = "t_end", "every", "accuracy"  # that stay
 _ACTING: Final = "spring", "damper", "limit", "motor", "friction", "drive"  # numbers may change
+
+
+def is_same(system: System, changed: System, path: Path) -> bool:
+    """Whether what a path leads to is as before; of a function nobody knows what it reaches now."""
+    before, after = ([getattr(each, str(path[0]))] for each in (system, changed))
+    if isinstance(before[0], tuple):
+        (before,), (after,) = before, after
+        if len(path) > 1 and len(before) == len(after):
+            before, after = ([tables[int(path[1])]] for tables in (before, after))
+    if len(before) != len(after) or any(getattr(one, "type", "") == "python" for one in after):
+        return False
+    dumps = ([one and one.model_dump_json() for one in tables] for tables in (before, after))
+    return operator.eq(*dumps)
 
 
 def refuse_what_stays(system: System, changed: System, time: float, is_recorded: bool) -> None:

@@ -25,13 +25,15 @@ from particlerb.simulation import joint_values
 from particlerb.simulation.group_run import GroupRun, initial_energies, own_failure, record_all
 from particlerb.simulation.impulse_values import impulse_fields
 from particlerb.simulation.outcome import Probe, TreeError, restored_probes, saved_probes
+from particlerb.simulation.restarts import restart_from
 from particlerb.simulation.state_checks import StateChecks
 from particlerb.stepping.motion import Energies, Motion, MotionError
 from particlerb.stepping.saved_arrays import Saved, under, within
 from particlerb.stepping.shared_motion import SharedMotion
 
 _Sums: TypeAlias = Sequence[Floats | None]
-SHARED: Final = "shared"  # name in checkpoints of a group that ranks share
+SHARED: Final = "shared"  # name in checkpoints of a group that ranks share,
+BY_HAND: Final = "by_hand"  # and of until when a simulation has moved all [s]
 
 
 class RunError(Exception):
@@ -77,6 +79,8 @@ class Run:
         self.gross_work_at_restart: Floats | float = 0.0  # and gross work of contacts [J]
 
         self.joints: joint_values.JointValues | None = None  # of the last frames, if asked for
+        self.is_by_hand, self.reached = False, 0.0  # whether a simulation moves it, until when [s]
+        self.kept_of_restart: Saved = {}  # of the last one, for checkpoints
         self.broken: dict[int, float] = {}  # joints that broke before a restart, and when [s]
         self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
         self.n_frames = 0  # that lie behind
@@ -142,6 +146,20 @@ class Run:
         Contacts keep what they kept where their group stays the same.
         """
         motions = {t.plan.members.tobytes(): t.motion for t in self.group_runs}
+        state = self.begin_again(system, plan, state, motions)
+        for run in self.group_runs:
+            for before in () if run.plan.members.tobytes() in motions else motions.values():
+                run.motion.continue_joints(before)
+        frame = as_frame(self.moving.bodies, state)
+        now = self.totals_of(frame, self.initial_energies(frame))
+        self.booked_at_restart[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
+        self.booked_at_restart[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
+        self.booked_at_restart[4:] += (now.angular_momentum - last.angular_momentum)[-1]
+
+    def begin_again(
+        self, system: System, plan: Plan, state: State, motions: Mapping[bytes, Motion]
+    ) -> State:
+        """Start by another plan, after motions of the same bodies; the state of those that move."""
         self.system, self.gravity, self.moving = system, system.acceleration, merged(system)
         self.single = None
         if self.moving.merging is not None:
@@ -150,13 +168,7 @@ class Run:
         self.start(plan, state, motions)
         for run in self.group_runs:
             run.broken = dict(self.broken)
-            for before in () if run.plan.members.tobytes() in motions else motions.values():
-                run.motion.continue_joints(before)
-        frame = as_frame(self.moving.bodies, state)
-        now = self.totals_of(frame, self.initial_energies(frame))
-        self.booked_at_restart[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
-        self.booked_at_restart[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
-        self.booked_at_restart[4:] += (now.angular_momentum - last.angular_momentum)[-1]
+        return state
 
     @property
     def keyed_runs(self) -> list[tuple[int, str, GroupRun]]:
@@ -186,6 +198,11 @@ class Run:
         first = self.number_of_first
         rows = slice(of.first - first, of.stop - first)
         saved = {"last": self.last[rows].copy()} | under("ledger", self.balance.checkpoint())
+        saved |= {BY_HAND: np.array(self.reached)} if self.is_by_hand else {}
+        if self.kept_of_restart:
+            kept = {"booked": self.booked_at_restart.copy(), "gross": self.gross_work_at_restart}
+            kept |= {"broken": np.array([*self.broken.items()])} if self.broken else {}
+            saved |= under("restart", self.kept_of_restart | kept)
         for number, key, group_run in self.keyed_runs:
             if number < 0 or of.first <= number < of.stop:
                 saved |= under(key, group_run.checkpoint(of))
@@ -194,6 +211,13 @@ class Run:
     def restore(self, n_frames: int, saved: Saved) -> None:
         """Go on behind so many frames from what was saved then."""
         self.n_frames = n_frames
+        restart, self.reached = within("restart", saved), float(saved.get(BY_HAND, 0.0))
+        if restart:
+            self.kept_of_restart = restart
+            self.booked_at_restart = restart["booked"]
+            self.gross_work_at_restart = float(restart["gross"])
+            self.broken = {int(j): float(t) for j, t in restart.get("broken", ())}
+            self.begin_again(*restart_from(self.system, restart), {})
         self.last[:] = saved["last"]
         self.balance.restore(within("ledger", saved))
         names = sorted(saved)  # which puts those of a group side by side: "/" comes after "."
@@ -224,6 +248,7 @@ class Run:
         Where a state is not finite, or a torque has turned a rod about its own axis, they end
         before it, and the error says so. The next call writes over the frames.
         """
+        self.reached = float(times[-1])
         if times.size > len(self.room.position):
             self.room = self.new_room(times.size)
         is_whole = times.size == len(self.room.position)
