@@ -12,6 +12,8 @@ def _end(code: object) -> None:
 
     Launchers let them wait there for one that has ended.
     """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # Python takes a while to end
     is_together = getattr(sys.modules.get("particlerb.ranks"), "TOGETHER", False)
     if code and "--mpi" in sys.argv and not is_together:
         with contextlib.suppress(Exception):

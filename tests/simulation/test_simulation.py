@@ -104,7 +104,7 @@ def test_in_any_pieces_it_comes_to_the_states_of_one_run(name, tmp_path):
 def test_frames_are_given_at_multiples_of_a_time():
     simulation = Simulation(turned_box())
     simulation.advance(0.25)
-    times = [state.time for state in simulation.frames(every=0.1)]
+    times = [state.time for state in simulation.frames(every=np.float64(0.1))]
     assert times == [0.25, *(k / 10 for k in range(3, 101))]
 
 
