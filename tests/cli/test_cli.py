@@ -597,12 +597,13 @@ def test_an_interrupt_while_a_command_begins_is_one_message(monkeypatch, capsys)
     monkeypatch.setattr(cli, "parser", interrupt)
     assert main(["cases"]) == 130
     monkeypatch.setattr(cli, "entry", interrupt)
-    before = signal.getsignal(signal.SIGTERM)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         with pytest.raises(SystemExit) as ended:
             runpy.run_module("particlerb", run_name="__main__")
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     assert ended.value.code == 130
     assert capsys.readouterr().err == 2 * "particlerb: interrupted\n"
 
@@ -615,6 +616,21 @@ def test_an_interrupt_while_a_class_is_made_of_text_ends_with_its_code_too(tmp_p
     command = [sys.executable, "-m", "particlerb"]
     done = subprocess.run(command, env=env, capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (130, b"particlerb: interrupted\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_while_python_ends_changes_nothing(tmp_path, number):
+    """The second of two that come close, or one behind the end of a command."""
+    patch = (
+        "import atexit, os\natexit.register(lambda: os.kill(os.getpid(), int(os.environ['N'])))\n"
+    )
+    (tmp_path / "sitecustomize.py").write_text(patch)
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    env = os.environ | {"PYTHONPATH": path, "N": str(int(number))}
+    command = [sys.executable, "-m", "particlerb", "--version"]
+    done = subprocess.run(command, env=env, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
