@@ -83,7 +83,8 @@ def make_plan(
         return segments.Plan(groups, "", ())
     told = [*(coarse(system) if now is None else ()), *time_step.growing_contacts(system, groups)]
     warnings = (*map(time_step.as_warning, told), *time_step.step_warnings(system, groups))
-    return segments.Plan(groups, time_step.step_reason(system, groups, steps, choice), warnings)
+    distinct = {dt for group, dt in zip(groups, steps, strict=True) if group.stepped}
+    return segments.Plan(groups, time_step.step_reason(system, groups, distinct, choice), warnings)
 
 
 def _links_on_hosts(system: System) -> list[AnyLink]:

@@ -4,7 +4,7 @@ Why it is so: docs/decisions/0004.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from operator import itemgetter
 from typing import Final, NamedTuple
 
@@ -19,7 +19,13 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
 from particlerb.model.state import omega_world
 from particlerb.model.system import System
-from particlerb.plan.rates import deepest_impact, falling_speed, fastest_contact, fastest_rate
+from particlerb.plan.rates import (
+    deepest_impact,
+    falling_speed,
+    fastest_contact,
+    fastest_rate,
+    rates,
+)
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.ranks import ALONE, Ranks
 
@@ -257,15 +263,15 @@ def stepped_by(group: GroupPlan, chosen: Stepping) -> GroupPlan:
 def step_reason(
     system: System,
     groups: tuple[GroupPlan, ...],
-    steps: Sequence[float],
-    choice: Sequence[Stepping | None],
+    distinct: Collection[float],
+    choice: Sequence[Stepping | None] = (),
 ) -> str:
-    """The steps in words, and why these; `steps` are those that `step` has found, of each group."""
+    """The steps in words, and why these; `distinct` are those that `step` found, of all groups."""
     stepped = [group for group in groups if group.stepped]
     if not stepped:
         unused = "" if system.run.dt is None else ", and run.dt is not used"
         return f"none: every motion has a closed form{unused}"
-    chosen = (one for group, one in zip(groups, choice, strict=True) if group.stepped)
+    chosen = (one for group, one in zip(groups, choice, strict=False) if group.stepped)
     if reasons := dict.fromkeys(one.reason for one in chosen if one is not None):
         return "; ".join(reasons)
     if all(is_adaptive(segment.method) for group in stepped for segment in group.stepped):
@@ -273,7 +279,6 @@ def step_reason(
         return f"{packs} take their own, error {system.run.tolerance!r} in each"
     if system.run.dt is not None:
         return f"{system.run.dt!r} s, as the case says"
-    distinct = {dt for group, dt in zip(groups, steps, strict=True) if group.stepped}
     rule = f"the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
     if len(distinct) > 1:
         return f"{min(distinct):.6g} s to {max(distinct):.6g} s, for each group {rule}"
@@ -327,7 +332,8 @@ def _worst_steps(
         stepped = [segment for segment in group.stepped if not is_adaptive(segment.method)]
         if not stepped:
             continue
-        rate = fastest_rate(system, group, system.run.t_end)
+        turning = rates(system, group, system.run.t_end)
+        rate, fastest = float(turning.max()), system.names[int(group.members[turning.argmax()])]
         name = system.names[int(group.members[0])]
         for segment in stepped:
             method, turn = METHODS[segment.method], segment.dt * rate
@@ -346,7 +352,7 @@ def _worst_steps(
                 reason += f" {name} it grows without bound above {limit:.6g} s"
             elif turn > method.max_turn:
                 kind = "turn"
-                reason += f" turns bodies like {name} by up to {turn:.3g} rad"
+                reason += f" turns bodies like {fastest} by up to {turn:.3g} rad"
             else:
                 continue
             if turn > worst.get(kind, (0.0,))[0]:

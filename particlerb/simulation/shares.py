@@ -131,14 +131,13 @@ def can_be_apart(scene: Any) -> bool:
     return not (couples or is_drawn or is_of_several or scene.run.accuracy is not None)
 
 
-def is_planned_together(system: System, plan: Plan) -> bool:
-    """Whether other bodies of a scene may decide how these are moved: by which step and method.
+def is_planned_together(system: System) -> bool:
+    """Whether other bodies of a scene may decide by which method these are moved.
 
     A method that is named moves points among other bodies, but not points alone.
     """
     is_point = np.unique(system.properties.rotor_class == POINT)
-    is_mixed = system.run.method not in ("auto", "exact") and is_point.size > 1
-    return is_mixed or (system.run.dt is None and any(group.stepped for group in plan.groups))
+    return system.run.method not in ("auto", "exact") and is_point.size > 1
 
 
 def share_of(n_bodies: int, ranks: Ranks) -> Range:
@@ -311,7 +310,7 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
         refuse_coupled(prepared)
         share_of(system.n_bodies, ranks)
         bodies = min(len(own_parts(len(ranges), ranks)) * in_part, system.n_bodies)
-        if can_be_apart(system) and not is_planned_together(system, prepared.plan):
+        if can_be_apart(system) and not is_planned_together(system):
             set_up = BYTES_SET_UP * bodies
         most, run_bytes, exchanged = len(ranges), BYTES_MOVED * bodies + of_ties, ()
     return Shares(most, len(ranges), in_part, of_part, bodies, set_up, run_bytes, *exchanged)

@@ -87,13 +87,14 @@ def test_a_rank_takes_its_rows_of_what_is_given_for_each_body():
         assert np.array_equal(own, of_all[3:15])
 
 
-def test_a_rank_has_nothing_of_the_bodies_of_others():
+@pytest.mark.parametrize("step", [{"dt": 0.1}, {}])
+def test_a_rank_has_nothing_of_the_bodies_of_others(step):
     """The last of 31 ranks, of 2e6 bodies: an array over all of them would have 16 MB."""
     shape = {"type": "moments", "inertia": [1.0, 2.0, 2.5]}
     body = {"name": "b", "shape": shape, "mass": 1.0, "count": 2 * 10**6}
     body |= {"place": {"type": "grid", "spacing": 1.0}, "angular_velocity": [0.1, 0.2, 0.3]}
     push = {"type": "push", "body": "b", "force": [0, 1, 0], "at": [0.1, 0, 0]}
-    case = load({"run": {"t_end": 1.0, "every": 1.0, "dt": 0.1}, "body": [body], "force": [push]})
+    case = load({"run": {"t_end": 1.0, "every": 1.0, **step}, "body": [body], "force": [push]})
     ranks = Ranks()
     ranks.number, ranks.count = 30, 31
     tracemalloc.start()
@@ -117,11 +118,41 @@ def test_what_all_bodies_decide_is_set_up_as_a_whole(monkeypatch, change):
     assert found == [None, None]
 
 
-def test_a_default_step_is_chosen_by_all_bodies(monkeypatch):
+@pytest.mark.parametrize("n", [1, 2, 4])
+@pytest.mark.parametrize(
+    "run",
+    [
+        {"method": "auto"},
+        {"method": "strang"},
+        {"method": "dop853"},
+        {"method": "rk4", "dt": 0.05},
+        {"method": "rk4"},
+    ],
+)
+def test_a_default_step_is_that_of_the_scene(monkeypatch, n, run):
+    """Pushes of one form turn bodies of the first and the last rank, and need other steps.
+
+    A push of another form begins on the last rank alone, and other ranks have none of it. Who turns
+    too far in a step that is given is named alike.
+    """
     monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
     raw = load(MIX).source.raw
-    case = load({**raw, "run": {k: v for k, v in raw["run"].items() if k != "dt"}})
-    assert over_ranks(2, lambda ranks: prepared_apart(case, ranks))[1] == [None, None]
+    slow = {"type": "push", "body": "top[0]", "force": [0.0, 1.0, 0.0], "at": [0.1, 0.0, 0.0]}
+    fast = slow | {"body": "rod[99]", "force": [0.0, 9e4, 0.0]}
+    late = slow | {"body": "rod[3]", "force": [0.0, 2.0, 0.0], "during": [0.07, 0.13]}
+    raw["run"] = {"t_end": 0.2, "every": 0.05, **run}
+    raw["body"] = raw["body"][:4]  # no points
+    raw["force"] = [*raw["force"][:2], slow, fast, late]
+    whole = prepare_accurately(to_system(load(raw)))
+    ranks, found = over_ranks(n, lambda ranks: prepared_apart(load(raw), ranks))
+    steps = {s.dt for _, s in whole.plan.segments if s.method != "exact"}
+    assert len(steps) > 1 or "dt" in run
+    assert ["rod[99] by up to" in told for told in whole.plan.warnings] == [True] * ("dt" in run)
+    for one, apart in zip(ranks, found, strict=True):
+        assert not isinstance(apart, BaseException), apart
+        assert steps_of(apart) == steps_of(part_of(whole, one))
+        assert apart.text == whole.text
+        assert apart.plan.warnings == whole.plan.warnings
 
 
 def test_too_many_ranks_and_wrong_bodies_are_refused(monkeypatch):
