@@ -35,7 +35,7 @@ BYTES_TOUCHING: Final = 2500  # for each sphere of a clump of four that touches,
 SENSIBLE_BODIES: Final = 2000  # that touch, of a rank at least: see docs/scale.md
 MOST_ATTRACTED: Final = 1_000_000  # particles: 1e12 pairs are some minutes of one core
 _COUPLING_WORDS: Final = {
-    "links": "springs between bodies that touch",
+    "links": "springs between bodies that touch, or damped ones on these",
     "user_pairs": "forces between bodies that touch",
     "joints": "joints",
 }

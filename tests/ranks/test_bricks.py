@@ -171,13 +171,17 @@ stiffness = 1.0
         ("cradle_on_strings", [], "joints"),
         (HERE / "gas.toml", ["--set", "run.method=rk4"], "the method rk4"),
         ("tied.toml", [], "springs between bodies that touch"),
+        ("damped.toml", [], "or damped ones on these"),
     ],
 )
 def test_what_ranks_cannot_share_where_bodies_touch_is_named(
     monkeypatch, tmp_path, capsys, case, more, told
 ):
     monkeypatch.chdir(tmp_path)
-    Path("tied.toml").write_text((HERE / "gas.toml").read_text() + TIE)
+    scene = (HERE / "gas.toml").read_text()
+    Path("tied.toml").write_text(scene + TIE)
+    to_world = TIE.replace('to = "clump[1]"', "anchor = [0.0, 0.0, 0.0]")
+    Path("damped.toml").write_text(scene + to_world + "damping = 0.1\n")
     assert main(["check", str(case), "--ranks", "2", *more]) == 2
     assert told in capsys.readouterr().err
 
