@@ -188,6 +188,8 @@ def _with_rank(error: BaseException, number: int) -> BaseException:
     """An error with the number of the rank in its words."""
     if isinstance(error, OSError) and error.strerror:
         return type(error)(error.errno, f"{error.strerror} (rank {number})", error.filename)
+    if isinstance(error, MemoryError):  # which has no words, or numbers
+        return MemoryError(f"rank {number}")
     words = [k for k, value in enumerate(error.args) if isinstance(value, str)][:1]
     error.args = tuple(
         f"{v} (rank {number})" if k in words else v for k, v in enumerate(error.args)
@@ -256,4 +258,6 @@ def end_all(ranks: Ranks, error: BaseException) -> None:
         what = "interrupted" if is_asked else f"{type(error).__name__}: {error}"
         print(ranks.named(ranks.number, f"particlerb: {what}"), file=sys.__stderr__, flush=True)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPI adds words of its own
-        ranks.communicator.Abort(130 if is_asked else 1)
+        code = 130 if is_asked else 1
+        ranks.communicator.Abort(code)
+        os._exit(code)  # MPICH may return, and what follows would send others what is not expected

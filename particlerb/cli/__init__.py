@@ -104,8 +104,9 @@ def main(words: Sequence[str] | None = None) -> int:
         return _complain("interrupted", INTERRUPTED)
     except BrokenPipeError:  # the reader of stdout went away, as `head` does
         return DONE
-    except MemoryError:
-        return _complain("out of memory: fewer bodies or particles would fit", FAILED)
+    except MemoryError as error:
+        where = f" ({error})" if str(error).startswith("rank ") else ""
+        return _complain(f"out of memory: fewer bodies or particles would fit{where}", FAILED)
     except OSError as error:
         return _complain(fault_text(error), FAILED)
 

@@ -19,7 +19,7 @@ from particlerb.plan.describe import describe
 from particlerb.plan.joints import assembled
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.remove_overlaps import remove_overlaps
-from particlerb.ranks import ALONE, Ranks, as_agreed, end_all
+from particlerb.ranks import ALONE, Ranks, as_agreed, end_all, ending_all
 from particlerb.record.checkpoint import Checkpoint
 from particlerb.record.frame_values import FrameError
 from particlerb.record.layout import tables_of
@@ -157,11 +157,13 @@ def advance(
                 raise as_agreed(KeyboardInterrupt())
     except BaseException as problem:
         end_all(ranks, problem)
-        recorder.finish()
+        with ending_all(ranks):
+            recorder.finish()
         if isinstance(problem, FrameError):
             raise RunError(str(problem)) from None
         raise
-    recorder.finish()
+    with ending_all(ranks):
+        recorder.finish()
     of = run.counted, run.moving.state.com, prepared.system.run.t_end, run.adding
     return Outcome(
         run.balance.drift(*of, float(np.linalg.norm(run.gravity))),

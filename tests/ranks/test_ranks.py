@@ -2,27 +2,32 @@
 
 import argparse
 import json
+import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
 from stops import HERE, PLAIN, command, digests, line, needs_mpi, run_words, whole
+from threads_as_ranks import over_ranks
 
 import particlerb
+from particlerb import ranks as of_package
 from particlerb.cli import main
 from particlerb.cli import ranks as of_commands
 from particlerb.cli import run as of_runs
 from particlerb.model import superblocks
 from particlerb.model.names import BodyNames
 from particlerb.model.superblocks import SUPERBLOCK, own_parts, parts_of
-from particlerb.ranks import Ranks, launched
+from particlerb.ranks import Ranks, as_agreed, end_all, launched
 from particlerb.record import atomic
 from particlerb.record.checkpoint import read_checkpoint
 from particlerb.record.checksums import frame_checksums
+from particlerb.record.part_recorder import PartRecorder
 from particlerb.record.trajectory import TrajectoryError
 from particlerb.simulation import shares
 
@@ -245,7 +250,7 @@ import numpy as np
 from particlerb.ranks import ranks_of_mpi
 ranks = ranks_of_mpi()
 found = ranks.largest(np.array([np.nan if ranks.number == 1 else 1.0, 2.0 - ranks.number]))
-print(*found.tolist(), file=sys.__stdout__)
+sys.__stdout__.write("{} {}\\n".format(*found.tolist()))  # at once: others write too
 """
 
 
@@ -256,6 +261,47 @@ def test_what_is_not_a_number_is_the_largest_on_all_ranks():
     words = [*line(ranks=4)[:4], "-c", LARGEST]
     done = subprocess.run(words, env=PLAIN, capture_output=True, text=True, check=False)
     assert sorted(done.stdout.splitlines()) == ["inf 2.0"] * 4, done.stderr
+
+
+@pytest.mark.plain
+def test_a_rank_without_memory_is_named(monkeypatch, tmp_path, capsys):
+    """The error of NumPy has numbers in place of words."""
+    found = over_ranks(2, lambda of: of.together(lambda: np.zeros(of.number << 59)))[1]
+
+    def fails(*_):
+        raise found[0]
+
+    monkeypatch.setattr(of_runs, "to_system", fails)
+    assert main([str(HERE / "gas.toml"), "-o", str(tmp_path / "a.h5")]) == 1
+    assert capsys.readouterr().err.endswith("particles would fit (rank 1)\n")
+
+
+@pytest.mark.plain
+def test_who_fails_alone_goes_no_further(monkeypatch, capfd):
+    """MPI_Abort of MPICH may return; others would take what is sent next for an answer."""
+    ranks, codes = of_package._RanksOfMPI.__new__(of_package._RanksOfMPI), []
+    ranks.number, ranks.count, ranks.communicator = 1, 2, SimpleNamespace(Abort=codes.append)
+    monkeypatch.setattr(os, "dup2", lambda *_: None)
+    monkeypatch.setattr(os, "_exit", codes.append)
+    end_all(ranks, OSError("no room"))
+    end_all(ranks, KeyboardInterrupt())
+    end_all(ranks, as_agreed(OSError("of all")))
+    assert codes == [1, 1, 130, 130]
+
+
+@pytest.mark.plain
+def test_a_file_that_one_rank_cannot_finish_ends_all(monkeypatch, tmp_path):
+    """The others would wait for it."""
+    ended = []
+    monkeypatch.setattr(of_package, "end_all", lambda _, error: ended.append(error))
+
+    def fails(_):
+        raise OSError("no room")
+
+    monkeypatch.setattr(PartRecorder, "finish", fails)
+    monkeypatch.setattr(of_commands, "ranks_of_mpi", Ranks)
+    assert main([str(HERE / "gas.toml"), "--mpi", "-o", str(tmp_path / "a.h5")]) == 1
+    assert [str(error) for error in ended] == ["no room"]
 
 
 def test_launchers_say_how_many_they_started():
