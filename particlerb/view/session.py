@@ -200,9 +200,8 @@ class Session:
             entry = {"type": "push", **entry, "force": vector, "during": [start, stop]}
         _, orientation, p, L, _, _ = self.frame
         lever = rotate(orientation[0, push.body], np.array(push.at))
-        momenta = p[0, push.body].copy(), L[0, push.body].copy()
-        turned = orientation[0, push.body].copy()
-        applied = AppliedPush(push, start, stop, lever, *momenta, turned)
+        met = (values[0, push.body].copy() for values in (p, L, orientation))
+        applied = AppliedPush(push, start, stop, lever, *met)
         self.continue_with([entry])
         for latest in self.last, self.ends:
             latest.pop(push.body, None)
@@ -223,7 +222,10 @@ class Session:
             return
         self.advance(self.next_step(range(self.system.n_bodies)))
         new = [] if self.weights else self.new_weights(-1.0 if self.own_gravity else 1.0)
+        shown = self.frame, self.entries  # a record has no force that begins at its end
         self.continue_with(new, self.weights)
+        if new:
+            self.frame, self.entries = shown
         self.weights, self.has_gravity = new, on
 
     def new_weights(self, sign: float) -> list[dict[str, Any]]:
@@ -289,12 +291,11 @@ class Session:
 
     def grids(self, bodies: Any) -> list[Segment]:
         """Segments that outlast the session on whose grids these bodies are."""
-        chosen = np.fromiter(bodies, dtype=np.int64)
         return [
             group_run.segment
             for group_run in self.run.group_runs
             if _on_grid(group_run.segment, self.longest)
-            and np.isin(chosen, group_run.plan.members).any()
+            and np.isin(list(bodies), group_run.plan.members).any()
         ]
 
     def next_step(self, bodies: Any) -> float:
@@ -344,8 +345,7 @@ def opening(system: System, plan: Plan, longest: float) -> dict[str, Any]:
         run["dt"] = system.run.every / _STEPS_PER_FRAME
     raw["run"] = {**run, "t_end": longest}
     raw["force"] = list(raw.get("force", []))
-    opened: dict[str, Any] = _with_absolute_files(raw, system.files.folder)
-    return opened
+    return dict(_with_absolute_files(raw, system.files.folder))
 
 
 def _with_absolute_files(raw: Any, folder: Path | None) -> Any:

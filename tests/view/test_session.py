@@ -96,6 +96,17 @@ def test_the_batch_run_of_a_recorded_session_gives_the_same_bits(session, name):
     assert np.abs(session.frame.angular_momentum).max() > 1e-4  # something has happened
 
 
+@pytest.mark.plain
+def test_gravity_that_is_switched_now_changes_no_bit_on_the_screen(session):
+    """The record leaves it out, as it acts from the end of the run on."""
+    session = session("asymmetric, one of three")
+    for k in range(1, 5):
+        session.advance(0.37 * k * session.every)
+        session.switch_gravity(not session.has_gravity)
+        for live, batch in zip(session.frame[:4], batch_of(session), strict=True):
+            assert (live[0] == batch).all()
+
+
 @pytest.mark.parametrize("name", ["cube", "stepped without end"])
 def test_the_frame_rate_changes_nothing(session, name):
     few, many = (pushed(session(name), updates) for updates in (1, 17))
