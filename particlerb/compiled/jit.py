@@ -25,7 +25,6 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import FunctionType
 from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import numba
@@ -37,7 +36,7 @@ from numba.core.runtime._nrt_python import c_helpers
 
 from particlerb.compiled.deferred import Dispatcher
 from particlerb.compiled.helper import AloneCompiler, Helper, KeptCode, KeptKernel, Kernel
-from particlerb.compiled.plain import UnfusedKernel
+from particlerb.compiled.plain import UnfusedKernel, in_python
 
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -315,10 +314,8 @@ def kernel_from(template: Function, name: str, **names: Any) -> Function:
     NameError
         If the function has no global of such a name.
     """
-    if unknown := names.keys() - set(template.__code__.co_names):
-        raise NameError(f"{template.__qualname__} has no {', '.join(sorted(unknown))}")
-    function = FunctionType(template.__code__, template.__globals__ | names, name)
-    function.__qualname__ = f"{template.__qualname__}_{name}"
+    function: Any = in_python(template, **names)
+    function.__name__, function.__qualname__ = name, f"{template.__qualname__}_{name}"
     function.__doc__ = template.__doc__
     return kernel(cast(Function, function))
 

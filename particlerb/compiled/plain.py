@@ -51,8 +51,16 @@ def all_compiled() -> Iterator[None]:
 
 
 def in_python(function: Function, **names: Any) -> Function:
-    """A function, compiled or not, as Python whose globals of these names are to be others."""
+    """A function, compiled or not, as Python whose globals of these names are to be others.
+
+    Raises
+    ------
+    NameError
+        If the function has no global of such a name.
+    """
     plain: Any = getattr(function, "py_func", function)
+    if unknown := names.keys() - set(plain.__code__.co_names):
+        raise NameError(f"{plain.__qualname__} has no {', '.join(sorted(unknown))}")
     values = plain.__globals__ | names
     return cast(Function, FunctionType(plain.__code__, values, plain.__name__, plain.__defaults__))
 

@@ -7,7 +7,7 @@ each stage in the place of those that are compiled into the loop: the sums are t
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar, cast
 
 from particlerb.compiled.barrier import Team
 from particlerb.compiled.jit import Flag, inline, kernel, splice, unfused_kernel
@@ -101,19 +101,39 @@ def stages_with(function: Callable[..., None], **names: Any) -> Callable[..., No
     return stages(in_python(function, **names))
 
 
-def over_threads(function: Function, **names: Any) -> Function:
+def over_threads(
+    function: Function, *instead: tuple[Callable[..., Any], Callable[..., Any]], **constants: Any
+) -> Function:
     """A function made of stages, as Python that spreads each of them over threads.
 
-    Globals of these names are to be others, in the lists of stages that it calls too.
+    In it, and in the lists of stages that it calls, the second of each pair is called in place of
+    the first. Its own globals of these names are to be others.
+
+    Raises
+    ------
+    NameError
+        If a function that is to be replaced is never called, or a global is not there.
     """
-    plain: Any = getattr(function, "py_func", function)
-    for name in plain.__code__.co_names:
-        value = plain.__globals__.get(name)
-        if id(value) in _KERNELS:
-            names.setdefault(name, partial(_spread_stage, _KERNELS[id(value)]))
-        elif id(value) in _LISTS and name not in names:
-            names[name] = over_threads(_LISTS[id(value)], **names)
-    return in_python(function, **names)
+    chosen, met = {id(old): new for old, new in instead}, set[int]()
+
+    def spread(function: Any, names: dict[str, Any]) -> Any:
+        plain = getattr(function, "py_func", function)
+        for name in plain.__code__.co_names:
+            value = plain.__globals__.get(name)
+            met.add(id(value))
+            new = chosen.get(id(value), value)
+            if id(new) in _KERNELS:
+                new = partial(_spread_stage, _KERNELS[id(new)])
+            elif id(new) in _LISTS:
+                new = spread(_LISTS[id(new)], {})
+            if new is not value:
+                names[name] = new
+        return in_python(plain, **names)
+
+    made = spread(function, constants)
+    if never := [old.__name__ for old, _ in instead if id(old) not in met]:
+        raise NameError(f"{function.__name__} never calls {', '.join(never)}")
+    return cast(Function, made)
 
 
 def _spread_stage(
@@ -278,7 +298,7 @@ def shown_at(times: LoadTimes) -> Callable[..., None]:
     return stages_with(_show, TIMES=times)
 
 
-@kernel
+@caller_of_stages
 def close(moving: MovingBodies, first: int, last: int, open_kick: float) -> None:
     """Make the kick that the last step has left open.
 

@@ -18,7 +18,7 @@ from particlerb.integrators.dop853 import PACK
 from particlerb.integrators.dop853_stages import CommonSteps, room_for_vectors
 from particlerb.integrators.dop853_step import Equations
 from particlerb.integrators.method import Method
-from particlerb.integrators.pair_stages import Layout
+from particlerb.integrators.pair_stages import Layout, pair_loads
 from particlerb.integrators.stages import over_threads
 from particlerb.joints.trees import tree_of
 from particlerb.maths.vec3 import Floats, Ints
@@ -134,7 +134,8 @@ class AdaptiveMotion(JointedMotion):
         arguments = self.blocks, self.layout, pairs, self.jointed, breaks, self.vectors
         bodies = CommonSteps(self.equations, *arguments)
         if forces.is_large:
-            over_threads(advance_steps, pair_loads=lambda *_: forces.evaluate())(bodies, *shared)
+            evaluate = pair_loads, lambda *_: forces.evaluate()
+            over_threads(advance_steps, evaluate)(bodies, *shared)
         else:
             THREADS.alone(advance_steps, bodies, *shared)
         if breaks is not None:

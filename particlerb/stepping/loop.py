@@ -17,12 +17,11 @@ import numpy as np
 
 from particlerb.compiled.jit import Flag, inline, kernel, kernel_from
 from particlerb.contact.contact_model import NO_GROWTH, ContactChanges, Growth, Instant, Slope
-from particlerb.forces.registry import PAIR
 from particlerb.integrators.contact_copies import restore_contacts, save_contacts, store_contacts
 from particlerb.integrators.contact_stages import close_prescribed, find_contact_forces
 from particlerb.integrators.external_work import store_sums
-from particlerb.integrators.method import Method, Step
-from particlerb.integrators.pair_stages import BlockShare, Layout, PairTerms, gather_states, scatter
+from particlerb.integrators.method import Method
+from particlerb.integrators.pair_stages import BlockShare, Layout, put_pair_loads
 from particlerb.integrators.stages import (
     MovingBodies,
     close,
@@ -252,31 +251,22 @@ def advance(
     return Position(steps.size, 0, step_number)
 
 
-def _step_of(method: Method, is_coupled: bool) -> Step:
-    """Step of a method that has one."""
-    chosen = method.coupled_step if is_coupled else None
-    chosen = chosen or method.step
+def _parts_of(
+    method: Method, is_coupled: bool, touches: bool
+) -> tuple[tuple[Callable[..., None], Callable[..., None]], ...]:
+    """What stands for a method in `advance`, each with what the method has in its place."""
+    chosen = (method.coupled_step if is_coupled else None) or method.step
     assert chosen is not None
-    return chosen
+    closing = method.show if touches and method.show is not None else finish
+    closing = _close_at if method.closing_kick > 0.0 else closing
+    part = _part_with_contacts if touches and not method.takes_impulses else part_of_step
+    return (step, chosen), (finish, closing), (part_of_step, part)
 
 
-def _finish_of(method: Method, touches: bool) -> Step:
-    """How the last step is closed."""
-    if method.closing_kick > 0.0:
-        return _close_at
-    return method.show if touches and method.show is not None else finish
-
-
-def _parts_of_step(method: Method, touches: bool) -> dict[str, Any]:
-    """How parts of a step are done for bodies that touch by springs."""
-    if not touches or method.takes_impulses:
-        return {}
-    return {"part_of_step": _part_with_contacts, "GROWTH": growth_at_rest(method)}
-
-
-def growth_at_rest(method: Method) -> Growth:
-    """How tangential springs grow where no step is made: not."""
-    return NO_GROWTH._replace(slope=Slope(0.0, 0.0, 0.0, True) if method.takes_slopes else None)
+def _constants_of(method: Method) -> dict[str, Any]:
+    """What stands in `advance` for constants of a method; where no step is made no spring grows."""
+    slope = Slope(0.0, 0.0, 0.0, True) if method.takes_slopes else None
+    return {"CLOSING_KICK": method.closing_kick, "GROWTH": NO_GROWTH._replace(slope=slope)}
 
 
 @cache
@@ -286,9 +276,8 @@ def compiled_loop(
     """The loop with the step of a method, compiled."""
     name = f"{method.name}_coupled" if is_coupled else method.name
     name += "_touching" if touches else ""
-    chosen, closing = _step_of(method, is_coupled), _finish_of(method, touches)
-    names = {"step": chosen, "finish": closing, "CLOSING_KICK": method.closing_kick}
-    return kernel_from(advance, name, **names, **_parts_of_step(method, touches))
+    names = {old.__name__: new for old, new in _parts_of(method, is_coupled, touches)}
+    return kernel_from(advance, name, **names, **_constants_of(method))
 
 
 def loop_over_threads(
@@ -299,20 +288,8 @@ def loop_over_threads(
     A tree is grown and walked from Python, and a large direct sum has shares of pairs and not of
     bodies; so neither can stand in a compiled loop.
     """
-
-    def put_pair_loads(team: object, pairs: PairTerms, blocks: Floats, layout: Layout) -> None:
-        if team is None:
-            gather_states(blocks, layout, pairs.y)
-        forces.evaluate()
-        if team is None:
-            scatter(pairs.load, blocks, layout, PAIR, 0)
-
-    others = {"put_pair_loads": put_pair_loads, "CLOSING_KICK": method.closing_kick}
-    chosen = over_threads(_step_of(method, True), **others)
-    closing_kick = over_threads(close, **others)
-    closing = over_threads(_finish_of(method, touches), close=closing_kick, **others)
-    names = {"step": chosen, "finish": closing, **_parts_of_step(method, touches), **others}
-    return over_threads(advance, **names)
+    parts = *_parts_of(method, True, touches), (put_pair_loads, forces.put_loads)
+    return over_threads(advance, *parts, **_constants_of(method))
 
 
 def _one_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
@@ -327,18 +304,10 @@ def _one_part(
     part_of_step(moving, first, last, asked, time, growth)
 
 
-@cache
-def _compiled_parts(method: Method) -> dict[str, Any]:
-    """How parts of a step are done where ranks share bodies, each by itself."""
-    parts = _parts_of_step(method, True)
-    part = kernel_from(_one_part, f"{method.name}_touching", part_of_step=parts["part_of_step"])
-    return parts | {"part_of_step": part}
-
-
 def loop_over_ranks(
     method: Method,
-    kinematics: Callable[..., bool],
-    store: Callable[..., None],
+    find_kinematics: Callable[..., bool],
+    write_frame: Callable[..., None],
     enter_kick: Callable[..., None],
     settle: Callable[[], Any],
 ) -> Callable[..., Position]:
@@ -347,7 +316,7 @@ def loop_over_ranks(
     Parameters
     ----------
     method : Method
-    kinematics, store : callable
+    find_kinematics, write_frame : callable
         In place of the stages that find where spheres and walls are, and that write a
         frame: these exchange bodies.
     enter_kick : callable
@@ -357,17 +326,19 @@ def loop_over_ranks(
         Called before anything is saved.
     """
     name = f"{method.name}_touching"
-    one_step = partial(enter_kick, kernel_from(_one_step, name, step=_step_of(method, True)))
-    closing = over_threads(_close_at, kinematics=kinematics, close=partial(enter_kick, close))
-    names = {"step": one_step, "finish": closing, "CLOSING_KICK": method.closing_kick}
-    names |= _compiled_parts(method)
+    (_, chosen), _, (_, part) = _parts_of(method, True, True)
+    one_step = partial(enter_kick, kernel_from(_one_step, name, step=chosen))
+    one_part = kernel_from(_one_part, name, part_of_step=part)
     copy = over_threads(_save)
 
     def save(moving: MovingBodies, first: int, last: int, saved: Copies) -> None:
         settle()
         copy(moving, first, last, saved)
 
-    return over_threads(advance, kinematics=kinematics, _save=save, _store=store, **names)
+    kicks = (step, one_step), (finish, _close_at), (close, partial(enter_kick, close))
+    frames = (_save, save), (_store, write_frame)
+    others = (kinematics, find_kinematics), (part_of_step, one_part)
+    return over_threads(advance, *kicks, *frames, *others, **_constants_of(method))
 
 
 def grid_position(elapsed: Floats, dt: float, start: float = 0.0) -> tuple[Ints, Floats]:

@@ -14,8 +14,9 @@ from particlerb.forces import Terms, pairs_have_potential
 from particlerb.forces.attraction import fields_of, potential_energy, spread_loads
 from particlerb.forces.gravity_tree.tree import Tree
 from particlerb.forces.links import link_energy, link_loads
+from particlerb.forces.registry import PAIR
 from particlerb.forces.user_pairs import pair_energies, user_pair_loads
-from particlerb.integrators.pair_stages import PairTerms
+from particlerb.integrators.pair_stages import Layout, PairTerms, gather_states, scatter
 from particlerb.maths.vec3 import Floats
 from particlerb.model.load import CONTACT_ROWS, LOAD_ROWS, STATE_ROWS
 from particlerb.model.worlds import Worlds, over_pairs
@@ -96,6 +97,14 @@ class PairForces:
             self.tree.loads(y, load)
         if attraction is not None and fields is not None:
             spread_loads(attraction, fields, y, load, self.ranks)
+
+    def put_loads(self, team: object, pairs: PairTerms, blocks: Floats, layout: Layout) -> None:
+        """As the stage `put_pair_loads`, over all threads."""
+        if team is None:
+            gather_states(blocks, layout, pairs.y)
+        self.evaluate()
+        if team is None:
+            scatter(pairs.load, blocks, layout, PAIR, 0)
 
     def potential_energy(self, com: Floats, q: Floats) -> Floats | float:
         """Of the bodies with each other, and of links to the world [J]; in each world."""

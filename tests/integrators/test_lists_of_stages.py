@@ -11,7 +11,7 @@ from particlerb.contact.contact_model import NOW
 from particlerb.forces import Terms
 from particlerb.forces.gravity import UniformGravity
 from particlerb.integrators.method import Method
-from particlerb.integrators.stages import MovingBodies, kick, loads, stage, stages
+from particlerb.integrators.stages import MovingBodies, kick, loads, over_threads, stage, stages
 from particlerb.integrators.strang import drift
 from particlerb.maths.vec3 import add_scaled, dot
 from particlerb.model.block import COM, INV_MASS, P, get, get3, put3
@@ -139,3 +139,36 @@ def test_an_elastic_ball_bounces_for_ever_by_the_midpoint_step():
     assert x[..., 2].max() > 1.09
     assert x[..., 2].min() > RADIUS - 0.01
     assert x[:, 0, 0] == pytest.approx(0.5 * times, rel=1e-12)
+
+
+@stages
+def _twice(moving, first, last, dt):
+    step_once(moving, first, last, dt)
+    step_once(moving, first, last, dt)
+
+
+@stages
+def step_once(moving, first, last, dt):
+    note(dt * FACTOR)
+
+
+def note(dt):
+    raise NotImplementedError
+
+
+FACTOR = 1.0
+
+
+@pytest.mark.plain
+def test_what_stands_for_a_function_is_called_in_lists_within_lists_too():
+    found = []
+    over_threads(_twice, (note, found.append))(None, 0, 1, 0.5)
+    assert found == [0.5, 0.5]
+
+
+@pytest.mark.plain
+def test_what_nothing_calls_cannot_be_replaced():
+    with pytest.raises(NameError, match="_twice never calls method"):
+        over_threads(_twice, (note, print), (method, print))
+    with pytest.raises(NameError, match="step_once has no FACTORS"):
+        over_threads(step_once, (note, print), FACTORS=2.0)
