@@ -41,7 +41,7 @@ def child(is_wide: bool) -> None:
     for _ in sys.stdin:
         for burst in bursts.values():
             burst.run()
-        states = [burst.motion.values(0, 13).tobytes() for burst in bursts.values()]
+        states = [burst.motion.bodies.values(0, 13).tobytes() for burst in bursts.values()]
         digest = hashlib.sha256(b"".join(states)).hexdigest()
         print(*(1e9 * burst.taken[-1] for burst in bursts.values()), digest, flush=True)
 

@@ -316,7 +316,6 @@ def kernel_from(template: Function, name: str, **names: Any) -> Function:
     """
     function: Any = in_python(template, **names)
     function.__name__, function.__qualname__ = name, f"{template.__qualname__}_{name}"
-    function.__doc__ = template.__doc__
     return kernel(cast(Function, function))
 
 

@@ -26,7 +26,7 @@ from particlerb.joints.reactions import (
 from particlerb.joints.records import JointData, joint_data_at
 from particlerb.joints.rows import add_impulses, rates, residuals
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import COM, into_blocks
+from particlerb.model.block import COM
 from particlerb.model.state import Frames, State, state_in
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
@@ -35,7 +35,7 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.plan.merging import unmerged
 from particlerb.plan.segments import GroupPlan, Segment, inside
 from particlerb.ranks import Ranks
-from particlerb.stepping.stepped_motion import SteppedMotion
+from particlerb.stepping.stepped_bodies import SteppedBodies
 from particlerb.words import count_of
 
 
@@ -173,7 +173,7 @@ class JointReader:
         self.row_of = dict(zip(group.members.tolist(), rows.tolist(), strict=True))
         moving = group.group(segment)
         method = METHODS[segment.method]
-        self.motion = SteppedMotion(method, moving, first, segment.start, segment.dt)
+        self.bodies = SteppedBodies(method, moving, first, segment.start, segment.dt, None)
 
     def read(
         self,
@@ -201,17 +201,17 @@ class JointReader:
         values, row : JointValues, int
             What to write.
         """
-        joints, motion = self.joints, self.motion
+        joints, bodies = self.joints, self.bodies
         loads = np.zeros((6, state.com.shape[1]))
-        into_blocks(motion.blocks, COM, motion.spaced(np.vstack(state)))
-        gather_loads(motion.moving, time - self.segment.start, loads)
+        bodies.put(COM, np.vstack(state))
+        gather_loads(bodies.moving, time - self.segment.start, loads)
         data, m = joint_data_at(joints, state), joints.rows.kind.size
         data.change[:-1] = loads.T[joints.order]
         data.clock[0] = time - self.segment.start
         is_broken = broken <= time
         data.broken[:] = np.where(is_broken, -np.inf, np.inf)
-        assert motion.jointed is not None
-        jointed = motion.jointed._replace(data=data)
+        assert bodies.jointed is not None
+        jointed = bodies.jointed._replace(data=data)
         set_prescribed(jointed.prescribed, data, time, 0.0, 0, len(data.y))
         factorise_all(joints, data, data.clock[0])
         add_actions(None, jointed, data.change, 0)

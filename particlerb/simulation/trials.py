@@ -199,7 +199,7 @@ def _motion(group: GroupPlan, segment: Segment, state: State, begun: dict[str, A
     motion = make_motion(method, group.group(segment), state, segment.start, segment.dt, tolerance)
     _forget_accounts(motion)
     if begun is not None and isinstance(motion, SteppedMotion):
-        begun[segment.method] = motion, changing(motion.blocks).copy()
+        begun[segment.method] = motion, changing(motion.bodies.blocks).copy()
     return motion
 
 

@@ -297,17 +297,11 @@ def _one_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt:
     step(moving, first, last, open_kick, dt)
 
 
-def _one_part(
-    moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
-) -> None:
-    """A part of a step by itself."""
-    part_of_step(moving, first, last, asked, time, growth)
-
-
 def loop_over_ranks(
     method: Method,
     find_kinematics: Callable[..., bool],
     write_frame: Callable[..., None],
+    show_contacts: Callable[..., None],
     enter_kick: Callable[..., None],
     settle: Callable[[], Any],
 ) -> Callable[..., Position]:
@@ -316,9 +310,9 @@ def loop_over_ranks(
     Parameters
     ----------
     method : Method
-    find_kinematics, write_frame : callable
-        In place of the stages that find where spheres and walls are, and that write a
-        frame: these exchange bodies.
+    find_kinematics, write_frame, show_contacts : callable
+        In place of the stages that find where spheres and walls are, that write a frame, and that
+        write what contacts have into it: these exchange bodies.
     enter_kick : callable
         Enters a kernel `(moving, first, last, open_kick)`, or with a step too, with all threads:
         takes it, then `moving`, ...
@@ -326,9 +320,9 @@ def loop_over_ranks(
         Called before anything is saved.
     """
     name = f"{method.name}_touching"
-    (_, chosen), _, (_, part) = _parts_of(method, True, True)
+    (_, chosen), *_ = _parts_of(method, True, True)
     one_step = partial(enter_kick, kernel_from(_one_step, name, step=chosen))
-    one_part = kernel_from(_one_part, name, part_of_step=part)
+    part = over_threads(_part_with_contacts, (store_contacts, show_contacts))
     copy = over_threads(_save)
 
     def save(moving: MovingBodies, first: int, last: int, saved: Copies) -> None:
@@ -337,7 +331,7 @@ def loop_over_ranks(
 
     kicks = (step, one_step), (finish, _close_at), (close, partial(enter_kick, close))
     frames = (_save, save), (_store, write_frame)
-    others = (kinematics, find_kinematics), (part_of_step, one_part)
+    others = (kinematics, find_kinematics), (part_of_step, part)
     return over_threads(advance, *kicks, *frames, *others, **_constants_of(method))
 
 

@@ -9,11 +9,9 @@ from particlerb.model.bodies import taken
 from particlerb.model.state import State
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.adaptive import AdaptiveMotion
-from particlerb.stepping.brick_motion import BrickMotion
 from particlerb.stepping.contact_motion import ContactMotion
 from particlerb.stepping.event_motion import EventMotion
 from particlerb.stepping.free_motion import FreeMotion
-from particlerb.stepping.impulse_motion import ImpulseMotion
 from particlerb.stepping.motion import CompositeMotion, Motion, SegmentGroup, subgroup
 from particlerb.stepping.shared_motion import SharedMotion
 from particlerb.stepping.sparse_contact import DiluteMotion, can_fly
@@ -69,9 +67,7 @@ def _contact_motion(
     contact, shared = group.terms.known_contact, group.shared
     flies = group.worlds is None and can_fly(method, group.terms, group.members.size)
     motion: type[DiluteMotion | ContactMotion] = DiluteMotion if flies else ContactMotion
-    motion = motion if group.terms.has_springy_contact else ImpulseMotion
-    if shared is not None:  # all are stepped, by springs
-        motion = BrickMotion if shared.ranks.count > 1 else SharedMotion
+    motion = motion if shared is None else SharedMotion  # where all are stepped, by springs
     keeps = None if before is None else before.contact_start()
     if keeps is None:
         return motion(method, group, state, start, dt)

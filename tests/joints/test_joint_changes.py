@@ -46,12 +46,12 @@ def test_a_motor_that_is_changed_turns_a_wheel_by_the_closed_form(tmp_path):
     """Constant accelerations, one after the other, over many turns; no type is another one."""
     edges, torques = [0.0, 0.5, 1.123, 1.123, 1.6, 2.0], [0.0, 40.0, 3.0, -7.0, 0.0]
     with simulated(wheel(motor=0), 2.0, 0.02, tmp_path / "a.h5", method="rattle") as simulation:
-        (first,) = (typeof(group.motion.moving) for group in simulation._run.group_runs)
+        (first,) = (typeof(group.motion.bodies.moving) for group in simulation._run.group_runs)
         for time, torque in zip(edges, torques, strict=False):
             simulation.advance(time)
             simulation.change("joint[0].motor", torque)
             assert abs(simulation.energy_error) < 1e-11
-            (now,) = (typeof(group.motion.moving) for group in simulation._run.group_runs)
+            (now,) = (typeof(group.motion.bodies.moving) for group in simulation._run.group_runs)
             assert now == first
         simulation.advance(2.0)
         assert abs(simulation.energy_error) < 1e-11
