@@ -126,10 +126,14 @@ def faults(
                 place(before, watched)
                 done = session.run(words, watched, Fault(k, error, how), folder)
                 state = in_folder(watched)
-                if how == "always":  # nor can be removed what is unfinished
+                if how == "always":  # nor can be removed what was made
                     for left in [left for left in state if left.startswith(".")]:
                         del state[left]
                     place(state, watched)
+                    is_left = name not in (*GROWS, "session") and not state.keys().isdisjoint(right)
+                    again = [*argv, *["--overwrite"] * is_left]
+                else:
+                    again = words
                 what = f"{name} {k} {errno.errorcode[error]} {how} {'over' * bool(before)}"
                 if done.code == 0:
                     if name != "log" and state != right:
@@ -139,7 +143,7 @@ def faults(
                     wrong.append(f"{what}: {said}")
                 if name not in GROWS and (bad := torn(state, before, right)):
                     wrong.append(f"{what}: torn {bad}")
-                done = session.run(words, watched, cwd=folder)
+                done = session.run(again, watched, cwd=folder)
                 if done.code or (name != "log" and in_folder(watched) != right):
                     wrong.append(f"{what}: not done again: {done.code} {done.err[-200:]}")
     return n, states, wrong
@@ -224,8 +228,8 @@ def main() -> int:
     parser.add_argument("--every", type=int, default=1, help="operation that fails")
     parser.add_argument("--cuts", action="store_true", help="kills and power cuts")
     options = parser.parse_args()
-    tried = cuts if options.cuts else faults
-    rows, is_right = ["command,operations,states,wrong"], True
+    tried, way = (cuts, "kills and power cuts") if options.cuts else (faults, "faults")
+    rows, is_right = ["command,way,operations,states,wrong"], True
     memory = "/dev/shm" if os.path.isdir("/dev/shm") else None
     with tempfile.TemporaryDirectory(dir=memory) as top:
         folder = Path(top)
@@ -235,7 +239,7 @@ def main() -> int:
                 if options.names and not name.startswith(tuple(options.names)):
                     continue
                 n, states, wrong = tried(name, argv, folder, session, options.every)
-                rows.append(f"{name},{n},{states},{len(wrong)}")
+                rows.append(f"{name},{way},{n},{states},{len(wrong)}")
                 is_right &= not wrong
                 print(rows[-1], *wrong, sep="\n", flush=True)
     if options.table:
