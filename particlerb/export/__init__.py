@@ -19,6 +19,7 @@ from particlerb.model.state import derived
 from particlerb.record.output_path import appearing
 from particlerb.record.schema import CONTACT_FIELDS, CONTACTS, FIELDS, OBSERVED, SUMS
 from particlerb.record.trajectory import Contacts, Trajectory
+from particlerb.words import encodable
 
 FORMATS: Final = {
     "gsd": ".gsd", "csv": ".csv", "particles": ".vtkhdf", "contacts": ".vtkhdf",
@@ -36,8 +37,10 @@ class ExportError(Exception):
     """What was asked for cannot be exported: why, and what can."""
 
 
-def gsd_hoomd() -> ModuleType:
-    """The library that writes gsd files; ExportError where it is missing."""
+def gsd_hoomd(path: Path) -> ModuleType:
+    """The library that writes gsd files; ExportError where it is missing, or cannot take a path."""
+    if encodable(str(path)) != str(path):
+        raise ExportError("gsd takes only names of files that are UTF-8: give another with -o")
     try:
         import gsd.hoomd
     except ImportError:

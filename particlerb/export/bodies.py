@@ -232,7 +232,7 @@ def yade(bodies: Sequence[NamedBody]) -> dict[str, str]:
 
 def _write_gsd(bodies: Sequence[NamedBody], path: Path) -> None:
     """One frame with one particle per body, turned to its principal axes; float64 in the log."""
-    hoomd = gsd_hoomd()
+    hoomd = gsd_hoomd(path)
     frame = hoomd.Frame()
     particles = frame.particles
     mass, com, tensor, moments, axes, _ = (

@@ -32,7 +32,7 @@ _MAX_SPHERES_OF_SHAPE: Final = 1000
 
 def write(selection: Selection, path: Path) -> None:
     """Write all frames; constants once."""
-    hoomd = gsd_hoomd()
+    hoomd = gsd_hoomd(path)
     trajectory = selection.trajectory
     bodies = taken(trajectory.bodies, selection.bodies)
     kinds, types = np.unique(trajectory.kind[selection.bodies], return_inverse=True)
