@@ -150,6 +150,7 @@ def view(file: h5py.File, path: str, values: h5d.DatasetID, n_frames: int | None
     mapped.select_all()
     source.select_all()
     plan = h5p.create(h5p.DATASET_CREATE)
+    plan.set_obj_track_times(False)
     plan.set_virtual(mapped, b".", h5py.h5i.get_name(values), source)
     kind, space = values.get_type(), h5s.create_simple(shape)
     h5d.create(file.id, path.encode(), kind, space, plan, WITH_GROUPS)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import time
 
 import h5py
 import numpy as np
@@ -320,6 +321,16 @@ def test_a_long_trajectory_is_not_loaded_whole(path, tmp_path, monkeypatch):
         for to in ("gsd", "csv", "npz", "lammps", "particles"):
             export(t, tmp_path / f"out_{to}", to)
     assert 0 < max(largest) <= 8
+
+
+@pytest.mark.parametrize("to", ["particles", "h5"])
+def test_a_file_of_the_same_run_has_the_same_bytes(path, tmp_path, to):
+    """HDF5 notes in whole seconds when it made a dataset, unless it is told not to."""
+    with particlerb.open(path) as t:
+        for name in ("first", "second"):
+            export(t, tmp_path / name, to)
+            time.sleep(1.1)
+    assert (tmp_path / "first").read_bytes() == (tmp_path / "second").read_bytes()
 
 
 @pytest.mark.parametrize(
