@@ -4,6 +4,7 @@ import csv
 import math
 import os
 import signal
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from particlerb.cli import main
 from particlerb.cli.sweep import summary
 from particlerb.studies.charts import sweep as sweep_chart
 from particlerb.sweeping import driver
+from particlerb.sweeping.table import TableFile
 from particlerb.sweeping.variants import variants
 from particlerb.sweeping.worker import Row, Task, work
 from particlerb.tables import Box, DragTable, RunTable
@@ -276,6 +278,15 @@ def test_a_table_whose_first_line_was_torn_is_begun_anew(tmp_path, n):
     path.write_bytes(whole[:n])
     in_threads(fallen(), path)
     assert path.read_bytes() == whole
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads names of open files in /proc")
+def test_the_name_of_a_new_table_is_on_the_disk_before_its_rows(tmp_path, monkeypatch):
+    """A power cut takes a file whose folder was not synced, with all rows that were."""
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda n: synced.append(os.readlink(f"/proc/self/fd/{n}")))
+    TableFile(tmp_path / "t.csv", ["x"], [], overwrite=False, n=1).close()
+    assert synced == [str(tmp_path.resolve() / "t.csv"), str(tmp_path.resolve())]
 
 
 def test_what_lies_beside_a_new_table_is_left_alone(tmp_path, capsys):
