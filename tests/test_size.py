@@ -33,7 +33,7 @@ BUDGETS = {
     "reports, pictures, the page": 1774,
     "scenes for other programs": 534,
     "speed of compiling and of whole calls": 1374,
-    "watches": 168,
+    "watches": 169,
     "beside all these": 383,
 }
 """Lines of code that an ability took: see «Where things go» in docs/architecture.md."""

@@ -46,7 +46,8 @@ def write(selection: Selection, path: Path) -> None:
         raise ExportError("h5 is made of a file; this trajectory is in memory")
     with trajectory_errors(file):
         content, case = tables_in(file), trajectory.case
-    path.write_bytes(laid_out(case.run, case.output, content))
+        empty = laid_out(case.run, case.output, content)
+    path.write_bytes(empty)
     with h5py.File(path, "r+") as made:
         write_rest(made, content)
         for name in _growing(file, recorded):

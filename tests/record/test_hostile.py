@@ -500,6 +500,18 @@ def test_what_is_copied_by_a_link_to_elsewhere_is_one_message(copy, tmp_path, ca
     assert not (tmp_path / "b.h5").exists()
 
 
+def test_what_is_copied_with_another_form_is_one_message(copy, tmp_path, capsys):
+    """A table of bodies that is a list of lists: nothing can say what its columns are."""
+    with h5py.File(copy, "r+") as file:
+        n = len(file["particles/trajectory/moment_inertia"])
+        del file["particles/trajectory/moment_inertia"]
+        kind = h5py.vlen_dtype(np.dtype("f8"))
+        file.create_dataset("particles/trajectory/moment_inertia", (n,), dtype=kind)
+    assert main(["export", str(copy), "--to", "h5", "-o", str(tmp_path / "b.h5")]) == 1
+    assert capsys.readouterr().err.startswith(f"particlerb: {copy} is not a trajectory")
+    assert not (tmp_path / "b.h5").exists()
+
+
 # Refusals that pass
 
 
