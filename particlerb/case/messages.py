@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from particlerb.case.problems import CaseError, Locator, Path, Source, nearest, shown
+from particlerb.case.problems import CaseError, Locator, Path, Source, is_meant, nearest, shown
 from particlerb.case.schema import Case
 from particlerb.case.values import Table, plain
 
@@ -151,9 +151,11 @@ def _header(name: str, root: type[Table]) -> str:
 
 
 def _is_close(key: str, hint: str) -> bool:
-    """Whether the key that a hint guesses is nearly the same."""
+    """Whether the key that a hint guesses is nearly the same, or means it."""
     guess = re.match(_GUESS, hint)
-    return guess is not None and SequenceMatcher(None, key, guess[1] or "").ratio() >= _CLOSE
+    if guess is None or is_meant(key, guess[1] or ""):
+        return guess is not None
+    return SequenceMatcher(None, key, guess[1] or "").ratio() >= _CLOSE
 
 
 def _elsewhere(path: Path, root: type[Table]) -> str:

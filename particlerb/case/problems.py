@@ -35,6 +35,7 @@ _SYNONYMS = {
     "method": ("integrator", "solver", "scheme"), "stiffness": ("k",), "radius": ("r",),
     "dt": ("step", "timestep", "time_step"), "t_end": ("duration", "tmax", "t_max", "time"),
     "translation": ("linear", "coefficient"), "at": ("point",), "during": ("time", "interval"),
+    "origin": ("position", "at", "center", "centre", "middle"), "position": ("center", "centre"),
 }  # fmt: skip
 """Names of cases, and what other programs and books call the same."""
 LONGEST_SCANNED = 8 * 2**20  # characters; messages of longer files have no lines
@@ -145,11 +146,16 @@ def shown(value: Any) -> str:
     return text if len(text) <= _MAX_VALUE_LENGTH else text[: _MAX_VALUE_LENGTH - 3] + "..."
 
 
+def is_meant(word: str, name: str) -> bool:
+    """Whether a word is a name of cases, or what others call it."""
+    return word.lower() in (name, *_SYNONYMS.get(name, ()))
+
+
 def nearest(word: str, names: Sequence[str], label: str = "known") -> str:
     """Hint with the known word that is meant, in double quotes, and all that are known."""
     if not names:
         return ""
-    meant = [name for name in names if word.lower() in (name, *_SYNONYMS.get(name, ()))]
+    meant = [name for name in names if is_meant(word, name)]
     close = meant or difflib.get_close_matches(word[:100], names[:_MAX_NAMES_COMPARED], 1, 0.5)
     guess = f'did you mean "{close[0]}"? ' if close else ""
     rest = f", ... ({len(names)} in all)" if len(names) > _MAX_NAMES_LISTED else ""

@@ -291,6 +291,14 @@ MISTAKES = [
     ),
     (
         "spacing = 2.0",
+        "spacing = 2.0, position = [0, 0, 2]",
+        14,
+        "body[1].place.position",
+        "unknown key",
+        'did you mean "origin"? keys here: type, spacing, n, origin',
+    ),
+    (
+        "spacing = 2.0",
         "spacing = 2.0, n = [1, 1, 2]",
         14,
         "body[1].place.n",
