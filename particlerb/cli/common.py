@@ -12,7 +12,7 @@ from particlerb.case.case_names import case_path, nearest_names
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
-from particlerb.cli.exit_codes import FAILED, Ending, ending
+from particlerb.cli.exit_codes import FAILED, Ending, code_of, ending
 from particlerb.record.output_path import output_path
 from particlerb.record.trajectory import Trajectory, TrajectoryError, open_trajectory
 from particlerb.record.verify import verify
@@ -57,7 +57,7 @@ def to_write(path: Path, overwrite: bool, source: Path | None = None) -> Path:
     except (FileExistsError, NotADirectoryError) as error:
         raise Ending(str(error)) from None
     except OSError as error:
-        raise Ending(f"{path} cannot be made: {error.strerror}") from None
+        raise Ending(f"{path} cannot be made: {error.strerror}", code_of(error)) from None
 
 
 def named_output(options: argparse.Namespace, default: Path) -> Path:

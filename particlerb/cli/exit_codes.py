@@ -23,6 +23,11 @@ class Ending(Exception):  # noqa: N818
         self.code = code
 
 
+def code_of(error: OSError) -> int:
+    """Exit code of what cannot be written: a disk that fails is not wrong usage."""
+    return FAILED if error.errno in _DISK_FULL_ERRORS else _WRONG_INPUT
+
+
 @contextlib.contextmanager
 def ending(*errors: type[Exception], code: int = _WRONG_INPUT, about: str = "") -> Iterator[None]:
     """End the command with the message of an error, after what it is about."""

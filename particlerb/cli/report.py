@@ -11,7 +11,7 @@ from typing import Final, TextIO
 
 from tqdm import tqdm
 
-from particlerb.cli.exit_codes import Ending
+from particlerb.cli.exit_codes import Ending, code_of
 from particlerb.files import Closing
 from particlerb.simulation.outcome import Reached
 
@@ -36,7 +36,8 @@ def _new_log(path: Path) -> TextIO:
             file.close()
             raise
     except OSError as error:
-        raise Ending(f"--log {path} cannot be written: {error.strerror}") from None
+        told = f"--log {path} cannot be written: {error.strerror}"
+        raise Ending(told, code_of(error)) from None
     return file
 
 

@@ -60,8 +60,9 @@ def test_a_log_replaces_a_log_and_nothing_else(tmp_path):
     with pytest.raises(Ending, match="exists and is not a log"):
         report.Report(10, 0, True, str(tmp_path / "case.toml"))
     assert (tmp_path / "case.toml").read_text() == "title = 'mine'"
-    with pytest.raises(Ending, match="cannot be written"):
+    with pytest.raises(Ending, match="cannot be written") as info:
         report.Report(10, 0, True, str(tmp_path / "no" / "a.log"))
+    assert info.value.code == 2
 
 
 def test_the_command_writes_a_log(tmp_path, capsys):
@@ -115,8 +116,9 @@ def test_a_log_that_takes_no_head_is_closed(monkeypatch, tmp_path):
         return stream
 
     monkeypatch.setattr(Path, "open", full)
-    with pytest.raises(Ending, match="cannot be written: full"):
+    with pytest.raises(Ending, match="cannot be written: full") as info:
         report._new_log(tmp_path / "a.log")
+    assert info.value.code == 1  # of a disk that fails, and not of wrong usage
     assert opened == ["closed"]
 
 
