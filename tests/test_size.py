@@ -30,7 +30,7 @@ BUDGETS = {
     "scenes and simulations in Python": 989,
     "sweeps": 1590,
     "one scene over ranks": 2593,
-    "reports, pictures, the page": 1782,
+    "reports, pictures, the page": 1778,
     "scenes for other programs": 534,
     "speed of compiling and of whole calls": 1374,
     "watches": 169,

@@ -8,7 +8,7 @@ import numpy as np
 
 from particlerb.maths.vec3 import Floats
 from particlerb.view.page import Page
-from particlerb.view.stage import ARROWS, AXIS_COLOURS, tell
+from particlerb.view.stage import ARROWS, AXIS_COLOURS
 
 _DIRECTIONS: Final = (
     "along the view", "into the surface", "+x", "-x", "+y", "-y", "+z", "-z",
@@ -93,7 +93,7 @@ def legend() -> str:
 
 def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
     """A strip chart over time."""
-    empty = tuple(np.zeros(1) for _ in range(len(labels) + 1))
+    empty = (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in labels))
     lines = [
         {"label": label, "stroke": f"rgb{colour}", "width": 1.5}
         for label, colour in zip(labels, AXIS_COLOURS, strict=False)
@@ -102,7 +102,7 @@ def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
         empty,
         series=({"label": "t  s"}, *lines),
         title=title,
-        scales=_scales(empty),
+        scales={"x": {"time": False}},
         axes=({}, {"space": 18}),  # pixels between two values, at least
         height=140,
         padding=(12, 12, 0, 0),  # room for half a value above and beside the last
@@ -110,14 +110,11 @@ def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
     )
 
 
-def draw(plot: Any, columns: tuple[Floats, ...]) -> None:
-    """Show time and values on a strip chart."""
-    tell(plot, scales=_scales(columns))
-    plot.data = columns
+def draw(plot: Any, columns: Sequence[Floats]) -> None:
+    """Show time and values on a strip chart; zeros alone, which have no scale, are left out.
 
-
-def _scales(columns: tuple[Floats, ...]) -> dict[str, dict[str, Any]]:
-    """Axes from 0 to 1 for zeros alone, which uPlot would show from 0 to 100."""
-    unit = {"range": (0.0, 1.0)}
-    time = {"time": False} if columns[0].any() else {"time": False, **unit}
-    return {"x": time} if any(one.any() for one in columns[1:]) else {"x": time, "y": unit}
+    UPlot would show them on an axis from 0 to 100. Another range would make the chart anew, with
+    which viser loses the range of its time.
+    """
+    moves = any(values.any() for values in columns[1:])
+    plot.data = tuple(columns if moves else (columns[0], *(v + np.nan for v in columns[1:])))

@@ -56,16 +56,18 @@ def test_balls_of_a_cradle_stay_in_the_picture(tmp_path):
         assert abs(across) < np.tan(np.radians(75.0 / 2.0)) * 640 / 900
 
 
-def test_charts_of_zeros_end_at_one(live):
-    """UPlot shows zeros from 0 to 100; what moves has an axis of its own."""
-    chart, unit = live.controls.energy, {"range": (0.0, 1.0)}
-    assert chart.scales == {"x": {"time": False} | unit, "y": unit}
+def test_charts_of_zeros_have_no_scale(live):
+    """UPlot shows zeros from 0 to 100."""
+    chart = live.controls.energy
+    assert np.isnan(chart.data[1:]).all()
     live.controls.direction.value = "+z"
-    live.push_at_point(None)
-    for time in (0.1, 0.2):
-        live.session.advance(time)
-        live.show(10.0 * time)
-    assert chart.scales == {"x": {"time": False}}
+    for push, is_seen in ((None, False), (live.push_at_point, True)):
+        if push is not None:
+            push(None)
+        for _ in range(2):
+            live.session.advance(live.session.time + 0.1)
+            live.show(10.0 * live.session.time)
+        assert np.isfinite(chart.data).all() == is_seen
 
 
 @pytest.mark.parametrize(("point", "is_outside"), [("0.2, 0.2, -0.5", False), ("5, 0, 0", True)])
