@@ -30,7 +30,7 @@ from particlerb.impulses import records
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.plan.time_step import STEPS_PER_CONTACT, stable_turn
-from particlerb.ranks import ALONE, Ranks
+from particlerb.ranks import ALONE, Ranks, end_all
 from particlerb.record import schema
 from particlerb.record.checked_reading import can_be_continued
 from particlerb.record.file_size import SMALLEST_FILE, estimated_size
@@ -210,6 +210,7 @@ def _execute(
     except FileExistsError as error:
         raise Ending(str(error)) from None
     except OSError as error:
+        end_all(ranks, error)  # where the log of the first rank cannot be ended
         why = f"cannot write {error.filename}: {error.strerror}" if error.strerror else str(error)
         raise Ending(f"the run failed: {why}; {kept(path, before)}", FAILED) from None
 

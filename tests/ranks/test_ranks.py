@@ -20,6 +20,7 @@ from particlerb import ranks as of_package
 from particlerb.cli import main
 from particlerb.cli import ranks as of_commands
 from particlerb.cli import run as of_runs
+from particlerb.cli.report import Report
 from particlerb.model import superblocks
 from particlerb.model.names import BodyNames
 from particlerb.model.superblocks import SUPERBLOCK, own_parts, parts_of
@@ -290,18 +291,20 @@ def test_who_fails_alone_goes_no_further(monkeypatch, capfd):
 
 
 @pytest.mark.plain
-def test_a_file_that_one_rank_cannot_finish_ends_all(monkeypatch, tmp_path):
-    """The others would wait for it."""
-    ended = []
-    monkeypatch.setattr(of_package, "end_all", lambda _, error: ended.append(error))
+@pytest.mark.parametrize(("owner", "name"), [(PartRecorder, "finish"), (Report, "close")])
+def test_a_file_that_one_rank_cannot_finish_ends_all(monkeypatch, tmp_path, owner, name):
+    """The others would wait for it: a part or the master, or the log of the first rank."""
+    ended = set()
+    for module in (of_package, of_runs):
+        monkeypatch.setattr(module, "end_all", lambda _, error: ended.add(str(error)))
 
     def fails(_):
         raise OSError("no room")
 
-    monkeypatch.setattr(PartRecorder, "finish", fails)
+    monkeypatch.setattr(owner, name, fails)
     monkeypatch.setattr(of_commands, "ranks_of_mpi", Ranks)
     assert main([str(HERE / "gas.toml"), "--mpi", "-o", str(tmp_path / "a.h5")]) == 1
-    assert [str(error) for error in ended] == ["no room"]
+    assert ended == {"no room"}
 
 
 def test_launchers_say_how_many_they_started():
