@@ -29,7 +29,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2143,
     "scenes and simulations in Python": 989,
     "sweeps": 1590,
-    "one scene over ranks": 2594,
+    "one scene over ranks": 2597,
     "reports, pictures, the page": 1778,
     "scenes for other programs": 534,
     "speed of compiling and of whole calls": 1374,

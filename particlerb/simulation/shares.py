@@ -30,6 +30,8 @@ BYTES_SET_UP: Final = 720  # of memory for each body of the scene, pushed: bench
 BYTES_MOVED: Final = 2050  # beside these for each body that a rank moves, likewise
 BYTES_JOINT: Final = 9000  # in the set-up, for each joint of the scene: see docs/scale.md
 BYTES_TIED: Final = 10_500  # in the run, for each body of a rank that a joint ties
+BYTES_SEARCHED: Final = 260  # in the set-up, for each sphere that touches: see docs/scale.md
+BYTES_UNPUSHED: Final = 320  # of those of the set-up that a body which touches does not take
 BYTES_SAVED: Final = 200  # of a checkpoint for each body, likewise
 BYTES_TOUCHING: Final = 2500  # for each sphere of a clump of four that touches, of a small gas
 SENSIBLE_BODIES: Final = 2000  # that touch, of a rank at least: see docs/scale.md
@@ -296,6 +298,7 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
         com = taken(system.state, group.members).com[:, is_free]
         bodies, copies = shares_of_bricks(com, reach[is_free], contact.skin, ranks)
         n_spheres = model.spheres.radius.size * min((bodies + copies) / n, 1.0)
+        set_up += BYTES_SEARCHED * model.spheres.radius.size - BYTES_UNPUSHED * n
         other = np.delete(np.arange(system.n_bodies), group.members)
         others = _most_of_rank(other, system.n_bodies, n_ranks)
         run_bytes = int(BYTES_TOUCHING * n_spheres) + BYTES_MOVED * others + of_ties
