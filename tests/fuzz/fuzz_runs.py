@@ -10,6 +10,7 @@ the same scene. Of each run is demanded:
 - no exception but a refusal with words, no warning, no number that is not finite;
 - the same bits in pieces (a recorded quaternion may have the other sign);
 - the same motion, turned, of the scene turned and moved as a whole, with its walls;
+- the same motion in units of mass, length and time that are other powers of two;
 - without contact, an error of conservation that does not grow when the step is halved twice.
 """
 
@@ -66,6 +67,23 @@ MOTIONS = ({"velocity": [0, 0, 0.5]}, {"angular_velocity": [0, 0, 1.0]},
            {"oscillation": {"amplitude": [0, 0, 0.05], "frequency": 3.0}})  # fmt: skip
 LONG = 20.0  # s of CPU time that a scene may take before it is named
 ROUNDING = 1e-11
+SCALED = 1e-12  # most have the same bits; orbits and some joints differ by roundings
+POWERS = {  # of mass, length and time
+    "t_end every dt during time times": (0, 0, 1), "frequency angular_velocity": (0, 0, -1),
+    "position at at_to to_at anchor centre point size radius length": (0, 1, 0),
+    "rest_length dipole amplitude": (0, 1, 0), "velocity": (0, 1, -1), "mass": (1, 0, 0),
+    "coefficient": (1, 0, 0), "inertia": (1, 2, 0), "acceleration": (0, 1, -2), "mu": (0, 3, -2),
+    "G": (-1, 3, -2), "force field": (1, 1, -2), "torque": (1, 2, -2), "impulse": (1, 1, -1),
+    "translation damping": (1, 0, -1), "rotation": (1, 2, -1), "stiffness": (1, 0, -2),
+}  # fmt: skip
+ALONG_ANGLES = {  # the same of what acts in a joint, where its coordinate is an angle
+    "stiffness": (1, 2, -2), "damper damping": (1, 2, -1), "motor friction largest": (1, 2, -2),
+    "rest range amplitude position": (0, 0, 0), "speed": (0, 0, -1),
+}  # fmt: skip
+ALONG_LENGTHS = {
+    "stiffness": (1, 0, -2), "damper damping": (1, 0, -1), "motor friction largest": (1, 1, -2),
+    "rest range amplitude position": (0, 1, 0), "speed": (0, 1, -1),
+}  # fmt: skip
 TURNED = 1e-9
 
 
@@ -376,6 +394,39 @@ def same_when_turned(case: Table, whole: State, dice: random.Random) -> str:
     return ", ".join(f"{name} {value:.1e}" for name, value in worst.items() if value > TURNED)
 
 
+def in_units(value: Any, units: Floats, powers: Table, key: str = "") -> Any:
+    """What stands below a key, in other units of mass, length and time."""
+    if isinstance(value, dict):
+        if "assemble" in value:  # a joint
+            is_shift = value["type"] == "slider" or value.get("along") == "displacement"
+            powers = powers | (ALONG_LENGTHS if is_shift else ALONG_ANGLES)
+        named = {"values": key, "body": key}  # of a load by knots, or in the body frame
+        return {k: in_units(v, units, powers, named.get(k, k)) for k, v in value.items()}
+    knots = key in ("position", "speed") and isinstance(value, list) and np.shape(value[0]) == (2,)
+    if knots:  # of a drive: times and coordinates
+        return [[in_units(t, units, powers, "time"), in_units(v, units, powers, key)]
+                for t, v in value]  # fmt: skip
+    if isinstance(value, list):
+        return [in_units(one, units, powers, key) for one in value]
+    found = [power for keys, power in powers.items() if key in keys.split()]
+    if isinstance(value, str | bool) or not found:
+        return value
+    return value * float(np.prod(units ** np.array(found[-1])))
+
+
+def same_in_other_units(case: Table, whole: State, dice: random.Random) -> str:
+    """What differs where mass, length and time are counted in other units."""
+    units = 2.0 ** np.array([dice.randint(-9, 9) for _ in "mlt"])
+    own = ran({key: in_units(value, units, POWERS, key) for key, value in case.items()})
+    M, L, T = units
+    sizes = {"position": L, "linear_momentum": M * L / T, "angular_momentum": M * L * L / T}
+    worst = {}
+    for name, values in whole.items():
+        far = np.abs(np.abs(own[name] / sizes.get(name, 1.0)) - np.abs(values)).max()
+        worst[name] = far / max(1.0, np.abs(values).max())
+    return ", ".join(f"{name} {value:.1e}" for name, value in worst.items() if value > SCALED)
+
+
 def told(case: Table) -> str:
     """A scene in some words."""
     forces = [one["type"] + "*" * ("during" in one) for one in case["force"]]
@@ -415,6 +466,7 @@ def check(k: int, shows: bool) -> Counter[str]:
             "in pieces": lambda: same_in_pieces(case, whole, dice),
             "conserved": lambda: conserved(case),
             "turned": lambda: same_when_turned(case, whole, dice),
+            "units": lambda: same_in_other_units(case, whole, dice),
         }
         for name, relation in relations.items():
             if wrong := held(name, relation):
