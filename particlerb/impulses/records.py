@@ -136,7 +136,7 @@ class Partners(NamedTuple):
     """Bodies and walls, (n + n_walls, ..)."""
 
     velocity: Floats  # (.., 6) [m/s, rad/s] of the centre of mass, and angular; world axes
-    before: Floats  # (.., 18) before the kick; v̇ [m/s²], ω̇ [rad/s²] without forces; of drives
+    before: Floats  # (.., 18) before the kick; v̇ [m/s²], ω̇ [rad/s²] without forces; by drives
     free: Floats  # (.., 6) after it, without impulses of the solve
     inverse: Floats  # (.., 7) [1/kg, 1/(kg m²)] mass; xx, xy, xz, yy, yz, zz of the inertia
     move: Floats  # (.., 6) [m, rad] by which they are pushed out
@@ -167,7 +167,9 @@ class Bounded(NamedTuple):
 class Rolling(NamedTuple):
     """Resistance of contacts to rolling and spinning, see `rolling`: room as in `ImpulseRows`."""
 
-    limit: Floats  # (.., 4) [m] μ_r R*, [1/(kg m²)] λ across the normal; μ_t R* and λ about it
+    limit: (
+        Floats  # (.., 7) μ_r R* [m], λ [1/(kg m²)] across the normal; about it; [rad/s] of drives
+    )
     impulse: Floats  # (.., 3) [N m s] along n, t₁, t₂, on the first; world axes until the solve
     impact: Floats  # (.., 3) [N m s] the same of impacts
     old: Floats  # (.., 3) before a sweep
@@ -256,7 +258,7 @@ def room_for_rows(
     impulse, impact, old, direction = np.zeros((4, n, 3))
     order = np.zeros((n + (1 if bounded is None else 1 + bounded.kind.size), 2))
     arrays = first, second, entry, frame, limits, impulse, impact, old, direction, order
-    widths = (4, 3, 3, 3, 3, 10) if with_rolling else ()
+    widths = (7, 3, 3, 3, 3, 10) if with_rolling else ()
     rolling = Rolling(*(np.zeros((n, width)) for width in widths)) if widths else None
     return ImpulseRows(*arrays, _room_for_colours(n), bounded, rolling)
 

@@ -26,6 +26,7 @@ from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, dot, scale, subtract
 
 ACROSS: Final = 0  # columns of `Rolling.limit`: μ_r R* and λ across the normal
 ABOUT: Final = 2  # the same about it
+DRIVEN: Final = 4  # [rad/s] what drives change ω by until the end of the step, along n, t₁, t₂
 
 _MAX_ITERATIONS: Final = 200  # of an impact
 _CHANGE_TOLERANCE: Final = 1e-14  # relative change at which an impact is solved
@@ -36,6 +37,12 @@ def turning(velocity: Floats, rows: ImpulseRows, k: int) -> Vec3:
     """Relative angular velocity [rad/s] of contact k along n, t₁, t₂."""
     a, b = rows.first[k], rows.second[k]
     return in_frame(rows.frame, k, subtract(row3_at(velocity, a, 3), row3_at(velocity, b, 3)))
+
+
+@inline
+def turning_at_end(rolling: Rolling, partners: Partners, rows: ImpulseRows, k: int) -> Vec3:
+    """The same as drives have it at the end of the step."""
+    return add(turning(partners.velocity, rows, k), row3_at(rolling.limit, k, DRIVEN))
 
 
 @inline
@@ -73,7 +80,7 @@ def step_against(rolling: Rolling, k: int, omega: Vec3) -> Vec3:
 @inline
 def _nearest(rolling: Rolling, partners: Partners, rows: ImpulseRows, k: int) -> Vec3:
     """P of contact k with the velocities of now."""
-    step = step_against(rolling, k, turning(partners.velocity, rows, k))
+    step = step_against(rolling, k, turning_at_end(rolling, partners, rows, k))
     return on_the_disc(rolling, k, add(row3_at(rolling.impulse, k, 0), step), rows.impulse[k, 0])
 
 
@@ -95,13 +102,18 @@ def _turned_by(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> Vec3:
 
 @inline
 def write_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
+    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int, dt: float
 ) -> None:
-    """Write λ of all contacts, whose frames are known; what joints hold is not resisted."""
+    """Write λ of all contacts, whose frames are known; what joints hold is not resisted.
+
+    And what drives change until the end of a step of dt [s].
+    """
     if rolling is None:
         return
     for k in range(count):
         a, b, inverse, limit = rows.first[k], rows.second[k], partners.inverse, rolling.limit
+        driven = subtract(row3_at(partners.before, a, 15), row3_at(partners.before, b, 15))
+        put_row3_at(limit, k, DRIVEN, in_frame(rows.frame, k, scale(0.5 * dt, driven)))
         n = _turned_by(partners, rows, k, (1.0, 0.0, 0.0))
         t1 = _turned_by(partners, rows, k, (0.0, 1.0, 0.0))
         t2 = _turned_by(partners, rows, k, (0.0, 0.0, 1.0))

@@ -13,7 +13,15 @@ from typing import Final
 
 from particlerb.compiled.jit import inline
 from particlerb.impulses.records import ImpulseRows, Partners, Rolling
-from particlerb.impulses.rolling import ABOUT, ACROSS, on_the_disc, square_of, step_against, turning
+from particlerb.impulses.rolling import (
+    ABOUT,
+    ACROSS,
+    on_the_disc,
+    square_of,
+    step_against,
+    turning,
+    turning_at_end,
+)
 from particlerb.impulses.rows import in_world
 from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Vec3, add, add_scaled, scale, subtract
@@ -34,7 +42,7 @@ def linearise_rolling(
         return 0.0
     slopes, m = rolling.slopes, row3_at(rolling.impulse, k, 0)
     n, limit, full = max(rows.impulse[k, 0], 0.0), rolling.limit, 1.0 + small
-    z = add(m, step_against(rolling, k, turning(partners.velocity, rows, k)))
+    z = add(m, step_against(rolling, k, turning_at_end(rolling, partners, rows, k)))
     f = subtract(m, on_the_disc(rolling, k, z, n))
     share, radius = 1.0 / limit[k, ACROSS + 1], limit[k, ACROSS] * n
     size = max(math.sqrt(z[1] * z[1] + z[2] * z[2]), _TORQUE_FLOOR)

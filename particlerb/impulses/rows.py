@@ -185,9 +185,16 @@ def approach_at_end(partners: Partners, rows: ImpulseRows, c: int) -> Vec3:
 
 
 @inline
-def _driven(partners: Partners, a: int) -> Vec3:
-    """How partner a is accelerated [m/s²] if it moves as prescribed."""
-    return row3_at(partners.before, a, 6) if partners.inverse[a, 0] == 0.0 else ZERO
+def driven_by(partners: Partners, rows: ImpulseRows, c: int, dt: float) -> Vec3:
+    """What drives change the velocity in contact c by in half a step [m/s], along n, t₁, t₂.
+
+    At a point of both bodies: so all contacts of a pair ask for what rigid bodies can have at once.
+    """
+    a, b, before = rows.first[c], rows.second[c], partners.before
+    by_a = cross(row3_at(before, a, 15), row3_at(rows.frame, c, ARM))
+    by_b = cross(row3_at(before, b, 15), row3_at(rows.frame, c, ARM + 3))
+    by_a, by_b = add(row3_at(before, a, 12), by_a), add(row3_at(before, b, 12), by_b)
+    return in_frame(rows.frame, c, scale(0.5 * dt, subtract(by_a, by_b)))
 
 
 @inline
@@ -200,8 +207,8 @@ def lean(
     Until then it changes without impulses, as the normal turns and as bodies turn. So what rolls or
     slides along what is bent leaves the middle of a step as it came there; without this, each step
     would take from its energy what the normal has turned towards it. No more than what came is
-    given back, beside what walls and bodies that move as prescribed are accelerated by, and across
-    the normal only to what stuck in the step before. What moves in contact over what is bent away
+    given back, and across the normal only to what stuck in the step before; what drives and
+    prescribed motions accelerate counts in full. What moves in contact over what is bent away
     from it lies beyond in the middle, which is not counted as a gap.
 
     Parameters
@@ -209,31 +216,31 @@ def lean(
     partners, rows, c
         Contact, whose frame and limits are known.
     changes : tuple of 3 floats [m/s²]
-        How its velocity changes, world axes.
+        How its velocity changes without drives, world axes.
     force : tuple of 3 floats [N]
         Of the step before.
     dt : float [s]
     slop : float [m]
     """
-    put_row3_at(rows.limits, c, LEAN, ZERO)
-    a, b = rows.first[c], rows.second[c]
-    driven = subtract(_driven(partners, a), _driven(partners, b))
-    n_by, x_by, y_by = in_frame(rows.frame, c, scale(0.5 * dt, driven))
-    n, x, y = in_frame(rows.frame, c, scale(0.5 * dt, subtract(changes, driven)))
+    a, b, limits = rows.first[c], rows.second[c], rows.limits
+    n_by, x_by, y_by = driven_by(partners, rows, c, dt)
+    n, x, y = in_frame(rows.frame, c, scale(0.5 * dt, changes))
     came, u, v = in_frame(rows.frame, c, velocity_between(partners.before, rows.frame, c, a, b))
-    rows.limits[c, SLOW] += 4.0 * max(-n - n_by, 0.0)
+    limits[c, SLOW] += 4.0 * max(-n - n_by, 0.0)
     pressed, f, g = in_frame(rows.frame, c, force)
     if rows.frame[c, LEAST] < 0.0 and pressed <= 0.0:
+        rows.frame[c, LEAST] -= n_by
+        put_row3_at(limits, c, LEAN, (n_by, x_by, y_by))
         return
     n = n_by + min(max(came - n_by, min(n, 0.0)), max(n, 0.0))
-    gap = rows.limits[c, GAP] - 0.25 * dt * max(n, 0.0)
+    gap = limits[c, GAP] - 0.25 * dt * max(n, 0.0)
     rows.frame[c, LEAST] = (-gap / dt if gap > slop else 0.0) - n
-    rows.limits[c, LEAN] = n
     if math.sqrt(f * f + g * g) < _STICKING_SHARE * rows.frame[c, FRICTION] * pressed:
         u, v = u - x_by, v - y_by
         size, most = math.sqrt(x * x + y * y), math.sqrt(u * u + v * v)
         share = most / size if size > most else 1.0
-        put_row3_at(rows.limits, c, LEAN, (n, x_by + share * x, y_by + share * y))
+        x_by, y_by = x_by + share * x, y_by + share * y
+    put_row3_at(limits, c, LEAN, (n, x_by, y_by))
 
 
 @inline

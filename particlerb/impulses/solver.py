@@ -66,7 +66,7 @@ from particlerb.impulses.rolling import (
     sweep_rolling,
     warm_start_rolling,
 )
-from particlerb.impulses.rows import approach, approach_at_end, change_by, give, in_frame
+from particlerb.impulses.rows import approach, approach_at_end, change_by, driven_by, give, in_frame
 from particlerb.maths.rows import put_row3_at, row3_at
 from particlerb.maths.vec3 import ZERO, Vec3, dot, subtract
 
@@ -95,8 +95,8 @@ def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None, team
 
 
 @kernel
-def leave_out_what_leans(impulses: Impulses, team: Team) -> None:
-    """Let contacts ask for no velocity across, where one joins that bore nothing in the last step.
+def leave_out_what_leans(impulses: Impulses, team: Team, dt: float) -> None:
+    """Let contacts ask across for what drives give alone, where one joins that bore nothing before.
 
     Several contacts of a body can stick to what `rows.lean` asks for if they did so before.
     """
@@ -114,7 +114,7 @@ def leave_out_what_leans(impulses: Impulses, team: Team) -> None:
     meet(team)
     for k in range(first, end):
         if joins[rows.first[k]] or joins[rows.second[k]]:
-            rows.limits[k, LEAN + 1], rows.limits[k, LEAN + 2] = 0.0, 0.0
+            _, rows.limits[k, LEAN + 1], rows.limits[k, LEAN + 2] = driven_by(partners, rows, k, dt)
 
 
 @kernel

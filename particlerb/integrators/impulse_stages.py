@@ -12,7 +12,7 @@ from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.impulse_contacts import find_impulse_contacts, keep_impulses
 from particlerb.contact.piston import keep_pistons, move_pistons, push_pistons
 from particlerb.contact.prescribed_motion import prescribed_acceleration
-from particlerb.contact.wall_motion import acceleration_at, motion_in
+from particlerb.contact.wall_motion import PrescribedMotion, acceleration_at, motion_in
 from particlerb.forces.kernels import Acting, kick_potential, shift_time
 from particlerb.impulses.bookkeeping import book_impulses
 from particlerb.impulses.bounded import keep_bounded
@@ -136,6 +136,16 @@ def gather_velocities(
 
 
 @inline
+def _put_accelerations(
+    partners: Partners, b: int, motion: PrescribedMotion, by: Vec3, t: float
+) -> None:
+    """Write how partner b is accelerated by turning, and with the centre of its motion."""
+    driven = acceleration_at(motion, motion.centre, t)
+    put_row3_at(partners.before, b, 6, subtract(by, driven))
+    put_row3_at(partners.before, b, 12, driven)
+
+
+@inline
 def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None:
     """The same of walls, which come behind the bodies, after a kick of dt [s] of pistons."""
     poses, n = contact.workspace.poses, contact.setup.max_arm.size
@@ -144,10 +154,12 @@ def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None
     if prescribed is not None:
         for k in range(prescribed.body.size):
             by = prescribed_acceleration(prescribed, k, t)
-            put_row3_at(partners.before, prescribed.body[k], 6, by)
+            _put_accelerations(
+                partners, prescribed.body[k], motion_in(prescribed.motions, k), by, t
+            )
     for w in range(poses.size):
-        by = acceleration_at(motion_in(contact.setup.motions, w), ZERO, t)
-        put_row3_at(partners.before, n + w, 6, by)
+        motion = motion_in(contact.setup.motions, w)
+        _put_accelerations(partners, n + w, motion, acceleration_at(motion, ZERO, t), t)
         for to in (partners.velocity, partners.before):
             put_row3_at(to, n + w, 0, row3(poses.velocity, w))
             put_row3_at(to, n + w, 3, row3(poses.angular_velocity, w))
@@ -222,7 +234,7 @@ def bounce(
     if team.thread == 0:
         _let_joints_hold(jointed, impulses)
         rows = impulses.rows
-        write_rolling(rows.rolling, impulses.partners, rows, impulses.counts[0])
+        write_rolling(rows.rolling, impulses.partners, rows, impulses.counts[0], dt)
         take_impacts(impulses, impulses.rows.bounded)
         _apply_impulses(impulses, blocks, layout)
         keep_kick_start(impulses.partners.keeps_kick, blocks, layout)
@@ -334,7 +346,7 @@ def press(
         if is_first:
             push_pistons(pistons, partners.velocity, n, 0.5 * dt)
         leave_out_what_will_bounce(impulses, bounded, solving)
-        leave_out_what_leans(impulses, solving)
+        leave_out_what_leans(impulses, solving, dt)
         moved = _size_of_kick(contact, partners)
         time = contact.memory.start + contact.workspace.step_start.time[0] + 0.5 * dt
         solve(impulses, bounded, solving, moved, time)

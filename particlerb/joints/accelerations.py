@@ -94,7 +94,7 @@ def _convective(
 
 
 @inline
-def _driven(joints: Joints, data: JointData, r: int) -> float:
+def driven_along(joints: Joints, data: JointData, r: int) -> float:
     """The part of -g̈ of row r by its drive, and by bodies that move as prescribed."""
     rows, motion = joints.rows, data.motion
     by = subtract(row3_at(motion, rows.a[r], 6), row3_at(motion, rows.b[r], 6))
@@ -144,6 +144,6 @@ def accelerations(joints: Joints, data: JointData, lo: int, hi: int, load: Float
         else:
             acceleration = _convective(joints, data, r, R, spin_a.w, spin_b.w)
         acceleration += rate(joints, gradient, r, load, 0)
-        acceleration -= _driven(joints, data, r)
+        acceleration -= driven_along(joints, data, r)
         acceleration -= dot(row3_at(gradient, r, 3), spin_a.lost)
         data.z[r] = dot(row3_at(gradient, r, 6), spin_b.lost) - acceleration

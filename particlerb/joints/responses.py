@@ -25,10 +25,9 @@ from particlerb.impulses.records import (
     room_for_bounded,
 )
 from particlerb.impulses.rows import inverse_inertia_times, write_through_joints
-from particlerb.joints.accelerations import accelerations, convective_along
+from particlerb.joints.accelerations import accelerations, convective_along, driven_along
 from particlerb.joints.actions import unwound
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.drives import course
 from particlerb.joints.records import JointData, Joints
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals
 from particlerb.joints.solver import factorise_cluster
@@ -134,8 +133,7 @@ def _accelerate(
 ) -> None:
     """Factorise all mechanisms, and write how joints alone accelerate their bodies.
 
-    What drives accelerate stands by itself: coordinates within bounds ask for it. Contacts do not:
-    where some of several slide, and so ask for nothing, a gripper lost its brick.
+    What drives accelerate, and bodies that move as prescribed, stands by itself.
     """
     before = partners.before
     for c in range(joints.clusters.body.size - 1):
@@ -147,7 +145,7 @@ def _accelerate(
             if to == 6:
                 accelerations(joints, data, lo, hi, data.change)
             for r in range(lo, hi):
-                by = course(joints.drives, joints.rows.drive[r], data.clock[0])[2]
+                by = driven_along(joints, data, r)
                 data.z[r] = by if to == 12 else data.z[r] - by
             _hold(joints, data, c, lo, hi)
             for k in range(first, last):

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.plain
 TURNING, OUT = 10.0, 0.5  # rad/s; m from the axis to a block of 1 kg: 50 N pull it outwards
 AMPLITUDE, RATE = 0.05, 4.0 * np.pi  # m, rad/s
 SHAKES = {"amplitude": AMPLITUDE, "frequency": 0.5 * RATE / np.pi}
-FIELDS = {"fields": ["position", "velocity", "joint_coordinate"]}
+FIELDS = {"fields": ["position", "velocity", "angular_velocity", "joint_coordinate"]}
 
 
 def run(*bodies, joint, h, contact, **keys):
@@ -75,3 +75,43 @@ def test_a_brake_holds_a_pendulum_on_a_cart_that_shakes(is_driven):
         most.append(np.abs(t.joint_coordinate[:, 0]).max())
     assert most[0] < 2e-4
     assert most[1] < most[0] / 3.5
+
+
+def of_order_two(errors, most):
+    """Say that errors at h and h/2 are of order two, and small."""
+    assert errors[0] < most
+    assert errors[1] < errors[0] / 3.5
+
+
+def test_a_block_goes_with_the_table_that_a_drive_shakes():
+    """Up and aside, three balls on three; at 10 ms it lagged by 3.3 mm."""
+    corners, axis = (
+        [[0.1, 0.0, 0.0], [-0.05, 0.1, 0.0], [-0.05, -0.1, 0.0]],
+        np.array([0.6, 0, 0.8]),
+    )
+    body = {"shape": {"type": "points", "mass": 0.3, "radius": 0.05, "position": corners}}
+    body |= {"velocity": (AMPLITUDE * RATE * axis).tolist()}
+    table, block = {"name": "table"} | body, {"name": "block", "position": [0, 0, 0.1]} | body
+    joint = [{"type": "slider", "body": "table", "axis": axis.tolist(), "drive": SHAKES}]
+    off = []
+    for h in (1e-2, 5e-3):
+        t = run(table, block, joint=joint, h=h, contact=impulse(0.0, 2.0, tolerance=1e-10),
+                gravity=DOWN)  # fmt: skip
+        path = AMPLITUDE * np.sin(RATE * t.time)[:, None] * axis
+        off.append(np.abs(t.position[:, 1] - t.position[0, 1] - path).max())
+        assert t.observable("impulse_residual").max() <= 1e-9
+    of_order_two(off, 5e-5)
+
+
+@pytest.mark.parametrize("solver", ["sweeps", "newton"])
+def test_a_ball_spins_with_what_a_drive_turns_under_it(solver):
+    """Friction about the normal holds it in the place where it stands, and it lagged by ½ h ω̇."""
+    begin = {"angular_velocity": [0.0, 0.0, AMPLITUDE * RATE]}
+    below, ball = sphere("below") | begin, sphere(position=[0.0, 0.0, 0.2]) | begin
+    joint = [{"type": "hinge", "body": "below", "axis": [0, 0, 1], "drive": SHAKES}]
+    keys, off = {"tolerance": 1e-10, "torsional_friction": 0.5, "solver": solver}, []
+    for h in (1e-2, 5e-3):
+        t = run(below, ball, joint=joint, h=h, contact=impulse(0.0, 0.5, **keys), gravity=DOWN)
+        rate = AMPLITUDE * RATE * np.cos(RATE * t.time)
+        off.append(np.abs(t.angular_velocity[:, 1, 2] - rate).max())
+    of_order_two(off, 2e-3)
