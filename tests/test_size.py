@@ -28,7 +28,7 @@ BUDGETS = {
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2143,
     "scenes and simulations in Python": 989,
-    "sweeps": 1590,
+    "sweeps": 1602,
     "one scene over ranks": 2597,
     "reports, pictures, the page": 1778,
     "scenes for other programs": 534,

@@ -105,14 +105,14 @@ def summary(table: SweepRows) -> str:
     lines += [f"  {n} {why}" for why, n in status.most_common()]
     missed = sum(n > 0 for n in table.column("checks_missed"))
     lines += [f"  {missed} missed a check"] if missed else []
-    means = table.means()
     is_repeated = table.replicates > 1
+    means = table.means() if is_repeated else table
     if is_repeated:
         lines.append(f"  means over {table.replicates} replicates of {len(means.rows)} variants:")
     width = max(map(len, table.columns))
     last = f" {'error':>12}" if is_repeated else ""
     lines.append(f"  {'':{width}} {'least':>12} {'median':>12} {'largest':>12}{last}")
-    for name in means.columns:
+    for name in means.columns if is_repeated else (*table.axes, "energy_drift", *table.values):
         numbers = _finite(means.column(name))
         if numbers and name != "done" and not name.endswith(".error"):
             least, middle, most = min(numbers), median(numbers), max(numbers)

@@ -136,6 +136,7 @@ class TableFile(Closing):
         self.path = path = None if table is None else Path(table)
         self.known: dict[str, tuple[Any, ...]] = {}  # rows that are done, by their hash
         self._order: list[str] = []  # hashes in the file
+        self._was_there = False  # whether rows were in it before
         self._lock: WriterLock | None = None
         if path is None:
             return
@@ -167,6 +168,7 @@ class TableFile(Closing):
                 raise ValueError
             self._order = [line[1] for line in lines[1:]]
             self.known = {row[1]: _parsed(row) for row in rows}
+            self._was_there = len(lines) > 1
         except (IndexError, ValueError):
             raise ValueError(f"{path} has lines that are no rows: give another name") from None
 
@@ -187,11 +189,14 @@ class TableFile(Closing):
         """
         first, stop = len(_FIRST_COLUMNS), len(_FIRST_COLUMNS) + self.n_axes
         known = [self.known[v.hash] for v in variants]
+        numbers = [row[0] for row in known]
+        is_new = not self._was_there  # else cells were read
         rows = tuple(
-            (v.number, *row[1:first], *_cells_of(v), *row[stop:])
+            row
+            if is_new and row[0] == v.number
+            else (v.number, *row[1:first], *_cells_of(v), *row[stop:])
             for v, row in zip(variants, known, strict=True)
         )
-        numbers = [row[0] for row in known]
         if self.path is not None and (
             self._order != [v.hash for v in variants] or numbers != list(range(len(variants)))
         ):

@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,13 @@ from particlerb.sweeping.designs import rows_of
 
 _MAX_PROBLEMS = 20
 _encoded = json.JSONEncoder(default=np.ndarray.tolist).encode
+
+
+def _encoded_row(row: Sequence[Any]) -> str:
+    """JSON of values of axes; numbers, of which there are many, without the encoder."""
+    if all(type(value) is float and isfinite(value) for value in row):
+        return f"[{', '.join(map(repr, row))}]"
+    return _encoded(row)
 
 
 class Variant(NamedTuple):
@@ -66,7 +74,7 @@ def variants(case: Case, sweep: SweepTable) -> list[Variant]:
                     suspects = {numbers[1 + k] for k in changed(variant, paths, others)[1]}
             assert start is not None
             hashed = start.copy()
-            hashed.update(_encoded(rows[number]).encode())
+            hashed.update(_encoded_row(rows[number]).encode())
             all_variants.append(Variant(number, rows[number], hashed.hexdigest()[:16], like))
     refuse(problems.values())
     return sorted(all_variants, key=lambda one: one.number)

@@ -1,6 +1,7 @@
 """Designs of a sweep: tables of runs, replicates and their means, axes that hold each other."""
 
 import csv
+import json
 import math
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,7 +17,7 @@ from particlerb.cli.sweep import summary
 from particlerb.sweeping import driver
 from particlerb.sweeping.designs import written_out
 from particlerb.sweeping.table import SweepRows
-from particlerb.sweeping.variants import variants
+from particlerb.sweeping.variants import _encoded_row, variants
 
 CASE = """
 [run]
@@ -158,3 +159,24 @@ def test_a_replicate_that_failed_is_not_in_the_mean():
 def test_axes_of_a_call_keep_replicates_and_values_of_the_case(tmp_path):
     asked = driver._asked(load(case_of(tmp_path, "replicates = 2")), {"run.dt": [0.1]})
     assert (asked.replicates, len(asked.value), list(asked.axes)) == (2, 2, ["run.dt"])
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    "row", [(1.0,), (-0.0, 1e22, 5e-324), (0.1 + 0.2, 2), ("box", 1.0), (True,), ([1.0, 2],), ()]
+)
+def test_numbers_are_hashed_as_their_json(row):
+    """So that rows of a table that is there are known."""
+    assert _encoded_row(row) == json.dumps(row)
+
+
+def test_the_same_value_twice_has_a_row_each(tmp_path):
+    """With numbers of their own, in a new table and in one that is there."""
+    case = case_of(tmp_path, 'axes = { "run.every" = [0.5, 0.25, 0.5] }')
+    for _ in range(2):
+        with ThreadPoolExecutor(1) as executor:
+            found = particlerb.sweep(case, tmp_path / "t.csv", executor=executor)
+        assert found.column("run") == [0, 1, 2]
+        assert found.column("run.every") == [0.5, 0.25, 0.5]
+        lines = (tmp_path / "t.csv").read_text().splitlines()[1:]
+        assert [line.split(",")[0] for line in lines] == ["0", "1", "2"]
