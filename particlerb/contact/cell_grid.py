@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import inline, kernel, unsigned
 from particlerb.compiled.threads import THREADS
-from particlerb.maths.rows import load3, rows3
+from particlerb.maths.rows import column3, rows3
 from particlerb.maths.vec3 import Bools, Floats, Ints, Vec3, subtract
 
 UNIT: Final = 1024  # spheres a kernel takes at a time
@@ -123,7 +123,7 @@ def number_cells(
         i = indices[at]
         k = level[i]
         base, stride = cells[k], (strides[k, 0], strides[k, 1])
-        d, n = subtract(load3(rows, i), zero), cells[k + 1] - base
+        d, n = subtract(column3(rows, i), zero), cells[k + 1] - base
         cell[at] = base + _cell_at(d, per_metre[k], stride, n, is_dense[k])
 
 
@@ -150,7 +150,7 @@ def place_sorted(
     rows = rows3(points, 0, points.shape[1])
     for at in range(first * UNIT, min(last * UNIT, number.size)):
         i = number[at]
-        xyzr[at, 0], xyzr[at, 1], xyzr[at, 2] = load3(rows, i)
+        xyzr[at, 0], xyzr[at, 1], xyzr[at, 2] = column3(rows, i)
         xyzr[at, 3] = radius[i]
 
 

@@ -22,7 +22,7 @@ from particlerb.impulses.records import Bounded, Impulses, Partners, Rolling
 from particlerb.impulses.rolling import ABOUT, ACROSS
 from particlerb.impulses.rows import in_world, lean, write_frame
 from particlerb.maths.quaternion import to_body, to_world
-from particlerb.maths.rows import put_row3, put_row3_at, row3, row3_at, row4
+from particlerb.maths.rows import put_row3, row3, row4
 from particlerb.maths.vec3 import (
     ZERO,
     Floats,
@@ -56,10 +56,10 @@ class _Near(NamedTuple):
 def _note_speeds(partners: Partners, a: int) -> None:
     """Write speeds of a body, and by how much the half kick has changed its velocities."""
     velocity, before, speeds = partners.velocity, partners.before, partners.speeds
-    v, w = row3_at(velocity, a, 0), row3_at(velocity, a, 3)
+    v, w = row3(velocity, a), row3(velocity, a, 3)
     speeds[a, 0], speeds[a, 1] = norm(v), norm(w)
-    speeds[a, 2] = norm(subtract(v, row3_at(before, a, 0)))
-    speeds[a, 3] = norm(subtract(w, row3_at(before, a, 3)))
+    speeds[a, 2] = norm(subtract(v, row3(before, a)))
+    speeds[a, 3] = norm(subtract(w, row3(before, a, 3)))
 
 
 @inline
@@ -73,8 +73,8 @@ def _note_motors(partners: Partners, bounded: Bounded | None) -> None:
             half = 0.5 * bounded.values[k, col.B_LARGEST]
             for j in range(bounded.start[k], bounded.start[k + 1]):
                 b = bounded.member[j]
-                speeds[b, 2] += half * norm(row3_at(bounded.response, j, 0))
-                speeds[b, 3] += half * norm(row3_at(bounded.response, j, 3))
+                speeds[b, 2] += half * norm(row3(bounded.response, j))
+                speeds[b, 3] += half * norm(row3(bounded.response, j, 3))
 
 
 @inline
@@ -117,13 +117,13 @@ def _write(
     rows.limits[k, col.RADIUS] = near.radius
     rows.limits[k, col.RESTITUTION] = impulses.rules.restitution[pair]
     force = row3(contacts.history.force, c)
-    put_row3_at(rows.impulse, k, 0, scale(dt, force))
+    put_row3(rows.impulse, k, scale(dt, force))
     a, b = rows.first[k], rows.second[k]
-    acc_a, acc_b = row3_at(partners.before, a, 9), row3_at(partners.before, b, 9)
-    changes = add(near.changes, cross(acc_a, row3_at(rows.frame, k, col.ARM)))
-    changes = subtract(changes, cross(acc_b, row3_at(rows.frame, k, col.ARM + 3)))
+    acc_a, acc_b = row3(partners.before, a, 9), row3(partners.before, b, 9)
+    changes = add(near.changes, cross(acc_a, row3(rows.frame, k, col.ARM)))
+    changes = subtract(changes, cross(acc_b, row3(rows.frame, k, col.ARM + 3)))
     lean(partners, rows, k, changes, force, dt, impulses.rules.slop)
-    put_row3_at(rows.impact, k, 0, ZERO)
+    put_row3(rows.impact, k, ZERO)
     _write_resistance(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
 
 
@@ -138,8 +138,8 @@ def _write_resistance(
         return
     rolling.limit[k, ACROSS] = coefficient[near.pair] * near.effective
     rolling.limit[k, ABOUT] = impulses.rules.torsion[near.pair] * near.effective
-    put_row3_at(rolling.impulse, k, 0, scale(dt, row3(contacts.history.torque, c)))
-    put_row3_at(rolling.impact, k, 0, ZERO)
+    put_row3(rolling.impulse, k, scale(dt, row3(contacts.history.torque, c)))
+    put_row3(rolling.impact, k, ZERO)
 
 
 @inline
@@ -179,7 +179,7 @@ def _sphere_contact(
         _mark(contacts, c, impulses.rows.rolling, False)
         return
     distance = norm(d)
-    gap, between = distance - touching, subtract(row3_at(velocity, a, 0), row3_at(velocity, b, 0))
+    gap, between = distance - touching, subtract(row3(velocity, a), row3(velocity, b))
     is_near, slow = _is_near(setup, impulses, a, b, touching, gap, between, dt)
     if k < 0:
         _mark(contacts, c, impulses.rows.rolling, is_near)
@@ -221,8 +221,8 @@ def _wall_contact(
     normal = to_world(q, away)
     point = add_scaled(-(radius + 0.5 * gap), normal, x)
     velocity, arm = impulses.partners.velocity, subtract(point, row3(poses.position, w))
-    moving = add_scaled(1.0, cross(row3_at(velocity, b, 3), arm), row3_at(velocity, b, 0))
-    between = subtract(row3_at(velocity, a, 0), moving)
+    moving = add_scaled(1.0, cross(row3(velocity, b, 3), arm), row3(velocity, b))
+    between = subtract(row3(velocity, a), moving)
     is_near, slow = _is_near(setup, impulses, a, b, radius, gap, between, dt)
     if k < 0:
         _mark(contacts, c, impulses.rows.rolling, is_near)
@@ -342,14 +342,14 @@ def find_impulse_contacts(
 def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) -> None:
     """Keep the impulses of row k in contact c of its list."""
     history, forces, rows = contacts.history, contacts.forces, impulses.rows
-    pressed, impact = row3_at(rows.impulse, k, 0), row3_at(rows.impact, k, 0)
+    pressed, impact = row3(rows.impulse, k), row3(rows.impact, k)
     put_row3(history.force, c, scale(1.0 / dt, in_world(rows.frame, k, pressed)))
     history.inv_effective_mass[c] = rows.frame[k, col.INVERSE]
     total = scale(1.0 / dt, add(pressed, impact))
-    put_row3(forces.elastic, c, scale(total[0], row3_at(rows.frame, k, col.NORMAL)))
+    put_row3(forces.elastic, c, scale(total[0], row3(rows.frame, k, col.NORMAL)))
     put_row3(forces.other, c, in_world(rows.frame, k, (0.0, total[1], total[2])))
-    arm, position = row3_at(rows.frame, k, col.ARM), impulses.partners.position
-    put_row3(forces.point, c, add(arm, row3_at(position, rows.first[k], 0)))
+    arm, position = row3(rows.frame, k, col.ARM), impulses.partners.position
+    put_row3(forces.point, c, add(arm, row3(position, rows.first[k])))
     _keep_rolling(rows.rolling, contacts, c, impulses, k, dt)
 
 
@@ -360,7 +360,7 @@ def _keep_rolling(
     """Keep the angular impulses of row k."""
     if rolling is None:
         return
-    pressed, impact = row3_at(rolling.impulse, k, 0), row3_at(rolling.impact, k, 0)
+    pressed, impact = row3(rolling.impulse, k), row3(rolling.impact, k)
     frame = impulses.rows.frame
     _put_torque(rolling, contacts, c, scale(1.0 / dt, in_world(frame, k, pressed)))
     total = scale(1.0 / dt, in_world(frame, k, add(pressed, impact)))

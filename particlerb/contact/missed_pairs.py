@@ -16,7 +16,7 @@ from particlerb.contact.records import Records
 from particlerb.contact.sphere_search import KEY_BITS
 from particlerb.contact.wall_motion import PrescribedMotion, wall_displacement
 from particlerb.contact.walls import gap_and_velocity, in_frame_of, primitive_at, squared_distance
-from particlerb.maths.rows import load3, row3, rows3
+from particlerb.maths.rows import column3, row3, rows3
 from particlerb.maths.vec3 import Bools, Floats, Ints, dot, norm, subtract
 
 _BODIES_PER_LOOK: Final = 256
@@ -103,15 +103,15 @@ def _missed_pairs(
     x, v = rows3(com, 0, n), rows3(velocity, 0, n)
     depth, body, other, compared = worst
     for b in range(n):
-        x_b = load3(x, b)
+        x_b = column3(x, b)
         for a in indices:
-            apart = subtract(load3(x, a), x_b)
+            apart = subtract(column3(x, a), x_b)
             most = bound[a] + bound[b]
             is_other = a == b or spheres.world[a] != spheres.world[b]
             is_other = is_other or (is_left_out[a] and is_left_out[b])
             if dot(apart, apart) >= most * most or is_other:
                 continue
-            comes = norm(subtract(load3(v, a), load3(v, b))) + extra[a] + extra[b]
+            comes = norm(subtract(column3(v, a), column3(v, b))) + extra[a] + extra[b]
             comes += bound[a] * turning[a] + bound[b] * turning[b]
             for i in range(offset[a], offset[a + 1]):
                 x_i = row3(xyzr, i)
@@ -147,7 +147,7 @@ def _missed_walls(
     for a in indices:
         if is_left_out[a]:
             continue
-        x_a, v_a = load3(x, a), load3(v, a)
+        x_a, v_a = column3(x, a), column3(v, a)
         for p in range(walls.kind.size):
             w = walls.wall[p]
             primitive = primitive_at(walls.kind, walls.parameter, p)

@@ -10,7 +10,7 @@ from particlerb.compiled.threads import THREADS
 from particlerb.contact.cell_grid import pair_key
 from particlerb.contact.records import columns_of
 from particlerb.maths.quaternion import Quat, conjugate, multiply
-from particlerb.maths.rows import load3, load4, rows3, rows4
+from particlerb.maths.rows import column3, column4, rows3, rows4
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3, subtract
 
 SHELL_GAPS: Final = (0.0, 0.1, 0.3, 0.5, 0.7)  # share of the skin where shells of a list begin
@@ -236,6 +236,8 @@ def has_moved(then: Floats, now: Floats, max_arm: Floats, allowance: float) -> b
     count = 0
     for b in range(n):
         arm = max_arm[b]
-        moved = max_displacement(load3(x0, b), load4(q0, b), load3(x1, b), load4(q1, b), arm)
+        moved = max_displacement(
+            column3(x0, b), column4(q0, b), column3(x1, b), column4(q1, b), arm
+        )
         count += 0 if moved <= allowance else 1  # what is not a number has moved too
     return count > 0

@@ -4,17 +4,17 @@ from particlerb.compiled.jit import inline
 from particlerb.contact.walls import NEAR, Primitive, normal_rate
 from particlerb.impulses.records import Partners
 from particlerb.maths.quaternion import Quat, to_body, to_world
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Vec3, add, add_scaled, cross, dot, scale, subtract
 
 
 @inline
 def _turning(partners: Partners, a: int, x: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """Velocity before the kick [m/s] of a point of partner a, its change without forces, and ω."""
-    omega = row3_at(partners.before, a, 3)
-    v = cross(omega, subtract(x, row3_at(partners.position, a, 0)))
-    changes = add(row3_at(partners.before, a, 6), cross(omega, v))
-    return add(row3_at(partners.before, a, 0), v), changes, omega
+    omega = row3(partners.before, a, 3)
+    v = cross(omega, subtract(x, row3(partners.position, a)))
+    changes = add(row3(partners.before, a, 6), cross(omega, v))
+    return add(row3(partners.before, a), v), changes, omega
 
 
 @inline

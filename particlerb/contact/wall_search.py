@@ -21,7 +21,7 @@ from particlerb.contact.walls import (
     primitive_at,
     squared_distance,
 )
-from particlerb.maths.rows import load3, row3, rows3
+from particlerb.maths.rows import column3, row3, rows3
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, subtract
 
 COST: Final = 4  # body-steps that finding what is near a sphere takes
@@ -118,7 +118,7 @@ def _find_candidates(
         if not is_counting and start[i + 1] == start[i]:
             continue
         for w in range(per_metre.size):
-            x = in_frame_of(poses, w, load3(centres, i))
+            x = in_frame_of(poses, w, column3(centres, i))
             shape_w = (shape[w, 0], shape[w, 1], shape[w, 2])
             cell = _list_of(x, row3(origin, w), per_metre[w], shape_w, first[w])
             for index in (first[w], cell):
@@ -148,7 +148,7 @@ def find_wall_shells(
     centres = rows3(points, 0, points.shape[1])
     for k in range(firsts.size):
         i, p = firsts[k], seconds[k]
-        x = in_frame_of(poses, wall[p], load3(centres, i))
+        x = in_frame_of(poses, wall[p], column3(centres, i))
         square = squared_distance(primitive_at(kind, rows, p), x)
         shell[k] = shell_of(square, radius[i], skin)
 

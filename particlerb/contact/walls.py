@@ -23,7 +23,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.records import Records
 from particlerb.maths.quaternion import to_body, to_world
-from particlerb.maths.rows import load3, row3, row4
+from particlerb.maths.rows import column3, row3, row4
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, norm, scale, subtract
 
 PLANE: Final = 0  # point, normal
@@ -346,5 +346,5 @@ def _find_gaps(
     """Write what `gaps` returns."""
     x = points[0], points[1], points[2]
     for k in range(indices.size):
-        away, _ = gap_and_velocity(walls, poses, primitive[k], load3(x, indices[k]))
+        away, _ = gap_and_velocity(walls, poses, primitive[k], column3(x, indices[k]))
         gap[0, k], gap[1, k], gap[2, k] = away

@@ -25,7 +25,7 @@ from particlerb.impulses.rows import (
     write_frame_of,
 )
 from particlerb.maths.quaternion import turn
-from particlerb.maths.rows import put_row3_at, row3, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import (
     ZERO,
     Vec3,
@@ -71,10 +71,10 @@ def _partner(
     """Write a body, or its image that is shifted, as partner `at` of an impact."""
     x, _ = flight_at(scene, state, b, t)
     R, omega = posed(scene, state, b, t)
-    moments = row3_at(scene.body, b, col.BODY_INV_INERTIA)
-    put_row3_at(data.position, at, 0, add(x, shift))
-    put_row3_at(data.velocity, at, 0, row3_at(state.flight, b, col.FLIGHT_V))
-    put_row3_at(data.velocity, at, 3, omega)
+    moments = row3(scene.body, b, col.BODY_INV_INERTIA)
+    put_row3(data.position, at, add(x, shift))
+    put_row3(data.velocity, at, row3(state.flight, b, col.FLIGHT_V))
+    put_row3(data.velocity, at, omega, 3)
     data.inverse[at, 0], column = scene.body[b, col.BODY_INV_MASS], 1
     for i in range(3):
         for j in range(i, 3):
@@ -94,8 +94,8 @@ def _apply_impulse(scene: EventScene, state: EventState, data: EventData, b: int
     """Let a body go on with what an impact has given it."""
     if b >= scene.n_moving:
         return
-    put_row3_at(state.flight, b, col.FLIGHT_V, row3_at(data.velocity, at, 0))
-    torque = cross(row3_at(data.frame, 0, impulses.ARM + 3 * at), p)
+    put_row3(state.flight, b, row3(data.velocity, at), col.FLIGHT_V)
+    torque = cross(row3(data.frame, 0, impulses.ARM + 3 * at), p)
     spin = add(row3(state.spin, b), torque)
     set_spin(scene, state, b, t, orientation_at(scene, state, b, t), spin)
 
@@ -137,7 +137,7 @@ def _geometry(
 def _fastest(state: EventState, b: int) -> float:
     """Speed of any point of a body [m/s], at most."""
     turning: float = state.spin[b, col.FASTEST] * state.flight[b, col.BOUND]
-    return norm(row3_at(state.flight, b, col.FLIGHT_V)) + turning
+    return norm(row3(state.flight, b, col.FLIGHT_V)) + turning
 
 
 @inline
@@ -184,18 +184,18 @@ def _give_spin(state: EventState, arm: Vec3, p: Vec3) -> None:
 @inline
 def _hit_of_balls(scene: EventScene, state: EventState, a: int, b: int, n: Vec3, e: float) -> Vec3:
     """Frictionless impact along a normal through both centres of mass; the impulse on a."""
-    v, w_a = row3_at(state.flight, a, col.FLIGHT_V), scene.body[a, col.BODY_INV_MASS]
+    v, w_a = row3(state.flight, a, col.FLIGHT_V), scene.body[a, col.BODY_INV_MASS]
     other, w_b = ZERO, 0.0
     if b != col.WALL:
-        other, w_b = row3_at(state.flight, b, col.FLIGHT_V), scene.body[b, col.BODY_INV_MASS]
+        other, w_b = row3(state.flight, b, col.FLIGHT_V), scene.body[b, col.BODY_INV_MASS]
     u = subtract(v, other)
     before = dot(u, n)
     p = -(1.0 + e) * before / (w_a + w_b)
     after = add_scaled(p * w_a, n, v)
-    put_row3_at(state.flight, a, col.FLIGHT_V, after)
+    put_row3(state.flight, a, after, col.FLIGHT_V)
     if b != col.WALL:
         other = add_scaled(-p * w_b, n, other)
-        put_row3_at(state.flight, b, col.FLIGHT_V, other)
+        put_row3(state.flight, b, other, col.FLIGHT_V)
     work = 0.5 * p * (before + dot(subtract(after, other), n))
     _count(state, b == col.WALL, work, 0.0, abs(before) < _GRAZING_SHARE * norm(u))
     return scale(p, n)

@@ -8,7 +8,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.events import records as col
 from particlerb.events.records import EventScene, EventState
 from particlerb.maths.quaternion import Matrix, Quat, matrix, normalised, to_body, turn, turn_back
-from particlerb.maths.rows import put_row3_at, row3, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import (
     ZERO,
     Floats,
@@ -35,7 +35,7 @@ def pull(scene: EventScene, b: int) -> Vec3:
 @inline
 def flight_at(scene: EventScene, state: EventState, b: int, t: float) -> tuple[Vec3, Vec3]:
     """Centre of mass [m] and velocity [m/s] of a body at a time."""
-    x, v, g = row3(state.flight, b), row3_at(state.flight, b, col.FLIGHT_V), pull(scene, b)
+    x, v, g = row3(state.flight, b), row3(state.flight, b, col.FLIGHT_V), pull(scene, b)
     h = t - state.flight[b, col.SINCE]
     mean = add_scaled(0.5 * h, g, v)
     return add_scaled(h, mean, x), add_scaled(h, g, v)
@@ -66,7 +66,7 @@ def orientation_at(scene: EventScene, state: EventState, b: int, t: float) -> Qu
 def angular_velocity(scene: EventScene, state: EventState, b: int, R: Matrix) -> Vec3:
     """Angular velocity [rad/s] of a body that is turned by R, world axes."""
     m = turn_back(R, row3(state.spin, b))
-    return turn(R, component_product(row3_at(scene.body, b, col.BODY_INV_INERTIA), m))
+    return turn(R, component_product(row3(scene.body, b, col.BODY_INV_INERTIA), m))
 
 
 @inline
@@ -77,13 +77,13 @@ def set_spin(scene: EventScene, state: EventState, b: int, t: float, q: Quat, sp
     ω̇_i = (I_j - I_k) ω_j ω_k / I_i, so that |ω̇| <= max |I_j - I_k|/I_i |ω|²/√3; points at r
     are accelerated by (|ω̇| + |ω|²) r at most.
     """
-    q, inverse = normalised(q), row3_at(scene.body, b, col.BODY_INV_INERTIA)
-    put_row3_at(state.spin, b, col.SPIN_L, spin)
+    q, inverse = normalised(q), row3(scene.body, b, col.BODY_INV_INERTIA)
+    put_row3(state.spin, b, spin, col.SPIN_L)
     state.spin[b, col.TURNED] = t
     if scene.turns is None:
         set_steady_turn(state.turn, b, inverse, q, spin)
     else:
-        inertia = row3_at(scene.body, b, col.BODY_INERTIA)
+        inertia = row3(scene.body, b, col.BODY_INERTIA)
         is_asymmetric = scene.kind[b, col.IS_ASYMMETRIC] == 1
         set_turn(state.turn, b, inertia, inverse, is_asymmetric, q, spin)
     m = to_body(q, spin)
@@ -101,8 +101,8 @@ def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
         return
     x, v = flight_at(scene, state, b, t)
     add_moment(scene, state, b, t, state.sums, col.MOMENT)
-    put_row3_at(state.flight, b, col.FLIGHT_X, x)
-    put_row3_at(state.flight, b, col.FLIGHT_V, v)
+    put_row3(state.flight, b, x, col.FLIGHT_X)
+    put_row3(state.flight, b, v, col.FLIGHT_V)
     state.flight[b, col.SINCE] = t
 
 
@@ -110,7 +110,7 @@ def bring(scene: EventScene, state: EventState, b: int, t: float) -> None:
 def add_moment(scene: EventScene, state: EventState, b: int, t: float, to: Floats, at: int) -> None:
     """Add m ∫ x dt of a flight until a time [kg m s] to three numbers from `at` on."""
     h = t - state.flight[b, col.SINCE]
-    x, v, g = row3(state.flight, b), row3_at(state.flight, b, col.FLIGHT_V), pull(scene, b)
+    x, v, g = row3(state.flight, b), row3(state.flight, b, col.FLIGHT_V), pull(scene, b)
     mass = scene.body[b, col.BODY_MASS]
     path = scale(mass * h, x)
     path = add_scaled(0.5 * mass * h * h, v, path)
@@ -151,8 +151,8 @@ def set_flight(scene: EventScene, state: EventState, b: int, initial: State, i: 
     x = (initial.com[0, i], initial.com[1, i], initial.com[2, i])
     p = (initial.p[0, i], initial.p[1, i], initial.p[2, i])
     spin = (initial.L[0, i], initial.L[1, i], initial.L[2, i])
-    put_row3_at(state.flight, b, col.FLIGHT_X, x)
-    put_row3_at(state.flight, b, col.FLIGHT_V, scale(scene.body[b, col.BODY_INV_MASS], p))
+    put_row3(state.flight, b, x, col.FLIGHT_X)
+    put_row3(state.flight, b, scale(scene.body[b, col.BODY_INV_MASS], p), col.FLIGHT_V)
     q = (initial.q[0, i], initial.q[1, i], initial.q[2, i], initial.q[3, i])
     set_spin(scene, state, b, 0.0, q, spin)
 

@@ -29,7 +29,7 @@ from particlerb.events import records as col
 from particlerb.events.flight import flight_at, in_box, posed, pull
 from particlerb.events.records import EventScene, EventState
 from particlerb.maths.quaternion import turn
-from particlerb.maths.rows import row3, row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, norm, scale, subtract
 
 _MAX_SEARCH_STEPS: Final = 100_000
@@ -150,7 +150,7 @@ def _nearest_spheres(
         curved = bend * norm(arm) + fall
         for j in range(lo, scene.kind[b + 1, col.FIRST_SPHERE]):
             k = j - lo
-            centre, velocity = row3(data, k), row3_at(data, k, 3)
+            centre, velocity = row3(data, k), row3(data, k, 3)
             d = subtract(c, centre)
             distance = norm(d)
             gap = distance - radius - scene.sphere[j, col.SPHERE_RADIUS]
@@ -346,7 +346,7 @@ def _wall_meets(
         step, best = math.inf, -1
         for k in range(lo, scene.kind[a + 1, col.FIRST_SPHERE]):
             c = row3(data, k - lo)
-            u = row3_at(data, k - lo, 3)
+            u = row3(data, k - lo, 3)
             wait = _until_wall(
                 wall, c, u, g, scene.sphere[k, col.SPHERE_RADIUS], data[k - lo, 6], fastest, t + s
             )

@@ -25,7 +25,7 @@ from particlerb.compiled.instructions import BITS, instruction
 from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import matrix, turn
-from particlerb.maths.rows import load3, load4, rows3, rows4, store3
+from particlerb.maths.rows import column3, column4, put_column3, rows3, rows4
 from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, add_scaled, cross, scale, subtract
 from particlerb.model.block import LINE, aligned_zeros
 from particlerb.model.superblocks import Range
@@ -159,11 +159,11 @@ def _place(attraction: Attraction, fields: Fields, y: Floats, first: int, last: 
     for k in range(first, last):
         b, lo, hi = fields.order[k], offset[k], offset[k + 1]
         r, arms, points = rows3(local, lo, hi), rows3(arm, lo, hi), rows3(point, lo, hi)
-        x, R = load3(com, b), matrix(load4(q, b))
+        x, R = column3(com, b), matrix(column4(q, b))
         for i in range(hi - lo):
-            turned = turn(R, load3(r, i))
-            store3(arms, i, turned)
-            store3(points, i, add_scaled(1.0, turned, x))
+            turned = turn(R, column3(r, i))
+            put_column3(arms, i, turned)
+            put_column3(points, i, add_scaled(1.0, turned, x))
 
 
 place_particles, place_points = inline(_place), kernel(_place)
@@ -176,9 +176,9 @@ place_particles, place_points = inline(_place), kernel(_place)
 def _add_field(x: Vec3, gm: float, softening: float, targets: Rows3, fields: Rows3, n: int) -> None:
     """Add the field of a source at x to that at n targets."""
     for i in range(n):
-        d = subtract(x, load3(targets, i))
+        d = subtract(x, column3(targets, i))
         w = inverse_cube(gm, squared(d, softening))
-        store3(fields, i, add_scaled(w, d, load3(fields, i)))
+        put_column3(fields, i, add_scaled(w, d, column3(fields, i)))
 
 
 @inline
@@ -189,9 +189,9 @@ def add_near_source(
     """Add the field of a source at x to that at targets, except those of its own body."""
     for i in range(bodies.size):
         is_own = bodies[i] == owner
-        d = subtract(x, load3(targets, i))
+        d = subtract(x, column3(targets, i))
         w = inverse_cube(gm, 1.0 if is_own else squared(d, softening))
-        store3(fields, i, add_scaled(0.0 if is_own else w, d, load3(fields, i)))
+        put_column3(fields, i, add_scaled(0.0 if is_own else w, d, column3(fields, i)))
 
 
 @inline
@@ -217,13 +217,13 @@ def _find_fields(attraction: Attraction, fields: Fields, first: int, last: int) 
             accelerations[0][i], accelerations[1][i], accelerations[2][i] = 0.0, 0.0, 0.0
         before, after = offset[body[lo]], offset[body[hi - 1] + 1]
         for j in range(begin, before):
-            _add_field(load3(sources, j), gm[j], softening, targets, accelerations, hi - lo)
+            _add_field(column3(sources, j), gm[j], softening, targets, accelerations, hi - lo)
         if body[lo] != body[hi - 1]:
             for j in range(before, after):
-                x = load3(sources, j)
+                x = column3(sources, j)
                 add_near_source(x, gm[j], body[j], softening, targets, accelerations, bodies)
         for j in range(after, end):
-            _add_field(load3(sources, j), gm[j], softening, targets, accelerations, hi - lo)
+            _add_field(column3(sources, j), gm[j], softening, targets, accelerations, hi - lo)
 
 
 pull, attract = inline(_find_fields), kernel(_find_fields)
@@ -250,11 +250,11 @@ def _collect(attraction: Attraction, fields: Fields, load: Floats, first: int, l
     for k in range(first, last):
         b, F, tau = fields.order[k], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for i in range(offset[k], offset[k + 1]):
-            force = scale(mass[i], load3(accelerations, i))
+            force = scale(mass[i], column3(accelerations, i))
             F = add_scaled(1.0, force, F)
-            tau = add_scaled(1.0, cross(load3(arms, i), force), tau)
-        store3(forces, b, add_scaled(1.0, F, load3(forces, b)))
-        store3(torques, b, add_scaled(1.0, tau, load3(torques, b)))
+            tau = add_scaled(1.0, cross(column3(arms, i), force), tau)
+        put_column3(forces, b, add_scaled(1.0, F, column3(forces, b)))
+        put_column3(torques, b, add_scaled(1.0, tau, column3(torques, b)))
 
 
 collect, add_attraction = inline(_collect), kernel(_collect)
@@ -334,10 +334,10 @@ def attraction_potential(
         targets, depths, bodies = rows3(point, lo, hi), depth[lo:hi], body[lo:hi]
         depths[:] = 0.0
         for j in range(begin, end):
-            x = load3(sources, j)
+            x = column3(sources, j)
             for i in range(hi - lo):
                 is_own = bodies[i] == body[j]
-                square = squared(subtract(x, load3(targets, i)), softening)
+                square = squared(subtract(x, column3(targets, i)), softening)
                 inverse = inverse_root(1.0 if is_own else square)
                 depths[i] += gm[j] * (0.0 if is_own else inverse)
         total = 0.0

@@ -5,7 +5,7 @@ import numpy as np
 from particlerb.compiled.jit import kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.attraction import TILE, inverse_cube, squared
-from particlerb.maths.rows import load3, rows3
+from particlerb.maths.rows import column3, rows3
 from particlerb.maths.vec3 import Floats, Ints, subtract
 
 
@@ -29,10 +29,10 @@ def _raise_squared_rates(
         targets, gms = rows3(chosen, lo, hi), chosen[3, lo:hi]
         bodies, best = indices[lo:hi], squares[lo:hi]
         for b in range(gm_body.size):
-            x, gm = load3(coms, b), gm_body[b]
+            x, gm = column3(coms, b), gm_body[b]
             for i in range(hi - lo):
                 is_own = bodies[i] == b
-                square = squared(subtract(x, load3(targets, i)), softening)
+                square = squared(subtract(x, column3(targets, i)), softening)
                 value = inverse_cube(gm + gms[i], 1.0 if is_own else square)
                 value = 0.0 if is_own else value
                 best[i] = value if value > best[i] else best[i]

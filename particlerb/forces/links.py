@@ -52,13 +52,13 @@ class Links(NamedTuple):
 
 
 @inline
-def column3(rows: Floats, at: int, b: int) -> Vec3:
+def column3_at(rows: Floats, at: int, b: int) -> Vec3:
     """Vector of body b from row `at` on."""
     return rows[at, b], rows[at + 1, b], rows[at + 2, b]
 
 
 @inline
-def add_to_column3(rows: Floats, at: int, b: int, a: float, v: Vec3) -> None:
+def add_to_column3_at(rows: Floats, at: int, b: int, a: float, v: Vec3) -> None:
     """Add a v to the vector of body b."""
     rows[at, b] += a * v[0]
     rows[at + 1, b] += a * v[1]
@@ -84,26 +84,28 @@ def _first_end(links: Links, y: Floats, s: int) -> _End:
     """End of link s on its first body."""
     a = links.first[s]
     R = rotation_of(y, a)
-    arm = turn(R, column3(links.first_at, 0, s))
-    return _End(arm, add_scaled(1.0, column3(y, 0, a), arm), R)
+    arm = turn(R, column3_at(links.first_at, 0, s))
+    return _End(arm, add_scaled(1.0, column3_at(y, 0, a), arm), R)
 
 
 @inline
 def _second_end(links: Links, y: Floats, s: int) -> _End:
     """End of link s on its second body, or in the world."""
-    b, at = links.second[s], column3(links.second_at, 0, s)
+    b, at = links.second[s], column3_at(links.second_at, 0, s)
     if b == WORLD:
         return _End((0.0, 0.0, 0.0), at, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
     R = rotation_of(y, b)
     arm = turn(R, at)
-    return _End(arm, add_scaled(1.0, column3(y, 0, b), arm), R)
+    return _End(arm, add_scaled(1.0, column3_at(y, 0, b), arm), R)
 
 
 @inline
 def velocity(links: Links, y: Floats, b: int, end: _End) -> Vec3:
     """Velocity of the end on body b [m/s]."""
-    w = component_product(column3(links.inv_inertia, 0, b), turn_back(end.R, column3(y, 10, b)))
-    return add_scaled(links.inv_mass[b], column3(y, 7, b), cross(turn(end.R, w), end.arm))
+    w = component_product(
+        column3_at(links.inv_inertia, 0, b), turn_back(end.R, column3_at(y, 10, b))
+    )
+    return add_scaled(links.inv_mass[b], column3_at(y, 7, b), cross(turn(end.R, w), end.arm))
 
 
 @inline
@@ -120,7 +122,7 @@ def rate(links: Links, y: Floats, s: int, ends: tuple[_End, _End], n: Vec3) -> f
 def share(links: Links, b: int, end: _End, n: Vec3) -> float:
     """1/M + (r × n)·I⁻¹(r × n) of one body [1/kg]."""
     m = turn_back(end.R, cross(end.arm, n))
-    turning = dot(m, component_product(column3(links.inv_inertia, 0, b), m))
+    turning = dot(m, component_product(column3_at(links.inv_inertia, 0, b), m))
     return links.inv_mass[b] + turning
 
 
@@ -142,14 +144,14 @@ def _act(
     With their turning moments, to `rows` from `at` on; of the world to the rows OUTSIDE of `load`.
     """
     a, b = links.first[s], links.second[s]
-    add_to_column3(rows, at, a, 1.0, vector)
-    add_to_column3(rows, at + TORQUE, a, 1.0, cross(ends[0].arm, vector))
+    add_to_column3_at(rows, at, a, 1.0, vector)
+    add_to_column3_at(rows, at + TORQUE, a, 1.0, cross(ends[0].arm, vector))
     if b == WORLD:
-        add_to_column3(load, OUTSIDE, a, 1.0, vector)
-        add_to_column3(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, vector))
+        add_to_column3_at(load, OUTSIDE, a, 1.0, vector)
+        add_to_column3_at(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, vector))
     else:
-        add_to_column3(rows, at, b, -1.0, vector)
-        add_to_column3(rows, at + TORQUE, b, -1.0, cross(ends[1].arm, vector))
+        add_to_column3_at(rows, at, b, -1.0, vector)
+        add_to_column3_at(rows, at + TORQUE, b, -1.0, cross(ends[1].arm, vector))
 
 
 @kernel
@@ -188,14 +190,14 @@ def change_links(links: Links | None, y: Floats, change: Floats) -> None:
         force, bent = change_along(links.stiffness[s], links.rest_length[s], d, rate)
         for end, body, sign in ((0, a, 1.0), (1, b, -1.0)):
             if body != WORLD:
-                relative = subtract(v[end], scale(links.inv_mass[body], column3(y, 7, body)))
+                relative = subtract(v[end], scale(links.inv_mass[body], column3_at(y, 7, body)))
                 turned = add_scaled(1.0, cross(relative, force), cross(ends[end].arm, bent))
-                add_to_column3(change, FORCE, body, sign, bent)
-                add_to_column3(change, TORQUE, body, sign, turned)
+                add_to_column3_at(change, FORCE, body, sign, bent)
+                add_to_column3_at(change, TORQUE, body, sign, turned)
         if b == WORLD:
             turned = add_scaled(1.0, cross(v[0], force), cross(ends[0].point, bent))
-            add_to_column3(change, OUTSIDE, a, 1.0, bent)
-            add_to_column3(change, OUTSIDE + 3, a, 1.0, turned)
+            add_to_column3_at(change, OUTSIDE, a, 1.0, bent)
+            add_to_column3_at(change, OUTSIDE + 3, a, 1.0, turned)
 
 
 @kernel

@@ -13,7 +13,7 @@ import numpy as np
 
 from particlerb.compiled.function_set import FunctionSet
 from particlerb.compiled.jit import inline, inline_from, kernel
-from particlerb.forces.links import add_to_column3, column3, rotation_of
+from particlerb.forces.links import add_to_column3_at, column3_at, rotation_of
 from particlerb.forces.user_kicks import Lengths, body_axes, chosen, compiled, rotor_axes, sign_of
 from particlerb.maths.quaternion import turn, turn_back
 from particlerb.maths.vec3 import (
@@ -78,7 +78,7 @@ class UserPairs(NamedTuple):
 @inline
 def _axes_of(pairs: UserPairs, y: Floats, b: int) -> Any:
     """Rotation matrix of the body frame of b."""
-    lines = column3(pairs.axes, 0, b), column3(pairs.axes, 3, b), column3(pairs.axes, 6, b)
+    lines = column3_at(pairs.axes, 0, b), column3_at(pairs.axes, 3, b), column3_at(pairs.axes, 6, b)
     return body_axes(rotation_of(y, b), *lines)
 
 
@@ -87,17 +87,18 @@ def _spin(pairs: UserPairs, y: Floats, b: int) -> Vec3:
     """Angular velocity of body b [rad/s], world axes."""
     R = rotation_of(y, b)
     return turn(
-        R, component_product(column3(pairs.inv_inertia, 0, b), turn_back(R, column3(y, _L, b)))
+        R,
+        component_product(column3_at(pairs.inv_inertia, 0, b), turn_back(R, column3_at(y, _L, b))),
     )
 
 
 @inline
 def _speed(pairs: UserPairs, y: Floats, b: int) -> Vec3:
     """Velocity of the centre of mass of body b [m/s]."""
-    return scale(pairs.inv_mass[b], column3(y, _P, b))
+    return scale(pairs.inv_mass[b], column3_at(y, _P, b))
 
 
-_ARGUMENTS: Final = {"x": "column3(y, 0, {})", "R": "axes_of(pairs, y, {})",
+_ARGUMENTS: Final = {"x": "column3_at(y, 0, {})", "R": "axes_of(pairs, y, {})",
                      "v": "speed(pairs, y, {})", "omega": "spin(pairs, y, {})"}  # fmt: skip
 
 
@@ -125,7 +126,7 @@ def _chain(kind: str, functions: list[Any], arguments: list[str], key: str) -> A
     """A function that calls those of force k, made of the functions of users."""
     parameters, result = _FUNCTION_SOURCES[kind]
     names: dict[str, Any] = {
-        "column3": column3, "axes_of": _axes_of, "speed": _speed, "spin": _spin,
+        "column3_at": column3_at, "axes_of": _axes_of, "speed": _speed, "spin": _spin,
         "chosen": chosen,
     }  # fmt: skip
     calls = []
@@ -192,7 +193,7 @@ def _load(pairs: UserPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Ve
     """Force on the first body of pair s, and the torques on both."""
     a, b = pairs.first[s], pairs.second[s]
     F, tau = pairs.functions.load(pairs, y, t, s, pairs.kind[s])
-    other = subtract(cross(subtract(column3(y, 0, b), column3(y, 0, a)), F), tau)
+    other = subtract(cross(subtract(column3_at(y, 0, b), column3_at(y, 0, a)), F), tau)
     return F, scale(pairs.turns[a], tau), scale(pairs.turns[b], other)
 
 
@@ -200,10 +201,10 @@ def _load(pairs: UserPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Ve
 def _add_load(pairs: UserPairs, s: int, rows: Floats, at: int, h: float, load: Any) -> None:
     """Add h times a load of pair s to the rows of both bodies, from `at` on."""
     a, b, (F, tau, other) = pairs.first[s], pairs.second[s], load
-    add_to_column3(rows, at, a, h, F)
-    add_to_column3(rows, at + TORQUE, a, h, tau)
-    add_to_column3(rows, at, b, -h, F)
-    add_to_column3(rows, at + TORQUE, b, h, other)
+    add_to_column3_at(rows, at, a, h, F)
+    add_to_column3_at(rows, at + TORQUE, a, h, tau)
+    add_to_column3_at(rows, at, b, -h, F)
+    add_to_column3_at(rows, at + TORQUE, b, h, other)
 
 
 @kernel
@@ -236,7 +237,10 @@ def _flow_pair(pairs: UserPairs, t: float, y: Floats, s: int, dt: float) -> floa
     Where it does not converge it is NaN, and so are the momenta.
     """
     a, b = pairs.first[s], pairs.second[s]
-    p, spin = (column3(y, _P, a), column3(y, _P, b)), (column3(y, _L, a), column3(y, _L, b))
+    p, spin = (
+        (column3_at(y, _P, a), column3_at(y, _P, b)),
+        (column3_at(y, _L, a), column3_at(y, _L, b)),
+    )
     sizes = _sum3(p[0]) + _sum3(p[1]), _sum3(spin[0]) + _sum3(spin[1])
     load, change = (ZERO, ZERO, ZERO), 1.0
     for _ in range(_MAX_FLOW_ITERATIONS):

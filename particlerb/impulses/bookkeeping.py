@@ -15,7 +15,7 @@ from particlerb.impulses.colours import total
 from particlerb.impulses.records import Bounded, Impulses, Partners
 from particlerb.impulses.rolling import rolled
 from particlerb.impulses.rows import in_frame, in_world, velocity_between
-from particlerb.maths.rows import put_row3_at, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import Floats, Vec3, add, add_scaled, cross, dot, scale
 
 _WORKS: Final = (
@@ -32,12 +32,12 @@ def _book_outside(
 
     `at` is the column of the arm of `other`; p [N s] and m [N m s] act on `mine`.
     """
-    arm, booked = row3_at(frame, k, at), partners.booked
-    omega = row3_at(partners.velocity, other, 3)
-    moving = add_scaled(1.0, cross(omega, arm), row3_at(partners.velocity, other, 0))
-    point = add(arm, row3_at(partners.position, other, 0))
-    put_row3_at(booked, mine, 1, add(p, row3_at(booked, mine, 1)))
-    put_row3_at(booked, mine, 4, add(add(cross(point, p), m), row3_at(booked, mine, 4)))
+    arm, booked = row3(frame, k, at), partners.booked
+    omega = row3(partners.velocity, other, 3)
+    moving = add_scaled(1.0, cross(omega, arm), row3(partners.velocity, other))
+    point = add(arm, row3(partners.position, other))
+    put_row3(booked, mine, add(p, row3(booked, mine, 1)), 1)
+    put_row3(booked, mine, add(add(cross(point, p), m), row3(booked, mine, 4)), 4)
     return dot(p, moving) + dot(m, omega)
 
 
@@ -47,7 +47,7 @@ def _book_contact(impulses: Impulses, k: int) -> tuple[float, float, float, floa
     partners, rows = impulses.partners, impulses.rows
     frame, inverse, booked = rows.frame, partners.inverse, partners.booked
     a, b = rows.first[k], rows.second[k]
-    impact, pressed = row3_at(rows.impact, k, 0), row3_at(rows.impulse, k, 0)
+    impact, pressed = row3(rows.impact, k), row3(rows.impulse, k)
     r = add(impact, pressed)
     if dot(r, r) == 0.0:
         return 0.0, 0.0, 0.0, 0.0

@@ -19,7 +19,7 @@ from typing import Final
 from particlerb.compiled.jit import inline
 from particlerb.impulses import records as col
 from particlerb.impulses.records import Bounded, Mechanisms, Partners
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, Vec3, dot
 
 _REST_RATE_SHARE: Final = 1e-12  # of the rate
@@ -30,8 +30,8 @@ def _rate(bounded: Bounded, y: Floats, k: int, at: int) -> float:
     """Rate of the coordinate of row k with velocities that stand in y from `at` on."""
     rate = 0.0
     for end, of in ((bounded.first[k], 0), (bounded.second[k], 6)):
-        rate += dot(row3_at(bounded.gradient, k, of), row3_at(y, end, at))
-        rate += dot(row3_at(bounded.gradient, k, of + 3), row3_at(y, end, at + 3))
+        rate += dot(row3(bounded.gradient, k, of), row3(y, end, at))
+        rate += dot(row3(bounded.gradient, k, of + 3), row3(y, end, at + 3))
     return rate
 
 

@@ -7,7 +7,7 @@ from particlerb.compiled.jit import inline
 from particlerb.impulses import records as col
 from particlerb.impulses.bounded import push_along, rate_along
 from particlerb.impulses.records import Bounded, Partners
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Bools, Floats, add_scaled, cross, dot, scale
 
 _MAX_OVERRUN: Final = 1e-12  # [rad or m] what a stop may be overrun by
@@ -81,12 +81,12 @@ def _book_outside(bounded: Bounded, partners: Partners, k: int, r: float) -> flo
         is_outside = a == b or partners.inverse[other, 0] == 0.0
         if not is_outside or partners.inverse[mine, 0] == 0.0:
             continue
-        p, m = scale(r, row3_at(gradient, k, at)), scale(r, row3_at(gradient, k, at + 3))
-        m = add_scaled(1.0, m, cross(row3_at(partners.position, mine, 0), p))
+        p, m = scale(r, row3(gradient, k, at)), scale(r, row3(gradient, k, at + 3))
+        m = add_scaled(1.0, m, cross(row3(partners.position, mine), p))
         for i in range(3):
             partners.booked[mine, 1 + i] += p[i]
             partners.booked[mine, 4 + i] += m[i]
-        moved -= r * dot(row3_at(gradient, k, of), row3_at(partners.velocity, other, 0))
-        moved -= r * dot(row3_at(gradient, k, of + 3), row3_at(partners.velocity, other, 3))
+        moved -= r * dot(row3(gradient, k, of), row3(partners.velocity, other))
+        moved -= r * dot(row3(gradient, k, of + 3), row3(partners.velocity, other, 3))
         break
     return moved

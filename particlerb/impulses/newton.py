@@ -51,7 +51,7 @@ from particlerb.impulses.rows import (
     push,
     velocity_between,
 )
-from particlerb.maths.rows import put_row3_at, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _MAX_EVALUATIONS: Final = 40  # of F
@@ -74,7 +74,7 @@ def refresh_velocities(
         for i in range(6):
             partners.velocity[b, i] = partners.free[b, i]
     for k in range(count):
-        r = row3_at(rows.impulse, k, 0)
+        r = row3(rows.impulse, k)
         if dot(r, r) > 0.0:
             change_by(partners, rows, k, r)
     push_by_rolling(rows.rolling, partners, rows, count)
@@ -100,10 +100,10 @@ def _cluster_of(newton: Newton, rows: ImpulseRows, k: int) -> int:
 @inline
 def _put_slopes(slopes: Floats, k: int, c: Vec3, kn: Vec3, k1: Vec3, k2: Vec3) -> None:
     """Write c and the rows of K of contact k."""
-    put_row3_at(slopes, k, 0, c)
-    put_row3_at(slopes, k, 3, kn)
-    put_row3_at(slopes, k, 6, k1)
-    put_row3_at(slopes, k, 9, k2)
+    put_row3(slopes, k, c)
+    put_row3(slopes, k, kn, 3)
+    put_row3(slopes, k, k1, 6)
+    put_row3(slopes, k, k2, 9)
 
 
 @kernel
@@ -115,7 +115,7 @@ def _linearise(
     The slope of P is one along e, which is any direction within the cone and its edge where it
     slides, g across the edge and none else.
     """
-    frame, u, r = rows.frame, approach_at_end(partners, rows, k), row3_at(rows.impulse, k, 0)
+    frame, u, r = rows.frame, approach_at_end(partners, rows, k), row3(rows.impulse, k)
     mu, share = frame[k, col.FRICTION], frame[k, col.SHARE]
     speed = math.sqrt(u[1] * u[1] + u[2] * u[2])
     n = r[0] - share * (u[0] - frame[k, col.LEAST] + mu * speed)
@@ -145,9 +145,9 @@ def _linearise(
 def _k_times(slopes: Floats, k: int, du: Vec3) -> Vec3:
     """K du of contact k."""
     return (
-        dot(row3_at(slopes, k, 3), du),
-        dot(row3_at(slopes, k, 6), du),
-        dot(row3_at(slopes, k, 9), du),
+        dot(row3(slopes, k, 3), du),
+        dot(row3(slopes, k, 6), du),
+        dot(row3(slopes, k, 9), du),
     )
 
 
@@ -184,7 +184,7 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
         body, arm = (a, col.ARM) if other == 0 else (b, col.ARM + 3)
         if newton.first_row[body] < 0:
             continue
-        sign, arms = 1.0 - 2.0 * other, row3_at(frame, k, arm)
+        sign, arms = 1.0 - 2.0 * other, row3(frame, k, arm)
         for j in range(count_members(mechanisms, body)):
             source = member(mechanisms, body, j)
             column = newton.first_row[source]
@@ -194,10 +194,10 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
                 p, omega = in_world(frame, k, r), in_frame(frame, k, scale(sign, omega))
                 m = rolling_by(rows.rolling, rows, k, omega, -r[0])
                 if row_a >= 0:
-                    turn = add(cross(row3_at(frame, k, col.ARM), p), m)
+                    turn = add(cross(row3(frame, k, col.ARM), p), m)
                     _add_column(newton, row_a, column + i, p, turn)
                 if row_b >= 0:
-                    turn = add(cross(row3_at(frame, k, col.ARM + 3), p), m)
+                    turn = add(cross(row3(frame, k, col.ARM + 3), p), m)
                     _add_column(newton, row_b, column + i, scale(-1.0, p), scale(-1.0, turn))
 
 
@@ -253,12 +253,12 @@ def _solve_for_bodies(
         if newton.clusters[_cluster_of(newton, rows, k), _STATE] != _TO_SOLVE:
             continue
         _add_contact(partners, rows, newton, k)
-        c = row3_at(newton.slopes, k, 0)
+        c = row3(newton.slopes, k)
         p, turn = scale(-1.0, in_world(rows.frame, k, c)), rolling_c(rows.rolling, rows, k, -c[0])
         for body, arm, sign in ((rows.first[k], col.ARM, 1.0), (rows.second[k], col.ARM + 3, -1.0)):
             at = newton.first_row[body]
             if at >= 0:
-                m = add(cross(row3_at(rows.frame, k, arm), p), turn)
+                m = add(cross(row3(rows.frame, k, arm), p), turn)
                 for i in range(3):
                     change[at + i] += sign * p[i]
                     change[at + 3 + i] += sign * m[i]
@@ -267,8 +267,8 @@ def _solve_for_bodies(
     solve_band(matrix, change, bandwidth)
     move = partners.move
     for b in range(move.shape[0]):
-        put_row3_at(move, b, 0, ZERO)
-        put_row3_at(move, b, 3, ZERO)
+        put_row3(move, b, ZERO)
+        put_row3(move, b, ZERO, 3)
     for b in range(move.shape[0]):
         at = newton.first_row[b]
         if at >= 0 and has_response(partners.mechanisms, b):
@@ -289,13 +289,13 @@ def _step(
         if state == _TO_SOLVE:
             a, b = rows.first[k], rows.second[k]
             du = in_frame(rows.frame, k, velocity_between(partners.move, rows.frame, k, a, b))
-            step = add(row3_at(newton.slopes, k, 0), _k_times(newton.slopes, k, du))
-            put_row3_at(direction, k, 0, scale(-1.0, step))
-            put_row3_at(old, k, 0, row3_at(impulse, k, 0))
+            step = add(row3(newton.slopes, k), _k_times(newton.slopes, k, du))
+            put_row3(direction, k, scale(-1.0, step))
+            put_row3(old, k, row3(impulse, k))
             solve_rolling(rows.rolling, partners, rows, k)
         if state != _DONE:
-            r = add_scaled(share, row3_at(direction, k, 0), row3_at(old, k, 0))
-            put_row3_at(impulse, k, 0, r)
+            r = add_scaled(share, row3(direction, k), row3(old, k))
+            put_row3(impulse, k, r)
             step_rolling(rows.rolling, k, share)
     if bounded is not None:
         step_bounded(bounded, newton, partners.move, (_SHARE, _STATE), (_TO_SOLVE, _DONE))
@@ -305,10 +305,10 @@ def _step(
 def _into_the_cones(rows: ImpulseRows, count: int) -> None:
     """Take away by what impulses leave their cones: no more than F."""
     for k in range(count):
-        n, x, y = row3_at(rows.impulse, k, 0)
+        n, x, y = row3(rows.impulse, k)
         n = max(n, 0.0)
         x, y = on_disc(x, y, rows.frame[k, col.FRICTION] * n)
-        put_row3_at(rows.impulse, k, 0, (n, x, y))
+        put_row3(rows.impulse, k, (n, x, y))
     into_the_discs(rows.rolling, rows, count)
 
 
@@ -352,7 +352,7 @@ def take_newton_steps(
         refresh_velocities(partners, rows, bounded, count)
     for k in range(count):
         if clusters[_cluster_of(newton, rows, k), _STATE] != _DONE:
-            put_row3_at(rows.impulse, k, 0, row3_at(rows.old, k, 0))
+            put_row3(rows.impulse, k, row3(rows.old, k))
             step_rolling(rows.rolling, k, 0.0)
     if bounded is not None:
         end_bounded(bounded, newton, _STATE, _DONE)

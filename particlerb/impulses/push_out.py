@@ -16,7 +16,7 @@ from particlerb.impulses.colours import rows_of
 from particlerb.impulses.mechanisms import all_have_moved
 from particlerb.impulses.records import Bounded, Impulses
 from particlerb.impulses.rows import approach, in_frame, push_apart, velocity_between
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import scale
 
 _MAX_SWEEPS: Final = 5
@@ -80,7 +80,7 @@ def push_out(impulses: Impulses, bounded: Bounded | None, team: Team, dt: float)
                         if partners.inverse[moved, 0] > 0.0:
                             has_moved[moved] = True
                         all_have_moved(partners.mechanisms, has_moved, moved)
-                    p = scale(more, row3_at(frame, k, col.NORMAL))
+                    p = scale(more, row3(frame, k, col.NORMAL))
                     push_apart(move, partners.inverse, partners.mechanisms, frame, k, a, b, p)
                     farthest = max(farthest, abs(more) * frame[k, col.INVERSE])
             meet(team)

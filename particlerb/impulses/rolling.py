@@ -21,7 +21,7 @@ from particlerb.compiled.jit import inline
 from particlerb.impulses.cone import on_disc
 from particlerb.impulses.records import INVERSE, LOCKED_SHARE, ImpulseRows, Partners, Rolling
 from particlerb.impulses.rows import clear_moves, in_frame, in_world, push
-from particlerb.maths.rows import put_row3_at, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, dot, scale, subtract
 
 ACROSS: Final = 0  # columns of `Rolling.limit`: μ_r R* and λ across the normal
@@ -36,13 +36,13 @@ _CHANGE_TOLERANCE: Final = 1e-14  # relative change at which an impact is solved
 def turning(velocity: Floats, rows: ImpulseRows, k: int) -> Vec3:
     """Relative angular velocity [rad/s] of contact k along n, t₁, t₂."""
     a, b = rows.first[k], rows.second[k]
-    return in_frame(rows.frame, k, subtract(row3_at(velocity, a, 3), row3_at(velocity, b, 3)))
+    return in_frame(rows.frame, k, subtract(row3(velocity, a, 3), row3(velocity, b, 3)))
 
 
 @inline
 def turning_at_end(rolling: Rolling, partners: Partners, rows: ImpulseRows, k: int) -> Vec3:
     """The same as drives have it at the end of the step."""
-    return add(turning(partners.velocity, rows, k), row3_at(rolling.limit, k, DRIVEN))
+    return add(turning(partners.velocity, rows, k), row3(rolling.limit, k, DRIVEN))
 
 
 @inline
@@ -58,8 +58,8 @@ def _give(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> None:
     """Give angular momenta."""
     along, momenta = in_world(rows.frame, k, m), partners.impulse
     a, b = rows.first[k], rows.second[k]
-    put_row3_at(momenta, a, 3, add(row3_at(momenta, a, 3), along))
-    put_row3_at(momenta, b, 3, subtract(row3_at(momenta, b, 3), along))
+    put_row3(momenta, a, add(row3(momenta, a, 3), along), 3)
+    put_row3(momenta, b, subtract(row3(momenta, b, 3), along), 3)
 
 
 @inline
@@ -81,7 +81,7 @@ def step_against(rolling: Rolling, k: int, omega: Vec3) -> Vec3:
 def _nearest(rolling: Rolling, partners: Partners, rows: ImpulseRows, k: int) -> Vec3:
     """P of contact k with the velocities of now."""
     step = step_against(rolling, k, turning_at_end(rolling, partners, rows, k))
-    return on_the_disc(rolling, k, add(row3_at(rolling.impulse, k, 0), step), rows.impulse[k, 0])
+    return on_the_disc(rolling, k, add(row3(rolling.impulse, k), step), rows.impulse[k, 0])
 
 
 @inline
@@ -112,8 +112,8 @@ def write_rolling(
         return
     for k in range(count):
         a, b, inverse, limit = rows.first[k], rows.second[k], partners.inverse, rolling.limit
-        driven = subtract(row3_at(partners.before, a, 15), row3_at(partners.before, b, 15))
-        put_row3_at(limit, k, DRIVEN, in_frame(rows.frame, k, scale(0.5 * dt, driven)))
+        driven = subtract(row3(partners.before, a, 15), row3(partners.before, b, 15))
+        put_row3(limit, k, in_frame(rows.frame, k, scale(0.5 * dt, driven)), DRIVEN)
         n = _turned_by(partners, rows, k, (1.0, 0.0, 0.0))
         t1 = _turned_by(partners, rows, k, (0.0, 1.0, 0.0))
         t2 = _turned_by(partners, rows, k, (0.0, 0.0, 1.0))
@@ -153,7 +153,7 @@ def bounce_rolling(
         m = nearer
         _turn(partners, partners.velocity, rows, k, change)
     _give(partners, rows, k, m)
-    put_row3_at(rolling.impact, k, 0, add(row3_at(rolling.impact, k, 0), m))
+    put_row3(rolling.impact, k, add(row3(rolling.impact, k), m))
 
 
 # What the solver does with those of contacts `first` to `end`
@@ -167,9 +167,9 @@ def warm_start_rolling(
     if rolling is None:
         return
     for k in range(first, end):
-        m = in_frame(rows.frame, k, row3_at(rolling.impulse, k, 0))
+        m = in_frame(rows.frame, k, row3(rolling.impulse, k))
         m = on_the_disc(rolling, k, m, rows.impulse[k, 0])
-        put_row3_at(rolling.impulse, k, 0, m)
+        put_row3(rolling.impulse, k, m)
         _turn(partners, partners.velocity, rows, k, m)
 
 
@@ -182,13 +182,13 @@ def sweep_rolling(
     if rolling is None:
         return changed
     for k in range(first, end):
-        old = row3_at(rolling.impulse, k, 0)
-        put_row3_at(rolling.old, k, 0, old)
+        old = row3(rolling.impulse, k)
+        put_row3(rolling.old, k, old)
         m = _nearest(rolling, partners, rows, k)
         change = subtract(m, old)
         square = square_of(rolling, rows, k, change)
         if square > 0.0:
-            put_row3_at(rolling.impulse, k, 0, m)
+            put_row3(rolling.impulse, k, m)
             _turn(partners, partners.velocity, rows, k, change)
         changed += square
     return changed
@@ -204,12 +204,12 @@ def mix_rolling(
         return
     impulse, direction = rolling.impulse, rolling.direction
     for k in range(*which):
-        change = subtract(row3_at(impulse, k, 0), row3_at(rolling.old, k, 0))
-        on = scale(beta, row3_at(direction, k, 0))
+        change = subtract(row3(impulse, k), row3(rolling.old, k))
+        on = scale(beta, row3(direction, k))
         if not is_last and dot(on, on) > 0.0:
-            put_row3_at(impulse, k, 0, add(row3_at(impulse, k, 0), on))
+            put_row3(impulse, k, add(row3(impulse, k), on))
             _turn(partners, partners.velocity, rows, k, on)
-        put_row3_at(direction, k, 0, add(on, change))
+        put_row3(direction, k, add(on, change))
 
 
 @inline
@@ -221,7 +221,7 @@ def miss_of_rolling(
     if rolling is None:
         return off, left
     for k in range(first, end):
-        miss = subtract(row3_at(rolling.impulse, k, 0), _nearest(rolling, partners, rows, k))
+        miss = subtract(row3(rolling.impulse, k), _nearest(rolling, partners, rows, k))
         square = square_of(rolling, rows, k, miss)
         off += square
         left += rows.frame[k, INVERSE] ** 2 * square
@@ -235,7 +235,7 @@ def size_of_rolling(rolling: Rolling | None, rows: ImpulseRows, first: int, end:
     if rolling is None:
         return size
     for k in range(first, end):
-        size += square_of(rolling, rows, k, row3_at(rolling.impulse, k, 0))
+        size += square_of(rolling, rows, k, row3(rolling.impulse, k))
     return size
 
 
@@ -247,7 +247,7 @@ def push_by_rolling(
     if rolling is None:
         return
     for k in range(count):
-        _turn(partners, partners.velocity, rows, k, row3_at(rolling.impulse, k, 0))
+        _turn(partners, partners.velocity, rows, k, row3(rolling.impulse, k))
 
 
 @inline
@@ -256,8 +256,8 @@ def into_the_discs(rolling: Rolling | None, rows: ImpulseRows, count: int) -> No
     if rolling is None:
         return
     for k in range(count):
-        m = on_the_disc(rolling, k, row3_at(rolling.impulse, k, 0), rows.impulse[k, 0])
-        put_row3_at(rolling.impulse, k, 0, m)
+        m = on_the_disc(rolling, k, row3(rolling.impulse, k), rows.impulse[k, 0])
+        put_row3(rolling.impulse, k, m)
 
 
 @inline
@@ -266,9 +266,9 @@ def keep_best_rolling(rolling: Rolling | None, best: Floats, k: int, goes_back: 
     if rolling is None:
         return
     if goes_back:
-        put_row3_at(rolling.impulse, k, 0, row3_at(best, k, 3))
+        put_row3(rolling.impulse, k, row3(best, k, 3))
     else:
-        put_row3_at(best, k, 3, row3_at(rolling.impulse, k, 0))
+        put_row3(best, k, row3(rolling.impulse, k), 3)
 
 
 @inline
@@ -279,7 +279,7 @@ def give_rolling(
     if rolling is None:
         return
     for k in range(first, end):
-        _give(partners, rows, k, row3_at(rolling.impulse, k, 0))
+        _give(partners, rows, k, row3(rolling.impulse, k))
 
 
 @inline
@@ -289,6 +289,6 @@ def rolled(
     """Angular impulse of a step on the first of contact k, world axes, and its work [J]."""
     if rolling is None:
         return ZERO, 0.0
-    m = add(row3_at(rolling.impulse, k, 0), row3_at(rolling.impact, k, 0))
+    m = add(row3(rolling.impulse, k), row3(rolling.impact, k))
     turned = add(turning(partners.before, rows, k), turning(partners.velocity, rows, k))
     return in_world(rows.frame, k, m), 0.5 * dot(m, turned)

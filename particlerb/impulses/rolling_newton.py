@@ -23,7 +23,7 @@ from particlerb.impulses.rolling import (
     turning_at_end,
 )
 from particlerb.impulses.rows import in_world
-from particlerb.maths.rows import put_row3_at, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Vec3, add, add_scaled, scale, subtract
 
 _C, _K, _Q, _KN = 0, 3, 6, 9  # columns of `Rolling.slopes`: c; K_11, K_12, K_22; q; K_nn
@@ -40,7 +40,7 @@ def linearise_rolling(
     """
     if rolling is None:
         return 0.0
-    slopes, m = rolling.slopes, row3_at(rolling.impulse, k, 0)
+    slopes, m = rolling.slopes, row3(rolling.impulse, k)
     n, limit, full = max(rows.impulse[k, 0], 0.0), rolling.limit, 1.0 + small
     z = add(m, step_against(rolling, k, turning_at_end(rolling, partners, rows, k)))
     f = subtract(m, on_the_disc(rolling, k, z, n))
@@ -51,26 +51,26 @@ def linearise_rolling(
     else:
         c, slopes[k, _KN], q = f[0] / full, 0.0, math.copysign(limit[k, ABOUT] / full, z[0])
     if size <= radius:
-        put_row3_at(slopes, k, _C, (c, f[1] / small, f[2] / small))
-        put_row3_at(slopes, k, _K, (share / small, 0.0, share / small))
-        put_row3_at(slopes, k, _Q, (q, 0.0, 0.0))
+        put_row3(slopes, k, (c, f[1] / small, f[2] / small), _C)
+        put_row3(slopes, k, (share / small, 0.0, share / small), _K)
+        put_row3(slopes, k, (q, 0.0, 0.0), _Q)
     else:
         x, y, g = z[1] / size, z[2] / size, radius / size
         along = (f[2] * x - f[1] * y) / (full - g)
         out, stiff = (f[1] * x + f[2] * y) / full, share * g / (full - g)
-        put_row3_at(slopes, k, _C, (c, out * x - along * y, out * y + along * x))
-        put_row3_at(slopes, k, _K, (stiff * y * y, -stiff * x * y, stiff * x * x))
+        put_row3(slopes, k, (c, out * x - along * y, out * y + along * x), _C)
+        put_row3(slopes, k, (stiff * y * y, -stiff * x * y, stiff * x * x), _K)
         wider = limit[k, ACROSS] / full
-        put_row3_at(slopes, k, _Q, (q, wider * x, wider * y))
+        put_row3(slopes, k, (q, wider * x, wider * y), _Q)
     return square_of(rolling, rows, k, f)
 
 
 @inline
 def _change(rolling: Rolling, k: int, omega: Vec3, dn: float) -> Vec3:
     """K dω - q dr_n of contact k, with dω along n, t₁, t₂."""
-    (k11, k12, k22), kn = row3_at(rolling.slopes, k, _K), rolling.slopes[k, _KN]
+    (k11, k12, k22), kn = row3(rolling.slopes, k, _K), rolling.slopes[k, _KN]
     by = (kn * omega[0], k11 * omega[1] + k12 * omega[2], k12 * omega[1] + k22 * omega[2])
-    return add_scaled(-dn, row3_at(rolling.slopes, k, _Q), by)
+    return add_scaled(-dn, row3(rolling.slopes, k, _Q), by)
 
 
 @inline
@@ -86,7 +86,7 @@ def rolling_c(rolling: Rolling | None, rows: ImpulseRows, k: int, dn: float) -> 
     """-c + q dr_n of contact k in world axes."""
     if rolling is None:
         return ZERO
-    c, q = row3_at(rolling.slopes, k, _C), row3_at(rolling.slopes, k, _Q)
+    c, q = row3(rolling.slopes, k, _C), row3(rolling.slopes, k, _Q)
     return in_world(rows.frame, k, subtract(scale(dn, q), c))
 
 
@@ -96,13 +96,13 @@ def solve_rolling(rolling: Rolling | None, partners: Partners, rows: ImpulseRows
     if rolling is None:
         return
     by = _change(rolling, k, turning(partners.move, rows, k), rows.direction[k, 0])
-    put_row3_at(rolling.direction, k, 0, scale(-1.0, add(row3_at(rolling.slopes, k, _C), by)))
-    put_row3_at(rolling.old, k, 0, row3_at(rolling.impulse, k, 0))
+    put_row3(rolling.direction, k, scale(-1.0, add(row3(rolling.slopes, k, _C), by)))
+    put_row3(rolling.old, k, row3(rolling.impulse, k))
 
 
 @inline
 def step_rolling(rolling: Rolling | None, k: int, share: float) -> None:
     """Take a share of that step; with 0, go back to where it began."""
     if rolling is not None:
-        m = add_scaled(share, row3_at(rolling.direction, k, 0), row3_at(rolling.old, k, 0))
-        put_row3_at(rolling.impulse, k, 0, m)
+        m = add_scaled(share, row3(rolling.direction, k), row3(rolling.old, k))
+        put_row3(rolling.impulse, k, m)

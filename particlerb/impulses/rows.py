@@ -26,7 +26,7 @@ from particlerb.impulses.records import (
     Mechanisms,
     Partners,
 )
-from particlerb.maths.rows import put_row3_at, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _STICKING_SHARE: Final = 1.0 - 1e-6  # of μ times the normal force: with less friction it sticks
@@ -45,9 +45,9 @@ def inverse_inertia_times(inverse: Floats, b: int, m: Vec3) -> Vec3:
 @inline
 def velocity_between(velocity: Floats, frame: Floats, c: int, a: int, b: int) -> Vec3:
     """Velocity [m/s] of the first partner of contact c relative to the second, at the point."""
-    va = cross(row3_at(velocity, a, 3), row3_at(frame, c, ARM))
-    vb = cross(row3_at(velocity, b, 3), row3_at(frame, c, ARM + 3))
-    va, vb = add(va, row3_at(velocity, a, 0)), add(vb, row3_at(velocity, b, 0))
+    va = cross(row3(velocity, a, 3), row3(frame, c, ARM))
+    vb = cross(row3(velocity, b, 3), row3(frame, c, ARM + 3))
+    va, vb = add(va, row3(velocity, a)), add(vb, row3(velocity, b))
     return subtract(va, vb)
 
 
@@ -55,18 +55,18 @@ def velocity_between(velocity: Floats, frame: Floats, c: int, a: int, b: int) ->
 def in_frame(frame: Floats, c: int, v: Vec3) -> Vec3:
     """Components of a vector along n, t₁, t₂ of contact c."""
     return (
-        dot(row3_at(frame, c, NORMAL), v),
-        dot(row3_at(frame, c, TANGENT), v),
-        dot(row3_at(frame, c, TANGENT + 3), v),
+        dot(row3(frame, c, NORMAL), v),
+        dot(row3(frame, c, TANGENT), v),
+        dot(row3(frame, c, TANGENT + 3), v),
     )
 
 
 @inline
 def in_world(frame: Floats, c: int, r: Vec3) -> Vec3:
     """A vector of components along n, t₁, t₂ of contact c."""
-    along = scale(r[0], row3_at(frame, c, NORMAL))
-    along = add_scaled(r[1], row3_at(frame, c, TANGENT), along)
-    return add_scaled(r[2], row3_at(frame, c, TANGENT + 3), along)
+    along = scale(r[0], row3(frame, c, NORMAL))
+    along = add_scaled(r[1], row3(frame, c, TANGENT), along)
+    return add_scaled(r[2], row3(frame, c, TANGENT + 3), along)
 
 
 @inline
@@ -76,9 +76,9 @@ def push(
     """Change velocities by an impulse p [N s] and an angular impulse m [N m s] on partner b."""
     if push_mechanism(mechanisms, velocity, b, p, m) or inverse[b, 0] == 0.0:
         return
-    put_row3_at(velocity, b, 0, add_scaled(inverse[b, 0], p, row3_at(velocity, b, 0)))
+    put_row3(velocity, b, add_scaled(inverse[b, 0], p, row3(velocity, b)))
     turn = inverse_inertia_times(inverse, b, m)
-    put_row3_at(velocity, b, 3, add_scaled(1.0, turn, row3_at(velocity, b, 3)))
+    put_row3(velocity, b, add_scaled(1.0, turn, row3(velocity, b, 3)), 3)
 
 
 @inline
@@ -88,8 +88,8 @@ def push_apart(
 ) -> None:  # fmt: skip
     """Change velocities by the impulse p [N s] on the first partner, and -p on the second."""
     other = scale(-1.0, p)
-    push(velocity, inverse, mechanisms, a, p, cross(row3_at(frame, c, ARM), p))
-    push(velocity, inverse, mechanisms, b, other, cross(row3_at(frame, c, ARM + 3), other))
+    push(velocity, inverse, mechanisms, a, p, cross(row3(frame, c, ARM), p))
+    push(velocity, inverse, mechanisms, b, other, cross(row3(frame, c, ARM + 3), other))
 
 
 @inline
@@ -125,10 +125,10 @@ def write_frame_of(
 ) -> None:  # fmt: skip
     """Write frame and inverse mass of contact c between two partners at a point [m]."""
     a, b = between
-    arm_a, arm_b = subtract(point, row3_at(place, a, 0)), subtract(point, row3_at(place, b, 0))
-    put_row3_at(frame, c, NORMAL, normal)
-    put_row3_at(frame, c, ARM, arm_a)
-    put_row3_at(frame, c, ARM + 3, arm_b)
+    arm_a, arm_b = subtract(point, row3(place, a)), subtract(point, row3(place, b))
+    put_row3(frame, c, normal, NORMAL)
+    put_row3(frame, c, arm_a, ARM)
+    put_row3(frame, c, arm_b, ARM + 3)
     t1, t2 = _across(normal)
     na, nb = cross(arm_a, normal), cross(arm_b, normal)
     xa, xb, ya, yb = cross(arm_a, t1), cross(arm_b, t1), cross(arm_a, t2), cross(arm_b, t2)
@@ -152,8 +152,8 @@ def put_matrix(
     (t1, t2), (w, w1, w2), (w11, w12, w22) = across, by_normal, by_tangents
     s11, s22, s12 = w11 - w1 * w1 / w, w22 - w2 * w2 / w, w12 - w1 * w2 / w
     c_, s_ = _diagonal_turn(s11, s22, s12)
-    put_row3_at(frame, c, TANGENT, add_scaled(c_, t1, scale(s_, t2)))
-    put_row3_at(frame, c, TANGENT + 3, add_scaled(-s_, t1, scale(c_, t2)))
+    put_row3(frame, c, add_scaled(c_, t1, scale(s_, t2)), TANGENT)
+    put_row3(frame, c, add_scaled(-s_, t1, scale(c_, t2)), TANGENT + 3)
     frame[c, INVERSE] = w
     frame[c, COUPLING], frame[c, COUPLING + 1] = c_ * w1 + s_ * w2, c_ * w2 - s_ * w1
     frame[c, SCHUR] = c_ * c_ * s11 + 2.0 * c_ * s_ * s12 + s_ * s_ * s22
@@ -191,9 +191,9 @@ def driven_by(partners: Partners, rows: ImpulseRows, c: int, dt: float) -> Vec3:
     At a point of both bodies: so all contacts of a pair ask for what rigid bodies can have at once.
     """
     a, b, before = rows.first[c], rows.second[c], partners.before
-    by_a = cross(row3_at(before, a, 15), row3_at(rows.frame, c, ARM))
-    by_b = cross(row3_at(before, b, 15), row3_at(rows.frame, c, ARM + 3))
-    by_a, by_b = add(row3_at(before, a, 12), by_a), add(row3_at(before, b, 12), by_b)
+    by_a = cross(row3(before, a, 15), row3(rows.frame, c, ARM))
+    by_b = cross(row3(before, b, 15), row3(rows.frame, c, ARM + 3))
+    by_a, by_b = add(row3(before, a, 12), by_a), add(row3(before, b, 12), by_b)
     return in_frame(rows.frame, c, scale(0.5 * dt, subtract(by_a, by_b)))
 
 
@@ -230,7 +230,7 @@ def lean(
     pressed, f, g = in_frame(rows.frame, c, force)
     if rows.frame[c, LEAST] < 0.0 and pressed <= 0.0:
         rows.frame[c, LEAST] -= n_by
-        put_row3_at(limits, c, LEAN, (n_by, x_by, y_by))
+        put_row3(limits, c, (n_by, x_by, y_by), LEAN)
         return
     n = n_by + min(max(came - n_by, min(n, 0.0)), max(n, 0.0))
     gap = limits[c, GAP] - 0.25 * dt * max(n, 0.0)
@@ -240,7 +240,7 @@ def lean(
         size, most = math.sqrt(x * x + y * y), math.sqrt(u * u + v * v)
         share = most / size if size > most else 1.0
         x_by, y_by = x_by + share * x, y_by + share * y
-    put_row3_at(limits, c, LEAN, (n, x_by, y_by))
+    put_row3(limits, c, (n, x_by, y_by), LEAN)
 
 
 @inline
@@ -248,12 +248,12 @@ def give(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     """Give momenta: r [N s] along n, t₁, t₂ of contact c to the first partner, -r to the second."""
     a, b, momenta = rows.first[c], rows.second[c], partners.impulse
     p = in_world(rows.frame, c, r)
-    turn_a = cross(row3_at(rows.frame, c, ARM), p)
-    turn_b = cross(row3_at(rows.frame, c, ARM + 3), p)
-    put_row3_at(momenta, a, 0, add_scaled(1.0, p, row3_at(momenta, a, 0)))
-    put_row3_at(momenta, b, 0, add_scaled(-1.0, p, row3_at(momenta, b, 0)))
-    put_row3_at(momenta, a, 3, add_scaled(1.0, turn_a, row3_at(momenta, a, 3)))
-    put_row3_at(momenta, b, 3, add_scaled(-1.0, turn_b, row3_at(momenta, b, 3)))
+    turn_a = cross(row3(rows.frame, c, ARM), p)
+    turn_b = cross(row3(rows.frame, c, ARM + 3), p)
+    put_row3(momenta, a, add_scaled(1.0, p, row3(momenta, a)))
+    put_row3(momenta, b, add_scaled(-1.0, p, row3(momenta, b)))
+    put_row3(momenta, a, add_scaled(1.0, turn_a, row3(momenta, a, 3)), 3)
+    put_row3(momenta, b, add_scaled(-1.0, turn_b, row3(momenta, b, 3)), 3)
 
 
 @inline
@@ -270,8 +270,8 @@ def clear_moves(partners: Partners, a: int, b: int) -> None:
     move, mechanisms = partners.move, partners.mechanisms
     for body in (a, b):
         for j in range(count_members(mechanisms, body)):
-            put_row3_at(move, member(mechanisms, body, j), 0, ZERO)
-            put_row3_at(move, member(mechanisms, body, j), 3, ZERO)
+            put_row3(move, member(mechanisms, body, j), ZERO)
+            put_row3(move, member(mechanisms, body, j), ZERO, 3)
 
 
 @inline
@@ -291,7 +291,7 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
     """
     a, b, frame = rows.first[c], rows.second[c], rows.frame
     n, t1, t2 = (
-        row3_at(frame, c, NORMAL), row3_at(frame, c, TANGENT), row3_at(frame, c, TANGENT + 3),
+        row3(frame, c, NORMAL), row3(frame, c, TANGENT), row3(frame, c, TANGENT + 3),
     )  # fmt: skip
     by_n, by_1 = (
         _moved_along(partners, frame, c, a, b, n),
@@ -301,9 +301,9 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
     if by_n[0] <= LOCKED_SHARE * free:
         frame[c, LEAST], rows.limits[c, RESTITUTION] = NEVER, 0.0
         return
-    changes = in_world(frame, c, row3_at(rows.limits, c, LEAN))
+    changes = in_world(frame, c, row3(rows.limits, c, LEAN))
     put_matrix(frame, c, (t1, t2), by_n, (by_1[1], by_1[2], by_2[2]))
-    put_row3_at(rows.limits, c, LEAN, in_frame(frame, c, changes))  # tangents are others now
+    put_row3(rows.limits, c, in_frame(frame, c, changes), LEAN)  # tangents are others now
     for i in range(2):
         frame[c, SCHUR + i] = max(frame[c, SCHUR + i], _MIN_SCHUR_SHARE * free)
     _put_shares(frame, c)

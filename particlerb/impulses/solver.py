@@ -67,7 +67,7 @@ from particlerb.impulses.rolling import (
     warm_start_rolling,
 )
 from particlerb.impulses.rows import approach, approach_at_end, change_by, driven_by, give, in_frame
-from particlerb.maths.rows import put_row3_at, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Vec3, dot, subtract
 
 _SWEEPS_PER_RESIDUAL: Final = 5
@@ -124,12 +124,12 @@ def _warm_start(impulses: Impulses, bounded: Bounded | None, team: Team) -> None
     for i in range(rows.colours.counts[0]):
         first, end = rows_of(team, rows.colours, i)
         for k in range(first, end):
-            n, x, y = in_frame(rows.frame, k, row3_at(rows.impulse, k, 0))
+            n, x, y = in_frame(rows.frame, k, row3(rows.impulse, k))
             if n <= 0.0 or rows.frame[k, LEAST] == NEVER:
-                put_row3_at(rows.impulse, k, 0, (0.0, 0.0, 0.0))
+                put_row3(rows.impulse, k, (0.0, 0.0, 0.0))
                 continue
             x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
-            put_row3_at(rows.impulse, k, 0, (n, x, y))
+            put_row3(rows.impulse, k, (n, x, y))
             change_by(partners, rows, k, (n, x, y))
         warm_start_rolling(rows.rolling, partners, rows, first, end)
         meet(team)
@@ -147,8 +147,8 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team:
             changed, begin, stop = 0.0, colours.row[c], colours.row[c + 1]
             for k in range(begin, stop):
                 u = approach_at_end(partners, rows, k)
-                old = row3_at(impulse, k, 0)
-                put_row3_at(rows.old, k, 0, old)
+                old = row3(impulse, k)
+                put_row3(rows.old, k, old)
                 n = max(old[0] - frame[k, SHARE] * (u[0] - frame[k, LEAST]), 0.0)
                 dn, rubbing = n - old[0], frame[k, RUBBING]
                 x = old[1] - rubbing * (u[1] + frame[k, COUPLING] * dn)
@@ -157,7 +157,7 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team:
                 change = (dn, x - old[1], y - old[2])
                 square = dot(change, change)
                 if square > 0.0:
-                    put_row3_at(impulse, k, 0, (n, x, y))
+                    put_row3(impulse, k, (n, x, y))
                     change_by(partners, rows, k, change)
                 changed += square
             changed += sweep_rolling(rows.rolling, partners, rows, begin, stop)
@@ -213,7 +213,7 @@ def residual(
         off, size, left = 0.0, 0.0, 0.0
         begin, stop = colours.row[c], colours.row[c + 1]
         for k in range(begin, stop):
-            r = row3_at(rows.impulse, k, 0)
+            r = row3(rows.impulse, k)
             miss = _miss(partners, rows, k, r)
             square = dot(miss, miss)
             off += square
@@ -221,7 +221,7 @@ def residual(
             size += dot(r, r)
         more, as_speed = miss_of_rolling(rows.rolling, partners, rows, begin, stop)
         size += size_of_rolling(rows.rolling, rows, begin, stop)
-        put_row3_at(colours.sums, c, 1, (off + more, left + as_speed, size))
+        put_row3(colours.sums, c, (off + more, left + as_speed, size), 1)
     meet(team)
     off, left, size = total(colours, 1), total(colours, 2), total(colours, 3)
     if bounded is not None:
@@ -240,7 +240,7 @@ def _mix(
     for colour in range(rows.colours.counts[0]):
         first, end = rows_of(team, rows.colours, colour)
         for k in range(first, end):
-            change = subtract(row3_at(impulse, k, 0), row3_at(old, k, 0))
+            change = subtract(row3(impulse, k), row3(old, k))
             on = (beta * direction[k, 0], beta * direction[k, 1], beta * direction[k, 2])
             if not is_last and dot(on, on) > 0.0:
                 for i in range(3):
@@ -281,7 +281,7 @@ def _size(rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float) 
     """Size of all impulses [N s], or a floor."""
     size = 0.0
     for k in range(count):
-        r = row3_at(rows.impulse, k, 0)
+        r = row3(rows.impulse, k)
         size += dot(r, r)
     size += size_of_rolling(rows.rolling, rows, 0, count)
     if bounded is not None:
@@ -295,9 +295,9 @@ def _keep_best(impulses: Impulses, bounded: Bounded | None, goes_back: bool) -> 
     _, partners, rows, count, _, newton = impulses
     for k in range(count[0]):
         if goes_back:
-            put_row3_at(rows.impulse, k, 0, row3_at(newton.best, k, 0))
+            put_row3(rows.impulse, k, row3(newton.best, k))
         else:
-            put_row3_at(newton.best, k, 0, row3_at(rows.impulse, k, 0))
+            put_row3(newton.best, k, row3(rows.impulse, k))
         keep_best_rolling(rows.rolling, newton.best, k, goes_back)
     if bounded is not None:
         keep_best_bounded(bounded, goes_back)
@@ -343,8 +343,8 @@ def solve(
     m = count[0]
     first, end = share_of(team, 0, partners.free.shape[0])
     for b in range(first, end):
-        put_row3_at(partners.free, b, 0, row3_at(partners.velocity, b, 0))
-        put_row3_at(partners.free, b, 3, row3_at(partners.velocity, b, 3))
+        put_row3(partners.free, b, row3(partners.velocity, b))
+        put_row3(partners.free, b, row3(partners.velocity, b, 3), 3)
     if m == 0 and bounded is None:
         tally[RESIDUAL] = 0.0
         return
@@ -376,7 +376,7 @@ def solve(
     for i in range(rows.colours.counts[0]):
         first, end = rows_of(team, rows.colours, i)
         for k in range(first, end):
-            give(partners, rows, k, row3_at(rows.impulse, k, 0))
+            give(partners, rows, k, row3(rows.impulse, k))
         give_rolling(rows.rolling, partners, rows, first, end)
         meet(team)
     if team.thread == 0:

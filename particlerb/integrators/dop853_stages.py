@@ -29,7 +29,7 @@ from particlerb.integrators.stages import caller_of_stages, inlined_caller
 from particlerb.joints.breaking import break_by_multipliers, let_go, may_break
 from particlerb.joints.records import Breaks, Jointed
 from particlerb.maths.quaternion import normalised
-from particlerb.maths.rows import load4, rows4, store4
+from particlerb.maths.rows import column4, put_column4, rows4
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import Q, assign, get, put
 from particlerb.model.load import STATE_ROWS
@@ -86,7 +86,7 @@ def spread_out(y: Floats, layout: Layout, w: int, states: Floats) -> None:
                 states[c, lo + b] = y[k, c * w + b]
         orientations = rows4(states[Q : Q + 4], lo, lo + layout.size[k])
         for b in range(layout.size[k]):
-            store4(orientations, b, normalised(load4(orientations, b)))
+            put_column4(orientations, b, normalised(column4(orientations, b)))
 
 
 @kernel

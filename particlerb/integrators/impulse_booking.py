@@ -15,7 +15,7 @@ from particlerb.integrators.pair_stages import Layout, PairTerms, gather_states,
 from particlerb.joints.actions import stored_energy
 from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import matrix
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, dot, subtract
 from particlerb.model.block import COM, L, P, Q, get3, get4, put3
 from particlerb.model.load import FORCE
@@ -31,7 +31,7 @@ def book_bodies(
         lo = layout.first[k]
         for i in range(layout.size[k]):
             b = lo + i
-            entry = booked[b, 0], row3_at(booked, b, 1), row3_at(booked, b, 4)
+            entry = booked[b, 0], row3(booked, b, 1), row3(booked, b, 4)
             book(books, blocks[k], i, 1.0, entry)
             gross[b] += booked[b, 7]
 
@@ -39,7 +39,7 @@ def book_bodies(
 @inline
 def _changed(partners: Partners, b: int, at: int) -> Vec3:
     """Change of the velocity, or of the angular velocity from 3 on, of body b by the solve."""
-    return subtract(row3_at(partners.velocity, b, at), row3_at(partners.free, b, at))
+    return subtract(row3(partners.velocity, b, at), row3(partners.free, b, at))
 
 
 @inline

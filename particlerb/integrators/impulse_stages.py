@@ -46,7 +46,7 @@ from particlerb.maths.quaternion import (
     normalised,
     turn_back,
 )
-from particlerb.maths.rows import put_row3_at, row3, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import (
     ZERO,
     Floats,
@@ -121,18 +121,18 @@ def gather_velocities(
         for i in range(layout.size[k]):
             b = lo + i
             v, omega = row3(bodies.velocity, b), row3(bodies.angular_velocity, b)
-            put_row3_at(partners.before, b, 0, v)
-            put_row3_at(partners.before, b, 3, omega)
+            put_row3(partners.before, b, v)
+            put_row3(partners.before, b, omega, 3)
             R, moments = matrix(get4(rows, Q, i)), get3(rows, INV_INERTIA, i)
-            put_row3_at(partners.before, b, 9, _free_turning(R, moments, omega))
+            put_row3(partners.before, b, _free_turning(R, moments, omega), 9)
             _put_inverse(partners.inverse, b, get(rows, INV_MASS, i), moments, R)
             if inv_mass[b] > 0.0:
                 v = scale(inv_mass[b], get3(rows, P, i))
                 m = component_product(moments, turn_back(R, get3(rows, L, i)))
                 omega = (dot(R[0], m), dot(R[1], m), dot(R[2], m))
-            put_row3_at(partners.velocity, b, 0, v)
-            put_row3_at(partners.velocity, b, 3, omega)
-            put_row3_at(partners.position, b, 0, get3(rows, COM, i))
+            put_row3(partners.velocity, b, v)
+            put_row3(partners.velocity, b, omega, 3)
+            put_row3(partners.position, b, get3(rows, COM, i))
 
 
 @inline
@@ -141,8 +141,8 @@ def _put_accelerations(
 ) -> None:
     """Write how partner b is accelerated by turning, and with the centre of its motion."""
     driven = acceleration_at(motion, motion.centre, t)
-    put_row3_at(partners.before, b, 6, subtract(by, driven))
-    put_row3_at(partners.before, b, 12, driven)
+    put_row3(partners.before, b, subtract(by, driven), 6)
+    put_row3(partners.before, b, driven, 12)
 
 
 @inline
@@ -161,12 +161,12 @@ def _gather_walls(contact: MovingContact, partners: Partners, dt: float) -> None
         motion = motion_in(contact.setup.motions, w)
         _put_accelerations(partners, n + w, motion, acceleration_at(motion, ZERO, t), t)
         for to in (partners.velocity, partners.before):
-            put_row3_at(to, n + w, 0, row3(poses.velocity, w))
-            put_row3_at(to, n + w, 3, row3(poses.angular_velocity, w))
-        put_row3_at(partners.position, n + w, 0, row3(poses.position, w))
+            put_row3(to, n + w, row3(poses.velocity, w))
+            put_row3(to, n + w, row3(poses.angular_velocity, w), 3)
+        put_row3(partners.position, n + w, row3(poses.position, w))
     push_pistons(contact.setup.pistons, partners.velocity, n, dt)
     for b in range(n, n + poses.size):
-        by = subtract(row3_at(partners.velocity, b, 0), row3_at(partners.before, b, 0))
+        by = subtract(row3(partners.velocity, b), row3(partners.before, b))
         partners.speeds[b, 2] = norm(by)
 
 
@@ -175,9 +175,9 @@ def _size_of_kick(contact: MovingContact, partners: Partners) -> float:
     """All impulses of a kick, and of momenta what is as good as none [N s]."""
     moved = 0.0
     for b in range(contact.setup.max_arm.size):
-        by = subtract(row3_at(partners.velocity, b, 0), row3_at(partners.before, b, 0))
+        by = subtract(row3(partners.velocity, b), row3(partners.before, b))
         mass = partners.inverse[b, 0]
-        size = 2.0 * norm(by) + _MOMENTUM_ROUNDING * norm(row3_at(partners.velocity, b, 0))
+        size = 2.0 * norm(by) + _MOMENTUM_ROUNDING * norm(row3(partners.velocity, b))
         moved += size / mass if mass > 0.0 else 0.0
     return moved
 
@@ -193,10 +193,10 @@ def _apply_impulses(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
         rows, lo = blocks[k], layout.first[k]
         for i in range(layout.size[k]):
             if get(rows, INV_MASS, i) > 0.0:
-                put3(rows, P, i, add(get3(rows, P, i), row3_at(impulse, lo + i, 0)))
-                put3(rows, L, i, add(get3(rows, L, i), row3_at(impulse, lo + i, 3)))
-            put_row3_at(impulse, lo + i, 0, ZERO)
-            put_row3_at(impulse, lo + i, 3, ZERO)
+                put3(rows, P, i, add(get3(rows, P, i), row3(impulse, lo + i)))
+                put3(rows, L, i, add(get3(rows, L, i), row3(impulse, lo + i, 3)))
+            put_row3(impulse, lo + i, ZERO)
+            put_row3(impulse, lo + i, ZERO, 3)
 
 
 @inline
@@ -297,7 +297,7 @@ def _move_bodies(
     for k in range(layout.first.size):
         rows, lo = blocks[k], layout.first[k]
         for i in range(layout.size[k]):
-            b, dx, turn = lo + i, row3_at(move, lo + i, 0), row3_at(move, lo + i, 3)
+            b, dx, turn = lo + i, row3(move, lo + i), row3(move, lo + i, 3)
             if dot(dx, dx) + dot(turn, turn) > 0.0:
                 work = _move(acting, books, rows, i, dx, turn)
                 impulses.tally[PUSH_OUT_WORK] += work

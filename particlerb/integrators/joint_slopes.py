@@ -22,7 +22,7 @@ from particlerb.joints.records import HOLDS, STATE, Jointed, L, P, Q, X
 from particlerb.joints.rows import add_impulses, by_inverse_inertia, linearise, orientation
 from particlerb.joints.solver import constrained_drift, keep_rates
 from particlerb.joints.trees import accelerate_tree
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, cross, dot, scale, subtract
 from particlerb.model.block import BOOKED
 
@@ -89,9 +89,9 @@ def _book_row(
     k = a if joints.inv_mass[a] > 0.0 else b
     F, tau = ZERO, ZERO
     if joints.inv_mass[a] == 0.0 or joints.inv_mass[b] == 0.0:
-        F = scale(z if k == a else -z, row3_at(data.gradient, r, 0))
-        turning = scale(z, row3_at(data.gradient, r, 3 if k == a else 6))
-        tau = add(turning, cross(row3_at(data.y, k, X), F))
+        F = scale(z if k == a else -z, row3(data.gradient, r))
+        turning = scale(z, row3(data.gradient, r, 3 if k == a else 6))
+        tau = add(turning, cross(row3(data.y, k, X), F))
     _book(books, jointed, slope, w, k, power, F, tau)
 
 
@@ -118,13 +118,13 @@ def _drag(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
         return
     joints, y, load = jointed.joints, jointed.data.y, jointed.data.change
     for k in range(jointed.block.size):
-        v = scale(joints.inv_mass[k], row3_at(y, k, P))
-        spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3_at(y, k, L))
+        v = scale(joints.inv_mass[k], row3(y, k, P))
+        spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3(y, k, L))
         F, tau = scale(-joints.drag[k, 0], v), scale(-joints.drag[k, 1], spin)
         for i in range(3):
             load[k, i] += F[i]
             load[k, 3 + i] += tau[i]
-        about_origin = add(tau, cross(row3_at(y, k, X), F))
+        about_origin = add(tau, cross(row3(y, k, X), F))
         _book(books, jointed, slope, w, k, dot(F, v) + dot(tau, spin), F, about_origin)
 
 
@@ -143,9 +143,9 @@ def _add_what_holds(books: Flag, jointed: Jointed, slope: Floats, w: int) -> Non
     for i in range(tree.body.size):
         if joints.inv_mass[tree.before[i]] == 0.0:
             k = tree.body[i]
-            at = subtract(row3_at(data.y, k, X), row3_at(tree.bodies.com, k, 0))
-            F = row3_at(tree.bodies.b, k, 0)
-            about_origin = add(row3_at(tree.bodies.b, k, 3), cross(at, F))
+            at = subtract(row3(data.y, k, X), row3(tree.bodies.com, k))
+            F = row3(tree.bodies.b, k)
+            about_origin = add(row3(tree.bodies.b, k, 3), cross(at, F))
             _book(books, jointed, slope, w, k, 0.0, F, about_origin)
 
 
@@ -218,8 +218,8 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
 def _spin(jointed: Jointed, k: int) -> float:
     """Size of the angular velocity of body k [rad/s]; of what stands still 0."""
     y, inverse = jointed.data.y, jointed.joints.inv_inertia
-    w = by_inverse_inertia(inverse, orientation(y, k), k, row3_at(y, k, L))
-    w = add(w, row3_at(jointed.data.motion, k, 3))  # of what moves as prescribed
+    w = by_inverse_inertia(inverse, orientation(y, k), k, row3(y, k, L))
+    w = add(w, row3(jointed.data.motion, k, 3))  # of what moves as prescribed
     return dot(w, w) ** 0.5
 
 

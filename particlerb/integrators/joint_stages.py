@@ -32,7 +32,7 @@ from particlerb.joints.records import HOLDS, JointData, Jointed, L, P, Q, X
 from particlerb.joints.rows import by_inverse_inertia, put_pose
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.maths.quaternion import Matrix
-from particlerb.maths.rows import put_row3_at, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import COM, get, get3, get4, put, put3
 from particlerb.model.load import STATE_ROWS
@@ -75,13 +75,13 @@ def set_prescribed(
         b = prescribed.body[k]
         x, q, v, w = prescribed_pose(prescribed, k, time)
         put_pose(y, b, x, q)
-        put_row3_at(motion, b, 0, v)
-        put_row3_at(motion, b, 3, w)
-        put_row3_at(motion, b, 6, prescribed_acceleration(prescribed, k, time))
+        put_row3(motion, b, v)
+        put_row3(motion, b, w, 3)
+        put_row3(motion, b, prescribed_acceleration(prescribed, k, time), 6)
         if dt == 0.0:
             p, spin = prescribed_momenta(prescribed, k, q, v, w)
-            put_row3_at(y, b, P, p)
-            put_row3_at(y, b, L, spin)
+            put_row3(y, b, p, P)
+            put_row3(y, b, spin, L)
         x, q, v, w = prescribed_pose(prescribed, k, time + dt)
         put_pose(data.end_pose, b, x, q)
 
@@ -104,14 +104,14 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
     start = joints.program.start
     for r in range(start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]):
         a, b, z = joints.rows.a[r], joints.rows.b[r], data.impulse[r]
-        by_x = row3_at(data.gradient, r, 0)
+        by_x = row3(data.gradient, r)
         if joints.inv_mass[b] == 0.0 and joints.inv_mass[a] > 0.0:
             impulse = scale(z, by_x)
-            turning = add_scaled(z, row3_at(data.gradient, r, 3), cross(row3_at(at, a, X), impulse))
+            turning = add_scaled(z, row3(data.gradient, r, 3), cross(row3(at, a, X), impulse))
             book(books, blocks[block[a]], lane[a], 1.0, (0.0, impulse, turning))
         elif joints.inv_mass[a] == 0.0 and joints.inv_mass[b] > 0.0:
             impulse = scale(-z, by_x)
-            turning = add_scaled(z, row3_at(data.gradient, r, 6), cross(row3_at(at, b, X), impulse))
+            turning = add_scaled(z, row3(data.gradient, r, 6), cross(row3(at, b, X), impulse))
             book(books, blocks[block[b]], lane[b], 1.0, (0.0, impulse, turning))
 
 
@@ -127,8 +127,8 @@ def _correct_work(books: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         rows, b = blocks[block[k]], lane[k]
-        by_joints = subtract(row3_at(data.y, k, P), get3(rows, COM + P, b))
-        turning = subtract(row3_at(data.y, k, L), get3(rows, COM + L, b))
+        by_joints = subtract(row3(data.y, k, P), get3(rows, COM + P, b))
+        turning = subtract(row3(data.y, k, L), get3(rows, COM + L, b))
         q = get4(rows, COM + Q, b)
         spin = by_inverse_inertia(joints.inv_inertia, q, k, turning)
         gain = joints.inv_mass[k] * dot(get3(rows, STAGE, b), by_joints)

@@ -32,7 +32,7 @@ from particlerb.joints.records import (
 from particlerb.joints.rows import arms_at, is_of_other_bodies, rate, rotations
 from particlerb.joints.wheels import tangent
 from particlerb.maths.quaternion import Matrix, turn, turn_back
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import (
     ZERO,
     Floats,
@@ -56,16 +56,16 @@ class _Spin(NamedTuple):
 @inline
 def _spin_of(joints: Joints, data: JointData, k: int, R: Matrix) -> _Spin:
     """How body k turns in an orientation."""
-    inverse, m = row3_at(joints.inv_inertia, k, 0), turn_back(R, row3_at(data.y, k, L))
+    inverse, m = row3(joints.inv_inertia, k), turn_back(R, row3(data.y, k, L))
     w = component_product(inverse, m)
     lost = turn(R, component_product(inverse, cross(w, m)))
-    return _Spin(add(turn(R, w), row3_at(data.motion, k, 3)), lost)
+    return _Spin(add(turn(R, w), row3(data.motion, k, 3)), lost)
 
 
 @inline
 def _velocity(joints: Joints, data: JointData, k: int) -> Vec3:
     """Velocity of body k [m/s]."""
-    return add_scaled(joints.inv_mass[k], row3_at(data.y, k, P), row3_at(data.motion, k, 0))
+    return add_scaled(joints.inv_mass[k], row3(data.y, k, P), row3(data.motion, k))
 
 
 @inline
@@ -97,9 +97,9 @@ def _convective(
 def driven_along(joints: Joints, data: JointData, r: int) -> float:
     """The part of -g̈ of row r by its drive, and by bodies that move as prescribed."""
     rows, motion = joints.rows, data.motion
-    by = subtract(row3_at(motion, rows.a[r], 6), row3_at(motion, rows.b[r], 6))
+    by = subtract(row3(motion, rows.a[r], 6), row3(motion, rows.b[r], 6))
     by_drive = course(joints.drives, rows.drive[r], data.clock[0])[2]
-    return by_drive - dot(row3_at(data.gradient, r, 0), by)
+    return by_drive - dot(row3(data.gradient, r), by)
 
 
 @inline
@@ -108,8 +108,8 @@ def _centripetal(
 ) -> Vec3:
     """k of row r."""
     ra, rb = (
-        turn(R[0], row3_at(joints.rows.vector_a, r, 0)),
-        turn(R[1], row3_at(joints.rows.vector_b, r, 0)),
+        turn(R[0], row3(joints.rows.vector_a, r)),
+        turn(R[1], row3(joints.rows.vector_b, r)),
     )
     return subtract(cross(wa, cross(wa, ra)), cross(wb, cross(wb, rb)))
 
@@ -140,10 +140,10 @@ def accelerations(joints: Joints, data: JointData, lo: int, hi: int, load: Float
         if rows.kind[r] == WORLD_ALONG:
             if r == lo or not joints.beside[r]:
                 k = _centripetal(joints, data, r, R, spin_a.w, spin_b.w)
-            acceleration = dot(row3_at(rows.axis, r, 0), k)
+            acceleration = dot(row3(rows.axis, r), k)
         else:
             acceleration = _convective(joints, data, r, R, spin_a.w, spin_b.w)
         acceleration += rate(joints, gradient, r, load, 0)
         acceleration -= driven_along(joints, data, r)
-        acceleration -= dot(row3_at(gradient, r, 3), spin_a.lost)
-        data.z[r] = dot(row3_at(gradient, r, 6), spin_b.lost) - acceleration
+        acceleration -= dot(row3(gradient, r, 3), spin_a.lost)
+        data.z[r] = dot(row3(gradient, r, 6), spin_b.lost) - acceleration

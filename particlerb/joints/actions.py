@@ -16,7 +16,7 @@ from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.joints.records import HOLDS, TURN, Actions, ConstraintRows, JointData, Joints, P
 from particlerb.joints.rows import add_impulses, coordinate, orientation, rate, shorter
 from particlerb.maths.quaternion import to_body, to_world
-from particlerb.maths.rows import row3, row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add, component_product, cross, dot, scale
 
 _MAX_BEYOND_SHARE: Final = 0.9  # of the way from a stop to the middle between it and the other
@@ -164,9 +164,9 @@ def finish_damping(
     joints: Joints, data: JointData, b: int, span: float
 ) -> tuple[float, Vec3, Vec3]:
     """Momenta of body b after the span, from those of the middle; work, impulse, torque of drag."""
-    q, at = orientation(data.y, b), row3_at(data.y, b, 0)
-    m = to_body(q, row3_at(data.y, b, P + 3))
-    v = scale(data.inv_mass[b], row3_at(data.y, b, P))
+    q, at = orientation(data.y, b), row3(data.y, b)
+    m = to_body(q, row3(data.y, b, P + 3))
+    v = scale(data.inv_mass[b], row3(data.y, b, P))
     w = to_world(q, component_product(row3(data.inv_inertia, b), m))
     impulse = scale(-span * joints.drag[b, 0], v)
     turning = scale(-span * joints.drag[b, 1], w)

@@ -18,7 +18,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.compiled.lanes import choose
 from particlerb.joints.fives import down_fives, up_fives, update_fives
 from particlerb.joints.records import Clusters, ConstraintRows, JointData, Program
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Bools, Floats, Ints, dot
 
 
@@ -136,12 +136,12 @@ def _on_diagonal(data: JointData, k: int, at: int, n: int, m: float) -> None:
     """Lower half of the diagonal block k of n rows from `at` on, and its diagonal."""
     gradient, factor = data.gradient, data.factor
     for r in range(n):
-        by_x, by_a = row3_at(gradient, at + r, 0), row3_at(gradient, at + r, 3)
-        by_b = row3_at(gradient, at + r, 6)
+        by_x, by_a = row3(gradient, at + r), row3(gradient, at + r, 3)
+        by_b = row3(gradient, at + r, 6)
         for s in range(r + 1):
-            v = m * dot(by_x, row3_at(gradient, at + s, 0))
-            v += dot(by_a, row3_at(gradient, at + s, 9))
-            factor[k, r, s] = v + dot(by_b, row3_at(gradient, at + s, 12))
+            v = m * dot(by_x, row3(gradient, at + s))
+            v += dot(by_a, row3(gradient, at + s, 9))
+            factor[k, r, s] = v + dot(by_b, row3(gradient, at + s, 12))
         data.scale[at + r] = factor[k, r, r]
         factor[k, r, r] += data.compliance[at + r]
 
@@ -156,10 +156,10 @@ def _add_shared(
     """
     gradient, factor, (m, by_i, by_j) = data.gradient, data.factor, of
     for r in range(rows):
-        by_x, turning = row3_at(gradient, i + r, 0), row3_at(gradient, i + r, by_i)
+        by_x, turning = row3(gradient, i + r), row3(gradient, i + r, by_i)
         for s in range(columns):
-            v = m * dot(by_x, row3_at(gradient, j + s, 0))
-            factor[k, r, s] += v + dot(turning, row3_at(gradient, j + s, by_j))
+            v = m * dot(by_x, row3(gradient, j + s))
+            factor[k, r, s] += v + dot(turning, row3(gradient, j + s, by_j))
 
 
 @inline

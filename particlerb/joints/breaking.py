@@ -21,7 +21,7 @@ from particlerb.compiled.jit import inline
 from particlerb.joints.records import HOLDS, Breaks, JointData, Joints, P
 from particlerb.joints.rows import add_impulses, orientation
 from particlerb.maths.quaternion import to_world
-from particlerb.maths.rows import row3, row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, add_scaled, cross, norm, subtract
 
 _SAME_INSTANT: Final = 1e-9  # over a step: instants as near as this are one
@@ -106,8 +106,8 @@ def _impulses(
     """Sizes of the impulse of joint j, kept by rows, and of its moment about its point."""
     start, impulse, turning = joints.program.start, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for r in range(start[j], start[j + 1]):
-        impulse = add_scaled(kept[r], row3_at(data.gradient, r, 0), impulse)
-        turning = add_scaled(kept[r], row3_at(data.gradient, r, 3), turning)
+        impulse = add_scaled(kept[r], row3(data.gradient, r), impulse)
+        turning = add_scaled(kept[r], row3(data.gradient, r, 3), turning)
     first = start[j]
     arm = to_world(orientation(pose, joints.rows.a[first]), row3(joints.rows.vector_a, first))
     return norm(impulse), norm(subtract(turning, cross(arm, impulse)))

@@ -14,7 +14,7 @@ from particlerb.joints.records import ALONG, ROTATION, TURN, Coordinates
 from particlerb.joints.rows import orientation
 from particlerb.joints.types import COORDINATES, Ends, coordinate_rows
 from particlerb.maths.quaternion import to_world
-from particlerb.maths.rows import put_row3_at, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import Floats, Vec3, dot, subtract
 
 
@@ -57,7 +57,7 @@ def united(parts: Sequence[Coordinates], n_joints: Sequence[int]) -> Coordinates
 def _placed(y: Floats, k: int, v: Vec3) -> Vec3:
     """Where a point v of body k is."""
     r = to_world(orientation(y, k), v)
-    x = row3_at(y, k, 0)
+    x = row3(y, k)
     return x[0] + r[0], x[1] + r[1], x[2] + r[2]
 
 
@@ -67,8 +67,8 @@ def count_turns(coordinates: Coordinates, y: Floats, turned: Floats) -> None:
     _, _, a, b, is_angle, vectors = coordinates
     for k in range(a.size):
         v = vectors[k]
-        first, other = row3_at(v, 0, 0), row3_at(v, 1, 0)
-        p, q = row3_at(v, 2, 0), row3_at(v, 3, 0)
+        first, other = row3(v, 0), row3(v, 1)
+        p, q = row3(v, 2), row3(v, 3)
         of_b = orientation(y, b[k])
         if not is_angle[k]:
             d = subtract(_placed(y, a[k], first), _placed(y, b[k], q))
@@ -89,7 +89,7 @@ def count_turns(coordinates: Coordinates, y: Floats, turned: Floats) -> None:
 def store_turns(turned: Floats, stored: Floats, frame: int) -> None:
     """Keep them for a frame."""
     for k in range(len(turned)):
-        put_row3_at(stored[frame], k, 0, row3_at(turned, k, 0))
+        put_row3(stored[frame], k, row3(turned, k))
 
 
 def values_of(coordinates: Coordinates, turned: Floats) -> Floats:

@@ -15,7 +15,7 @@ from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, JointData, Joint
 from particlerb.joints.rows import add_impulses, orientation, rate, residuals
 from particlerb.joints.wheels import nearest
 from particlerb.maths.quaternion import to_body
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.rotors.symmetric_split import symmetric_split, symmetric_top
 
 _MOST_ITERATIONS: Final = 60
@@ -35,8 +35,8 @@ def fly(joints: Joints, data: JointData, c: int, dt: float) -> None:
         for i in range(3):
             y[k, X + i] = pose[k, X + i] + path * y[k, P + i]
         q = orientation(pose, k)
-        m = to_body(q, row3_at(y, k, L))
-        a = row3_at(joints.inv_inertia, k, 0)
+        m = to_body(q, row3(y, k, L))
+        a = row3(joints.inv_inertia, k)
         q = symmetric_split(q, m, a, dt) if any_of(a[0] != a[1]) else symmetric_top(q, m, a, dt)
         y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
     carry(joints, data, joints.clusters.body[c], joints.clusters.body[c + 1])

@@ -31,7 +31,7 @@ from particlerb.joints.block_cholesky import solve
 from particlerb.joints.records import JointData, Joints
 from particlerb.joints.rows import add_impulses, coordinate, rate, residuals
 from particlerb.joints.solver import factorise_cluster
-from particlerb.maths.rows import put_row3_at, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Ints, Vec3, add, dot, scale
 
 _RESIDUAL_ROUNDING: Final = 1e-14  # residuals, over their size, that are as good as none
@@ -88,8 +88,8 @@ def _hold(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> None:
 @inline
 def _by_impulses(partners: Partners, data: JointData, b: int, k: int) -> tuple[Vec3, Vec3]:
     """Velocity and angular velocity of partner b by the impulses on it, row k."""
-    v = scale(partners.inverse[b, 0], row3_at(data.change, k, 0))
-    return v, inverse_inertia_times(partners.inverse, b, row3_at(data.change, k, 3))
+    v = scale(partners.inverse[b, 0], row3(data.change, k))
+    return v, inverse_inertia_times(partners.inverse, b, row3(data.change, k, 3))
 
 
 @kernel
@@ -153,9 +153,9 @@ def _accelerate(
                 if partners.inverse[b, 0] > 0.0:
                     v, omega = _by_impulses(partners, data, b, k)
                     if to == 6:
-                        omega = add(row3_at(before, b, 9), omega)
-                    put_row3_at(before, b, to, v)
-                    put_row3_at(before, b, to + 3, omega)
+                        omega = add(row3(before, b, 9), omega)
+                    put_row3(before, b, v, to)
+                    put_row3(before, b, omega, to + 3)
 
 
 @kernel
@@ -179,17 +179,15 @@ def find_bounded(
         _respond(joints, data, partners, mechanisms, bounded.first[k])
         _respond(joints, data, partners, mechanisms, bounded.second[k])
         a, b, x = joints.rows.a[r], joints.rows.b[r], coordinate(joints.rows, data.y, r)
-        by_x, by_a = row3_at(data.gradient, r, 0), row3_at(data.gradient, r, 3)
-        by_b = row3_at(data.gradient, r, 6)
+        by_x, by_a = row3(data.gradient, r), row3(data.gradient, r, 3)
+        by_b = row3(data.gradient, r, 6)
         if b == joints.order.size:
             write_gradient(bounded, k, by_x, by_a, ZERO, ZERO)
         else:
             write_gradient(bounded, k, by_x, by_a, scale(-1.0, by_x), by_b)
         mass = joints.inv_mass[a] + joints.inv_mass[b]
-        free = mass * dot(by_x, by_x) + dot(by_a, row3_at(data.gradient, r, 9))
-        write_response(
-            bounded, mechanisms, k, mass, free + dot(by_b, row3_at(data.gradient, r, 12))
-        )
+        free = mass * dot(by_x, by_x) + dot(by_a, row3(data.gradient, r, 9))
+        write_response(bounded, mechanisms, k, mass, free + dot(by_b, row3(data.gradient, r, 12)))
         values = bounded.values
         x = unwound(joints.rows.kind[r], x, bounds.lower[k], bounds.upper[k])
         values[k, B_GAP], values[k, B_GAP + 1] = x - bounds.lower[k], bounds.upper[k] - x
@@ -241,6 +239,6 @@ def move_to_joints(
         for k in range(first, last):
             b = mechanisms.member[k]
             dx, turn = _by_impulses(partners, data, b, k)
-            put_row3_at(move, b, 0, dx)
-            put_row3_at(move, b, 3, turn)
+            put_row3(move, b, dx)
+            put_row3(move, b, turn, 3)
     return any_moved

@@ -54,7 +54,7 @@ from particlerb.maths.quaternion import (
     to_world,
     turn,
 )
-from particlerb.maths.rows import put_row3_at, row3, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import (
     Floats,
     Vec3,
@@ -83,7 +83,7 @@ def orientation(y: Floats, k: int) -> Quat:
 @inline
 def put_pose(y: Floats, k: int, x: Vec3, q: Quat) -> None:
     """Write where body k is."""
-    put_row3_at(y, k, X, x)
+    put_row3(y, k, x, X)
     y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
 
 
@@ -110,11 +110,11 @@ def arms_at(
     rows: ConstraintRows, y: Floats, r: int, R: tuple[Matrix, Matrix]
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
     """Do the work of `arms`, with the rotation matrices of both bodies."""
-    ra, rb = turn(R[0], row3_at(rows.vector_a, r, 0)), turn(R[1], row3_at(rows.vector_b, r, 0))
-    u, kind = row3_at(rows.axis, r, 0), rows.kind[r]
+    ra, rb = turn(R[0], row3(rows.vector_a, r)), turn(R[1], row3(rows.vector_b, r))
+    u, kind = row3(rows.axis, r), rows.kind[r]
     if kind not in (WORLD_ALONG, ROTATION):
         u = turn(R[0] if kind == OWN_TURN else R[1], u)
-    between = subtract(row3_at(y, rows.a[r], X), row3_at(y, rows.b[r], X))
+    between = subtract(row3(y, rows.a[r], X), row3(y, rows.b[r], X))
     return ra, rb, u, subtract(between, subtract(rb, ra))
 
 
@@ -194,7 +194,7 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
     for r in range(lo, hi):
         kind = rows.kind[r]
         if is_of_other_bodies(rows, lo, r):
-            x, R = row3_at(y, rows.a[r], X), rotations(rows, y, r)
+            x, R = row3(y, rows.a[r], X), rotations(rows, y, r)
             far = abs(x[0]) + abs(x[1]) + abs(x[2])
             turned = max(1.0, _FAR_TURNED * far / rows.size[r])
         if data.compliance[r] != 0.0:
@@ -202,9 +202,9 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
         elif kind == WORLD_ALONG:
             if r == lo or not joints.beside[r] or data.compliance[r - 1] != 0.0:
                 d = arms_at(rows, y, r, R)[3]
-            g[r] = dot(row3_at(rows.axis, r, 0), d) - course(joints.drives, rows.drive[r], t)[0]
+            g[r] = dot(row3(rows.axis, r), d) - course(joints.drives, rows.drive[r], t)[0]
         elif kind == DOT:
-            n, u = row3_at(rows.vector_a, r, 0), row3_at(rows.axis, r, 0)
+            n, u = row3(rows.vector_a, r), row3(rows.axis, r)
             g[r] = dot(turn(R[0], n), turn(R[1], u))
         elif kind in (RACK, GEAR):
             _, _, u, d = arms_at(rows, y, r, R)
@@ -231,8 +231,8 @@ def tensor(R: Matrix, a: Vec3) -> Matrix:
 def _inverse_inertias(joints: Joints, r: int, R: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]:
     """The same of both bodies of row r."""
     a, b = joints.rows.a[r], joints.rows.b[r]
-    inverse_a = tensor(R[0], row3_at(joints.inv_inertia, a, 0))
-    return inverse_a, tensor(R[1], row3_at(joints.inv_inertia, b, 0))
+    inverse_a = tensor(R[0], row3(joints.inv_inertia, a))
+    return inverse_a, tensor(R[1], row3(joints.inv_inertia, b))
 
 
 @inline
@@ -267,16 +267,16 @@ def linearise(joints: Joints, data: JointData, lo: int, hi: int) -> None:
             R = rotations(rows, y, r)
             inverse = _inverse_inertias(joints, r, R)
         if joints.beside[r]:
-            u = row3_at(rows.axis, r, 0)
+            u = row3(rows.axis, r)
         else:
             ra, rb, u, d = arms_at(rows, y, r, R)
         by_x, by_a, by_b = _by_turning(rows, r, ra, rb, u, d)
         by_a, by_b = with_turns(joints.rolls, rows, r, R, by_a, by_b)
-        put_row3_at(gradient, r, 0, by_x)
-        put_row3_at(gradient, r, 3, by_a)
-        put_row3_at(gradient, r, 6, by_b)
-        put_row3_at(gradient, r, 9, turn(inverse[0], by_a))
-        put_row3_at(gradient, r, 12, turn(inverse[1], by_b))
+        put_row3(gradient, r, by_x)
+        put_row3(gradient, r, by_a, 3)
+        put_row3(gradient, r, by_b, 6)
+        put_row3(gradient, r, turn(inverse[0], by_a), 9)
+        put_row3(gradient, r, turn(inverse[1], by_b), 12)
 
 
 @inline
@@ -284,11 +284,11 @@ def rate(joints: Joints, gradient: Floats, r: int, y: Floats, at: int) -> float:
     """Row r of G M⁻¹ times momenta, or loads, that stand in y from `at` on."""
     a, b = joints.rows.a[r], joints.rows.b[r]
     v = subtract(
-        scale(joints.inv_mass[a], row3_at(y, a, at)), scale(joints.inv_mass[b], row3_at(y, b, at))
+        scale(joints.inv_mass[a], row3(y, a, at)), scale(joints.inv_mass[b], row3(y, b, at))
     )
-    speed = dot(row3_at(gradient, r, 0), v)
-    speed += dot(row3_at(gradient, r, 9), row3_at(y, a, at + 3))
-    return speed + dot(row3_at(gradient, r, 12), row3_at(y, b, at + 3))
+    speed = dot(row3(gradient, r), v)
+    speed += dot(row3(gradient, r, 9), row3(y, a, at + 3))
+    return speed + dot(row3(gradient, r, 12), row3(y, b, at + 3))
 
 
 @unfused_kernel
@@ -315,14 +315,10 @@ def add_impulses(
     """(P, L) += Gᵀ z of rows lo to hi, on momenta or loads that stand in y from `at` on."""
     for r in range(lo, hi):
         a, b = rows.a[r], rows.b[r]
-        by_x = row3_at(gradient, r, 0)
+        by_x = row3(gradient, r)
         if lane(inv_mass[a], 0) > 0.0:
-            put_row3_at(y, a, at, add_scaled(z[r], by_x, row3_at(y, a, at)))
-            put_row3_at(
-                y, a, at + 3, add_scaled(z[r], row3_at(gradient, r, 3), row3_at(y, a, at + 3))
-            )
+            put_row3(y, a, add_scaled(z[r], by_x, row3(y, a, at)), at)
+            put_row3(y, a, add_scaled(z[r], row3(gradient, r, 3), row3(y, a, at + 3)), at + 3)
         if lane(inv_mass[b], 0) > 0.0:
-            put_row3_at(y, b, at, add_scaled(-z[r], by_x, row3_at(y, b, at)))
-            put_row3_at(
-                y, b, at + 3, add_scaled(z[r], row3_at(gradient, r, 6), row3_at(y, b, at + 3))
-            )
+            put_row3(y, b, add_scaled(-z[r], by_x, row3(y, b, at)), at)
+            put_row3(y, b, add_scaled(z[r], row3(gradient, r, 6), row3(y, b, at + 3)), at + 3)

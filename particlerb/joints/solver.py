@@ -47,7 +47,7 @@ from particlerb.joints.rows import (
     rotations,
 )
 from particlerb.joints.wheels import out_of_mesh
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, Vec3, add, dot, scale
 
 _MAX_PASSES: Final = 4  # of a projection of momenta
@@ -156,10 +156,8 @@ def constrained_drift(
 @inline
 def _turn(joints: Joints, data: JointData, k: int, dt: float) -> Vec3:
     """How far body k turns in a drift, if it went on as it begins."""
-    omega = by_inverse_inertia(
-        joints.inv_inertia, orientation(data.pose, k), k, row3_at(data.y, k, L)
-    )
-    return scale(dt, add(omega, row3_at(data.motion, k, 3)))
+    omega = by_inverse_inertia(joints.inv_inertia, orientation(data.pose, k), k, row3(data.y, k, L))
+    return scale(dt, add(omega, row3(data.motion, k, 3)))
 
 
 @inline
@@ -222,7 +220,7 @@ def _is_weak(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> bool:
     """Whether no impulse of rows lo to hi is above √(2 M T), where the drift begins."""
     T, M, largest = 0.0, 0.0, 0.0
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
-        p, spin, inverse = row3_at(data.pose, k, P), row3_at(data.pose, k, L), joints.inv_mass[k]
+        p, spin, inverse = row3(data.pose, k, P), row3(data.pose, k, L), joints.inv_mass[k]
         turning = by_inverse_inertia(joints.inv_inertia, orientation(data.pose, k), k, spin)
         T += 0.5 * (inverse * dot(p, p) + dot(spin, turning))
         M += 1.0 / inverse if inverse > 0.0 else 0.0

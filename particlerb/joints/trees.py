@@ -22,7 +22,7 @@ from particlerb.compiled.jit import inline
 from particlerb.joints.records import DISTANCE, DOT, HOLDS, ConstraintRows, Joints, L, P, X
 from particlerb.joints.rows import orientation, tensor
 from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
-from particlerb.maths.rows import put_row3_at, row3_at
+from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import (
     ZERO,
     Bools,
@@ -147,40 +147,40 @@ def _directions(rows: ConstraintRows, index: Ints, before: int, world: int) -> l
 @inline
 def _matrix_at(values: Floats, k: int, at: int) -> Matrix:
     """Matrix of body k."""
-    return row3_at(values, k, at), row3_at(values, k, at + 3), row3_at(values, k, at + 6)
+    return row3(values, k, at), row3(values, k, at + 3), row3(values, k, at + 6)
 
 
 @inline
 def _put_matrix(values: Floats, k: int, at: int, M: Matrix) -> None:
     """Write it."""
     for i in range(3):
-        put_row3_at(values, k, at + 3 * i, M[i])
+        put_row3(values, k, M[i], at + 3 * i)
 
 
 @inline
 def _place(joints: Joints, tree: JointTree, y: Floats, k: int) -> None:
     """Attitude of body k, and how it turns."""
-    R, inverse = matrix(orientation(y, k)), row3_at(joints.inv_inertia, k, 0)
-    spin = turn(R, component_product(inverse, turn_back(R, row3_at(y, k, L))))
+    R, inverse = matrix(orientation(y, k)), row3(joints.inv_inertia, k)
+    spin = turn(R, component_product(inverse, turn_back(R, row3(y, k, L))))
     _put_matrix(tree.bodies.R, k, 0, R)
-    put_row3_at(tree.bodies.spin, k, 0, spin)
+    put_row3(tree.bodies.spin, k, spin)
 
 
 @inline
 def _shift_on(joints: Joints, tree: JointTree, y: Floats, i: int, way: Vec3) -> tuple[Vec3, Vec3]:
     """Way from the point before to that of body i of the tree, and how fast this one shifts."""
     bodies, k, p = tree.bodies, tree.body[i], tree.before[i]
-    com, of_before = row3_at(bodies.com, k, 0), row3_at(bodies.com, p, 0)
-    between = subtract(row3_at(y, k, X), row3_at(y, p, X))
+    com, of_before = row3(bodies.com, k), row3(bodies.com, p)
+    between = subtract(row3(y, k, X), row3(y, p, X))
     gap = subtract(subtract(between, com), subtract(way, of_before))
     for t in range(tree.free[i], tree.free[i + 1]):
         if tree.is_shift[t]:
-            s = row3_at(tree.directions.s, t, 0)
+            s = row3(tree.directions.s, t)
             way = add_scaled(dot(s, gap), s, way)
-    v = scale(joints.inv_mass[k], row3_at(y, k, P))
-    v = add_scaled(-joints.inv_mass[p], row3_at(y, p, P), v)
-    v = subtract(v, cross(row3_at(bodies.spin, k, 0), com))
-    return way, subtract(v, cross(row3_at(bodies.spin, p, 0), subtract(way, of_before)))
+    v = scale(joints.inv_mass[k], row3(y, k, P))
+    v = add_scaled(-joints.inv_mass[p], row3(y, p, P), v)
+    v = subtract(v, cross(row3(bodies.spin, k), com))
+    return way, subtract(v, cross(row3(bodies.spin, p), subtract(way, of_before)))
 
 
 @inline
@@ -188,29 +188,27 @@ def _set_out(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -
     """What body i of the tree is by itself, and what more than the one before it accelerates."""
     bodies, directions, k, p = tree.bodies, tree.directions, tree.body[i], tree.before[i]
     R, first, last = _matrix_at(bodies.R, k, 0), tree.free[i], tree.free[i + 1]
-    spin, before = row3_at(bodies.spin, k, 0), row3_at(bodies.spin, p, 0)
-    com = scale(-1.0, turn(R, row3_at(tree.arm, i, 0)))
-    put_row3_at(bodies.com, k, 0, com)
-    way = add(row3_at(bodies.com, p, 0), turn(_matrix_at(bodies.R, p, 0), row3_at(tree.arm, i, 3)))
+    spin, before = row3(bodies.spin, k), row3(bodies.spin, p)
+    com = scale(-1.0, turn(R, row3(tree.arm, i)))
+    put_row3(bodies.com, k, com)
+    way = add(row3(bodies.com, p), turn(_matrix_at(bodies.R, p, 0), row3(tree.arm, i, 3)))
     for t in range(first, last):
-        put_row3_at(
-            directions.s, t, 0, turn(_matrix_at(bodies.R, tree.of[t], 0), row3_at(tree.axis, t, 0))
-        )
+        put_row3(directions.s, t, turn(_matrix_at(bodies.R, tree.of[t], 0), row3(tree.axis, t)))
     shifting, middle = ZERO, before
     if first < last and tree.is_shift[first]:
         way, shifting = _shift_on(joints, tree, y, i, way)
     elif last - first == 2:
-        s = row3_at(directions.s, first, 0)
+        s = row3(directions.s, first)
         middle = add_scaled(dot(s, subtract(spin, before)), s, before)
-    put_row3_at(bodies.path, k, 0, way)
-    put_row3_at(bodies.rest, k, 0, cross(before, add_scaled(2.0, shifting, cross(before, way))))
-    put_row3_at(bodies.rest, k, 3, add(cross(before, middle), cross(middle, spin)))
+    put_row3(bodies.path, k, way)
+    put_row3(bodies.rest, k, cross(before, add_scaled(2.0, shifting, cross(before, way))))
+    put_row3(bodies.rest, k, add(cross(before, middle), cross(middle, spin)), 3)
     m = tree.mass[i]
-    _put_inertia(bodies.inertia, k, _at_joint(m, tensor(R, row3_at(tree.moments, i, 0)), com))
-    F = subtract(scale(m, cross(spin, cross(spin, com))), row3_at(load, k, 0))
-    tau = subtract(cross(spin, row3_at(y, k, L)), row3_at(load, k, 3))
-    put_row3_at(bodies.b, k, 0, F)
-    put_row3_at(bodies.b, k, 3, add(tau, cross(com, F)))
+    _put_inertia(bodies.inertia, k, _at_joint(m, tensor(R, row3(tree.moments, i)), com))
+    F = subtract(scale(m, cross(spin, cross(spin, com))), row3(load, k))
+    tau = subtract(cross(spin, row3(y, k, L)), row3(load, k, 3))
+    put_row3(bodies.b, k, F)
+    put_row3(bodies.b, k, add(tau, cross(com, F)), 3)
 
 
 @inline
@@ -250,9 +248,9 @@ def _add_inertia(values: Floats, k: int, inertia: _Inertia) -> None:
     A, B, C = inertia
     for i in range(3):
         at = 3 * i
-        put_row3_at(values, k, at, add(row3_at(values, k, at), A[i]))
-        put_row3_at(values, k, at + 9, add(row3_at(values, k, at + 9), B[i]))
-        put_row3_at(values, k, at + 18, add(row3_at(values, k, at + 18), C[i]))
+        put_row3(values, k, add(row3(values, k, at), A[i]), at)
+        put_row3(values, k, add(row3(values, k, at + 9), B[i]), at + 9)
+        put_row3(values, k, add(row3(values, k, at + 18), C[i]), at + 18)
 
 
 @inline
@@ -281,54 +279,54 @@ def _eliminate(tree: JointTree, i: int, is_held: bool) -> None:
     bodies, directions, k, p = tree.bodies, tree.directions, tree.body[i], tree.before[i]
     inertia = bodies.inertia
     A, B, C = _matrix_at(inertia, k, 0), _matrix_at(inertia, k, 9), _matrix_at(inertia, k, 18)
-    linear, angular = row3_at(bodies.rest, k, 0), row3_at(bodies.rest, k, 3)
-    F = add(row3_at(bodies.b, k, 0), add(turn(A, linear), turn(B, angular)))
-    tau = add(row3_at(bodies.b, k, 3), add(turn_back(B, linear), turn(C, angular)))
+    linear, angular = row3(bodies.rest, k), row3(bodies.rest, k, 3)
+    F = add(row3(bodies.b, k), add(turn(A, linear), turn(B, angular)))
+    tau = add(row3(bodies.b, k, 3), add(turn_back(B, linear), turn(C, angular)))
     for t in range(tree.free[i], tree.free[i + 1]):
-        s = row3_at(directions.s, t, 0)
+        s = row3(directions.s, t)
         if tree.is_shift[t]:
             u, v, b = turn(A, s), turn_back(B, s), dot(s, F)
             f = 1.0 / dot(s, u)
         else:
             u, v, b = turn(B, s), turn(C, s), dot(s, tau)
             f = 1.0 / dot(s, v)
-        put_row3_at(directions.u, t, 0, u)
-        put_row3_at(directions.u, t, 3, v)
+        put_row3(directions.u, t, u)
+        put_row3(directions.u, t, v, 3)
         directions.inv_d[t], directions.b[t] = f, b
         A, B, C = _plus(A, -f, u, u), _plus(B, -f, u, v), _plus(C, -f, v, v)
         F, tau = add_scaled(-f * b, u, F), add_scaled(-f * b, v, tau)
-    put_row3_at(bodies.b, k, 0, F)
-    put_row3_at(bodies.b, k, 3, tau)
+    put_row3(bodies.b, k, F)
+    put_row3(bodies.b, k, tau, 3)
     if is_held:
         return
-    way = row3_at(bodies.path, k, 0)
+    way = row3(bodies.path, k)
     _add_inertia(bodies.inertia, p, _at_point_before((A, B, C), way))
-    put_row3_at(bodies.b, p, 0, add(row3_at(bodies.b, p, 0), F))
+    put_row3(bodies.b, p, add(row3(bodies.b, p), F))
     tau = add(tau, cross(way, F))
-    put_row3_at(bodies.b, p, 3, add(row3_at(bodies.b, p, 3), tau))
+    put_row3(bodies.b, p, add(row3(bodies.b, p, 3), tau), 3)
 
 
 @inline
 def _accelerate(tree: JointTree, y: Floats, load: Floats, i: int) -> None:
     """Acceleration of body i of the tree from that of the one before; its load with its joints."""
     bodies, directions, k, p = tree.bodies, tree.directions, tree.body[i], tree.before[i]
-    turning = row3_at(bodies.a, p, 3)
-    a = add(row3_at(bodies.a, p, 0), cross(turning, row3_at(bodies.path, k, 0)))
+    turning = row3(bodies.a, p, 3)
+    a = add(row3(bodies.a, p), cross(turning, row3(bodies.path, k)))
     for t in range(tree.free[i + 1] - 1, tree.free[i] - 1, -1):
-        rate = directions.b[t] + dot(row3_at(directions.u, t, 0), a)
-        rate = -directions.inv_d[t] * (rate + dot(row3_at(directions.u, t, 3), turning))
+        rate = directions.b[t] + dot(row3(directions.u, t), a)
+        rate = -directions.inv_d[t] * (rate + dot(row3(directions.u, t, 3), turning))
         if tree.is_shift[t]:
-            a = add_scaled(rate, row3_at(directions.s, t, 0), a)
+            a = add_scaled(rate, row3(directions.s, t), a)
         else:
-            turning = add_scaled(rate, row3_at(directions.s, t, 0), turning)
-    a, turning = add(a, row3_at(bodies.rest, k, 0)), add(turning, row3_at(bodies.rest, k, 3))
-    put_row3_at(bodies.a, k, 0, a)
-    put_row3_at(bodies.a, k, 3, turning)
-    R, spin, com = _matrix_at(bodies.R, k, 0), row3_at(bodies.spin, k, 0), row3_at(bodies.com, k, 0)
+            turning = add_scaled(rate, row3(directions.s, t), turning)
+    a, turning = add(a, row3(bodies.rest, k)), add(turning, row3(bodies.rest, k, 3))
+    put_row3(bodies.a, k, a)
+    put_row3(bodies.a, k, turning, 3)
+    R, spin, com = _matrix_at(bodies.R, k, 0), row3(bodies.spin, k), row3(bodies.com, k)
     at_com = add(a, add(cross(turning, com), cross(spin, cross(spin, com))))
-    put_row3_at(load, k, 0, scale(tree.mass[i], at_com))
-    local = component_product(row3_at(tree.moments, i, 0), turn_back(R, turning))
-    put_row3_at(load, k, 3, add(turn(R, local), cross(spin, row3_at(y, k, L))))
+    put_row3(load, k, scale(tree.mass[i], at_com))
+    local = component_product(row3(tree.moments, i), turn_back(R, turning))
+    put_row3(load, k, add(turn(R, local), cross(spin, row3(y, k, L))), 3)
 
 
 @inline

@@ -1,9 +1,10 @@
 """Vectors and quaternions in arrays: how compiled helpers read and write them.
 
-In (n, 3) arrays a vector is a row, in wider ones a part of a row. Of component-first arrays a block
-of bodies is reached through one-dimensional row views (`rows3`): with these LLVM keeps neighbouring
-bodies in the lanes of a SIMD register, with two-dimensional slices it does not. Rows of the blocks
-of a motion have accessors of their own, in model/block.py.
+The name says how the array lies: `row3` where each vector is a row, or a part of one; `column3`
+where its components are in three rows, and `get3` of model/block.py in the blocks of a motion. Of
+component-first arrays a block of bodies is reached through one-dimensional row views (`rows3`):
+with these LLVM keeps neighbouring bodies in the lanes of a SIMD register, with two-dimensional
+slices it does not.
 """
 
 from particlerb.compiled.jit import inline, unsigned
@@ -12,26 +13,14 @@ from particlerb.maths.vec3 import Floats, Rows3, Vec3
 
 
 @inline
-def row3(rows: Floats, k: int) -> Vec3:
-    """Row k of an (n, 3) array."""
-    return rows[k, 0], rows[k, 1], rows[k, 2]
-
-
-@inline
-def put_row3(rows: Floats, k: int, v: Vec3) -> None:
-    """Write row k of an (n, 3) array."""
-    rows[k, 0], rows[k, 1], rows[k, 2] = v
-
-
-@inline
-def row3_at(rows: Floats, k: int, at: int) -> Vec3:
+def row3(rows: Floats, k: int, at: int = 0) -> Vec3:
     """Three numbers of row k from `at` on; with unsigned indices Numba asks not about signs."""
     row = unsigned(k)
     return rows[row, unsigned(at)], rows[row, unsigned(at + 1)], rows[row, unsigned(at + 2)]
 
 
 @inline
-def put_row3_at(rows: Floats, k: int, at: int, v: Vec3) -> None:
+def put_row3(rows: Floats, k: int, v: Vec3, at: int = 0) -> None:
     """Write three numbers of row k from `at` on."""
     row = unsigned(k)
     rows[row, unsigned(at)], rows[row, unsigned(at + 1)] = v[0], v[1]
@@ -57,13 +46,13 @@ def rows3(array: Floats, lo: int, hi: int) -> Rows3:
 
 
 @inline
-def load3(rows: Rows3, b: int) -> Vec3:
+def column3(rows: Rows3, b: int) -> Vec3:
     """Vector of body b."""
     return rows[0][b], rows[1][b], rows[2][b]
 
 
 @inline
-def store3(rows: Rows3, b: int, vector: Vec3) -> None:
+def put_column3(rows: Rows3, b: int, vector: Vec3) -> None:
     """Write the vector of body b."""
     rows[0][b], rows[1][b], rows[2][b] = vector
 
@@ -75,12 +64,12 @@ def rows4(array: Floats, lo: int, hi: int) -> Rows4:
 
 
 @inline
-def load4(rows: Rows4, b: int) -> Quat:
+def column4(rows: Rows4, b: int) -> Quat:
     """Quaternion of body b."""
     return rows[0][b], rows[1][b], rows[2][b], rows[3][b]
 
 
 @inline
-def store4(rows: Rows4, b: int, q: Quat) -> None:
+def put_column4(rows: Rows4, b: int, q: Quat) -> None:
     """Write the quaternion of body b."""
     rows[0][b], rows[1][b], rows[2][b], rows[3][b] = q

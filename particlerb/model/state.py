@@ -12,7 +12,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, unfused_inline, unfused_kernel
 from particlerb.maths.double_double import exact_difference
 from particlerb.maths.quaternion import Rows4, conjugate, multiply
-from particlerb.maths.rows import load3, load4, rows3, rows4, store4
+from particlerb.maths.rows import column3, column4, put_column4, rows3, rows4
 from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3
 from particlerb.model.bodies import Bodies
 
@@ -108,14 +108,16 @@ def store_frame(
     """Write a block of bodies into frame f; `index` says which bodies of the scene they are."""
     n, turned = index.size, np.empty((4, index.size))
     for b in range(n):  # in SIMD lanes
-        store4(rows4(turned, 0, n), b, multiply(load4(q, b), conjugate(load4(rotor_frame, b))))
+        put_column4(
+            rows4(turned, 0, n), b, multiply(column4(q, b), conjugate(column4(rotor_frame, b)))
+        )
     _store_rows(frames.position, f, index, com)
     _store_rows(frames.linear_momentum, f, index, p)
     _store_rows(frames.angular_momentum, f, index, L)
     out, last, is_kept = frames.orientation[f], frames.last, frames.is_frame[f]
     for b in range(n):
         i = index[b]
-        w, x, y, z = load4(rows4(turned, 0, n), b)
+        w, x, y, z = column4(rows4(turned, 0, n), b)
         along = w * last[i, 0] + x * last[i, 1] + y * last[i, 2] + z * last[i, 3]
         sign = -1.0 if along < 0.0 else 1.0
         w, x, y, z = sign * w, sign * x, sign * y, sign * z
@@ -129,7 +131,7 @@ def _store_rows(values: Floats, f: int, index: Ints, v: Rows3) -> None:
     """Write vectors of a block of bodies into frame f."""
     for b in range(index.size):
         i = index[b]
-        values[f, i, 0], values[f, i, 1], values[f, i, 2] = load3(v, b)
+        values[f, i, 0], values[f, i, 1], values[f, i, 2] = column3(v, b)
 
 
 @unfused_kernel

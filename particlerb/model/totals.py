@@ -14,7 +14,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.maths.quaternion import Rows4, to_body
-from particlerb.maths.rows import load3, load4, rows3, rows4, store3
+from particlerb.maths.rows import column3, column4, put_column3, rows3, rows4
 from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, add_scaled, cross, dot, scale
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import Frames
@@ -96,11 +96,11 @@ def _momenta_rows(
     kinetic, potential, H = out[0, :n], out[1, :n], rows3(out[5:8], 0, n)
     size, spin = out[8, :n], out[9, :n]
     for b in range(n):
-        x_b, p_b, L_b = load3(x, b), load3(p, b), load3(L, b)
+        x_b, p_b, L_b = column3(x, b), column3(p, b), column3(L, b)
         orbit = cross(x_b, p_b)
         kinetic[b] = 0.5 * dot(p_b, scale(inv_mass[b], p_b))
         potential[b] = -mass[b] * dot(g, x_b)
-        store3(H, b, add_scaled(1.0, orbit, L_b))
+        put_column3(H, b, add_scaled(1.0, orbit, L_b))
         size[b] = far_norm(p_b)
         reach = _REACH_SHARE * far_norm(x_b) * size[b]  # straight through the origin
         spin[b] = far_norm(L_b) + far_norm(orbit) + reach
@@ -153,8 +153,8 @@ def sum_block(of: BlockRows, g: Vec3, bins: Ints | None, k: int, sums: Floats, o
     """Add block k to sums (bins, 10); without bins each block is one. `out` (10, BLOCK) is room."""
     _momenta_rows(of.x, of.p, of.L, of.mass, of.inv_mass, g, out)
     for b in range(of.mass.size):
-        m = to_body(load4(of.q, b), load3(of.L, b))
-        _add_turning(m, load3(of.inv_inertia, b), out[0], b)
+        m = to_body(column4(of.q, b), column3(of.L, b))
+        _add_turning(m, column3(of.inv_inertia, b), out[0], b)
     if bins is None:
         _add_up(of.p, out, sums[k])
     else:
@@ -188,8 +188,8 @@ def sum_blocks(
             _load_rows(frames, f, lo, mass, local, n)
             _momenta_rows(x, p, L, mass[lo:hi], inv_mass[lo:hi], g, out)
             for b in range(n):
-                m = to_body(load4(frame, b), to_body(load4(q, b), load3(L, b)))
-                _add_turning(m, load3(inverse, b), out[0], b)
+                m = to_body(column4(frame, b), to_body(column4(q, b), column3(L, b)))
+                _add_turning(m, column3(inverse, b), out[0], b)
             if bins is None:
                 _add_up(p, out, sums[f, k])
             else:

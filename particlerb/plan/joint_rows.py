@@ -29,7 +29,7 @@ from particlerb.joints.records import (
 from particlerb.joints.rows import arms_at, by_inverse_inertia, orientation, rotations
 from particlerb.joints.solver import factorise_cluster, keep_rates
 from particlerb.joints.types import Ends, rows_of
-from particlerb.maths.rows import row3_at
+from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.merging import Merging
 from particlerb.model.system import System
@@ -157,7 +157,7 @@ def _along(joints: Joints, y: Floats, r: int, way: Floats) -> float:
     """Rate of what has a gradient, by the momenta of the bodies of row r."""
     rate = 0.0
     for k, gradient in ((joints.rows.a[r], way[:6]), (joints.rows.b[r], way[6:])):
-        spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3_at(y, k, L))
+        spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3(y, k, L))
         rate += joints.inv_mass[k] * float(gradient[:3] @ y[k, P:L]) + float(gradient[3:] @ spin)
     return rate
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from particlerb.compiled.jit import inline, splice, unfused_kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, multiply
-from particlerb.maths.rows import load3, load4, rows3, rows4, store4
+from particlerb.maths.rows import column3, column4, put_column4, rows3, rows4
 from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Bools, Floats, Ints, rows_of
 from particlerb.rotors.exact_setup import (
@@ -95,9 +95,9 @@ def _steady_rows(turn: SteadyTurn, t: float, lo: int, hi: int, q: Rows4) -> None
     for b in range(hi - lo):
         cos, sin, _ = cos_sin_half_turns(world[b] * t)
         cos_b, sin_b, _ = cos_sin_half_turns(body[b] * t)
-        n = load3(axis, b)
-        q_b = multiply(load4(start, b), (cos_b, 0.0, 0.0, sin_b))
-        store4(q, b, multiply((cos, sin * n[0], sin * n[1], sin * n[2]), q_b))
+        n = column3(axis, b)
+        q_b = multiply(column4(start, b), (cos_b, 0.0, 0.0, sin_b))
+        put_column4(q, b, multiply((cos, sin * n[0], sin * n[1], sin * n[2]), q_b))
 
 
 @inline
@@ -119,9 +119,9 @@ def _theta_rows(turn: ThetaTurn, t: float, lo: int, hi: int, q: Rows4) -> None:
     left, right = rows4(turn.left, lo, hi), _frame_rows(turn.right, lo, hi)
     series = rows3(turn.series, lo, hi)
     for b in range(hi - lo):
-        of = ThetaCoefficients(*load3(series, b))
+        of = ThetaCoefficients(*column3(series, b))
         local = theta_local(start[b] + rate[b] * t, of)
-        store4(q, b, oriented(load4(left, b), nu[b] * t, local, _load_frame(right, b)))
+        put_column4(q, b, oriented(column4(left, b), nu[b] * t, local, _load_frame(right, b)))
 
 
 @splice
@@ -135,7 +135,7 @@ def _hyperbolic_rows(turn: HyperbolicTurn, t: float, lo: int, hi: int, q: Rows4)
     cos4, cos5 = turn.cosines[4, lo:hi], turn.cosines[5, lo:hi]
     sin4, sin5 = turn.sines[4, lo:hi], turn.sines[5, lo:hi]
     for b in range(hi - lo):
-        c, d = load4(cos03, b), load4(sin03, b)
+        c, d = column4(cos03, b), column4(sin03, b)
         of = NearCoefficients(
             fall[b],
             r[b],
@@ -146,7 +146,9 @@ def _hyperbolic_rows(turn: HyperbolicTurn, t: float, lo: int, hi: int, q: Rows4)
             (d[0], d[1], d[2], d[3], sin4[b], sin5[b]),
         )
         local, delta = near_local(start[b] + rate[b] * t, of)
-        store4(q, b, oriented(load4(left, b), nu[b] * t + delta, local, _load_frame(right, b)))
+        put_column4(
+            q, b, oriented(column4(left, b), nu[b] * t + delta, local, _load_frame(right, b))
+        )
 
 
 @inline

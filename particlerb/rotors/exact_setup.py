@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from particlerb.compiled.jit import config, inline, splice, unfused_kernel
 from particlerb.maths import double_double as dd
 from particlerb.maths.quaternion import Quat, Rows4, conjugate, multiply
-from particlerb.maths.rows import load3, load4, store3, store4
+from particlerb.maths.rows import column3, column4, put_column3, put_column4
 from particlerb.maths.trig import scale_of
 from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, scale
 from particlerb.rotors.theta import (
@@ -99,20 +99,25 @@ def moduli(
     n_turning, n_theta = 0, 0
     for lo in range(0, indices.size, BODIES_PER_BLOCK):
         hi = min(lo + BODIES_PER_BLOCK, indices.size)
-        moment, turn, spin, result = rows_3(s, 0), rows_4(s, 3), rows_3(s, 7), s[_N_INPUTS]
-        high, low = rows_3(s, 7), rows_3(s, 10)
+        moment, turn, spin, result = (
+            rows3_from(s, 0),
+            rows4_from(s, 3),
+            rows3_from(s, 7),
+            s[_N_INPUTS],
+        )
+        high, low = rows3_from(s, 7), rows3_from(s, 10)
         for b in range(BODIES_PER_BLOCK):
             j = indices[min(lo + b, hi - 1)]
-            inertia_j, L_j = load3(inertia, j), load3(L, j)
+            inertia_j, L_j = column3(inertia, j), column3(L, j)
             units[0, j], units[1, j] = unit_of(inertia_j), unit_of(L_j)
-            store3(moment, b, scale(units[0, j], inertia_j))
-            store3(spin, b, scale(units[1, j], L_j))
-            store4(turn, b, load4(q, j))
+            put_column3(moment, b, scale(units[0, j], inertia_j))
+            put_column3(spin, b, scale(units[1, j], L_j))
+            put_column4(turn, b, column4(q, j))
         for b in range(BODIES_PER_BLOCK):
-            m = dd.to_body(load4(turn, b), load3(spin, b))
-            store3(high, b, (m[0][0], m[1][0], m[2][0]))
-            store3(low, b, (m[0][1], m[1][1], m[2][1]))
-            result[b] = complementary_modulus(load3(moment, b), (m[0][0], m[1][0], m[2][0]))
+            m = dd.to_body(column4(turn, b), column3(spin, b))
+            put_column3(high, b, (m[0][0], m[1][0], m[2][0]))
+            put_column3(low, b, (m[0][1], m[1][1], m[2][1]))
+            result[b] = complementary_modulus(column3(moment, b), (m[0][0], m[1][0], m[2][0]))
         for b in range(hi - lo):
             j = indices[lo + b]
             out[j] = result[b]
@@ -127,11 +132,11 @@ def moduli(
 def _fill(bodies: Tumblers, indices: Ints, lo: int, hi: int, s: Floats) -> None:
     """Copy bodies indices[lo:hi] into the first rows of a scratch block; the last one fills it."""
     inertia, q, momentum, units = bodies
-    moment, turn = rows_3(s, 0), rows_4(s, 3)
+    moment, turn = rows3_from(s, 0), rows4_from(s, 3)
     for b in range(BODIES_PER_BLOCK):
         j = indices[min(lo + b, hi - 1)]
-        store3(moment, b, scale(units[0, j], load3(inertia, j)))
-        store4(turn, b, load4(q, j))
+        put_column3(moment, b, scale(units[0, j], column3(inertia, j)))
+        put_column4(turn, b, column4(q, j))
         for i in range(MOMENTUM_ROWS):
             s[7 + i, b] = momentum[i, j]
         s[13, b] = units[0, j] / units[1, j]
@@ -157,13 +162,13 @@ def world_factor(q: Quat, local: Quat, frame: Quat) -> Quat:
 
 
 @splice
-def rows_3(s: Floats, i: int) -> Rows3:
+def rows3_from(s: Floats, i: int) -> Rows3:
     """Three rows of a scratch block."""
     return s[i], s[i + 1], s[i + 2]
 
 
 @splice
-def rows_4(s: Floats, i: int) -> Rows4:
+def rows4_from(s: Floats, i: int) -> Rows4:
     """Four rows of a scratch block."""
     return s[i], s[i + 1], s[i + 2], s[i + 3]
 
@@ -171,13 +176,13 @@ def rows_4(s: Floats, i: int) -> Rows4:
 @splice
 def _inputs(s: Floats) -> tuple[Rows3, Rows4, Floats, Rows3, Rows3]:
     """Moments, q, unit of I over that of L, and L in its high and its low digits."""
-    return rows_3(s, 0), rows_4(s, 3), s[13], rows_3(s, 7), rows_3(s, 10)
+    return rows3_from(s, 0), rows4_from(s, 3), s[13], rows3_from(s, 7), rows3_from(s, 10)
 
 
 @splice
 def _results(s: Floats) -> tuple[Rows3, Rows4, Rows4]:
     """Clock, left and right of a turn; its coefficients are behind."""
-    return rows_3(s, 18), rows_4(s, 21), rows_4(s, 14)
+    return rows3_from(s, 18), rows4_from(s, 21), rows4_from(s, 14)
 
 
 @inline
@@ -217,14 +222,14 @@ def theta_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) ->
         hi = min(lo + BODIES_PER_BLOCK, indices.size)
         _fill(bodies, indices, lo, hi, s)
         moment, turn, rate, high, low = _inputs(s)
-        (clock, left, right_of), series = _results(s), rows_3(s, 25)
+        (clock, left, right_of), series = _results(s), rows3_from(s, 25)
         for b in range(BODIES_PER_BLOCK):
-            m = _pairs(load3(high, b), load3(low, b))
-            constants = theta_turn(load3(moment, b), m, load4(turn, b), rate[b])
-            store3(clock, b, constants[0])
-            store4(left, b, constants[1])
-            store4(right_of, b, constants[2])
-            store3(series, b, constants[3])
+            m = _pairs(column3(high, b), column3(low, b))
+            constants = theta_turn(column3(moment, b), m, column4(turn, b), rate[b])
+            put_column3(clock, b, constants[0])
+            put_column4(left, b, constants[1])
+            put_column4(right_of, b, constants[2])
+            put_column3(series, b, constants[3])
         _drain(s, lo, hi, table, right)
 
 
@@ -237,21 +242,24 @@ def near_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) -> 
         _fill(bodies, indices, lo, hi, s)
         moment, turn, rate, high, low = _inputs(s)
         clock, left, right_of = _results(s)
-        scale, phase = rows_4(s, 25), s[29]
-        cosines, sines = (rows_3(s, 30), rows_3(s, 33)), (rows_3(s, 36), rows_3(s, 39))
+        scale, phase = rows4_from(s, 25), s[29]
+        cosines, sines = (
+            (rows3_from(s, 30), rows3_from(s, 33)),
+            (rows3_from(s, 36), rows3_from(s, 39)),
+        )
         for b in range(BODIES_PER_BLOCK):
-            m = _pairs(load3(high, b), load3(low, b))
-            constants = near_turn(load3(moment, b), m, load4(turn, b), rate[b])
+            m = _pairs(column3(high, b), column3(low, b))
+            constants = near_turn(column3(moment, b), m, column4(turn, b), rate[b])
             of = constants[3]
-            store3(clock, b, constants[0])
-            store4(left, b, constants[1])
-            store4(right_of, b, constants[2])
-            store4(scale, b, (of.fall, of.r, of.s, of.kappa))
+            put_column3(clock, b, constants[0])
+            put_column4(left, b, constants[1])
+            put_column4(right_of, b, constants[2])
+            put_column4(scale, b, (of.fall, of.r, of.s, of.kappa))
             phase[b] = of.turn
-            store3(cosines[0], b, of.cosines[:3])
-            store3(cosines[1], b, of.cosines[3:])
-            store3(sines[0], b, of.sines[:3])
-            store3(sines[1], b, of.sines[3:])
+            put_column3(cosines[0], b, of.cosines[:3])
+            put_column3(cosines[1], b, of.cosines[3:])
+            put_column3(sines[0], b, of.sines[:3])
+            put_column3(sines[1], b, of.sines[3:])
         _drain(s, lo, hi, table, right)
 
 
@@ -259,7 +267,7 @@ def near_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) -> 
 def steady_table(inv_inertia: Floats, q: Rows4, L: Rows3, indices: Ints, table: Floats) -> None:
     """Constants of SteadyTurn: axis, clock, start."""
     for b in range(indices.size):
-        q_b, L_b = load4(q, indices[b]), load3(L, indices[b])
+        q_b, L_b = column4(q, indices[b]), column3(L, indices[b])
         G = np.sqrt(L_b[0] * L_b[0] + L_b[1] * L_b[1] + L_b[2] * L_b[2])
         inv = 1.0 / max(G, TINY)
         for i in range(3):

@@ -12,10 +12,10 @@ import numpy as np
 from particlerb.compiled.jit import inline, splice, unfused_kernel
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import Quat, Rows4, conjugate, multiply, to_body
-from particlerb.maths.rows import load3, load4, store3
+from particlerb.maths.rows import column3, column4, put_column3
 from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3
 from particlerb.rotors.exact import CROSSOVER
-from particlerb.rotors.exact_setup import BODIES_PER_BLOCK, rows_3, rows_4
+from particlerb.rotors.exact_setup import BODIES_PER_BLOCK, rows3_from, rows4_from
 from particlerb.rotors.lagrange import Pair, Reduced, reduced
 from particlerb.rotors.lagrange_forms import Clock, Five, near_constants, theta_constants
 
@@ -50,19 +50,19 @@ def _up_frame(x: float, y: float, z: float) -> Quat:
 @inline
 def _seen(omega: Rows3, pull: Rows3, q: Rows4, b: int) -> tuple[Quat, Vec3, Reduced]:
     """Frame of z against the force, ω there, and the top in the form of the theory."""
-    x, y, z = load3(pull, b)
+    x, y, z = column3(pull, b)
     size = math.sqrt(x * x + y * y + z * z)
     left = (1.0, 0.0, 0.0, 0.0)
     if size > 0.0:
         left = _up_frame(-x / size, -y / size, -z / size)
-    omega_up = to_body(left, load3(omega, b))
-    return left, omega_up, reduced(multiply(conjugate(left), load4(q, b)), omega_up, 2.0 * size)
+    omega_up = to_body(left, column3(omega, b))
+    return left, omega_up, reduced(multiply(conjugate(left), column4(q, b)), omega_up, 2.0 * size)
 
 
 @splice
 def _store5(table: Floats, first: int, b: int, values: Five) -> None:
     """Five rows; a loop over the values would keep loops over bodies out of SIMD lanes."""
-    store3(rows_3(table, first), b, values[:3])
+    put_column3(rows3_from(table, first), b, values[:3])
     table[first + 3, b], table[first + 4, b] = values[3:]
 
 
@@ -81,8 +81,8 @@ def _store(
 def _theta_table(inputs: Floats, table: Floats) -> None:
     """Rows of `ThetaTop` of all bodies, and k′² of all behind them."""
     n, s = inputs.shape[1], np.empty((N_THETA + 1 + _N_INPUTS, BODIES_PER_BLOCK))
-    omega, pull = rows_3(s, N_THETA + 1), rows_3(s, N_THETA + 4)
-    q, stretch = rows_4(s, N_THETA + 7), s[N_THETA + 11]
+    omega, pull = rows3_from(s, N_THETA + 1), rows3_from(s, N_THETA + 4)
+    q, stretch = rows4_from(s, N_THETA + 7), s[N_THETA + 11]
     for lo in range(0, n, BODIES_PER_BLOCK):
         hi = min(lo + BODIES_PER_BLOCK, n)
         for i in range(_N_INPUTS):
@@ -107,7 +107,7 @@ def _theta_table(inputs: Floats, table: Floats) -> None:
 def _near_table(inputs: Floats, table: Floats) -> None:
     """Rows of `NearTop`."""
     n, stretch = inputs.shape[1], inputs[10]
-    omega, pull, q = rows_3(inputs, 0), rows_3(inputs, 3), rows_4(inputs, 6)
+    omega, pull, q = rows3_from(inputs, 0), rows3_from(inputs, 3), rows4_from(inputs, 6)
     for b in range(n):
         left, omega_up, of = _seen(omega, pull, q, b)
         clock, top = near_constants(of)

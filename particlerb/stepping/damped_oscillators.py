@@ -10,7 +10,7 @@ import math
 from typing import Final, NamedTuple
 
 from particlerb.compiled.jit import inline
-from particlerb.maths.rows import load3, rows3, store3
+from particlerb.maths.rows import column3, put_column3, rows3
 from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, add, add_scaled, cross, dot, scale, subtract
 from particlerb.stepping.translations import Centres, ExternalWork, add_external, decays
@@ -102,18 +102,18 @@ def braked(
     rates, squares = spring.rate[lo : lo + n], spring.squared[lo : lo + n]
     balance, pushed = rows3(spring.balance, lo, lo + n), rows3(spring.pushed, lo, lo + n)
     for b in range(n):
-        x0, a, v = load3(start, b), load3(balance, b), scale(inv_mass[b], load3(p0, b))
+        x0, a, v = column3(start, b), column3(balance, b), scale(inv_mass[b], column3(p0, b))
         rate, squared, M = rates[b], squares[b], 1.0 / inv_mass[b]
         S, V, B, A, SS, VV = oscillation(rate, squared, t)
         y = subtract(x0, a)
         moved = add_scaled(-squared * B, y, scale(S, v))
-        store3(com, b, add(x0, moved))
-        store3(p, b, scale(M, add_scaled(V, v, scale(-squared * S, y))))
+        put_column3(com, b, add(x0, moved))
+        put_column3(p, b, scale(M, add_scaled(V, v, scale(-squared * S, y))))
         lost = add_scaled(S + rate * B, y, scale(B, v))  # ∫ (x - a) dt
         square = VV * dot(v, v) + squared * (squared * SS * dot(y, y) - S * S * dot(y, v))
         impulse = scale(-M, add_scaled(squared, lost, scale(rate, moved)))
         angular = add_scaled(-rate * A, cross(y, v), scale(-rate, cross(a, moved)))
         turned = cross(add_scaled(S + rate * B, x0, scale(B, v)), a)  # lost × a, as y + a = x₀
         angular = scale(M, add_scaled(squared, turned, angular))
-        work = dot(load3(pushed, b), moved) - rate * M * square
+        work = dot(column3(pushed, b), moved) - rate * M * square
         add_external(external, lo + b, work, impulse, angular)

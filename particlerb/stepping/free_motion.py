@@ -18,7 +18,7 @@ from particlerb.forces import LINE
 from particlerb.forces.drag import Drag
 from particlerb.forces.torque import Torque
 from particlerb.maths.quaternion import Rows4
-from particlerb.maths.rows import load3, load4, rows3, rows4, store3, store4
+from particlerb.maths.rows import column3, column4, put_column3, put_column4, rows3, rows4
 from particlerb.maths.vec3 import Floats, Ints, Rows3, rows_of
 from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, get, get3, in_blocks
 from particlerb.model.bodies import Bodies, Record, taken
@@ -114,13 +114,13 @@ def _gather(part: _Part, lo: int, n: int, inputs: Floats) -> None:
     """Copy bodies from `lo` on into rows: x, p, L, force, rotor frame, 1/M, M, 1/I."""
     for b in range(n):
         j = part.bodies[lo + b]
-        store3(rows3(inputs[0:3], 0, n), b, load3(part.com, j))
-        store3(rows3(inputs[3:6], 0, n), b, load3(part.p, j))
-        store3(rows3(inputs[6:9], 0, n), b, load3(part.L, j))
-        store3(rows3(inputs[9:12], 0, n), b, load3(part.force, j))
-        store4(rows4(inputs[12:16], 0, n), b, load4(part.rotor_frame, j))
+        put_column3(rows3(inputs[0:3], 0, n), b, column3(part.com, j))
+        put_column3(rows3(inputs[3:6], 0, n), b, column3(part.p, j))
+        put_column3(rows3(inputs[6:9], 0, n), b, column3(part.L, j))
+        put_column3(rows3(inputs[9:12], 0, n), b, column3(part.force, j))
+        put_column4(rows4(inputs[12:16], 0, n), b, column4(part.rotor_frame, j))
         inputs[16, b], inputs[17, b] = part.inv_mass[j], part.mass[j]
-        store3(rows3(inputs[18:21], 0, n), b, load3(part.inv_inertia, j))
+        put_column3(rows3(inputs[18:21], 0, n), b, column3(part.inv_inertia, j))
 
 
 @inline

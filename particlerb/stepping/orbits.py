@@ -20,7 +20,7 @@ from particlerb.compiled.jit import inline, unfused_kernel
 from particlerb.forces.central import Central
 from particlerb.maths.double_double import exact_difference
 from particlerb.maths.quaternion import Quat
-from particlerb.maths.rows import load3, rows3, store3
+from particlerb.maths.rows import column3, put_column3, rows3
 from particlerb.maths.trig import logarithm
 from particlerb.maths.vec3 import Floats, add_scaled, cross, scale
 from particlerb.model.state import State, cross_columns
@@ -139,19 +139,19 @@ def orbited(of: Centres, orbit: Orbit, lo: int, t: float, external: Any) -> None
         s = sign * _anomaly(sign * tau, r0, sign * eta, mu, beta)
         G0, G1, G2, _ = _powers(s, beta)
         r, bend = r0 * G0 + eta * G1 + mu * G2, eta / r0 if eta != 0.0 else 0.0
-        e, w = load3(along, b), load3(across, b)
-        M, fall = 1.0 / inv_mass[b], scale(inv_mass[b] * t, load3(force, b))
-        x = add_scaled(t, add_scaled(0.5, fall, load3(drift, b)), load3(middle, b))
+        e, w = column3(along, b), column3(across, b)
+        M, fall = 1.0 / inv_mass[b], scale(inv_mass[b] * t, column3(force, b))
+        x = add_scaled(t, add_scaled(0.5, fall, column3(drift, b)), column3(middle, b))
         x = add_scaled(r0 - mu * G2, e, add_scaled(G1 + bend * G2, w, x))
-        v = add_scaled(1.0, fall, load3(drift, b))
+        v = add_scaled(1.0, fall, column3(drift, b))
         v = add_scaled(-mu * G1 / r, e, add_scaled((G0 + bend * G1) / r, w, v))
         is_there = t == 0.0  # no rounding of the start
-        store3(com, b, load3(start, b) if is_there else x)
-        store3(p, b, load3(p0, b) if is_there else scale(M, v))
+        put_column3(com, b, column3(start, b) if is_there else x)
+        put_column3(p, b, column3(p0, b) if is_there else scale(M, v))
         if external is not None and not is_there:
-            impulse = add_scaled(-1.0, load3(p0, b), scale(M, v))
+            impulse = add_scaled(-1.0, column3(p0, b), scale(M, v))
             work = M * mu * ((orbit.first[lo + b] - r) / (orbit.first[lo + b] * r))
-            add_external(external, lo + b, work, impulse, cross(load3(middle, b), impulse))
+            add_external(external, lo + b, work, impulse, cross(column3(middle, b), impulse))
 
 
 def _exact_cross(x: Floats, v: Floats) -> Floats:

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from particlerb.compiled.jit import inline
 from particlerb.maths.quaternion import Quat, multiply
-from particlerb.maths.rows import load3, load4, rows3, rows4, store3
+from particlerb.maths.rows import column3, column4, put_column3, rows3, rows4
 from particlerb.maths.trig import cos_sin_half_turns, decay
 from particlerb.maths.vec3 import (
     Floats,
@@ -114,10 +114,10 @@ def parabola(of: Centres, t: float) -> None:
     """x = x₀ + (p₀ t + F t²/2)/M,  p = p₀ + F t."""
     start, p0, force, inv_mass, com, p = of
     for b in range(inv_mass.size):
-        p_b, F = load3(p0, b), load3(force, b)
-        store3(p, b, add_scaled(t, F, p_b))
+        p_b, F = column3(p0, b), column3(force, b)
+        put_column3(p, b, add_scaled(t, F, p_b))
         way = add_scaled(0.5 * t, F, p_b)
-        store3(com, b, add_scaled(t * inv_mass[b], way, load3(start, b)))
+        put_column3(com, b, add_scaled(t * inv_mass[b], way, column3(start, b)))
 
 
 @inline
@@ -137,13 +137,13 @@ def damped(of: Centres, drag: Damping, lo: int, t: float, external: ExternalWork
     n = inv_mass.size
     rate, pushed = drag.rate[lo : lo + n], rows3(drag.pushed, lo, lo + n)
     for b in range(n):
-        p_b, F, x0, inv = load3(p0, b), load3(force, b), load3(start, b), inv_mass[b]
+        p_b, F, x0, inv = column3(p0, b), column3(force, b), column3(start, b), inv_mass[b]
         exp, E1, E2, G = _integrals(rate[b], t)
         J = add_scaled(E1, p_b, scale(E2, F))
-        store3(p, b, add_scaled(exp, p_b, scale(E1, F)))
-        store3(com, b, add_scaled(inv, J, x0))
+        put_column3(p, b, add_scaled(exp, p_b, scale(E1, F)))
+        put_column3(com, b, add_scaled(inv, J, x0))
         square = _squared(exp, E1, G, p_b, F)
-        work = inv * (dot(load3(pushed, b), J) - rate[b] * square)
+        work = inv * (dot(column3(pushed, b), J) - rate[b] * square)
         impulse = add_scaled(-rate[b], J, scale(t, F))
         turned = inv * (E2 - rate[b] * (2.0 * G - E1 * E2))
         angular = add_scaled(turned, cross(p_b, F), cross(x0, impulse))
@@ -158,21 +158,21 @@ def sprung(of: Centres, spring: Oscillator, lo: int, t: float, external: Any) ->
     squared, balance = spring.squared[lo : lo + n], rows3(spring.balance, lo, lo + n)
     pushed = rows3(spring.pushed, lo, lo + n)
     for b in range(n):
-        x0, a, v = load3(start, b), load3(balance, b), scale(inv_mass[b], load3(p0, b))
+        x0, a, v = column3(start, b), column3(balance, b), scale(inv_mass[b], column3(p0, b))
         omega = math.sqrt(squared[b])
         cos_half, sin_half, _ = cos_sin_half_turns(0.5 * omega * t)
         cos, sine = 1.0 - 2.0 * sin_half * sin_half, 2.0 * sin_half * cos_half / omega
         fall = 2.0 * sin_half * sin_half / squared[b]  # (1 - cos ωt)/ω²
         y = subtract(x0, a)
         moved = add_scaled(-squared[b] * fall, y, scale(sine, v))
-        store3(com, b, add(x0, moved))
+        put_column3(com, b, add(x0, moved))
         M = 1.0 / inv_mass[b]
-        store3(p, b, scale(M, add_scaled(cos, v, scale(-squared[b] * sine, y))))
+        put_column3(p, b, scale(M, add_scaled(cos, v, scale(-squared[b] * sine, y))))
         if external is not None:
             lost = add_scaled(sine, y, scale(fall, v))  # ∫ (x - a) dt
             k = M * squared[b]
             turned = cross(add_scaled(sine, x0, scale(fall, v)), a)  # lost × a, as y + a = x₀
-            work, angular = dot(load3(pushed, b), moved), scale(k, turned)
+            work, angular = dot(column3(pushed, b), moved), scale(k, turned)
             add_external(external, lo + b, work, scale(-k, lost), angular)
 
 
@@ -183,11 +183,11 @@ def add_drift(of: Centres, drift: Floats, lo: int, t: float) -> None:
     V = rows3(drift, lo, lo + n)
     for b in range(n):
         inv = of.inv_mass[b]
-        fall = scale(inv * t, load3(of.force, b))
-        moved = add_scaled(0.5, fall, load3(V, b))
-        store3(of.com, b, add_scaled(t, moved, load3(of.com, b)))
-        gained = add_scaled(1.0, fall, load3(V, b))
-        store3(of.p, b, add_scaled(1.0 / inv, gained, load3(of.p, b)))
+        fall = scale(inv * t, column3(of.force, b))
+        moved = add_scaled(0.5, fall, column3(V, b))
+        put_column3(of.com, b, add_scaled(t, moved, column3(of.com, b)))
+        gained = add_scaled(1.0, fall, column3(V, b))
+        put_column3(of.p, b, add_scaled(1.0 / inv, gained, column3(of.p, b)))
 
 
 @inline
@@ -196,13 +196,13 @@ def spun(of: Spinning, lo: int, hi: int, t: float, out: Floats, external: Extern
     L0, q0, torque = rows3(of.L, lo, hi), rows4(of.q, lo, hi), rows3(of.torque, lo, hi)
     for b in range(hi - lo):
         rate, inverse = of.rate[lo + b], of.inv_inertia[lo + b]
-        L_b, tau = load3(L0, b), load3(torque, b)
+        L_b, tau = column3(L0, b), column3(torque, b)
         exp, E1, E2, G = _integrals(rate, t)
         J = add_scaled(E1, L_b, scale(E2, tau))
         size = math.sqrt(dot(J, J))
         cos, sin, _ = cos_sin_half_turns(0.5 * inverse * size)
         axis = scale(sin / max(size, _SPIN_FLOOR), J)
-        put4(out, Q, b, multiply((cos, axis[0], axis[1], axis[2]), load4(q0, b)))
+        put4(out, Q, b, multiply((cos, axis[0], axis[1], axis[2]), column4(q0, b)))
         put3(out, L, b, add_scaled(exp, L_b, scale(E1, tau)))
         work = inverse * (dot(tau, J) - rate * _squared(exp, E1, G, L_b, tau))
         turned = add_scaled(-rate, J, scale(t, tau))

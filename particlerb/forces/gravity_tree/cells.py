@@ -19,7 +19,7 @@ from particlerb.forces.gravity_tree.multipole import (
     add_shifted_moments,
 )
 from particlerb.maths.quaternion import matrix, turn
-from particlerb.maths.rows import load3, load4, rows3, rows4, store3
+from particlerb.maths.rows import column3, column4, put_column3, rows3, rows4
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross
 
 DEEPEST: Final = 128  # levels: two trees of halves
@@ -233,11 +233,11 @@ def place_points(
     offset, masses, mass, owner = kinds.offset, kinds.mass, points.mass, points.owner
     for k in range(first, last):
         b, at_first = order[k], begin[k]
-        x, R, lo = load3(com, b), matrix(load4(q, b)), offset[b]
+        x, R, lo = column3(com, b), matrix(column4(q, b)), offset[b]
         for i in range(offset[b + 1] - lo):
             j = at_first + i
-            place, m = add_scaled(1.0, turn(R, load3(arms, lo + i)), x), masses[lo + i]
-            store3(places, j, place)
+            place, m = add_scaled(1.0, turn(R, column3(arms, lo + i)), x), masses[lo + i]
+            put_column3(places, j, place)
             ball[j, 0], ball[j, 1], ball[j, 2] = place
             ball[j, 3], ball[j, 4], ball[j, 5], ball[j, 6] = 0.0, 1.0, 1.0, m
             mass[j], owner[j] = m, b
@@ -337,12 +337,12 @@ def add_loads(
     fields = rows3(points.field, 0, points.mass.size)
     for k in range(first, last):
         b = order[k]
-        X, F, tau = load3(com, b), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        X, F, tau = column3(com, b), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for i in range(begin[k], begin[k + 1]):
-            f = load3(fields, i)
+            f = column3(fields, i)
             m = gravitation * points.mass[i]
             force = (m * f[0], m * f[1], m * f[2])
-            arm = add_scaled(-1.0, X, load3(places, i))
+            arm = add_scaled(-1.0, X, column3(places, i))
             F, tau = add_scaled(1.0, force, F), add_scaled(1.0, cross(arm, force), tau)
         for axis in range(3):
             load[axis, b] += F[axis]

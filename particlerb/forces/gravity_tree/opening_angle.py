@@ -13,7 +13,7 @@ from particlerb.compiled.threads import THREADS
 from particlerb.forces.attraction import Attraction, add_near_source
 from particlerb.forces.gravity_tree.multipole import ORDER
 from particlerb.forces.gravity_tree.tree import Tree
-from particlerb.maths.rows import load3, rows3
+from particlerb.maths.rows import column3, rows3
 from particlerb.maths.vec3 import Floats, Ints
 
 SAMPLE: Final = 512  # particles: some 5 % of the time of an evaluation, whatever their number
@@ -89,5 +89,5 @@ def _direct_fields(
     chosen, n, bodies = place[:, sample], sample.size, owner[sample]
     sources, targets, fields = rows3(place, 0, mass.size), rows3(chosen, 0, n), rows3(field, 0, n)
     for j in range(mass.size):
-        x = load3(sources, j)
+        x = column3(sources, j)
         add_near_source(x, mass[j], owner[j], eps2, targets, fields, bodies)
