@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import Flag
-from particlerb.impulses.records import N_COLUMNS, TALLY
+from particlerb.impulses import records as col
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3
 
 # Columns of `EventScene.body`
@@ -151,7 +151,7 @@ class EventData(NamedTuple):
 
 def empty_data(most: int) -> EventData:
     """Space for bodies of so many spheres at most."""
-    widths = ((most, 8), (2, 6), (2, 7), (2, 3), (1, N_COLUMNS))
+    widths = ((most, 8), (2, 6), (2, 7), (2, 3), (1, col.N_COLUMNS))
     return EventData(*(np.zeros(shape) for shape in widths))
 
 
@@ -176,5 +176,5 @@ def empty_state(n: int, n_moving: int, n_cells: int, columns: int) -> EventState
     return EventState(
         _rows(n, N_FLIGHT, float), np.zeros((n, N_SPIN)), np.zeros((n, columns)), info, at,
         following, head, behind, later, bodies[:n_moving].copy(), np.zeros(n_moving),
-        np.full((n, REMEMBERED), -1), np.full((n, REMEMBERED), -np.inf), sums, np.zeros(TALLY),
+        np.full((n, REMEMBERED), -1), np.full((n, REMEMBERED), -np.inf), sums, np.zeros(col.TALLY),
     )  # fmt: skip

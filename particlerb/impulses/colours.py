@@ -12,7 +12,8 @@ from typing import Final
 
 from particlerb.compiled.barrier import Team, share_of
 from particlerb.compiled.jit import inline, kernel
-from particlerb.impulses.records import CHUNK, Colours, Impulses
+from particlerb.impulses import records as col
+from particlerb.impulses.records import Colours, Impulses
 
 _LEAST_SHARE: Final = 80  # of the least number of contacts, in a colour that threads share
 
@@ -58,7 +59,7 @@ def put_in_colours(impulses: Impulses) -> None:
         end, colours.chunk[i] = row + colours.size[i], chunks
         while row < end:
             colours.row[chunks] = row
-            row, chunks = min(row + CHUNK, end), chunks + 1
+            row, chunks = min(row + col.CHUNK, end), chunks + 1
         i += 1
     if row < m or i == 0:
         colours.chunk[i], colours.row[chunks] = chunks, row

@@ -18,8 +18,9 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline
+from particlerb.impulses import records as col
 from particlerb.impulses.cone import on_disc
-from particlerb.impulses.records import INVERSE, LOCKED_SHARE, ImpulseRows, Partners, Rolling
+from particlerb.impulses.records import ImpulseRows, Partners, Rolling
 from particlerb.impulses.rows import clear_moves, in_frame, in_world, push
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, dot, scale, subtract
@@ -89,7 +90,7 @@ def square_of(rolling: Rolling, rows: ImpulseRows, k: int, m: Vec3) -> float:
     """What m counts beside impulses [(N s)²]."""
     across, about = rolling.limit[k, ACROSS + 1], rolling.limit[k, ABOUT + 1]
     square: float = across * (m[1] * m[1] + m[2] * m[2]) + about * m[0] * m[0]
-    return square / float(rows.frame[k, INVERSE])
+    return square / float(rows.frame[k, col.INVERSE])
 
 
 @inline
@@ -123,7 +124,7 @@ def write_rolling(
         free += inverse[b, 1] + inverse[b, 4] + inverse[b, 6]
         limit[k, ACROSS + 1], limit[k, ABOUT + 1] = largest, n[0]
         for at in (ACROSS, ABOUT):
-            if limit[k, at + 1] <= LOCKED_SHARE * free:
+            if limit[k, at + 1] <= col.LOCKED_SHARE * free:
                 limit[k, at], limit[k, at + 1] = 0.0, 1.0
         across, about = limit[k, ACROSS + 1], limit[k, ABOUT + 1]
         if limit[k, ACROSS] > 0.0 and limit[k, ABOUT] > 0.0:
@@ -224,7 +225,7 @@ def miss_of_rolling(
         miss = subtract(row3(rolling.impulse, k), _nearest(rolling, partners, rows, k))
         square = square_of(rolling, rows, k, miss)
         off += square
-        left += rows.frame[k, INVERSE] ** 2 * square
+        left += rows.frame[k, col.INVERSE] ** 2 * square
     return off, left
 
 

@@ -4,28 +4,9 @@ import math
 from typing import Final
 
 from particlerb.compiled.jit import inline
+from particlerb.impulses import records as col
 from particlerb.impulses.mechanisms import count_members, member, push_mechanism
-from particlerb.impulses.records import (
-    ARM,
-    COUPLING,
-    FRICTION,
-    GAP,
-    INVERSE,
-    LEAN,
-    LEAST,
-    LOCKED_SHARE,
-    NEVER,
-    NORMAL,
-    RESTITUTION,
-    RUBBING,
-    SCHUR,
-    SHARE,
-    SLOW,
-    TANGENT,
-    ImpulseRows,
-    Mechanisms,
-    Partners,
-)
+from particlerb.impulses.records import ImpulseRows, Mechanisms, Partners
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
@@ -45,8 +26,8 @@ def inverse_inertia_times(inverse: Floats, b: int, m: Vec3) -> Vec3:
 @inline
 def velocity_between(velocity: Floats, frame: Floats, c: int, a: int, b: int) -> Vec3:
     """Velocity [m/s] of the first partner of contact c relative to the second, at the point."""
-    va = cross(row3(velocity, a, 3), row3(frame, c, ARM))
-    vb = cross(row3(velocity, b, 3), row3(frame, c, ARM + 3))
+    va = cross(row3(velocity, a, 3), row3(frame, c, col.ARM))
+    vb = cross(row3(velocity, b, 3), row3(frame, c, col.ARM + 3))
     va, vb = add(va, row3(velocity, a)), add(vb, row3(velocity, b))
     return subtract(va, vb)
 
@@ -55,18 +36,18 @@ def velocity_between(velocity: Floats, frame: Floats, c: int, a: int, b: int) ->
 def in_frame(frame: Floats, c: int, v: Vec3) -> Vec3:
     """Components of a vector along n, t₁, t₂ of contact c."""
     return (
-        dot(row3(frame, c, NORMAL), v),
-        dot(row3(frame, c, TANGENT), v),
-        dot(row3(frame, c, TANGENT + 3), v),
+        dot(row3(frame, c, col.NORMAL), v),
+        dot(row3(frame, c, col.TANGENT), v),
+        dot(row3(frame, c, col.TANGENT + 3), v),
     )
 
 
 @inline
 def in_world(frame: Floats, c: int, r: Vec3) -> Vec3:
     """A vector of components along n, t₁, t₂ of contact c."""
-    along = scale(r[0], row3(frame, c, NORMAL))
-    along = add_scaled(r[1], row3(frame, c, TANGENT), along)
-    return add_scaled(r[2], row3(frame, c, TANGENT + 3), along)
+    along = scale(r[0], row3(frame, c, col.NORMAL))
+    along = add_scaled(r[1], row3(frame, c, col.TANGENT), along)
+    return add_scaled(r[2], row3(frame, c, col.TANGENT + 3), along)
 
 
 @inline
@@ -88,8 +69,8 @@ def push_apart(
 ) -> None:  # fmt: skip
     """Change velocities by the impulse p [N s] on the first partner, and -p on the second."""
     other = scale(-1.0, p)
-    push(velocity, inverse, mechanisms, a, p, cross(row3(frame, c, ARM), p))
-    push(velocity, inverse, mechanisms, b, other, cross(row3(frame, c, ARM + 3), other))
+    push(velocity, inverse, mechanisms, a, p, cross(row3(frame, c, col.ARM), p))
+    push(velocity, inverse, mechanisms, b, other, cross(row3(frame, c, col.ARM + 3), other))
 
 
 @inline
@@ -126,9 +107,9 @@ def write_frame_of(
     """Write frame and inverse mass of contact c between two partners at a point [m]."""
     a, b = between
     arm_a, arm_b = subtract(point, row3(place, a)), subtract(point, row3(place, b))
-    put_row3(frame, c, normal, NORMAL)
-    put_row3(frame, c, arm_a, ARM)
-    put_row3(frame, c, arm_b, ARM + 3)
+    put_row3(frame, c, normal, col.NORMAL)
+    put_row3(frame, c, arm_a, col.ARM)
+    put_row3(frame, c, arm_b, col.ARM + 3)
     t1, t2 = _across(normal)
     na, nb = cross(arm_a, normal), cross(arm_b, normal)
     xa, xb, ya, yb = cross(arm_a, t1), cross(arm_b, t1), cross(arm_a, t2), cross(arm_b, t2)
@@ -152,22 +133,22 @@ def put_matrix(
     (t1, t2), (w, w1, w2), (w11, w12, w22) = across, by_normal, by_tangents
     s11, s22, s12 = w11 - w1 * w1 / w, w22 - w2 * w2 / w, w12 - w1 * w2 / w
     c_, s_ = _diagonal_turn(s11, s22, s12)
-    put_row3(frame, c, add_scaled(c_, t1, scale(s_, t2)), TANGENT)
-    put_row3(frame, c, add_scaled(-s_, t1, scale(c_, t2)), TANGENT + 3)
-    frame[c, INVERSE] = w
-    frame[c, COUPLING], frame[c, COUPLING + 1] = c_ * w1 + s_ * w2, c_ * w2 - s_ * w1
-    frame[c, SCHUR] = c_ * c_ * s11 + 2.0 * c_ * s_ * s12 + s_ * s_ * s22
-    frame[c, SCHUR + 1] = s_ * s_ * s11 - 2.0 * c_ * s_ * s12 + c_ * c_ * s22
+    put_row3(frame, c, add_scaled(c_, t1, scale(s_, t2)), col.TANGENT)
+    put_row3(frame, c, add_scaled(-s_, t1, scale(c_, t2)), col.TANGENT + 3)
+    frame[c, col.INVERSE] = w
+    frame[c, col.COUPLING], frame[c, col.COUPLING + 1] = c_ * w1 + s_ * w2, c_ * w2 - s_ * w1
+    frame[c, col.SCHUR] = c_ * c_ * s11 + 2.0 * c_ * s_ * s12 + s_ * s_ * s22
+    frame[c, col.SCHUR + 1] = s_ * s_ * s11 - 2.0 * c_ * s_ * s12 + c_ * c_ * s22
     _put_shares(frame, c)
 
 
 @inline
 def _put_shares(frame: Floats, c: int) -> None:
     """Write by what a sweep multiplies velocities, once for all sweeps."""
-    a1, a2, share = frame[c, COUPLING], frame[c, COUPLING + 1], 1.0 / frame[c, INVERSE]
-    frame[c, SHARE] = share
-    largest = max(frame[c, SCHUR], frame[c, SCHUR + 1])
-    frame[c, RUBBING] = 1.0 / (largest + share * (a1 * a1 + a2 * a2))
+    a1, a2, share = frame[c, col.COUPLING], frame[c, col.COUPLING + 1], 1.0 / frame[c, col.INVERSE]
+    frame[c, col.SHARE] = share
+    largest = max(frame[c, col.SCHUR], frame[c, col.SCHUR + 1])
+    frame[c, col.RUBBING] = 1.0 / (largest + share * (a1 * a1 + a2 * a2))
 
 
 @inline
@@ -181,7 +162,7 @@ def approach(partners: Partners, rows: ImpulseRows, c: int) -> Vec3:
 def approach_at_end(partners: Partners, rows: ImpulseRows, c: int) -> Vec3:
     """The same as it will be at the end of the step, but for the normal one: see `lean`."""
     u, limits = approach(partners, rows, c), rows.limits
-    return u[0], u[1] + limits[c, LEAN + 1], u[2] + limits[c, LEAN + 2]
+    return u[0], u[1] + limits[c, col.LEAN + 1], u[2] + limits[c, col.LEAN + 2]
 
 
 @inline
@@ -191,8 +172,8 @@ def driven_by(partners: Partners, rows: ImpulseRows, c: int, dt: float) -> Vec3:
     At a point of both bodies: so all contacts of a pair ask for what rigid bodies can have at once.
     """
     a, b, before = rows.first[c], rows.second[c], partners.before
-    by_a = cross(row3(before, a, 15), row3(rows.frame, c, ARM))
-    by_b = cross(row3(before, b, 15), row3(rows.frame, c, ARM + 3))
+    by_a = cross(row3(before, a, 15), row3(rows.frame, c, col.ARM))
+    by_b = cross(row3(before, b, 15), row3(rows.frame, c, col.ARM + 3))
     by_a, by_b = add(row3(before, a, 12), by_a), add(row3(before, b, 12), by_b)
     return in_frame(rows.frame, c, scale(0.5 * dt, subtract(by_a, by_b)))
 
@@ -226,21 +207,21 @@ def lean(
     n_by, x_by, y_by = driven_by(partners, rows, c, dt)
     n, x, y = in_frame(rows.frame, c, scale(0.5 * dt, changes))
     came, u, v = in_frame(rows.frame, c, velocity_between(partners.before, rows.frame, c, a, b))
-    limits[c, SLOW] += 4.0 * max(-n - n_by, 0.0)
+    limits[c, col.SLOW] += 4.0 * max(-n - n_by, 0.0)
     pressed, f, g = in_frame(rows.frame, c, force)
-    if rows.frame[c, LEAST] < 0.0 and pressed <= 0.0:
-        rows.frame[c, LEAST] -= n_by
-        put_row3(limits, c, (n_by, x_by, y_by), LEAN)
+    if rows.frame[c, col.LEAST] < 0.0 and pressed <= 0.0:
+        rows.frame[c, col.LEAST] -= n_by
+        put_row3(limits, c, (n_by, x_by, y_by), col.LEAN)
         return
     n = n_by + min(max(came - n_by, min(n, 0.0)), max(n, 0.0))
-    gap = limits[c, GAP] - 0.25 * dt * max(n, 0.0)
-    rows.frame[c, LEAST] = (-gap / dt if gap > slop else 0.0) - n
-    if math.sqrt(f * f + g * g) < _STICKING_SHARE * rows.frame[c, FRICTION] * pressed:
+    gap = limits[c, col.GAP] - 0.25 * dt * max(n, 0.0)
+    rows.frame[c, col.LEAST] = (-gap / dt if gap > slop else 0.0) - n
+    if math.sqrt(f * f + g * g) < _STICKING_SHARE * rows.frame[c, col.FRICTION] * pressed:
         u, v = u - x_by, v - y_by
         size, most = math.sqrt(x * x + y * y), math.sqrt(u * u + v * v)
         share = most / size if size > most else 1.0
         x_by, y_by = x_by + share * x, y_by + share * y
-    put_row3(limits, c, (n, x_by, y_by), LEAN)
+    put_row3(limits, c, (n, x_by, y_by), col.LEAN)
 
 
 @inline
@@ -248,8 +229,8 @@ def give(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     """Give momenta: r [N s] along n, t₁, t₂ of contact c to the first partner, -r to the second."""
     a, b, momenta = rows.first[c], rows.second[c], partners.impulse
     p = in_world(rows.frame, c, r)
-    turn_a = cross(row3(rows.frame, c, ARM), p)
-    turn_b = cross(row3(rows.frame, c, ARM + 3), p)
+    turn_a = cross(row3(rows.frame, c, col.ARM), p)
+    turn_b = cross(row3(rows.frame, c, col.ARM + 3), p)
     put_row3(momenta, a, add_scaled(1.0, p, row3(momenta, a)))
     put_row3(momenta, b, add_scaled(-1.0, p, row3(momenta, b)))
     put_row3(momenta, a, add_scaled(1.0, turn_a, row3(momenta, a, 3)), 3)
@@ -291,21 +272,21 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
     """
     a, b, frame = rows.first[c], rows.second[c], rows.frame
     n, t1, t2 = (
-        row3(frame, c, NORMAL), row3(frame, c, TANGENT), row3(frame, c, TANGENT + 3),
+        row3(frame, c, col.NORMAL), row3(frame, c, col.TANGENT), row3(frame, c, col.TANGENT + 3),
     )  # fmt: skip
     by_n, by_1 = (
         _moved_along(partners, frame, c, a, b, n),
         _moved_along(partners, frame, c, a, b, t1),
     )
-    by_2, free = _moved_along(partners, frame, c, a, b, t2), frame[c, INVERSE]
-    if by_n[0] <= LOCKED_SHARE * free:
-        frame[c, LEAST], rows.limits[c, RESTITUTION] = NEVER, 0.0
+    by_2, free = _moved_along(partners, frame, c, a, b, t2), frame[c, col.INVERSE]
+    if by_n[0] <= col.LOCKED_SHARE * free:
+        frame[c, col.LEAST], rows.limits[c, col.RESTITUTION] = col.NEVER, 0.0
         return
-    changes = in_world(frame, c, row3(rows.limits, c, LEAN))
+    changes = in_world(frame, c, row3(rows.limits, c, col.LEAN))
     put_matrix(frame, c, (t1, t2), by_n, (by_1[1], by_1[2], by_2[2]))
-    put_row3(rows.limits, c, in_frame(frame, c, changes), LEAN)  # tangents are others now
+    put_row3(rows.limits, c, in_frame(frame, c, changes), col.LEAN)  # tangents are others now
     for i in range(2):
-        frame[c, SCHUR + i] = max(frame[c, SCHUR + i], _MIN_SCHUR_SHARE * free)
+        frame[c, col.SCHUR + i] = max(frame[c, col.SCHUR + i], _MIN_SCHUR_SHARE * free)
     _put_shares(frame, c)
 
 

@@ -18,6 +18,7 @@ from typing import Final
 
 from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import inline, kernel
+from particlerb.impulses import records as col
 from particlerb.impulses.bounded import (
     give_bounded,
     keep_best_bounded,
@@ -32,31 +33,7 @@ from particlerb.impulses.bounded import (
 from particlerb.impulses.colours import rows_of, total
 from particlerb.impulses.cone import nearest_in_cone, on_disc
 from particlerb.impulses.newton import refresh_velocities, take_newton_steps
-from particlerb.impulses.records import (
-    CONTACTS,
-    COUPLING,
-    FRICTION,
-    GAP,
-    INVERSE,
-    LEAN,
-    LEAST,
-    NEVER,
-    RESIDUAL,
-    RESTITUTION,
-    RUBBING,
-    SHARE,
-    SLOW,
-    STEPS,
-    SWEEPS,
-    UNMET,
-    WORST,
-    WORST_EVER,
-    WORST_TIME,
-    Bounded,
-    ImpulseRows,
-    Impulses,
-    Partners,
-)
+from particlerb.impulses.records import Bounded, ImpulseRows, Impulses, Partners
 from particlerb.impulses.rolling import (
     give_rolling,
     keep_best_rolling,
@@ -87,9 +64,9 @@ def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None, team
         first, end = rows_of(team, rows.colours, i)
         for k in range(first, end):
             limits = rows.limits
-            will_bounce = limits[k, RESTITUTION] > 0.0 and limits[k, GAP] > 0.0
-            if will_bounce and approach(partners, rows, k)[0] < -limits[k, SLOW]:
-                rows.frame[k, LEAST] = NEVER
+            will_bounce = limits[k, col.RESTITUTION] > 0.0 and limits[k, col.GAP] > 0.0
+            if will_bounce and approach(partners, rows, k)[0] < -limits[k, col.SLOW]:
+                rows.frame[k, col.LEAST] = col.NEVER
     if bounded is not None:
         leave_out_stops(bounded, partners.velocity)
 
@@ -108,13 +85,15 @@ def leave_out_what_leans(impulses: Impulses, team: Team, dt: float) -> None:
     first, end = share_of(team, 0, count[0])
     for k in range(first, end):
         bore = rows.impulse[k, 0] != 0.0 or rows.impulse[k, 1] != 0.0 or rows.impulse[k, 2] != 0.0
-        if not bore and approach(partners, rows, k)[0] < rows.frame[k, LEAST]:
+        if not bore and approach(partners, rows, k)[0] < rows.frame[k, col.LEAST]:
             for b in (rows.first[k], rows.second[k]):
                 joins[b] = partners.inverse[b, 0] > 0.0
     meet(team)
     for k in range(first, end):
         if joins[rows.first[k]] or joins[rows.second[k]]:
-            _, rows.limits[k, LEAN + 1], rows.limits[k, LEAN + 2] = driven_by(partners, rows, k, dt)
+            _, rows.limits[k, col.LEAN + 1], rows.limits[k, col.LEAN + 2] = driven_by(
+                partners, rows, k, dt
+            )
 
 
 @kernel
@@ -125,10 +104,10 @@ def _warm_start(impulses: Impulses, bounded: Bounded | None, team: Team) -> None
         first, end = rows_of(team, rows.colours, i)
         for k in range(first, end):
             n, x, y = in_frame(rows.frame, k, row3(rows.impulse, k))
-            if n <= 0.0 or rows.frame[k, LEAST] == NEVER:
+            if n <= 0.0 or rows.frame[k, col.LEAST] == col.NEVER:
                 put_row3(rows.impulse, k, (0.0, 0.0, 0.0))
                 continue
-            x, y = on_disc(x, y, rows.frame[k, FRICTION] * n)
+            x, y = on_disc(x, y, rows.frame[k, col.FRICTION] * n)
             put_row3(rows.impulse, k, (n, x, y))
             change_by(partners, rows, k, (n, x, y))
         warm_start_rolling(rows.rolling, partners, rows, first, end)
@@ -149,11 +128,11 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team:
                 u = approach_at_end(partners, rows, k)
                 old = row3(impulse, k)
                 put_row3(rows.old, k, old)
-                n = max(old[0] - frame[k, SHARE] * (u[0] - frame[k, LEAST]), 0.0)
-                dn, rubbing = n - old[0], frame[k, RUBBING]
-                x = old[1] - rubbing * (u[1] + frame[k, COUPLING] * dn)
-                y = old[2] - rubbing * (u[2] + frame[k, COUPLING + 1] * dn)
-                x, y = on_disc(x, y, frame[k, FRICTION] * n)
+                n = max(old[0] - frame[k, col.SHARE] * (u[0] - frame[k, col.LEAST]), 0.0)
+                dn, rubbing = n - old[0], frame[k, col.RUBBING]
+                x = old[1] - rubbing * (u[1] + frame[k, col.COUPLING] * dn)
+                y = old[2] - rubbing * (u[2] + frame[k, col.COUPLING + 1] * dn)
+                x, y = on_disc(x, y, frame[k, col.FRICTION] * n)
                 change = (dn, x - old[1], y - old[2])
                 square = dot(change, change)
                 if square > 0.0:
@@ -173,8 +152,8 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team:
 def _miss(partners: Partners, rows: ImpulseRows, k: int, r: Vec3) -> Vec3:
     """By how much contact k misses the law with an impulse r [N s], and the velocities of now."""
     frame, u = rows.frame, approach_at_end(partners, rows, k)
-    mu, share = frame[k, FRICTION], frame[k, SHARE]
-    lifted = u[0] - frame[k, LEAST] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
+    mu, share = frame[k, col.FRICTION], frame[k, col.SHARE]
+    lifted = u[0] - frame[k, col.LEAST] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
     x, y = r[1] - share * u[1], r[2] - share * u[2]
     return subtract(r, nearest_in_cone(r[0] - share * lifted, x, y, mu))
 
@@ -187,8 +166,8 @@ def _speed(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team:
     for c in range(first, end):
         size = 0.0
         for k in range(colours.row[c], colours.row[c + 1]):
-            miss, least = _miss(partners, rows, k, ZERO), _FLOOR_SHARE * rows.limits[k, SLOW]
-            size += rows.frame[k, INVERSE] ** 2 * dot(miss, miss) + least * least
+            miss, least = _miss(partners, rows, k, ZERO), _FLOOR_SHARE * rows.limits[k, col.SLOW]
+            size += rows.frame[k, col.INVERSE] ** 2 * dot(miss, miss) + least * least
         colours.sums[c, 0] = size
     meet(team)
     size = total(colours, 0)
@@ -217,7 +196,7 @@ def residual(
             miss = _miss(partners, rows, k, r)
             square = dot(miss, miss)
             off += square
-            left += rows.frame[k, INVERSE] ** 2 * square
+            left += rows.frame[k, col.INVERSE] ** 2 * square
             size += dot(r, r)
         more, as_speed = miss_of_rolling(rows.rolling, partners, rows, begin, stop)
         size += size_of_rolling(rows.rolling, rows, begin, stop)
@@ -272,7 +251,7 @@ def _sweeps(
         before = changed
         _mix(partners, rows, bounded, team, beta, sweeps == most or defect <= rules.tolerance)
     if team.thread == 0:
-        tally[SWEEPS] += sweeps
+        tally[col.SWEEPS] += sweeps
     return defect
 
 
@@ -311,13 +290,13 @@ def _finish(impulses: Impulses, bounded: Bounded | None, defect: float, time: fl
     rules, partners, _, count, tally, _ = impulses
     if bounded is not None:
         give_bounded(bounded, partners.impulse)
-    tally[STEPS] += 1.0
-    tally[CONTACTS] += count[0]
-    tally[UNMET] += 1.0 if defect > rules.tolerance else 0.0
-    tally[RESIDUAL] = defect
-    tally[WORST] = max(tally[WORST], defect)
-    if defect > tally[WORST_EVER]:
-        tally[WORST_EVER], tally[WORST_TIME] = defect, time
+    tally[col.STEPS] += 1.0
+    tally[col.CONTACTS] += count[0]
+    tally[col.UNMET] += 1.0 if defect > rules.tolerance else 0.0
+    tally[col.RESIDUAL] = defect
+    tally[col.WORST] = max(tally[col.WORST], defect)
+    if defect > tally[col.WORST_EVER]:
+        tally[col.WORST_EVER], tally[col.WORST_TIME] = defect, time
 
 
 @kernel
@@ -346,7 +325,7 @@ def solve(
         put_row3(partners.free, b, row3(partners.velocity, b))
         put_row3(partners.free, b, row3(partners.velocity, b, 3), 3)
     if m == 0 and bounded is None:
-        tally[RESIDUAL] = 0.0
+        tally[col.RESIDUAL] = 0.0
         return
     meet(team)
     speed = _speed(partners, rows, bounded, team)

@@ -9,7 +9,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.body_loads import find_stored_energy, sum_in_bins
 from particlerb.contact.contact_model import ContactChanges, ContactList, MovingContact
 from particlerb.contact.records import Records
-from particlerb.impulses.records import DEEPEST_NOW, WORST
+from particlerb.impulses import records as col
 from particlerb.maths.vec3 import Floats
 
 
@@ -42,7 +42,7 @@ def restore_contacts(
     _copy(saved, changes, team)
     impulses = contact.workspace.impulses
     if is_frame and impulses is not None and team.thread == 0:  # look for the worst anew
-        impulses.tally[WORST] = impulses.tally[DEEPEST_NOW] = 0.0
+        impulses.tally[col.WORST] = impulses.tally[col.DEEPEST_NOW] = 0.0
     _recall(contact.lists.spheres, team)
     _recall(contact.lists.walls, team)
     meet(team)

@@ -14,12 +14,13 @@ from particlerb.contact.piston import keep_pistons, move_pistons, push_pistons
 from particlerb.contact.prescribed_motion import prescribed_acceleration
 from particlerb.contact.wall_motion import PrescribedMotion, acceleration_at, motion_in
 from particlerb.forces.kernels import Acting, kick_potential, shift_time
+from particlerb.impulses import records as col
 from particlerb.impulses.bookkeeping import book_impulses
 from particlerb.impulses.bounded import keep_bounded
 from particlerb.impulses.colours import who_solves
 from particlerb.impulses.impacts import take_impacts
 from particlerb.impulses.push_out import push_out
-from particlerb.impulses.records import GAP, PUSH_OUT_WORK, RADIUS, Impulses, Mechanisms, Partners
+from particlerb.impulses.records import Impulses, Mechanisms, Partners
 from particlerb.impulses.rolling import write_rolling
 from particlerb.impulses.rows import approach, write_through_pistons
 from particlerb.impulses.solver import leave_out_what_leans, leave_out_what_will_bounce, solve
@@ -293,18 +294,20 @@ def _move_bodies(
     partners, move = impulses.partners, impulses.partners.move
     pistons, state = contact.setup.pistons, contact.memory.pistons
     stored = half_work_of_pairs(pairs, move, blocks, layout) - stored_in_joints(jointed)
-    impulses.tally[PUSH_OUT_WORK] += move_pistons(pistons, state, move, contact.setup.max_arm.size)
+    impulses.tally[col.PUSH_OUT_WORK] += move_pistons(
+        pistons, state, move, contact.setup.max_arm.size
+    )
     for k in range(layout.first.size):
         rows, lo = blocks[k], layout.first[k]
         for i in range(layout.size[k]):
             b, dx, turn = lo + i, row3(move, lo + i), row3(move, lo + i, 3)
             if dot(dx, dx) + dot(turn, turn) > 0.0:
                 work = _move(acting, books, rows, i, dx, turn)
-                impulses.tally[PUSH_OUT_WORK] += work
+                impulses.tally[col.PUSH_OUT_WORK] += work
                 contact.workspace.gross_work[b] += abs(work)
                 _keep_pose(jointed, partners.mechanisms, b, get3(rows, COM, i), get4(rows, Q, i))
     stored += stored_in_joints(jointed) - half_work_of_pairs(pairs, move, blocks, layout)
-    impulses.tally[PUSH_OUT_WORK] += stored
+    impulses.tally[col.PUSH_OUT_WORK] += stored
     contact.workspace.gross_work[0] += abs(stored)
     book(books, blocks[0], 0, 1.0, (stored, ZERO, ZERO))
 
@@ -316,8 +319,8 @@ def _note_overlap(contact: MovingContact, impulses: Impulses, dt: float) -> None
     if k < 0 or workspace.deepest[0, 0] > 0.0:
         return
     deepest, limits = workspace.deepest[0], rows.limits
-    deepest[0] = -limits[k, GAP] - dt * approach(impulses.partners, rows, k)[0]
-    deepest[1], deepest[2], deepest[3] = limits[k, RADIUS], rows.first[k], rows.second[k]
+    deepest[0] = -limits[k, col.GAP] - dt * approach(impulses.partners, rows, k)[0]
+    deepest[1], deepest[2], deepest[3] = limits[k, col.RADIUS], rows.first[k], rows.second[k]
     deepest[4] = workspace.step_start.time[0] + 1.5 * dt
 
 

@@ -14,11 +14,12 @@ from math import nan
 
 from particlerb.compiled.jit import Flag, inline, kernel, unfused_kernel
 from particlerb.integrators.joint_stages import set_prescribed
+from particlerb.joints import records as col
 from particlerb.joints.actions import action_force
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.drives import set_moving
 from particlerb.joints.reactions import factorise_all, find_multipliers
-from particlerb.joints.records import HOLDS, STATE, Jointed, L, P, Q, X
+from particlerb.joints.records import Jointed
 from particlerb.joints.rows import add_impulses, by_inverse_inertia, linearise, orientation
 from particlerb.joints.solver import constrained_drift, keep_rates
 from particlerb.joints.trees import accelerate_tree
@@ -36,11 +37,11 @@ def _put_state(jointed: Jointed, states: Floats, w: int) -> None:
     y = jointed.data.y
     for k in range(jointed.block.size):
         row, lane, square = states[jointed.block[k]], jointed.lane[k], 0.0
-        for c in range(STATE):
+        for c in range(col.STATE):
             y[k, c] = row[c * w + lane]
-        for c in range(Q, P):
+        for c in range(col.Q, col.P):
             square += y[k, c] * y[k, c]
-        for c in range(Q, P):
+        for c in range(col.Q, col.P):
             y[k, c] /= square**0.5
 
 
@@ -48,7 +49,7 @@ def _put_state(jointed: Jointed, states: Floats, w: int) -> None:
 def _give_state(jointed: Jointed, states: Floats, w: int) -> None:
     """The same back."""
     for k in range(jointed.block.size):
-        for c in range(STATE):
+        for c in range(col.STATE):
             states[jointed.block[k], c * w + jointed.lane[k]] = jointed.data.y[k, c]
 
 
@@ -58,7 +59,7 @@ def _give_slopes(jointed: Jointed, slope: Floats, w: int) -> None:
     for k in range(jointed.block.size):
         row, lane = slope[jointed.block[k]], jointed.lane[k]
         for i in range(6):
-            row[(P + i) * w + lane] = jointed.data.change[k, i]
+            row[(col.P + i) * w + lane] = jointed.data.change[k, i]
         if jointed.joints.inv_mass[k] == 0.0:
             row[lane::w] = 0.0
 
@@ -91,7 +92,7 @@ def _book_row(
     if joints.inv_mass[a] == 0.0 or joints.inv_mass[b] == 0.0:
         F = scale(z if k == a else -z, row3(data.gradient, r))
         turning = scale(z, row3(data.gradient, r, 3 if k == a else 6))
-        tau = add(turning, cross(row3(data.y, k, X), F))
+        tau = add(turning, cross(row3(data.y, k, col.X), F))
     _book(books, jointed, slope, w, k, power, F, tau)
 
 
@@ -100,7 +101,7 @@ def add_actions(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
     """Add to the loads what springs, stops, motors, dampers and drag do, and book it."""
     joints, data = jointed.joints, jointed.data
     for r in range(joints.rows.kind.size):
-        if joints.rows.action[r] != HOLDS:
+        if joints.rows.action[r] != col.HOLDS:
             force, power = action_force(joints, data, r)
             data.z[r] = force
             add_impulses(
@@ -118,13 +119,13 @@ def _drag(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
         return
     joints, y, load = jointed.joints, jointed.data.y, jointed.data.change
     for k in range(jointed.block.size):
-        v = scale(joints.inv_mass[k], row3(y, k, P))
-        spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3(y, k, L))
+        v = scale(joints.inv_mass[k], row3(y, k, col.P))
+        spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3(y, k, col.L))
         F, tau = scale(-joints.drag[k, 0], v), scale(-joints.drag[k, 1], spin)
         for i in range(3):
             load[k, i] += F[i]
             load[k, 3 + i] += tau[i]
-        about_origin = add(tau, cross(row3(y, k, X), F))
+        about_origin = add(tau, cross(row3(y, k, col.X), F))
         _book(books, jointed, slope, w, k, dot(F, v) + dot(tau, spin), F, about_origin)
 
 
@@ -143,7 +144,7 @@ def _add_what_holds(books: Flag, jointed: Jointed, slope: Floats, w: int) -> Non
     for i in range(tree.body.size):
         if joints.inv_mass[tree.before[i]] == 0.0:
             k = tree.body[i]
-            at = subtract(row3(data.y, k, X), row3(tree.bodies.com, k))
+            at = subtract(row3(data.y, k, col.X), row3(tree.bodies.com, k))
             F = row3(tree.bodies.b, k)
             about_origin = add(row3(tree.bodies.b, k, 3), cross(at, F))
             _book(books, jointed, slope, w, k, 0.0, F, about_origin)
@@ -168,12 +169,12 @@ def add_reactions(
     data.clock[0] = t
     for k in range(jointed.block.size):
         for i in range(6):
-            data.change[k, i] = slope[jointed.block[k], (P + i) * w + jointed.lane[k]]
+            data.change[k, i] = slope[jointed.block[k], (col.P + i) * w + jointed.lane[k]]
     if jointed.tree is None:
         factorise_all(joints, data, t)
     else:
         for r in range(joints.rows.kind.size):
-            if joints.rows.action[r] != HOLDS:
+            if joints.rows.action[r] != col.HOLDS:
                 linearise(joints, data, r, r + 1)
     if joints.acts or joints.damps:
         add_actions(books, jointed, slope, w)
@@ -197,12 +198,12 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
     data.motion[:] = 0.0  # else teeth would be passed meanwhile
     for k in range(n):
         for i in range(6):
-            data.change[k, i], data.y[k, P + i] = data.y[k, P + i], 0.0
+            data.change[k, i], data.y[k, col.P + i] = data.y[k, col.P + i], 0.0
     for c in range(body.size - 1):
         constrained_drift(joints, data, c, 0.0, t - 1.0, 1.0)
     for k in range(n):
         for i in range(6):
-            data.y[k, P + i] = data.change[k, i]
+            data.y[k, col.P + i] = data.change[k, i]
     set_prescribed(jointed.prescribed, jointed.data, jointed.start + t, 0.0, 0, n)
     for c in range(body.size - 1):
         lo, hi = start[joint[c]], start[joint[c + 1]]
@@ -218,7 +219,7 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
 def _spin(jointed: Jointed, k: int) -> float:
     """Size of the angular velocity of body k [rad/s]; of what stands still 0."""
     y, inverse = jointed.data.y, jointed.joints.inv_inertia
-    w = by_inverse_inertia(inverse, orientation(y, k), k, row3(y, k, L))
+    w = by_inverse_inertia(inverse, orientation(y, k), k, row3(y, k, col.L))
     w = add(w, row3(jointed.data.motion, k, 3))  # of what moves as prescribed
     return dot(w, w) ** 0.5
 

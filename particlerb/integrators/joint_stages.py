@@ -19,6 +19,7 @@ from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.external_work import book
 from particlerb.integrators.pair_stages import meet_all
+from particlerb.joints import records as col
 from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
 from particlerb.joints.breaking import (
     break_overloaded,
@@ -28,7 +29,7 @@ from particlerb.joints.breaking import (
 )
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.packs import Packs, data_of, drift_pack, numbers_of
-from particlerb.joints.records import HOLDS, JointData, Jointed, L, P, Q, X
+from particlerb.joints.records import JointData, Jointed
 from particlerb.joints.rows import by_inverse_inertia, put_pose
 from particlerb.joints.solver import constrained_drift, project_momenta
 from particlerb.maths.quaternion import Matrix
@@ -80,8 +81,8 @@ def set_prescribed(
         put_row3(motion, b, prescribed_acceleration(prescribed, k, time), 6)
         if dt == 0.0:
             p, spin = prescribed_momenta(prescribed, k, q, v, w)
-            put_row3(y, b, p, P)
-            put_row3(y, b, spin, L)
+            put_row3(y, b, p, col.P)
+            put_row3(y, b, spin, col.L)
         x, q, v, w = prescribed_pose(prescribed, k, time + dt)
         put_pose(data.end_pose, b, x, q)
 
@@ -107,11 +108,11 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
         by_x = row3(data.gradient, r)
         if joints.inv_mass[b] == 0.0 and joints.inv_mass[a] > 0.0:
             impulse = scale(z, by_x)
-            turning = add_scaled(z, row3(data.gradient, r, 3), cross(row3(at, a, X), impulse))
+            turning = add_scaled(z, row3(data.gradient, r, 3), cross(row3(at, a, col.X), impulse))
             book(books, blocks[block[a]], lane[a], 1.0, (0.0, impulse, turning))
         elif joints.inv_mass[a] == 0.0 and joints.inv_mass[b] > 0.0:
             impulse = scale(-z, by_x)
-            turning = add_scaled(z, row3(data.gradient, r, 6), cross(row3(at, b, X), impulse))
+            turning = add_scaled(z, row3(data.gradient, r, 6), cross(row3(at, b, col.X), impulse))
             book(books, blocks[block[b]], lane[b], 1.0, (0.0, impulse, turning))
 
 
@@ -127,9 +128,9 @@ def _correct_work(books: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         rows, b = blocks[block[k]], lane[k]
-        by_joints = subtract(row3(data.y, k, P), get3(rows, COM + P, b))
-        turning = subtract(row3(data.y, k, L), get3(rows, COM + L, b))
-        q = get4(rows, COM + Q, b)
+        by_joints = subtract(row3(data.y, k, col.P), get3(rows, COM + col.P, b))
+        turning = subtract(row3(data.y, k, col.L), get3(rows, COM + col.L, b))
+        q = get4(rows, COM + col.Q, b)
         spin = by_inverse_inertia(joints.inv_inertia, q, k, turning)
         gain = joints.inv_mass[k] * dot(get3(rows, STAGE, b), by_joints)
         gain += dot(get3(rows, STAGE + 3, b), spin)
@@ -163,7 +164,7 @@ def _book_motors(books: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
     joints, data = jointed.joints, jointed.data
     start, joint = joints.program.start, joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
-        if joints.rows.action[r] != HOLDS:
+        if joints.rows.action[r] != col.HOLDS:
             book_work(books, jointed, blocks, r, work_of_motor(joints, data, r))
 
 
@@ -179,7 +180,7 @@ def _damp(books: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) ->
     for r in range(start[joint[c]], start[joint[c + 1]]):
         half = data.impulse[r]
         data.impulse[r] = 2.0 * half
-        if joints.rows.action[r] != HOLDS and half != 0.0:
+        if joints.rows.action[r] != col.HOLDS and half != 0.0:
             book_work(books, jointed, blocks, r, -2.0 * data.compliance[r] * half * half)
     sum_half_step(joints.breaks, joints, data, c, False)
     _book_world(books, jointed, blocks, c, data.y)
@@ -242,7 +243,7 @@ def _take_from_pack(books: Flag, packs: Packs, jointed: Jointed, p: int, i: int,
     if books is None:
         return
     for k in range(body[c], body[c + 1]):
-        for j in range(X, X + 3):
+        for j in range(col.X, col.X + 3):
             data.pose[k, j] = of_pack.pose[at + k, j, i]
     at = packs.joints.program.start[packs.joints.clusters.joint[p]] - start[joint[c]]
     for r in range(start[joint[c]], start[joint[c + 1]]):

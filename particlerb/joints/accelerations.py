@@ -16,19 +16,10 @@ themselves change by J⁻¹ (τ - ω × L), positions by F/M.
 from typing import NamedTuple
 
 from particlerb.compiled.jit import inline, kernel
+from particlerb.joints import kinds
+from particlerb.joints import records as col
 from particlerb.joints.drives import course
-from particlerb.joints.records import (
-    ALONG,
-    DOT,
-    GEAR,
-    RACK,
-    TURN,
-    WORLD_ALONG,
-    JointData,
-    Joints,
-    L,
-    P,
-)
+from particlerb.joints.records import JointData, Joints
 from particlerb.joints.rows import arms_at, is_of_other_bodies, rate, rotations
 from particlerb.joints.wheels import tangent
 from particlerb.maths.quaternion import Matrix, turn, turn_back
@@ -56,7 +47,7 @@ class _Spin(NamedTuple):
 @inline
 def _spin_of(joints: Joints, data: JointData, k: int, R: Matrix) -> _Spin:
     """How body k turns in an orientation."""
-    inverse, m = row3(joints.inv_inertia, k), turn_back(R, row3(data.y, k, L))
+    inverse, m = row3(joints.inv_inertia, k), turn_back(R, row3(data.y, k, col.L))
     w = component_product(inverse, m)
     lost = turn(R, component_product(inverse, cross(w, m)))
     return _Spin(add(turn(R, w), row3(data.motion, k, 3)), lost)
@@ -65,7 +56,7 @@ def _spin_of(joints: Joints, data: JointData, k: int, R: Matrix) -> _Spin:
 @inline
 def _velocity(joints: Joints, data: JointData, k: int) -> Vec3:
     """Velocity of body k [m/s]."""
-    return add_scaled(joints.inv_mass[k], row3(data.y, k, P), row3(data.motion, k))
+    return add_scaled(joints.inv_mass[k], row3(data.y, k, col.P), row3(data.motion, k))
 
 
 @inline
@@ -76,18 +67,18 @@ def _convective(
     rows, kind = joints.rows, joints.rows.kind[r]
     ra, rb, u, d = arms_at(rows, data.y, r, R)
     ra1, rb1, u1 = cross(wa, ra), cross(wb, rb), cross(wb, u)
-    if kind >= TURN:
-        return dot(u1 if kind == TURN else cross(wa, u), subtract(wa, wb))
+    if kind >= kinds.TURN:
+        return dot(u1 if kind == kinds.TURN else cross(wa, u), subtract(wa, wb))
     ra2, rb2, u2 = cross(wa, ra1), cross(wb, rb1), cross(wb, u1)
-    if kind == DOT:
+    if kind == kinds.DOT:
         return dot(ra2, u) + 2.0 * dot(ra1, u1) + dot(ra, u2)
     a, b = rows.a[r], rows.b[r]
     k = subtract(ra2, rb2)
     va, vb = _velocity(joints, data, a), _velocity(joints, data, b)
     d1 = subtract(add(va, ra1), add(vb, rb1))
-    if kind == GEAR:
+    if kind == kinds.GEAR:
         return dot(tangent(u, d), subtract(k, cross(wb, d1)))
-    if kind in (ALONG, RACK):
+    if kind in (kinds.ALONG, kinds.RACK):
         return dot(u, k) + 2.0 * dot(u1, d1) + dot(u2, d)
     convective: float = (dot(d1, d1) + dot(d, k)) / rows.length[r]
     return convective
@@ -137,7 +128,7 @@ def accelerations(joints: Joints, data: JointData, lo: int, hi: int, load: Float
             R = rotations(rows, data.y, r)
             spin_a = _spin_of(joints, data, rows.a[r], R[0])
             spin_b = _spin_of(joints, data, rows.b[r], R[1])
-        if rows.kind[r] == WORLD_ALONG:
+        if rows.kind[r] == kinds.WORLD_ALONG:
             if r == lo or not joints.beside[r]:
                 k = _centripetal(joints, data, r, R, spin_a.w, spin_b.w)
             acceleration = dot(row3(rows.axis, r), k)

@@ -13,7 +13,9 @@ from math import copysign, inf, pi
 from typing import Final
 
 from particlerb.compiled.jit import inline, unfused_kernel
-from particlerb.joints.records import HOLDS, TURN, Actions, ConstraintRows, JointData, Joints, P
+from particlerb.joints import kinds
+from particlerb.joints import records as col
+from particlerb.joints.records import Actions, ConstraintRows, JointData, Joints
 from particlerb.joints.rows import add_impulses, coordinate, orientation, rate, shorter
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.rows import row3
@@ -31,7 +33,7 @@ def _from_rest(actions: Actions, k: int, kind: int, x: float) -> float:
 @inline
 def unwound(kind: int, x: float, lower: float, upper: float) -> float:
     """Coordinate x; an angle within half a turn of the middle between two stops."""
-    if kind < TURN or upper == inf:
+    if kind < kinds.TURN or upper == inf:
         return x
     away = x - 0.5 * (lower + upper)
     return x - copysign(2.0 * pi, away) if abs(away) > pi else x
@@ -50,7 +52,7 @@ def _beyond(actions: Actions, k: int, kind: int, x: float) -> float:
 def gives_way(rows: ConstraintRows, actions: Actions, r: int, before: Floats, y: Floats) -> bool:
     """Whether an angle has all but passed the middle between its stops, or does on the way to y."""
     k, kind = rows.action[r], rows.kind[r]
-    if k == HOLDS or kind < TURN or actions.upper[k] == inf:
+    if k == col.HOLDS or kind < kinds.TURN or actions.upper[k] == inf:
         return False
     x, last = coordinate(rows, y, r), coordinate(rows, before, r)
     on, beyond = shorter(kind, x - last), _beyond(actions, k, kind, x)
@@ -63,7 +65,7 @@ def gives_way(rows: ConstraintRows, actions: Actions, r: int, before: Floats, y:
 def set_compliance(joints: Joints, data: JointData, r: int, span: float) -> None:
     """What row r has on its diagonal over a span; inf where nothing damps."""
     k = joints.rows.action[r]
-    if k == HOLDS:
+    if k == col.HOLDS:
         return
     c = 0.0
     if span > 0.0:
@@ -84,14 +86,16 @@ def kick_actions(joints: Joints, data: JointData, lo: int, hi: int, dt: float) -
     actions, kind = joints.actions, joints.rows.kind
     for r in range(lo, hi):
         k = joints.rows.action[r]
-        if k != HOLDS:
+        if k != col.HOLDS:
             x = coordinate(joints.rows, data.y, r)
             f = -actions.stiffness[k] * _from_rest(actions, k, kind[r], x)
             f += actions.motor[k] - actions.stop[k] * _beyond(actions, k, kind[r], x)
             data.z[r] = data.impulse[r] = f * dt
     for r in range(lo, hi):
-        if joints.rows.action[r] != HOLDS:
-            add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, r, r + 1, data.y, P)
+        if joints.rows.action[r] != col.HOLDS:
+            add_impulses(
+                joints.rows, joints.inv_mass, data.gradient, data.z, r, r + 1, data.y, col.P
+            )
 
 
 @inline
@@ -106,7 +110,7 @@ def work_of_motor(joints: Joints, data: JointData, r: int) -> float:
 def stored_energy(joints: Joints, y: Floats, r: int) -> float:
     """Energy of the spring and the stops of row r [J] in the poses y; 0 of one that holds."""
     actions, k = joints.actions, joints.rows.action[r]
-    if k == HOLDS:
+    if k == col.HOLDS:
         return 0.0
     x, kind = coordinate(joints.rows, y, r), joints.rows.kind[r]
     away, beyond = _from_rest(actions, k, kind, x), _beyond(actions, k, kind, x)
@@ -129,7 +133,7 @@ def action_force(joints: Joints, data: JointData, r: int) -> tuple[float, float]
     """What acts along row r [N or N m], and the power of that which has no potential [W]."""
     actions, k, kind = joints.actions, joints.rows.action[r], joints.rows.kind[r]
     x = coordinate(joints.rows, data.y, r)
-    v = rate(joints, data.gradient, r, data.y, P) + data.dg_dt[r]
+    v = rate(joints, data.gradient, r, data.y, col.P) + data.dg_dt[r]
     beyond = _beyond(actions, k, kind, x)
     c = actions.damping[k] + (actions.stop_damping[k] if beyond != 0.0 else 0.0)
     f = -actions.stiffness[k] * _from_rest(actions, k, kind, x)
@@ -150,7 +154,7 @@ def soften(joints: Joints, data: JointData, c: int, span: float) -> None:
             half = 0.5 * span * joints.inv_inertia[b, i] * joints.drag[b, 1]
             data.inv_inertia[b, i] = joints.inv_inertia[b, i] / (1.0 + half)
         for i in range(6):
-            data.change[b, i] = data.y[b, P + i]
+            data.change[b, i] = data.y[b, col.P + i]
 
 
 @inline
@@ -165,12 +169,14 @@ def finish_damping(
 ) -> tuple[float, Vec3, Vec3]:
     """Momenta of body b after the span, from those of the middle; work, impulse, torque of drag."""
     q, at = orientation(data.y, b), row3(data.y, b)
-    m = to_body(q, row3(data.y, b, P + 3))
-    v = scale(data.inv_mass[b], row3(data.y, b, P))
+    m = to_body(q, row3(data.y, b, col.P + 3))
+    v = scale(data.inv_mass[b], row3(data.y, b, col.P))
     w = to_world(q, component_product(row3(data.inv_inertia, b), m))
     impulse = scale(-span * joints.drag[b, 0], v)
     turning = scale(-span * joints.drag[b, 1], w)
     for i in range(3):  # M (2 v* - v) = 2 (p + half of the drag) - p
-        data.y[b, P + i] = 2.0 * data.y[b, P + i] + impulse[i] - data.change[b, i]
-        data.y[b, P + 3 + i] = 2.0 * data.y[b, P + 3 + i] + turning[i] - data.change[b, 3 + i]
+        data.y[b, col.P + i] = 2.0 * data.y[b, col.P + i] + impulse[i] - data.change[b, i]
+        data.y[b, col.P + 3 + i] = (
+            2.0 * data.y[b, col.P + 3 + i] + turning[i] - data.change[b, 3 + i]
+        )
     return dot(impulse, v) + dot(turning, w), impulse, add(cross(at, impulse), turning)

@@ -18,7 +18,8 @@ from math import inf
 from typing import Final
 
 from particlerb.compiled.jit import inline
-from particlerb.joints.records import HOLDS, Breaks, JointData, Joints, P
+from particlerb.joints import records as col
+from particlerb.joints.records import Breaks, JointData, Joints
 from particlerb.joints.rows import add_impulses, orientation
 from particlerb.maths.quaternion import to_world
 from particlerb.maths.rows import row3
@@ -42,7 +43,7 @@ def _set_held(joints: Joints, data: JointData, j: int, is_held: bool) -> None:
     """Say whether the rows of joint j hold, or are left out."""
     start = joints.program.start
     for r in range(start[j], start[j + 1]):
-        if joints.rows.action[r] == HOLDS:
+        if joints.rows.action[r] == col.HOLDS:
             data.compliance[r] = 0.0 if is_held else inf
 
 
@@ -75,7 +76,7 @@ def let_break(
         breaks_now = -least <= later < dt - least
         share = (kick_dt - 0.5 * dt + later) / kick_dt if breaks_now else 0.0
         for r in range(start[j], start[j + 1]):
-            if joints.rows.action[r] == HOLDS:
+            if joints.rows.action[r] == col.HOLDS:
                 data.z[r] = (share - 1.0) * data.impulse[r]
                 data.impulse[r] *= share
             else:
@@ -83,7 +84,7 @@ def let_break(
         if breaks_now:
             _set_held(joints, data, j, False)
     first, last = start[lo], start[hi]
-    add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, first, last, data.y, P)
+    add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, first, last, data.y, col.P)
     return True
 
 

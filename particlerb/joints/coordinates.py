@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel, unfused_kernel
-from particlerb.joints.records import ALONG, ROTATION, TURN, Coordinates
+from particlerb.joints import kinds
+from particlerb.joints.records import Coordinates
 from particlerb.joints.rows import orientation
 from particlerb.joints.types import COORDINATES, Ends, coordinate_rows
 from particlerb.maths.quaternion import to_world
@@ -21,7 +22,9 @@ from particlerb.maths.vec3 import Floats, Vec3, dot, subtract
 def names_of(kind: str) -> list[tuple[str, str]]:
     """Names and units of the coordinates of joints of a type; those of balls are not counted."""
     rows = [(name, along[0].kind) for name, along in COORDINATES.get(kind, {}).items()]
-    return [(name, "m" if of == ALONG else "rad") for name, of in rows if of != ROTATION]
+    return [
+        (name, "m" if of == kinds.ALONG else "rad") for name, of in rows if of != kinds.ROTATION
+    ]
 
 
 def coordinates_of(kind: str, ends: Ends) -> Coordinates:
@@ -32,7 +35,7 @@ def coordinates_of(kind: str, ends: Ends) -> Coordinates:
         first, second, axis = row.vector_a, row.vector_b, row.axis
         if unit == "m":
             vectors = first, np.zeros_like(first), axis, second
-        elif row.kind[0] == TURN:
+        elif row.kind[0] == kinds.TURN:
             vectors = first, first, second, np.cross(axis, second)
         else:
             vectors = first, np.cross(first, axis), second, second

@@ -8,14 +8,15 @@ the extended phase space, in which the method is symplectic.
 from math import cos, sin
 
 from particlerb.compiled.jit import inline
-from particlerb.joints.records import AT_REST, Drives, JointData, Joints, P
+from particlerb.joints import records as col
+from particlerb.joints.records import Drives, JointData, Joints
 from particlerb.maths.vec3 import Vec3
 
 
 @inline
 def course(drives: Drives, k: int, t: float) -> Vec3:
     """c, ċ and c̈ of drive k at a time [s]; zero where there is none."""
-    if k == AT_REST:
+    if k == col.AT_REST:
         return 0.0, 0.0, 0.0
     p, amplitude, rate = drives.polynomial, drives.wave[k, 0], drives.wave[k, 1]
     along, across = sin(rate * t + drives.wave[k, 2]), cos(rate * t + drives.wave[k, 2])
@@ -50,5 +51,5 @@ def carry(joints: Joints, data: JointData, first: int, last: int) -> None:
     """Put bodies first to last that move as prescribed where they are at the end of a drift."""
     for b in range(first, last):
         if joints.prescribed[b]:
-            for i in range(P):
+            for i in range(col.P):
                 data.y[b, i] = data.end_pose[b, i]

@@ -9,9 +9,11 @@ from typing import Final
 
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.compiled.lanes import any_of, choose, opposite
+from particlerb.joints import kinds
+from particlerb.joints import records as col
 from particlerb.joints.block_cholesky import solve
 from particlerb.joints.drives import carry
-from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, JointData, Joints, L, P, Q, X
+from particlerb.joints.records import JointData, Joints
 from particlerb.joints.rows import add_impulses, orientation, rate, residuals
 from particlerb.joints.wheels import nearest
 from particlerb.maths.quaternion import to_body
@@ -33,12 +35,12 @@ def fly(joints: Joints, data: JointData, c: int, dt: float) -> None:
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         path = dt * joints.inv_mass[k]
         for i in range(3):
-            y[k, X + i] = pose[k, X + i] + path * y[k, P + i]
+            y[k, col.X + i] = pose[k, col.X + i] + path * y[k, col.P + i]
         q = orientation(pose, k)
-        m = to_body(q, row3(y, k, L))
+        m = to_body(q, row3(y, k, col.L))
         a = row3(joints.inv_inertia, k)
         q = symmetric_split(q, m, a, dt) if any_of(a[0] != a[1]) else symmetric_top(q, m, a, dt)
-        y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
+        y[k, col.Q], y[k, col.Q + 1], y[k, col.Q + 2], y[k, col.Q + 3] = q
     carry(joints, data, joints.clusters.body[c], joints.clusters.body[c + 1])
 
 
@@ -47,7 +49,7 @@ def add_gains(joints: Joints, data: JointData, lo: int, hi: int) -> None:
     """Add impulses z of rows lo to hi to the momenta, and to `total`."""
     for r in range(lo, hi):
         data.impulse[r] += data.z[r]
-    add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, lo, hi, data.y, P)
+    add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, lo, hi, data.y, col.P)
 
 
 @inline
@@ -86,10 +88,10 @@ def take_back(joints: Joints, data: JointData, c: int, taken: bool) -> None:
     """Begin the drift of cluster c anew, without impulses of rows that hold, if they are taken."""
     clusters, start = joints.clusters, joints.program.start
     for k in range(clusters.body[c], clusters.body[c + 1]):
-        for i in range(P, STATE):
+        for i in range(col.P, col.STATE):
             data.y[k, i] = choose(taken, data.pose[k, i], data.y[k, i])
     for r in range(start[clusters.joint[c]], start[clusters.joint[c + 1]]):
-        if joints.rows.action[r] == HOLDS:
+        if joints.rows.action[r] == col.HOLDS:
             data.impulse[r] = choose(taken, 0.0, data.impulse[r])
 
 
@@ -117,8 +119,12 @@ def _count_teeth(
         return worst
     rows = joints.rows
     for r in range(lo, hi):
-        if rows.kind[r] in (RACK, GEAR) and data.compliance[r] == 0.0 and data.impulse[r] == 0.0:
-            passed = dt * (rate(joints, data.gradient, r, data.y, P) + data.dg_dt[r])
+        if (
+            rows.kind[r] in (kinds.RACK, kinds.GEAR)
+            and data.compliance[r] == 0.0
+            and data.impulse[r] == 0.0
+        ):
+            passed = dt * (rate(joints, data.gradient, r, data.y, col.P) + data.dg_dt[r])
             data.g[r] = nearest(data.g[r], passed, rows.wheel[r, 11])
             worst = max(worst, abs(data.g[r]) / rows.size[r])
     return worst

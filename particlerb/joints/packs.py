@@ -12,8 +12,9 @@ import numpy as np
 
 from particlerb.compiled.jit import config, inline, unfused_kernel
 from particlerb.compiled.lanes import LANES, as_packs, lane
+from particlerb.joints import records as col
 from particlerb.joints.iterations import find_impulses, remember, warm_start
-from particlerb.joints.records import HOLDS, STATE, Clusters, ConstraintRows, JointData, Joints
+from particlerb.joints.records import Clusters, ConstraintRows, JointData, Joints
 from particlerb.joints.rows import linearise
 from particlerb.joints.setup import programs_of
 from particlerb.joints.solver import factorise_gradients
@@ -59,7 +60,7 @@ def packs_of(joints: Joints, data: JointData) -> tuple[Packs | None, Ints]:
     none = None, np.arange(joints.clusters.body.size - 1)
     if (
         config.DISABLE_JIT
-        or (joints.rows.action != HOLDS).any()
+        or (joints.rows.action != col.HOLDS).any()
         or joints.moves
         or joints.damps
         or joints.breaks is not None
@@ -166,7 +167,7 @@ def drift_pack(
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
     for k in range(clusters.body[c], clusters.body[c + 1]):
-        for i in range(STATE):
+        for i in range(col.STATE):
             data.pose[k, i] = data.y[k, i]
     for r in range(lo, hi):
         data.impulse[r] = 0.0

@@ -9,10 +9,12 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import unfused_kernel
+from particlerb.joints import kinds
+from particlerb.joints import records as col
 from particlerb.joints.accelerations import accelerations
 from particlerb.joints.actions import add_stored_energy
 from particlerb.joints.block_cholesky import solve
-from particlerb.joints.records import DOT, HOLDS, STATE, TURN, JointData, Joints, P, Q
+from particlerb.joints.records import JointData, Joints
 from particlerb.joints.solver import factorise_cluster
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.state import rotate, rotate_back
@@ -72,7 +74,7 @@ def dependent_rows(weighted: Floats) -> Floats:
 def null_vectors(joints: Joints, data: JointData, c: int) -> Floats:
     """Null vectors of Gᵀ of cluster c, (redundant, rows), 0 in rows that hold nothing."""
     lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
-    holds = joints.rows.action[lo:hi] == HOLDS
+    holds = joints.rows.action[lo:hi] == col.HOLDS
     dependent = dependent_rows(weighted_gradient(joints, data, c)[holds])
     null = np.zeros((len(dependent), hi - lo))
     null[:, holds] = dependent
@@ -109,7 +111,7 @@ def make_least(joints: Joints, data: JointData) -> Bools:
 
 def _is_turning(joints: Joints) -> Bools:
     """Which rows have torques for multipliers."""
-    return np.asarray((joints.rows.kind == DOT) | (joints.rows.kind >= TURN))
+    return np.asarray((joints.rows.kind == kinds.DOT) | (joints.rows.kind >= kinds.TURN))
 
 
 def _joint_sizes(joints: Joints) -> Floats:
@@ -144,9 +146,9 @@ def energy_of_joints(
     sums = np.zeros(1 if worlds is None else len(worlds.bodies))
     if not joints.acts:
         return sums if worlds is not None else 0.0
-    y = np.zeros((joints.inv_mass.size, STATE))
-    y[-1, Q] = 1.0
-    y[:-1, :P] = np.vstack([com, q]).T[joints.order]
+    y = np.zeros((joints.inv_mass.size, col.STATE))
+    y[-1, col.Q] = 1.0
+    y[:-1, : col.P] = np.vstack([com, q]).T[joints.order]
     none = np.zeros(joints.order.size, dtype=np.int64)
     world = none if worlds is None else worlds.numbers[joints.order]
     add_stored_energy(joints, y, world, sums)

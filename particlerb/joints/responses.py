@@ -14,16 +14,9 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
+from particlerb.impulses import records as col
 from particlerb.impulses.bounded import lean_along, write_bounds, write_gradient, write_response
-from particlerb.impulses.records import (
-    B_GAP,
-    B_RESTITUTION,
-    Bounded,
-    Impulses,
-    Mechanisms,
-    Partners,
-    room_for_bounded,
-)
+from particlerb.impulses.records import Bounded, Impulses, Mechanisms, Partners, room_for_bounded
 from particlerb.impulses.rows import inverse_inertia_times, write_through_joints
 from particlerb.joints.accelerations import accelerations, convective_along, driven_along
 from particlerb.joints.actions import unwound
@@ -190,8 +183,8 @@ def find_bounded(
         write_response(bounded, mechanisms, k, mass, free + dot(by_b, row3(data.gradient, r, 12)))
         values = bounded.values
         x = unwound(joints.rows.kind[r], x, bounds.lower[k], bounds.upper[k])
-        values[k, B_GAP], values[k, B_GAP + 1] = x - bounds.lower[k], bounds.upper[k] - x
-        values[k, B_RESTITUTION], most = bounds.restitution[k], dt * bounds.largest[k]
+        values[k, col.B_GAP], values[k, col.B_GAP + 1] = x - bounds.lower[k], bounds.upper[k] - x
+        values[k, col.B_RESTITUTION], most = bounds.restitution[k], dt * bounds.largest[k]
         lean_along(bounded, partners, k, convective_along(joints, data, r), bounds.speed[k], dt)
         write_bounds(bounded, partners, k, bounds.speed[k], most, dt)
 

@@ -23,26 +23,10 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel, unfused_kernel, unsigned
 from particlerb.compiled.lanes import any_of, choose, lane, opposite
+from particlerb.joints import kinds
+from particlerb.joints import records as col
 from particlerb.joints.drives import course
-from particlerb.joints.records import (
-    ALONG,
-    DISTANCE,
-    DOT,
-    GEAR,
-    OWN_TURN,
-    RACK,
-    ROTATION,
-    STRETCH,
-    TURN,
-    WORLD_ALONG,
-    ConstraintRows,
-    Drives,
-    JointData,
-    Joints,
-    P,
-    Q,
-    X,
-)
+from particlerb.joints.records import ConstraintRows, Drives, JointData, Joints
 from particlerb.joints.wheels import rolled, tangent, with_turns
 from particlerb.maths.quaternion import (
     Matrix,
@@ -77,14 +61,14 @@ Three: TypeAlias = tuple[Vec3, Vec3, Vec3]
 def orientation(y: Floats, k: int) -> Quat:
     """Orientation of body k."""
     row = unsigned(k)
-    return y[row, Q], y[row, Q + 1], y[row, Q + 2], y[row, Q + 3]
+    return y[row, col.Q], y[row, col.Q + 1], y[row, col.Q + 2], y[row, col.Q + 3]
 
 
 @inline
 def put_pose(y: Floats, k: int, x: Vec3, q: Quat) -> None:
     """Write where body k is."""
-    put_row3(y, k, x, X)
-    y[k, Q], y[k, Q + 1], y[k, Q + 2], y[k, Q + 3] = q
+    put_row3(y, k, x, col.X)
+    y[k, col.Q], y[k, col.Q + 1], y[k, col.Q + 2], y[k, col.Q + 3] = q
 
 
 @inline
@@ -112,16 +96,16 @@ def arms_at(
     """Do the work of `arms`, with the rotation matrices of both bodies."""
     ra, rb = turn(R[0], row3(rows.vector_a, r)), turn(R[1], row3(rows.vector_b, r))
     u, kind = row3(rows.axis, r), rows.kind[r]
-    if kind not in (WORLD_ALONG, ROTATION):
-        u = turn(R[0] if kind == OWN_TURN else R[1], u)
-    between = subtract(row3(y, rows.a[r], X), row3(y, rows.b[r], X))
+    if kind not in (kinds.WORLD_ALONG, kinds.ROTATION):
+        u = turn(R[0] if kind == kinds.OWN_TURN else R[1], u)
+    between = subtract(row3(y, rows.a[r], col.X), row3(y, rows.b[r], col.X))
     return ra, rb, u, subtract(between, subtract(rb, ra))
 
 
 @inline
 def is_of_directions(kind: int) -> bool:
     """Whether no points are in a row of a kind."""
-    return kind == DOT or kind >= TURN
+    return kind == kinds.DOT or kind >= kinds.TURN
 
 
 @inline
@@ -142,31 +126,31 @@ def coordinate(rows: ConstraintRows, y: Floats, r: int) -> float:
     """Coordinate of row r [m or rad]; angles between -π and π."""
     ra, rb, u, d = arms(rows, y, r)
     kind = rows.kind[r]
-    if kind == ROTATION:
+    if kind == kinds.ROTATION:
         along: float = dot(u, _rotation(rows, y, r))
         return along
-    if kind >= TURN:
+    if kind >= kinds.TURN:
         return atan2(dot(ra, cross(u, rb)), dot(ra, rb))
-    return norm(d) if kind == STRETCH else dot(u, d)
+    return norm(d) if kind == kinds.STRETCH else dot(u, d)
 
 
 @inline
 def shorter(kind: int, away: float) -> float:
     """A difference of coordinates; of angles the shorter way."""
-    return away - _WHOLE_TURN * np.floor(away / _WHOLE_TURN + 0.5) if kind >= TURN else away
+    return away - _WHOLE_TURN * np.floor(away / _WHOLE_TURN + 0.5) if kind >= kinds.TURN else away
 
 
 @inline
 def residual(rows: ConstraintRows, drives: Drives, y: Floats, r: int, t: float) -> float:
     """g of row r at a time."""
     kind = rows.kind[r]
-    if kind >= TURN:
+    if kind >= kinds.TURN:
         target = course(drives, rows.drive[r], t)[0]
         return shorter(kind, coordinate(rows, y, r) - target)
     ra, _, u, d = arms(rows, y, r)
-    if kind == DOT:
+    if kind == kinds.DOT:
         return dot(ra, u)
-    if kind == DISTANCE:
+    if kind == kinds.DISTANCE:
         length = rows.length[r]
         stretch: float = 0.5 * (dot(d, d) / length - length)
         return stretch
@@ -194,19 +178,19 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
     for r in range(lo, hi):
         kind = rows.kind[r]
         if is_of_other_bodies(rows, lo, r):
-            x, R = row3(y, rows.a[r], X), rotations(rows, y, r)
+            x, R = row3(y, rows.a[r], col.X), rotations(rows, y, r)
             far = abs(x[0]) + abs(x[1]) + abs(x[2])
             turned = max(1.0, _FAR_TURNED * far / rows.size[r])
         if data.compliance[r] != 0.0:
             g[r] = 0.0
-        elif kind == WORLD_ALONG:
+        elif kind == kinds.WORLD_ALONG:
             if r == lo or not joints.beside[r] or data.compliance[r - 1] != 0.0:
                 d = arms_at(rows, y, r, R)[3]
             g[r] = dot(row3(rows.axis, r), d) - course(joints.drives, rows.drive[r], t)[0]
-        elif kind == DOT:
+        elif kind == kinds.DOT:
             n, u = row3(rows.vector_a, r), row3(rows.axis, r)
             g[r] = dot(turn(R[0], n), turn(R[1], u))
-        elif kind in (RACK, GEAR):
+        elif kind in (kinds.RACK, kinds.GEAR):
             _, _, u, d = arms_at(rows, y, r, R)
             g[r] = rolled(joints.rolls, rows, r, R, u, d)
         else:
@@ -240,15 +224,15 @@ def _by_turning(rows: ConstraintRows, r: int, ra: Vec3, rb: Vec3, u: Vec3, d: Ve
     """∂g/∂x_a, ∂g/∂θ_a and ∂g/∂θ_b of row r from its arms."""
     kind = rows.kind[r]
     if is_of_directions(kind):
-        by_a = cross(ra, u) if kind == DOT else u
+        by_a = cross(ra, u) if kind == kinds.DOT else u
         return (0.0, 0.0, 0.0), by_a, scale(-1.0, by_a)
     by_x, arm = u, rb
-    if kind in (ALONG, RACK, GEAR):
+    if kind in (kinds.ALONG, kinds.RACK, kinds.GEAR):
         arm = add(rb, d)
-        by_x = tangent(u, d) if kind == GEAR else u
-    elif kind == DISTANCE:
+        by_x = tangent(u, d) if kind == kinds.GEAR else u
+    elif kind == kinds.DISTANCE:
         by_x = scale(1.0 / rows.length[r], d)
-    elif kind == STRETCH:
+    elif kind == kinds.STRETCH:
         by_x = scale(1.0 / max(norm(d), 1e-300), d)
     return by_x, cross(ra, by_x), cross(by_x, arm)
 
@@ -296,7 +280,7 @@ def rates(joints: Joints, data: JointData, lo: int, hi: int) -> float:
     """z = -ġ of rows lo to hi; the largest over its size [1/s], or NaN."""
     worst = 0.0
     for r in range(lo, hi):
-        speed = rate(joints, data.gradient, r, data.y, P) + data.dg_dt[r]
+        speed = rate(joints, data.gradient, r, data.y, col.P) + data.dg_dt[r]
         soft = data.compliance[r]
         if soft > 0.0:
             speed = speed + soft * data.impulse[r] if soft < inf else 0.0

@@ -7,13 +7,10 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import flag
+from particlerb.joints import kinds
+from particlerb.joints import records as col
 from particlerb.joints.block_cholesky import program_of
 from particlerb.joints.records import (
-    AT_REST,
-    GEAR,
-    HOLDS,
-    RACK,
-    WORLD_ALONG,
     Actions,
     Clusters,
     ConstraintRows,
@@ -82,7 +79,7 @@ def joints_among(
         np.zeros(n, dtype=np.bool_) if prescribed is None else prescribed[order], False
     )
     first, rank = np.r_[0, ends], np.r_[0, np.cumsum(count)]
-    holds = np.logical_or.reduceat(rows.action == HOLDS, rank[:-1])
+    holds = np.logical_or.reduceat(rows.action == col.HOLDS, rank[:-1])
     clusters, program = programs_of(
         first, label[a[index]], label[order], rows, rank, inv_mass, holds
     )
@@ -91,8 +88,8 @@ def joints_among(
     return Joints(
         order, inv_mass, inv_inertia, rows, clusters, program, number[index], actions,
         np.zeros((n + 1, 2)), _beside(rows), acts, bool(damps), coordinates, drives, prescribed,
-        bool((rows.drive != AT_REST).any() or prescribed.any()),
-        rolls=flag(bool(np.isin(rows.kind, (RACK, GEAR)).any())),
+        bool((rows.drive != col.AT_REST).any() or prescribed.any()),
+        rolls=flag(bool(np.isin(rows.kind, (kinds.RACK, kinds.GEAR)).any())),
     )  # fmt: skip
 
 
@@ -107,7 +104,7 @@ def _beside(rows: ConstraintRows) -> Bools:
     """Which rows differ from those before by their axis alone, of those along axes of the world."""
     columns = np.column_stack([rows.kind, rows.a, rows.b, rows.vector_a, rows.vector_b])
     is_equal = np.append(False, (columns[1:] == columns[:-1]).all(axis=1))
-    return np.asarray(is_equal & (rows.kind == WORLD_ALONG))
+    return np.asarray(is_equal & (rows.kind == kinds.WORLD_ALONG))
 
 
 def programs_of(

@@ -23,6 +23,8 @@ from typing import Final
 
 from particlerb.compiled.jit import Flag, inline, kernel, unfused_kernel
 from particlerb.compiled.lanes import choose, lane
+from particlerb.joints import kinds
+from particlerb.joints import records as col
 from particlerb.joints.actions import gives_way, kick_actions, set_compliance
 from particlerb.joints.block_cholesky import assemble, factorise, solve
 from particlerb.joints.breaking import leave_out, let_break
@@ -35,7 +37,7 @@ from particlerb.joints.iterations import (
     take_back,
     warm_start,
 )
-from particlerb.joints.records import GEAR, HOLDS, RACK, STATE, JointData, Joints, L, P
+from particlerb.joints.records import JointData, Joints
 from particlerb.joints.rows import (
     arms_at,
     by_inverse_inertia,
@@ -127,12 +129,12 @@ def constrained_drift(
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
     for k in range(clusters.body[c], clusters.body[c + 1]):
-        for i in range(P):
+        for i in range(col.P):
             data.pose[k, i] = data.y[k, i]
     factorise_cluster(joints, data, c, 0.0, t)
     kick_actions(joints, data, lo, hi, kick_dt)
     for k in range(clusters.body[c], clusters.body[c + 1]):
-        for i in range(P, STATE):
+        for i in range(col.P, col.STATE):
             data.pose[k, i] = data.y[k, i]
     is_whole = dt == data.clock[1]  # not a stage of a composition, nor a part of a step to a frame
     guesses = is_whole and not clusters.is_uneven[c]
@@ -156,7 +158,9 @@ def constrained_drift(
 @inline
 def _turn(joints: Joints, data: JointData, k: int, dt: float) -> Vec3:
     """How far body k turns in a drift, if it went on as it begins."""
-    omega = by_inverse_inertia(joints.inv_inertia, orientation(data.pose, k), k, row3(data.y, k, L))
+    omega = by_inverse_inertia(
+        joints.inv_inertia, orientation(data.pose, k), k, row3(data.y, k, col.L)
+    )
     return scale(dt, add(omega, row3(data.motion, k, 3)))
 
 
@@ -168,7 +172,7 @@ def _see_teeth(rolls: Flag, joints: Joints, data: JointData, c: int, dt: float) 
     rows, start, pose = joints.rows, joints.program.start, data.pose
     lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]
     for r in range(lo, hi):
-        if rows.kind[r] in (RACK, GEAR) and data.compliance[r] == 0.0:
+        if rows.kind[r] in (kinds.RACK, kinds.GEAR) and data.compliance[r] == 0.0:
             R, before = rotations(rows, data.y, r), rotations(rows, pose, r)
             _, _, u, d = arms_at(rows, data.y, r, R)
             _, _, u0, d0 = arms_at(rows, pose, r, before)
@@ -197,12 +201,12 @@ def _pass_singular_pose(joints: Joints, data: JointData, c: int, t: float, dt: f
             d = clusters.block[c] + j - first
             for r in range(start[j], start[j + 1]):
                 is_left_out = data.factor[d, r - start[j], r - start[j]] == 0.0
-                if joints.rows.action[r] == HOLDS and is_left_out:
+                if joints.rows.action[r] == col.HOLDS and is_left_out:
                     data.compliance[r] = inf
         data.failed_row[c] = 0
         _fly_to_joints(joints, data, c, t, dt, False)
         for r in range(lo, hi):
-            if joints.rows.action[r] == HOLDS:
+            if joints.rows.action[r] == col.HOLDS:
                 data.compliance[r] = 0.0
         leave_out(joints.breaks, joints, data, c, t)
         _, where = residuals(joints, data, lo, hi, t + dt)
@@ -220,7 +224,7 @@ def _is_weak(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> bool:
     """Whether no impulse of rows lo to hi is above √(2 M T), where the drift begins."""
     T, M, largest = 0.0, 0.0, 0.0
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
-        p, spin, inverse = row3(data.pose, k, P), row3(data.pose, k, L), joints.inv_mass[k]
+        p, spin, inverse = row3(data.pose, k, col.P), row3(data.pose, k, col.L), joints.inv_mass[k]
         turning = by_inverse_inertia(joints.inv_inertia, orientation(data.pose, k), k, spin)
         T += 0.5 * (inverse * dot(p, p) + dot(spin, turning))
         M += 1.0 / inverse if inverse > 0.0 else 0.0

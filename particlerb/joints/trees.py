@@ -19,7 +19,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.joints.records import DISTANCE, DOT, HOLDS, ConstraintRows, Joints, L, P, X
+from particlerb.joints import kinds
+from particlerb.joints import records as col
+from particlerb.joints.records import ConstraintRows, Joints
 from particlerb.joints.rows import orientation, tensor
 from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
 from particlerb.maths.rows import put_row3, row3
@@ -89,13 +91,13 @@ def tree_of(joints: Joints) -> JointTree | None:
     near: defaultdict[int, list[tuple[int, Ints]]] = defaultdict(list)
     for j in range(start.size - 1):
         index = np.arange(start[j], start[j + 1])
-        index = index[rows.action[index] == HOLDS]
+        index = index[rows.action[index] == col.HOLDS]
         for begin, end in ((rows.a, rows.b), (rows.b, rows.a)) if index.size else ():
             near[int(begin[index[0]])].append((int(end[index[0]]), index))
     is_held = joints.inv_mass == 0.0
     is_thin = ~is_held & (joints.inv_inertia == 0.0).any(axis=1)
     is_fixed = not joints.moves and joints.rolls is None and joints.breaks is None
-    is_fixed = is_fixed and not (rows.kind == DISTANCE).any()
+    is_fixed = is_fixed and not (rows.kind == kinds.DISTANCE).any()
     if not is_fixed or not near or is_thin[[*near]].any():
         return None
     axes = [(is_shift, world, axis) for is_shift in (True, False) for axis in np.eye(3)]
@@ -134,7 +136,7 @@ def tree_of(joints: Joints) -> JointTree | None:
 
 def _directions(rows: ConstraintRows, index: Ints, before: int, world: int) -> list[_Direction]:
     """Shifts, then turns, that rows of a joint leave free; those fixed in the body before first."""
-    a, b, dots = rows.a[index[0]], rows.b[index[0]], index[rows.kind[index] == DOT]
+    a, b, dots = rows.a[index[0]], rows.b[index[0]], index[rows.kind[index] == kinds.DOT]
     across = [(b, rows.axis[r]) for r in dots]
     normal = [(a, rows.vector_a[r]) for r in dots[:1]]
     points = index.size - dots.size
@@ -161,7 +163,7 @@ def _put_matrix(values: Floats, k: int, at: int, M: Matrix) -> None:
 def _place(joints: Joints, tree: JointTree, y: Floats, k: int) -> None:
     """Attitude of body k, and how it turns."""
     R, inverse = matrix(orientation(y, k)), row3(joints.inv_inertia, k)
-    spin = turn(R, component_product(inverse, turn_back(R, row3(y, k, L))))
+    spin = turn(R, component_product(inverse, turn_back(R, row3(y, k, col.L))))
     _put_matrix(tree.bodies.R, k, 0, R)
     put_row3(tree.bodies.spin, k, spin)
 
@@ -171,14 +173,14 @@ def _shift_on(joints: Joints, tree: JointTree, y: Floats, i: int, way: Vec3) -> 
     """Way from the point before to that of body i of the tree, and how fast this one shifts."""
     bodies, k, p = tree.bodies, tree.body[i], tree.before[i]
     com, of_before = row3(bodies.com, k), row3(bodies.com, p)
-    between = subtract(row3(y, k, X), row3(y, p, X))
+    between = subtract(row3(y, k, col.X), row3(y, p, col.X))
     gap = subtract(subtract(between, com), subtract(way, of_before))
     for t in range(tree.free[i], tree.free[i + 1]):
         if tree.is_shift[t]:
             s = row3(tree.directions.s, t)
             way = add_scaled(dot(s, gap), s, way)
-    v = scale(joints.inv_mass[k], row3(y, k, P))
-    v = add_scaled(-joints.inv_mass[p], row3(y, p, P), v)
+    v = scale(joints.inv_mass[k], row3(y, k, col.P))
+    v = add_scaled(-joints.inv_mass[p], row3(y, p, col.P), v)
     v = subtract(v, cross(row3(bodies.spin, k), com))
     return way, subtract(v, cross(row3(bodies.spin, p), subtract(way, of_before)))
 
@@ -206,7 +208,7 @@ def _set_out(joints: Joints, tree: JointTree, y: Floats, load: Floats, i: int) -
     m = tree.mass[i]
     _put_inertia(bodies.inertia, k, _at_joint(m, tensor(R, row3(tree.moments, i)), com))
     F = subtract(scale(m, cross(spin, cross(spin, com))), row3(load, k))
-    tau = subtract(cross(spin, row3(y, k, L)), row3(load, k, 3))
+    tau = subtract(cross(spin, row3(y, k, col.L)), row3(load, k, 3))
     put_row3(bodies.b, k, F)
     put_row3(bodies.b, k, add(tau, cross(com, F)), 3)
 
@@ -326,7 +328,7 @@ def _accelerate(tree: JointTree, y: Floats, load: Floats, i: int) -> None:
     at_com = add(a, add(cross(turning, com), cross(spin, cross(spin, com))))
     put_row3(load, k, scale(tree.mass[i], at_com))
     local = component_product(row3(tree.moments, i), turn_back(R, turning))
-    put_row3(load, k, add(turn(R, local), cross(spin, row3(y, k, L))), 3)
+    put_row3(load, k, add(turn(R, local), cross(spin, row3(y, k, col.L))), 3)
 
 
 @inline

@@ -9,21 +9,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.joints.records import (
-    ALONG,
-    AT_REST,
-    DISTANCE,
-    DOT,
-    GEAR,
-    HOLDS,
-    OWN_TURN,
-    RACK,
-    ROTATION,
-    TURN,
-    WHEEL,
-    WORLD_ALONG,
-    ConstraintRows,
-)
+from particlerb.joints import kinds
+from particlerb.joints import records as col
+from particlerb.joints.records import ConstraintRows
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import quaternions
 
@@ -36,40 +24,40 @@ class _Constraint(NamedTuple):
     first: str = ""  # n of DOT, fixed in the first body
 
 
-POINT: Final = tuple(_Constraint(WORLD_ALONG, axis) for axis in "xyz")
-PARALLEL: Final = _Constraint(DOT, "e", "n"), _Constraint(DOT, "f", "n")
-ON_AXIS: Final = _Constraint(ALONG, "e"), _Constraint(ALONG, "f")
-NO_TURN: Final = _Constraint(DOT, "f", "e")
+POINT: Final = tuple(_Constraint(kinds.WORLD_ALONG, axis) for axis in "xyz")
+PARALLEL: Final = _Constraint(kinds.DOT, "e", "n"), _Constraint(kinds.DOT, "f", "n")
+ON_AXIS: Final = _Constraint(kinds.ALONG, "e"), _Constraint(kinds.ALONG, "f")
+NO_TURN: Final = _Constraint(kinds.DOT, "f", "e")
 
 TYPES: Final[Mapping[str, tuple[_Constraint, ...]]] = {
     "ball": POINT,
     "hinge": (*POINT, *PARALLEL),
-    "universal": (*POINT, _Constraint(DOT, "m", "n")),
+    "universal": (*POINT, _Constraint(kinds.DOT, "m", "n")),
     "slider": (*ON_AXIS, *PARALLEL, NO_TURN),
     "cylindrical": (*ON_AXIS, *PARALLEL),
-    "planar": (_Constraint(ALONG, "n"), *PARALLEL),
+    "planar": (_Constraint(kinds.ALONG, "n"), *PARALLEL),
     "fixed": (*POINT, *PARALLEL, NO_TURN),
-    "distance": (_Constraint(DISTANCE),),
-    "screw": (*ON_AXIS, *PARALLEL, _Constraint(RACK, "n")),
-    "rack": (_Constraint(RACK, "m"),),
-    "gear": (_Constraint(GEAR, "n"),),
+    "distance": (_Constraint(kinds.DISTANCE),),
+    "screw": (*ON_AXIS, *PARALLEL, _Constraint(kinds.RACK, "n")),
+    "rack": (_Constraint(kinds.RACK, "m"),),
+    "gear": (_Constraint(kinds.GEAR, "n"),),
 }
 
-_ANGLE_CONSTRAINTS: Final = (_Constraint(TURN, "n", "e"),)
-_SHIFT_CONSTRAINTS: Final = (_Constraint(ALONG, "n"),)
+_ANGLE_CONSTRAINTS: Final = (_Constraint(kinds.TURN, "n", "e"),)
+_SHIFT_CONSTRAINTS: Final = (_Constraint(kinds.ALONG, "n"),)
 COORDINATES: Final[Mapping[str, Mapping[str, tuple[_Constraint, ...]]]] = {
-    "ball": {"turn": tuple(_Constraint(ROTATION, axis) for axis in "xyz")},
+    "ball": {"turn": tuple(_Constraint(kinds.ROTATION, axis) for axis in "xyz")},
     "hinge": {"angle": _ANGLE_CONSTRAINTS},
     "universal": {
-        "angle about axis": (_Constraint(OWN_TURN, "n", "m"),),
-        "angle about axis_to": (_Constraint(TURN, "m", "n"),),
+        "angle about axis": (_Constraint(kinds.OWN_TURN, "n", "m"),),
+        "angle about axis_to": (_Constraint(kinds.TURN, "m", "n"),),
     },
     "slider": {"displacement": _SHIFT_CONSTRAINTS},
     "cylindrical": {"displacement": _SHIFT_CONSTRAINTS, "angle": _ANGLE_CONSTRAINTS},
     "screw": {"displacement": _SHIFT_CONSTRAINTS, "angle": _ANGLE_CONSTRAINTS},
     "planar": {
-        "first displacement": (_Constraint(ALONG, "e"),),
-        "second displacement": (_Constraint(ALONG, "f"),),
+        "first displacement": (_Constraint(kinds.ALONG, "e"),),
+        "second displacement": (_Constraint(kinds.ALONG, "f"),),
         "angle": _ANGLE_CONSTRAINTS,
     },
 }
@@ -91,17 +79,21 @@ class Ends(NamedTuple):
 
 
 def rows_of(
-    kind: str, ends: Ends, action: int = HOLDS, drive: int = AT_REST, along: str | None = None
+    kind: str,
+    ends: Ends,
+    action: int = col.HOLDS,
+    drive: int = col.AT_REST,
+    along: str | None = None,
 ) -> ConstraintRows:
     """Rows of joints of a type, joint after joint; the last ones of an action and of a drive.
 
     These are along the coordinate of that name, or the only one.
     """
     parts = [_row_of(row, ends) for row in TYPES[kind]]
-    if action != HOLDS:
+    if action != col.HOLDS:
         for constraint in coordinate_rows(kind, ends, along):
             parts.append(constraint._replace(action=np.full(ends.a.size, action)))
-    if drive != AT_REST:
+    if drive != col.AT_REST:
         for constraint in coordinate_rows(kind, ends, along):
             parts.append(constraint._replace(drive=np.full(ends.a.size, drive)))
     stacked = (np.stack(arrays, axis=1) for arrays in zip(*parts, strict=True))
@@ -115,7 +107,7 @@ def coordinate_rows(kind: str, ends: Ends, along: str | None) -> list[Constraint
         return [_rotation_of(row, ends) for row in rows]
     constraints = [_row_of(row, ends) for row in rows]
     shifted = [constraint._replace(vector_b=ends.second["at"]) for constraint in constraints]
-    return shifted if rows[0].kind == ALONG else constraints
+    return shifted if rows[0].kind == kinds.ALONG else constraints
 
 
 def _rotation_of(row: _Constraint, ends: Ends) -> ConstraintRows:
@@ -130,9 +122,9 @@ def _row_of(row: _Constraint, ends: Ends) -> ConstraintRows:
     """One row of each of the joints."""
     k = ends.a.size
     none, one = np.zeros((k, 3)), np.ones(k)
-    is_dot, is_turn = row.kind == DOT, row.kind in (TURN, OWN_TURN)
-    axes = ends.first if row.kind == OWN_TURN else ends.second
-    second = ends.second["at"] if row.kind == RACK else ends.second_at
+    is_dot, is_turn = row.kind == kinds.DOT, row.kind in (kinds.TURN, kinds.OWN_TURN)
+    axes = ends.first if row.kind == kinds.OWN_TURN else ends.second
+    second = ends.second["at"] if row.kind == kinds.RACK else ends.second_at
     marks = ends.second["n"], ends.first["mark"], ends.second["mark"], ends.roll
     return ConstraintRows(
         np.full(k, row.kind),
@@ -141,9 +133,9 @@ def _row_of(row: _Constraint, ends: Ends) -> ConstraintRows:
         ends.first[row.first] if is_dot or is_turn else ends.first_at,
         none if is_dot else ends.second[row.first] if is_turn else second,
         axes[row.axis] if row.axis else none,
-        ends.length if row.kind == DISTANCE else one,
-        one if is_dot or is_turn or row.kind == ROTATION else ends.size,
-        np.full(k, HOLDS),
-        np.full(k, AT_REST),
-        np.hstack(marks) if row.kind in (RACK, GEAR) else np.zeros((k, WHEEL)),
+        ends.length if row.kind == kinds.DISTANCE else one,
+        one if is_dot or is_turn or row.kind == kinds.ROTATION else ends.size,
+        np.full(k, col.HOLDS),
+        np.full(k, col.AT_REST),
+        np.hstack(marks) if row.kind in (kinds.RACK, kinds.GEAR) else np.zeros((k, col.WHEEL)),
     )

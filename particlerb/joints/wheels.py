@@ -21,7 +21,8 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.jit import Flag, inline
-from particlerb.joints.records import GEAR, RACK, ConstraintRows
+from particlerb.joints import kinds
+from particlerb.joints.records import ConstraintRows
 from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Vec3, add_scaled, cross, dot, norm, scale
 
@@ -49,7 +50,7 @@ def rolled(
         return 0.0
     n, k = turn(R[1], _three(rows, r, 0)), rows.wheel[r, 9]
     a, b = turn(R[0], _three(rows, r, 3)), turn(R[1], _three(rows, r, 6))
-    if rows.kind[r] == GEAR:
+    if rows.kind[r] == kinds.GEAR:
         line = scale(-1.0, d)
         g = k * (_angle(n, line, a) + rows.wheel[r, 10] * _angle(n, line, b))
     else:
@@ -83,7 +84,7 @@ def out_of_mesh(
     first, mark = turn(before[0], _three(rows, r, 3)), turn(before[1], _three(rows, r, 6))
     n0, pitch = turn(before[1], _three(rows, r, 0)), rows.wheel[r, 11]
     angle, far = _angle(n, b, a) - _angle(n0, mark, first), dot(n, turned[0]) - dot(n, turned[1])
-    if rows.kind[r] == GEAR:
+    if rows.kind[r] == kinds.GEAR:
         apart = k * (1.0 + rows.wheel[r, 10])
         swept = _angle(n, b, scale(-1.0, d)) - _angle(n0, mark, scale(-1.0, arms_before[1]))
         s = -apart * nearest(swept, -dot(n, turned[1]), 2.0 * np.pi)
@@ -110,7 +111,7 @@ def with_turns(
     rolls: Flag, rows: ConstraintRows, r: int, R: tuple[Matrix, Matrix], by_a: Vec3, by_b: Vec3
 ) -> tuple[Vec3, Vec3]:
     """∂g/∂θ of both bodies of a row, with ± k n where it rolls."""
-    if rolls is None or rows.kind[r] not in (RACK, GEAR):
+    if rolls is None or rows.kind[r] not in (kinds.RACK, kinds.GEAR):
         return by_a, by_b
     n, k = turn(R[1], _three(rows, r, 0)), rows.wheel[r, 9]
     return add_scaled(k, n, by_a), add_scaled(-k, n, by_b)

@@ -7,7 +7,8 @@ import numpy as np
 
 from particlerb.case.problems import CaseError, problem_at
 from particlerb.contact.sphere_search import LARGEST_NUMBER
-from particlerb.impulses.records import LEAST_CELLS, EventRules, ImpulseRules
+from particlerb.impulses import records as col
+from particlerb.impulses.records import EventRules, ImpulseRules
 from particlerb.model.state import lengths, omega_world
 from particlerb.model.system import System
 from particlerb.plan.contact_setup import SystemContact
@@ -43,7 +44,7 @@ def events_of(system: System, touching: SystemContact) -> EventRules | None:
         return None
     sides = np.array(record.periodic or (0.0, 0.0, 0.0))  # of the box that repeats; 0: without end
     box = np.where(sides > 0.0, sides, np.inf)
-    least = LEAST_CELLS * 2.0 * float(system.reach[np.unique(system.kind)].max())
+    least = col.LEAST_CELLS * 2.0 * float(system.reach[np.unique(system.kind)].max())
     if (box < least).any():
         reason = f"bodies may meet in two images: each side must be 0, or {least:.3g} m at least"
         raise CaseError([problem_at(system, "contact.periodic", reason, "enlarge it")])

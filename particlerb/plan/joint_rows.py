@@ -8,14 +8,11 @@ import numpy as np
 
 from particlerb.case.joints import JointLoad, JointMotor, JointTable
 from particlerb.forces.links import WORLD, Links
-from particlerb.impulses.records import MOTOR, RUBS, STOP
+from particlerb.impulses import records as impulses
+from particlerb.joints import kinds
+from particlerb.joints import records as col
 from particlerb.joints.coordinates import coordinates_of
 from particlerb.joints.records import (
-    AT_REST,
-    GEAR,
-    RACK,
-    STRETCH,
-    WHEEL,
     Actions,
     Bounds,
     Breaks,
@@ -23,8 +20,6 @@ from particlerb.joints.records import (
     Coordinates,
     JointData,
     Joints,
-    L,
-    P,
 )
 from particlerb.joints.rows import arms_at, by_inverse_inertia, orientation, rotations
 from particlerb.joints.solver import factorise_cluster, keep_rates
@@ -99,11 +94,11 @@ def bounds_of(tables: Sequence[JointTable]) -> Bounds:
     for k, table in enumerate(tables):
         limit, motor = table.limit, table.motor
         if limit is not None and limit.stiffness is None:
-            records.append((k, STOP, *limit.range, limit.restitution, 0.0, np.inf))
+            records.append((k, impulses.STOP, *limit.range, limit.restitution, 0.0, np.inf))
         if isinstance(motor, JointMotor):
-            records.append((k, MOTOR, -np.inf, np.inf, 0.0, motor.speed, motor.largest))
+            records.append((k, impulses.MOTOR, -np.inf, np.inf, 0.0, motor.speed, motor.largest))
         if table.friction > 0.0:
-            records.append((k, RUBS, -np.inf, np.inf, 0.0, 0.0, table.friction))
+            records.append((k, impulses.RUBS, -np.inf, np.inf, 0.0, 0.0, table.friction))
     row, kind, *numbers = np.array(records).reshape(-1, 7).T
     return Bounds(row.astype(np.int64), kind.astype(np.int64), *map(np.ascontiguousarray, numbers))
 
@@ -121,15 +116,15 @@ def loose_wheels(joints: Joints, data: JointData) -> dict[int, str]:
     """
     rows, y, loose = joints.rows, data.y, dict[int, str]()
     for c, (lo, hi) in enumerate(pairwise(joints.program.start[joints.clusters.joint].tolist())):
-        rolling = lo + np.flatnonzero(np.isin(rows.kind[lo:hi], (GEAR, RACK)))
+        rolling = lo + np.flatnonzero(np.isin(rows.kind[lo:hi], (kinds.GEAR, kinds.RACK)))
         if rolling.size:
             factorise_cluster(joints, data, c, 0.0, 0.0)
             data.dg_dt[:] = 0.0
         for r in rolling.tolist():
             for words, way in _ways_of(joints, data, r):
-                y[:, P:] = 0.0
+                y[:, col.P :] = 0.0
                 for k, gradient in ((rows.a[r], way[:6]), (rows.b[r], way[6:])):
-                    y[k, P:] += gradient * (joints.inv_mass[k] > 0.0)
+                    y[k, col.P :] += gradient * (joints.inv_mass[k] > 0.0)
                 before = _along(joints, y, r, way)
                 keep_rates(joints, data, c, lo, hi)
                 if _along(joints, y, r, way) > _LOOSE_RATE_SHARE * before:
@@ -143,7 +138,7 @@ def _ways_of(joints: Joints, data: JointData, r: int) -> list[tuple[str, Floats]
     ra, rb, u, d = map(np.array, arms_at(rows, data.y, r, R))
     n, none = np.array(R[1]) @ rows.wheel[r, :3], np.zeros(3)
     across, arm = np.cross(n, u), rb + d
-    if rows.kind[r] == GEAR:
+    if rows.kind[r] == kinds.GEAR:
         across, arm = d - n * (n @ d), rb
     tilts = [np.cross(n, axis) for axis in np.eye(3)]
     ways = [("may tilt against each other", np.r_[none, v, none, -v]) for v in tilts]
@@ -157,8 +152,10 @@ def _along(joints: Joints, y: Floats, r: int, way: Floats) -> float:
     """Rate of what has a gradient, by the momenta of the bodies of row r."""
     rate = 0.0
     for k, gradient in ((joints.rows.a[r], way[:6]), (joints.rows.b[r], way[6:])):
-        spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3(y, k, L))
-        rate += joints.inv_mass[k] * float(gradient[:3] @ y[k, P:L]) + float(gradient[3:] @ spin)
+        spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3(y, k, col.L))
+        rate += joints.inv_mass[k] * float(gradient[:3] @ y[k, col.P : col.L]) + float(
+            gradient[3:] @ spin
+        )
     return rate
 
 
@@ -176,7 +173,7 @@ def with_dashpots(
     assert links.damping is not None
     m = links.first.size
     dashpots = ConstraintRows(
-        np.full(m, STRETCH),
+        np.full(m, kinds.STRETCH),
         links.first,
         np.where(links.second == WORLD, n, links.second),
         np.ascontiguousarray(links.first_at.T),
@@ -185,8 +182,8 @@ def with_dashpots(
         np.ones(m),
         np.ones(m),
         actions.motor.size + np.arange(m),
-        np.full(m, AT_REST),
-        np.zeros((m, WHEEL)),
+        np.full(m, col.AT_REST),
+        np.zeros((m, col.WHEEL)),
     )
     none = np.zeros((9, m))
     damping = Actions(*none)._replace(

@@ -6,7 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.impulses.records import MOTOR, RUBS, STOP
+from particlerb.impulses import records as impulses
+from particlerb.joints import kinds
+from particlerb.joints import records as col
 from particlerb.joints.reactions import (
     MAX_SINGULAR,
     factorise_all,
@@ -15,7 +17,7 @@ from particlerb.joints.reactions import (
     null_vectors,
     weighted_gradient,
 )
-from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, JointData, Joints, joint_data_at
+from particlerb.joints.records import JointData, Joints, joint_data_at
 from particlerb.joints.rows import linearise
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies
@@ -56,7 +58,7 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
     first = joints.program.start[:-1]
     weight = np.linalg.norm(data.change[:, :3], axis=1)
     squared, loaded = np.zeros(joints.inv_mass.size), []
-    is_distance = joints.rows.kind[first] == DISTANCE
+    is_distance = joints.rows.kind[first] == kinds.DISTANCE
     ends = (joints.rows.a, joints.rows.vector_a), (joints.rows.b, joints.rows.vector_b)
     for bodies_of, arms in ends:
         end = bodies_of[first]
@@ -69,14 +71,14 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
         part = squared[slice(*joints.clusters.body[c : c + 2])]
         np.minimum(part, _fastest_squared(joints, data, c, loaded), out=part)
     rows = joints.rows
-    soft = np.flatnonzero(rows.action != HOLDS)
+    soft = np.flatnonzero(rows.action != col.HOLDS)
     g, actions = data.gradient[soft], joints.actions
     stiffness = (actions.stiffness + actions.stop)[rows.action[soft]]
     inverse = (joints.inv_mass[rows.a] + joints.inv_mass[rows.b])[soft] * (g[:, :3] ** 2).sum(1)
     inverse += (g[:, 3:9] * g[:, 9:15]).sum(1)
     for end in (rows.a, rows.b):
         np.add.at(squared, end[soft], stiffness * inverse)
-    driven = np.flatnonzero(rows.drive != AT_REST)
+    driven = np.flatnonzero(rows.drive != col.AT_REST)
     for end in (rows.a, rows.b):
         np.add.at(squared, end[driven], joints.drives.wave[rows.drive[driven], 1] ** 2)
     rates = np.empty(bodies.mass.size)
@@ -95,7 +97,7 @@ def _fastest_squared(
     rows, start = joints.rows, joints.program.start
     first, last = joints.clusters.body[c : c + 2]
     lo, hi = start[joints.clusters.joint[c : c + 2]]
-    weighted = weighted_gradient(joints, data, c)[rows.action[lo:hi] == HOLDS]
+    weighted = weighted_gradient(joints, data, c)[rows.action[lo:hi] == col.HOLDS]
     if len(weighted) > _MAX_CLUSTER_ROWS or not np.isfinite(weighted).all():
         return np.inf
     _, size, ways = np.linalg.svd(weighted)
@@ -109,7 +111,9 @@ def _fastest_squared(
         f_over_r = f / np.where(size > 0.0, size, 1.0)
         turns = free[:, k - first, 3:] * np.sqrt(joints.inv_inertia[k])
         strains.append(np.cross(turns, r) * np.sqrt(f_over_r)[:, None])
-        swinging = 2.0 * f * joints.inv_mass[k] / rows.length[row] * (rows.kind[row] == DISTANCE)
+        swinging = (
+            2.0 * f * joints.inv_mass[k] / rows.length[row] * (rows.kind[row] == kinds.DISTANCE)
+        )
         strains.append(free[:, k - first, :3] * np.sqrt(swinging)[:, None])
     stacked = np.concatenate(strains, axis=1).reshape(len(free), -1)
     return (_OWN_RATIO * float(np.linalg.norm(stacked, 2))) ** 2 if len(free) else 0.0
@@ -133,8 +137,8 @@ def joint_line(system: System, plan: Plan) -> str:
     """What joints hold, what they leave free, and which rows depend on others."""
     setup = joints_of(system)
     assert setup is not None
-    kinds = [system.joint[k].type for k in setup.record.tolist()]
-    counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+    types = [system.joint[k].type for k in setup.record.tolist()]
+    counts = ", ".join(f"{types.count(kind)} {kind}" for kind in dict.fromkeys(types))
     clusters = bodies = free = 0
     dependent: list[str] = []
     n_dependent = 0
@@ -147,7 +151,7 @@ def joint_line(system: System, plan: Plan) -> str:
         dependent += [setup.names[k] for k in count.dependent]
         n_dependent += count.n_dependent
     lasting = np.repeat(setup.until > 0.0, np.diff(setup.start))
-    rows = int((setup.rows.action[lasting] == HOLDS).sum())
+    rows = int((setup.rows.action[lasting] == col.HOLDS).sum())
     held = f"{count_of(bodies, 'body', 'bodies')} in {count_of(clusters, 'cluster')}"
     line = f"{counts}; {held}, {count_of(rows, 'row')}"
     if n_dependent:
@@ -156,7 +160,9 @@ def joint_line(system: System, plan: Plan) -> str:
         line += f", {n_dependent} of them redundant among those of {names}{more}"
         line += " (only sums of their reactions are determined)"
     line = f"{line}; {count_of(free, 'degree')} of freedom" if bodies else counts
-    numbers = np.bincount(setup.bounds.kind, minlength=3)[[STOP, MOTOR, RUBS]].tolist()
+    numbers = np.bincount(setup.bounds.kind, minlength=3)[
+        [impulses.STOP, impulses.MOTOR, impulses.RUBS]
+    ].tolist()
     words = ("stops", "motors with a largest load", "joints with friction")
     bounded = [f"{n} {word}" for n, word in zip(numbers, words, strict=True) if n]
     line += f"; by impulses: {', '.join(bounded)}" if bounded else ""
@@ -193,7 +199,7 @@ class _Count:
             if lo == hi:
                 continue
             freedoms = freedom[clusters.body[c] : clusters.body[c + 1]]
-            rows = int((joints.rows.action[start[lo] : start[hi]] == HOLDS).sum())
+            rows = int((joints.rows.action[start[lo] : start[hi]] == col.HOLDS).sum())
             null = np.zeros((0, rows))
             if not rows:
                 continue

@@ -16,11 +16,10 @@ from particlerb.case.problems import CaseError, Problem, problem_at, refuse
 from particlerb.contact.prescribed_motion import PrescribedBodies, prescribed_among
 from particlerb.forces.links import WORLD, Links
 from particlerb.integrators.joint_stages import set_prescribed
+from particlerb.joints import records as col
 from particlerb.joints.coordinates import names_of, united
 from particlerb.joints.drives import set_moving
 from particlerb.joints.records import (
-    AT_REST,
-    HOLDS,
     Actions,
     Bounds,
     Breaks,
@@ -116,7 +115,7 @@ class SystemJoints(NamedTuple):
     def drives_among(self, members: Ints) -> list[DriveCourse]:
         """What is prescribed among the members of a group."""
         drives = np.unique(self.rows.drive[np.isin(self.rows.a, members)])
-        return [self.courses[k] for k in drives[drives != AT_REST].tolist()]
+        return [self.courses[k] for k in drives[drives != col.AT_REST].tolist()]
 
     @property
     def coordinate_labels(self) -> list[tuple[str, str]]:
@@ -157,7 +156,7 @@ def joints_of(system: System) -> SystemJoints | None:
         if problem := wrong_place(system, number, ends):
             problems.append(problem)
             continue
-        drive, action = driven.index(number) if number in driven else AT_REST, HOLDS
+        drive, action = driven.index(number) if number in driven else col.AT_REST, col.HOLDS
         if table.motor is not None or any(getattr(table, key) for key in ACTIONS):
             action = len(acting)
             acting.append(table)

@@ -11,7 +11,7 @@ from particlerb.contact.contact_frequency import contact_frequency
 from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.missed_pairs import Missed, Watch, WatchedBodies, bounding_radii, peak_speed
 from particlerb.contact.wall_motion import motion_in
-from particlerb.impulses.records import WORST_EVER
+from particlerb.impulses import records as col
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.power_method import Oscillating
 from particlerb.ranks import as_agreed
@@ -153,7 +153,7 @@ class ContactChecks:
                 f" and {partner} overlap by {depth:.3g} m, {depth / radius:.2g} of the smaller"
                 f" radius: they are too fast for a step of {self.dt:.3g} s, or no impulses were"
                 " found that keep them apart (residual"
-                f" {impulses.tally[WORST_EVER]:.2g} at worst): take a shorter run.dt, more"
+                f" {impulses.tally[col.WORST_EVER]:.2g} at worst): take a shorter run.dt, more"
                 ' contact.iterations or contact.solver = "newton"'
             )
         if depth > 0.0:

@@ -14,7 +14,7 @@ from particlerb.contact import records
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.contact.missed_pairs import Watch
 from particlerb.contact.piston import piston_energies
-from particlerb.impulses.records import B_FORCE, B_SHOWN
+from particlerb.impulses import records as col
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import CHANGING
@@ -216,14 +216,16 @@ class ContactMotion(SteppedMotion):
                 lists, pistons = self.lists, self.contact.frames.pistons[row]
                 shown = self.bodies.group.members, lists.numbers, lists.motions, pistons
                 output = output_of(self.contact, *shown, self.domain.contacts_shown)
-                self.contacts[row] = output._replace(within=self._within_bounds[:, B_SHOWN].copy())
+                self.contacts[row] = output._replace(
+                    within=self._within_bounds[:, col.B_SHOWN].copy()
+                )
 
     @property
     def _within_bounds(self) -> Floats:
         """What acts within bounds in joints, a row each: see B_FORCE."""
         impulses = self.contact.workspace.impulses
         bounded = None if impulses is None else impulses.rows.bounded
-        return np.zeros((0, B_SHOWN + 1)) if bounded is None else bounded.values
+        return np.zeros((0, col.B_SHOWN + 1)) if bounded is None else bounded.values
 
     def _run_through(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule, with new lists where they are used up."""
@@ -358,7 +360,7 @@ class ContactMotion(SteppedMotion):
         if self.impulse_tally().size:
             saved["tally"] = self.impulse_tally().copy()
         if self._within_bounds.size:
-            saved["within"] = self._within_bounds[:, B_FORCE].copy()
+            saved["within"] = self._within_bounds[:, col.B_FORCE].copy()
         return saved
 
     def restore(self, saved: Saved) -> None:
@@ -378,4 +380,4 @@ class ContactMotion(SteppedMotion):
         if "tally" in saved:
             self.impulse_tally()[:] = saved["tally"]
         if "within" in saved:
-            self._within_bounds[:, B_FORCE] = saved["within"]
+            self._within_bounds[:, col.B_FORCE] = saved["within"]

@@ -20,8 +20,9 @@ from particlerb.contact.contact_model import (
 )
 from particlerb.contact.piston import PARTS, initial_piston_state, with_pistons
 from particlerb.forces import has_potential
+from particlerb.impulses import records as col
 from particlerb.impulses.order import room_for_newton
-from particlerb.impulses.records import TALLY, Impulses, room_for_partners, room_for_rows
+from particlerb.impulses.records import Impulses, room_for_partners, room_for_rows
 from particlerb.integrators.stages import MovingBodies
 from particlerb.joints.responses import bounded_of, mechanisms_of, pairs_through
 from particlerb.maths.vec3 import Floats, Ints
@@ -60,7 +61,7 @@ def room_for_frames(
 ) -> ContactFrames:
     """Room for what n frames show of contacts, summed in bins."""
     pistons = records.zero_records(records.PISTON, n, n_pistons)
-    tally = np.zeros((n, TALLY if with_tally else 0))
+    tally = np.zeros((n, col.TALLY if with_tally else 0))
     return ContactFrames(np.zeros((n, n_bins)), np.zeros(bins.size), bins, pistons, tally)
 
 
@@ -97,7 +98,7 @@ def room_for_impulses(group: SegmentGroup, setup: GroupContact) -> Impulses | No
     newton = room_for_newton(np.zeros(0, dtype=np.bool_), nothing, nothing, 0)
     bounded = None if joints is None or mechanisms is None else bounded_of(joints, mechanisms)
     rows = room_for_rows(0, bounded, setup.model.law.rolling is not None)
-    return Impulses(setup.rules, partners, rows, count, np.zeros(TALLY), newton)
+    return Impulses(setup.rules, partners, rows, count, np.zeros(col.TALLY), newton)
 
 
 def with_room(contact: MovingContact) -> MovingContact:

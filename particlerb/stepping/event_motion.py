@@ -5,25 +5,12 @@ from typing import Final
 import numpy as np
 
 from particlerb.compiled.threads import THREADS
+from particlerb.events import records as col
 from particlerb.events.advance import advance
 from particlerb.events.flight import states_at
 from particlerb.events.predict import set_all
-from particlerb.events.records import (
-    BODY_MASS,
-    BOUND,
-    DONE,
-    ENDLESS,
-    EPOCH,
-    FAR,
-    FIRST_SPHERE,
-    MOMENT,
-    MORE,
-    OVERLAP,
-    SUM_BOOKED,
-    empty_data,
-    empty_state,
-)
-from particlerb.impulses.records import GROSS_WORK, RENEWED
+from particlerb.events.records import empty_data, empty_state
+from particlerb.impulses import records as impulses
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, State, store_all
 from particlerb.rotors.single_turn import COLUMNS, STEADY_COLUMNS
@@ -33,10 +20,10 @@ from particlerb.stepping.saved_arrays import Saved, to_arrays
 
 _PER_CALL: Final = 100_000  # events: progress and Ctrl-C in between
 _REASONS: Final = {
-    ENDLESS: "impacts follow each other ever faster: give a longer contact.contact_time, "
+    col.ENDLESS: "impacts follow each other ever faster: give a longer contact.contact_time, "
     "or law = 'impulse' where something lies on something",
-    FAR: "it has flown through as many cells as 32 bits number: begin nearer, or end earlier",
-    OVERLAP: "it overlaps what it hits by more than rounding: an impact was missed",
+    col.FAR: "it has flown through as many cells as 32 bits number: begin nearer, or end earlier",
+    col.OVERLAP: "it overlaps what it hits by more than rounding: an impact was missed",
 }
 _SEARCH: Final = "the search for its next impact does not end: it slides along what it touches"
 
@@ -53,12 +40,14 @@ class EventMotion(Motion):
         n, n_cells = self.order.size, int(np.prod(self.scene.cells))
         columns = STEADY_COLUMNS if self.scene.turns is None else COLUMNS
         self.state = empty_state(n, n_moving, n_cells, columns)
-        self.data = empty_data(int(np.diff(self.scene.kind[:, FIRST_SPHERE]).max()))
+        self.data = empty_data(int(np.diff(self.scene.kind[:, col.FIRST_SPHERE]).max()))
         if before is not None:
             self.continue_tally(before.impulse_tally())
-            self.state.tally[GROSS_WORK] = 0.0  # who has run the segment before has counted it
-        self.state.tally[RENEWED] -= n_moving  # as each looks for its first event
-        self.state.flight[:, BOUND] = bounds_of(group)[1][self.order]
+            self.state.tally[impulses.GROSS_WORK] = (
+                0.0  # who has run the segment before has counted it
+            )
+        self.state.tally[impulses.RENEWED] -= n_moving  # as each looks for its first event
+        self.state.flight[:, col.BOUND] = bounds_of(group)[1][self.order]
         THREADS.alone(set_all, self.scene, self.state, self.order, state)
         self.tallies: dict[int, Floats] = {}
 
@@ -70,11 +59,11 @@ class EventMotion(Motion):
         MotionError
             If impacts do not come to an end, or one was missed.
         """
-        until, ends = time - self.start, MORE
-        while ends == MORE:
+        until, ends = time - self.start, col.MORE
+        while ends == col.MORE:
             ends, b = THREADS.timed(advance, self.scene, self.state, self.data, until, _PER_CALL)
-        if ends != DONE:
-            now = self.start + float(self.state.sums[EPOCH] + self.state.heap_time[0])
+        if ends != col.DONE:
+            now = self.start + float(self.state.sums[col.EPOCH] + self.state.heap_time[0])
             what = f"at t = {now:.9g} s body {self.group.members[self.order[b]]} cannot continue"
             raise MotionError(f"{what}: {_REASONS.get(ends, _SEARCH)}")
 
@@ -83,10 +72,13 @@ class EventMotion(Motion):
         self.run_to(time)
         n, elapsed, moment = self.order.size, time - self.start, np.zeros(3)
         state = State(*(np.zeros((rows, n)) for rows in (3, 4, 3, 3)))
-        local = elapsed - float(self.state.sums[EPOCH])
+        local = elapsed - float(self.state.sums[col.EPOCH])
         THREADS.alone(states_at, self.scene, self.state, local, self.order, state, moment)
-        booked, g = self.state.sums[SUM_BOOKED:MOMENT].copy(), np.array(self.scene.gravity)
-        booked[1:4] += self.scene.body[:, BODY_MASS].sum() * g * elapsed
+        booked, g = (
+            self.state.sums[col.SUM_BOOKED : col.MOMENT].copy(),
+            np.array(self.scene.gravity),
+        )
+        booked[1:4] += self.scene.body[:, col.BODY_MASS].sum() * g * elapsed
         booked[4:7] += np.cross(moment, g)
         return state, booked
 
@@ -105,7 +97,7 @@ class EventMotion(Motion):
 
     def gross_work(self) -> float:
         """Gross work of impacts since the start [J]."""
-        return float(self.state.tally[GROSS_WORK])
+        return float(self.state.tally[impulses.GROSS_WORK])
 
     def impulse_tallies(self, rows: Ints) -> dict[int, Floats]:
         """What was counted, in rows of the frames of the last `record`."""

@@ -7,21 +7,10 @@ import numpy as np
 from particlerb.compiled.jit import flag
 from particlerb.contact.sphere_search import LARGEST_NUMBER
 from particlerb.contact.walls import DISC, FACE, PLANE, SIDE, Walls
-from particlerb.events.records import (
-    BODY_CURVED,
-    BODY_INERTIA,
-    BODY_INV_INERTIA,
-    BODY_INV_MASS,
-    BODY_MASS,
-    BODY_REACH,
-    FIRST_SPHERE,
-    IS_ASYMMETRIC,
-    MATERIAL,
-    N_BODY,
-    N_KIND,
-    EventScene,
-)
-from particlerb.impulses.records import LEAST_CELLS, EventRules
+from particlerb.events import records as col
+from particlerb.events.records import EventScene
+from particlerb.impulses import records as impulses
+from particlerb.impulses.records import EventRules
 from particlerb.maths.vec3 import Floats, Indices, Ints, Vec3
 from particlerb.model.state import State
 from particlerb.rotors.rotor_class import ASYMMETRIC
@@ -95,7 +84,7 @@ def _grid(group: SegmentGroup, com: Floats) -> _Grid:
         if (count == 3).all():
             break
     fits = np.floor(np.where(np.isfinite(box), box, 0.0) / width).astype(np.int64)
-    count = np.where(np.isfinite(box), np.maximum(fits, LEAST_CELLS), count)
+    count = np.where(np.isfinite(box), np.maximum(fits, impulses.LEAST_CELLS), count)
     return _Grid(np.where(np.isfinite(box), box / count, width), low - 0.5 * width, count)
 
 
@@ -122,10 +111,13 @@ def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> E
     if group.terms.gravity is not None:
         gravity = group.terms.gravity.acceleration.copy()
     body = _constants(group, reach)[order]
-    kind = np.zeros((order.size + 1, N_KIND), dtype=np.int64)
-    kind[:, FIRST_SPHERE], kind[:-1, MATERIAL] = first, spheres.material[spheres.offset[order]]
-    kind[:-1, IS_ASYMMETRIC] = group.bodies.rotor_class[order] == ASYMMETRIC
-    kind[:-1, IS_ASYMMETRIC] *= body[:, BODY_INV_MASS] > 0.0
+    kind = np.zeros((order.size + 1, col.N_KIND), dtype=np.int64)
+    kind[:, col.FIRST_SPHERE], kind[:-1, col.MATERIAL] = (
+        first,
+        spheres.material[spheres.offset[order]],
+    )
+    kind[:-1, col.IS_ASYMMETRIC] = group.bodies.rotor_class[order] == ASYMMETRIC
+    kind[:-1, col.IS_ASYMMETRIC] *= body[:, col.BODY_INV_MASS] > 0.0
     near_first, near = _walls_near(walls, grid, float(bound.max()))
     friction = model.law.friction
     return EventScene(
@@ -144,7 +136,7 @@ def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> E
         contact_time=rules.contact_time,
         period=_period(state.p * group.bodies.inv_mass, gravity, float(grid.width.max())),
         around=flag(bool(reach.any() or (gravity.any() and n_moving < order.size))),
-        turns=flag(bool(kind[:, IS_ASYMMETRIC].any())),
+        turns=flag(bool(kind[:, col.IS_ASYMMETRIC].any())),
         rubs=flag(bool(reach.any() or friction.any())),
         box=_box(rules.box),
         cell_width=three(grid.width),
@@ -176,15 +168,15 @@ def _solid(group: SegmentGroup) -> Walls:
 def _constants(group: SegmentGroup, reach: Floats) -> Floats:
     """`EventScene.body` in the order of the group."""
     bodies = group.bodies
-    body = np.zeros((reach.size, N_BODY))
-    body[:, BODY_MASS], body[:, BODY_INV_MASS], body[:, BODY_REACH] = (
+    body = np.zeros((reach.size, col.N_BODY))
+    body[:, col.BODY_MASS], body[:, col.BODY_INV_MASS], body[:, col.BODY_REACH] = (
         bodies.mass,
         bodies.inv_mass,
         reach,
     )
-    body[:, BODY_INERTIA : BODY_INERTIA + 3] = bodies.inertia.T
-    body[:, BODY_INV_INERTIA : BODY_INV_INERTIA + 3] = bodies.inv_inertia.T
-    body[:, BODY_CURVED] = _bends(bodies.inertia.T, bodies.inv_inertia.T)
+    body[:, col.BODY_INERTIA : col.BODY_INERTIA + 3] = bodies.inertia.T
+    body[:, col.BODY_INV_INERTIA : col.BODY_INV_INERTIA + 3] = bodies.inv_inertia.T
+    body[:, col.BODY_CURVED] = _bends(bodies.inertia.T, bodies.inv_inertia.T)
     return body
 
 

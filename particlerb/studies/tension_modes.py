@@ -13,7 +13,9 @@ import numpy as np
 from particlerb.forces import Terms
 from particlerb.forces.gravity import UniformGravity
 from particlerb.integrators import METHODS
-from particlerb.joints.records import AT_REST, DISTANCE, HOLDS, WHEEL, ConstraintRows
+from particlerb.joints import kinds
+from particlerb.joints import records as col
+from particlerb.joints.records import ConstraintRows
 from particlerb.joints.setup import NO_ACTIONS, joints_among
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.studies.stability_limits import Limit, limit, splitting_limit
@@ -33,9 +35,9 @@ def tense(z: Floats) -> StabilityScene:
     bodies = bodies_of(np.zeros((2 * n, 3)), mass)
     upper, none = np.arange(n), np.zeros((2 * n, 3))
     rows = ConstraintRows(
-        np.full(2 * n, DISTANCE), np.arange(2 * n), np.append(np.full(n, 2 * n), upper),
-        none, none, none, np.ones(2 * n), np.ones(2 * n), np.full(2 * n, HOLDS),
-        np.full(2 * n, AT_REST), np.zeros((2 * n, WHEEL)),
+        np.full(2 * n, kinds.DISTANCE), np.arange(2 * n), np.append(np.full(n, 2 * n), upper),
+        none, none, none, np.ones(2 * n), np.ones(2 * n), np.full(2 * n, col.HOLDS),
+        np.full(2 * n, col.AT_REST), np.zeros((2 * n, col.WHEEL)),
     )  # fmt: skip
     joints = joints_among(np.arange(2 * n), np.arange(2 * n + 1), rows, bodies, NO_ACTIONS)
     gravity = UniformGravity(bodies.mass, np.array([0.0, 0.0, -_GRAVITY]))
