@@ -338,8 +338,8 @@ class Live(Page):
         if now >= self.next_charts and len(self.history) > 1:
             self.next_charts = now + _SECONDS_BETWEEN_CHARTS
             columns = np.array(self.history).T.copy()
-            draw(self.controls.rates, columns[:4])
-            draw(self.controls.energy, columns[[0, 4, 5]])
+            draw(self.controls.rates, list(columns[:4]))
+            draw(self.controls.energy, list(columns[[0, 4, 5]]))
 
     def write(self, motion: BodyMotion) -> None:
         """The table of numbers and the line of the clock."""
