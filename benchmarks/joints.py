@@ -329,10 +329,10 @@ def peers(name: str) -> list[Row]:
 
 
 @kernel
-def _repeated(n, books, jointed, y, slope, width, t):
+def _repeated(n, sums_external, jointed, y, slope, width, t):
     """Find n times what joints give to the slopes."""
     for _ in range(n):
-        add_reactions(books, jointed, y, slope, width, t)
+        add_reactions(sums_external, jointed, y, slope, width, t)
 
 
 def trees() -> list[Row]:
@@ -348,13 +348,13 @@ def trees() -> list[Row]:
         {"run": {"t_end": 0.2, "every": 0.2} | asked("dop853", 1e-8), **SCENES["chain6"]()}
     )
     adaptive.AdaptiveMotion.record = record_frames
-    jointed, books = kept[-1].jointed, kept[-1].equations.books
+    jointed, sums_external = kept[-1].jointed, kept[-1].equations.sums_external
     y, width = kept[-1].vectors.y, kept[-1].vectors.width
     ways = {"recursion": jointed, "rows": jointed._replace(tree=None)}
     found: dict[str, list[float]] = {way: [] for way in ways}
     for _, (way, own) in itertools.product(range(ROUNDS + 1), ways.items()):  # the first compiles
         start = time.process_time()
-        _repeated(EVALUATIONS, books, own, y, np.zeros_like(y), width, 0.2)
+        _repeated(EVALUATIONS, sums_external, own, y, np.zeros_like(y), width, 0.2)
         found[way].append((time.process_time() - start) / (EVALUATIONS * jointed.block.size))
     medians_of = {way: 1e6 * statistics.median(values[1:]) for way, values in found.items()}
     rows = [(f"an evaluation of chain6 by {way}, us a link", medians_of[way]) for way in ways]

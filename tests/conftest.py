@@ -286,7 +286,7 @@ def integrate(
         orientation=y[:, 6:10] / np.linalg.norm(y[:, 6:10], axis=1, keepdims=True),
         angular_velocity=np.einsum("tij,tj->ti", R, y[:, 10:13]),
         angular_momentum=np.einsum("tij,jk,tk->ti", R, tensor, y[:, 10:13]),
-        booked=y[:, 13:20],
+        external=y[:, 13:20],
     )
 
 

@@ -168,7 +168,7 @@ class ContactMemory(NamedTuple):
 class ContactFrames(NamedTuple):
     """What frames show of contacts."""
 
-    elastic: Floats  # (T, bins) [J] elastic energy, summed as what is booked: see model/worlds.py
+    elastic: Floats  # (T, bins) [J] elastic energy, summed as external work: see model/worlds.py
     stored: Floats  # (n_bodies,) [J] that of each body, in the last frame
     bins: Ints  # (n_bodies,)
     pistons: Records  # (T, k) PISTON

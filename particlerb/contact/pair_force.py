@@ -3,7 +3,7 @@
 An evaluation has three passes, each over ranges that threads can share: bodies move their spheres,
 contacts find their forces, bodies collect them in the order of the contacts (`body_loads`). So the
 sums do not depend on the threads. Between two passes the threads have to meet. The elastic part of
-the normal force has a potential and is kept apart from the rest, which is booked as work.
+the normal force has a potential and is kept apart from the rest, which counts as work.
 """
 
 from typing import Final, NamedTuple

@@ -3,7 +3,7 @@
 A piston is one more degree of freedom beside the bodies: M s̈ = F + a·Σ f, with s the displacement
 along the axis a, F the load and the weight along it, and f the forces of contacts. It is kicked
 and drifts with the bodies, so the order of the step stays. Where it has limits it stops there,
-without bouncing; what it loses then is booked.
+without bouncing; what it loses then is external work.
 
 Contacts of one piston may be on several ranks, so their sums are exact: no order changes a bit.
 Each number is cut into three, multiples of powers of two that are 2^26 apart, and numbers of one
@@ -157,7 +157,7 @@ def kick_pistons(
 ) -> None:
     """Kick pistons by the forces in their state, over the end of a step and the start of another.
 
-    Contacts book the power of their elastic force on walls that move as if somebody moved them:
+    Contacts add the power of their elastic force on walls that move as if somebody moved them:
     that of pistons is taken back, since their energy is in the total. One that has passed a limit
     in the drift before is put there, at rest, where both its speeds belong to the same instant.
     """
@@ -181,7 +181,7 @@ def kick_pistons(
         if is_held and u == 0.0:
             middle = 0.0
         after = middle if is_held and middle == 0.0 else middle + opening * force / M
-        state.booked_work[k] += work + opening * rest * 0.5 * (middle + after)
+        state.external_work[k] += work + opening * rest * 0.5 * (middle + after)
         state.velocity[k] = after
         if is_step:
             state.previous_velocity[k] = u
@@ -248,13 +248,13 @@ def keep_pistons(pistons: Pistons | None, state: Records, velocity: Floats, firs
 
 @inline
 def move_pistons(pistons: Pistons | None, state: Records, move: Floats, first: int) -> float:
-    """Displace pistons by moves that no velocity knows of, and book it; the work [J]."""
+    """Displace pistons by moves that no velocity knows of; their work [J], which is external."""
     work = 0.0
     if pistons is None:
         return work
     for k in range(pistons.wall.size):
         path = dot(row3(pistons.axis, k), row3(move, first + pistons.wall[k]))
         state.displacement[k] += path
-        state.booked_work[k] -= pistons.force[k] * path
+        state.external_work[k] -= pistons.force[k] * path
         work -= pistons.force[k] * path
     return work

@@ -162,14 +162,14 @@ def _count(state: EventState, is_wall: bool, normal: float, rubbed: float, graze
     state.tally[impulses.IMPACT_WORK] += normal
     state.tally[impulses.FRICTION_WORK] += rubbed
     state.tally[impulses.GROSS_WORK] += abs(normal) + abs(rubbed)
-    state.sums[col.SUM_BOOKED] += normal + rubbed
+    state.sums[col.SUM_EXTERNAL] += normal + rubbed
 
 
 @inline
 def _give_outside(state: EventState, point: Vec3, p: Vec3) -> None:
     """Sum the impulse [N s] that a wall or a held body has given, at a point."""
     for k in range(3):
-        state.sums[col.SUM_BOOKED + 1 + k] += p[k]
+        state.sums[col.SUM_EXTERNAL + 1 + k] += p[k]
     _give_spin(state, point, p)
 
 
@@ -178,7 +178,7 @@ def _give_spin(state: EventState, arm: Vec3, p: Vec3) -> None:
     """Sum the angular impulse [N m s] from outside, or between a body and an image of another."""
     spin = cross(arm, p)
     for k in range(3):
-        state.sums[col.SUM_BOOKED + 4 + k] += spin[k]
+        state.sums[col.SUM_EXTERNAL + 4 + k] += spin[k]
 
 
 @inline

@@ -171,7 +171,7 @@ def row_count(terms: Terms) -> int:
 
 
 def has_potential(terms: Terms) -> bool:
-    """Whether every force has one: then energy needs no booking on the way."""
+    """Whether every force has one: then energy needs no sums on the way."""
     damped = terms.links is not None and terms.links.damping is not None
     others = all(kick.has_potential for kick, _ in _parts_of(terms))
     others &= pairs_have_potential(terms)
@@ -187,7 +187,7 @@ def pairs_have_potential(terms: Terms) -> bool:
 def is_constant(terms: Terms) -> bool:
     """Whether the total force on each body is constant in the world, but for other bodies'.
 
-    Forces between bodies do not change the sums that are booked, as long as those from outside are
+    Forces between bodies do not change the sums of external work, as long as those from outside are
     uniform gravity alone.
     """
     if not has_potential(terms) or not all(kick.is_steady for kick, _ in _parts_of(terms)):
@@ -290,7 +290,7 @@ def _in_states(loads: tuple[Any, ...], com: Floats, n_states: int) -> list[Any]:
 
 
 def energies_of(load: Any, com: Floats, q: Floats) -> Floats | None:
-    """Potential energy of a load, (n,) [J]; None where it has none, or its work is booked."""
+    """Potential energy of a load, (n,) [J]; None where it has none, or its work is summed."""
     of = term_of(load).energy
     return None if of is None else of(load, com, q)
 

@@ -23,7 +23,7 @@ class Impulse(NamedTuple):
 
 
 def apply_impulse(impulse: Impulse, bodies: Bodies, state: State) -> tuple[State, Floats]:
-    """State after the jump, and what to book of each body, (7, n).
+    """State after the jump, and the external work of each body, (7, n).
 
     That is work, impulse and angular impulse about the origin.
     The work is ½(v⁻ + v⁺)·J + ½(ω⁻ + ω⁺)·(r × J), exactly the change of kinetic energy.

@@ -52,7 +52,7 @@ def add_pair_load(
 
 @inline
 def less_internal(acting: Acting, rows: Floats, b: int, x: Vec3, dt: float, entry: Entry) -> Entry:
-    """What is booked: without the impulses that bodies give each other, with dashpots' work."""
+    """External work: without the impulses that bodies give each other, with dashpots' work."""
     if acting.pair is None:
         return entry
     work, impulse, angular = entry
@@ -233,7 +233,7 @@ def shift_time(acting: Acting, rows: Floats, b: int, share: float) -> None:
 def with_power(
     acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, dt: float, entry: Entry
 ) -> Entry:
-    """What is booked, with dt ∂V/∂t of body b, where something depends on time."""
+    """External work, with dt ∂V/∂t of body b, where something depends on time."""
     if acting.clock is None:
         return entry
     work, impulse, angular = entry

@@ -106,7 +106,7 @@ class Term(NamedTuple):
     kick: Kick
     rates: Callable[[Any, Bodies, State], Rates]
     work: Callable[[Any, Floats, Floats, Floats], Floats] | None = None
-    """(parameters, com, q, t): -V, (n,) [J], of a potential whose work is booked, at times (n,)."""
+    """(parameters, com, q, t): -V, (n,) [J], of a potential whose work is summed, at times (n,)."""
     energy: Callable[[Any, Floats, Floats], Floats] | None = None
     """(parameters, com, q): V, (n,) [J], of one that counts as potential energy."""
     split: Callable[[Any], list[tuple[Kick, Floats]]] | None = None

@@ -204,7 +204,7 @@ def change_links(links: Links | None, y: Floats, change: Floats) -> None:
 def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backwards: bool) -> None:
     """Exact flow of each dashpot over dt, one after the other, on the momenta of y.
 
-    What they take is booked in the rows POWER (as work) and OUTSIDE (as impulses) of `load`. Going
+    What they take is added in the rows POWER (as work) and OUTSIDE (as impulses) of `load`. Going
     through them backwards is the adjoint: both directions in turn are of order two.
     """
     if links is None or dt == 0.0:

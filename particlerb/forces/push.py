@@ -5,7 +5,7 @@ Constant in the world, forces F_i at body points r_i give the force Σ F_i and t
 τ_x = (R T)_yz - (R T)_zy, and -Σ F_i·(x + R r_i) = -F·x - tr(R T) is a potential of all of them.
 
 Follower loads are constant in the body and turn with it: a thruster at a body point r gives the
-body force F and the body torque r × F. They have no potential: their work is booked by kicks.
+body force F and the body torque r × F. They have no potential: kicks add their work.
 
 A force that changes with time is a `Ramp` between two knots, each for itself.
 

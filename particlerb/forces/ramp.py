@@ -1,6 +1,6 @@
 """Loads that are linear in time, between two knots of a table: F(t) = F̄ + s ΔF/2, s in [-1, 1].
 
-They have no potential: the work is booked by kicks. A kick takes the load at its own time, so the
+They have no potential: kicks add the work. A kick takes the load at its own time, so the
 impulse of a splitting is the trapezoidal sum of its kicks, which is exact for what is linear.
 """
 

@@ -1,6 +1,6 @@
 """Torques: free couples in the world, or in the body, where they follow it.
 
-No potential in general; the work is booked by kicks.
+No potential in general; kicks add the work.
 """
 
 from typing import TYPE_CHECKING, Final, NamedTuple

@@ -213,7 +213,7 @@ def user_pair_loads(
 ) -> None:
     """Add the loads of all pairs in the state y (13, n) at t [s], one after the other.
 
-    Those without a potential go to the rows OTHER, from which kicks and slopes book their work;
+    Those without a potential go to the rows OTHER, from which kicks and slopes add their work;
     what takes velocities is left out where it is a flow.
     """
     if pairs is None:
@@ -271,7 +271,7 @@ def flow_user_pairs(
 ) -> None:
     """Flow over dt of each pair whose force takes velocities, on the momenta of y.
 
-    Their work is booked in the rows POWER of `load`. Backwards it is the adjoint, as for dashpots.
+    Their work is added in the rows POWER of `load`. Backwards it is the adjoint, as for dashpots.
     """
     if pairs is None or dt == 0.0:
         return

@@ -54,8 +54,8 @@ def push_back_from_stops(bounded: Bounded, move: Floats, has_moved: Bools, share
 
 
 @inline
-def book_bounded(bounded: Bounded, partners: Partners, tally: Floats) -> None:
-    """Sum what these impulses have done, as `bookkeeping` does for contacts."""
+def sum_works_along(bounded: Bounded, partners: Partners, tally: Floats) -> None:
+    """Sum what these impulses have done, as `work` does for contacts."""
     values = bounded.values
     for k in range(bounded.kind.size):
         u = 0.5 * rate_along(bounded, partners.before, k)
@@ -64,18 +64,18 @@ def book_bounded(bounded: Bounded, partners: Partners, tally: Floats) -> None:
         kinds = col.PRESSING_WORK, col.MOTOR_WORK, col.FRICTION_WORK
         tally[col.IMPACT_WORK] += hit * u
         tally[kinds[bounded.kind[k]]] += pressed * u
-        moved = _book_outside(bounded, partners, k, hit + pressed)
+        moved = _sum_outside(bounded, partners, k, hit + pressed)
         tally[col.BOUNDARY_WORK] += moved
         mine = bounded.first[k]
         if partners.inverse[mine, 0] == 0.0:
             mine = bounded.second[k]
-        partners.booked[mine, 0] += (hit + pressed) * u + moved
-        partners.booked[mine, 7] += abs(hit * u) + abs(pressed * u) + abs(moved)
+        partners.external[mine, 0] += (hit + pressed) * u + moved
+        partners.external[mine, 7] += abs(hit * u) + abs(pressed * u) + abs(moved)
 
 
 @inline
-def _book_outside(bounded: Bounded, partners: Partners, k: int, r: float) -> float:
-    """Book what the world or a held body has given along row k; the work [J] of its motion."""
+def _sum_outside(bounded: Bounded, partners: Partners, k: int, r: float) -> float:
+    """Add what the world or a held body has given along row k; the work [J] of its motion."""
     a, b, gradient, moved = bounded.first[k], bounded.second[k], bounded.gradient, 0.0
     for mine, other, at, of in ((a, b, 0, 6), (b, a, 6, 0)):
         is_outside = a == b or partners.inverse[other, 0] == 0.0
@@ -84,8 +84,8 @@ def _book_outside(bounded: Bounded, partners: Partners, k: int, r: float) -> flo
         p, m = scale(r, row3(gradient, k, at)), scale(r, row3(gradient, k, at + 3))
         m = add_scaled(1.0, m, cross(row3(partners.position, mine), p))
         for i in range(3):
-            partners.booked[mine, 1 + i] += p[i]
-            partners.booked[mine, 4 + i] += m[i]
+            partners.external[mine, 1 + i] += p[i]
+            partners.external[mine, 4 + i] += m[i]
         moved -= r * dot(row3(gradient, k, of), row3(partners.velocity, other))
         moved -= r * dot(row3(gradient, k, of + 3), row3(partners.velocity, other, 3))
         break

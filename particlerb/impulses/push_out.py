@@ -2,7 +2,7 @@
 
 A share of what overlaps by more than the slop at the next middle of a step is taken away, by the
 same inverse masses as impulses, without friction. Contacts that part, or are about to bounce, are
-left alone. What the moves do to the energy and the angular momentum is booked.
+left alone. What the moves do to the energy and the angular momentum is external work.
 """
 
 import math

@@ -145,7 +145,7 @@ class Partners(NamedTuple):
     reach: Floats  # (.., 1) [m] that any point comes in a step, at most
     speeds: Floats  # (.., 4) |v|, |ω|, and by how much half a kick has changed both
     impulse: Floats  # (.., 6) [N s, N m s] not yet in the momenta; impulse and angular impulse
-    booked: Floats  # (.., 8) work, impulse, angular impulse of a step, gross work
+    external: Floats  # (.., 8) work, impulse, angular impulse of a step, gross work
     used: Ints  # (..,) colours of its contacts so far, a bit each
     mechanisms: Mechanisms | None  # None: no joint holds any
     keeps_kick: Flag  # whether forces without potential act where there are no joints
@@ -235,10 +235,10 @@ def room_for_partners(
 ) -> Partners:
     """Room for n bodies and walls."""
     velocity, before, free, inverse, move = (np.zeros((n, width)) for width in (6, 18, 6, 7, 6))
-    position, reach, speeds, impulse, booked = (np.zeros((n, width)) for width in (3, 1, 4, 6, 8))
+    position, reach, speeds, impulse, external = (np.zeros((n, width)) for width in (3, 1, 4, 6, 8))
     has_moved, used = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.int64)
     arrays = velocity, before, free, inverse, move, has_moved, position, reach, speeds
-    return Partners(*arrays, impulse, booked, used, mechanisms, keeps_kick)
+    return Partners(*arrays, impulse, external, used, mechanisms, keeps_kick)
 
 
 def _room_for_colours(n: int) -> Colours:

@@ -140,8 +140,8 @@ def _take_slopes(bodies: CommonSteps, t: float, y: Floats, slope: Floats) -> Non
     layout, w = bodies.layout, bodies.vectors.width
     _put_loads(bodies.pairs, bodies.blocks, layout, w, t, y)
     slopes_of_blocks(bodies.equations, bodies.blocks, layout, w, t, y, slope)
-    books = bodies.equations.books
-    add_reactions(books, bodies.jointed, y, slope.reshape(y.shape), w, t)
+    sums_external = bodies.equations.sums_external
+    add_reactions(sums_external, bodies.jointed, y, slope.reshape(y.shape), w, t)
 
 
 @kernel

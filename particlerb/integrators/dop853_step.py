@@ -42,7 +42,7 @@ class Equations(NamedTuple):
     """What is integrated, and how well."""
 
     acting: Acting
-    books: Flag  # whether work and impulses are summed up
+    sums_external: Flag  # whether external work is summed
     tolerance: float
 
 
@@ -78,7 +78,7 @@ def take_slopes(
         put4(rows, STAGE + CHANGING + 3, b, rate.q)
         put3(rows, STAGE + CHANGING + 7, b, rate.p)
         put3(rows, STAGE + CHANGING + 10, b, rate.L)
-        if equations.books is not None:
+        if equations.sums_external is not None:
             put(rows, STAGE + CHANGING + 13, b, power)
             put3(rows, STAGE + CHANGING + 14, b, force)
             put3(rows, STAGE + CHANGING + 17, b, turning)

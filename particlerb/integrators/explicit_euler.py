@@ -11,7 +11,7 @@ from particlerb.contact.contact_model import OLD_VELOCITIES, LoadTimes
 from particlerb.forces.kinds import CONTACT, PISTONS
 from particlerb.integrators.contact_limits import explicit
 from particlerb.integrators.contact_stages import drift_walls, kick_walls
-from particlerb.integrators.external_work import book
+from particlerb.integrators.external_work import add_entry
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import (
     ACCEPTED,
@@ -31,7 +31,7 @@ from particlerb.model.block import INV_INERTIA, get3
 @stage
 def _advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """All slopes at the beginning; the rotor's momentum in its own axes."""
-    acting, books = moving.acting, moving.books
+    acting, sums_external = moving.acting, moving.sums_external
     for k in range(first, last):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
@@ -43,7 +43,7 @@ def _advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> No
             m = add_scaled(dt, add_scaled(1.0, turn_back(R, slope.L), cross(m, w)), m)
             after = on_sphere(add_pose(dt, slope, y))
             put_pose(rows, b, Pose(after.x, after.q, after.p, turn(matrix(after.q), m)))
-            book(books, rows, b, dt, entry)
+            add_entry(sums_external, rows, b, dt, entry)
 
 
 @stages

@@ -1,8 +1,8 @@
-"""What kicks and steps book: seven rows per body; docs/theory.md, section 6.
+"""External work of kicks and steps: seven rows per body; docs/theory.md, section 6.
 
 The work [J] of the forces without potential, and of all forces the impulse [N s] and the angular
-impulse [N m s] about the origin of the world. Total less initial less booked is the error of
-integration alone. Where nobody asks (`books` is None), the compiler leaves all of it out.
+impulse [N m s] about the origin of the world. Total less initial less external is the error of
+integration alone. Where nobody asks (`sums_external` is None), the compiler leaves all of it out.
 """
 
 from particlerb.compiled.jit import Flag, inline
@@ -18,7 +18,7 @@ from particlerb.maths.vec3 import (
     dot,
     subtract,
 )
-from particlerb.model.block import BOOKED, INV_INERTIA, INV_MASS, get, get3, put
+from particlerb.model.block import EXTERNAL, INV_INERTIA, INV_MASS, get, get3, put
 
 
 @inline
@@ -46,21 +46,21 @@ def entry_of_kick(
 
 
 @inline
-def book(books: Flag, rows: Floats, b: int, dt: float, entry: Entry) -> None:
-    """Add dt times an entry to what body b has booked, if anybody asks."""
-    if books is None:
+def add_entry(sums_external: Flag, rows: Floats, b: int, dt: float, entry: Entry) -> None:
+    """Add dt times an entry to the external work of body b, if anybody asks."""
+    if sums_external is None:
         return
     work, impulse, angular = entry
-    put(rows, BOOKED, b, get(rows, BOOKED, b) + dt * work)
+    put(rows, EXTERNAL, b, get(rows, EXTERNAL, b) + dt * work)
     for k in range(3):
-        put(rows, BOOKED + 1 + k, b, get(rows, BOOKED + 1 + k, b) + dt * impulse[k])
-        put(rows, BOOKED + 4 + k, b, get(rows, BOOKED + 4 + k, b) + dt * angular[k])
+        put(rows, EXTERNAL + 1 + k, b, get(rows, EXTERNAL + 1 + k, b) + dt * impulse[k])
+        put(rows, EXTERNAL + 4 + k, b, get(rows, EXTERNAL + 4 + k, b) + dt * angular[k])
 
 
 @inline
-def store_sums(sums: Floats, f: int, bins: Ints, books: Flag, rows: Floats) -> None:
-    """Add what the bodies of a block have booked, in their order, to their bins in frame f."""
-    if books is None:
+def store_sums(sums: Floats, f: int, bins: Ints, sums_external: Flag, rows: Floats) -> None:
+    """Add what the bodies of a block have done, in their order, to their bins in frame f."""
+    if sums_external is None:
         return
     for c in range(7):
         last = bins[0]
@@ -70,5 +70,5 @@ def store_sums(sums: Floats, f: int, bins: Ints, books: Flag, rows: Floats) -> N
                 sums[f, last, c] = total
                 last = bins[b]
                 total = sums[f, last, c]
-            total += get(rows, BOOKED + c, b)
+            total += get(rows, EXTERNAL + c, b)
         sums[f, last, c] = total

@@ -15,7 +15,6 @@ from particlerb.contact.prescribed_motion import prescribed_acceleration
 from particlerb.contact.wall_motion import PrescribedMotion, acceleration_at, motion_in
 from particlerb.forces.kernels import Acting, kick_potential, shift_time
 from particlerb.impulses import records as col
-from particlerb.impulses.bookkeeping import book_impulses
 from particlerb.impulses.bounded import keep_bounded
 from particlerb.impulses.colours import who_solves
 from particlerb.impulses.impacts import take_impacts
@@ -24,12 +23,13 @@ from particlerb.impulses.records import Impulses, Mechanisms, Partners
 from particlerb.impulses.rolling import write_rolling
 from particlerb.impulses.rows import approach, write_through_pistons
 from particlerb.impulses.solver import leave_out_what_leans, leave_out_what_will_bounce, solve
+from particlerb.impulses.work import sum_works
 from particlerb.integrators.contact_stages import contact_kinematics_later
-from particlerb.integrators.external_work import book
-from particlerb.integrators.impulse_booking import (
-    book_among_joints,
-    book_bodies,
-    book_kick,
+from particlerb.integrators.external_work import add_entry
+from particlerb.integrators.impulse_work import (
+    add_work_along_solve,
+    add_work_among_joints,
+    add_work_of_impulses,
     half_work_of_pairs,
     keep_kick_start,
     stored_in_joints,
@@ -262,8 +262,8 @@ def _keep_pose(
 
 
 @inline
-def _move(acting: Acting, books: Flag, rows: Floats, i: int, dx: Vec3, turn: Vec3) -> float:
-    """Move a body, and book what that does; its work [J].
+def _move(acting: Acting, sums_external: Flag, rows: Floats, i: int, dx: Vec3, turn: Vec3) -> float:
+    """Move a body, and add the work; that work [J].
 
     The work is that against the mean of the forces before and after, and what a turn with the same
     angular momentum does to the energy of rotation; the angular momentum about the origin changes
@@ -281,16 +281,16 @@ def _move(acting: Acting, books: Flag, rows: Floats, i: int, dx: Vec3, turn: Vec
     work += _turning_energy(moments, after, spin) - _turning_energy(moments, R, spin)
     put3(rows, COM, i, x)
     put4(rows, Q, i, q)
-    book(books, rows, i, 1.0, (work, ZERO, cross(dx, p)))
+    add_entry(sums_external, rows, i, 1.0, (work, ZERO, cross(dx, p)))
     return work
 
 
 @inline
 def _move_bodies(
     contact: MovingContact, jointed: Jointed | None, pairs: PairTerms | None, impulses: Impulses,
-    acting: Acting, books: Flag, blocks: Floats, layout: Layout,
+    acting: Acting, sums_external: Flag, blocks: Floats, layout: Layout,
 ) -> None:  # fmt: skip
-    """Move all bodies that are to be moved, and book it; `_move` takes springs as before it."""
+    """Move all bodies that are to be moved, add the work; `_move` takes springs as before it."""
     partners, move = impulses.partners, impulses.partners.move
     pistons, state = contact.setup.pistons, contact.memory.pistons
     stored = half_work_of_pairs(pairs, move, blocks, layout) - stored_in_joints(jointed)
@@ -302,14 +302,14 @@ def _move_bodies(
         for i in range(layout.size[k]):
             b, dx, turn = lo + i, row3(move, lo + i), row3(move, lo + i, 3)
             if dot(dx, dx) + dot(turn, turn) > 0.0:
-                work = _move(acting, books, rows, i, dx, turn)
+                work = _move(acting, sums_external, rows, i, dx, turn)
                 impulses.tally[col.PUSH_OUT_WORK] += work
                 contact.workspace.gross_work[b] += abs(work)
                 _keep_pose(jointed, partners.mechanisms, b, get3(rows, COM, i), get4(rows, Q, i))
     stored += stored_in_joints(jointed) - half_work_of_pairs(pairs, move, blocks, layout)
     impulses.tally[col.PUSH_OUT_WORK] += stored
     contact.workspace.gross_work[0] += abs(stored)
-    book(books, blocks[0], 0, 1.0, (stored, ZERO, ZERO))
+    add_entry(sums_external, blocks[0], 0, 1.0, (stored, ZERO, ZERO))
 
 
 @inline
@@ -331,7 +331,7 @@ def press(
     pairs: PairTerms | None,
     team: Team | None,
     acting: Acting,
-    books: Flag,
+    sums_external: Flag,
     share: BlockShare,
     dt: float,
 ) -> None:
@@ -354,12 +354,14 @@ def press(
         time = contact.memory.start + contact.workspace.step_start.time[0] + 0.5 * dt
         solve(impulses, bounded, solving, moved, time)
         if is_first:
-            book_kick(books, partners.keeps_kick, acting, partners, blocks, layout, 0.5 * dt)
+            add_work_along_solve(
+                sums_external, partners.keeps_kick, acting, partners, blocks, layout, 0.5 * dt
+            )
             _apply_impulses(impulses, blocks, layout)
-        book_impulses(impulses, bounded, solving)
+        sum_works(impulses, bounded, solving)
         if is_first:
-            book_bodies(contact, impulses, books, blocks, layout)
-            book_among_joints(books, jointed, partners, blocks)
+            add_work_of_impulses(contact, impulses, sums_external, blocks, layout)
+            add_work_among_joints(sums_external, jointed, partners, blocks)
             keep_pistons(pistons, state, partners.velocity, n)
             if jointed is not None and bounded is not None:  # not for a step to a frame
                 keep_bounded(bounded, dt, dt == jointed.data.clock[1])
@@ -370,7 +372,7 @@ def press(
         for _ in range(_MAX_MOVES if is_first else 0):
             if not moves:
                 break
-            _move_bodies(contact, jointed, pairs, impulses, acting, books, blocks, layout)
+            _move_bodies(contact, jointed, pairs, impulses, acting, sums_external, blocks, layout)
             moves = False
             if jointed is not None and partners.mechanisms is not None:  # to where joints hold
                 joints, mechanisms = jointed.joints, partners.mechanisms

@@ -25,10 +25,10 @@ from particlerb.joints.solver import constrained_drift, keep_rates
 from particlerb.joints.trees import accelerate_tree
 from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, cross, dot, scale, subtract
-from particlerb.model.block import BOOKED
+from particlerb.model.block import EXTERNAL
 
 _MAX_TURN = 2.0  # rad of two bodies against each other in a step, by their rates at its start
-_WORK_ROW, _IMPULSE_ROW, _ANGULAR_ROW = BOOKED, BOOKED + 1, BOOKED + 4
+_WORK_ROW, _IMPULSE_ROW, _ANGULAR_ROW = EXTERNAL, EXTERNAL + 1, EXTERNAL + 4
 
 
 @inline
@@ -55,7 +55,7 @@ def _give_state(jointed: Jointed, states: Floats, w: int) -> None:
 
 @inline
 def _give_slopes(jointed: Jointed, slope: Floats, w: int) -> None:
-    """Forces and torques back; bodies that nothing moves have no slopes, and book nothing."""
+    """Forces and torques back; bodies that nothing moves have no slopes, and add no work."""
     for k in range(jointed.block.size):
         row, lane = slope[jointed.block[k]], jointed.lane[k]
         for i in range(6):
@@ -65,11 +65,18 @@ def _give_slopes(jointed: Jointed, slope: Floats, w: int) -> None:
 
 
 @inline
-def _book(
-    books: Flag, jointed: Jointed, slope: Floats, w: int, k: int, power: float, F: Vec3, tau: Vec3
+def _add_rates(
+    sums_external: Flag,
+    jointed: Jointed,
+    slope: Floats,
+    w: int,
+    k: int,
+    power: float,
+    F: Vec3,
+    tau: Vec3,
 ) -> None:
-    """Book rates on body k: power [W], force [N] and torque about the origin [N m]."""
-    if books is None:
+    """Add rates to body k: power [W], force [N] and torque about the origin [N m]."""
+    if sums_external is None:
         return
     row, lane = slope[jointed.block[k]], jointed.lane[k]
     row[_WORK_ROW * w + lane] += power
@@ -79,11 +86,11 @@ def _book(
 
 
 @inline
-def _book_row(
-    books: Flag, jointed: Jointed, slope: Floats, w: int, r: int, z: float, power: float
+def _add_rates_of_row(
+    sums_external: Flag, jointed: Jointed, slope: Floats, w: int, r: int, z: float, power: float
 ) -> None:
-    """Book the power of what acts along row r, and what z of it has from the world."""
-    if books is None:
+    """Add the power of what acts along row r, and what z of it has from the world."""
+    if sums_external is None:
         return
     joints, data = jointed.joints, jointed.data
     a, b = joints.rows.a[r], joints.rows.b[r]
@@ -93,12 +100,12 @@ def _book_row(
         F = scale(z if k == a else -z, row3(data.gradient, r))
         turning = scale(z, row3(data.gradient, r, 3 if k == a else 6))
         tau = add(turning, cross(row3(data.y, k, col.X), F))
-    _book(books, jointed, slope, w, k, power, F, tau)
+    _add_rates(sums_external, jointed, slope, w, k, power, F, tau)
 
 
 @unfused_kernel
-def add_actions(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
-    """Add to the loads what springs, stops, motors, dampers and drag do, and book it."""
+def add_actions(sums_external: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
+    """Add to the loads what springs, stops, motors, dampers and drag do, and their work."""
     joints, data = jointed.joints, jointed.data
     for r in range(joints.rows.kind.size):
         if joints.rows.action[r] != col.HOLDS:
@@ -108,12 +115,12 @@ def add_actions(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
                 joints.rows, joints.inv_mass, data.gradient, data.z, r, r + 1, data.change, 0
             )
             power -= force * data.dg_dt[r]
-            _book_row(books, jointed, slope, w, r, force, power)
-    _drag(books, jointed, slope, w)
+            _add_rates_of_row(sums_external, jointed, slope, w, r, force, power)
+    _drag(sums_external, jointed, slope, w)
 
 
 @inline
-def _drag(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
+def _drag(sums_external: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
     """Add the drag of all bodies to the loads, if something damps."""
     if jointed.damps is None:
         return
@@ -126,18 +133,20 @@ def _drag(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
             load[k, i] += F[i]
             load[k, 3 + i] += tau[i]
         about_origin = add(tau, cross(row3(y, k, col.X), F))
-        _book(books, jointed, slope, w, k, dot(F, v) + dot(tau, spin), F, about_origin)
+        _add_rates(sums_external, jointed, slope, w, k, dot(F, v) + dot(tau, spin), F, about_origin)
 
 
 @inline
-def _add_what_holds(books: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
-    """Add what keeps the joints to the loads in `data.change`, and book it."""
+def _add_what_holds(sums_external: Flag, jointed: Jointed, slope: Floats, w: int) -> None:
+    """Add what keeps the joints to the loads in `data.change`, and their work."""
     joints, data, tree = jointed.joints, jointed.data, jointed.tree
     if tree is None:
         find_multipliers(joints, data, data.change)
         m = joints.rows.kind.size
         for r in range(m):
-            _book_row(books, jointed, slope, w, r, data.z[r], -data.z[r] * data.dg_dt[r])
+            _add_rates_of_row(
+                sums_external, jointed, slope, w, r, data.z[r], -data.z[r] * data.dg_dt[r]
+            )
         add_impulses(joints.rows, joints.inv_mass, data.gradient, data.z, 0, m, data.change, 0)
         return
     accelerate_tree(joints, tree, data.y, data.change)
@@ -147,19 +156,19 @@ def _add_what_holds(books: Flag, jointed: Jointed, slope: Floats, w: int) -> Non
             at = subtract(row3(data.y, k, col.X), row3(tree.bodies.com, k))
             F = row3(tree.bodies.b, k)
             about_origin = add(row3(tree.bodies.b, k, 3), cross(at, F))
-            _book(books, jointed, slope, w, k, 0.0, F, about_origin)
+            _add_rates(sums_external, jointed, slope, w, k, 0.0, F, about_origin)
 
 
 @kernel
 def add_reactions(
-    books: Flag, jointed: Jointed | None, states: Floats, slope: Floats, w: int, t: float
+    sums_external: Flag, jointed: Jointed | None, states: Floats, slope: Floats, w: int, t: float
 ) -> None:
     """Add what joints do at t [s] since the segment began to slopes without them, if there are any.
 
     Parameters
     ----------
     states, slope : ndarray, (blocks, rows * w)
-        Number c of a body stands at c * w + lane: x, q, p, L, and of slopes what is booked.
+        Number c of a body stands at c * w + lane: x, q, p, L, and of slopes rates of external work.
     """
     if jointed is None:
         return
@@ -177,8 +186,8 @@ def add_reactions(
             if joints.rows.action[r] != col.HOLDS:
                 linearise(joints, data, r, r + 1)
     if joints.acts or joints.damps:
-        add_actions(books, jointed, slope, w)
-    _add_what_holds(books, jointed, slope, w)
+        add_actions(sums_external, jointed, slope, w)
+    _add_what_holds(sums_external, jointed, slope, w)
     _give_slopes(jointed, slope, w)
 
 

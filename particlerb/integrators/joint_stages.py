@@ -17,7 +17,7 @@ from particlerb.contact.prescribed_motion import (
 )
 from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
-from particlerb.integrators.external_work import book
+from particlerb.integrators.external_work import add_entry
 from particlerb.integrators.pair_stages import meet_all
 from particlerb.joints import records as col
 from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
@@ -97,9 +97,11 @@ def _scatter(jointed: Jointed, blocks: Floats, c: int) -> None:
 
 
 @inline
-def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Floats) -> None:
-    """Book the impulses of joints with the world of cluster c, whose bodies were at `at`."""
-    if books is None:
+def _add_impulses_of_world(
+    sums_external: Flag, jointed: Jointed, blocks: Floats, c: int, at: Floats
+) -> None:
+    """Add the impulses of joints with the world of cluster c, whose bodies were at `at`."""
+    if sums_external is None:
         return
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     start = joints.program.start
@@ -109,21 +111,23 @@ def _book_world(books: Flag, jointed: Jointed, blocks: Floats, c: int, at: Float
         if joints.inv_mass[b] == 0.0 and joints.inv_mass[a] > 0.0:
             impulse = scale(z, by_x)
             turning = add_scaled(z, row3(data.gradient, r, 3), cross(row3(at, a, col.X), impulse))
-            book(books, blocks[block[a]], lane[a], 1.0, (0.0, impulse, turning))
+            add_entry(sums_external, blocks[block[a]], lane[a], 1.0, (0.0, impulse, turning))
         elif joints.inv_mass[a] == 0.0 and joints.inv_mass[b] > 0.0:
             impulse = scale(-z, by_x)
             turning = add_scaled(z, row3(data.gradient, r, 6), cross(row3(at, b, col.X), impulse))
-            book(books, blocks[block[b]], lane[b], 1.0, (0.0, impulse, turning))
+            add_entry(sums_external, blocks[block[b]], lane[b], 1.0, (0.0, impulse, turning))
 
 
 @inline
-def _correct_work(books: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float) -> None:
-    """Book the work that forces without potential do along what joints changed of the velocities.
+def _correct_work(
+    sums_external: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float
+) -> None:
+    """Add the work that forces without potential do along what joints changed of the velocities.
 
-    A kick has booked it with the velocities before the impulses of the joints; one of no length has
+    A kick has added it with the velocities before the impulses of the joints; one of no length has
     given nothing.
     """
-    if books is None or jointed.keeps_kick is None or kick_dt == 0.0:
+    if sums_external is None or jointed.keeps_kick is None or kick_dt == 0.0:
         return
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
@@ -134,42 +138,44 @@ def _correct_work(books: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt
         spin = by_inverse_inertia(joints.inv_inertia, q, k, turning)
         gain = joints.inv_mass[k] * dot(get3(rows, STAGE, b), by_joints)
         gain += dot(get3(rows, STAGE + 3, b), spin)
-        book(books, rows, b, 0.5, (gain, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        add_entry(sums_external, rows, b, 0.5, (gain, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
 @inline
-def book_work(books: Flag, jointed: Jointed, blocks: Floats, r: int, work: float) -> None:
-    """Book work of what acts along row r, on the first of its bodies that is in a block."""
+def add_work_of_row(
+    sums_external: Flag, jointed: Jointed, blocks: Floats, r: int, work: float
+) -> None:
+    """Add work of what acts along row r, on the first of its bodies that is in a block."""
     n = jointed.block.size
     k = jointed.joints.rows.a[r] if jointed.joints.rows.a[r] < n else jointed.joints.rows.b[r]
-    book(books, blocks[jointed.block[k]], jointed.lane[k], 1.0, (work, ZERO, ZERO))
+    add_entry(sums_external, blocks[jointed.block[k]], jointed.lane[k], 1.0, (work, ZERO, ZERO))
 
 
 @inline
-def _book_drives(books: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
-    """Book the work -λ ∂g/∂t of constraints of cluster c that move by themselves."""
-    if books is None or not jointed.joints.moves:
+def _add_work_of_drives(sums_external: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
+    """Add the work -λ ∂g/∂t of constraints of cluster c that move by themselves."""
+    if sums_external is None or not jointed.joints.moves:
         return
     data, start, joint = jointed.data, jointed.joints.program.start, jointed.joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
         if data.dg_dt[r] != 0.0:
-            book_work(books, jointed, blocks, r, -data.dg_dt[r] * data.impulse[r])
+            add_work_of_row(sums_external, jointed, blocks, r, -data.dg_dt[r] * data.impulse[r])
 
 
 @inline
-def _book_motors(books: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
-    """Book the work of constant motors of cluster c in a drift."""
-    if books is None or not jointed.joints.acts:
+def _add_work_of_motors(sums_external: Flag, jointed: Jointed, blocks: Floats, c: int) -> None:
+    """Add the work of constant motors of cluster c in a drift."""
+    if sums_external is None or not jointed.joints.acts:
         return
     joints, data = jointed.joints, jointed.data
     start, joint = joints.program.start, joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
         if joints.rows.action[r] != col.HOLDS:
-            book_work(books, jointed, blocks, r, work_of_motor(joints, data, r))
+            add_work_of_row(sums_external, jointed, blocks, r, work_of_motor(joints, data, r))
 
 
 @inline
-def _damp(books: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) -> None:
+def _damp(sums_external: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) -> None:
     """Let dampers, dashpots and drag of cluster c act over a span, within its constraints."""
     if jointed.damps is None or span == 0.0:
         return
@@ -181,13 +187,15 @@ def _damp(books: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) ->
         half = data.impulse[r]
         data.impulse[r] = 2.0 * half
         if joints.rows.action[r] != col.HOLDS and half != 0.0:
-            book_work(books, jointed, blocks, r, -2.0 * data.compliance[r] * half * half)
+            add_work_of_row(
+                sums_external, jointed, blocks, r, -2.0 * data.compliance[r] * half * half
+            )
     sum_half_step(joints.breaks, joints, data, c, False)
-    _book_world(books, jointed, blocks, c, data.y)
-    _book_drives(books, jointed, blocks, c)
+    _add_impulses_of_world(sums_external, jointed, blocks, c, data.y)
+    _add_work_of_drives(sums_external, jointed, blocks, c)
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         entry = finish_damping(joints, data, k, span)
-        book(books, blocks[block[k]], lane[k], 1.0, entry)
+        add_entry(sums_external, blocks[block[k]], lane[k], 1.0, entry)
 
 
 @inline
@@ -210,12 +218,14 @@ def _drift_alone(
 
 
 @inline
-def _finish_drift(books: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float) -> None:
-    """Book what joints of cluster c did in a drift, and give its states back."""
-    _book_world(books, jointed, blocks, c, jointed.data.pose)
-    _book_drives(books, jointed, blocks, c)
-    _book_motors(books, jointed, blocks, c)
-    _correct_work(books, jointed, blocks, c, kick_dt)
+def _finish_drift(
+    sums_external: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float
+) -> None:
+    """Add what joints of cluster c did in a drift, and give its states back."""
+    _add_impulses_of_world(sums_external, jointed, blocks, c, jointed.data.pose)
+    _add_work_of_drives(sums_external, jointed, blocks, c)
+    _add_work_of_motors(sums_external, jointed, blocks, c)
+    _correct_work(sums_external, jointed, blocks, c, kick_dt)
     _scatter(jointed, blocks, c)
 
 
@@ -232,15 +242,17 @@ def _gather_pack(packs: Packs, jointed: Jointed, blocks: Floats, p: int) -> None
 
 
 @inline
-def _take_from_pack(books: Flag, packs: Packs, jointed: Jointed, p: int, i: int, c: int) -> None:
-    """States of cluster c, lane i of pack p, and what is booked of its impulses."""
+def _take_from_pack(
+    sums_external: Flag, packs: Packs, jointed: Jointed, p: int, i: int, c: int
+) -> None:
+    """States of cluster c, lane i of pack p, and the external work of its impulses."""
     joints, data, of_pack = jointed.joints, jointed.data, packs.data
     start, joint, body = joints.program.start, joints.clusters.joint, joints.clusters.body
     at = packs.joints.clusters.body[p] - body[c]
     for k in range(body[c], body[c + 1]):
         for j in range(STATE_ROWS):
             data.y[k, j] = of_pack.y[at + k, j, i]
-    if books is None:
+    if sums_external is None:
         return
     for k in range(body[c], body[c + 1]):
         for j in range(col.X, col.X + 3):
@@ -267,7 +279,7 @@ def _exchange_past(packs: Packs, jointed: Jointed, p: int, i: int, c: int) -> No
 
 @inline
 def _drift_packs(
-    packs: Packs | None, jointed: Jointed, team: Team | None, books: Flag, blocks: Floats,
+    packs: Packs | None, jointed: Jointed, team: Team | None, sums_external: Flag, blocks: Floats,
     kick_dt: float, t: float, dt: float,
 ) -> None:  # fmt: skip
     """Constrained drift of clusters in packs; those that are lost there drift anew alone."""
@@ -283,17 +295,17 @@ def _drift_packs(
             if c < 0:
                 continue
             if packs.data.failed_row[LANES * p + i] == 0:
-                _take_from_pack(books, packs, jointed, p, i, c)
+                _take_from_pack(sums_external, packs, jointed, p, i, c)
             else:
                 _exchange_past(packs, jointed, p, i, c)
                 _drift_alone(jointed, blocks, c, kick_dt, t, dt)
                 _exchange_past(packs, jointed, p, i, c)
-            _finish_drift(books, jointed, blocks, c, kick_dt)
+            _finish_drift(sums_external, jointed, blocks, c, kick_dt)
 
 
 @kernel
 def drift_clusters(
-    jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
+    jointed: Jointed | None, team: Team | None, sums_external: Flag, blocks: Floats, kick_dt: float,
     ahead: float, dt: float,
 ) -> None:  # fmt: skip
     """Kick of springs and constrained drift of all clusters, if there are joints.
@@ -304,12 +316,12 @@ def drift_clusters(
         return
     meet_all(team)  # clusters are of all blocks
     t = jointed.data.clock[0] + ahead
-    _drift_packs(jointed.packs, jointed, team, books, blocks, kick_dt, t, dt)
+    _drift_packs(jointed.packs, jointed, team, sums_external, blocks, kick_dt, t, dt)
     first, last = _share_of(team, jointed.alone.size)
     for k in range(first, last):
         c = jointed.alone[k]
         _drift_alone(jointed, blocks, c, kick_dt, t, dt)
-        _finish_drift(books, jointed, blocks, c, kick_dt)
+        _finish_drift(sums_external, jointed, blocks, c, kick_dt)
     meet_all(team)
     if team is None or team.thread == 0:
         count_turns(jointed.joints.coordinates, jointed.data.y, jointed.data.turned)
@@ -317,7 +329,7 @@ def drift_clusters(
 
 @kernel
 def project_clusters(
-    jointed: Jointed | None, team: Team | None, books: Flag, blocks: Floats, kick_dt: float,
+    jointed: Jointed | None, team: Team | None, sums_external: Flag, blocks: Floats, kick_dt: float,
     span: float,
 ) -> None:  # fmt: skip
     """Kick of springs, projection of the momenta and damping over a span, as above."""
@@ -332,10 +344,10 @@ def project_clusters(
         set_prescribed(jointed.prescribed, jointed.data, time, 0.0, body[c], body[c + 1])
         project_momenta(jointed.joints, jointed.data, c, kick_dt, t, 0.0)
         sum_half_step(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
-        _book_world(books, jointed, blocks, c, jointed.data.y)
-        _book_drives(books, jointed, blocks, c)
-        _correct_work(books, jointed, blocks, c, kick_dt)
-        _damp(books, jointed, blocks, c, span)
+        _add_impulses_of_world(sums_external, jointed, blocks, c, jointed.data.y)
+        _add_work_of_drives(sums_external, jointed, blocks, c)
+        _correct_work(sums_external, jointed, blocks, c, kick_dt)
+        _damp(sums_external, jointed, blocks, c, span)
         _scatter(jointed, blocks, c)
     meet_all(team)
 

@@ -25,7 +25,7 @@ from particlerb.forces.kernels import (
 )
 from particlerb.forces.kinds import Momenta
 from particlerb.forces.registry import CHANGE, PAIR
-from particlerb.integrators.external_work import book, entry_of_kick
+from particlerb.integrators.external_work import add_entry, entry_of_kick
 from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     ZERO,
@@ -65,7 +65,7 @@ def _with_flow(
     acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, old: Momenta, new: Momenta,
     entry: Entry,
 ) -> Entry:  # fmt: skip
-    """What is booked, with what a flow did from old to new momenta."""
+    """External work, with what a flow did from old to new momenta."""
     if acting.flow is None:
         return entry
     work, dp, dL = entry_of_kick(rows, b, x, R, old, old, new)
@@ -183,7 +183,7 @@ def _one_of(is_first: bool, a: Momenta, b: Momenta) -> Momenta:
 
 @inline
 def kick_body(
-    acting: Acting, books: Flag, rows: Floats, b: int, dt: float
+    acting: Acting, sums_external: Flag, rows: Floats, b: int, dt: float
 ) -> tuple[Vec3, Vec3, Matrix]:
     """Kick body b over dt after `solve_kicks`; its new momenta, stored, and its rotation matrix."""
     if acting.user_flow is None:
@@ -196,7 +196,7 @@ def kick_body(
     p, spin = flow_out(acting, rows, b, kick.R, 0.5 * dt, last[0], last[1])
     put3(rows, P, b, p)
     put3(rows, L, b, spin)
-    book(books, rows, b, 1.0, _entry_of(acting, rows, b, dt, kick, last, (p, spin)))
+    add_entry(sums_external, rows, b, 1.0, _entry_of(acting, rows, b, dt, kick, last, (p, spin)))
     return p, spin, kick.R
 
 
@@ -229,7 +229,7 @@ def _in_world(R: Matrix, diagonal: Vec3) -> Matrix:
 def _entry_of(
     acting: Acting, rows: Floats, b: int, dt: float, kick: _Kick, last: Momenta, end: Momenta
 ) -> Entry:
-    """What a kick books that came to `last` before the second half of the flows, and then `end`."""
+    """Entry of a kick that came to `last` before the second half of the flows, and then `end`."""
     x, R = kick.x, kick.R
     entry = entry_of_kick(rows, b, x, R, kick.first, kick.middle, last)
     entry = _with_flow(acting, rows, b, x, R, kick.old, kick.first, entry)
@@ -242,7 +242,7 @@ def _entry_of(
 def _less_change(
     acting: Acting, rows: Floats, b: int, x: Vec3, v: Vec3, weight: float, entry: Entry
 ) -> Entry:
-    """What is booked, without what the gradients of other bodies' forces give.
+    """External work, without what the gradients of other bodies' forces give.
 
     As a rate, that of x × F + τ has the part v × F.
     """
@@ -258,14 +258,20 @@ def _less_change(
 
 @inline
 def kick_with_gradient(
-    gradient: Flag, acting: Acting, books: Flag, rows: Floats, b: int, dt: float, weight: float
+    gradient: Flag,
+    acting: Acting,
+    sums_external: Flag,
+    rows: Floats,
+    b: int,
+    dt: float,
+    weight: float,
 ) -> tuple[Vec3, Matrix]:
     """Kick body b over dt, bent by the gradient or not; L, which is stored with p, and R.
 
     `weight` [s³] is that of the rates at which force and torque change: see `force_gradient`.
     """
     if gradient is None:
-        _, spin, R = kick_body(acting, books, rows, b, dt)
+        _, spin, R = kick_body(acting, sums_external, rows, b, dt)
         return spin, R
     x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
     old = get3(rows, P, b), get3(rows, L, b)
@@ -279,5 +285,5 @@ def kick_with_gradient(
     put3(rows, L, b, spin)
     entry = entry_of_kick(rows, b, x, R, old, (p, spin), (p, spin))
     entry = less_internal(acting, rows, b, x, dt, entry)
-    book(books, rows, b, 1.0, _less_change(acting, rows, b, x, v, weight, entry))
+    add_entry(sums_external, rows, b, 1.0, _less_change(acting, rows, b, x, v, weight, entry))
     return spin, R

@@ -10,7 +10,7 @@ Source: Baraff, Physically Based Modeling: Rigid Body Simulation (SIGGRAPH cours
 from typing import Final
 
 from particlerb.contact.contact_model import NOW
-from particlerb.integrators.external_work import book
+from particlerb.integrators.external_work import add_entry
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED, add_pose, on_sphere, pose, put_pose, slopes
 from particlerb.integrators.stages import MovingBodies, loads, stage, stages
@@ -20,14 +20,14 @@ from particlerb.maths.quaternion import matrix
 @stage
 def _advance_momenta(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """One slope, at the beginning."""
-    acting, books = moving.acting, moving.books
+    acting, sums_external = moving.acting, moving.sums_external
     for k in range(first, last):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
             y = pose(rows, b)
             slope, entry = slopes(acting, rows, b, y, matrix(y.q))
             put_pose(rows, b, on_sphere(add_pose(dt, slope, y)))
-            book(books, rows, b, dt, entry)
+            add_entry(sums_external, rows, b, dt, entry)
 
 
 @stages

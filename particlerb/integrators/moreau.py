@@ -66,7 +66,7 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
     project(moving, 0.5 * dt, 0.5 * dt)
     count_projection(jointed, team)
     gather_velocities(contact, blocks, layout, first, last)
-    press(contact, jointed, moving.pairs, team, moving.acting, moving.books, share, dt)
+    press(contact, jointed, moving.pairs, team, moving.acting, moving.sums_external, share, dt)
     project(moving, 0.0, 0.0)
     count_projection(jointed, team)
     if jointed is None:

@@ -13,7 +13,7 @@ from particlerb.forces.links import Links, damp_links, link_loads
 from particlerb.forces.registry import PAIR
 from particlerb.forces.user_pairs import UserPairs, flow_user_pairs, user_pair_loads
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import BOOKED, P, gather_block, get, put, scatter_block
+from particlerb.model.block import EXTERNAL, P, gather_block, get, put, scatter_block
 from particlerb.model.load import LOAD_ROWS, POWER
 
 _MOMENTA_ROW: Final = 7  # of a state, from which on p and L are
@@ -51,7 +51,7 @@ class PairTerms(NamedTuple):
     clock: Floats  # [s] (3,): of the loads, when the step began, and the segment
     y: Floats  # (13, n) states
     load: Floats  # (13, n), rows of model/load.py; of users without a potential (19, n)
-    booked: Floats  # (13, n) the same rows, of flows
+    external: Floats  # (13, n) the same rows, of flows
 
 
 @kernel
@@ -145,27 +145,27 @@ def flow_pairs(
 ) -> None:
     """Flow of each dashpot, and pair of users, over dt, one after the other, if there are any.
 
-    Their work is booked. In a team the first thread does it while the others wait.
+    Their work is added. In a team the first thread does it while the others wait.
     """
     if dashpots is None or pairs is None:
         return
     meet_all(team)
     if _is_first(team):
-        links, user_pairs, _, _, _, clock, y, _, booked = pairs
+        links, user_pairs, _, _, _, clock, y, _, external = pairs
         gather_states(blocks, layout, y)
-        clear(booked)
+        clear(external)
         if backwards:
-            flow_user_pairs(user_pairs, clock[0], y, booked, dt, backwards)
-        damp_links(links, y, booked, dt, backwards)
+            flow_user_pairs(user_pairs, clock[0], y, external, dt, backwards)
+        damp_links(links, y, external, dt, backwards)
         if not backwards:
-            flow_user_pairs(user_pairs, clock[0], y, booked, dt, backwards)
+            flow_user_pairs(user_pairs, clock[0], y, external, dt, backwards)
         scatter(y, blocks, layout, P, _MOMENTA_ROW)
         for k in range(layout.first.size):
             rows, lo = blocks[k], layout.first[k]
             for c in range(LOAD_ROWS - POWER):
                 for b in range(layout.size[k]):
-                    value = get(rows, BOOKED + c, b) + booked[POWER + c, lo + b]
-                    put(rows, BOOKED + c, b, value)
+                    value = get(rows, EXTERNAL + c, b) + external[POWER + c, lo + b]
+                    put(rows, EXTERNAL + c, b, value)
     meet_all(team)
 
 

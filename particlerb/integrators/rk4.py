@@ -14,7 +14,7 @@ from particlerb.forces.kernels import shift_time
 from particlerb.forces.kinds import CONTACT
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.contact_limits import four_slopes
-from particlerb.integrators.external_work import book
+from particlerb.integrators.external_work import add_entry
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import (
     ACCEPTED,
@@ -47,7 +47,7 @@ _SUM_ROW: Final = STAGE + STATE_ROWS  # of the slopes so far; the state at the b
 @stage
 def _four_slopes(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """Four slopes, weighed 1 : 2 : 2 : 1."""
-    acting, books = moving.acting, moving.books
+    acting, sums_external = moving.acting, moving.sums_external
     third, sixth = dt * (1.0 / 3.0), dt * (1.0 / 6.0)
     for k in range(first, last):
         rows = moving.blocks[k]
@@ -66,10 +66,10 @@ def _four_slopes(moving: MovingBodies, first: int, last: int, dt: float) -> None
                 sixth, k1, add_pose(third, k2, add_pose(third, k3, add_pose(sixth, k4, y)))
             )
             put_pose(rows, b, on_sphere(y))
-            book(books, rows, b, sixth, e1)
-            book(books, rows, b, third, e2)
-            book(books, rows, b, third, e3)
-            book(books, rows, b, sixth, e4)
+            add_entry(sums_external, rows, b, sixth, e1)
+            add_entry(sums_external, rows, b, third, e2)
+            add_entry(sums_external, rows, b, third, e3)
+            add_entry(sums_external, rows, b, sixth, e4)
 
 
 @stage
@@ -79,7 +79,7 @@ def _one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) -
     The state at the beginning, and the sum so far, have rows of their own; those of the state have
     where the next slope is taken, with q/|q|, as forces between bodies want it, and |q| in LENGTH.
     """
-    acting, books = moving.acting, moving.books
+    acting, sums_external = moving.acting, moving.sums_external
     for block in range(first, last):
         rows = moving.blocks[block]
         for b in range(moving.layout.size[block]):
@@ -99,7 +99,7 @@ def _one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) -
             after = total if k == 3 else add_pose(_NEXT_SLOPE_TIMES[k] * dt, slope, start)
             put(rows, _LENGTH_ROW, b, length(after.q))
             put_pose(rows, b, on_sphere(after))
-            book(books, rows, b, _WEIGHTS[k] * dt, entry)
+            add_entry(sums_external, rows, b, _WEIGHTS[k] * dt, entry)
 
 
 @stages

@@ -145,7 +145,7 @@ def _drift_asymmetric(
     """Kick and drift of asymmetric bodies, as long as the fastest of a block asks for."""
     if kind is None:
         return
-    acting, books = moving.acting, moving.books
+    acting, sums_external = moving.acting, moving.sums_external
     for block in range(first, min(last, moving.layout.asymmetric)):
         rows, n = moving.blocks[block], moving.layout.size[block]
         turned = abs(move.drift) * _turn_rate(rows, n, move.is_first)
@@ -153,7 +153,9 @@ def _drift_asymmetric(
         iterations = iterations_of(turned / pieces)
         for b in range(n):
             shift_time(acting, rows, b, move.before)
-            spin, R = kick_with_gradient(gradient, acting, books, rows, b, move.kick, move.weight)
+            spin, R = kick_with_gradient(
+                gradient, acting, sums_external, rows, b, move.kick, move.weight
+            )
             _start_drift(rows, b, spin, R, move.drift, pieces)
         _finish_drift(rows, n, move.drift, pieces, iterations)
 
@@ -165,12 +167,12 @@ def _drift_symmetric(
     """Kick and drift of bodies whose drift has a closed form."""
     if kind is None:
         return
-    acting, books = moving.acting, moving.books
+    acting, sums_external = moving.acting, moving.sums_external
     for block in range(max(first, moving.layout.asymmetric), last):
         rows = moving.blocks[block]
         for b in range(moving.layout.size[block]):
             shift_time(acting, rows, b, move.before)
-            kick_with_gradient(gradient, acting, books, rows, b, move.kick, move.weight)
+            kick_with_gradient(gradient, acting, sums_external, rows, b, move.kick, move.weight)
             fly_and_split(rows, b, move.drift)
 
 

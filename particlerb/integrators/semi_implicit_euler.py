@@ -22,7 +22,7 @@ from particlerb.forces.kernels import (
 from particlerb.forces.kinds import CONTACT, PISTONS
 from particlerb.integrators.contact_limits import old_velocity
 from particlerb.integrators.contact_stages import drift_walls, kick_walls
-from particlerb.integrators.external_work import book, entry_of_kick
+from particlerb.integrators.external_work import add_entry, entry_of_kick
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED, Pose, pose, put_pose
 from particlerb.integrators.stages import MovingBodies, loads, shown_at, stage, stages
@@ -62,7 +62,7 @@ def _gyroscopic(w: Vec3, inverse: Vec3, dt: float) -> Vec3:
 @stage
 def _advance_implicitly(moving: MovingBodies, first: int, last: int, dt: float) -> None:
     """Momenta by the forces, rates by the gyroscopic term, then the pose by both."""
-    acting, books = moving.acting, moving.books
+    acting, sums_external = moving.acting, moving.sums_external
     for k in range(first, last):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
@@ -75,7 +75,7 @@ def _advance_implicitly(moving: MovingBodies, first: int, last: int, dt: float) 
             p, L = add_scaled(dt, against, p), add_scaled(dt, braking, L)
             entry = entry_of_kick(rows, b, y.x, R, (y.p, y.L), middle, (p, L))
             entry = less_internal(acting, rows, b, y.x, dt, entry)
-            book(books, rows, b, 1.0, with_power(acting, rows, b, y.x, R, dt, entry))
+            add_entry(sums_external, rows, b, 1.0, with_power(acting, rows, b, y.x, R, dt, entry))
             w = _gyroscopic(component_product(inverse, turn_back(R, L)), inverse, dt)
             q = normalised(add_scaled4(dt, times_vector(y.q, scale(0.5, w)), y.q))
             m = (

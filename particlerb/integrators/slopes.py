@@ -76,7 +76,7 @@ def on_sphere(y: Pose) -> Pose:
 
 @inline
 def slopes(acting: Acting, rows: Floats, b: int, y: Pose, R: Matrix) -> tuple[Pose, Entry]:
-    """Slopes of body b in a state with the rotation matrix R, and the rates of what it books."""
+    """Slopes of body b in a state with the rotation matrix R, and its rates of external work."""
     m = turn_back(R, y.L)
     w = component_product(get3(rows, INV_INERTIA, b), m)
     v = scale(get(rows, INV_MASS, b), y.p)

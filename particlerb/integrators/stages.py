@@ -61,7 +61,7 @@ class MovingBodies(NamedTuple):
     blocks: Floats  # (blocks, rows * STRIDE), see model/block.py
     layout: Layout
     acting: Acting
-    books: Flag  # whether work and impulses are summed up
+    sums_external: Flag  # whether external work is summed
     rotors: RotorClasses
     pairs: PairTerms | None  # None: no body acts on another without touching it
     dashpots: Flag  # whether they act as flows
@@ -208,14 +208,14 @@ def kick(moving: MovingBodies, first: int, last: int, dt: float) -> None:
         solve_kicks(moving.acting, rows, n, dt)
         for b in range(n):
             old = get3(rows, P, b), get3(rows, L, b)
-            p, spin, R = kick_body(moving.acting, moving.books, rows, b, dt)
+            p, spin, R = kick_body(moving.acting, moving.sums_external, rows, b, dt)
             if moving.jointed is not None and moving.jointed.keeps_kick is not None:
                 keep_kick(moving.acting, rows, b, R, dt, old, (p, spin))
 
 
 @stages
 def flow_dashpots(moving: MovingBodies, dt: float, backwards: bool) -> None:
-    """Flow of each dashpot between bodies, and pair of users, over dt; their work is booked."""
+    """Flow of each dashpot between bodies, and pair of users, over dt; their work is added."""
     flow_pairs(
         moving.dashpots, moving.team, moving.pairs, moving.blocks, moving.layout, dt, backwards
     )
@@ -227,7 +227,9 @@ def constrained_drift(moving: MovingBodies, kick_dt: float, ahead: float, dt: fl
 
     It begins so long [s] after the step did. Springs and motors of joints kick before it.
     """
-    drift_clusters(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, ahead, dt)
+    drift_clusters(
+        moving.jointed, moving.team, moving.sums_external, moving.blocks, kick_dt, ahead, dt
+    )
 
 
 @stages
@@ -258,7 +260,9 @@ def project(moving: MovingBodies, kick_dt: float, span: float) -> None:
 
     Then what damps acts over a span.
     """
-    project_clusters(moving.jointed, moving.team, moving.books, moving.blocks, kick_dt, span)
+    project_clusters(
+        moving.jointed, moving.team, moving.sums_external, moving.blocks, kick_dt, span
+    )
 
 
 @stages

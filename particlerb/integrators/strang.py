@@ -44,7 +44,7 @@ def kick_and_drift(
         rows, n = moving.blocks[k], moving.layout.size[k]
         solve_kicks(moving.acting, rows, n, kick_dt)
         for b in range(n):
-            p, spin, R = kick_body(moving.acting, moving.books, rows, b, kick_dt)
+            p, spin, R = kick_body(moving.acting, moving.sums_external, rows, b, kick_dt)
             x, q = get3(rows, COM, b), get4(rows, Q, b)
             m = turn_back(R, spin)
             put3(rows, COM, b, add_scaled(drift_dt * get(rows, INV_MASS, b), p, x))

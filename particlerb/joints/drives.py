@@ -1,7 +1,7 @@
 """Prescribed motion of coordinates: what they are at a time, and how fast that changes.
 
 A row with a drive holds g = x - c(t) = 0, x its coordinate. What moves it does the work
--λ ∂g/∂t = λ ċ, booked with each impulse of the row: so the energy less what is booked is that of
+-λ ∂g/∂t = λ ċ, added with each impulse of the row: so the energy less external work is that of
 the extended phase space, in which the method is symplectic.
 """
 

@@ -1,6 +1,6 @@
 """The energy balance: energy and momenta of every frame, less what forces have given since.
 
-total - initial - booked is the error of integration alone. It is judged against the largest
+total - initial - external is the error of integration alone. It is judged against the largest
 kinetic energy, work or gross work of contacts, Σ|p| and Σ|L|, never against a value that may be
 zero or, of bodies at rest, is all rounding.
 """
@@ -36,9 +36,9 @@ class Entries(NamedTuple):
     work: Floats  # (T,) [J] of all that has no place in potential_energy
     energy_error: Floats  # (T,) [J] energy - initial energy - work
     linear_momentum: Floats  # (T, 3) [kg m/s]
-    linear_momentum_error: Floats  # (T, 3) [kg m/s] total - initial - booked
+    linear_momentum_error: Floats  # (T, 3) [kg m/s] total - initial - external
     angular_momentum: Floats  # (T, 3) [kg m²/s] about the origin of the world
-    angular_momentum_error: Floats  # (T, 3) [kg m²/s] total - initial - booked
+    angular_momentum_error: Floats  # (T, 3) [kg m²/s] total - initial - external
 
 
 class ConservationError(NamedTuple):
@@ -58,7 +58,7 @@ def _larger(a: float, b: float) -> float:
 @unfused_kernel
 def _enter(
     sums: Floats,
-    booked: Floats,
+    external: Floats,
     initial: Floats,
     errors: Floats,
     scales: Floats,
@@ -67,12 +67,12 @@ def _enter(
 ) -> None:
     """Fill the entries of some frames, of all worlds one after the other, and widen the largest.
 
-    sums (T, 10), booked (T, 7), initial (W, 7); errors and scales (3, W); of the entries the
+    sums (T, 10), external (T, 7), initial (W, 7); errors and scales (3, W); of the entries the
     numbers (5, T) and the vectors (4, T, 3), in their order.
     """
     for f in range(len(sums)):
         w = f % len(initial)
-        now, gained, first = sums[f], booked[f], initial[w]
+        now, gained, first = sums[f], external[f], initial[w]
         energy = now[0] + now[1]
         error = energy - first[0] - gained[0]
         single[0, f], single[1, f], single[2, f] = now[0], now[1], energy
@@ -89,7 +89,7 @@ def _enter(
 
 
 class EnergyBalance:
-    """Books a run from its initial totals on."""
+    """The balance of a run from its initial totals on."""
 
     def __init__(self, initial: Totals) -> None:
         self.shape = initial.sums.shape[1:-1]  # of worlds
@@ -118,20 +118,20 @@ class EnergyBalance:
         self.initial = saved["initial"][None]
         self.errors, self.scales = saved["errors"][:, None], saved["scales"][:, None]
 
-    def enter(self, now: Totals, booked: Floats, gross: Floats | float = 0.0) -> Entries:
+    def enter(self, now: Totals, external: Floats, gross: Floats | float = 0.0) -> Entries:
         """Entries of some frames.
 
         Parameters
         ----------
         now : Totals
-        booked : ndarray, shape (T, 7) or (T, n_worlds, 7)
+        external : ndarray, shape (T, 7) or (T, n_worlds, 7)
         gross : float, or ndarray of shape (n_worlds,) [J]
             Sum of the sizes of all that contacts have taken or given until the last of them: what
-            goes in by one wall and out by friction cancels in `booked`.
+            goes in by one wall and out by friction cancels in `external`.
         """
         n = now.sums.size // N_TOTALS
         single, vectors = np.empty((5, n)), np.empty((4, n, 3))
-        sums, gains = now.sums.reshape(n, N_TOTALS), booked.reshape(n, 7)
+        sums, gains = now.sums.reshape(n, N_TOTALS), external.reshape(n, 7)
         _enter(sums, gains, self.initial, self.errors, self.scales, single, vectors)
         np.maximum(self.scales[0], gross, out=self.scales[0])
         if self.shape:

@@ -257,7 +257,7 @@ class Trajectory(LabelledReader):
 
     @property
     def ledger(self) -> Entries:
-        """Energy, momenta, booked work and the errors of integration, one entry per frame."""
+        """Energy, momenta, external work and the errors of integration, one entry per frame."""
         return Entries(*(self.observable(name) for name in Entries._fields))
 
     def observable(self, name: str, frames: slice = slice(None)) -> Floats:

@@ -43,7 +43,7 @@ class GroupRun:
         self.sums: Floats | None = None  # over its bodies, of these rows, where asked for
         self.reader: JointReader | None = None
         self.plan = plan
-        self.booked_before = np.zeros((*shape_of(plan.worlds), 7))  # in earlier segments
+        self.external_before = np.zeros((*shape_of(plan.worlds), 7))  # in earlier segments
         self.gross_work_before: Floats | float = 0.0  # [J] gross work of contacts in them
         self.number = 0
         self.broken: dict[int, float] = {}  # joints that broke in earlier segments, and when [s]
@@ -65,7 +65,7 @@ class GroupRun:
         if self.number:
             first = {"first": np.vstack(self.first_state)}
             saved |= self._first_of(of) if self.plan.shared else first
-            saved["before"] = self.booked_before.copy()
+            saved["before"] = self.external_before.copy()
             saved["turnover"] = np.array(self.gross_work_before)
             saved |= {"broken": np.array([*self.broken.items()])} if self.broken else {}
         return saved | {"number": np.array(self.number), "angle": np.array(self.angle)}
@@ -82,7 +82,7 @@ class GroupRun:
         """Go on from what was saved."""
         self.number, self.angle = int(saved["number"]), float(saved["angle"])
         if self.number:
-            self.booked_before, self.gross_work_before = saved["before"], float(saved["turnover"])
+            self.external_before, self.gross_work_before = saved["before"], float(saved["turnover"])
             self.broken = {int(j): float(t) for j, t in saved.get("broken", ())}
             rows = within(OF_BODIES, saved).get("first")
             first = saved["first"] if rows is None else rows[np.argsort(rows[:, 0]), 1:].T
@@ -176,8 +176,8 @@ class GroupRun:
     def start_segment(self, segment: Segment, state: State, before: Motion | None) -> Motion:
         """Apply the impulses at the start of a segment; its motion, after another one."""
         for jump in segment.jumps:
-            state, booked = apply_impulse(jump, self.plan.bodies, state)
-            self.booked_before = self.booked_before + self.plan.group(segment).totals(booked)
+            state, external = apply_impulse(jump, self.plan.bodies, state)
+            self.external_before = self.external_before + self.plan.group(segment).totals(external)
         self.first_state = state
         return self.segment_motion(before)
 
@@ -198,15 +198,15 @@ class GroupRun:
 
         Who connects a spring that is stretched gives its energy, and gets it who disconnects it.
         """
-        state, booked = self.motion.finish(self.segment.stop)
+        state, external = self.motion.finish(self.segment.stop)
         self.broken = self.broken_until(self.segment.stop)
         self.gross_work_before = self.gross_work()
-        self.booked_before += booked
-        self.booked_before[..., 0] -= self.potential(state.com, state.q)
+        self.external_before += external
+        self.external_before[..., 0] -= self.potential(state.com, state.q)
         self.number, self.first_state = self.number + 1, state
         self.fit_tree()
         self.pairs = self.pair_forces()
-        self.booked_before[..., 0] += self.potential(state.com, state.q)
+        self.external_before[..., 0] += self.potential(state.com, state.q)
         self.motion = self.start_segment(self.segment, state, self.motion)
 
     def broken_until(self, time: float) -> dict[int, float]:
@@ -217,9 +217,9 @@ class GroupRun:
         return self.broken | {j: t for j, t in ends if j >= 0 and t <= time}
 
     def finish(self, time: float) -> tuple[State, Floats]:
-        """State at a time of this segment [s], and (7,) booked until then."""
-        state, booked = self.motion.finish(time)
-        return state, self.booked_before + booked
+        """State at a time of this segment [s], and (7,) of external work until then."""
+        state, external = self.motion.finish(time)
+        return state, self.external_before + external
 
     def gross_work(self) -> Floats | float:
         """Gross work of contacts until the last frame [J]."""
@@ -232,13 +232,13 @@ class GroupRun:
 
         Returns
         -------
-        booked : ndarray, shape (T, 7) or (T, n_worlds, 7)
-            What was booked since t = 0.
+        external : ndarray, shape (T, 7) or (T, n_worlds, 7)
+            External work since t = 0.
         energies : Energies
             Beside those of the bodies themselves.
         """
         each = times.size, *shape_of(self.plan.worlds)
-        booked, potential, kinetic = np.empty((*each, 7)), np.zeros(each), np.zeros(each)
+        external, potential, kinetic = np.empty((*each, 7)), np.zeros(each), np.zeros(each)
         self.contacts, self.tallies = {}, {}
         done = 0
         while done < times.size:
@@ -246,7 +246,9 @@ class GroupRun:
             if until > done:
                 rows, span = np.arange(done, until), slice(done, until)
                 self.motion.sums = None if self.sums is None else self.sums[span]
-                booked[span] = self.booked_before + self.motion.record(times[span], rows, frames)
+                external[span] = self.external_before + self.motion.record(
+                    times[span], rows, frames
+                )
                 self.motion.sums = None
                 if self.is_bound:
                     potential[span] = self.potentials(frames, rows)
@@ -261,10 +263,10 @@ class GroupRun:
                 done = until
             if done < times.size:
                 self.cross()
-        return booked, Energies(potential, kinetic)
+        return external, Energies(potential, kinetic)
 
     def pose_at(self, time: float, frames: Frames) -> None:
-        """Write the states at a time [s] into the first row of the frames, and book nothing."""
+        """Write the states at a time [s] into the first row of the frames, and add no work."""
         while time >= self.segment.stop:
             self.cross()
         self.motion.pose(time, frames)
@@ -307,11 +309,11 @@ def record_all(
     for run in runs:
         run.joint_values, run.sums = joints, sums
         recorded.append(run.record(times, frames))
-    booked, energies = recorded[0]
-    for group_booked, group_energies in recorded[1:]:
-        booked += group_booked
+    external, energies = recorded[0]
+    for group_external, group_energies in recorded[1:]:
+        external += group_external
         energies = Energies(*(a + b for a, b in zip(energies, group_energies, strict=True)))
-    return booked, energies
+    return external, energies
 
 
 def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:

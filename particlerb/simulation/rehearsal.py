@@ -1,7 +1,7 @@
 """Bodies that move again and again from one state, each time by another method and step.
 
 What a motion sets up serves all methods here: states, constants and parameters of loads stand in
-rows, of which some bodies are some columns. Nothing is booked, and no body acts on another.
+rows, of which some bodies are some columns. No work is summed, and no body acts on another.
 """
 
 from collections.abc import Sequence
@@ -106,8 +106,10 @@ class Rehearsal:
                     into_blocks(self.blocks, ROTOR, constants)
             first = np.arange(0, n, BLOCK)
             layout = Layout(first, np.minimum(n - first, BLOCK), asymmetric)
-            books = flag(not (self.is_constant and method.keeps_angular_momentum))
-            moving = MovingBodies(self.blocks, layout, self.acting, books, rotors, None, None)
+            sums_external = flag(not (self.is_constant and method.keeps_angular_momentum))
+            moving = MovingBodies(
+                self.blocks, layout, self.acting, sums_external, rotors, None, None
+            )
             self.loops[name] = partial(compiled_loop(method, False), moving)
         return self.loops[name]
 

@@ -196,7 +196,7 @@ class Simulation(Closing):
     def change(self, key: str, value: Any) -> None:
         """Change a key of a force, a wall, a joint, gravity, attraction, contact or the run.
 
-        It holds from now on; bodies keep their states, and what changes the energy is booked as
+        It holds from now on; bodies keep their states, and what changes the energy counts as
         work. A value that is there already changes nothing. Of joints the numbers of springs,
         dampers, stops, motors, friction and drives may change, and of bodies how they are driven.
 

@@ -42,7 +42,7 @@ class BodySubset(NamedTuple):
     gravity: Floats  # (3,) [m/s²]
 
 
-class _Books(NamedTuple):
+class _Gains(NamedTuple):
     """What a balance needs beside the frames of a run."""
 
     external: Floats  # (T, 7) work, impulse, angular impulse
@@ -90,15 +90,15 @@ def part(system: System, plan: Plan, indices: Ints) -> BodySubset:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def states_at(part: BodySubset, times: Floats) -> tuple[Frames, _Books]:
-    """Frames at ascending times, and what was booked until then."""
+def states_at(part: BodySubset, times: Floats) -> tuple[Frames, _Gains]:
+    """Frames at ascending times, and external work until then."""
     initial = as_frame(part.bodies, part.state)
     frames = room_for(times.size, part.bodies.mass.size, initial.last)
     group_runs = [GroupRun(group, taken(part.state, group.members)) for group in part.groups]
     first = initial_energies(group_runs, initial)
-    booked, later = record_all(group_runs, times, frames)
+    external, later = record_all(group_runs, times, frames)
     gross = sum(group_run.gross_work() for group_run in group_runs)
-    return frames, _Books(booked, first, later, gross, float(times[-1]))
+    return frames, _Gains(external, first, later, gross, float(times[-1]))
 
 
 timed_states = all_compiled()(states_at)  # for what measures time
@@ -112,22 +112,22 @@ def seconds(part: BodySubset, t_end: float) -> float:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def drifts(part: BodySubset, frames: Frames, books: _Books) -> tuple[float, float]:
+def drifts(part: BodySubset, frames: Frames, gains: _Gains) -> tuple[float, float]:
     """Largest errors of energy and of angular momentum, relative as in the balance of a run."""
     initial = as_frame(part.bodies, part.state)
     bodies = counted(part.groups, part.bodies)
-    balance = EnergyBalance(totals(initial, bodies, part.gravity, *books.initial))
-    now = totals(frames, bodies, part.gravity, *books.later)
-    balance.enter(now, books.external, books.gross)
-    drift = balance.drift(bodies, part.state.com, books.until)
+    balance = EnergyBalance(totals(initial, bodies, part.gravity, *gains.initial))
+    now = totals(frames, bodies, part.gravity, *gains.later)
+    balance.enter(now, gains.external, gains.gross)
+    drift = balance.drift(bodies, part.state.com, gains.until)
     return drift.energy, drift.angular_momentum
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def energies(part: BodySubset, frames: Frames, books: _Books) -> tuple[Floats, Floats]:
+def energies(part: BodySubset, frames: Frames, gains: _Gains) -> tuple[Floats, Floats]:
     """Kinetic and potential energy of a run at its frames, (T,) [J]."""
     bodies = counted(part.groups, part.bodies)
-    sums = totals(frames, bodies, part.gravity, *books.later).sums
+    sums = totals(frames, bodies, part.gravity, *gains.later).sums
     return sums[..., 0], sums[..., 1]
 
 
@@ -157,7 +157,7 @@ def poses(
 ) -> tuple[Frames, float]:
     """Frames of the bodies of a group alone at ascending times, numbered from 0.
 
-    Nothing is booked, and no body touches another. What was `begun` before at the same state by a
+    No work is summed, and no body touches another. What was `begun` before at the same state by a
     method with steps sets off again with another step.
 
     Returns

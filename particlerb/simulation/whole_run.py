@@ -75,7 +75,7 @@ class Run:
         self.setup = joints_of(self.system) if asks else None
         ranks.together(lambda: self.start(plan, self.moving.state, {}))
         self.balance = EnergyBalance(self.totals_of(initial, self.initial_energies(initial)))
-        self.booked_at_restart = np.zeros(7)  # until the last restart,
+        self.external_at_restart = np.zeros(7)  # until the last restart,
         self.gross_work_at_restart: Floats | float = 0.0  # and gross work of contacts [J]
 
         self.joints: joint_values.JointValues | None = None  # of the last frames, if asked for
@@ -131,9 +131,9 @@ class Run:
         """State of all bodies at the time of the last frame [s]; the run ends, or restarts."""
         all_states = State(*(values.copy() for values in self.moving.state))
         for group_run in self.group_runs:
-            state, booked = group_run.finish(time)
+            state, external = group_run.finish(time)
             self.broken |= group_run.broken_until(time)
-            self.booked_at_restart += booked
+            self.external_at_restart += external
             for values, group_values in zip(all_states, state, strict=True):
                 values[:, group_run.plan.members] = group_values
         self.gross_work_at_restart += sum(t.gross_work() for t in self.group_runs)
@@ -142,7 +142,7 @@ class Run:
     def restart(self, system: System, plan: Plan, state: State, last: Entries) -> None:
         """Go on from a state, where the run was finished, by another plan.
 
-        What changes the energy and the momenta is booked: `last` are the entries before it.
+        What changes the energy and the momenta is external: `last` are the entries before it.
         Contacts keep what they kept where their group stays the same.
         """
         motions = {t.plan.members.tobytes(): t.motion for t in self.group_runs}
@@ -152,9 +152,9 @@ class Run:
                 run.motion.continue_joints(before)
         frame = as_frame(self.moving.bodies, state)
         now = self.totals_of(frame, self.initial_energies(frame))
-        self.booked_at_restart[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
-        self.booked_at_restart[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
-        self.booked_at_restart[4:] += (now.angular_momentum - last.angular_momentum)[-1]
+        self.external_at_restart[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
+        self.external_at_restart[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
+        self.external_at_restart[4:] += (now.angular_momentum - last.angular_momentum)[-1]
 
     def begin_again(
         self, system: System, plan: Plan, state: State, motions: Mapping[bytes, Motion]
@@ -200,7 +200,7 @@ class Run:
         saved = {"last": self.last[rows].copy()} | under("ledger", self.balance.checkpoint())
         saved |= {BY_HAND: np.array(self.reached)} if self.is_by_hand else {}
         if self.kept_of_restart:
-            kept = {"booked": self.booked_at_restart.copy(), "gross": self.gross_work_at_restart}
+            kept = {"booked": self.external_at_restart.copy(), "gross": self.gross_work_at_restart}
             kept |= {"broken": np.array([*self.broken.items()])} if self.broken else {}
             saved |= under("restart", self.kept_of_restart | kept)
         for number, key, group_run in self.keyed_runs:
@@ -214,7 +214,7 @@ class Run:
         restart, self.reached = within("restart", saved), float(saved.get(BY_HAND, 0.0))
         if restart:
             self.kept_of_restart = restart
-            self.booked_at_restart = restart["booked"]
+            self.external_at_restart = restart["booked"]
             self.gross_work_at_restart = float(restart["gross"])
             self.broken = {int(j): float(t) for j, t in restart.get("broken", ())}
             self.begin_again(*restart_from(self.system, restart), {})
@@ -256,11 +256,11 @@ class Run:
         frames.is_frame[:] = is_frame
         if self.setup is not None:
             self.joints = joint_values.room_for_values(self.setup, times.size)
-        booked_parts, beside, sums = self.ranks.together(lambda: self.record(times, frames))
-        booked = self.over_ranks(booked_parts)
+        external_parts, beside, sums = self.ranks.together(lambda: self.record(times, frames))
+        external = self.over_ranks(external_parts)
         energies = Energies(*(self.over_ranks(parts) for parts in zip(*beside, strict=True)))
         self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
-        booked += self.booked_at_restart
+        external += self.external_at_restart
         now = self.totals_of(frames, energies, sums)
         is_finite = math.isfinite(np.add.reduce(now.sums, axis=None))
         verdict = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
@@ -268,8 +268,8 @@ class Run:
         rank = min(range(len(verdicts)), key=lambda k: verdicts[k][0])
         sound, problem = verdicts[rank]
         error = RunError(self.ranks.named(rank, problem)) if problem else None
-        if not (is_finite and math.isfinite(np.add.reduce(booked, axis=None))):
-            values = np.concatenate([now.sums, booked], axis=-1).reshape(times.size, -1)
+        if not (is_finite and math.isfinite(np.add.reduce(external, axis=None))):
+            values = np.concatenate([now.sums, external], axis=-1).reshape(times.size, -1)
             are_finite = np.isfinite(values[:sound]).all(axis=1)
             if not are_finite.all():
                 sound = int(np.argmin(are_finite))
@@ -280,7 +280,7 @@ class Run:
         if sound < times.size:
             frames, now = frames.rows(slice(sound)), Totals(now.sums[:sound])
         gross_work = self.gross_work_at_restart + sum(t.gross_work() for t in self.group_runs)
-        entries = self.balance.enter(now, booked[:sound], gross_work)
+        entries = self.balance.enter(now, external[:sound], gross_work)
         if self.moving.merging is not None:
             frames = self.moving.merging.shown(frames)
         if self.loads is not None and self.joints is not None:
@@ -301,17 +301,17 @@ class Run:
     ) -> tuple[list[Floats], list[Energies], list[Floats | None]]:
         """Write rows of the frames; of each superblock what `record_all` returns, and its sums."""
         worlds = () if self.system.n_worlds == 1 else (self.system.n_worlds,)
-        booked, energies, block_sums = [], [], []
+        external, energies, block_sums = [], [], []
         for runs, sums_itself in zip(self.superblocks, self.sums_itself, strict=True):
             sums = np.zeros((times.size, *worlds, N_TOTALS)) if sums_itself else None
             try:
-                group_booked, group_energies = record_all(runs, times, frames, self.joints, sums)
+                group_external, group_energies = record_all(runs, times, frames, self.joints, sums)
             except Exception as failure:
                 raise self.told(failure, [run.plan for run in runs]) from None
-            booked.append(group_booked)
+            external.append(group_external)
             energies.append(group_energies)
             block_sums.append(sums)
-        return booked, energies, block_sums
+        return external, energies, block_sums
 
     def told(self, failure: Exception, groups: Sequence[GroupPlan]) -> Exception:
         """What has failed in groups: a motion, or a force that a user wrote; else itself."""
@@ -329,7 +329,7 @@ class Run:
         return re.sub(r"\b(body|wall) (\d+)\b", lambda m: f"{m[1]} {names[m[1]][int(m[2])]}", text)
 
     def pose_at(self, time: float) -> tuple[Frames, RunError | None]:
-        """States at a time [s], not before those asked for earlier, alone: nothing is booked.
+        """States at a time [s], not before those asked for earlier, alone: no work is summed.
 
         Where one is not finite, or a torque has turned a rod about its own axis, the error says so.
         The next call writes over the frame.

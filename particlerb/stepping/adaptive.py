@@ -51,7 +51,7 @@ def _advance_packs(
     last: int,
 ) -> None:  # fmt: skip
     """Advance the packs of some blocks; the clock is (packs, 3)."""
-    size, n = STATE_ROWS if equations.books is None else CHANGING, recording.members.size
+    size, n = STATE_ROWS if equations.sums_external is None else CHANGING, recording.members.size
     rows = np.zeros((1, _BLOCK_ROWS * STRIDE))
     layout = Layout(np.zeros(1, np.int64), np.zeros(1, np.int64), 0)
     width = min(n, PACK)  # a body that is alone pays for itself only
@@ -84,7 +84,7 @@ class AdaptiveMotion(JointedMotion):
         self.group, self.start = group, start
         n, terms = group.members.size, group.terms
         self.account = ForceAccount(group, state)
-        self.equations = Equations(acting_of(terms), self.account.books, tolerance)
+        self.equations = Equations(acting_of(terms), self.account.sums_external, tolerance)
         self.forces = PairForces(terms, n, True, start) if terms.is_coupled else None
         assert row_count(terms) <= STAGE
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
@@ -94,7 +94,7 @@ class AdaptiveMotion(JointedMotion):
         self.jointed = jointed_in(group, state, np.arange(n), start, 0.0)
         if self.jointed is not None:
             self.jointed = self.jointed._replace(tree=tree_of(self.jointed.joints))
-        size = STATE_ROWS if self.account.books is None else CHANGING
+        size = STATE_ROWS if self.account.sums_external is None else CHANGING
         n_common, hold = len(first) if terms.is_coupled else 0, np.full_like(super().broken, np.inf)
         self.vectors = room_for_vectors(n_common, size, int(self.layout.size[0]), hold)
         self.clock = np.zeros((1 if terms.is_coupled else -(-n // PACK), 3))
@@ -142,20 +142,20 @@ class AdaptiveMotion(JointedMotion):
             self.clock[0, 1] = self.vectors.tried[0]
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        """Write the states at these times into rows of the frames; external work, (T, 7)."""
         elapsed = times - self.start
         sums = self.advance(elapsed, rows, np.inf, frames)
         return self.account.of_frames(elapsed, rows, frames, sums)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
-        """State at the end of the segment, and (7,) booked until then."""
+        """State at the end of the segment, and (7,) of external work until then."""
         elapsed, none = stop - self.start, room_for(0, 0, np.empty((0, 4)))
         self.advance(np.empty(0), np.empty(0, dtype=np.int64), elapsed, none)
         values = out_of_blocks(self.blocks, 0, CHANGING, self.group.members.size)
         return self.account.at_end(values, elapsed)
 
     def advance(self, times: Floats, rows: Ints, stop: float, frames: Frames) -> Floats:
-        """Through all times; sums of what was booked, for each row of the frames."""
+        """Through all times; sums of external work, for each row of the frames."""
         group = self.group
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
         where, nobody = (group.bodies.rotor_frame, group.members), np.zeros(0, dtype=np.int64)

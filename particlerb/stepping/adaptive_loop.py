@@ -26,7 +26,7 @@ from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import caller_of_stages
 from particlerb.maths.rows import rows3, rows4
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import BOOKED, COM, L, P, Q, assign
+from particlerb.model.block import COM, EXTERNAL, L, P, Q, assign
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import store_frame
 from particlerb.stepping.loop import Recording
@@ -45,7 +45,7 @@ class Leg(NamedTuple):
 
 @kernel
 def _store_blocks(layout: Layout, common: CommonVectors, recording: Recording, frame: int) -> None:
-    """Write `out` into a frame, and what the bodies book."""
+    """Write `out` into a frame, and the external work."""
     for k in range(layout.first.size):
         lo, n = layout.first[k], layout.size[k]
         shown = common.out[k].reshape(common.out.shape[1] // common.width, common.width)
@@ -55,7 +55,7 @@ def _store_blocks(layout: Layout, common: CommonVectors, recording: Recording, f
         store_frame(recording.frames, frame, members, turn, com, q, p, spin)
         for c in range(shown.shape[0] - STATE_ROWS):
             for b in range(n):
-                recording.sums[frame, lo // BLOCK, c] += shown[BOOKED + c, b]
+                recording.sums[frame, lo // BLOCK, c] += shown[EXTERNAL + c, b]
 
 
 @caller_of_stages

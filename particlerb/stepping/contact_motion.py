@@ -110,9 +110,9 @@ class ContactMotion(SteppedMotion):
 
     def have(self, here: Here) -> None:
         """Have other bodies here from now on, with what their contacts keep."""
-        method, books, memory = self.method, self.account.books, self.bodies.memory
+        method, sums_external, memory = self.method, self.account.sums_external, self.bodies.memory
         at = self.start, self.dt
-        self.bodies = SteppedBodies(method, here.group, here.state, *at, books, memory)
+        self.bodies = SteppedBodies(method, here.group, here.state, *at, sums_external, memory)
         self._have_contacts(here)
 
     @property
@@ -282,27 +282,27 @@ class ContactMotion(SteppedMotion):
         self.contact = self.contact._replace(frames=frames)
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        """Write the states at these times into rows of the frames; external work, (T, 7)."""
         self.contacts = {}
         self._show_in(frames.position.shape[0])
         with ending_all(self.ranks):
-            booked = super().record(times, rows, frames)
+            external = super().record(times, rows, frames)
         pistons = self.contact.frames.pistons
-        booked[..., 0].T[:] += [pistons[row].booked_work.sum() for row in rows.tolist()]
-        return booked
+        external[..., 0].T[:] += [pistons[row].external_work.sum() for row in rows.tolist()]
+        return external
 
     def total(self, sums: Floats) -> Floats:
         """Sums of bins, (T, bins, ..), over all bodies, or over those of each world."""
         return self.domain.total(sums)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
-        """State at the end of the segment, and (7,) booked until then."""
+        """State at the end of the segment, and (7,) of external work until then."""
         with ending_all(self.ranks):
             self.close(stop)
             values = self.domain.shown(self.bodies.values(0, CHANGING))
-            state, booked = self.account.at_end(values, stop - self.start)
-        booked[..., 0] += self.contact.memory.pistons.booked_work.sum()
-        return state, booked
+            state, external = self.account.at_end(values, stop - self.start)
+        external[..., 0] += self.contact.memory.pistons.external_work.sum()
+        return state, external
 
     def contact_energies(self, rows: Ints) -> Energies:
         """Of contacts and pistons, in rows of the last frames; (T, n_worlds) of several worlds."""

@@ -322,7 +322,7 @@ class Subdomain(Domain):
         del first, last
         into_blocks(self.shown_blocks, 0, self.shown(self.bodies.values(0, CHANGING)))
         layout, n = self.shown_layout, self.shown_layout.first.size
-        store_blocks(self.shown_blocks, layout, moving.books, recording, frame, 0, n)
+        store_blocks(self.shown_blocks, layout, moving.sums_external, recording, frame, 0, n)
         assert moving.contact is not None
         self.show(moving.contact, moving.team, frame)
 

@@ -68,31 +68,31 @@ class EventMotion(Motion):
             raise MotionError(f"{what}: {_REASONS.get(ends, _SEARCH)}")
 
     def state_at(self, time: float) -> tuple[State, Floats]:
-        """State of all bodies at a time [s], and (7,) booked until then."""
+        """State of all bodies at a time [s], and (7,) of external work until then."""
         self.run_to(time)
         n, elapsed, moment = self.order.size, time - self.start, np.zeros(3)
         state = State(*(np.zeros((rows, n)) for rows in (3, 4, 3, 3)))
         local = elapsed - float(self.state.sums[col.EPOCH])
         THREADS.alone(states_at, self.scene, self.state, local, self.order, state, moment)
-        booked, g = (
-            self.state.sums[col.SUM_BOOKED : col.MOMENT].copy(),
+        external, g = (
+            self.state.sums[col.SUM_EXTERNAL : col.MOMENT].copy(),
             np.array(self.scene.gravity),
         )
-        booked[1:4] += self.scene.body[:, col.BODY_MASS].sum() * g * elapsed
-        booked[4:7] += np.cross(moment, g)
-        return state, booked
+        external[1:4] += self.scene.body[:, col.BODY_MASS].sum() * g * elapsed
+        external[4:7] += np.cross(moment, g)
+        return state, external
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Write the states at these times into rows of the frames; return (T, 7) booked."""
-        booked, self.tallies = np.zeros((times.size, 7)), {}
+        """Write the states at these times into rows of the frames; external work, (T, 7)."""
+        external, self.tallies = np.zeros((times.size, 7)), {}
         for k, row in enumerate(rows.tolist()):
-            state, booked[k] = self.state_at(float(times[k]))
+            state, external[k] = self.state_at(float(times[k]))
             store_all(frames, row, self.group.members, self.group.bodies.rotor_frame, state)
             self.tallies[row] = self.state.tally.copy()
-        return booked
+        return external
 
     def finish(self, stop: float) -> tuple[State, Floats]:
-        """State at the end of the segment, and (7,) booked until then."""
+        """State at the end of the segment, and (7,) of external work until then."""
         return self.state_at(stop)
 
     def gross_work(self) -> float:

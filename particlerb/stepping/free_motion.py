@@ -20,7 +20,7 @@ from particlerb.forces.torque import Torque
 from particlerb.maths.quaternion import Rows4
 from particlerb.maths.rows import column3, column4, put_column3, put_column4, rows3, rows4
 from particlerb.maths.vec3 import Floats, Ints, Rows3, rows_of
-from particlerb.model.block import BOOKED, COM, STRIDE, L, P, Q, get, get3, in_blocks
+from particlerb.model.block import COM, EXTERNAL, STRIDE, L, P, Q, get, get3, in_blocks
 from particlerb.model.bodies import Bodies, Record, taken
 from particlerb.model.state import CONJUGATE, Frames, State, quaternion_product, rotate, store_frame
 from particlerb.model.totals import N_TOTALS, BlockRows, sum_block
@@ -92,7 +92,7 @@ class _Part(NamedTuple):
     top: Floats | None = None  # blocks of the tables of rotors/tops.py
     near: Floats | None = None
     changes_spin: Flag = None
-    is_pair: Flag = None  # bodies that act on each other alone, and book no impulse
+    is_pair: Flag = None  # bodies that act on each other alone, and add no impulse
 
     @property
     def sums(self) -> bool:
@@ -152,7 +152,7 @@ def _move_block(
     top_block(part.top, part.near, k, t, n, out)
     if part.top is not None or part.near is not None:
         for b in range(n):
-            add_external(external, lo + b, get(out, BOOKED, b), (0.0, 0.0, 0.0), get3(out, L, b))
+            add_external(external, lo + b, get(out, EXTERNAL, b), (0.0, 0.0, 0.0), get3(out, L, b))
     _translate(part, of, lo, t, external)
 
 
@@ -163,7 +163,7 @@ def _fly_blocks(
     rows: Ints,
     members: Ints,
     frames: Frames,
-    external: Floats | None,
+    binned: Floats | None,
     bins: Ints | None,
     sums: Floats,
     first: int,
@@ -175,8 +175,8 @@ def _fly_blocks(
     one.
     """
     g, room = (part.gravity[0], part.gravity[1], part.gravity[2]), np.empty((N_TOTALS, STRIDE))
-    out, inputs = np.empty((BOOKED + 1) * STRIDE), np.empty((_INPUT_ROWS, STRIDE))
-    local, place = out.reshape((BOOKED + 1, STRIDE)), np.empty(BLOCK, np.int64)
+    out, inputs = np.empty((EXTERNAL + 1) * STRIDE), np.empty((_INPUT_ROWS, STRIDE))
+    local, place = out.reshape((EXTERNAL + 1, STRIDE)), np.empty(BLOCK, np.int64)
     for k in range(first, last):
         lo = k * BLOCK
         n = min(BLOCK, part.bodies.size - lo)
@@ -192,8 +192,8 @@ def _fly_blocks(
         frame, inverse = rows4(inputs[12:16], 0, n), rows3(inputs[18:21], 0, n)
         summed = BlockRows(com, q, p, spin, inputs[17, :n], inputs[16, :n], inverse)
         for f in range(times.size):
-            booked = None if external is None or bins is None else ExternalWork(external[f], bins)
-            _move_block(part, k, times[f], of, q, out, booked)
+            external = None if binned is None or bins is None else ExternalWork(binned[f], bins)
+            _move_block(part, k, times[f], of, q, out, external)
             store_frame(frames, rows[f], place[:n], frame, com, q, p, spin)
             if f < sums.shape[0]:
                 sum_block(summed, g, bins, k, sums[f], room)
@@ -202,8 +202,8 @@ def _fly_blocks(
 @unfused_kernel
 def _end_blocks(part: _Part, t: float, end: State, external: ExternalWork | None) -> None:
     """State of the bodies of a part at one time; L only where it changes."""
-    out, inputs = np.empty((BOOKED + 1) * STRIDE), np.empty((_INPUT_ROWS, STRIDE))
-    local = out.reshape((BOOKED + 1, STRIDE))
+    out, inputs = np.empty((EXTERNAL + 1) * STRIDE), np.empty((_INPUT_ROWS, STRIDE))
+    local = out.reshape((EXTERNAL + 1, STRIDE))
     for k in range(-(-part.bodies.size // BLOCK)):
         lo = k * BLOCK
         n = min(BLOCK, part.bodies.size - lo)
@@ -325,11 +325,11 @@ class FreeMotion(Motion):
             **turn,
         )
 
-    def booked(self, elapsed: Floats) -> Floats:
+    def external(self, elapsed: Floats) -> Floats:
         """What forces have given that are constant in the world, (T, 7); zeros without such."""
         if self.constant is None:
             return np.zeros((elapsed.size, *shape_of(self.group.worlds), N_EXTERNAL))
-        return self.constant.booked(elapsed)
+        return self.constant.external(elapsed)
 
     def refuse_fall(self, t: float) -> None:
         """Raise MotionError where a body passes through what attracts it within a time t [s]."""
@@ -341,48 +341,48 @@ class FreeMotion(Motion):
             raise MotionError(f"{what} at t = {when:.6g} s: {hint}")
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        """Write the states at these times into rows of the frames; external work, (T, 7)."""
         elapsed = times - self.start
         if self.orbit is not None:
             self.refuse_fall(elapsed.max(initial=0.0))
-        booked = self.booked(elapsed)
+        external = self.external(elapsed)
         for index, part, turned in self.parts:
-            worlds, external, bins = self.group.worlds, None, None
+            worlds, binned, bins = self.group.worlds, None, None
             n_bins = -(-index.size // BLOCK)
             if part.sums or worlds is not None:
                 bins, n_bins = bins_among(index, worlds, BLOCK)
             if part.sums:
-                external = np.zeros((times.size, n_bins, N_EXTERNAL))
+                binned = np.zeros((times.size, n_bins, N_EXTERNAL))
             sums = np.zeros((0 if self.sums is None else times.size, n_bins, N_TOTALS))
-            room = self.group.members, frames, external, bins, sums
+            room = self.group.members, frames, binned, bins, sums
             fly = partial(_fly_blocks, part, elapsed, rows, *room)
             THREADS.spread(fly, index.size, index.size * times.size)
-            if external is not None:
-                booked += over_bins(external, worlds)
+            if binned is not None:
+                external += over_bins(binned, worlds)
             if self.sums is not None:
                 self.sums += over_bins(sums, worlds)
             if turned is not None:
-                booked -= turned.first
-        return booked
+                external -= turned.first
+        return external
 
     def finish(self, stop: float) -> tuple[State, Floats]:
-        """State at the end of the segment, and (7,) booked until then."""
+        """State at the end of the segment, and (7,) of external work until then."""
         t = stop - self.start
         self.refuse_fall(t)
         end = State(*(values.copy() for values in self.state))
-        booked = self.booked(np.array([t]))[0]
+        external = self.external(np.array([t]))[0]
         for index, part, turned in self.parts:
-            worlds, external = self.group.worlds, None
+            worlds, binned = self.group.worlds, None
             if part.sums:
                 bins, n_bins = bins_among(index, worlds, index.size)
-                external = ExternalWork(np.zeros((n_bins, N_EXTERNAL)), bins)
-            THREADS.alone(_end_blocks, part, t, end, external)
-            if external is not None:
-                booked += external.sums[0] if worlds is None else external.sums
+                binned = ExternalWork(np.zeros((n_bins, N_EXTERNAL)), bins)
+            THREADS.alone(_end_blocks, part, t, end, binned)
+            if binned is not None:
+                external += binned.sums[0] if worlds is None else binned.sums
             if turned is not None:
                 end.q[:, index] = quaternion_product(end.q[:, index], turned.axes * CONJUGATE)
-                booked -= turned.first
-        return end, booked
+                external -= turned.first
+        return end, external
 
     def checkpoint(self) -> Saved:
         """Nothing: all follows from the start."""

@@ -76,7 +76,7 @@ class Recording(NamedTuple):
     rotor_frame: Floats  # (4, n)
     members: Ints  # (n,) which bodies of the scene these are
     frames: Frames
-    sums: Floats  # (T, bins, 7) what was booked
+    sums: Floats  # (T, bins, 7) external work
     bins: Ints  # (n,) where each body is summed: see model/worlds.py
     turned: Floats  # (T, c, 3) of joints
 
@@ -92,7 +92,7 @@ def copy_blocks(source: Floats, target: Floats, sizes: Ints, first: int, last: i
 def store_blocks(
     blocks: Floats,
     layout: Layout,
-    books: Flag,
+    sums_external: Flag,
     recording: Recording,
     frame: int,
     first: int,
@@ -107,7 +107,7 @@ def store_blocks(
         p, spin = rows3(local[P : P + 3], 0, n), rows3(local[L : L + 3], 0, n)
         turn = rows4(rotor_frame, lo, lo + n)
         store_frame(frames, frame, members[lo : lo + n], turn, com, q, p, spin)
-        store_sums(sums, frame, bins[lo : lo + n], books, rows)
+        store_sums(sums, frame, bins[lo : lo + n], sums_external, rows)
 
 
 @stages
@@ -127,7 +127,7 @@ def _restore(moving: MovingBodies, first: int, last: int, saved: Copies, is_fram
 @stages
 def _store(moving: MovingBodies, first: int, last: int, recording: Recording, frame: int) -> None:
     """Write some blocks, and contacts, into a frame."""
-    store_blocks(moving.blocks, moving.layout, moving.books, recording, frame, first, last)
+    store_blocks(moving.blocks, moving.layout, moving.sums_external, recording, frame, first, last)
     store_contacts(moving.contact, moving.team, frame)
     store_coordinates(moving, recording.turned, frame)
 

@@ -1,7 +1,7 @@
 """What a method offers for one group of bodies during one segment of time.
 
 The host asks a motion for frames at ascending times, then for the state at the end of the segment.
-Both come with what the forces other than gravity have booked since the segment began: seven
+Both come with what the forces other than gravity have done since the segment began: seven
 numbers, the work [J], the impulse [N s] and the angular impulse about the world's origin [N m s],
 the last two with gravity's. The error of integration is the total less the initial less these.
 """
@@ -18,7 +18,7 @@ from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.piston import Pistons
 from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, works_of
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import BOOKED
+from particlerb.model.block import EXTERNAL
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, cross_columns, state_of, states_in
@@ -127,14 +127,14 @@ class Motion(Protocol):
     coordinates: Floats = np.zeros((0, 0, 3))  # (T, c, 3) of joints in these rows, where asked for
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Write the states at these times [s] into rows of the frames; return (T, 7) booked."""
+        """Write the states at these times [s] into rows of the frames; external work, (T, 7)."""
 
     def pose(self, time: float, frames: Frames) -> None:
-        """Write the states at a time [s] into the first row of the frames, and book nothing."""
+        """Write the states at a time [s] into the first row of the frames, and add no work."""
         self.record(np.array([time]), np.zeros(1, dtype=np.int64), frames)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
-        """State at the end of the segment [s], and (7,) booked until then."""
+        """State at the end of the segment [s], and (7,) of external work until then."""
 
     def checkpoint(self) -> Saved:
         """Copies of what has changed since the start of the segment; nothing where it is known."""
@@ -183,7 +183,7 @@ class Motion(Protocol):
 
 
 class _ConstantForce(NamedTuple):
-    """Sums that give the booking of a force that is constant in the world, in closed form.
+    """Sums that give the external work of a force that is constant in the world, in closed form.
 
     With x = x₀ + v t + a t²/2: ∫ F·v dt = F·(v t + a t²/2), ∫ x × F dt = x₀ × F t + v × F t²/2,
     for F parallel to a.
@@ -193,7 +193,7 @@ class _ConstantForce(NamedTuple):
     impulse: Floats  # (..., 3) coefficient of t
     angular: Floats  # (2, ..., 3) coefficients of t, t²; ... is the number of worlds, if several
 
-    def booked(self, t: Floats) -> Floats:
+    def external(self, t: Floats) -> Floats:
         """Work, impulse and angular impulse after the times t [s], shape (T, ..., 7)."""
         t = t.reshape(-1, *(1,) * self.impulse.ndim)
         work = t * (self.work[0] + t * self.work[1])
@@ -232,7 +232,7 @@ class ForceAccount:
     The work of a potential is its loss. Where every force is constant in the world, the centre of
     mass is on its parabola and the rest is closed form, but for the angular impulse about the
     centre of mass: only torques change L, so it is the change of L; what bodies give each other is
-    not booked. Elsewhere, and where a method lets L change by itself, the kernels book step by
+    not added. Elsewhere, and where a method lets L change by itself, the kernels add step by
     step. Who looks at poses alone clears `is_kept`: then all that was given is 0.
     """
 
@@ -240,7 +240,7 @@ class ForceAccount:
         self, group: SegmentGroup, state: State, keeps_angular_momentum: bool = True
     ) -> None:
         self.group, self.first = group, state
-        self.books = flag(not (is_constant(group.terms) and keeps_angular_momentum))
+        self.sums_external = flag(not (is_constant(group.terms) and keeps_angular_momentum))
         self.is_kept = True
 
     @cached_property
@@ -263,37 +263,40 @@ class ForceAccount:
     def of_states(self, elapsed: Floats, com: Floats, q: Floats, L: Floats, sums: Floats) -> Floats:
         """Work, impulse and angular impulse (T, ..., 7) until states, one after the other.
 
-        `sums`, of that shape, were booked by kernels; ... is the number of worlds, if several.
+        `sums`, of that shape, kernels have added; ... is the number of worlds, if several.
         """
         if not self.is_kept:
             return np.zeros_like(sums)
         potential = self.work(com, q, elapsed) - self.work_before
-        if self.books is None:
-            booked = self.constant.booked(elapsed)
-            booked[..., 0] = potential
+        if self.sums_external is None:
+            external = self.constant.external(elapsed)
+            external[..., 0] = potential
             if not self.group.terms.is_coupled:
                 turned = L.reshape(3, elapsed.size, -1) - self.first.L[:, None]
-                booked[..., 4:] += np.moveaxis(over_bodies(turned, self.group.worlds), -1, 0)
-            return booked
-        booked = sums.copy()
-        booked[..., 0] += potential
-        return booked
+                external[..., 4:] += np.moveaxis(over_bodies(turned, self.group.worlds), -1, 0)
+            return external
+        external = sums.copy()
+        external[..., 0] += potential
+        return external
 
     def at_end(self, values: Floats, elapsed: float) -> tuple[State, Floats]:
         """State, and what was given until then, from rows (CHANGING, n) of blocks."""
-        state, sums = state_of(values[:STATE_ROWS]), self.group.totals(values[BOOKED : BOOKED + 7])
-        booked = self.of_states(np.array([elapsed]), state.com, state.q, state.L, sums[None])
-        return state, booked[0]
+        state, sums = (
+            state_of(values[:STATE_ROWS]),
+            self.group.totals(values[EXTERNAL : EXTERNAL + 7]),
+        )
+        external = self.of_states(np.array([elapsed]), state.com, state.q, state.L, sums[None])
+        return state, external[0]
 
     def of_frames(self, elapsed: Floats, rows: Ints, frames: Frames, sums: Floats) -> Floats:
         """The same until rows of the frames, of few bodies in many of them at once."""
         if not self.is_kept:
             return np.zeros((rows.size, *sums.shape[1:]))
-        members, bodies, booked = self.group.members, self.group.bodies, [sums[:0]]
+        members, bodies, external = self.group.members, self.group.bodies, [sums[:0]]
         for few in few_at_once(rows.size, members.size):
             x, q, _, L = states_in(frames, rows[few], members, bodies)
-            booked.append(self.of_states(elapsed[few], x, q, L, sums[rows[few]]))
-        return np.concatenate(booked)
+            external.append(self.of_states(elapsed[few], x, q, L, sums[rows[few]]))
+        return np.concatenate(external)
 
 
 def few_at_once(n_states: int, n_bodies: int) -> Iterator[slice]:
@@ -302,9 +305,9 @@ def few_at_once(n_states: int, n_bodies: int) -> Iterator[slice]:
     return (slice(k, k + size) for k in range(0, n_states, size))
 
 
-def sum_of(booked: Iterable[Floats]) -> Floats:
-    """Sum of what was booked, from zero on, in this order."""
-    return sum(booked, np.zeros(7))
+def sum_of(external: Iterable[Floats]) -> Floats:
+    """Sum of external work, from zero on, in this order."""
+    return sum(external, np.zeros(7))
 
 
 class CompositeMotion(Motion):
@@ -320,25 +323,25 @@ class CompositeMotion(Motion):
         self.parts = parts
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        """Write the states at these times into rows of the frames; external work, (T, 7)."""
         return sum_of(motion.record(times, rows, frames) for _, motion in self.parts)
 
     def pose(self, time: float, frames: Frames) -> None:
-        """Write the states at a time [s] into the first row of the frames, and book nothing."""
+        """Write the states at a time [s] into the first row of the frames, and add no work."""
         for _, motion in self.parts:
             motion.pose(time, frames)
 
     def finish(self, stop: float) -> tuple[State, Floats]:
-        """State at the end of the segment, and (7,) booked until then."""
+        """State at the end of the segment, and (7,) of external work until then."""
         n = sum(index.size for index, _ in self.parts)
         state = State(*(np.empty((rows, n)) for rows in (3, 4, 3, 3)))
-        booked = []
+        external = []
         for index, motion in self.parts:
-            part_state, part_booked = motion.finish(stop)
+            part_state, part_external = motion.finish(stop)
             for values, part_values in zip(state, part_state, strict=True):
                 values[:, index] = part_values
-            booked.append(part_booked)
-        return state, sum_of(booked)
+            external.append(part_external)
+        return state, sum_of(external)
 
     def checkpoint(self) -> Saved:
         """What each part has changed."""

@@ -155,7 +155,7 @@ class DiluteMotion(Motion):
         self.next: tuple[State, Floats, _Interval] | None = None  # at the end of the interval
         self.previous_work = 0.0  # [J] gross work of contacts until the interval
         self.done, self.steps = 0, 0
-        self.booked = np.zeros(7)
+        self.external = np.zeros(7)
         self.histories = histories
         self.active = np.ones(group.members.size, dtype=np.bool_)
         self.shown: _Interval | None = None
@@ -190,10 +190,10 @@ class DiluteMotion(Motion):
                 self.shown = self.interval()
                 break
             interval = self.interval()
-            after, booked = interval.finish(self.time(self.done + steps))
+            after, external = interval.finish(self.time(self.done + steps))
             is_far = interval.farthest() + 0.5 * self.contact.skin > 0.5 * self.skin
             if not is_far and not has_moved(y, np.vstack(after), self.no_reach, 0.5 * self.skin):
-                self.next = after, booked, interval
+                self.next = after, external, interval
                 break
             steps //= 2
         self.steps = steps
@@ -234,13 +234,13 @@ class DiluteMotion(Motion):
         if self.next is None:
             assert self.shown is not None
             self.next = *self.shown.finish(self.time(self.done + self.steps)), self.shown
-        self.state, booked, ended = self.next
+        self.state, external, ended = self.next
         self.histories, self.watch = ended.histories(), ended.watch
         self.count += 1
         if ended.contact is not None and is_due(self.count):
             frequency = ended.contact.measure_frequency()  # on the contacts of its last step
             self.contact_frequency = max(self.contact_frequency, frequency)
-        self.booked += booked
+        self.external += external
         self.previous_work += ended.gross_work()
         self.done += self.steps
         self.keep_watch()
@@ -271,9 +271,9 @@ class DiluteMotion(Motion):
             raise MotionError(lost_pair(missed, self.group.members, now, self.skin))
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        """Write the states at these times into rows of the frames; external work, (T, 7)."""
         self.elastic, self.contacts = np.zeros(frames.position.shape[0]), {}
-        booked = np.empty((times.size, 7))
+        external = np.empty((times.size, 7))
         done = 0
         while done < times.size:
             end = self.time(self.done + self.steps)
@@ -283,13 +283,13 @@ class DiluteMotion(Motion):
                     self.shown = self.interval()
                 shown = rows[done:until]
                 gained = self.shown.record(times[done:until], shown, frames)
-                booked[done:until] = self.booked + gained
+                external[done:until] = self.external + gained
                 self.elastic[shown] = self.shown.stepped.contact_energies(shown).potential
                 self.contacts |= self._outputs_in(times[done:until], shown)
                 done = until
             if done < times.size:
                 self.cross()
-        return booked
+        return external
 
     def contact_energies(self, rows: Ints) -> Energies:
         """Of contacts, in rows of the frames of the last `record`."""
@@ -309,13 +309,13 @@ class DiluteMotion(Motion):
         return {row: no_contacts(self.wall_motions, t) for t, row in frames}
 
     def finish(self, stop: float) -> tuple[State, Floats]:
-        """State at the end of the segment, and (7,) booked until then."""
+        """State at the end of the segment, and (7,) of external work until then."""
         while self.time(self.done + self.steps) <= stop:
             self.cross()
         self.shown = self.shown or self.interval()
         state, gained = self.shown.finish(stop)
         self.histories = self.shown.histories()
-        return state, self.booked + gained
+        return state, self.external + gained
 
     def contact_start(self) -> ContactStart:
         """What contacts keep at the end, for the next segment; there are no pistons."""
@@ -327,7 +327,7 @@ class DiluteMotion(Motion):
         saved = under("state", to_arrays(self.state))
         for k, history in enumerate(self.histories or ()):
             saved |= under(f"kept.{k}", to_arrays(history))
-        saved |= {"active": self.active.copy(), "booked": self.booked.copy()}
+        saved |= {"active": self.active.copy(), "booked": self.external.copy()}
         counts = np.array([self.done, self.steps, *self.flown, self.count])
         extremes = np.array([self.skin, self.previous_work, self.contact_frequency])
         watches = np.array([self.watch.saved(), self.watch_of_flights.saved()])
@@ -338,7 +338,7 @@ class DiluteMotion(Motion):
         self.state = from_arrays(self.state, within("state", saved))
         kept = [within(f"kept.{k}", saved) for k in range(2)]
         self.histories = (ContactHistory(**kept[0]), ContactHistory(**kept[1])) if kept[0] else None
-        self.active, self.booked = saved["active"], saved["booked"]
+        self.active, self.external = saved["active"], saved["booked"]
         self.done, self.steps, *flown, self.count = saved["counts"].tolist()
         self.flown = flown[0], flown[1]
         self.skin, self.previous_work, self.contact_frequency = saved["extremes"].tolist()

@@ -39,14 +39,14 @@ class SteppedBodies:
     method, group, state, start, dt :
         As for `SteppedMotion`.
     books : Flag
-        Whether work and impulses are summed up.
+        whether external work is summed.
     memory : ndarray, optional
         Blocks that are needed no more.
     """
 
     def __init__(
         self, method: Method, group: SegmentGroup, state: State, start: float, dt: float,
-        books: Flag, memory: Floats | None = None,
+        sums_external: Flag, memory: Floats | None = None,
     ) -> None:  # fmt: skip
         self.group = group
         terms, n = group.terms, group.members.size
@@ -87,7 +87,14 @@ class SteppedBodies:
         pairs = None if self.forces is None else self.forces.pairs
         self.cost = 0.0 if self.forces is None else method.evaluations * self.forces.cost  # [ns]
         self.moving = MovingBodies(
-            self.blocks, self.layout, acting_of(terms), books, rotors, pairs, dashpots, self.jointed
+            self.blocks,
+            self.layout,
+            acting_of(terms),
+            sums_external,
+            rotors,
+            pairs,
+            dashpots,
+            self.jointed,
         )
 
     @property

@@ -44,8 +44,8 @@ class SteppedMotion(JointedMotion):
     ) -> None:  # fmt: skip
         self.method, self.group, self.start, self.dt = method, group, start, dt
         self.account = ForceAccount(group, state, method.keeps_angular_momentum)
-        books = self.account.books
-        self.bodies = SteppedBodies(method, *(here or (group, state)), start, dt, books)
+        sums_external = self.account.sums_external
+        self.bodies = SteppedBodies(method, *(here or (group, state)), start, dt, sums_external)
         self.jointed, self.bins = self.bodies.jointed, self.bodies.bins
         self.n_bins = int(self.bins.max(initial=-1)) + 1
         self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`,
@@ -61,7 +61,7 @@ class SteppedMotion(JointedMotion):
         changing(self.bodies.blocks)[:], self.dt, self.steps_done = first, dt, 0
 
     def checkpoint(self) -> Saved:
-        """States on the grid with what was booked, and the steps until there."""
+        """States on the grid with external work, and the steps until there."""
         saved = {"changing": self.bodies.values(0, CHANGING), "done": np.array(self.steps_done)}
         return saved | self.kept_of_joints()
 
@@ -72,13 +72,13 @@ class SteppedMotion(JointedMotion):
         self.restore_joints(saved)
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Write the states at these times into rows of the frames; return (T, 7) booked."""
+        """Write the states at these times into rows of the frames; external work, (T, 7)."""
         elapsed = times - self.start
         sums = self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)
         return self.account.of_frames(elapsed, rows, frames, sums)
 
     def pose(self, time: float, frames: Frames) -> None:
-        """Write the states at a time [s] into the first row of the frames, and book nothing."""
+        """Write the states at a time [s] into the first row of the frames, and add no work."""
         steps, partial = grid_stop(time - self.start, self.dt, self.start)
         count = steps - self.steps_done
         touches = self.group.terms.contact is not None
@@ -98,7 +98,7 @@ class SteppedMotion(JointedMotion):
         self.steps_done = steps
 
     def finish(self, stop: float) -> tuple[State, Floats]:
-        """State at the end of the segment, and (7,) booked until then."""
+        """State at the end of the segment, and (7,) of external work until then."""
         self.close(stop)
         return self.account.at_end(self.bodies.values(0, CHANGING), stop - self.start)
 
@@ -109,7 +109,7 @@ class SteppedMotion(JointedMotion):
         self.advance(*grid_position(elapsed, self.dt, self.start), np.array([CLOSE]), none)
 
     def advance(self, steps: Ints, partial: Floats, rows: Ints, frames: Frames) -> Floats:
-        """Go through stops given by their distance from the start; sums of what was booked."""
+        """Go through stops given by their distance from the start; sums of external work."""
         recording = self.recording(frames)
         counts = differences(steps, self.steps_done)
         for schedule in self.schedules(counts, partial, rows):
@@ -121,7 +121,7 @@ class SteppedMotion(JointedMotion):
         return over_bins(sums, self.group.worlds)
 
     def recording(self, frames: Frames) -> Recording:
-        """Where frames go, with room for what is booked and for coordinates of joints."""
+        """Where frames go, with room for external work and for coordinates of joints."""
         n_frames, shown = len(frames.position), self.account.group
         sums = np.zeros((n_frames, self.n_bins, 7))
         self.coordinates = np.zeros((n_frames, *self.turned.shape))

@@ -10,7 +10,7 @@ from particlerb.compiled.jit import inline, splice
 from particlerb.maths.quaternion import Quat, multiply, to_world
 from particlerb.maths.trig import cos_sin_half_turns, half_turns
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
-from particlerb.model.block import BOOKED, L, Q, get, get3, get4, put, put3, put4
+from particlerb.model.block import EXTERNAL, L, Q, get, get3, get4, put, put3, put4
 from particlerb.rotors.lagrange import Pair
 from particlerb.rotors.lagrange_forms import Five, Local, NearTop, ThetaTop, near_local, theta_local
 from particlerb.rotors.tops import AXIAL, DELTA, LEFT, OWN
@@ -82,7 +82,7 @@ def _put_turned(
     momentum = add_scaled(get(rows, AXIAL, b) - dot(momentum, axis), axis, momentum)
     put4(out, Q, b, q)
     put3(out, L, b, momentum)
-    put(out, BOOKED, b, work)
+    put(out, EXTERNAL, b, work)
 
 
 @splice
@@ -114,7 +114,7 @@ def _near_rows(rows: Floats, t: float, n: int, out: Floats) -> None:
 def top_block(
     top: Floats | None, near: Floats | None, k: int, t: float, n: int, out: Floats
 ) -> None:
-    """Write q(t), L(t) and -c u(t) of the n bodies of block k into rows Q, L and BOOKED.
+    """Write q(t), L(t) and -c u(t) of the n bodies of block k into rows Q, L and EXTERNAL.
 
     The blocks of one of the two tables are None, or of both: Numba leaves their code out.
     """

@@ -71,7 +71,7 @@ class Study:
         self.is_free = not any(has_step(s.method) for s in segments)
         self.contacts = [(s.method, c) for s in segments if (c := s.terms.contact) is not None]
         self.by_energy = any(contact.rules is None for _, contact in self.contacts)
-        self.is_compared = beside and self.by_energy  # with other engines, which book nothing
+        self.is_compared = beside and self.by_energy  # with other engines, which sum no work
         self.expected = np.zeros(0)  # energy at the times, where it is compared [J]
         self.judged = trials.part(self.system, auto, self.sampled)
         self.times = self.way_points()
@@ -273,15 +273,15 @@ class Study:
         to_point = partial(Point, method, "", step or 0.0, has_step(method) and is_adaptive(method))
         before = THREADS.busy
         try:
-            frames, booked = trials.timed_states(judged, self.times)
+            frames, gains = trials.timed_states(judged, self.times)
         except MotionError as problem:
             error = trials.Error(np.nan, np.nan, np.nan)
             return to_point(THREADS.busy - before, error, np.nan, np.nan, str(problem))
         spent = THREADS.busy - before
-        energy, spin = trials.drifts(judged, frames, booked)
+        energy, spin = trials.drifts(judged, frames, gains)
         error = trials.Error(energy, energy, 0.0)
         if self.is_compared:
-            kinetic, potential = trials.energies(judged, frames, booked)
+            kinetic, potential = trials.energies(judged, frames, gains)
             off = self.energy_error(kinetic + potential)
             error = trials.Error(off, off, 0.0)
         if not self.by_energy:

@@ -82,6 +82,6 @@ def test_drift_is_judged_by_what_a_belt_gives_and_friction_takes(make):
     prepared = prepare(to_system(case))
     (group,), state = prepared.plan.groups, prepared.system.state
     motion = make_motion(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 5e-4, 0.0)
-    _, booked = motion.finish(1.0)
-    assert motion.gross_work() > 4.0 * abs(booked[0])
-    assert math.isfinite(booked[0])
+    _, external = motion.finish(1.0)
+    assert motion.gross_work() > 4.0 * abs(external[0])
+    assert math.isfinite(external[0])

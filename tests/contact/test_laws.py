@@ -28,7 +28,7 @@ TEXTBOOK = {0.9: 0.902, 0.5: 0.550, 0.2: 0.325}  # what LSD's ζ gives where not
 CLAMPED = [(ratio, False) for ratio in (0.0, 0.05, 0.3, 0.8, 0.999, 1.0, 1.7, 6.0)]
 COLLISIONS = CLAMPED + [(ratio, True) for ratio in (0.05, 0.3, 0.8)]
 ZERO = (0.0, 0.0, 0.0)
-COLUMNS = ("delta", "rate", "slide", "spin", "normal", "tangential", "energy", "booked", "torque")
+COLUMNS = ("delta", "rate", "slide", "spin", "normal", "tangential", "energy", "external", "torque")
 
 
 def one(*values):
@@ -99,7 +99,7 @@ def thrown(parameters, ball, start, gravity, dt, onset, corrected, rows):
     gap, fall, v, w = start
     acceleration = (0.0, 0.0, 0.0)
     fall0, v0, w0 = fall, v, w
-    spring, rolled, before, normal, booked, last = acceleration, acceleration, 0.0, 0.0, 0.0, 0.0
+    spring, rolled, before, normal, external, last = acceleration, acceleration, 0.0, 0.0, 0.0, 0.0
     for n in range(rows.shape[0]):
         if n > 0:
             half = 0.5 * dt
@@ -133,12 +133,12 @@ def thrown(parameters, ball, start, gravity, dt, onset, corrected, rows):
             v = v0 + half * acceleration[1]
             w = w0 + half * acceleration[2]
         spring, rolled, before = new, turned, max(-gap, 0.0)
-        booked += 0.5 * dt * (power + taken + last) + lost + gone
+        external += 0.5 * dt * (power + taken + last) + lost + gone
         last = power + taken
         energy = 0.5 * m * (fall * fall + v * v) + 0.5 * inertia * w * w + m * gravity * gap
         energy += push.energy + stored + held
         rows[n, 0], rows[n, 1], rows[n, 2], rows[n, 3] = -gap, fall, v - R * w, w
-        rows[n, 4], rows[n, 5], rows[n, 6], rows[n, 7] = normal, along, energy, booked
+        rows[n, 4], rows[n, 5], rows[n, 6], rows[n, 7] = normal, along, energy, external
         rows[n, 8] = torque[1]
 
 
@@ -378,7 +378,7 @@ def test_energy_closes_to_order_two(kind, mu, velocity):
     parameters, residual = LAWS[kind](0.7, mu), []
     for n in (100, 200, 400):
         runs = [hit(parameters, n, phase, velocity, -1.0) for phase in (np.arange(8) + 0.5) / 8]
-        left = [run.energy[-1] + run.booked[-1] - run.energy[0] for run in runs]
+        left = [run.energy[-1] + run.external[-1] - run.energy[0] for run in runs]
         residual.append(np.sqrt(np.mean(np.square(left))))
     assert np.log2(residual[0] / residual[2]) / 2.0 == pytest.approx(2.0, abs=0.3)
     assert residual[0] < 1e-3 * runs[0].energy[0]
@@ -561,9 +561,9 @@ def test_no_cycle_of_load_and_slide_gives_energy(kind, size):
 def test_touch_stores_no_energy_of_nothing(kind):
     """A fast slide at the first touch: the spring holds what friction can hold, and no more."""
     run = hit(LAWS[kind](0.2, 0.5), 2000, velocity=20.0)
-    total = run.energy + run.booked
+    total = run.energy + run.external
     assert np.abs(total - total[0]).max() < 2e-6 * total[0]
-    assert np.diff(run.booked).min() >= -1e-12
+    assert np.diff(run.external).min() >= -1e-12
 
 
 # Rolling
@@ -580,5 +580,5 @@ def test_resistance_to_rolling_slows_a_ball_down_and_stops_it():
     assert abs(run.spin[-1]) < 1e-3
     limit = mu * RADIUS * run.normal * (1.0 + 1e-12)
     assert np.all(np.abs(run.torque) <= limit)
-    total = run.energy + run.booked
+    total = run.energy + run.external
     assert np.abs(total - total[0]).max() < 1e-4 * total[0]

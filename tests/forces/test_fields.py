@@ -330,7 +330,7 @@ def test_springs_against_an_integration(make):
         true = make.integrate(np.diag(INERTIA), MASS, START, [force], found.time)
         # a few dozen steps, each with an error of 1e-13 of what it moves
         check_motion(make, found, true, 1e-11, k)
-        work = work + true.booked[:, 0]
+        work = work + true.external[:, 0]
     assert make.done(found.ledger) == pytest.approx(work, abs=1e-10)
     assert not found.ledger.work.any()
 
@@ -342,7 +342,7 @@ def test_drag_in_a_central_field_against_an_integration(make):
     found = make.arrays(make.case(make.body(**START), method="dop853", tolerance=1e-13, **keys))
     true = make.integrate(np.diag(INERTIA), MASS, START, forces, found.time)
     check_motion(make, found, true, 1e-11)
-    assert found.ledger.work == pytest.approx(true.booked[:, 0], abs=1e-10)
+    assert found.ledger.work == pytest.approx(true.external[:, 0], abs=1e-10)
 
 
 @pytest.mark.compiled
@@ -357,7 +357,7 @@ def test_all_forces_together_against_an_integration(make, drag):
     found = make.arrays(scene)
     true = make.integrate(np.diag(INERTIA), MASS, START, forces, found.time)
     check_motion(make, found, true, 1e-11)
-    assert make.done(found.ledger) == pytest.approx(true.booked[:, 0], abs=1e-10)
+    assert make.done(found.ledger) == pytest.approx(true.external[:, 0], abs=1e-10)
 
 
 def fields(make):
@@ -509,8 +509,8 @@ def test_charges_and_a_dipole_against_an_integration(make):
     found = make.arrays(make.case(make.body(**START), method="dop853", tolerance=1e-13, **keys))
     true = make.integrate(np.diag(INERTIA), MASS, START, force, found.time)
     check_motion(make, found, true, 1e-11)
-    assert found.ledger.work == pytest.approx(true.booked[:, 0], abs=1e-11)
-    assert np.abs(true.booked[-1, 0]) > 0.1
+    assert found.ledger.work == pytest.approx(true.external[:, 0], abs=1e-11)
+    assert np.abs(true.external[-1, 0]) > 0.1
 
 
 @pytest.mark.parametrize("tilt", [0.01, 1.5])

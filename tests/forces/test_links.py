@@ -173,7 +173,7 @@ def test_the_flow_of_one_dashpot_lets_its_rate_decay_exactly(seed, dt):
     for s in range(FIRST.size):
         damping = np.where(np.arange(FIRST.size) == s, links.damping, 0.0)
         one, now = links._replace(damping=damping), y.copy()
-        booked = np.zeros((LOAD_ROWS, N))
+        external = np.zeros((LOAD_ROWS, N))
         _, n, before = lengths_of(links, y)
         hit = y.copy()
         arms = [end[2][:, s] for end in ends(links, y)]
@@ -182,12 +182,12 @@ def test_the_flow_of_one_dashpot_lets_its_rate_decay_exactly(seed, dt):
                 hit[7:10, b] += sign * n[:, s]
                 hit[10:, b] += sign * np.cross(arm, n[:, s])
         w = before[s] - lengths_of(links, hit)[2][s]
-        damp_links(one, now, booked, dt, False)
+        damp_links(one, now, external, dt, False)
         after = lengths_of(links, now)[2]
         assert after[s] == pytest.approx(before[s] * np.exp(-damping[s] * w * dt), abs=1e-12)
         work = kinetic(links, now) - kinetic(links, y)
-        assert booked[POWER].sum() == pytest.approx(work, abs=1e-12)
-        given = [booked[OUTSIDE + k : OUTSIDE + k + 3].sum(axis=1) for k in (0, 3)]
+        assert external[POWER].sum() == pytest.approx(work, abs=1e-12)
+        given = [external[OUTSIDE + k : OUTSIDE + k + 3].sum(axis=1) for k in (0, 3)]
         for was, gave, has in zip(momenta(y), given, momenta(now), strict=True):
             assert was + gave == pytest.approx(has, abs=1e-12)
 
@@ -195,13 +195,13 @@ def test_the_flow_of_one_dashpot_lets_its_rate_decay_exactly(seed, dt):
 @given(seeds)
 def test_dashpots_forwards_and_back_in_time_backwards_give_back_the_state(seed):
     links, y = scene(seed)
-    now, booked = y.copy(), np.zeros((LOAD_ROWS, N))
-    damp_links(links, now, booked, 0.1, False)
+    now, external = y.copy(), np.zeros((LOAD_ROWS, N))
+    damp_links(links, now, external, 0.1, False)
     assert np.abs(now - y).max() > 1e-3
-    assert booked[POWER].sum() < 0
-    damp_links(links, now, booked, -0.1, True)
+    assert external[POWER].sum() < 0
+    damp_links(links, now, external, -0.1, True)
     assert now == pytest.approx(y, abs=1e-12)
-    assert booked[POWER].sum() == pytest.approx(0, abs=1e-12)
+    assert external[POWER].sum() == pytest.approx(0, abs=1e-12)
 
 
 # The bound of rates

@@ -64,7 +64,7 @@ def test_with_a_push_and_drag_against_an_integration(make):
     true = make.integrate(np.diag(INERTIA), MASS, START, forces, found.time)
     assert found.position[:, 0] == pytest.approx(true.position, abs=1e-11)
     assert make.angle(found.orientation[:, 0], true.orientation).max() < 1e-11
-    assert found.ledger.work == pytest.approx(true.booked[:, 0], abs=1e-10)
+    assert found.ledger.work == pytest.approx(true.external[:, 0], abs=1e-10)
 
 
 STEPS = {"strang": (2, 0.1), "rk4": (4, 0.1)}

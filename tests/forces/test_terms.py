@@ -95,7 +95,7 @@ def test_forces_in_either_frame_against_an_integration(make, kind, frame):
     assert found.position[:, 0] == pytest.approx(true.position, abs=1e-7)
     assert found.angular_momentum[:, 0] == pytest.approx(true.angular_momentum, abs=1e-7)
     assert found.angular_velocity[:, 0] == pytest.approx(true.angular_velocity, abs=1e-7)
-    assert found.ledger.work == pytest.approx(true.booked[:, 0], abs=1e-6)
+    assert found.ledger.work == pytest.approx(true.external[:, 0], abs=1e-6)
 
 
 @given(force=vectors, at=vectors, a=st.integers(0, 999), axis=vectors)
@@ -136,12 +136,12 @@ def test_work_of_an_impulse_is_the_change_of_kinetic_energy(J, at, seed, follows
     state = State(com, unit(seed + 1)[:, None], p, L)
     hit = Impulse(at[:, None], J[:, None], follows)
     after, given = apply_impulse(hit, bodies, state)
-    booked = given[:, 0]
+    external = given[:, 0]
     gain = kinetic_energy(bodies, after) - kinetic_energy(bodies, state)
-    assert booked[0] == pytest.approx(gain[0], abs=1e-12)
-    assert booked[1:4] == pytest.approx((after.p - p)[:, 0], abs=1e-14)
+    assert external[0] == pytest.approx(gain[0], abs=1e-12)
+    assert external[1:4] == pytest.approx((after.p - p)[:, 0], abs=1e-14)
     orbit = np.cross(com[:, 0], (after.p - p)[:, 0])
-    assert booked[4:7] == pytest.approx(orbit + (after.L - L)[:, 0], abs=1e-13)
+    assert external[4:7] == pytest.approx(orbit + (after.L - L)[:, 0], abs=1e-13)
     world = rotate(state.q, J[:, None]) if follows else J[:, None]
     turn = np.cross(rotate(state.q, at[:, None])[:, 0], world[:, 0])
     assert (after.L - L)[:, 0] == pytest.approx(turn, abs=1e-13)

@@ -71,7 +71,7 @@ def true_motion(make, loads, times):
             [t - now for t in ts],
         )  # fmt: skip
         found += [
-            (one.position[k], one.orientation[k], one.booked[k, 0], t)
+            (one.position[k], one.orientation[k], one.external[k, 0], t)
             for k, t in enumerate(ts) if t in inside
         ]  # fmt: skip
         start = {

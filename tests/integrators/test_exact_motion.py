@@ -59,13 +59,13 @@ def test_free_motion_against_an_integration(make, name):
     assert found.position[:, 0] == pytest.approx(true.position, rel=1e-12, abs=1e-11)
     assert found.angular_velocity[:, 0] == pytest.approx(true.angular_velocity, abs=bound)
     assert (found.angular_momentum == found.angular_momentum[0]).all()
-    booked = np.hstack([found.ledger.work[:, None], found.ledger.linear_momentum])
+    external = np.hstack([found.ledger.work[:, None], found.ledger.linear_momentum])
     pushed = F @ (found.position[:, 0] - found.position[0, 0]).T
-    assert booked[:, 0] == pytest.approx(pushed, rel=1e-12, abs=1e-12)
+    assert external[:, 0] == pytest.approx(pushed, rel=1e-12, abs=1e-12)
     gain = found.ledger.linear_momentum - found.ledger.linear_momentum[0]
-    assert gain == pytest.approx(true.booked[:, 1:4], rel=1e-12, abs=1e-11)
+    assert gain == pytest.approx(true.external[:, 1:4], rel=1e-12, abs=1e-11)
     gain = found.ledger.angular_momentum - found.ledger.angular_momentum[0]
-    assert gain == pytest.approx(true.booked[:, 4:7], rel=1e-11, abs=1e-9)
+    assert gain == pytest.approx(true.external[:, 4:7], rel=1e-11, abs=1e-9)
     scale = np.abs(found.ledger.angular_momentum).max()
     assert np.abs(found.ledger.energy_error).max() < 1e-12 * found.ledger.kinetic_energy.max()
     assert np.abs(found.ledger.linear_momentum_error).max() < 1e-14 * scale
@@ -116,14 +116,14 @@ def test_end_of_a_segment_is_what_a_frame_there_would_show(make):
     group, state = group_of(make, **terms)
     motion = make_motion(METHODS["exact"], group, state, 2.0, 0.0, 0.0)
     frames = room_for(3, n, np.tile([1.0, 0, 0, 0], (n, 1)))
-    booked = motion.record(np.array([2.0, 2.5, 5.0]), np.arange(3), frames)
+    external = motion.record(np.array([2.0, 2.5, 5.0]), np.arange(3), frames)
     end, total = motion.finish(5.0)
     position, momentum = frames.position, frames.linear_momentum
     assert (state.com == position[0].T).all()
     np.testing.assert_allclose(position[2].T, end.com, rtol=1e-14, atol=1e-13)
     np.testing.assert_allclose(momentum[2].T, end.p, rtol=1e-14, atol=1e-14)
-    assert booked[2] == pytest.approx(total, rel=1e-12)
-    assert not booked[0].any()
+    assert external[2] == pytest.approx(total, rel=1e-12)
+    assert not external[0].any()
     later = make_motion(METHODS["exact"], group, end, 5.0, 0.0, 0.0)
     again = room_for(1, n, frames.orientation[2].copy())
     later.record(np.array([5.0]), np.arange(1), again)
@@ -155,14 +155,14 @@ def compared_with_an_integration(make, scene, inertia, start, forces, bound=2e-1
     """A run, after its state and all that was given are compared with an integration."""
     found = make.arrays(scene)
     true = make.integrate(np.diag(inertia), 2.0, start, forces, found.time)
-    scale = np.abs(true.booked).max()
+    scale = np.abs(true.external).max()
     assert make.angle(found.orientation[:, 0], true.orientation).max() < bound
     assert found.position[:, 0] == pytest.approx(true.position, rel=1e-11, abs=bound)
     assert found.angular_momentum[:, 0] == pytest.approx(true.angular_momentum, abs=bound)
-    assert make.done(found.ledger) == pytest.approx(true.booked[:, 0], abs=1e-11 * scale)
+    assert make.done(found.ledger) == pytest.approx(true.external[:, 0], abs=1e-11 * scale)
     for name, columns in (("linear_momentum", slice(1, 4)), ("angular_momentum", slice(4, 7))):
         gain = getattr(found.ledger, name) - getattr(found.ledger, name)[0]
-        assert gain == pytest.approx(true.booked[:, columns], abs=1e-11 * scale)
+        assert gain == pytest.approx(true.external[:, columns], abs=1e-11 * scale)
         assert np.abs(getattr(found.ledger, f"{name}_error")).max() < 1e-12 * scale
     assert np.abs(found.ledger.energy_error).max() < 1e-12 * scale
     return found
@@ -205,20 +205,20 @@ def test_tops_are_cut_where_a_push_starts_and_stops(make):
     found = make.arrays(scene)
     assert found.plan.count("closed form, no step") == 4
 
-    end, booked = dict(start), np.zeros(7)
+    end, external = dict(start), np.zeros(7)
     for first, last, acting in ((0.0, 0.7, []), (0.7, 2.1, pushes[:1]), (2.1, 3.5, pushes[1:]),
                                 (3.5, 5.0, [])):  # fmt: skip
         times = np.array([0.0, last - first])
         true = make.integrate(np.diag(inertia), 2.0, end, acting or [make.push([0, 0, 0])], times)
         names = ("position", "velocity", "orientation", "angular_velocity")
         end = {name: getattr(true, name)[-1] for name in names}
-        booked = booked + true.booked[-1]
+        external = external + true.external[-1]
     assert found.position[-1, 0] == pytest.approx(end["position"], abs=1e-11)
     assert make.angle(found.orientation[-1, 0], end["orientation"]) < 1e-11
-    assert make.done(found.ledger)[-1] == pytest.approx(booked[0], abs=1e-11)
+    assert make.done(found.ledger)[-1] == pytest.approx(external[0], abs=1e-11)
     assert np.abs(found.ledger.energy_error).max() < 1e-13 * found.ledger.kinetic_energy.max()
     gain = found.ledger.angular_momentum[-1] - found.ledger.angular_momentum[0]
-    assert gain == pytest.approx(booked[4:], abs=1e-10)
+    assert gain == pytest.approx(external[4:], abs=1e-10)
 
 
 def test_many_tops_are_each_as_if_alone(make):

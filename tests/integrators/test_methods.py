@@ -179,11 +179,11 @@ def test_work_and_momenta_are_booked_to_the_order_of_the_method(make, method):
     true = make.integrate(TENSOR, MASS, START, force, found.time)
     # some J over 0.4 s at rates of 2 /s; the error of one step, times the steps: (2 dt)^order
     limit = max(4 * (2 * dt) ** METHODS[method].order, 1e-10)
-    assert make.done(found.ledger) == pytest.approx(true.booked[:, 0], abs=limit)
+    assert make.done(found.ledger) == pytest.approx(true.external[:, 0], abs=limit)
     assert np.abs(found.ledger.energy_error).max() < limit
     assert np.abs(found.ledger.linear_momentum_error).max() < limit
     assert np.abs(found.ledger.angular_momentum_error).max() < limit
-    assert np.abs(true.booked[-1]).min() > 0.03  # there is something to book
+    assert np.abs(true.external[-1]).min() > 0.03  # there is something to book
 
 
 @pytest.mark.parametrize("method", ["semi_implicit_euler", "explicit_euler"])

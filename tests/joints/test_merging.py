@@ -102,7 +102,7 @@ def test_bodies_that_are_merged_move_as_one_body_of_all_particles(method):
         x, turn, p, L = (np.array(getattr(t, name)) for name in RECORDED)
         y, expected, sum_p, sum_L = (np.array(getattr(other, name)) for name in RECORDED)
         energy = t.ledger.kinetic_energy - other.ledger.kinetic_energy
-        booked = t.ledger.work - other.ledger.work
+        external = t.ledger.work - other.ledger.work
     assert np.abs(turn[:, 0] - expected[:, 0]).max() < 1e-13
     assert np.abs(x[:, 2] - y[:, 1]).max() < 1e-13
     for k in range(4):
@@ -114,7 +114,7 @@ def test_bodies_that_are_merged_move_as_one_body_of_all_particles(method):
         about = np.cross(x[k, :2] - y[k, 0], p[k, :2]) + L[k, :2]
         assert about.sum(axis=0) == pytest.approx(sum_L[k, 0], abs=1e-13)
     assert np.abs(energy).max() < 1e-13
-    assert np.abs(booked).max() < 1e-13
+    assert np.abs(external).max() < 1e-13
 
 
 def spinning(**keys):

@@ -81,8 +81,8 @@ def test_trees_accelerate_as_by_multipliers(name, monkeypatch):
         at = motion.vectors.width, 0.2, motion.vectors.y, slope
         dop853_stages.slopes_of_blocks(motion.equations, motion.blocks, motion.layout, *at)
         own = motion.jointed._replace(tree=tree)
-        books = motion.equations.books
-        add_reactions(books, own, motion.vectors.y, slope, motion.vectors.width, 0.2)
+        sums_external = motion.equations.sums_external
+        add_reactions(sums_external, own, motion.vectors.y, slope, motion.vectors.width, 0.2)
         found.append(slope)
     assert np.abs(found[1]).max() > 5.0
     assert found[0] == pytest.approx(found[1], abs=1e-11)

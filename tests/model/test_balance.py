@@ -112,11 +112,11 @@ def test_booked_work_and_impulses_against_an_integration(make, name):
     fallen = (true.position - true.position[0]) @ weight
     ledger = found.ledger
     # order 2 with ω dt = 1e-3: 1e-6 of what is turned over
-    assert ledger.work == pytest.approx(true.booked[:, 0] - fallen, rel=1e-5, abs=1e-5)
+    assert ledger.work == pytest.approx(true.external[:, 0] - fallen, rel=1e-5, abs=1e-5)
     gain = ledger.linear_momentum - ledger.linear_momentum[0]
-    assert gain == pytest.approx(true.booked[:, 1:4], rel=1e-5, abs=1e-5)
+    assert gain == pytest.approx(true.external[:, 1:4], rel=1e-5, abs=1e-5)
     gain = ledger.angular_momentum - ledger.angular_momentum[0]
-    assert gain == pytest.approx(true.booked[:, 4:7], rel=1e-5, abs=1e-4)
+    assert gain == pytest.approx(true.external[:, 4:7], rel=1e-5, abs=1e-4)
     assert np.ptp(ledger.work) > 0.5
     rounding = 1e-11 * np.abs(ledger.angular_momentum).max()
     assert np.abs(ledger.linear_momentum_error).max() < 1e-11
@@ -275,7 +275,7 @@ def test_frames_are_booked_alike_at_once_and_one_by_one(make):
 def test_booked_work_that_is_no_number_is_found(make, monkeypatch):
     """Though energies and momenta are numbers; frames before are kept."""
     work = [[0.0] * 7, [np.nan] + [0.0] * 6]
-    monkeypatch.setattr(FreeMotion, "booked", lambda self, elapsed: np.array(work))
+    monkeypatch.setattr(FreeMotion, "external", lambda self, elapsed: np.array(work))
     run = Run(prepare(to_system(make.case(make.body(**START)))))
     frames, _, error = run.frames_at(np.array([0.5, 1.0]), np.ones(2, dtype=bool))
     assert len(frames.position) == 1
@@ -345,17 +345,17 @@ def test_booked_momenta_are_taken_away(make):
         return Frames(x, q, p, L, q[0], np.ones(len(x), dtype=bool))
 
     first, second = (totals(frames(s), bodies, np.zeros(3)) for s in (1.0, 2.0))
-    booked = np.concatenate(
+    external = np.concatenate(
         [
             second.kinetic_energy - first.kinetic_energy,
             (second.linear_momentum - first.linear_momentum)[0],
             (second.angular_momentum - first.angular_momentum)[0],
         ]
     )[None]
-    entries = EnergyBalance(first).enter(second, booked)
+    entries = EnergyBalance(first).enter(second, external)
     for name in ("energy_error", "linear_momentum_error", "angular_momentum_error"):
         assert np.abs(getattr(entries, name)).max() < 1e-14
-    assert entries.work[0] == booked[0, 0]
+    assert entries.work[0] == external[0, 0]
     assert (entries.energy == second.kinetic_energy).all()
     assert entry()._fields == entries._fields
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from particlerb.compiled.threads import BLOCK
-from particlerb.model.block import BOOKED, STRIDE, in_blocks
+from particlerb.model.block import EXTERNAL, STRIDE, in_blocks
 from particlerb.rotors.tops import N_THETA, Tops, prepare_tops
 from particlerb.stepping.top_rows import top_block
 
@@ -47,13 +47,13 @@ def turned(tops, q, L, t):
         blocks = in_blocks(which.size, len(table), [(0, table)])
         near = len(table) != N_THETA
         kind = (None, blocks) if near else (blocks, None)
-        out = np.zeros((BOOKED + 1) * STRIDE)
-        rows = out.reshape(BOOKED + 1, STRIDE)
+        out = np.zeros((EXTERNAL + 1) * STRIDE)
+        rows = out.reshape(EXTERNAL + 1, STRIDE)
         for k in range(len(blocks)):
             own = which[k * BLOCK : (k + 1) * BLOCK]
             top_block(*kind, k, t, own.size, out)
             end[:, own], spin[:, own] = rows[3:7, : own.size], rows[10:13, : own.size]
-            work[own] = rows[BOOKED, : own.size]
+            work[own] = rows[EXTERNAL, : own.size]
         is_near[which] = near
     return end, spin, work, is_near
 

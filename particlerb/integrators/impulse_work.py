@@ -1,6 +1,6 @@
 """What impulses in the middle of a step have done, body by body.
 
-Half kicks book the work of forces without potential with the velocities around them. Contacts
+Half kicks add the work of forces without potential with the velocities around them. Contacts
 change the velocity of the other half of the step, and what such a force gives, Δp in each half
 kick, works along that too: Δp·(v after the solve - v before it).
 """
@@ -10,7 +10,7 @@ from particlerb.contact.contact_model import MovingContact
 from particlerb.forces.kernels import Acting, kick_potential
 from particlerb.forces.registry import STAGE
 from particlerb.impulses.records import Impulses, Partners
-from particlerb.integrators.external_work import book
+from particlerb.integrators.external_work import add_entry
 from particlerb.integrators.pair_stages import Layout, PairTerms, gather_states, pair_loads
 from particlerb.joints.actions import stored_energy
 from particlerb.joints.records import Jointed
@@ -22,18 +22,18 @@ from particlerb.model.load import FORCE
 
 
 @inline
-def book_bodies(
-    contact: MovingContact, impulses: Impulses, books: Flag, blocks: Floats, layout: Layout
+def add_work_of_impulses(
+    contact: MovingContact, impulses: Impulses, sums_external: Flag, blocks: Floats, layout: Layout
 ) -> None:
-    """Book what impulses have done to each body."""
-    booked, gross = impulses.partners.booked, contact.workspace.gross_work
+    """Add what impulses have done to each body."""
+    external, gross = impulses.partners.external, contact.workspace.gross_work
     for k in range(layout.first.size):
         lo = layout.first[k]
         for i in range(layout.size[k]):
             b = lo + i
-            entry = booked[b, 0], row3(booked, b, 1), row3(booked, b, 4)
-            book(books, blocks[k], i, 1.0, entry)
-            gross[b] += booked[b, 7]
+            entry = external[b, 0], row3(external, b, 1), row3(external, b, 4)
+            add_entry(sums_external, blocks[k], i, 1.0, entry)
+            gross[b] += external[b, 7]
 
 
 @inline
@@ -43,11 +43,11 @@ def _changed(partners: Partners, b: int, at: int) -> Vec3:
 
 
 @inline
-def _book_along(books: Flag, rows: Floats, i: int, partners: Partners, b: int) -> None:
-    """Book the work of what a kick gave body b without potential along what the solve changed."""
+def _add_work_along(sums_external: Flag, rows: Floats, i: int, partners: Partners, b: int) -> None:
+    """Add the work of what a kick gave body b without potential along what the solve changed."""
     work = dot(get3(rows, STAGE, i), _changed(partners, b, 0))
     work += dot(get3(rows, STAGE + 3, i), _changed(partners, b, 3))
-    book(books, rows, i, 1.0, (work, ZERO, ZERO))
+    add_entry(sums_external, rows, i, 1.0, (work, ZERO, ZERO))
 
 
 @inline
@@ -62,16 +62,16 @@ def keep_kick_start(keeps_kick: Flag, blocks: Floats, layout: Layout) -> None:
 
 
 @inline
-def book_kick(
-    books: Flag, keeps_kick: Flag, acting: Acting, partners: Partners, blocks: Floats,
+def add_work_along_solve(
+    sums_external: Flag, keeps_kick: Flag, acting: Acting, partners: Partners, blocks: Floats,
     layout: Layout, dt: float,
 ) -> None:  # fmt: skip
-    """Book the work of forces without potential along what the solve has changed.
+    """Add the work of forces without potential along what the solve has changed.
 
-    The half kicks of dt [s], after the second of which momenta still are, have booked it with the
+    The half kicks of dt [s], after the second of which momenta still are, have added it with the
     velocities before.
     """
-    if books is None or keeps_kick is None:
+    if sums_external is None or keeps_kick is None:
         return
     for k in range(layout.first.size):
         rows = blocks[k]
@@ -80,23 +80,23 @@ def book_kick(
             p, spin = kick_potential(acting, rows, i, get3(rows, COM, i), R, dt, old[0], old[1])
             put3(rows, STAGE, i, subtract(get3(rows, P, i), p))
             put3(rows, STAGE + 3, i, subtract(get3(rows, L, i), spin))
-            _book_along(books, rows, i, partners, layout.first[k] + i)
+            _add_work_along(sums_external, rows, i, partners, layout.first[k] + i)
 
 
 @inline
-def book_among_joints(
-    books: Flag, jointed: Jointed | None, partners: Partners, blocks: Floats
+def add_work_among_joints(
+    sums_external: Flag, jointed: Jointed | None, partners: Partners, blocks: Floats
 ) -> None:
-    """Book the work of forces without potential along what the solve has changed.
+    """Add the work of forces without potential along what the solve has changed.
 
-    The second half kick has booked it with the velocities before, and kept what it gave: beside
+    The second half kick has added it with the velocities before, and kept what it gave: beside
     contact joints always do.
     """
-    if books is None or jointed is None:
+    if sums_external is None or jointed is None:
         return
     for k in range(jointed.joints.order.size):
         rows, lane = blocks[jointed.block[k]], jointed.lane[k]
-        _book_along(books, rows, lane, partners, jointed.joints.order[k])
+        _add_work_along(sums_external, rows, lane, partners, jointed.joints.order[k])
 
 
 # Push-out

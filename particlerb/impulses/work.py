@@ -10,7 +10,7 @@ from typing import Final
 from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses import records as col
-from particlerb.impulses.bounded_effects import book_bounded
+from particlerb.impulses.bounded_effects import sum_works_along
 from particlerb.impulses.colours import total
 from particlerb.impulses.records import Bounded, Impulses, Partners
 from particlerb.impulses.rolling import rolled
@@ -24,28 +24,28 @@ _WORKS: Final = (
 
 
 @inline
-def _book_outside(
+def _sum_outside(
     partners: Partners, frame: Floats, k: int, mine: int, other: int, at: int, p: Vec3,
     m: Vec3,
 ) -> float:  # fmt: skip
-    """Book what a wall or a held body has given; the work [J] that it has done by moving.
+    """Add what a wall or a held body has given; the work [J] that it has done by moving.
 
     `at` is the column of the arm of `other`; p [N s] and m [N m s] act on `mine`.
     """
-    arm, booked = row3(frame, k, at), partners.booked
+    arm, external = row3(frame, k, at), partners.external
     omega = row3(partners.velocity, other, 3)
     moving = add_scaled(1.0, cross(omega, arm), row3(partners.velocity, other))
     point = add(arm, row3(partners.position, other))
-    put_row3(booked, mine, add(p, row3(booked, mine, 1)), 1)
-    put_row3(booked, mine, add(add(cross(point, p), m), row3(booked, mine, 4)), 4)
+    put_row3(external, mine, add(p, row3(external, mine, 1)), 1)
+    put_row3(external, mine, add(add(cross(point, p), m), row3(external, mine, 4)), 4)
     return dot(p, moving) + dot(m, omega)
 
 
 @inline
-def _book_contact(impulses: Impulses, k: int) -> tuple[float, float, float, float]:
-    """Book what contact k has done, by partners; work of each kind [J]."""
+def _sum_contact(impulses: Impulses, k: int) -> tuple[float, float, float, float]:
+    """Add what contact k has done, by partners; work of each kind [J]."""
     partners, rows = impulses.partners, impulses.rows
-    frame, inverse, booked = rows.frame, partners.inverse, partners.booked
+    frame, inverse, external = rows.frame, partners.inverse, partners.external
     a, b = rows.first[k], rows.second[k]
     impact, pressed = row3(rows.impact, k), row3(rows.impulse, k)
     r = add(impact, pressed)
@@ -59,22 +59,22 @@ def _book_contact(impulses: Impulses, k: int) -> tuple[float, float, float, floa
     rubbed = pressed[1] * u[1] + pressed[2] * u[2] + resisted
     mine, moved, p = a, 0.0, in_world(frame, k, r)
     if inverse[a, 0] == 0.0:
-        moved = _book_outside(partners, frame, k, b, a, col.ARM, scale(-1.0, p), scale(-1.0, m))
-        mine = b if rows.entry[k] >= 0 else a  # what walls have booked is not summed
+        moved = _sum_outside(partners, frame, k, b, a, col.ARM, scale(-1.0, p), scale(-1.0, m))
+        mine = b if rows.entry[k] >= 0 else a  # what walls got is not summed
     elif inverse[b, 0] == 0.0 or rows.entry[k] < 0:
-        moved = _book_outside(partners, frame, k, a, b, col.ARM + 3, p, m)
+        moved = _sum_outside(partners, frame, k, a, b, col.ARM + 3, p, m)
         moved = moved if inverse[b, 0] == 0.0 else 0.0  # a piston has energy of its own
-    booked[mine, 0] += bounced + normal + rubbed + moved
-    booked[mine, 7] += abs(bounced) + abs(normal) + abs(rubbed) + abs(moved)
+    external[mine, 0] += bounced + normal + rubbed + moved
+    external[mine, 7] += abs(bounced) + abs(normal) + abs(rubbed) + abs(moved)
     return bounced, normal, rubbed, moved
 
 
 @kernel
-def book_impulses(impulses: Impulses, bounded: Bounded | None, team: Team) -> None:
+def sum_works(impulses: Impulses, bounded: Bounded | None, team: Team) -> None:
     """Sum what all impulses of the step have done, by partners and in the tally."""
     partners, colours, tally = impulses.partners, impulses.rows.colours, impulses.tally
-    first, end = share_of(team, 0, partners.booked.shape[0])
-    partners.booked[first:end] = 0.0
+    first, end = share_of(team, 0, partners.external.shape[0])
+    partners.external[first:end] = 0.0
     meet(team)
     for i in range(colours.counts[0]):
         first, end = share_of(team, colours.chunk[i], colours.chunk[i + 1])
@@ -82,11 +82,11 @@ def book_impulses(impulses: Impulses, bounded: Bounded | None, team: Team) -> No
             for j in range(4):
                 colours.sums[c, j] = tally[_WORKS[j]] if c == 0 else 0.0
             for k in range(colours.row[c], colours.row[c + 1]):
-                works = _book_contact(impulses, k)
+                works = _sum_contact(impulses, k)
                 for j in range(4):
                     colours.sums[c, j] += works[j]
         meet(team)
     for j in range(4 if team.thread == 0 else 0):
         tally[_WORKS[j]] = total(colours, j)
     if bounded is not None:
-        book_bounded(bounded, partners, tally)
+        sum_works_along(bounded, partners, tally)
