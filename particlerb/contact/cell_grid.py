@@ -96,13 +96,13 @@ def _cell_at(d: Vec3, per_metre: float, stride: tuple[int, int], n: int, is_dens
 
 
 @kernel
-def find_bounds(points: Floats, indices: Ints, bounds: Floats, first: int, last: int) -> None:
+def find_bounds(points: Floats, indices: Ints, bounds: Floats, first: int, end: int) -> None:
     """Write the smallest box around the spheres of each unit, (n_units, 6) [m].
 
     A position that is not finite makes a bound that is not.
     """
     rows = rows3(points, 0, points.shape[1])
-    for unit in range(first, last):
+    for unit in range(first, end):
         for k in range(3):
             lo, hi, wrong = math.inf, -math.inf, 0
             for at in range(unit * UNIT, min((unit + 1) * UNIT, indices.size)):
@@ -114,12 +114,12 @@ def find_bounds(points: Floats, indices: Ints, bounds: Floats, first: int, last:
 
 @kernel
 def number_cells(
-    points: Floats, indices: Ints, level: Ints, grid: CellGrid, cell: Ints, first: int, last: int
+    points: Floats, indices: Ints, level: Ints, grid: CellGrid, cell: Ints, first: int, end: int
 ) -> None:
     """Write the number of the cell of each sphere of units first to last."""
     origin, per_metre, strides, cells, is_dense = grid
     rows, zero = rows3(points, 0, points.shape[1]), (origin[0], origin[1], origin[2])
-    for at in range(first * UNIT, min(last * UNIT, indices.size)):
+    for at in range(first * UNIT, min(end * UNIT, indices.size)):
         i = indices[at]
         k = level[i]
         base, stride = cells[k], (strides[k, 0], strides[k, 1])
@@ -143,12 +143,12 @@ def sort_by_cell(indices: Ints, cell: Ints, begin: Ints, number: Ints) -> None:
 
 @kernel
 def place_sorted(
-    points: Floats, radius: Floats, spheres: SortedSpheres, first: int, last: int
+    points: Floats, radius: Floats, spheres: SortedSpheres, first: int, end: int
 ) -> None:
     """Write centres and radii of the sorted spheres of units first to last."""
     number, xyzr, _ = spheres
     rows = rows3(points, 0, points.shape[1])
-    for at in range(first * UNIT, min(last * UNIT, number.size)):
+    for at in range(first * UNIT, min(end * UNIT, number.size)):
         i = number[at]
         xyzr[at, 0], xyzr[at, 1], xyzr[at, 2] = column3(rows, i)
         xyzr[at, 3] = radius[i]
@@ -249,10 +249,10 @@ def sort_by_first(pairs: FoundPairs, start: Ints, second: Ints) -> None:
 
 
 @kernel
-def sort_by_second(pairs: PairList, first: int, last: int) -> None:
+def sort_by_second(pairs: PairList, first: int, end: int) -> None:
     """Sort the pairs of each sphere of units first to last by the second: there are few."""
     firsts, seconds, start = pairs
-    for i in range(first * UNIT, min(last * UNIT, start.size - 1)):
+    for i in range(first * UNIT, min(end * UNIT, start.size - 1)):
         lo = start[i]
         for k in range(lo, start[i + 1]):
             j, slot = seconds[k], k

@@ -27,10 +27,10 @@ class PrescribedBodies(NamedTuple):
 
 
 @inline
-def prescribed_in(prescribed: PrescribedBodies, first: int, last: int) -> range:
+def prescribed_in(prescribed: PrescribedBodies, first: int, end: int) -> range:
     """Those that are bodies first to last."""
     body = prescribed.body
-    return range(np.searchsorted(body, first), np.searchsorted(body, last))
+    return range(np.searchsorted(body, first), np.searchsorted(body, end))
 
 
 @inline

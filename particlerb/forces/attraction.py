@@ -141,7 +141,7 @@ def squared(d: Vec3, softening: float) -> float:
 # Bodies to points
 
 
-def _place(attraction: Attraction, fields: Fields, y: Floats, first: int, last: int) -> None:
+def _place(attraction: Attraction, fields: Fields, y: Floats, first: int, end: int) -> None:
     """Place the particles of bodies first to last: x = com + R r.
 
     Parameters
@@ -150,13 +150,13 @@ def _place(attraction: Attraction, fields: Fields, y: Floats, first: int, last: 
         Particles, and the arrays whose arms and points are written.
     y : ndarray, shape (13, n_bodies)
         Centre of mass [m], unit quaternion from rotor frame to world; the rest is not used.
-    first, last : int
+    first, end : int
         Bodies, last excluded.
     """
     local, _, _, offset, _ = attraction
     arm, point = fields.arm, fields.point
     com, q = rows3(y, 0, y.shape[1]), rows4(y[3:7], 0, y.shape[1])
-    for k in range(first, last):
+    for k in range(first, end):
         b, lo, hi = fields.order[k], offset[k], offset[k + 1]
         r, arms, points = rows3(local, lo, hi), rows3(arm, lo, hi), rows3(point, lo, hi)
         x, R = column3(com, b), matrix(column4(q, b))
@@ -232,7 +232,7 @@ pull, attract = inline(_find_fields), kernel(_find_fields)
 # Loads on the bodies
 
 
-def _collect(attraction: Attraction, fields: Fields, load: Floats, first: int, last: int) -> None:
+def _collect(attraction: Attraction, fields: Fields, load: Floats, first: int, end: int) -> None:
     """Add force and torque of bodies first to last: Σ m g and Σ R r × m g.
 
     Parameters
@@ -241,13 +241,13 @@ def _collect(attraction: Attraction, fields: Fields, load: Floats, first: int, l
         Particles, with arms and field.
     load : ndarray, shape (rows, n_bodies) [N, N m]
         Force in rows 0 to 2, torque about the centre of mass in rows 3 to 5, world axes.
-    first, last : int
+    first, end : int
         Bodies, last excluded.
     """
     _, mass, _, offset, _ = attraction
     arms, accelerations = rows3(fields.arm, 0, mass.size), rows3(fields.field, 0, mass.size)
     forces, torques = rows3(load, 0, load.shape[1]), rows3(load[3:6], 0, load.shape[1])
-    for k in range(first, last):
+    for k in range(first, end):
         b, F, tau = fields.order[k], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for i in range(offset[k], offset[k + 1]):
             force = scale(mass[i], column3(accelerations, i))
@@ -358,8 +358,8 @@ def potential_energy(
     with ending_all(ranks):
         THREADS.alone(place_points, attraction, fields, y, 0, attraction.offset.size - 1)
 
-        def part(first: int, last: int) -> None:
-            attraction_potential(attraction, fields, first, last, sums)
+        def part(first: int, end: int) -> None:
+            attraction_potential(attraction, fields, first, end, sums)
 
         tiles = _spread_tiles(part, fields, ranks)
         _share(sums, tiles.first, tiles.stop, ranks)

@@ -66,8 +66,8 @@ def sums_of(particles: Particles) -> _Sums:
         chunks = _chunks_of(offset, kinds)
         rows = np.empty((len(chunks), _N_ROWS))
 
-        def work(first: int, last: int, chunks: Ints = chunks, rows: Floats = rows) -> None:
-            _sum_chunks(*arrays, chunks, origin, exponent, rows, first, last)
+        def work(first: int, end: int, chunks: Ints = chunks, rows: Floats = rows) -> None:
+            _sum_chunks(*arrays, chunks, origin, exponent, rows, first, end)
 
         THREADS.share(work, len(chunks), int(count[kinds].sum()) // 16)
         has_mass = np.bincount(chunks[:, 0], rows[:, _HEAVIEST_ROW], n)[kinds] > 0.0
@@ -219,11 +219,11 @@ def _sum_chunks(
     exponent: Ints,
     rows: Floats,
     first: int,
-    last: int,
+    end: int,
 ) -> None:
     """Sums of the chunks first to last, high parts, then low parts, and what was noted."""
     lanes, units = np.empty(_BUFFER_SIZE), np.empty(5)
-    for c in range(first, last):
+    for c in range(first, end):
         k, lo, hi = chunks[c]
         units[0] = math.ldexp(1.0, -int(exponent[k, 0]))
         units[1] = math.ldexp(1.0, -int(exponent[k, 1]))

@@ -65,8 +65,8 @@ def union(centre: Floats, radius: Floats) -> _Union:
     rows = np.zeros((len(radius), COLUMNS))
     c, R = np.ascontiguousarray(centre), np.ascontiguousarray(radius)
 
-    def work(first: int, last: int) -> None:
-        patches(c, R, cover, rows, first, last)
+    def work(first: int, end: int) -> None:
+        patches(c, R, cover, rows, first, end)
 
     THREADS.share(work, len(radius), _WORK_PER_SPHERE * len(radius))
     sums = np.array([math.fsum(column) for column in rows.T])
@@ -136,10 +136,10 @@ def _sweep(centre: Floats, radius: Floats, along: int, pairs: Ints) -> int:
 
 @kernel
 def patches(
-    centre: Floats, radius: Floats, cover: Cover, rows: Floats, first: int, last: int
+    centre: Floats, radius: Floats, cover: Cover, rows: Floats, first: int, end: int
 ) -> None:
     """Write what the exposed parts of the spheres first to last add to the moments."""
-    for i in range(first, last):
+    for i in range(first, end):
         if cover.hidden[i]:
             continue
         others, same = cover.other[cover.start[i] : cover.start[i + 1]], SAME

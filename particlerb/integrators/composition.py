@@ -20,13 +20,13 @@ from particlerb.integrators.stages import MovingBodies, constrained_drift, kick,
 WEIGHTS: Final = (1.0,)  # stands for those of a method
 
 
-def _coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def _coupled_step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """Stages of a step."""
     ahead = 0.0
     for k in range(len(WEIGHTS)):
         h = WEIGHTS[k] * dt
-        loads(moving, first, last, NOW)
-        kick(moving, first, last, 0.5 * h + open_kick)
+        loads(moving, first, end, NOW)
+        kick(moving, first, end, 0.5 * h + open_kick)
         constrained_drift(moving, 0.5 * h + open_kick, ahead, h)
         open_kick, ahead = 0.5 * h, ahead + h
 

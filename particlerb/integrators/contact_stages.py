@@ -5,7 +5,7 @@ a step and `contact_kinematics_later` within one let `kinematics_at` find them, 
 (`pair_force.body_kinematics`) and of walls (`wall_poses`).
 
 Each does nothing where there is no contact: None is a type, and the compiler leaves the rest out.
-Threads have blocks of bodies of their own, `first` to `last`, and take their shares of the
+Threads have blocks of bodies of their own, `first` to `end`, and take their shares of the
 contacts. What contacts keep (tangential springs, overlaps) belongs to the grid of steps: a partial
 step to a frame works on a copy.
 
@@ -154,8 +154,8 @@ def kinematics_at(
     time, ahead = instant.time, instant.ahead
     model, t, path, v, w = setup.model, memory.start + time, 0.0, 0.0, 0.0
     allowance = SKIN_SHARE * setup.skin
-    blocks, layout, first, last = share
-    for k in range(first, last):
+    blocks, layout, first, end = share
+    for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         _put_prescribed(model.prescribed, t, False, rows, lo, n)
         path = max(path, farthest(memory.listed_pose, rows, setup.max_arm, lo, n))
@@ -223,8 +223,8 @@ def close_prescribed(contact: MovingContact | None, share: BlockShare, time: flo
     if contact is None:
         return
     prescribed, t = contact.setup.model.prescribed, contact.memory.start + time
-    blocks, layout, first, last = share
-    for k in range(first, last):
+    blocks, layout, first, end = share
+    for k in range(first, end):
         _put_prescribed(prescribed, t, True, blocks[k], layout.first[k], layout.size[k])
 
 
@@ -276,8 +276,8 @@ def contact_loads(
     model, later, span = setup.model, after - before, times.span
     find_contact_forces(contact, before, after, growth, team)
     meet(team)
-    blocks, layout, first, last = share
-    for k in range(first, last):
+    blocks, layout, first, end = share
+    for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         for c in range(CONTACT_ROWS):
             for b in range(n):
@@ -297,8 +297,8 @@ def put_loads_of_pairs(team: Team | None, pairs: PairTerms | None, share: BlockS
     if team is None or pairs is None:
         return
     meet(team)
-    blocks, layout, first, last = share
-    for k in range(first, last):
+    blocks, layout, first, end = share
+    for k in range(first, end):
         scatter_block(pairs.load, blocks[k], PAIR, 0, layout.first[k], layout.size[k])
 
 
@@ -308,8 +308,8 @@ def keep_momenta(contact: MovingContact | None, share: BlockShare) -> None:
     if contact is None:
         return
     momenta = contact.memory.momenta
-    blocks, layout, first, last = share
-    for k in range(first, last):
+    blocks, layout, first, end = share
+    for k in range(first, end):
         rows, lo = blocks[k], layout.first[k]
         for c in range(6):
             for b in range(layout.size[k]):

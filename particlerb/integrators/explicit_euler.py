@@ -29,10 +29,10 @@ from particlerb.model.block import INV_INERTIA, get3
 
 
 @stage
-def _advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def _advance_rates(moving: MovingBodies, first: int, end: int, dt: float) -> None:
     """All slopes at the beginning; the rotor's momentum in its own axes."""
     acting, sums_external = moving.acting, moving.sums_external
-    for k in range(first, last):
+    for k in range(first, end):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
             y = pose(rows, b)
@@ -47,12 +47,12 @@ def _advance_rates(moving: MovingBodies, first: int, last: int, dt: float) -> No
 
 
 @stages
-def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning; springs of contacts take old velocities."""
-    loads(moving, first, last, LoadTimes(dt, dt, OLD_VELOCITIES, None))
+    loads(moving, first, end, LoadTimes(dt, dt, OLD_VELOCITIES, None))
     drift_walls(moving.contact, moving.team, dt)
     kick_walls(moving.contact, moving.team, dt, 0.0, True)
-    _advance_rates(moving, first, last, dt)
+    _advance_rates(moving, first, end, dt)
 
 
 METHOD: Final = Method(

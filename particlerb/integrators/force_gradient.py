@@ -68,17 +68,17 @@ def _change_pairs(acting: Acting, pairs: PairTerms | None, blocks: Floats, layou
 
 
 @stages
-def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """A kick, three drifts with two bent kicks between them; the last kick stays open."""
-    loads(moving, first, last, NOW)
+    loads(moving, first, end, NOW)
     move = KickAndDrift(CLOSING_KICK * dt + open_kick, 0.0, 0.0, DRIFTS[0] * dt, _NO_SHARE, True)
-    kick_and_rotor_drift(moving, first, last, None, move)
+    kick_and_rotor_drift(moving, first, end, None, move)
     for k in range(1, len(DRIFTS)):
-        loads(moving, first, last, NOW)
+        loads(moving, first, end, NOW)
         _change_pairs(moving.acting, moving.pairs, moving.blocks, moving.layout)
         weight, drift_dt = GRADIENT * (dt * dt * dt), DRIFTS[k] * dt
         move = KickAndDrift(KICKS[k] * dt, weight, _KICK_TIMES[k] * dt, drift_dt, _NO_SHARE, False)
-        kick_and_rotor_drift(moving, first, last, 1, move)
+        kick_and_rotor_drift(moving, first, end, 1, move)
 
 
 METHOD: Final = Method(

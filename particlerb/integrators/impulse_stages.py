@@ -110,14 +110,14 @@ def _free_turning(R: Matrix, moments: Vec3, omega: Vec3) -> Vec3:
 
 @kernel
 def gather_velocities(
-    contact: MovingContact | None, blocks: Floats, layout: Layout, first: int, last: int
+    contact: MovingContact | None, blocks: Floats, layout: Layout, first: int, end: int
 ) -> None:
     """Bring velocities of bodies to where contacts are solved."""
     if contact is None or contact.workspace.impulses is None:
         return
     inv_mass, bodies = contact.setup.model.inv_mass, contact.workspace.bodies
     partners = contact.workspace.impulses.partners
-    for k in range(first, last):
+    for k in range(first, end):
         rows, lo = blocks[k], layout.first[k]
         for i in range(layout.size[k]):
             b = lo + i

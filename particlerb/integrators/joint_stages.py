@@ -66,13 +66,13 @@ def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
 @inline
 def set_prescribed(
     prescribed: PrescribedBodies | None, data: JointData, time: float, dt: float, first: int,
-    last: int,
+    end: int,
 ) -> None:  # fmt: skip
     """Put prescribed bodies, of first to last, where they are, with momenta if dt is 0."""
     if prescribed is None:
         return
     y, motion = data.y, data.motion
-    for k in prescribed_in(prescribed, first, last):
+    for k in prescribed_in(prescribed, first, end):
         b = prescribed.body[k]
         x, q, v, w = prescribed_pose(prescribed, k, time)
         put_pose(y, b, x, q)
@@ -286,8 +286,8 @@ def _drift_packs(
     if packs is None:
         return
     joints, data = numbers_of(packs.joints), data_of(packs.data)
-    first, last = _share_of(team, packs.cluster.shape[0])
-    for p in range(first, last):
+    first, end = _share_of(team, packs.cluster.shape[0])
+    for p in range(first, end):
         _gather_pack(packs, jointed, blocks, p)
         drift_pack(joints, data, p, kick_dt, t, dt)
         for i in range(LANES):
@@ -317,8 +317,8 @@ def drift_clusters(
     meet_all(team)  # clusters are of all blocks
     t = jointed.data.clock[0] + ahead
     _drift_packs(jointed.packs, jointed, team, sums_external, blocks, kick_dt, t, dt)
-    first, last = _share_of(team, jointed.alone.size)
-    for k in range(first, last):
+    first, end = _share_of(team, jointed.alone.size)
+    for k in range(first, end):
         c = jointed.alone[k]
         _drift_alone(jointed, blocks, c, kick_dt, t, dt)
         _finish_drift(sums_external, jointed, blocks, c, kick_dt)
@@ -337,9 +337,9 @@ def project_clusters(
         return
     meet_all(team)
     t, body = jointed.data.clock[0], jointed.joints.clusters.body
-    first, last = _share_of(team, body.size - 1)
+    first, end = _share_of(team, body.size - 1)
     time = jointed.start + t
-    for c in range(first, last):
+    for c in range(first, end):
         _gather(jointed, blocks, c)
         set_prescribed(jointed.prescribed, jointed.data, time, 0.0, body[c], body[c + 1])
         project_momenta(jointed.joints, jointed.data, c, kick_dt, t, 0.0)

@@ -101,10 +101,10 @@ def solve_kicks(acting: Acting, rows: Floats, n: int, dt: float) -> None:
 
 
 @inline
-def _solve_some_kicks(acting: Acting, rows: Floats, first: int, last: int, dt: float) -> None:
-    """The same, of bodies `first` to `last`, `last` excluded."""
+def _solve_some_kicks(acting: Acting, rows: Floats, first: int, end: int, dt: float) -> None:
+    """The same, of bodies `first` to `end`, `end` excluded."""
     many = 0
-    for b in range(first, last):
+    for b in range(first, end):
         old = get3(rows, P, b), get3(rows, L, b)
         put3(rows, SCRATCH, b, old[0])
         put3(rows, SCRATCH + 3, b, old[1])
@@ -117,11 +117,11 @@ def _solve_some_kicks(acting: Acting, rows: Floats, first: int, last: int, dt: f
         if many == 0:
             return
         many = 0
-        for b in range(first, last):
+        for b in range(first, end):
             old = get3(rows, SCRATCH, b), get3(rows, SCRATCH + 3, b)
             kick, guess = _kick_of(acting, rows, b, dt, old), (get3(rows, P, b), get3(rows, L, b))
             many += _iterate(acting, rows, b, kick, dt, guess, get(rows, _CHANGES_ROW, b) > 0.0)
-    for b in range(first, last):
+    for b in range(first, end):
         if get(rows, _CHANGES_ROW, b) > 0.0:
             put3(rows, P, b, (np.nan, np.nan, np.nan))
 

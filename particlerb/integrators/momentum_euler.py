@@ -18,10 +18,10 @@ from particlerb.maths.quaternion import matrix
 
 
 @stage
-def _advance_momenta(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def _advance_momenta(moving: MovingBodies, first: int, end: int, dt: float) -> None:
     """One slope, at the beginning."""
     acting, sums_external = moving.acting, moving.sums_external
-    for k in range(first, last):
+    for k in range(first, end):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
             y = pose(rows, b)
@@ -31,10 +31,10 @@ def _advance_momenta(moving: MovingBodies, first: int, last: int, dt: float) -> 
 
 
 @stages
-def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning."""
-    loads(moving, first, last, NOW)
-    _advance_momenta(moving, first, last, dt)
+    loads(moving, first, end, NOW)
+    _advance_momenta(moving, first, end, dt)
 
 
 METHOD: Final = Method(

@@ -40,37 +40,37 @@ from particlerb.integrators.strang import drift
 
 
 @stages
-def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """Drift, kick, impacts, kick, solve, drift."""
     contact, team, blocks, layout = moving.contact, moving.team, moving.blocks, moving.layout
     jointed = moving.jointed
     if jointed is None:
-        drift(moving, first, last, 0.5 * dt)
+        drift(moving, first, end, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
     drift_walls(contact, team, 0.5 * dt)
     count_drift(jointed, team, True)
     shift_clock(jointed, team, 0.5 * dt)
     project(moving, 0.0, 0.5 * dt)
     count_projection(jointed, team)
-    share = BlockShare(blocks, layout, first, last)
+    share = BlockShare(blocks, layout, first, end)
     midpoint_kinematics(contact, team, moving.pairs, moving.acting, share, dt)
-    loads_of_pairs(moving, first, last)
+    loads_of_pairs(moving, first, end)
     flow_dashpots(moving, 0.5 * dt, False)
-    kick(moving, first, last, 0.5 * dt)
+    kick(moving, first, end, 0.5 * dt)
     project(moving, 0.5 * dt, 0.0)
     count_projection(jointed, team)
-    gather_velocities(contact, blocks, layout, first, last)
+    gather_velocities(contact, blocks, layout, first, end)
     bounce(contact, jointed, team, blocks, layout, dt)
-    kick(moving, first, last, 0.5 * dt)
+    kick(moving, first, end, 0.5 * dt)
     flow_dashpots(moving, 0.5 * dt, True)
     project(moving, 0.5 * dt, 0.5 * dt)
     count_projection(jointed, team)
-    gather_velocities(contact, blocks, layout, first, last)
+    gather_velocities(contact, blocks, layout, first, end)
     press(contact, jointed, moving.pairs, team, moving.acting, moving.sums_external, share, dt)
     project(moving, 0.0, 0.0)
     count_projection(jointed, team)
     if jointed is None:
-        drift(moving, first, last, 0.5 * dt)
+        drift(moving, first, end, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
     drift_walls(contact, team, 0.5 * dt)
     count_drift(jointed, team, False)
@@ -78,9 +78,9 @@ def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: floa
 
 
 @stages
-def show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+def show(moving: MovingBodies, first: int, end: int, open_kick: float, instant: Instant) -> None:
     """Momenta at a frame, which keep the joints, and where walls are."""
-    set_times(moving, first, last, instant.time)
+    set_times(moving, first, end, instant.time)
     wall_poses(moving.contact, moving.team, instant.time, 0.0)
     project(moving, 0.0, 0.0)
 

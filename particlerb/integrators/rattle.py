@@ -26,13 +26,13 @@ from particlerb.integrators.strang import CLOSING_KICK
 
 
 @stages
-def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def coupled_step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """Kick, constrained drift; the kick of dt/2 that belongs to the end stays open."""
     kick_dt = CLOSING_KICK * dt + open_kick
-    keep_momenta(moving.contact, BlockShare(moving.blocks, moving.layout, first, last))
-    loads(moving, first, last, LoadTimes(dt, kick_dt, LEAPFROG, None))
+    keep_momenta(moving.contact, BlockShare(moving.blocks, moving.layout, first, end))
+    loads(moving, first, end, LoadTimes(dt, kick_dt, LEAPFROG, None))
     kick_walls(moving.contact, moving.team, open_kick, CLOSING_KICK * dt, True)
-    kick_jointed(moving, first, last, open_kick, CLOSING_KICK * dt)
+    kick_jointed(moving, first, end, open_kick, CLOSING_KICK * dt)
     damps = moving.jointed is not None and moving.jointed.damps is not None
     own_kick = CLOSING_KICK * dt if damps else kick_dt
     constrained_drift(moving, own_kick, 0.0, dt)

@@ -45,11 +45,11 @@ _SUM_ROW: Final = STAGE + STATE_ROWS  # of the slopes so far; the state at the b
 
 
 @stage
-def _four_slopes(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def _four_slopes(moving: MovingBodies, first: int, end: int, dt: float) -> None:
     """Four slopes, weighed 1 : 2 : 2 : 1."""
     acting, sums_external = moving.acting, moving.sums_external
     third, sixth = dt * (1.0 / 3.0), dt * (1.0 / 6.0)
-    for k in range(first, last):
+    for k in range(first, end):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
             y = pose(rows, b)
@@ -73,14 +73,14 @@ def _four_slopes(moving: MovingBodies, first: int, last: int, dt: float) -> None
 
 
 @stage
-def _one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) -> None:
+def _one_slope(moving: MovingBodies, first: int, end: int, k: int, dt: float) -> None:
     """One slope, where bodies act on each other: the next needs those of all before it.
 
     The state at the beginning, and the sum so far, have rows of their own; those of the state have
     where the next slope is taken, with q/|q|, as forces between bodies want it, and |q| in LENGTH.
     """
     acting, sums_external = moving.acting, moving.sums_external
-    for block in range(first, last):
+    for block in range(first, end):
         rows = moving.blocks[block]
         for b in range(moving.layout.size[block]):
             y = pose(rows, b)
@@ -103,20 +103,20 @@ def _one_slope(moving: MovingBodies, first: int, last: int, k: int, dt: float) -
 
 
 @stages
-def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """All slopes of one body after the other."""
-    _four_slopes(moving, first, last, dt)
+    _four_slopes(moving, first, end, dt)
 
 
 @stages
-def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def coupled_step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """One slope of all bodies after the other, and of the tangential springs of contacts."""
     for k in range(len(_WEIGHTS)):
         if k > 0:
-            kinematics_later(moving, first, last, _SLOPE_TIMES[k] * dt)
+            kinematics_later(moving, first, end, _SLOPE_TIMES[k] * dt)
         slope = Slope(dt, _WEIGHTS[k], _NEXT_SLOPE_TIMES[k], k == 0)
-        loads(moving, first, last, LoadTimes(dt, _WEIGHTS[k] * dt, BY_SLOPES, slope))
-        _one_slope(moving, first, last, k, dt)
+        loads(moving, first, end, LoadTimes(dt, _WEIGHTS[k] * dt, BY_SLOPES, slope))
+        _one_slope(moving, first, end, k, dt)
 
 
 METHOD: Final = Method(

@@ -51,15 +51,15 @@ CLOSING_KICK: Final = KICKS[0]
 
 
 @stages
-def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """Eleven kicks and drifts; the last kick stays open."""
     for k in range(len(DRIFTS)):
         shift_pairs(moving, first, _KICK_TIMES[k] * dt)
-        loads(moving, first, last, NOW)
+        loads(moving, first, end, NOW)
         kick_dt = KICKS[k] * dt if k > 0 else CLOSING_KICK * dt + open_kick
         drift_dt, share = DRIFTS[k] * dt, abs(DRIFTS[k])
         move = KickAndDrift(kick_dt, 0.0, _KICK_TIMES[k] * dt, drift_dt, share, k == 0)
-        kick_and_rotor_drift(moving, first, last, None, move)
+        kick_and_rotor_drift(moving, first, end, None, move)
 
 
 METHOD: Final = Method(

@@ -140,13 +140,13 @@ class KickAndDrift(NamedTuple):
 
 @inline
 def _drift_asymmetric(
-    kind: Flag, gradient: Flag, moving: MovingBodies, first: int, last: int, move: KickAndDrift
+    kind: Flag, gradient: Flag, moving: MovingBodies, first: int, end: int, move: KickAndDrift
 ) -> None:
     """Kick and drift of asymmetric bodies, as long as the fastest of a block asks for."""
     if kind is None:
         return
     acting, sums_external = moving.acting, moving.sums_external
-    for block in range(first, min(last, moving.layout.asymmetric)):
+    for block in range(first, min(end, moving.layout.asymmetric)):
         rows, n = moving.blocks[block], moving.layout.size[block]
         turned = abs(move.drift) * _turn_rate(rows, n, move.is_first)
         pieces = pieces_of(turned, move.share)
@@ -162,13 +162,13 @@ def _drift_asymmetric(
 
 @inline
 def _drift_symmetric(
-    kind: Flag, gradient: Flag, moving: MovingBodies, first: int, last: int, move: KickAndDrift
+    kind: Flag, gradient: Flag, moving: MovingBodies, first: int, end: int, move: KickAndDrift
 ) -> None:
     """Kick and drift of bodies whose drift has a closed form."""
     if kind is None:
         return
     acting, sums_external = moving.acting, moving.sums_external
-    for block in range(max(first, moving.layout.asymmetric), last):
+    for block in range(max(first, moving.layout.asymmetric), end):
         rows = moving.blocks[block]
         for b in range(moving.layout.size[block]):
             shift_time(acting, rows, b, move.before)
@@ -178,8 +178,8 @@ def _drift_symmetric(
 
 @stage
 def kick_and_rotor_drift(
-    moving: MovingBodies, first: int, last: int, gradient: Flag, move: KickAndDrift
+    moving: MovingBodies, first: int, end: int, gradient: Flag, move: KickAndDrift
 ) -> None:
     """A kick, bent by the gradient or not, and the drift after it."""
-    _drift_asymmetric(moving.rotors.asymmetric, gradient, moving, first, last, move)
-    _drift_symmetric(moving.rotors.symmetric, gradient, moving, first, last, move)
+    _drift_asymmetric(moving.rotors.asymmetric, gradient, moving, first, end, move)
+    _drift_symmetric(moving.rotors.symmetric, gradient, moving, first, end, move)

@@ -60,10 +60,10 @@ def _gyroscopic(w: Vec3, inverse: Vec3, dt: float) -> Vec3:
 
 
 @stage
-def _advance_implicitly(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def _advance_implicitly(moving: MovingBodies, first: int, end: int, dt: float) -> None:
     """Momenta by the forces, rates by the gyroscopic term, then the pose by both."""
     acting, sums_external = moving.acting, moving.sums_external
-    for k in range(first, last):
+    for k in range(first, end):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
             y = pose(rows, b)
@@ -88,11 +88,11 @@ def _advance_implicitly(moving: MovingBodies, first: int, last: int, dt: float) 
 
 
 @stages
-def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """One stage, with all loads taken at the beginning; springs of contacts take new velocities."""
-    loads(moving, first, last, LoadTimes(dt, dt, NEW_VELOCITIES, None))
+    loads(moving, first, end, LoadTimes(dt, dt, NEW_VELOCITIES, None))
     kick_walls(moving.contact, moving.team, dt, 0.0, True)
-    _advance_implicitly(moving, first, last, dt)
+    _advance_implicitly(moving, first, end, dt)
     drift_walls(moving.contact, moving.team, dt)
 
 

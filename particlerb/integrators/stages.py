@@ -137,44 +137,44 @@ def over_threads(
 
 
 def _spread_stage(
-    kernel: Callable[..., None], moving: MovingBodies, first: int, last: int, *others: Any
+    kernel: Callable[..., None], moving: MovingBodies, first: int, end: int, *others: Any
 ) -> None:
     """Call a stage for shares of the blocks."""
     assert first == 0
     n = int(moving.layout.size.sum())
-    THREADS.share(lambda lo, hi: kernel(moving, lo, hi, *others), last, n)
+    THREADS.share(lambda lo, hi: kernel(moving, lo, hi, *others), end, n)
 
 
 # Loads
 
 
 @stages
-def kinematics(moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
+def kinematics(moving: MovingBodies, first: int, end: int, instant: Instant) -> bool:
     """Bring bodies to where contacts are evaluated; False where new lists have to be made first."""
-    share = BlockShare(moving.blocks, moving.layout, first, last)
+    share = BlockShare(moving.blocks, moving.layout, first, end)
     return contact_kinematics(moving.contact, moving.team, moving.pairs, share, instant)
 
 
 @stages
-def loads(moving: MovingBodies, first: int, last: int, times: LoadTimes) -> None:
+def loads(moving: MovingBodies, first: int, end: int, times: LoadTimes) -> None:
     """Write what bodies do to each other into their rows PAIR."""
-    share = BlockShare(moving.blocks, moving.layout, first, last)
+    share = BlockShare(moving.blocks, moving.layout, first, end)
     put_pair_loads(moving.team, moving.pairs, moving.blocks, moving.layout)
     contact_loads(moving.contact, moving.team, moving.pairs, share, times)
 
 
 @stages
-def loads_of_pairs(moving: MovingBodies, first: int, last: int) -> None:
+def loads_of_pairs(moving: MovingBodies, first: int, end: int) -> None:
     """Write what bodies do to each other without touching into their rows PAIR."""
-    share = BlockShare(moving.blocks, moving.layout, first, last)
+    share = BlockShare(moving.blocks, moving.layout, first, end)
     put_pair_loads(moving.team, moving.pairs, moving.blocks, moving.layout)
     put_loads_of_pairs(moving.team, moving.pairs, share)
 
 
 @stages
-def kinematics_later(moving: MovingBodies, first: int, last: int, later: float) -> None:
+def kinematics_later(moving: MovingBodies, first: int, end: int, later: float) -> None:
     """Bring bodies to where they are so many seconds after the step began, and the time."""
-    share = BlockShare(moving.blocks, moving.layout, first, last)
+    share = BlockShare(moving.blocks, moving.layout, first, end)
     shift_pairs(moving, first, later)
     contact_kinematics_later(moving.contact, moving.team, moving.pairs, share, later)
 
@@ -190,9 +190,9 @@ def shift_pairs(moving: MovingBodies, first: int, later: float) -> None:
 
 
 @stage
-def set_times(moving: MovingBodies, first: int, last: int, t: float) -> None:
+def set_times(moving: MovingBodies, first: int, end: int, t: float) -> None:
     """Take loads that depend on time at t [s] since the segment began."""
-    for k in range(first, last):
+    for k in range(first, end):
         set_time(moving.acting, moving.blocks[k], moving.layout.size[k], t)
     if moving.jointed is not None:
         moving.jointed.data.clock[0] = t
@@ -201,9 +201,9 @@ def set_times(moving: MovingBodies, first: int, last: int, t: float) -> None:
 
 
 @stage
-def kick(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def kick(moving: MovingBodies, first: int, end: int, dt: float) -> None:
     """Exact flow of the forces at a fixed pose, drag included."""
-    for k in range(first, last):
+    for k in range(first, end):
         rows, n = moving.blocks[k], moving.layout.size[k]
         solve_kicks(moving.acting, rows, n, dt)
         for b in range(n):
@@ -234,15 +234,15 @@ def constrained_drift(moving: MovingBodies, kick_dt: float, ahead: float, dt: fl
 
 @stages
 def kick_jointed(
-    moving: MovingBodies, first: int, last: int, closing: float, opening: float
+    moving: MovingBodies, first: int, end: int, closing: float, opening: float
 ) -> None:
     """Kick of jointed bodies; between its two parts what damps acts, for as long as both."""
     if moving.jointed is not None and moving.jointed.damps is not None:
-        kick(moving, first, last, closing)
+        kick(moving, first, end, closing)
         project(moving, closing, closing + opening)
-        kick(moving, first, last, opening)
+        kick(moving, first, end, opening)
     else:
-        kick(moving, first, last, closing + opening)
+        kick(moving, first, end, closing + opening)
 
 
 @kernel
@@ -291,10 +291,10 @@ def gather_loads(moving: MovingBodies, t: float, out: Floats) -> None:
 TIMES: Final = NOW  # stands for those of a method
 
 
-def _show(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+def _show(moving: MovingBodies, first: int, end: int, open_kick: float, instant: Instant) -> None:
     """Contacts at a frame."""
-    kinematics(moving, first, last, instant)
-    loads(moving, first, last, TIMES)
+    kinematics(moving, first, end, instant)
+    loads(moving, first, end, TIMES)
 
 
 def shown_at(times: LoadTimes) -> Callable[..., None]:
@@ -303,13 +303,13 @@ def shown_at(times: LoadTimes) -> Callable[..., None]:
 
 
 @caller_of_stages
-def close(moving: MovingBodies, first: int, last: int, open_kick: float) -> None:
+def close(moving: MovingBodies, first: int, end: int, open_kick: float) -> None:
     """Make the kick that the last step has left open.
 
     Of contacts it is the mean over half of that step, for which their springs grow too.
     """
     flow_dashpots(moving, open_kick, True)
-    loads(moving, first, last, LoadTimes(0.0, 0.0, LEAPFROG, None))
-    kick(moving, first, last, open_kick)
+    loads(moving, first, end, LoadTimes(0.0, 0.0, LEAPFROG, None))
+    kick(moving, first, end, open_kick)
     project(moving, open_kick, open_kick)
     kick_walls(moving.contact, moving.team, open_kick, 0.0, False)

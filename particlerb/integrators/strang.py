@@ -27,9 +27,9 @@ CLOSING_KICK: Final = 0.5
 
 
 @stage
-def drift(moving: MovingBodies, first: int, last: int, dt: float) -> None:
+def drift(moving: MovingBodies, first: int, end: int, dt: float) -> None:
     """Motion without forces."""
-    for k in range(first, last):
+    for k in range(first, end):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
             fly_and_split(rows, b, dt)
@@ -37,10 +37,10 @@ def drift(moving: MovingBodies, first: int, last: int, dt: float) -> None:
 
 @stage
 def kick_and_drift(
-    moving: MovingBodies, first: int, last: int, kick_dt: float, drift_dt: float
+    moving: MovingBodies, first: int, end: int, kick_dt: float, drift_dt: float
 ) -> None:
     """`kick` and `drift` in one go, without a way to memory in between."""
-    for k in range(first, last):
+    for k in range(first, end):
         rows, n = moving.blocks[k], moving.layout.size[k]
         solve_kicks(moving.acting, rows, n, kick_dt)
         for b in range(n):
@@ -52,26 +52,26 @@ def kick_and_drift(
 
 
 @stages
-def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """Kick, drift; the kick of dt/2 that belongs to the end stays open."""
-    kick_and_drift(moving, first, last, CLOSING_KICK * dt + open_kick, dt)
+    kick_and_drift(moving, first, end, CLOSING_KICK * dt + open_kick, dt)
 
 
 @stages
-def coupled_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def coupled_step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """The same with flows of dashpots around the drift, in one order and in the reverse order.
 
     Loads of contacts are means over the kick, and need to know the drifts that it stands between.
     """
     kick_dt = CLOSING_KICK * dt + open_kick
     contact, team = moving.contact, moving.team
-    keep_momenta(contact, BlockShare(moving.blocks, moving.layout, first, last))
+    keep_momenta(contact, BlockShare(moving.blocks, moving.layout, first, end))
     flow_dashpots(moving, open_kick, True)
-    loads(moving, first, last, LoadTimes(dt, kick_dt, LEAPFROG, None))
+    loads(moving, first, end, LoadTimes(dt, kick_dt, LEAPFROG, None))
     kick_walls(contact, team, open_kick, CLOSING_KICK * dt, True)
-    kick(moving, first, last, kick_dt)
+    kick(moving, first, end, kick_dt)
     flow_dashpots(moving, CLOSING_KICK * dt, False)
-    drift(moving, first, last, dt)
+    drift(moving, first, end, dt)
     drift_walls(contact, team, dt)
 
 

@@ -191,13 +191,13 @@ def _pass_singular_pose(joints: Joints, data: JointData, c: int, t: float, dt: f
     in, the others meet in another branch, or where all of them lock.
     """
     clusters, start, share = joints.clusters, joints.program.start, joints.clusters.smallest_pivot
-    first, last, usual = clusters.joint[c], clusters.joint[c + 1], share[c]
-    lo, hi = start[first], start[last]
+    first, end, usual = clusters.joint[c], clusters.joint[c + 1], share[c]
+    lo, hi = start[first], start[end]
     for _ in range(_MAX_PIVOT_DECADES):
         share[c] *= 10.0
         take_back(joints, data, c, True)
         factorise_gradients(joints, data, c)
-        for j in range(first, last):
+        for j in range(first, end):
             d = clusters.block[c] + j - first
             for r in range(start[j], start[j + 1]):
                 is_left_out = data.factor[d, r - start[j], r - start[j]] == 0.0

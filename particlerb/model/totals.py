@@ -169,7 +169,7 @@ def sum_blocks(
     bins: Ints | None,
     sums: Floats,
     first: int,
-    last: int,
+    end: int,
 ) -> None:
     """Add some blocks of bodies, for all frames, to sums (T, bins, 10): those of the bodies' bins.
 
@@ -178,7 +178,7 @@ def sum_blocks(
     mass, inv_mass, _, inv_inertia, rotor_frame, _ = bodies
     g = (gravity[0], gravity[1], gravity[2])
     local, out = np.empty((13, BLOCK)), np.empty((N_TOTALS, BLOCK))
-    for k in range(first, last):
+    for k in range(first, end):
         lo, hi = k * BLOCK, min(k * BLOCK + BLOCK, mass.size)
         n = hi - lo
         x, p, L = rows3(local[0:3], 0, n), rows3(local[3:6], 0, n), rows3(local[6:9], 0, n)

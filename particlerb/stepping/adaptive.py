@@ -48,7 +48,7 @@ _BLOCK_ROWS: Final = STAGE + 2 * CHANGING  # of blocks in which slopes are taken
 @kernel
 def _advance_packs(
     equations: Equations, blocks: Floats, clock: Floats, leg: Leg, recording: Recording, first: int,
-    last: int,
+    end: int,
 ) -> None:  # fmt: skip
     """Advance the packs of some blocks; the clock is (packs, 3)."""
     size, n = STATE_ROWS if equations.sums_external is None else CHANGING, recording.members.size
@@ -57,7 +57,7 @@ def _advance_packs(
     width = min(n, PACK)  # a body that is alone pays for itself only
     vectors = room_for_vectors(1, size, width, np.zeros(0))
     pack = CommonSteps(equations, rows, layout, None, None, None, vectors)
-    for lo in range(first * BLOCK, min(last * BLOCK, n), PACK):
+    for lo in range(first * BLOCK, min(end * BLOCK, n), PACK):
         layout.first[0], layout.size[0] = lo, min(n - lo, PACK)
         block, at = blocks[lo // BLOCK], lo % BLOCK
         for r in range(block.size // STRIDE):

@@ -251,19 +251,19 @@ class Subdomain(Domain):
     # Stages that exchange
 
     def enter(
-        self, kernel: Callable[..., Any], moving: MovingBodies, first: int, last: int, *others: Any
+        self, kernel: Callable[..., Any], moving: MovingBodies, first: int, end: int, *others: Any
     ) -> Any:
         """Enter a kernel with all threads."""
         del first
 
         def share(team: Team) -> Any:
-            lo, hi = last * team.thread // team.size, last * (team.thread + 1) // team.size
+            lo, hi = end * team.thread // team.size, end * (team.thread + 1) // team.size
             return kernel(moving._replace(team=team), lo, hi, *others)
 
         return together(share, self.threads)
 
     def enter_kick(
-        self, kernel: Callable[..., Any], moving: MovingBodies, first: int, last: int,
+        self, kernel: Callable[..., Any], moving: MovingBodies, first: int, end: int,
         open_kick: float, dt: float = 0.0,
     ) -> None:  # fmt: skip
         """Enter a kernel that kicks, and makes a step of dt [s] if there is one.
@@ -274,7 +274,7 @@ class Subdomain(Domain):
         contact, step = moving.contact, (dt,) if dt > 0.0 else ()
         assert contact is not None
         setup, workspace, lists, memory, _ = contact
-        self.enter(kernel, without_pistons(moving), first, last, open_kick, *step)
+        self.enter(kernel, without_pistons(moving), first, end, open_kick, *step)
         if setup.pistons is None:
             return
         sum_piston_loads(setup.pistons, workspace.piston_loads, lists.walls, setup.model)
@@ -294,7 +294,7 @@ class Subdomain(Domain):
         self.piston_step = None
         return reached
 
-    def kinematics(self, moving: MovingBodies, first: int, last: int, instant: Instant) -> bool:
+    def kinematics(self, moving: MovingBodies, first: int, end: int, instant: Instant) -> bool:
         """As `stages.kinematics`, after states of ghosts have come: whether the lists hold."""
         self.swap.bring(moving.blocks)
         contact = moving.contact
@@ -308,7 +308,7 @@ class Subdomain(Domain):
             assert moving.contact is not None
             return kinematics_at(moving.contact, moving.team, None, own_blocks, instant)
 
-        reached = np.array(self.enter(here, without_pistons(moving), first, last))
+        reached = np.array(self.enter(here, without_pistons(moving), first, end))
         path, v, w = self.settle_pistons(reached).tolist()
         if pistons is not None:
             at = pistons, contact.memory.pistons, instant.ahead, contact.workspace.poses
@@ -316,10 +316,10 @@ class Subdomain(Domain):
         return bool(keep_extremes(contact, instant, path, v, w))
 
     def store(
-        self, moving: MovingBodies, first: int, last: int, recording: Recording, frame: int
+        self, moving: MovingBodies, first: int, end: int, recording: Recording, frame: int
     ) -> None:
         """Write bodies and contacts into a frame, each on the rank that shows it."""
-        del first, last
+        del first, end
         into_blocks(self.shown_blocks, 0, self.shown(self.bodies.values(0, CHANGING)))
         layout, n = self.shown_layout, self.shown_layout.first.size
         store_blocks(self.shown_blocks, layout, moving.sums_external, recording, frame, 0, n)

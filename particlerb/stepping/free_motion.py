@@ -167,7 +167,7 @@ def _fly_blocks(
     bins: Ints | None,
     sums: Floats,
     first: int,
-    last: int,
+    end: int,
 ) -> None:
     """All frames of some blocks of one kind of turn; times count from the state.
 
@@ -177,7 +177,7 @@ def _fly_blocks(
     g, room = (part.gravity[0], part.gravity[1], part.gravity[2]), np.empty((N_TOTALS, STRIDE))
     out, inputs = np.empty((EXTERNAL + 1) * STRIDE), np.empty((_INPUT_ROWS, STRIDE))
     local, place = out.reshape((EXTERNAL + 1, STRIDE)), np.empty(BLOCK, np.int64)
-    for k in range(first, last):
+    for k in range(first, end):
         lo = k * BLOCK
         n = min(BLOCK, part.bodies.size - lo)
         _gather(part, lo, n, inputs)

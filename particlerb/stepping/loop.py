@@ -82,9 +82,9 @@ class Recording(NamedTuple):
 
 
 @kernel
-def copy_blocks(source: Floats, target: Floats, sizes: Ints, first: int, last: int) -> None:
+def copy_blocks(source: Floats, target: Floats, sizes: Ints, first: int, end: int) -> None:
     """Copy what a step changes."""
-    for k in range(first, last):
+    for k in range(first, end):
         copy_changing(source[k], target[k], sizes[k])
 
 
@@ -96,11 +96,11 @@ def store_blocks(
     recording: Recording,
     frame: int,
     first: int,
-    last: int,
+    end: int,
 ) -> None:
     """Write the bodies of some blocks into a frame."""
     rotor_frame, members, frames, sums, bins, _ = recording
-    for k in range(first, last):
+    for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         local = rows.reshape(rows.size // STRIDE, STRIDE)
         com, q = rows3(local[COM : COM + 3], 0, n), rows4(local[Q : Q + 4], 0, n)
@@ -111,40 +111,40 @@ def store_blocks(
 
 
 @stages
-def _save(moving: MovingBodies, first: int, last: int, saved: Copies) -> None:
+def _save(moving: MovingBodies, first: int, end: int, saved: Copies) -> None:
     """Copy what a partial step changes."""
-    copy_blocks(moving.blocks, saved.blocks, moving.layout.size, first, last)
+    copy_blocks(moving.blocks, saved.blocks, moving.layout.size, first, end)
     save_contacts(moving.team, saved.contact, saved.saved)
 
 
 @stages
-def _restore(moving: MovingBodies, first: int, last: int, saved: Copies, is_frame: bool) -> None:
+def _restore(moving: MovingBodies, first: int, end: int, saved: Copies, is_frame: bool) -> None:
     """Go back to what was saved."""
-    copy_blocks(saved.blocks, moving.blocks, moving.layout.size, first, last)
+    copy_blocks(saved.blocks, moving.blocks, moving.layout.size, first, end)
     restore_contacts(moving.contact, moving.team, saved.contact, saved.saved, is_frame)
 
 
 @stages
-def _store(moving: MovingBodies, first: int, last: int, recording: Recording, frame: int) -> None:
+def _store(moving: MovingBodies, first: int, end: int, recording: Recording, frame: int) -> None:
     """Write some blocks, and contacts, into a frame."""
-    store_blocks(moving.blocks, moving.layout, moving.sums_external, recording, frame, first, last)
+    store_blocks(moving.blocks, moving.layout, moving.sums_external, recording, frame, first, end)
     store_contacts(moving.contact, moving.team, frame)
     store_coordinates(moving, recording.turned, frame)
 
 
 @stages
 def _close_at(
-    moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant
+    moving: MovingBodies, first: int, end: int, open_kick: float, instant: Instant
 ) -> None:
     """Make the open kick, if there is one."""
     if open_kick > 0.0:
-        kinematics(moving, first, last, instant)
-        set_times(moving, first, last, instant.time)
-        close(moving, first, last, open_kick)
+        kinematics(moving, first, end, instant)
+        set_times(moving, first, end, instant.time)
+        close(moving, first, end, open_kick)
 
 
 @stages
-def finish(moving: MovingBodies, first: int, last: int, open_kick: float, instant: Instant) -> None:
+def finish(moving: MovingBodies, first: int, end: int, open_kick: float, instant: Instant) -> None:
     """Close the last step, for a frame or the end; where nothing is open, there is nothing to do.
 
     Stands for that of a method.
@@ -153,21 +153,21 @@ def finish(moving: MovingBodies, first: int, last: int, open_kick: float, instan
 
 @stages
 def part_of_step(
-    moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
+    moving: MovingBodies, first: int, end: int, asked: Position, time: float, growth: Growth
 ) -> None:
     """Find where spheres and walls are, and how fast; stands for all that may be asked for."""
-    kinematics(moving, first, last, Instant(0.0, 0.0, time, 0.0))
+    kinematics(moving, first, end, Instant(0.0, 0.0, time, 0.0))
 
 
 @stages
 def _part_with_contacts(
-    moving: MovingBodies, first: int, last: int, asked: Position, time: float, growth: Growth
+    moving: MovingBodies, first: int, end: int, asked: Position, time: float, growth: Growth
 ) -> None:
     """Do a part of a step with contacts."""
     contact: Any = moving.contact  # there is one, and a team
     team: Any = moving.team
     if asked.stop == POSES:
-        kinematics(moving, first, last, Instant(0.0, 0.0, time, 0.0))
+        kinematics(moving, first, end, Instant(0.0, 0.0, time, 0.0))
     elif asked.stop == FORCES:
         find_contact_forces(contact, 0.0, 0.0, growth, team)
     else:
@@ -181,7 +181,7 @@ def _ratio(a: float, b: float) -> float:
 
 
 @inline
-def step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """Advance blocks by dt; stands for the step of a method."""
     raise NotImplementedError
 
@@ -198,7 +198,7 @@ def advance(
     position: Position,
     together: int,
     first: int,
-    last: int,
+    end: int,
 ) -> Position:
     """Take blocks through a schedule, so many of them together: one, or all.
 
@@ -208,11 +208,11 @@ def advance(
     """
     dt, steps, partial, frame = schedule
     if position.stop < 0:
-        part_of_step(moving, first, last, position, position.steps_done * dt, GROWTH)
+        part_of_step(moving, first, end, position, position.steps_done * dt, GROWTH)
         return position
     step_number = position.steps_done
-    for lo in range(first, last, together):
-        hi = min(lo + together, last)
+    for lo in range(first, end, together):
+        hi = min(lo + together, end)
         begin, step_number = position.step, position.steps_done
         last_step = dt if step_number > 0 else 0.0
         open_kick = CLOSING_KICK * last_step
@@ -292,9 +292,9 @@ def loop_over_threads(
     return over_threads(advance, *parts, **_constants_of(method))
 
 
-def _one_step(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def _one_step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """The step of a method by itself."""
-    step(moving, first, last, open_kick, dt)
+    step(moving, first, end, open_kick, dt)
 
 
 def loop_over_ranks(
@@ -325,9 +325,9 @@ def loop_over_ranks(
     part = over_threads(_part_with_contacts, (store_contacts, show_contacts))
     copy = over_threads(_save)
 
-    def save(moving: MovingBodies, first: int, last: int, saved: Copies) -> None:
+    def save(moving: MovingBodies, first: int, end: int, saved: Copies) -> None:
         settle()
-        copy(moving, first, last, saved)
+        copy(moving, first, end, saved)
 
     kicks = (step, one_step), (finish, _close_at), (close, partial(enter_kick, close))
     frames = (_save, save), (_store, write_frame)

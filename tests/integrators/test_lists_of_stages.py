@@ -45,9 +45,9 @@ def constrained_drift(moving: MovingBodies, first: int, last: int, dt: float) ->
 
 
 @stage
-def project_momenta(moving: MovingBodies, first: int, last: int) -> None:
+def project_momenta(moving: MovingBodies, first: int, end: int) -> None:
     """Take what is along the string out of the momenta."""
-    for k in range(first, last):
+    for k in range(first, end):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
             x, p = get3(rows, COM, b), get3(rows, P, b)
@@ -55,20 +55,20 @@ def project_momenta(moving: MovingBodies, first: int, last: int) -> None:
 
 
 @stages
-def rattle(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def rattle(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """RATTLE: the constraint holds for positions, and for velocities, at the end of a step."""
-    loads(moving, first, last, NOW)
-    kick(moving, first, last, 0.5 * dt)
-    constrained_drift(moving, first, last, dt)
-    loads(moving, first, last, NOW)
-    kick(moving, first, last, 0.5 * dt)
-    project_momenta(moving, first, last)
+    loads(moving, first, end, NOW)
+    kick(moving, first, end, 0.5 * dt)
+    constrained_drift(moving, first, end, dt)
+    loads(moving, first, end, NOW)
+    kick(moving, first, end, 0.5 * dt)
+    project_momenta(moving, first, end)
 
 
 @stage
-def bounce(moving: MovingBodies, first: int, last: int) -> None:
+def bounce(moving: MovingBodies, first: int, end: int) -> None:
     """Reverse the momenta of balls that touch the floor and approach it."""
-    for k in range(first, last):
+    for k in range(first, end):
         rows = moving.blocks[k]
         for b in range(moving.layout.size[k]):
             x, p = get3(rows, COM, b), get3(rows, P, b)
@@ -77,14 +77,14 @@ def bounce(moving: MovingBodies, first: int, last: int) -> None:
 
 
 @stages
-def midpoint(moving: MovingBodies, first: int, last: int, open_kick: float, dt: float) -> None:
+def midpoint(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
     """Half a drift; at the midpoint half a kick, impacts, half a kick; half a drift."""
-    drift(moving, first, last, 0.5 * dt)
-    loads(moving, first, last, NOW)
-    kick(moving, first, last, 0.5 * dt)
-    bounce(moving, first, last)
-    kick(moving, first, last, 0.5 * dt)
-    drift(moving, first, last, 0.5 * dt)
+    drift(moving, first, end, 0.5 * dt)
+    loads(moving, first, end, NOW)
+    kick(moving, first, end, 0.5 * dt)
+    bounce(moving, first, end)
+    kick(moving, first, end, 0.5 * dt)
+    drift(moving, first, end, 0.5 * dt)
 
 
 def method(name, step):
@@ -142,13 +142,13 @@ def test_an_elastic_ball_bounces_for_ever_by_the_midpoint_step():
 
 
 @stages
-def _twice(moving, first, last, dt):
-    step_once(moving, first, last, dt)
-    step_once(moving, first, last, dt)
+def _twice(moving, first, end, dt):
+    step_once(moving, first, end, dt)
+    step_once(moving, first, end, dt)
 
 
 @stages
-def step_once(moving, first, last, dt):
+def step_once(moving, first, end, dt):
     note(dt * FACTOR)
 
 

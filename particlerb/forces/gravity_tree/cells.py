@@ -211,7 +211,7 @@ def place_points(
     points: TreePoints,
     ball: Floats,
     first: int,
-    last: int,
+    end: int,
 ) -> None:
     """Place the particles of bodies first to last, in the order of the tree: x = com + R r.
 
@@ -225,13 +225,13 @@ def place_points(
         Bodies as they follow in the tree, and their first particles there.
     points, ball : TreePoints, ndarray of shape (n_points, 7)
         What is written: particles, and the same as cells.
-    first, last : int
+    first, end : int
         Positions in `order`, last excluded.
     """
     com, q = rows3(y, 0, y.shape[1]), rows4(y[3:7], 0, y.shape[1])
     arms, places = rows3(kinds.arm, 0, kinds.mass.size), rows3(points.place, 0, kinds.mass.size)
     offset, masses, mass, owner = kinds.offset, kinds.mass, points.mass, points.owner
-    for k in range(first, last):
+    for k in range(first, end):
         b, at_first = order[k], begin[k]
         x, R, lo = column3(com, b), matrix(column4(q, b)), offset[b]
         for i in range(offset[b + 1] - lo):
@@ -330,12 +330,12 @@ def add_loads(
     gravitation: float,
     load: Floats,
     first: int,
-    last: int,
+    end: int,
 ) -> None:
     """Add force Σ m g and torque Σ (x - com) × m g of bodies first to last in the tree's order."""
     com, places = rows3(y, 0, y.shape[1]), rows3(points.place, 0, points.mass.size)
     fields = rows3(points.field, 0, points.mass.size)
-    for k in range(first, last):
+    for k in range(first, end):
         b = order[k]
         X, F, tau = column3(com, b), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for i in range(begin[k], begin[k + 1]):

@@ -42,9 +42,9 @@ def at(row: int, lane: int) -> int:
 
 
 @inline
-def clear(rows: Floats, first: int, last: int) -> None:
+def clear(rows: Floats, first: int, end: int) -> None:
     """Write zeros into rows."""
-    for i in range(first * LANES, last * LANES):
+    for i in range(first * LANES, end * LANES):
         rows[unsigned(i)] = 0.0
 
 

@@ -129,8 +129,8 @@ class Tree:
         THREADS.alone(fill_cells, *tree, scratch.rows, scratch.powers, self.count)
         pieces, square = self.pieces(), self.angle * self.angle
 
-        def part(first: int, last: int) -> None:
-            start, stop = int(pieces[first]), int(pieces[last])
+        def part(first: int, end: int) -> None:
+            start, stop = int(pieces[first]), int(pieces[end])
             walk(tree, self.scratch(), square, self.softening, start, stop)
 
         THREADS.share(part, pieces.size - 1, _BODY_STEPS_PER_PARTICLE * self.points.mass.size)
