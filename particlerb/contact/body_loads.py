@@ -135,7 +135,7 @@ def collect_loads(
         For which the loads count in the gross work; 0 for a partial step.
     """
     bodies = workspace.bodies
-    entry, ends = _active_entries(lists.of_spheres, lists.spheres.active, lo, n)
+    entry, ends = _active_entries(lists.sphere_incidence, lists.spheres.active, lo, n)
     for k in range(n):
         b = lo + k
         x = row3(bodies.position, b)

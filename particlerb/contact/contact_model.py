@@ -78,8 +78,8 @@ class NeighbourLists(NamedTuple):
 
     spheres: ContactList
     walls: ContactList
-    of_spheres: Incidence
-    of_walls: Incidence
+    sphere_incidence: Incidence
+    wall_incidence: Incidence
     max_contact_arm: float  # [m] from a centre of mass to the farthest point that may touch
 
 

@@ -63,7 +63,7 @@ def _is_apart(spheres: ContactSpheres, a: int, b: int) -> bool:
 @inline
 def _has_contact(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int) -> bool:
     """Whether a contact acts between two spheres."""
-    a, contacts, (offset, entry) = spheres.body[i], lists.spheres, lists.of_spheres
+    a, contacts, (offset, entry) = spheres.body[i], lists.spheres, lists.sphere_incidence
     is_active = _is_apart(spheres, a, spheres.body[j])
     for k in range(offset[a], offset[a + 1]):
         c = entry[k]
@@ -77,7 +77,7 @@ def _has_contact(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int)
 @inline
 def _has_wall_contact(model: ContactModel, lists: NeighbourLists, i: int, p: int) -> bool:
     """Whether primitive p is in the list of sphere i, and one of its wall acts."""
-    contacts, (offset, entry) = lists.walls, lists.of_walls
+    contacts, (offset, entry) = lists.walls, lists.wall_incidence
     a, wall = model.spheres.body[i], model.walls.wall
     is_listed, is_active = False, False
     for k in range(offset[a], offset[a + 1]):

@@ -26,18 +26,18 @@ def _hit(scene: EventScene, state: EventState, data: EventData, b: int, c: int, 
     if state.sums[col.AT_ONCE] > _MAX_IMPACTS * scene.n_moving:
         return col.ENDLESS
     first, second = (b, c) if c < 0 else (min(b, c), max(b, c))
-    sphere, other = int(np.int64(state.info[b, col.OWN])), int(np.int64(state.info[b, col.OTHER]))
+    sphere, other = int(np.int64(state.event[b, col.OWN])), int(np.int64(state.event[b, col.OTHER]))
     return col.DONE if collide(scene, state, data, first, second, sphere, other, t) else col.OVERLAP
 
 
 @inline
 def _count_anew(scene: EventScene, state: EventState) -> None:
     """Count times from a period later on."""
-    for b in range(state.info.shape[0]):
+    for b in range(state.event.shape[0]):
         state.flight[b, col.SINCE] -= scene.period
         state.spin[b, col.TURNED] -= scene.period
-        state.at[b, col.HIT] -= scene.period
-        state.at[b, col.LEAVE] -= scene.period
+        state.event_time[b, col.HIT] -= scene.period
+        state.event_time[b, col.LEAVE] -= scene.period
         for k in range(col.REMEMBERED):
             state.contact_at[b, k] -= scene.period
     for k in range(int(state.sums[col.SOON])):
@@ -58,13 +58,13 @@ def advance(
         if state.heap_time[0] > 2.0 * scene.period:
             _count_anew(scene, state)
         b, t = int(np.int64(state.heap[0])), state.heap_time[0]
-        c, partner, side = int(np.int64(state.info[b, col.PARTNER])), -1, -1
-        if state.at[b, col.LEAVE] < state.at[b, col.HIT]:
-            side = int(np.int64(state.info[b, col.EXIT]))
-            if abs(np.int64(state.info[b, col.CELL + side // 2])) >= LARGEST_NUMBER:
+        c, partner, side = int(np.int64(state.event[b, col.PARTNER])), -1, -1
+        if state.event_time[b, col.LEAVE] < state.event_time[b, col.HIT]:
+            side = int(np.int64(state.event[b, col.EXIT]))
+            if abs(np.int64(state.event[b, col.CELL + side // 2])) >= LARGEST_NUMBER:
                 return col.FAR, b
             cross(scene, state, b)
-        elif c == col.WALL or state.info[b, col.STAMP] == state.info[c, col.HITS]:
+        elif c == col.WALL or state.event[b, col.STAMP] == state.event[c, col.HITS]:
             result = _hit(scene, state, data, b, c, t)
             if result != col.DONE:
                 return result, b

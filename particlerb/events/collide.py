@@ -276,9 +276,9 @@ def collide(
     e, mu = _restitution(scene, state, a, key, pair, t), scene.rules[pair, 1]
     of = Impact(a, b, n, point, shift, e, mu, t)
     p = _hit_of_any(scene, state, data, of)
-    state.info[a, col.HITS] += 1
+    state.event[a, col.HITS] += 1
     if b != col.WALL:
-        state.info[b, col.HITS] += 1
+        state.event[b, col.HITS] += 1
     if b == col.WALL or b >= scene.n_moving:
         _give_outside(state, point, p)
     elif scene.box is not None:

@@ -132,7 +132,7 @@ def states_at(
     """
     for k in range(3):
         moment[k] = state.sums[col.MOMENT + k]
-    for b in range(state.info.shape[0]):
+    for b in range(state.event.shape[0]):
         i = to[b]
         x, v = flight_at(scene, state, b, t)
         q, spin = orientation_at(scene, state, b, t), row3(state.spin, b)

@@ -39,7 +39,7 @@ def _within(i: int, n: int) -> int:
 def _home(scene: EventScene, state: EventState, b: int) -> tuple[int, int, int]:
     """Cell that a body is in, its numbers modulo the numbers of cells."""
     nx, ny, nz = scene.cells
-    i, j, k = state.info[b, col.CELL], state.info[b, col.CELL + 1], state.info[b, col.CELL + 2]
+    i, j, k = state.event[b, col.CELL], state.event[b, col.CELL + 1], state.event[b, col.CELL + 2]
     return int(np.int64(i) % nx), int(np.int64(j) % ny), int(np.int64(k) % nz)
 
 
@@ -47,14 +47,16 @@ def _home(scene: EventScene, state: EventState, b: int) -> tuple[int, int, int]:
 def _enter_cell(scene: EventScene, state: EventState, b: int) -> None:
     """Add a body to the list of its cell."""
     i, j, k = _home(scene, state, b)
-    enter_list(state.head, state.next, state.info, col.PREVIOUS, _cell(scene, i, j, k), b)
+    enter_list(state.head, state.next, state.event, col.PREVIOUS, _cell(scene, i, j, k), b)
 
 
 @inline
 def cross(scene: EventScene, state: EventState, b: int) -> None:
     """Let a body go into the next cell."""
-    leave_list(state.head, state.next, state.info, col.PREVIOUS, b)
-    state.info[b, col.CELL + state.info[b, col.EXIT] // 2] += 2 * (state.info[b, col.EXIT] % 2) - 1
+    leave_list(state.head, state.next, state.event, col.PREVIOUS, b)
+    state.event[b, col.CELL + state.event[b, col.EXIT] // 2] += (
+        2 * (state.event[b, col.EXIT] % 2) - 1
+    )
     _enter_cell(scene, state, b)
     state.tally[impulses.CROSSINGS] += 1.0
 
@@ -67,7 +69,7 @@ def _until_crossing(
     g, best, leaves = pull(scene, b), math.inf, 0
     for k in range(3):
         w = scene.cell_width[k]
-        low = x[k] - (scene.origin[k] + w * state.info[b, col.CELL + k])
+        low = x[k] - (scene.origin[k] + w * state.event[b, col.CELL + k])
         if g[k] == 0.0:
             ahead = w - low if v[k] > 0.0 else low
             s = max(ahead, 0.0) / abs(v[k]) if v[k] != 0.0 else math.inf
@@ -97,13 +99,13 @@ def _note(state: EventState, b: int, t: float, s: float, hit: tuple[int, int, in
     Where the search for it has not come to an end, the body looks again then.
     """
     time = _earlier(t, s)
-    if time < state.at[b, col.HIT]:
-        state.at[b, col.HIT] = time
-        state.info[b, col.PARTNER], state.info[b, col.OWN], state.info[b, col.OTHER] = hit
+    if time < state.event_time[b, col.HIT]:
+        state.event_time[b, col.HIT] = time
+        state.event[b, col.PARTNER], state.event[b, col.OWN], state.event[b, col.OTHER] = hit
         if hit[1] == LOST:
-            state.info[b, col.PARTNER], state.info[b, col.STAMP] = b, col.AGAIN
+            state.event[b, col.PARTNER], state.event[b, col.STAMP] = b, col.AGAIN
         elif hit[0] >= 0:
-            state.info[b, col.STAMP] = state.info[hit[0], col.HITS]
+            state.event[b, col.STAMP] = state.event[hit[0], col.HITS]
 
 
 @inline
@@ -124,7 +126,7 @@ def _look(
     if scene.around is None:
         _note(state, b, flying.t, balls_meet(scene, state, flying, c), (c, min(b, c), max(b, c)))
         return True
-    until = min(state.at[b, col.HIT] - flying.t, stays)
+    until = min(state.event_time[b, col.HIT] - flying.t, stays)
     s, sphere, other = bodies_meet(scene, state, data, flying, c, until)
     _note(state, b, flying.t, s, (c, sphere, other))
     return _goes_on(scene, state, b, c, s, sphere)
@@ -138,7 +140,7 @@ def _look_at_walls(
     ended, b = True, flying.body
     for n in range(scene.wall_first[home], scene.wall_first[home + 1]):
         p = int(np.int64(scene.wall_near[n]))
-        until = min(state.at[b, col.HIT] - flying.t, stays)
+        until = min(state.event_time[b, col.HIT] - flying.t, stays)
         s, i = wall_meets(scene, state, data, flying, p, until)
         ended = _goes_on(scene, state, b, col.WALL, s, i) and ended
         _note(state, b, flying.t, s, (col.WALL, i, p))
@@ -165,11 +167,11 @@ def predict(
     """
     x, v = flight_at(scene, state, b, t)
     flying, ended = Flying(b, t, x, v), True
-    stays, state.info[b, col.EXIT] = _until_crossing(scene, state, b, x, v)
-    state.at[b, col.LEAVE] = t + stays
+    stays, state.event[b, col.EXIT] = _until_crossing(scene, state, b, x, v)
+    state.event_time[b, col.LEAVE] = t + stays
     if side < 0 or scene.around is not None:
         side = -1
-        state.at[b, col.HIT], state.info[b, col.PARTNER] = math.inf, col.NOBODY
+        state.event_time[b, col.HIT], state.event[b, col.PARTNER] = math.inf, col.NOBODY
     nx, ny, nz = scene.cells
     i0, j0, k0 = _home(scene, state, b)
     (i1, i2), (j1, j2) = _first_and_last(side, 0), _first_and_last(side, 1)
@@ -184,7 +186,7 @@ def predict(
                         ended = _look(scene, state, data, flying, c, stays) and ended
                     c = int(np.int64(state.next[c]))
     home = _cell(scene, i0, j0, k0)
-    i, j, k = state.info[b, col.CELL], state.info[b, col.CELL + 1], state.info[b, col.CELL + 2]
+    i, j, k = state.event[b, col.CELL], state.event[b, col.CELL + 1], state.event[b, col.CELL + 2]
     if i != i0 or j != j0 or k != k0:
         home = state.head.size
     ended = _look_at_walls(scene, state, data, flying, home, stays) and ended
@@ -196,9 +198,9 @@ def predict(
 @kernel
 def set_all(scene: EventScene, state: EventState, columns: Ints, initial: State) -> None:
     """Flights and cells of all bodies at time 0; of b from column columns[b] of `initial`."""
-    for b in range(state.info.shape[0] - 1, -1, -1):
+    for b in range(state.event.shape[0] - 1, -1, -1):
         set_flight(scene, state, b, initial, columns[b])
         for k in range(3):
             along = state.flight[b, k] - scene.origin[k]
-            state.info[b, col.CELL + k] = math.floor(along / scene.cell_width[k])
+            state.event[b, col.CELL + k] = math.floor(along / scene.cell_width[k])
         _enter_cell(scene, state, b)

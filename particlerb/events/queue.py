@@ -22,24 +22,26 @@ _HEAP_BRANCHES: Final = 4
 
 
 @inline
-def enter_list(first: Indices, behind: Indices, info: Indices, before: int, k: int, b: int) -> None:
-    """Let body b be the first of list k; column `before` of `info` is the body before each."""
+def enter_list(
+    first: Indices, behind: Indices, event: Indices, before: int, k: int, b: int
+) -> None:
+    """Let body b be the first of list k; column `before` of `event` is the body before each."""
     after = first[k]
-    behind[b], info[b, before], first[k] = after, -1 - k, b
+    behind[b], event[b, before], first[k] = after, -1 - k, b
     if after >= 0:
-        info[after, before] = b
+        event[after, before] = b
 
 
 @inline
-def leave_list(first: Indices, behind: Indices, info: Indices, before: int, b: int) -> None:
+def leave_list(first: Indices, behind: Indices, event: Indices, before: int, b: int) -> None:
     """Take body b out of its list."""
-    previous, after = info[b, before], behind[b]
+    previous, after = event[b, before], behind[b]
     if previous >= 0:
         behind[previous] = after
     else:
         first[-1 - np.int64(previous)] = after
     if after >= 0:
-        info[after, before] = previous
+        event[after, before] = previous
 
 
 @inline
@@ -50,7 +52,7 @@ def _sift_up(state: EventState, k: int, t: float, b: int) -> int:
         parent = (k - 1) // _HEAP_BRANCHES
         if t > time[parent] or (t == time[parent] and b > heap[parent]):
             break
-        time[k], heap[k], state.info[heap[parent], col.PLACE] = time[parent], heap[parent], k
+        time[k], heap[k], state.event[heap[parent], col.PLACE] = time[parent], heap[parent], k
         k = parent
     return k
 
@@ -70,7 +72,7 @@ def _sift_down(state: EventState, n: int, k: int, t: float, b: int) -> int:
                 best = child
         if time[best] > t or (time[best] == t and heap[best] > b):
             break
-        time[k], heap[k], state.info[heap[best], col.PLACE] = time[best], heap[best], k
+        time[k], heap[k], state.event[heap[best], col.PLACE] = time[best], heap[best], k
         k = best
     return k
 
@@ -79,15 +81,15 @@ def _sift_down(state: EventState, n: int, k: int, t: float, b: int) -> int:
 def _settle(state: EventState, n: int, k: int, t: float, b: int) -> None:
     """Let body b, with an event at t, take the free place at k of a heap of n, or a better one."""
     k = _sift_down(state, n, _sift_up(state, k, t, b), t, b)
-    state.heap_time[k], state.heap[k], state.info[b, col.PLACE] = t, b, k
+    state.heap_time[k], state.heap[k], state.event[b, col.PLACE] = t, b, k
 
 
 @inline
 def take_out(state: EventState, b: int) -> None:
     """Take body b out of the heap or its list."""
-    k = int(np.int64(state.info[b, col.PLACE]))
+    k = int(np.int64(state.event[b, col.PLACE]))
     if k < 0:
-        leave_list(state.later, state.behind, state.info, col.BEFORE, b)
+        leave_list(state.later, state.behind, state.event, col.BEFORE, b)
         return
     state.sums[col.SOON] -= 1.0
     n = int(state.sums[col.SOON])
@@ -98,7 +100,7 @@ def take_out(state: EventState, b: int) -> None:
 @inline
 def insert(scene: EventScene, state: EventState, b: int) -> None:
     """Queue the next event of body b, which is not in the queue."""
-    t = min(state.at[b, col.HIT], state.at[b, col.LEAVE])
+    t = min(state.event_time[b, col.HIT], state.event_time[b, col.LEAVE])
     lists, interval = state.later.size, state.sums[col.INTERVAL]
     due = t * (lists / scene.period)
     if due < interval:
@@ -107,8 +109,8 @@ def insert(scene: EventScene, state: EventState, b: int) -> None:
         _settle(state, n, n - 1, t, b)
     else:
         k = int(min(due, interval + (lists - 1))) & (lists - 1)
-        enter_list(state.later, state.behind, state.info, col.BEFORE, k, b)
-        state.info[b, col.PLACE] = -1
+        enter_list(state.later, state.behind, state.event, col.BEFORE, k, b)
+        state.event[b, col.PLACE] = -1
 
 
 @inline

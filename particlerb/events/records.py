@@ -44,7 +44,7 @@ FASTEST: Final = 4  # [rad/s] that it can turn
 BEND: Final = 5  # [1/s²] largest acceleration of a point by turning, over its distance
 N_SPIN: Final = 6
 
-# Columns of `EventState.info`
+# Columns of `EventState.event`
 CELL: Final = 0  # three numbers
 PREVIOUS: Final = 3  # body before it in its cell: or -1 - the number of that
 EXIT: Final = 4  # side by which it leaves its cell: 2 axis, + 1 along it
@@ -55,9 +55,9 @@ OTHER: Final = 8  # sphere of the other body, or primitive
 HITS: Final = 9  # impacts so far
 BEFORE: Final = 10  # body before it in its list of the queue
 PLACE: Final = 11  # in the heap; -1: in a list
-N_INFO: Final = 16  # a line of the cache
+N_EVENT: Final = 16  # a line of the cache
 
-# Columns of `EventState.at`, behind the others of `EventState.info`
+# Columns of `EventState.event_time`, behind the others of `EventState.event`
 HIT: Final = 6  # [s] next impact
 LEAVE: Final = 7  # [s] end of the stay in its cell
 
@@ -125,8 +125,8 @@ class EventState(NamedTuple):
     flight: Floats  # (n, N_FLIGHT)
     spin: Floats  # (n, N_SPIN)
     turn: Floats  # (n, ..) see rotors/single_turn.py
-    info: Indices  # (n, N_INFO)
-    at: Floats  # (n, N_INFO / 2) [s] the same memory as `info`
+    event: Indices  # (n, N_EVENT) cell and next event of each
+    event_time: Floats  # (n, N_EVENT / 2) [s] the same memory as `event`
     next: Indices  # (n,) body in the same cell; -1: there is none
     head: Indices  # (n_cells,) first body of each cell
     behind: Indices  # (n,) body in the same list of the queue; -1: there is none
@@ -165,16 +165,20 @@ def _rows(n: int, columns: int, dtype: Any) -> Any:
 
 def empty_state(n: int, n_moving: int, n_cells: int, columns: int) -> EventState:
     """State of n bodies at time 0: each that moves looks for its next event."""
-    bodies, info, sums = np.arange(n, dtype=np.int32), _rows(n, N_INFO, np.int32), np.zeros(N_SUMS)
-    info[:, PARTNER], info[:, STAMP], info[:, PLACE] = bodies, AGAIN, bodies
-    at = info.view(float)
-    at[:, HIT:] = np.inf
+    bodies, event, sums = (
+        np.arange(n, dtype=np.int32),
+        _rows(n, N_EVENT, np.int32),
+        np.zeros(N_SUMS),
+    )
+    event[:, PARTNER], event[:, STAMP], event[:, PLACE] = bodies, AGAIN, bodies
+    event_time = event.view(float)
+    event_time[:, HIT:] = np.inf
     sums[SOON], sums[INTERVAL] = n_moving, 1.0 if n_moving else np.inf
     lists = 1 << (_LISTS_PER_BODY * n_moving).bit_length()
     sizes = n, n_cells, n, lists
     following, head, behind, later = (np.full(size, -1, dtype=np.int32) for size in sizes)
     return EventState(
-        _rows(n, N_FLIGHT, float), np.zeros((n, N_SPIN)), np.zeros((n, columns)), info, at,
+        _rows(n, N_FLIGHT, float), np.zeros((n, N_SPIN)), np.zeros((n, columns)), event, event_time,
         following, head, behind, later, bodies[:n_moving].copy(), np.zeros(n_moving),
         np.full((n, REMEMBERED), -1), np.full((n, REMEMBERED), -np.inf), sums, np.zeros(col.TALLY),
     )  # fmt: skip

@@ -18,6 +18,15 @@ Tuple = TypeVar("Tuple", bound=tuple[Any, ...])
 OF_BODIES: Final = "of_bodies"  # arrays with a row for each body, or contact, of a part of the file
 
 
+IN_FILES: Final = {
+    "event": "info",
+    "event_time": "at",
+    "sphere_incidence": "of_spheres",
+    "wall_incidence": "of_walls",
+}
+"""Fields whose arrays have other names in checkpoints, which older files have too."""
+
+
 def under(name: str, saved: Mapping[str, Any]) -> Saved:
     """The same arrays, with their names under another one."""
     return {f"{name}.{key}": value for key, value in saved.items()}
@@ -35,7 +44,8 @@ def to_arrays(values: Any) -> Saved:
     Records become rows of floats.
     """
     saved: Saved = {}
-    for name, value in values._asdict().items():
+    for field, value in values._asdict().items():
+        name = IN_FILES.get(field, field)
         if hasattr(value, "_fields"):
             saved |= under(name, to_arrays(value))
         elif isinstance(value, Records):
@@ -49,13 +59,14 @@ def from_arrays(like: Tuple, saved: Mapping[str, Any]) -> Tuple:
     """NamedTuple of the same types with the arrays and numbers that `to_arrays` has given."""
     fields: Any = like
     values = {}
-    for name, value in fields._asdict().items():
+    for field, value in fields._asdict().items():
+        name = IN_FILES.get(field, field)
         if hasattr(value, "_fields"):
-            values[name] = from_arrays(value, within(name, saved))
+            values[field] = from_arrays(value, within(name, saved))
         elif isinstance(value, (bool, int, float)):
-            values[name] = type(value)(saved[name])
+            values[field] = type(value)(saved[name])
         elif isinstance(value, Records):
-            values[name] = from_floats(saved[name], value.dtype)
+            values[field] = from_floats(saved[name], value.dtype)
         else:
-            values[name] = saved.get(name)
+            values[field] = saved.get(name)
     return type(fields)(**values)

@@ -352,7 +352,7 @@ def test_the_queue_gives_events_by_time_then_by_number():
     n, rng, scene = 30, np.random.default_rng(1), SimpleNamespace(period=1.0)
     state, times = empty_state(n, n, 1, 1), np.zeros(n)
     later = [0.0, 2.0**-9, 0.25, 1.5, 40.0, np.inf]  # at once, soon, behind the last list
-    state.at[:, HIT] = 0.0
+    state.event_time[:, HIT] = 0.0
     for _ in range(3000):
         until = times.min() + rng.choice([-(2.0**-9), 0.0, 2.0**-9, 1.5])
         assert queue.comes(scene, state, until) == (times.min() <= until)
@@ -365,5 +365,5 @@ def test_the_queue_gives_events_by_time_then_by_number():
         for c in {b, int(rng.integers(n))}:
             times[c] = now + rng.choice(later, p=[0.1, 0.3, 0.3, 0.2, 0.05, 0.05])
             queue.take_out(state, c)
-            state.at[c, HIT] = times[c] - state.sums[EPOCH]
+            state.event_time[c, HIT] = times[c] - state.sums[EPOCH]
             queue.insert(scene, state, c)
