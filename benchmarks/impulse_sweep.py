@@ -49,8 +49,8 @@ def contacts(n: int, m: int, least: int) -> Impulses:
     rng, none = np.random.default_rng(0), np.zeros(0, dtype=np.int64)
     partners, rows = room_for_partners(n + 1), room_for_rows(m)
     partners.inverse[:n, [0, 1, 4, 6]] = 1.0, 20.0, 20.0, 20.0
-    rows.first[:] = np.sort(rng.integers(0, n, m))
-    rows.second[:] = np.minimum(rows.first + rng.integers(1, NEAR, m), n)
+    rows.partner_a[:] = np.sort(rng.integers(0, n, m))
+    rows.partner_b[:] = np.minimum(rows.partner_a + rng.integers(1, NEAR, m), n)
     rows.colours.counts[1] = least
     newton = room_for_newton(np.zeros(0, dtype=np.bool_), none, none, 0)
     rules = ImpulseRules(np.zeros(1), np.zeros(1), 1e-3, 20, 0.3, 1e-5, 0.0, False)

@@ -387,7 +387,7 @@ def child(scene: str, seconds: float, folder: Path) -> dict[str, Any]:
     def noted(motion: ContactMotion) -> None:
         make_lists(motion)
         found = motion.contact.lists
-        pairs = found.spheres.first.size + found.walls.first.size
+        pairs = found.spheres.sphere.size + found.walls.sphere.size
         lists.append((motion.lists.skin, pairs))
 
     ContactMotion.make_lists = noted  # type: ignore[method-assign]

@@ -203,7 +203,7 @@ def _load_of(
     for k in range(first, end):
         e = entry[unsigned(k)]
         c, sign = unsigned(e ^ (e >> 31)), 1.0 if e >= 0 else -1.0
-        partner = spheres.second[c] if e >= 0 else spheres.first[c]
+        partner = spheres.other[c] if e >= 0 else spheres.sphere[c]
         is_outside = inv_mass[unsigned(body[unsigned(partner)])] == 0.0
         load = _add_contact(rolling, spheres.forces, c, sign, x, is_outside, load)
     for k in range(wall_offset[b], wall_offset[b + 1]):
@@ -211,7 +211,7 @@ def _load_of(
         if walls.active[c]:
             touches = True
             load = _add_contact(rolling, walls.forces, c, 1.0, x, True, load)
-            arm = subtract(row3(workspace.xyzr, walls.first[c]), x)
+            arm = subtract(row3(workspace.xyzr, walls.sphere[c]), x)
             load = _add_correction(walls.forces, c, arm, load)
     return touches, load
 
@@ -225,13 +225,13 @@ def sum_piston_loads(
         return
     forces, history = contacts.forces, contacts.history
     sums[:] = 0.0
-    for c in range(contacts.second.size):
-        k = pistons.of_wall[model.walls.wall[contacts.second[c]]]
+    for c in range(contacts.other.size):
+        k = pistons.of_wall[model.walls.wall[contacts.other[c]]]
         if k >= 0 and contacts.active[c]:
             a = row3(pistons.axis, k)
             push = dot(a, row3(forces.elastic, c))
             impulse = dot(a, row3(forces.correction_impulse, c)) + push * forces.correction_time[c]
-            overlap, radius = history.overlap[c], model.spheres.radius[contacts.first[c]]
+            overlap, radius = history.overlap[c], model.spheres.radius[contacts.sphere[c]]
             share = math.sqrt(4.0 * radius * overlap) if model.law.hertz is not None else 1.0
             add_exactly(pistons, sums, k, PUSH, push)
             add_exactly(pistons, sums, k, REST, dot(a, row3(forces.other, c)))
@@ -261,7 +261,7 @@ def find_stored_energy(model: ContactModel, lists: NeighbourLists, stored: Float
                 is_own = inv_mass[b] > 0.0
             else:
                 c = ~c
-                is_own = inv_mass[body[spheres.first[c]]] == 0.0
+                is_own = inv_mass[body[spheres.sphere[c]]] == 0.0
             if is_own and spheres.active[c]:
                 energy += spheres.forces.elastic_energy[c]
         for k in range(wall_offset[b], wall_offset[b + 1]):

@@ -33,8 +33,8 @@ class PairList(NamedTuple):
     The first is the one on the finer level; on the same level, the one with the lower number.
     """
 
-    first: Ints  # (n_pairs,) sphere
-    second: Ints  # (n_pairs,) sphere
+    sphere: Ints  # (n_pairs,) sphere
+    other: Ints  # (n_pairs,) sphere
     start: Ints  # (n + 1,) pairs with i as the first are start[i] to start[i + 1]
 
 

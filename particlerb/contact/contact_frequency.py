@@ -25,8 +25,8 @@ _TOUCH_GAP: Final = 1e-6  # of two that touch, share of the smallest radius
 class _Springs(NamedTuple):
     """Contacts as springs between points of two bodies; body n is the world."""
 
-    first: Ints  # (m,)
-    second: Ints  # (m,)
+    body_a: Ints  # (m,)
+    body_b: Ints  # (m,)
     point: Floats  # (3, m) [m] world frame
     normal: Floats  # (3, m)
     stiffness: Floats  # (m,) [N/m] along the normal
@@ -38,7 +38,7 @@ def _contact_springs(model: ContactModel, contacts: ContactList, are_walls: bool
     elastic = contacts.forces.elastic.T
     size = np.linalg.norm(elastic, axis=0)
     pressed = np.flatnonzero(contacts.active & (size > 0.0))
-    pairs = contacts.first[pressed].astype(np.int64), contacts.second[pressed].astype(np.int64)
+    pairs = contacts.sphere[pressed].astype(np.int64), contacts.other[pressed].astype(np.int64)
     point = contacts.forces.point[pressed].T
     normal = elastic[:, pressed] / size[pressed]
     return springs(model, pairs, are_walls, point, normal, contacts.history.overlap[pressed])

@@ -64,8 +64,8 @@ class GroupContact(NamedTuple):
 class ContactList(NamedTuple):
     """Pairs that touch or soon may, what they remember from step to step, and their forces."""
 
-    first: Indices  # (m,) sphere
-    second: Indices  # (m,) sphere, or primitive of a wall
+    sphere: Indices  # (m,) sphere
+    other: Indices  # (m,) sphere, or primitive of a wall
     history: Records  # (m,) see `GroupContact.history_record`
     forces: Records  # (m,) see `pair_force.forces_dtype`; only of those that are active
     active: Bools  # (m,) whether there is a force: far fewer have one, and only these are read

@@ -93,7 +93,7 @@ def contact_rows(
         Point [m], force [N] and torque [N m] on the first, overlap [m].
     """
     active = np.flatnonzero(contacts.active)
-    i, j = contacts.first[active], contacts.second[active]
+    i, j = contacts.sphere[active], contacts.other[active]
     forces: Any = contacts.forces[active]  # records
     xyzr = workspace.xyzr[i]
     overlap = 2.0 * (xyzr[:, 3] - np.sqrt(((forces.point - xyzr[:, :3]) ** 2).sum(axis=1)))

@@ -118,7 +118,7 @@ def _write(
     rows.limits[k, col.RESTITUTION] = impulses.rules.restitution[pair]
     force = row3(contacts.history.force, c)
     put_row3(rows.impulse, k, scale(dt, force))
-    a, b = rows.first[k], rows.second[k]
+    a, b = rows.partner_a[k], rows.partner_b[k]
     acc_a, acc_b = row3(partners.before, a, 9), row3(partners.before, b, 9)
     changes = add(near.changes, cross(acc_a, row3(rows.frame, k, col.ARM)))
     changes = subtract(changes, cross(acc_b, row3(rows.frame, k, col.ARM + 3)))
@@ -169,7 +169,7 @@ def _sphere_contact(
     """Say whether contact c between two spheres is near, or write it as row k if that is one."""
     model, xyzr, velocity = setup.model, workspace.xyzr, impulses.partners.velocity
     reach = impulses.partners.reach
-    i, j = contacts.first[c], contacts.second[c]
+    i, j = contacts.sphere[c], contacts.other[c]
     d, touching = subtract(row3(xyzr, i), row3(xyzr, j)), xyzr[i, 3] + xyzr[j, 3]
     square = dot(d, d)
     a, b = model.spheres.body[i], model.spheres.body[j]
@@ -201,7 +201,7 @@ def _wall_contact(
 ) -> None:  # fmt: skip
     """Do the same with contact c of a sphere with a primitive of a wall."""
     model, walls, poses = setup.model, setup.model.walls, workspace.poses
-    i, p = contacts.first[c], contacts.second[c]
+    i, p = contacts.sphere[c], contacts.other[c]
     a, w, radius = model.spheres.body[i], walls.wall[p], workspace.xyzr[i, 3]
     primitive = primitive_at(walls.kind, walls.parameter, p)
     x, q = row3(workspace.xyzr, i), row4(poses.orientation, w)
@@ -263,12 +263,15 @@ def _list_near(
     spheres, rows, count = setup.model.spheres, impulses.rows, impulses.counts
     for c in range(within[0], within[1]):
         if contacts.active[c]:
-            k, j = count[0], contacts.second[c]
-            count[0], rows.first[k] = k + 1, spheres.body[contacts.first[c]]
+            k, j = count[0], contacts.other[c]
+            count[0], rows.partner_a[k] = k + 1, spheres.body[contacts.sphere[c]]
             if are_walls:
-                rows.second[k], rows.entry[k] = setup.max_arm.size + setup.model.walls.wall[j], ~c
+                rows.partner_b[k], rows.entry[k] = (
+                    setup.max_arm.size + setup.model.walls.wall[j],
+                    ~c,
+                )
             else:
-                rows.second[k], rows.entry[k] = spheres.body[j], c
+                rows.partner_b[k], rows.entry[k] = spheres.body[j], c
 
 
 @kernel
@@ -349,7 +352,7 @@ def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) 
     put_row3(forces.elastic, c, scale(total[0], row3(rows.frame, k, col.NORMAL)))
     put_row3(forces.other, c, in_world(rows.frame, k, (0.0, total[1], total[2])))
     arm, position = row3(rows.frame, k, col.ARM), impulses.partners.position
-    put_row3(forces.point, c, add(arm, row3(position, rows.first[k])))
+    put_row3(forces.point, c, add(arm, row3(position, rows.partner_a[k])))
     _keep_rolling(rows.rolling, contacts, c, impulses, k, dt)
 
 

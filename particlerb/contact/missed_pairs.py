@@ -68,7 +68,7 @@ def _has_contact(spheres: ContactSpheres, lists: NeighbourLists, i: int, j: int)
     for k in range(offset[a], offset[a + 1]):
         c = entry[k]
         c = c if c >= 0 else ~c
-        first, second = contacts.first[c], contacts.second[c]
+        first, second = contacts.sphere[c], contacts.other[c]
         if (first == i and second == j) or (first == j and second == i):
             is_active = is_active or contacts.active[c]
     return is_active
@@ -82,9 +82,9 @@ def _has_wall_contact(model: ContactModel, lists: NeighbourLists, i: int, p: int
     is_listed, is_active = False, False
     for k in range(offset[a], offset[a + 1]):
         c = entry[k]
-        if contacts.first[c] == i:
-            is_listed = is_listed or contacts.second[c] == p
-            is_active = is_active or (contacts.active[c] and wall[contacts.second[c]] == wall[p])
+        if contacts.sphere[c] == i:
+            is_listed = is_listed or contacts.other[c] == p
+            is_active = is_active or (contacts.active[c] and wall[contacts.other[c]] == wall[p])
     return is_listed and is_active
 
 

@@ -91,8 +91,8 @@ class _Pack(NamedTuple):
 
     contact: Ints  # (_LANES,) number in the list
     spheres: _Spheres
-    first: Any  # _Bodies
-    second: Any  # _Bodies
+    body_a: Any  # _Bodies
+    body_b: Any  # _Bodies
     on: Evaluation  # of a list with a contact in each lane, each with a law of its own
 
 
@@ -118,7 +118,7 @@ def _empty_pack(on: Evaluation) -> _Pack:
     if stages is not None:
         within = _Stages(rows[62:65].T, rows[65:68].T, rows[68:71].T, rows[71:74].T)
     lanes = ContactList(
-        contacts.first, contacts.second, history, forces, contacts.active, contacts.shell_ends,
+        contacts.sphere, contacts.other, history, forces, contacts.active, contacts.shell_ends,
         within,
     )  # fmt: skip
     of_each = ContactModel(
@@ -192,7 +192,7 @@ def sphere_contact_forces(on: Evaluation, v: float, w: float, first: int, end: i
     """
     model, workspace, contacts, before, after, _, _ = on
     pack = _empty_pack(on)
-    firsts, seconds, active = contacts.first, contacts.second, contacts.active
+    firsts, seconds, active = contacts.sphere, contacts.other, contacts.active
     body, xyzr, bodies = model.spheres.body, workspace.xyzr, workspace.bodies
     longer, n = max(before, after), 0
     margin, stretch = longer * v, 1.0 + 4.0 * longer * w
@@ -223,7 +223,7 @@ def _put_contact(on: Evaluation, c: int, d: Vec3, pack: _Pack, n: int) -> int:
     """
     model, workspace, contacts = on.model, on.workspace, on.contacts
     k, lane = unsigned(c), unsigned(n)
-    i, j = unsigned(contacts.first[k]), unsigned(contacts.second[k])
+    i, j = unsigned(contacts.sphere[k]), unsigned(contacts.other[k])
     spheres, rolling, lanes = model.spheres, model.law.rolling, pack.on.contacts
     xyzr, bodies = workspace.xyzr, workspace.bodies
     a, b, r_i, r_j = unsigned(spheres.body[i]), unsigned(spheres.body[j]), xyzr[i, 3], xyzr[j, 3]
@@ -241,8 +241,8 @@ def _put_contact(on: Evaluation, c: int, d: Vec3, pack: _Pack, n: int) -> int:
     put_row3(near.away, lane, d)
     near.radius[lane], near.other_radius[lane] = r_i, r_j
     put_row3(near.turning, lane, _normal_rate(on, i, j, d))
-    _put_body(bodies, a, pack.first, lane)
-    _put_body(bodies, b, pack.second, lane)
+    _put_body(bodies, a, pack.body_a, lane)
+    _put_body(bodies, b, pack.body_b, lane)
     _put_law(rolling, model.law, pair, pack.on.model.law, lane)
     _copy_history(rolling, contacts.history, k, lanes.history, lane)
     _copy_stages(contacts.stages, contacts.stages, k, lanes.stages, lane)
@@ -254,7 +254,7 @@ def _starts(on: Evaluation, c: int, pair: int, owners: tuple[int, int], d: Vec3)
     """Keep what contact c of two bodies has as long as it lasts; False where neither can move."""
     (a, b), model, contacts, workspace = owners, on.model, on.contacts, on.workspace
     xyzr, bodies = workspace.xyzr, workspace.bodies
-    i, j = contacts.first[c], contacts.second[c]
+    i, j = contacts.sphere[c], contacts.other[c]
     x, r_i, r_j = row3(xyzr, i), xyzr[i, 3], xyzr[j, 3]
     _, normal, point = _touch(x, d, r_i, r_j)
     inv_mass = inv_effective_mass(model, bodies, a, point, normal)
@@ -291,7 +291,7 @@ def _pack_forces(on: Evaluation, pack: _Pack, n: int) -> None:
 @inline
 def _collision(pack: _Pack, k: int) -> Collision:
     """How the spheres in lane k move."""
-    near, first, second = pack.spheres, pack.first, pack.second
+    near, first, second = pack.spheres, pack.body_a, pack.body_b
     r_i, r_j = near.radius[k], near.other_radius[k]
     overlap, normal, point = _touch(row3(near.centre, k), row3(near.away, k), r_i, r_j)
     v_a, v_b = velocity_at(first, k, point), velocity_at(second, k, point)

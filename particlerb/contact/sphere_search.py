@@ -125,9 +125,9 @@ class SphereSearch:
         """Pairs whose bodies may touch each other."""
         if not self.apart.size:
             return pairs
-        keys = pair_keys(self.body[pairs.first], self.body[pairs.second])
+        keys = pair_keys(self.body[pairs.sphere], self.body[pairs.other])
         may_touch = ~np.isin(keys, self.apart)
-        first, second = pairs.first[may_touch], pairs.second[may_touch]
+        first, second = pairs.sphere[may_touch], pairs.other[may_touch]
         return PairList(first, second, np.searchsorted(first, np.arange(self.everyone.size + 1)))
 
     def search(self, grid: CellGrid, spheres: SortedSpheres, skin: float) -> FoundPairs:

@@ -100,7 +100,7 @@ def wall_normal_rate(on: Evaluation, at: SphereAtWall, piece: WallPiece, normal:
     distance = norm(piece.gap)
     if piece.points > 1 or distance <= 0.0:
         return turning
-    primitive = primitive_at(walls.kind, walls.parameter, on.contacts.second[piece.nearest])
+    primitive = primitive_at(walls.kind, walls.parameter, on.contacts.other[piece.nearest])
     v = to_body(at.q, approach_velocity(on.workspace, at))
     rate = to_world(at.q, _gap_rate(primitive, at.y, v))
     across = add_scaled(-dot(rate, normal), normal, rate)
@@ -130,8 +130,8 @@ def _one_norm(v: Vec3) -> float:
 def _end_of(model: ContactModel, contacts: ContactList, first: int, most: int) -> int:
     """Where contacts end that are of the same sphere and the same wall as the first."""
     wall, c = model.walls.wall, first + 1
-    sphere, w = contacts.first[first], wall[contacts.second[first]]
-    while c < most and contacts.first[c] == sphere and wall[contacts.second[c]] == w:
+    sphere, w = contacts.sphere[first], wall[contacts.other[first]]
+    while c < most and contacts.sphere[c] == sphere and wall[contacts.other[c]] == w:
         c += 1
     return c
 
@@ -141,7 +141,7 @@ def _sphere_at_wall(on: Evaluation, c: int, end: int) -> SphereAtWall:
     """The sphere and the wall of contacts c to end."""
     spheres, walls, contacts = on.model.spheres, on.model.walls, on.contacts
     xyzr, bodies, poses = on.workspace.xyzr, on.workspace.bodies, on.workspace.poses
-    i, w = contacts.first[c], walls.wall[contacts.second[c]]
+    i, w = contacts.sphere[c], walls.wall[contacts.other[c]]
     a, x, radius = spheres.body[i], row3(xyzr, i), xyzr[i, 3]
     d, q = subtract(x, row3(poses.position, w)), row4(poses.orientation, w)
     arm = _one_norm(subtract(x, row3(bodies.position, a))) + 2.0 * radius
@@ -225,8 +225,8 @@ def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
         if contacts.active[c]:
             end_contact(on, c)
         return
-    primitive = contacts.second[c]
-    material = model.spheres.material[contacts.first[c]]
+    primitive = contacts.other[c]
+    material = model.spheres.material[contacts.sphere[c]]
     pair = model.pair_of[material, model.wall_material[primitive]]
     if contacts.history.inv_effective_mass[c] == 0.0:
         inv_mass = inv_effective_mass(model, bodies, a, point, normal)

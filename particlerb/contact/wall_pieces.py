@@ -65,7 +65,7 @@ class WallPiece(NamedTuple):
 def point_in_reach(on: Evaluation, at: SphereAtWall, c: int) -> tuple[int, bool, Vec3]:
     """`euler_count` of the primitive of contact c, 0 out of reach; and the gap, wall's frame."""
     walls = on.model.walls
-    primitive = primitive_at(walls.kind, walls.parameter, on.contacts.second[c])
+    primitive = primitive_at(walls.kind, walls.parameter, on.contacts.other[c])
     away, reach = gap_vector(primitive, at.y), at.radius + 0.5 * at.displacement
     if dot(away, away) >= reach * reach:
         return 0, False, away
@@ -146,8 +146,8 @@ def piece_at(on: Evaluation, at: SphereAtWall, root: int) -> WallPiece:
     """
     model, contacts, before, after = on.model, on.contacts, on.before, on.after
     points, law, radius = contacts.forces, model.law, at.radius
-    material = model.spheres.material[contacts.first[root]]
-    pair = model.pair_of[material, model.wall_material[contacts.second[root]]]
+    material = model.spheres.material[contacts.sphere[root]]
+    pair = model.pair_of[material, model.wall_material[contacts.other[root]]]
     first, n_points, total, pushes, hardest = root, 0, 0.0, 0.0, 0.0
     v, force, elastic, impulse = approach_velocity(on.workspace, at), ZERO, ZERO, ZERO
     energy, least = 0.0, math.inf
@@ -207,7 +207,7 @@ def _belongs_to(on: Evaluation, at: SphereAtWall, c: int, root: int) -> bool:
     contacts, points, walls = on.contacts, on.contacts.forces, on.model.walls
     if points.count[c] != 0.0:
         return bool(points.piece[c] == root)
-    primitive = primitive_at(walls.kind, walls.parameter, contacts.second[c])
+    primitive = primitive_at(walls.kind, walls.parameter, contacts.other[c])
     away, belongs = to_world(at.q, subtract(at.y, nearest(primitive, at.y))), False
     for m in range(at.first, at.end):
         if points.is_nearest[m] > 0.0 and points.piece[m] == root:

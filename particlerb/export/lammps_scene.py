@@ -295,7 +295,7 @@ def _region(wall: AnyWall) -> str:
 def _tethers(system: System) -> Iterable[str]:
     """Springs from centres to the world."""
     for link in tethers_of(system):
-        ends = zip(link.first.tolist(), link.second_at.T, link.rest_length, strict=True)
+        ends = zip(link.body_a.tolist(), link.at_b.T, link.rest_length, strict=True)
         for b, anchor, rest in ends:
             name = f"spring{link.number}_{b + 1}"
             yield f"group {name} molecule {b + 1}"

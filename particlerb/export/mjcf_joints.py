@@ -41,7 +41,7 @@ class Joint(NamedTuple):
 
 def joint_at_start(system: System, setup: SystemJoints, j: int) -> Joint:
     """A joint of a system at its start."""
-    ends: Ints = np.array([setup.first[j], setup.second[j]])
+    ends: Ints = np.array([setup.body_a[j], setup.body_b[j]])
     points = []
     for b, k in zip(ends.tolist(), (0, 1), strict=True):
         vectors = setup.places[j, [k, k + 2]].T

@@ -359,8 +359,8 @@ class _Writer:
             law = {key: numbers(getattr(link.force, key)) for key in ("stiffness", "damping")}
             for s, rest in enumerate(link.rest_length):
                 ends = [
-                    (link.first[s], link.first_at[:, s]),
-                    (link.second[s], link.second_at[:, s]),
+                    (link.body_a[s], link.at_a[:, s]),
+                    (link.body_b[s], link.at_b[:, s]),
                 ]
                 name = f"force[{link.number}] {s}"
                 self.add_tendon(ends, name, springlength=numbers(rest), **law)

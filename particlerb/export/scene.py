@@ -29,7 +29,7 @@ def tethers_of(system: System) -> list[Link]:
         link
         for link in springs_of(system)
         if link.force.anchor and not (link.force.damping or any(link.force.at))
-        if is_one[system.kind[link.first]].all()
+        if is_one[system.kind[link.body_a]].all()
     ]
 
 

@@ -192,7 +192,7 @@ def is_constant(terms: Terms) -> bool:
     """
     if not has_potential(terms) or not all(kick.is_steady for kick, _ in _parts_of(terms)):
         return False
-    reaches_out = terms.links is not None and bool((terms.links.second == WORLD).any())
+    reaches_out = terms.links is not None and bool((terms.links.body_b == WORLD).any())
     reaches_out |= terms.joints is not None and terms.joints.reach_out
     return not reaches_out and not (terms.is_coupled and terms.loads)
 

@@ -40,10 +40,10 @@ WORLD: Final = -1  # stands for the second body of a link to a point of the worl
 class Links(NamedTuple):
     """Parameters of s links among n bodies."""
 
-    first: Ints  # (s,) body
-    second: Ints  # (s,) body, or WORLD
-    first_at: Floats  # (3, s) [m], rotor frame of the first, from its centre of mass
-    second_at: Floats  # (3, s) [m], rotor frame of the second; or in the world
+    body_a: Ints  # (s,) body
+    body_b: Ints  # (s,) body, or WORLD
+    at_a: Floats  # (3, s) [m], rotor frame of the first, from its centre of mass
+    at_b: Floats  # (3, s) [m], rotor frame of the second; or in the world
     stiffness: Floats  # (s,) [N/m]
     rest_length: Floats  # (s,) [m]
     damping: Floats | None  # (s,) [N s/m]; None: no link has any
@@ -82,16 +82,16 @@ class _End(NamedTuple):
 @inline
 def _first_end(links: Links, y: Floats, s: int) -> _End:
     """End of link s on its first body."""
-    a = links.first[s]
+    a = links.body_a[s]
     R = rotation_of(y, a)
-    arm = turn(R, column3_at(links.first_at, 0, s))
+    arm = turn(R, column3_at(links.at_a, 0, s))
     return _End(arm, add_scaled(1.0, column3_at(y, 0, a), arm), R)
 
 
 @inline
 def _second_end(links: Links, y: Floats, s: int) -> _End:
     """End of link s on its second body, or in the world."""
-    b, at = links.second[s], column3_at(links.second_at, 0, s)
+    b, at = links.body_b[s], column3_at(links.at_b, 0, s)
     if b == WORLD:
         return _End((0.0, 0.0, 0.0), at, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
     R = rotation_of(y, b)
@@ -111,7 +111,7 @@ def velocity(links: Links, y: Floats, b: int, end: _End) -> Vec3:
 @inline
 def rate(links: Links, y: Floats, s: int, ends: tuple[_End, _End], n: Vec3) -> float:
     """How fast link s grows [m/s]."""
-    a, b = links.first[s], links.second[s]
+    a, b = links.body_a[s], links.body_b[s]
     v: float = -dot(n, velocity(links, y, a, ends[0]))
     if b != WORLD:
         v += dot(n, velocity(links, y, b, ends[1]))
@@ -129,9 +129,9 @@ def share(links: Links, b: int, end: _End, n: Vec3) -> float:
 @inline
 def _inverse_mass(links: Links, s: int, ends: tuple[_End, _End], n: Vec3) -> float:
     """1/m_eff of link s along n [1/kg]."""
-    w = share(links, links.first[s], ends[0], n)
-    if links.second[s] != WORLD:
-        w += share(links, links.second[s], ends[1], n)
+    w = share(links, links.body_a[s], ends[0], n)
+    if links.body_b[s] != WORLD:
+        w += share(links, links.body_b[s], ends[1], n)
     return w
 
 
@@ -143,7 +143,7 @@ def _act(
 
     With their turning moments, to `rows` from `at` on; of the world to the rows OUTSIDE of `load`.
     """
-    a, b = links.first[s], links.second[s]
+    a, b = links.body_a[s], links.body_b[s]
     add_to_column3_at(rows, at, a, 1.0, vector)
     add_to_column3_at(rows, at + TORQUE, a, 1.0, cross(ends[0].arm, vector))
     if b == WORLD:
@@ -159,7 +159,7 @@ def link_loads(links: Links | None, y: Floats, load: Floats, with_dashpots: bool
     """Add the loads (13, n) of all links in the state y (13, n), one after the other."""
     if links is None:
         return
-    for s in range(links.first.size):
+    for s in range(links.body_a.size):
         ends = _first_end(links, y, s), _second_end(links, y, s)
         d = subtract(ends[1].point, ends[0].point)
         inverse = 1.0 / math.sqrt(dot(d, d) + _LENGTH_FLOOR_SQUARED)
@@ -168,7 +168,7 @@ def link_loads(links: Links | None, y: Floats, load: Floats, with_dashpots: bool
         if with_dashpots and c > 0.0:
             v = rate(links, y, s, ends, scale(inverse, d))
             size += c * v * inverse
-            load[POWER, links.first[s]] -= c * v * v
+            load[POWER, links.body_a[s]] -= c * v * v
         _act(links, s, ends, scale(size, d), load, FORCE, load)
 
 
@@ -180,8 +180,8 @@ def change_links(links: Links | None, y: Floats, change: Floats) -> None:
     """
     if links is None:
         return
-    for s in range(links.first.size):
-        a, b = links.first[s], links.second[s]
+    for s in range(links.body_a.size):
+        a, b = links.body_a[s], links.body_b[s]
         ends = _first_end(links, y, s), _second_end(links, y, s)
         v = velocity(links, y, a, ends[0]), (0.0, 0.0, 0.0)
         if b != WORLD:
@@ -209,8 +209,8 @@ def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backward
     """
     if links is None or dt == 0.0:
         return
-    for i in range(links.first.size):
-        s = links.first.size - 1 - i if backwards else i
+    for i in range(links.body_a.size):
+        s = links.body_a.size - 1 - i if backwards else i
         c = links.damping[s] if links.damping is not None else 0.0
         if c == 0.0:
             continue
@@ -221,17 +221,17 @@ def damp_links(links: Links | None, y: Floats, load: Floats, dt: float, backward
         if not w > 0.0:
             continue
         size = -math.expm1(-c * w * dt) * v / w
-        load[POWER, links.first[s]] += size * (0.5 * size * w - v)
+        load[POWER, links.body_a[s]] += size * (0.5 * size * w - v)
         _act(links, s, ends, scale(size, n), y, 7, load)
 
 
 def _spans(links: Links, com: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
     """From first to second point (3, s) [m], and both arms in world axes (3, s) [m]."""
-    a, b = links.first, links.second
-    first = rotate(q[:, a], links.first_at)
+    a, b = links.body_a, links.body_b
+    first = rotate(q[:, a], links.at_a)
     inside = b != WORLD
-    arm = np.where(inside, rotate(q[:, b], links.second_at), 0.0)
-    second = np.where(inside, com[:, b] + arm, links.second_at)
+    arm = np.where(inside, rotate(q[:, b], links.at_b), 0.0)
+    second = np.where(inside, com[:, b] + arm, links.at_b)
     return second - com[:, a] - first, first, arm
 
 
@@ -241,7 +241,7 @@ def link_energy(
     """Σ k (l - l₀)²/2 [J], in each world if there are several."""
     stretch = np.linalg.norm(_spans(links, com, q)[0], axis=0) - links.rest_length
     energy = 0.5 * links.stiffness * stretch * stretch
-    return over_pairs(energy, links.first, worlds)
+    return over_pairs(energy, links.body_a, worlds)
 
 
 def with_springs(links: Links | None, loads: tuple[Any, ...], bodies: Bodies) -> Links:
@@ -279,8 +279,8 @@ def fastest_oscillation(links: Links, bodies: Bodies, com: Floats, q: Floats) ->
         links.rest_length, length, out=np.ones_like(length), where=length > 0.0
     )
     across = links.stiffness * np.maximum(across, 0.0)
-    world = np.where(links.second == WORLD, com.shape[1], links.second)
-    ends = (links.first, first), (world, second)
+    world = np.where(links.body_b == WORLD, com.shape[1], links.body_b)
+    ends = (links.body_a, first), (world, second)
     springs, inverse = (n, links.stiffness, across), (bodies.inv_mass, bodies.inv_inertia)
     return fastest_frequency(inverse, q, ends, springs, _POWER_ITERATIONS)
 
@@ -293,15 +293,15 @@ def link_rates(links: Links) -> Floats:
     """
     n = links.inv_mass.size
     softest = links.inv_inertia.max(axis=0)
-    inside = links.second != WORLD
+    inside = links.body_b != WORLD
     inverses = [
         links.inv_mass[body] + (at * at).sum(axis=0) * softest[body]
-        for body, at in ((links.first, links.first_at), (links.second, links.second_at))
+        for body, at in ((links.body_a, links.at_a), (links.body_b, links.at_b))
     ]
     inverses[1] = np.where(inside, inverses[1], 0.0)
     u = [np.sqrt(links.stiffness * softness) for softness in inverses]
     damped = 0.0 if links.damping is None else links.damping * (inverses[0] + inverses[1])
-    return combined_rates(links.first, links.second, u, n, damped)
+    return combined_rates(links.body_a, links.body_b, u, n, damped)
 
 
 def combined_rates(

@@ -75,10 +75,10 @@ class _Apart:
     """Pairs with bodies of their own, so that each end can move by itself."""
 
     def __init__(self, pairs: UserPairs, bodies: Bodies, state: State, t: float) -> None:
-        s, ends = pairs.first.size, (pairs.first, pairs.second)
+        s, ends = pairs.body_a.size, (pairs.body_a, pairs.body_b)
         indices = np.concatenate(ends)
         self.pairs = pairs._replace(
-            first=np.arange(s), second=s + np.arange(s), inv_mass=pairs.inv_mass[indices],
+            body_a=np.arange(s), body_b=s + np.arange(s), inv_mass=pairs.inv_mass[indices],
             inv_inertia=np.ascontiguousarray(pairs.inv_inertia[:, indices]),
             axes=np.ascontiguousarray(pairs.axes[:, indices]), turns=pairs.turns[indices],
         )  # fmt: skip
@@ -127,8 +127,8 @@ def _try(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> None:
         raise ForceError("function", wrong)
     bare = pairs._replace(turns=np.ones_like(pairs.turns))
     values = python.attempt(force.function, lambda: loads_between(bare, state, start))
-    arm = lengths(state.com[:, pairs.second] - state.com[:, pairs.first]) * lengths(values[:3])
-    for ends, torque in ((pairs.first, values[3:6]), (pairs.second, values[6:])):
+    arm = lengths(state.com[:, pairs.body_b] - state.com[:, pairs.body_a]) * lengths(values[:3])
+    for ends, torque in ((pairs.body_a, values[3:6]), (pairs.body_b, values[6:])):
         turned = (bodies.rotor_class[ends] == POINT) & (lengths(torque) > _TORQUE_ROUNDING * arm)
         if turned.any():
             reason = f"{where}: {force.name} turns a point of {{name}}: nothing can turn it"
@@ -137,8 +137,8 @@ def _try(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> None:
     if force.potential is None:
         return
     python.attempt(force.potential, lambda: pair_energies(pairs, state.com, state.q)[None])
-    few = np.arange(0, pairs.first.size, -(-pairs.first.size // python.LOOKED_AT))
-    some = {name: getattr(pairs, name)[few] for name in ("first", "second", "kind")}
+    few = np.arange(0, pairs.body_a.size, -(-pairs.body_a.size // python.LOOKED_AT))
+    some = {name: getattr(pairs, name)[few] for name in ("body_a", "body_b", "kind")}
     apart = _Apart(pairs._replace(rows=pairs.rows[:, few], **some), bodies, state, start)
     for end, words in ((0, ", on the first"), (1, ", on the second")):
         loads, energies = partial(apart.loads, end), partial(apart.energies, end)
@@ -153,7 +153,7 @@ def _try(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> None:
 def given_to_pair(pairs: UserPairs, bodies: Bodies, state: State, s: int) -> dict[str, Any]:
     """What the function is handed over for pair s, but for the time."""
     arguments = python.numbers_in(pairs.functions.lengths[pairs.kind[s]], pairs.rows[:, s])
-    for end, b in (("1", int(pairs.first[s])), ("2", int(pairs.second[s]))):
+    for end, b in (("1", int(pairs.body_a[s])), ("2", int(pairs.body_b[s]))):
         arguments |= python.of_body(bodies, state, b, end)
     return arguments
 
@@ -163,7 +163,7 @@ def wrong_pair(
 ) -> tuple[str, str]:
     """A force that acts on body b, and what is wrong with what it returns; empty: nothing."""
     words = ""
-    for s in np.flatnonzero((pairs.first == b) | (pairs.second == b)).tolist():
+    for s in np.flatnonzero((pairs.body_a == b) | (pairs.body_b == b)).tolist():
         force = pairs.functions.forces[pairs.kind[s]]
         words = f"; {place_of(force.function)}: {force.name} acts on it"
         if state is None:
@@ -177,7 +177,7 @@ def pair_rates(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> 
     """Rates at which each body swings, or slows down, by all its pairs, (n,) [rad/s]."""
     apart = _Apart(pairs, bodies, state, start)
     by_end = [apart.rates(end) for end in (0, 1)]
-    ends = pairs.first, pairs.second
+    ends = pairs.body_a, pairs.body_b
     rates = combined_rates(*ends, [np.sqrt(of_end.squared) for of_end in by_end], bodies.mass.size)
     for end, of_end in zip(ends, by_end, strict=True):
         turning = np.sqrt(of_end.turning * bodies.inv_inertia.max(axis=0)[end])

@@ -53,8 +53,8 @@ class UserPairs(NamedTuple):
     """s pairs among n bodies, and the forces between them."""
 
     functions: PairFunctions
-    first: Ints  # (s,) body
-    second: Ints  # (s,)
+    body_a: Ints  # (s,) body
+    body_b: Ints  # (s,)
     kind: Ints  # (s,) which of the forces
     rows: Floats  # (r, s) parameters
     has_potential: Bools  # (forces,)
@@ -106,7 +106,7 @@ def _arguments(names: Any, lengths: Lengths) -> str:
     """Source of the arguments of a function."""
     texts, row = {"t": "t"}, 0
     for name, code in _ARGUMENTS.items():
-        for k, end in (("1", "first"), ("2", "second")):
+        for k, end in (("1", "body_a"), ("2", "body_b")):
             texts[name + k] = code.format(f"pairs.{end}[s]")
     for name, length in lengths:
         numbers = [f"pairs.rows[{row + k}, s]" for k in range(max(length, 1))]
@@ -191,7 +191,7 @@ def user_pairs(
 @inline
 def _load(pairs: UserPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Vec3]:
     """Force on the first body of pair s, and the torques on both."""
-    a, b = pairs.first[s], pairs.second[s]
+    a, b = pairs.body_a[s], pairs.body_b[s]
     F, tau = pairs.functions.load(pairs, y, t, s, pairs.kind[s])
     other = subtract(cross(subtract(column3_at(y, 0, b), column3_at(y, 0, a)), F), tau)
     return F, scale(pairs.turns[a], tau), scale(pairs.turns[b], other)
@@ -200,7 +200,7 @@ def _load(pairs: UserPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Ve
 @inline
 def _add_load(pairs: UserPairs, s: int, rows: Floats, at: int, h: float, load: Any) -> None:
     """Add h times a load of pair s to the rows of both bodies, from `at` on."""
-    a, b, (F, tau, other) = pairs.first[s], pairs.second[s], load
+    a, b, (F, tau, other) = pairs.body_a[s], pairs.body_b[s], load
     add_to_column3_at(rows, at, a, h, F)
     add_to_column3_at(rows, at + TORQUE, a, h, tau)
     add_to_column3_at(rows, at, b, -h, F)
@@ -218,7 +218,7 @@ def user_pair_loads(
     """
     if pairs is None:
         return
-    for s in range(pairs.first.size):
+    for s in range(pairs.body_a.size):
         if with_velocities or not pairs.takes_velocities[pairs.kind[s]]:
             at = FORCE if pairs.has_potential[pairs.kind[s]] else OTHER
             _add_load(pairs, s, load, at, 1.0, _load(pairs, t, y, s))
@@ -236,7 +236,7 @@ def _flow_pair(pairs: UserPairs, t: float, y: Floats, s: int, dt: float) -> floa
 
     Where it does not converge it is NaN, and so are the momenta.
     """
-    a, b = pairs.first[s], pairs.second[s]
+    a, b = pairs.body_a[s], pairs.body_b[s]
     p, spin = (
         (column3_at(y, _P, a), column3_at(y, _P, b)),
         (column3_at(y, _L, a), column3_at(y, _L, b)),
@@ -275,10 +275,10 @@ def flow_user_pairs(
     """
     if pairs is None or dt == 0.0:
         return
-    for i in range(pairs.first.size):
-        s = pairs.first.size - 1 - i if backwards else i
+    for i in range(pairs.body_a.size):
+        s = pairs.body_a.size - 1 - i if backwards else i
         if pairs.takes_velocities[pairs.kind[s]]:
-            load[POWER, pairs.first[s]] += _flow_pair(pairs, t, y, s, dt)
+            load[POWER, pairs.body_a[s]] += _flow_pair(pairs, t, y, s, dt)
 
 
 @kernel
@@ -291,7 +291,7 @@ def _pair_energies(pairs: UserPairs, y: Floats, out: Floats) -> None:
 @kernel
 def _sample_pairs(pairs: UserPairs, y: Floats, t: float, out: Floats) -> None:
     """Force on the first body of each pair, and the torques on both, (9, s)."""
-    for s in range(pairs.first.size):
+    for s in range(pairs.body_a.size):
         F, tau, other = _load(pairs, t, y, s)
         for c in range(3):
             out[c, s], out[3 + c, s], out[6 + c, s] = F[c], tau[c], other[c]
@@ -299,7 +299,7 @@ def _sample_pairs(pairs: UserPairs, y: Floats, t: float, out: Floats) -> None:
 
 def pair_energies(pairs: UserPairs, com: Floats, q: Floats) -> Floats:
     """Potential energy of each pair, (s,) [J]."""
-    y, out = np.zeros((STATE_ROWS, com.shape[1])), np.zeros(pairs.first.size)
+    y, out = np.zeros((STATE_ROWS, com.shape[1])), np.zeros(pairs.body_a.size)
     y[:3], y[3:7] = com, q
     if pairs.has_potential.any():
         _pair_energies(pairs, y, out)
@@ -308,6 +308,6 @@ def pair_energies(pairs: UserPairs, com: Floats, q: Floats) -> Floats:
 
 def loads_between(pairs: UserPairs, state: State, t: float) -> Floats:
     """Force on the first body of each pair, torques on both, (9, s) [N, N m]."""
-    out = np.zeros((9, pairs.first.size))
+    out = np.zeros((9, pairs.body_a.size))
     _sample_pairs(pairs, np.vstack(state), t, out)
     return out

@@ -29,7 +29,7 @@ _REST_RATE_SHARE: Final = 1e-12  # of the rate
 def _rate(bounded: Bounded, y: Floats, k: int, at: int) -> float:
     """Rate of the coordinate of row k with velocities that stand in y from `at` on."""
     rate = 0.0
-    for end, of in ((bounded.first[k], 0), (bounded.second[k], 6)):
+    for end, of in ((bounded.partner_a[k], 0), (bounded.partner_b[k], 6)):
         rate += dot(row3(bounded.gradient, k, of), row3(y, end, at))
         rate += dot(row3(bounded.gradient, k, of + 3), row3(y, end, at + 3))
     return rate
@@ -109,7 +109,7 @@ def write_response(
     for j in range(first, last):
         for i in range(6):
             response[j, i] = 0.0
-    for b, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
+    for b, at in ((bounded.partner_a[k], 0), (bounded.partner_b[k], 6)):
         c = mechanisms.number[b]
         if c < 0:
             continue
@@ -120,7 +120,7 @@ def write_response(
                     response[j, i] += bounded.gradient[k, of] * mechanisms.response[to]
                     to += 1
     inverse, values = 0.0, bounded.values
-    for b, at in ((bounded.first[k], 0), (bounded.second[k], 6)):
+    for b, at in ((bounded.partner_a[k], 0), (bounded.partner_b[k], 6)):
         for i in range(6):
             inverse += bounded.gradient[k, at + i] * response[first + mechanisms.local[b], i]
     is_free = inverse > col.LOCKED_SHARE * free
@@ -273,8 +273,8 @@ def push_by_bounded(bounded: Bounded, velocity: Floats) -> None:
 def _give(bounded: Bounded, momenta: Floats, k: int, r: float) -> None:
     """Give momenta: an impulse along row k."""
     for i in range(6):
-        momenta[bounded.first[k], i] += r * bounded.gradient[k, i]
-        momenta[bounded.second[k], i] += r * bounded.gradient[k, 6 + i]
+        momenta[bounded.partner_a[k], i] += r * bounded.gradient[k, i]
+        momenta[bounded.partner_b[k], i] += r * bounded.gradient[k, 6 + i]
 
 
 @inline

@@ -38,7 +38,7 @@ def push_back_from_stops(bounded: Bounded, move: Floats, has_moved: Bools, share
     values = bounded.values
     for k in range(bounded.kind.size):
         gap, sign = values[k, col.B_SLOPE], values[k, col.B_CHANGE]
-        if gap == math.inf or (gap >= -_MAX_OVERRUN and not has_moved[bounded.first[k]]):
+        if gap == math.inf or (gap >= -_MAX_OVERRUN and not has_moved[bounded.partner_a[k]]):
             continue
         comes = sign * rate_along(bounded, move, k)
         push = values[k, col.B_OLD] - (share * gap + comes) / values[k, col.B_INVERSE]
@@ -66,9 +66,9 @@ def sum_works_along(bounded: Bounded, partners: Partners, tally: Floats) -> None
         tally[kinds[bounded.kind[k]]] += pressed * u
         moved = _sum_outside(bounded, partners, k, hit + pressed)
         tally[col.BOUNDARY_WORK] += moved
-        mine = bounded.first[k]
+        mine = bounded.partner_a[k]
         if partners.inverse[mine, 0] == 0.0:
-            mine = bounded.second[k]
+            mine = bounded.partner_b[k]
         partners.external[mine, 0] += (hit + pressed) * u + moved
         partners.external[mine, 7] += abs(hit * u) + abs(pressed * u) + abs(moved)
 
@@ -76,7 +76,7 @@ def sum_works_along(bounded: Bounded, partners: Partners, tally: Floats) -> None
 @inline
 def _sum_outside(bounded: Bounded, partners: Partners, k: int, r: float) -> float:
     """Add what the world or a held body has given along row k; the work [J] of its motion."""
-    a, b, gradient, moved = bounded.first[k], bounded.second[k], bounded.gradient, 0.0
+    a, b, gradient, moved = bounded.partner_a[k], bounded.partner_b[k], bounded.gradient, 0.0
     for mine, other, at, of in ((a, b, 0, 6), (b, a, 6, 0)):
         is_outside = a == b or partners.inverse[other, 0] == 0.0
         if not is_outside or partners.inverse[mine, 0] == 0.0:

@@ -11,7 +11,7 @@ from particlerb.maths.vec3 import Floats
 @inline
 def _cluster_of(bounded: Bounded, newton: Newton, k: int) -> int:
     """Cluster of row k: that of the partner that moves."""
-    return max(int(newton.cluster[bounded.first[k]]), int(newton.cluster[bounded.second[k]]))
+    return max(int(newton.cluster[bounded.partner_a[k]]), int(newton.cluster[bounded.partner_b[k]]))
 
 
 @inline
@@ -52,7 +52,7 @@ def add_bounded(
     for k in range(bounded.kind.size):
         if newton.clusters[_cluster_of(bounded, newton, k), state] != to_solve:
             continue
-        for end, of in ((bounded.first[k], 0), (bounded.second[k], 6)):
+        for end, of in ((bounded.partner_a[k], 0), (bounded.partner_b[k], 6)):
             at = newton.first_row[end]
             if at < 0:
                 continue

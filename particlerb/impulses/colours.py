@@ -74,7 +74,7 @@ def _sort(impulses: Impulses) -> None:
     size, listed, used = rows.colours.size, rows.colours.listed, partners.used
     used[:] = 0
     for k in range(count[0]):
-        a, b, colour = rows.first[k], rows.second[k], 0
+        a, b, colour = rows.partner_a[k], rows.partner_b[k], 0
         taken = used[a] | used[b]
         while taken & 1 and colour + 1 < size.size:
             taken, colour = taken >> 1, colour + 1
@@ -89,5 +89,5 @@ def _sort(impulses: Impulses) -> None:
     for k in range(count[0]):
         row = rows.colours.chunk[listed[k, 3]]
         rows.colours.chunk[listed[k, 3]] = row + 1
-        rows.first[row], rows.second[row] = listed[k, 0], listed[k, 1]
+        rows.partner_a[row], rows.partner_b[row] = listed[k, 0], listed[k, 1]
         rows.entry[row] = listed[k, 2]

@@ -94,7 +94,7 @@ def measured(inverse: float, mass: float) -> float:
 @inline
 def _cluster_of(newton: Newton, rows: ImpulseRows, k: int) -> int:
     """Cluster of a contact: that of the partner that moves."""
-    return max(int(newton.cluster[rows.first[k]]), int(newton.cluster[rows.second[k]]))
+    return max(int(newton.cluster[rows.partner_a[k]]), int(newton.cluster[rows.partner_b[k]]))
 
 
 @inline
@@ -178,7 +178,7 @@ def _velocities_by(
 def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) -> None:
     """Add Gᵀ K G M⁻¹ and -Gᵀ c of contact k."""
     frame, slopes, mechanisms = rows.frame, newton.slopes, partners.mechanisms
-    a, b = rows.first[k], rows.second[k]
+    a, b = rows.partner_a[k], rows.partner_b[k]
     row_a, row_b = newton.first_row[a], newton.first_row[b]
     for other in range(2):
         body, arm = (a, col.ARM) if other == 0 else (b, col.ARM + 3)
@@ -255,7 +255,10 @@ def _solve_for_bodies(
         _add_contact(partners, rows, newton, k)
         c = row3(newton.slopes, k)
         p, turn = scale(-1.0, in_world(rows.frame, k, c)), rolling_c(rows.rolling, rows, k, -c[0])
-        for body, arm, sign in ((rows.first[k], col.ARM, 1.0), (rows.second[k], col.ARM + 3, -1.0)):
+        for body, arm, sign in (
+            (rows.partner_a[k], col.ARM, 1.0),
+            (rows.partner_b[k], col.ARM + 3, -1.0),
+        ):
             at = newton.first_row[body]
             if at >= 0:
                 m = add(cross(row3(rows.frame, k, arm), p), turn)
@@ -287,7 +290,7 @@ def _step(
         j = _cluster_of(newton, rows, k)
         state, share = newton.clusters[j, _STATE], newton.clusters[j, _SHARE]
         if state == _TO_SOLVE:
-            a, b = rows.first[k], rows.second[k]
+            a, b = rows.partner_a[k], rows.partner_b[k]
             du = in_frame(rows.frame, k, velocity_between(partners.move, rows.frame, k, a, b))
             step = add(row3(newton.slopes, k), _k_times(newton.slopes, k, du))
             put_row3(direction, k, scale(-1.0, step))

@@ -45,7 +45,9 @@ def _find_overlaps(impulses: Impulses, team: Team, dt: float) -> bool:
             rows.old[k, 0], rows.old[k, 1] = 0.0, gap
             overlap = max(overlap, -gap)
     overlap, deepest, _ = largest(team, overlap, deepest, 0.0)
-    count[1] = int(deepest) if deepest < rows.first.size else -1  # none where a thread has failed
+    count[1] = (
+        int(deepest) if deepest < rows.partner_a.size else -1
+    )  # none where a thread has failed
     return overlap > rules.slop
 
 
@@ -67,7 +69,7 @@ def push_out(impulses: Impulses, bounded: Bounded | None, team: Team, dt: float)
         for i in range(rows.colours.counts[0]):
             first, end = rows_of(team, rows.colours, i)
             for k in range(first, end):
-                a, b, gap = rows.first[k], rows.second[k], rows.old[k, 1]
+                a, b, gap = rows.partner_a[k], rows.partner_b[k], rows.old[k, 1]
                 if gap == math.inf or (gap >= -rules.slop and not (has_moved[a] or has_moved[b])):
                     continue
                 wanted = -rules.push_out * (gap + rules.slop)

@@ -152,11 +152,11 @@ class Partners(NamedTuple):
 
 
 class Bounded(NamedTuple):
-    """Rows along coordinates of joints: see `bounded`; the world is `first`, with no gradient."""
+    """Rows along coordinates of joints: see `bounded`; the world is `partner_a`, no gradient."""
 
     kind: Ints  # (k,) STOP, MOTOR or RUBS
-    first: Ints  # (k,) partners
-    second: Ints  # (k,)
+    partner_a: Ints  # (k,) partners
+    partner_b: Ints  # (k,)
     start: Ints  # (k + 1,) where what each moves begins in the next two
     member: Ints  # partners of its mechanism, and
     response: Floats  # (.., 6) [m/s, rad/s] what a unit impulse does to their velocities
@@ -189,14 +189,14 @@ class Colours(NamedTuple):
 
 
 class ImpulseRows(NamedTuple):
-    """Contacts of a step: room for `first.size`."""
+    """Contacts of a step: room for `partner_a.size`."""
 
-    first: Ints  # partner
-    second: Ints
+    partner_a: Ints  # partner
+    partner_b: Ints
     entry: Ints  # k of the list of spheres, ~k of the list of walls
     frame: Floats  # (.., 24)
     limits: Floats  # (.., 7)
-    impulse: Floats  # (.., 3) [N s] along n, t₁, t₂, on the first
+    impulse: Floats  # (.., 3) [N s] along n, t₁, t₂, on `partner_a`
     impact: Floats  # (.., 3) [N s] the same of impacts
     old: Floats  # (.., 3) before a sweep, and shares of the push-out
     direction: Floats  # (.., 3) of the conjugate gradients

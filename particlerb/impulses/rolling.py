@@ -36,7 +36,7 @@ _CHANGE_TOLERANCE: Final = 1e-14  # relative change at which an impact is solved
 @inline
 def turning(velocity: Floats, rows: ImpulseRows, k: int) -> Vec3:
     """Relative angular velocity [rad/s] of contact k along n, t₁, t₂."""
-    a, b = rows.first[k], rows.second[k]
+    a, b = rows.partner_a[k], rows.partner_b[k]
     return in_frame(rows.frame, k, subtract(row3(velocity, a, 3), row3(velocity, b, 3)))
 
 
@@ -50,15 +50,15 @@ def turning_at_end(rolling: Rolling, partners: Partners, rows: ImpulseRows, k: i
 def _turn(partners: Partners, velocity: Floats, rows: ImpulseRows, k: int, m: Vec3) -> None:
     """Change velocities by the angular impulse m of contact k."""
     along, inverse, mechanisms = in_world(rows.frame, k, m), partners.inverse, partners.mechanisms
-    push(velocity, inverse, mechanisms, rows.first[k], ZERO, along)
-    push(velocity, inverse, mechanisms, rows.second[k], ZERO, scale(-1.0, along))
+    push(velocity, inverse, mechanisms, rows.partner_a[k], ZERO, along)
+    push(velocity, inverse, mechanisms, rows.partner_b[k], ZERO, scale(-1.0, along))
 
 
 @inline
 def _give(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> None:
     """Give angular momenta."""
     along, momenta = in_world(rows.frame, k, m), partners.impulse
-    a, b = rows.first[k], rows.second[k]
+    a, b = rows.partner_a[k], rows.partner_b[k]
     put_row3(momenta, a, add(row3(momenta, a, 3), along), 3)
     put_row3(momenta, b, subtract(row3(momenta, b, 3), along), 3)
 
@@ -96,7 +96,7 @@ def square_of(rolling: Rolling, rows: ImpulseRows, k: int, m: Vec3) -> float:
 @inline
 def _turned_by(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> Vec3:
     """What an angular impulse m of contact k does to its angular velocity."""
-    clear_moves(partners, rows.first[k], rows.second[k])
+    clear_moves(partners, rows.partner_a[k], rows.partner_b[k])
     _turn(partners, partners.move, rows, k, m)
     return turning(partners.move, rows, k)
 
@@ -112,7 +112,7 @@ def write_rolling(
     if rolling is None:
         return
     for k in range(count):
-        a, b, inverse, limit = rows.first[k], rows.second[k], partners.inverse, rolling.limit
+        a, b, inverse, limit = rows.partner_a[k], rows.partner_b[k], partners.inverse, rolling.limit
         driven = subtract(row3(partners.before, a, 15), row3(partners.before, b, 15))
         put_row3(limit, k, in_frame(rows.frame, k, scale(0.5 * dt, driven)), DRIVEN)
         n = _turned_by(partners, rows, k, (1.0, 0.0, 0.0))

@@ -95,7 +95,7 @@ def _diagonal_turn(s11: float, s22: float, s12: float) -> tuple[float, float]:
 @inline
 def write_frame(partners: Partners, rows: ImpulseRows, c: int, normal: Vec3, point: Vec3) -> None:
     """Write frame and inverse mass of contact c, whose partners are known, at a point [m]."""
-    between = rows.first[c], rows.second[c]
+    between = rows.partner_a[c], rows.partner_b[c]
     write_frame_of(rows.frame, partners.inverse, partners.position, c, between, normal, point)
 
 
@@ -154,7 +154,7 @@ def _put_shares(frame: Floats, c: int) -> None:
 @inline
 def approach(partners: Partners, rows: ImpulseRows, c: int) -> Vec3:
     """Velocity [m/s] in contact c along n, t₁, t₂."""
-    a, b = rows.first[c], rows.second[c]
+    a, b = rows.partner_a[c], rows.partner_b[c]
     return in_frame(rows.frame, c, velocity_between(partners.velocity, rows.frame, c, a, b))
 
 
@@ -171,7 +171,7 @@ def driven_by(partners: Partners, rows: ImpulseRows, c: int, dt: float) -> Vec3:
 
     At a point of both bodies: so all contacts of a pair ask for what rigid bodies can have at once.
     """
-    a, b, before = rows.first[c], rows.second[c], partners.before
+    a, b, before = rows.partner_a[c], rows.partner_b[c], partners.before
     by_a = cross(row3(before, a, 15), row3(rows.frame, c, col.ARM))
     by_b = cross(row3(before, b, 15), row3(rows.frame, c, col.ARM + 3))
     by_a, by_b = add(row3(before, a, 12), by_a), add(row3(before, b, 12), by_b)
@@ -203,7 +203,7 @@ def lean(
     dt : float [s]
     slop : float [m]
     """
-    a, b, limits = rows.first[c], rows.second[c], rows.limits
+    a, b, limits = rows.partner_a[c], rows.partner_b[c], rows.limits
     n_by, x_by, y_by = driven_by(partners, rows, c, dt)
     n, x, y = in_frame(rows.frame, c, scale(0.5 * dt, changes))
     came, u, v = in_frame(rows.frame, c, velocity_between(partners.before, rows.frame, c, a, b))
@@ -227,7 +227,7 @@ def lean(
 @inline
 def give(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     """Give momenta: r [N s] along n, t₁, t₂ of contact c to the first partner, -r to the second."""
-    a, b, momenta = rows.first[c], rows.second[c], partners.impulse
+    a, b, momenta = rows.partner_a[c], rows.partner_b[c], partners.impulse
     p = in_world(rows.frame, c, r)
     turn_a = cross(row3(rows.frame, c, col.ARM), p)
     turn_b = cross(row3(rows.frame, c, col.ARM + 3), p)
@@ -240,7 +240,7 @@ def give(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
 @inline
 def change_by(partners: Partners, rows: ImpulseRows, c: int, r: Vec3) -> None:
     """Change velocities by r [N s] along n, t₁, t₂ of contact c."""
-    a, b, p = rows.first[c], rows.second[c], in_world(rows.frame, c, r)
+    a, b, p = rows.partner_a[c], rows.partner_b[c], in_world(rows.frame, c, r)
     inverse, mechanisms = partners.inverse, partners.mechanisms
     push_apart(partners.velocity, inverse, mechanisms, rows.frame, c, a, b, p)
 
@@ -270,7 +270,7 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
 
     Where these let the two neither approach nor part, the contact is left out.
     """
-    a, b, frame = rows.first[c], rows.second[c], rows.frame
+    a, b, frame = rows.partner_a[c], rows.partner_b[c], rows.frame
     n, t1, t2 = (
         row3(frame, c, col.NORMAL), row3(frame, c, col.TANGENT), row3(frame, c, col.TANGENT + 3),
     )  # fmt: skip
@@ -298,5 +298,5 @@ def write_through_pistons(
     if mechanisms is None:
         return
     for c in range(count):
-        if mechanisms.number[rows.second[c]] >= 0:
+        if mechanisms.number[rows.partner_b[c]] >= 0:
             write_through_joints(partners, rows, c)

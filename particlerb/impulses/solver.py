@@ -86,11 +86,11 @@ def leave_out_what_leans(impulses: Impulses, team: Team, dt: float) -> None:
     for k in range(first, end):
         bore = rows.impulse[k, 0] != 0.0 or rows.impulse[k, 1] != 0.0 or rows.impulse[k, 2] != 0.0
         if not bore and approach(partners, rows, k)[0] < rows.frame[k, col.LEAST]:
-            for b in (rows.first[k], rows.second[k]):
+            for b in (rows.partner_a[k], rows.partner_b[k]):
                 joins[b] = partners.inverse[b, 0] > 0.0
     meet(team)
     for k in range(first, end):
-        if joins[rows.first[k]] or joins[rows.second[k]]:
+        if joins[rows.partner_a[k]] or joins[rows.partner_b[k]]:
             _, rows.limits[k, col.LEAN + 1], rows.limits[k, col.LEAN + 2] = driven_by(
                 partners, rows, k, dt
             )

@@ -46,7 +46,7 @@ def _sum_contact(impulses: Impulses, k: int) -> tuple[float, float, float, float
     """Add what contact k has done, by partners; work of each kind [J]."""
     partners, rows = impulses.partners, impulses.rows
     frame, inverse, external = rows.frame, partners.inverse, partners.external
-    a, b = rows.first[k], rows.second[k]
+    a, b = rows.partner_a[k], rows.partner_b[k]
     impact, pressed = row3(rows.impact, k), row3(rows.impulse, k)
     r = add(impact, pressed)
     if dot(r, r) == 0.0:

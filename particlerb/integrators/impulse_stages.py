@@ -72,7 +72,7 @@ def midpoint_kinematics(
     share: BlockShare, dt: float,
 ) -> None:  # fmt: skip
     """Find kinematics, and take loads that depend on time, in the middle of a step."""
-    for k in range(share.first, share.last):
+    for k in range(share.first, share.end):
         for b in range(share.layout.size[k]):
             shift_time(acting, share.blocks[k], b, 0.5 * dt)
     if share.first == 0:
@@ -320,7 +320,7 @@ def _note_overlap(contact: MovingContact, impulses: Impulses, dt: float) -> None
         return
     deepest, limits = workspace.deepest[0], rows.limits
     deepest[0] = -limits[k, col.GAP] - dt * approach(impulses.partners, rows, k)[0]
-    deepest[1], deepest[2], deepest[3] = limits[k, col.RADIUS], rows.first[k], rows.second[k]
+    deepest[1], deepest[2], deepest[3] = limits[k, col.RADIUS], rows.partner_a[k], rows.partner_b[k]
     deepest[4] = workspace.step_start.time[0] + 1.5 * dt
 
 

@@ -37,7 +37,7 @@ class BlockShare(NamedTuple):
     blocks: Floats  # all of the group
     layout: Layout
     first: int
-    last: int  # excluded
+    end: int  # excluded
 
 
 class PairTerms(NamedTuple):

@@ -169,8 +169,8 @@ def find_bounded(
         return
     for k in range(bounded.kind.size):
         r = bounds.row[k]
-        _respond(joints, data, partners, mechanisms, bounded.first[k])
-        _respond(joints, data, partners, mechanisms, bounded.second[k])
+        _respond(joints, data, partners, mechanisms, bounded.partner_a[k])
+        _respond(joints, data, partners, mechanisms, bounded.partner_b[k])
         a, b, x = joints.rows.a[r], joints.rows.b[r], coordinate(joints.rows, data.y, r)
         by_x, by_a = row3(data.gradient, r), row3(data.gradient, r, 3)
         by_b = row3(data.gradient, r, 6)
@@ -199,9 +199,9 @@ def find_responses(
     """
     _, partners, rows, count, _, _ = impulses
     for k in range(count[0]):
-        _respond(joints, data, partners, mechanisms, rows.first[k])
-        _respond(joints, data, partners, mechanisms, rows.second[k])
-        if mechanisms.is_known[rows.first[k]] or mechanisms.is_known[rows.second[k]]:
+        _respond(joints, data, partners, mechanisms, rows.partner_a[k])
+        _respond(joints, data, partners, mechanisms, rows.partner_b[k])
+        if mechanisms.is_known[rows.partner_a[k]] or mechanisms.is_known[rows.partner_b[k]]:
             write_through_joints(partners, rows, k)
 
 

@@ -69,10 +69,12 @@ class Ends(NamedTuple):
 
     a: Ints  # (k,)
     b: Ints  # (k,)
-    first_at: Floats  # [m] point of the first body
-    second_at: Floats  # [m] point of the second
-    first: Mapping[str, Floats]  # directions in the first body
-    second: Mapping[str, Floats]  # in the second; x, y, z of the world; `at`: where first_at is
+    at_a: Floats  # [m] point of the first body
+    at_b: Floats  # [m] point of the second
+    directions_a: Mapping[str, Floats]  # directions in the first body
+    directions_b: Mapping[
+        str, Floats
+    ]  # in the second; x, y, z of the world; `at`: where first_at is
     length: Floats  # (k,) [m]
     size: Floats  # (k,) [m]
     roll: Floats  # (k, 3) k [m/rad], z_b/z_a and pitch [m] of what rolls: wheels.py
@@ -106,13 +108,13 @@ def coordinate_rows(kind: str, ends: Ends, along: str | None) -> list[Constraint
     if kind == "ball":
         return [_rotation_of(row, ends) for row in rows]
     constraints = [_row_of(row, ends) for row in rows]
-    shifted = [constraint._replace(vector_b=ends.second["at"]) for constraint in constraints]
+    shifted = [constraint._replace(vector_b=ends.directions_b["at"]) for constraint in constraints]
     return shifted if rows[0].kind == kinds.ALONG else constraints
 
 
 def _rotation_of(row: _Constraint, ends: Ends) -> ConstraintRows:
     """A component of rotation vectors; c, from frames of b to those of a at the start, is held."""
-    pairs = [(ends.first[axis], ends.second[axis]) for axis in "nef"]
+    pairs = [(ends.directions_a[axis], ends.directions_b[axis]) for axis in "nef"]
     turn = quaternions(sum(np.einsum("ki,kj->kij", *pair) for pair in pairs))
     second = np.pad(turn[:, :1], ((0, 0), (0, 2)))
     return _row_of(row, ends)._replace(vector_a=turn[:, 1:].copy(), vector_b=second)
@@ -123,15 +125,15 @@ def _row_of(row: _Constraint, ends: Ends) -> ConstraintRows:
     k = ends.a.size
     none, one = np.zeros((k, 3)), np.ones(k)
     is_dot, is_turn = row.kind == kinds.DOT, row.kind in (kinds.TURN, kinds.OWN_TURN)
-    axes = ends.first if row.kind == kinds.OWN_TURN else ends.second
-    second = ends.second["at"] if row.kind == kinds.RACK else ends.second_at
-    marks = ends.second["n"], ends.first["mark"], ends.second["mark"], ends.roll
+    axes = ends.directions_a if row.kind == kinds.OWN_TURN else ends.directions_b
+    second = ends.directions_b["at"] if row.kind == kinds.RACK else ends.at_b
+    marks = ends.directions_b["n"], ends.directions_a["mark"], ends.directions_b["mark"], ends.roll
     return ConstraintRows(
         np.full(k, row.kind),
         ends.a,
         ends.b,
-        ends.first[row.first] if is_dot or is_turn else ends.first_at,
-        none if is_dot else ends.second[row.first] if is_turn else second,
+        ends.directions_a[row.first] if is_dot or is_turn else ends.at_a,
+        none if is_dot else ends.directions_b[row.first] if is_turn else second,
         axes[row.axis] if row.axis else none,
         ends.length if row.kind == kinds.DISTANCE else one,
         one if is_dot or is_turn or row.kind == kinds.ROTATION else ends.size,

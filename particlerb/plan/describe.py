@@ -311,7 +311,7 @@ def _driving(terms: Terms) -> str:
         kinds = "spring", "springs"
         if terms.links.damping is not None:
             kinds = "spring and dashpot", "springs and dashpots"
-        between.append(count_of(terms.links.first.size, *kinds))
+        between.append(count_of(terms.links.body_a.size, *kinds))
     if terms.user_pairs is not None:
         between.append(terms.user_pairs.words)
     if terms.attraction is not None:

@@ -75,11 +75,11 @@ def _user_pairs_among(members: Ints, bodies: Bodies, links: list[UserLink]) -> U
     kinds = [(link.force.function, lengths_of(link.force)) for link in links]
     distinct = list(dict.fromkeys(kinds))
     rows = np.zeros((max(len(link.numbers) for link in links), first.size))
-    kind = np.repeat([distinct.index(form) for form in kinds], [link.first.size for link in links])
+    kind = np.repeat([distinct.index(form) for form in kinds], [link.body_a.size for link in links])
     start = 0
     for link in links:
-        rows[: len(link.numbers), start : start + link.first.size] = link.numbers
-        start += link.first.size
+        rows[: len(link.numbers), start : start + link.body_a.size] = link.numbers
+        start += link.body_a.size
     forces, lengths = zip(*distinct, strict=True)
     return user_pairs(functions_of(forces, lengths), (first, second), kind, rows, bodies)
 
@@ -88,12 +88,12 @@ def links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
     """Links of a group, with its own numbers and in rotor frames."""
     place = np.full(int(members.max()) + 2, WORLD)  # the last is that of the world
     place[members] = np.arange(members.size)
-    first = place[np.concatenate([link.first for link in links])]
-    second = place[np.concatenate([link.second for link in links])]
+    first = place[np.concatenate([link.body_a for link in links])]
+    second = place[np.concatenate([link.body_b for link in links])]
     inside = second != WORLD
-    first_at = np.concatenate([link.first_at for link in links], axis=1)
-    second_at = np.concatenate([link.second_at for link in links], axis=1)
-    counts = [link.first.size for link in links]
+    first_at = np.concatenate([link.at_a for link in links], axis=1)
+    second_at = np.concatenate([link.at_b for link in links], axis=1)
+    counts = [link.body_a.size for link in links]
     stiffness = np.repeat([link.force.stiffness for link in links], counts)
     damping = np.repeat([link.force.damping for link in links], counts)
     frame = bodies.rotor_frame

@@ -53,7 +53,7 @@ def groups_of(
     solid = np.zeros(0, dtype=np.int64) if touching is None else touching.body
     acting = None if joints is None else joints.acting
     ties: list[AnyLink | Ties] = [*links, *([] if acting is None else [acting])]
-    ends = [end[end != WORLD] for tie in ties for end in (tie.first, tie.second)]
+    ends = [end[end != WORLD] for tie in ties for end in (tie.body_a, tie.body_b)]
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     absent = bound if system.merging is None else np.union1d(bound, system.merging.guests)
     is_held = system.is_held
@@ -67,12 +67,12 @@ def groups_of(
     number = np.full(len(system.kind), -1)  # of the group of each body
     for k, members in enumerate(found):
         number[members] = k
-    links_of = _by_group([(link, number[link.first]) for link in links])
+    links_of = _by_group([(link, number[link.body_a]) for link in links])
     loads_on = _by_group([(load, number[load.members]) for load in loads])
     for k, members in enumerate(found):
-        inside = [within(link, number[link.first] == k) for link in links_of[k]]
+        inside = [within(link, number[link.body_a] == k) for link in links_of[k]]
         attracts = bool(heavy.size) and bool(number[heavy[0]] == k)
-        tied = joints if acting is not None and (number[acting.first] == k).any() else None
+        tied = joints if acting is not None and (number[acting.body_a] == k).any() else None
         touches = bool(together.size) and bool(number[together[0]] == k)
         forces = _aligned(loads_on[k], members)
         own = members, is_held[members], forces
@@ -152,11 +152,11 @@ def clusters(
         like = int(apart[first]), block, *system.kind[cluster % system.in_each].tolist()
         signs[int(label[first])] = [like]
     for link in links:
-        labels, count = np.unique(label[link.first], return_counts=True)
+        labels, count = np.unique(label[link.body_a], return_counts=True)
         for key, springs in zip(labels.tolist(), count.tolist(), strict=True):
             signs[key].append((link.number, springs))
     if joints is not None:
-        for key, number in zip(label[joints.first].tolist(), joints.record.tolist(), strict=True):
+        for key, number in zip(label[joints.body_a].tolist(), joints.record.tolist(), strict=True):
             signs[key].append(("joint", number))
     for load in loads:
         labels = np.unique(label[load.members[np.isin(load.members, bound)]])

@@ -108,7 +108,7 @@ def _overlapping(
     pairs = neighbours(
         spheres.place, spheres.radius, spheres.body, 0.0, contact.excluded, system.world
     )
-    i, j = pairs.first, pairs.second
+    i, j = pairs.sphere, pairs.other
     distance = lengths(spheres.place[:, j] - spheres.place[:, i])
     depth = spheres.radius[i] + spheres.radius[j] - distance
     a, b = spheres.body[i], spheres.body[j]

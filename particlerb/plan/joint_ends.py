@@ -25,8 +25,8 @@ class Ties(NamedTuple):
     """Bodies that joints tie."""
 
     record: Ints  # index of [[joint]]
-    first: Ints  # bodies of the system
-    second: Ints  # bodies, or WORLD
+    body_a: Ints  # bodies of the system
+    body_b: Ints  # bodies, or WORLD
 
 
 def pairs_of(system: System, table: JointTable) -> tuple[Ints, Ints]:
@@ -151,7 +151,7 @@ def wrong_place(system: System, number: int, ends: Ends) -> Problem | None:
         hint = "give `at` and `at_to` apart, across the axis"
         return problem_at(system, key, f"{name} has no pitch radius", hint)
     if table.type == "rack":
-        across = np.abs((ends.second["n"] * ends.second["m"]).sum(axis=1)).max()
+        across = np.abs((ends.directions_b["n"] * ends.directions_b["m"]).sum(axis=1)).max()
         if across > _MAX_RACK_COSINE:
             reason = f"{name} is not across `axis`: it would not roll"
             return problem_at(system, f"{key}.axis_to", reason, "let it stand across")
@@ -176,10 +176,14 @@ def in_hosts(ends: Ends, merging: Merging) -> Ends:
     return ends._replace(
         a=host(ends.a),
         b=host(ends.b),
-        first_at=carried(ends.a, "at", ends.first_at),
-        second_at=carried(ends.b, "at", ends.second_at),
-        first={name: carried(ends.a, name, axis) for name, axis in ends.first.items()},
-        second={name: carried(ends.b, name, axis) for name, axis in ends.second.items()},
+        at_a=carried(ends.a, "at", ends.at_a),
+        at_b=carried(ends.b, "at", ends.at_b),
+        directions_a={
+            name: carried(ends.a, name, axis) for name, axis in ends.directions_a.items()
+        },
+        directions_b={
+            name: carried(ends.b, name, axis) for name, axis in ends.directions_b.items()
+        },
     )
 
 

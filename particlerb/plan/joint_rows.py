@@ -41,8 +41,8 @@ class TableJoints(NamedTuple):
     coordinates: Coordinates
     rows: ConstraintRows
     record: Ints
-    first: Ints
-    second: Ints
+    body_a: Ints
+    body_b: Ints
     places: Floats
     n_rows: Ints  # of each
     until: Floats
@@ -61,7 +61,7 @@ def joints_of_table(
             second_merged = (second != WORLD) & merging.is_merged[second]
             until[merging.is_merged[first] | second_merged] = -np.inf
     table_rows = rows_of(table.type, ends, *rows, table.along)
-    axes = ends.first["n"], ends.second.get("m", ends.second["n"])
+    axes = ends.directions_a["n"], ends.directions_b.get("m", ends.directions_b["n"])
     return TableJoints(
         names,
         coordinates_of(table.type, ends),
@@ -69,7 +69,7 @@ def joints_of_table(
         np.full(first.size, number),
         ends.a,
         ends.b,
-        np.stack([ends.first_at, ends.second_at, *axes], axis=1),
+        np.stack([ends.at_a, ends.at_b, *axes], axis=1),
         np.full(first.size, table_rows.kind.size // first.size),
         until,
     )
@@ -171,13 +171,13 @@ def with_dashpots(
 ) -> tuple[ConstraintRows, Actions]:
     """Rows and actions of joints of n bodies, with the dashpots among them."""
     assert links.damping is not None
-    m = links.first.size
+    m = links.body_a.size
     dashpots = ConstraintRows(
         np.full(m, kinds.STRETCH),
-        links.first,
-        np.where(links.second == WORLD, n, links.second),
-        np.ascontiguousarray(links.first_at.T),
-        np.ascontiguousarray(links.second_at.T),
+        links.body_a,
+        np.where(links.body_b == WORLD, n, links.body_b),
+        np.ascontiguousarray(links.at_a.T),
+        np.ascontiguousarray(links.at_b.T),
         np.zeros((m, 3)),
         np.ones(m),
         np.ones(m),

@@ -53,8 +53,8 @@ class SystemJoints(NamedTuple):
     names: tuple[str, ...]
     types: tuple[str, ...]
     record: Ints  # (j,) index of [[joint]]
-    first: Ints  # (j,) bodies of the system
-    second: Ints  # (j,) bodies, or WORLD
+    body_a: Ints  # (j,) bodies of the system
+    body_b: Ints  # (j,) bodies, or WORLD
     start: Ints  # (j + 1,) first row of each
     rows: ConstraintRows  # with bodies of the system
     places: Floats  # (j, 4, 3) points of both, n in the first, m (or n) in the second; rotor frames
@@ -71,10 +71,10 @@ class SystemJoints(NamedTuple):
         self, members: Ints, bodies: Bodies, links: Links | None = None, time: float = 0.0
     ) -> Joints | None:
         """Joints that act at a time in a group, and its dashpots; None where there are none."""
-        n = int(max(members.max(), self.first.max())) + 1
+        n = int(max(members.max(), self.body_a.max())) + 1
         place = np.full(n + 1, WORLD)
         place[members] = np.arange(members.size)
-        acting = np.flatnonzero((place[self.first] != WORLD) & (self.until > time))
+        acting = np.flatnonzero((place[self.body_a] != WORLD) & (self.until > time))
         if not acting.size:
             return None
         place[WORLD] = members.size
@@ -89,8 +89,8 @@ class SystemJoints(NamedTuple):
         actions = self.actions
         if links is not None and links.damping is not None:
             rows, actions = joint_rows.with_dashpots(rows, actions, links, members.size)
-            start = np.r_[start, start[-1] + 1 + np.arange(links.first.size)]
-            acting = np.r_[acting, np.full(links.first.size, -1)]
+            start = np.r_[start, start[-1] + 1 + np.arange(links.body_a.size)]
+            acting = np.r_[acting, np.full(links.body_a.size, -1)]
         drives = drives_from(self.courses, time)
         prescribed = np.isin(members, [] if self.prescribed is None else self.prescribed.body)
         joints = joints_among(acting, start, rows, bodies, actions, coordinates, drives, prescribed)
@@ -104,7 +104,7 @@ class SystemJoints(NamedTuple):
     def acting(self) -> Ties:
         """Joints that ever act."""
         lasting = np.flatnonzero(self.until > 0.0)
-        return Ties(self.record[lasting], self.first[lasting], self.second[lasting])
+        return Ties(self.record[lasting], self.body_a[lasting], self.body_b[lasting])
 
     def solved_with(self, solid: Ints) -> Ints:
         """Bodies that touch, and those with something within bounds, which are solved with them."""
@@ -194,7 +194,7 @@ def joints_of(system: System) -> SystemJoints | None:
 
 def _held_impulses(system: System, setup: SystemJoints) -> list[Problem]:
     """What is wrong with impulses on bodies that joints hold."""
-    tied, problems = np.concatenate([setup.first, setup.second]), []
+    tied, problems = np.concatenate([setup.body_a, setup.body_b]), []
     for k, force in enumerate(system.force):
         if force.type == "impulse" and np.isin(system.names.find(force.body), tied).any():
             reason = "an impulse on a body that a joint holds is not computed yet"

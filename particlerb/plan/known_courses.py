@@ -241,21 +241,21 @@ class _Straight:
     def under(self, terms: Terms) -> Bools | None:
         """Whether they do under these terms; None where no damping asks for it."""
         links, n = terms.links, self.holds.size
-        to_world = links is not None and bool((links.second == WORLD).any())
+        to_world = links is not None and bool((links.body_b == WORLD).any())
         self.is_alone &= not terms.loads and not to_world
         if any(isinstance(load, Central) for load in terms.loads):
             self.holds[:] = False
-        if links is not None and (links.second != WORLD).any():
+        if links is not None and (links.body_b != WORLD).any():
             partners = np.full(n, WORLD)
-            partners[links.first], partners[links.second] = links.second, links.first
+            partners[links.body_a], partners[links.body_b] = links.body_b, links.body_a
             previous = partners if self.partners is None else self.partners
             self.is_alone &= bool((partners == previous).all())
             self.partners, self.holds[:] = partners, False  # pairs are not followed in the world
             x, v = self.state.com, self.state.p * self.bodies.inv_mass
             is_straight = np.ones(n, dtype=bool)
-            apart = [u[:, links.second] - u[:, links.first] for u in (x, v)]
+            apart = [u[:, links.body_b] - u[:, links.body_a] for u in (x, v)]
             askew = ~_are_parallel(*apart)
-            is_straight[links.first[askew]] = is_straight[links.second[askew]] = False
+            is_straight[links.body_a[askew]] = is_straight[links.body_b[askew]] = False
             return is_straight & self.is_alone if links.damping is not None else None
         force = force_of_loads(terms, n)
         if terms.gravity is not None:
@@ -265,11 +265,11 @@ class _Straight:
             self.meet(self.state.com - spring.anchor)
         if links is None:
             return None
-        left = np.arange(links.first.size)
+        left = np.arange(links.body_a.size)
         while left.size:  # one link of each body after the other
-            bodies, index = np.unique(links.first[left], return_index=True)
+            bodies, index = np.unique(links.body_a[left], return_index=True)
             y = np.zeros((3, n))
-            y[:, bodies] = self.state.com[:, bodies] - links.second_at[:, left[index]]
+            y[:, bodies] = self.state.com[:, bodies] - links.at_b[:, left[index]]
             self.meet(y)
             left = np.delete(left, index)
         return self.holds.copy()

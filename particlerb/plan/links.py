@@ -37,10 +37,10 @@ class Link(NamedTuple):
 
     number: int  # index of [[force]]
     force: SpringTable
-    first: Ints  # (s,) bodies of the system
-    second: Ints  # (s,) bodies of the system; WORLD: an anchor
-    first_at: Floats  # (3, s) [m], body frame of first, from its centre of mass
-    second_at: Floats  # (3, s) [m], body frame of second, or the anchor in the world frame
+    body_a: Ints  # (s,) bodies of the system
+    body_b: Ints  # (s,) bodies of the system; WORLD: an anchor
+    at_a: Floats  # (3, s) [m], body frame of first, from its centre of mass
+    at_b: Floats  # (3, s) [m], body frame of second, or the anchor in the world frame
     rest_length: Floats  # (s,) [m]
 
 
@@ -49,8 +49,8 @@ class UserLink(NamedTuple):
 
     number: int  # index of [[force]]
     force: PythonTable  # with its function
-    first: Ints  # (s,) bodies of the system
-    second: Ints  # (s,)
+    body_a: Ints  # (s,) bodies of the system
+    body_b: Ints  # (s,)
     numbers: Floats  # (r, s) parameters
 
 
@@ -119,9 +119,9 @@ def _in_worlds(
     for world in range(system.n_worlds):
         world_force = system.others[number][world] if number in system.others else force
         link = of_scene(system.scene(world), number, world_force)
-        second = np.where(link.second == WORLD, WORLD, link.second + world * system.in_each)
-        first = link.first + world * system.in_each
-        links.append(link._replace(first=first, second=second))
+        second = np.where(link.body_b == WORLD, WORLD, link.body_b + world * system.in_each)
+        first = link.body_a + world * system.in_each
+        links.append(link._replace(body_a=first, body_b=second))
     if number in system.others:
         return links
     arrays = (np.concatenate(one, axis=-1) for one in zip(*(a[2:] for a in links), strict=True))
@@ -295,8 +295,8 @@ def _misplaced_ends(system: System, link: Link) -> list[Problem]:
     """What is wrong with ends that would turn a point, or a rod about its own axis."""
     problems = []
     for key, ends, at in (
-        ("at", link.first, link.force.at),
-        ("to_at", link.second, link.force.to_at),
+        ("at", link.body_a, link.force.at),
+        ("to_at", link.body_b, link.force.to_at),
     ):
         if not any(at):  # as at an anchor
             continue
@@ -388,7 +388,7 @@ def components(
     attracted : ndarray, shape (k,)
         Bodies that attract each other.
     """
-    first = np.concatenate([*(link.first for link in links), attracted[1:], touching[1:]])
-    second = np.concatenate([*(link.second for link in links), attracted[:-1], touching[:-1]])
+    first = np.concatenate([*(link.body_a for link in links), attracted[1:], touching[1:]])
+    second = np.concatenate([*(link.body_b for link in links), attracted[:-1], touching[:-1]])
     inside = second != WORLD
     return labels(n_bodies, first[inside], second[inside])

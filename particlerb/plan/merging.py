@@ -93,7 +93,7 @@ def _parts_of(system: System) -> tuple[Ints, Bools, Bools]:
     others = [table for table in system.joint if not merges(table)]
     if others:
         ends = _ties(system, others)
-        kept = np.r_[kept, label[ends.first[label[ends.first] == label[ends.second]]]]
+        kept = np.r_[kept, label[ends.body_a[label[ends.body_a] == label[ends.body_b]]]]
     label, of_world = label[:n], label[n]
     is_merged = (np.bincount(label, minlength=n) + (np.arange(n) == of_world) > 1)[label]
     is_merged &= ~np.isin(label, kept)
@@ -140,9 +140,9 @@ def why_rows(system: System) -> list[str]:
     tie = _ties(whole, tables)
     label = components(n + 1, [tie], np.r_[n, np.flatnonzero(whole.is_held)])
     is_merged = np.zeros(n, np.bool_) if system.merging is None else system.merging.is_merged
-    inside = np.minimum(tie.second, n - 1)
-    apart = ~is_merged[tie.first] & ~((tie.second < n) & is_merged[inside])
-    labels = label[tie.first[apart]]
+    inside = np.minimum(tie.body_b, n - 1)
+    apart = ~is_merged[tie.body_a] & ~((tie.body_b < n) & is_merged[inside])
+    labels = label[tie.body_a[apart]]
     reasons = _kept_apart(whole).items()
     named = [reason for reason, bodies in reasons if np.isin(label[bodies], labels).any()]
     return why + (named or ["another joint inside of one body"] * bool(labels.size))
@@ -205,9 +205,9 @@ def on_hosts(link: Link, merging: Merging) -> Link:
     Springs inside of one body, and those between ends that are held, are left out.
     """
     whole, is_held = merging.unmerged, np.append(merging.is_held, True)  # the world is the last
-    is_turned = is_held[link.first] & ~is_held[link.second]
-    first, second = np.where(is_turned, (link.second, link.first), (link.first, link.second))
-    at, to_at = link.first_at, link.second_at
+    is_turned = is_held[link.body_a] & ~is_held[link.body_b]
+    first, second = np.where(is_turned, (link.body_b, link.body_a), (link.body_a, link.body_b))
+    at, to_at = link.at_a, link.at_b
     at, to_at = np.where(is_turned, (to_at, at), (at, to_at))
     ends_held = is_held[second] & (second != WORLD)
     held_bodies = second[ends_held]
@@ -221,9 +221,9 @@ def on_hosts(link: Link, merging: Merging) -> Link:
     first, second = merging.host[first], np.where(inside, merging.host[second], WORLD)
     kept &= first != second
     return link._replace(
-        first=first[kept],
-        second=second[kept],
-        first_at=at[:, kept],
-        second_at=to_at[:, kept],
+        body_a=first[kept],
+        body_b=second[kept],
+        at_a=at[:, kept],
+        at_b=to_at[:, kept],
         rest_length=link.rest_length[kept],
     )

@@ -131,7 +131,7 @@ def cut_into_segments(
     spans_of_links = [link.force.edges or _ALL_TIME for link in group.links]
     edges = {begin}.union(*spans, *spans_of_links)
     if group.joints is not None:
-        edges.update(group.joints.until[np.isin(group.joints.first, group.members)].tolist())
+        edges.update(group.joints.until[np.isin(group.joints.body_a, group.members)].tolist())
         driven = group.joints.drives_among(group.members)
         edges.update(*(course.knots.tolist() for course in driven))
     starts = sorted(edge for edge in edges if begin <= edge < np.inf)

@@ -62,10 +62,10 @@ def refuse_coupled(prepared: Prepared) -> None:
 def _told_of(system: System, ties: Sequence[AnyLink | Ties], members: Ints, block: int) -> str:
     """What is wrong with bodies that are tied together and lie in several superblocks."""
     first, last = int(members[0]), int(members[-1])
-    tie = next(tie for tie in ties if np.isin(tie.first, members).any())
+    tie = next(tie for tie in ties if np.isin(tie.body_a, members).any())
     if isinstance(tie, Ties):
-        k, number = int(np.argmax(np.isin(tie.first, members))), int(tie.record)
-        tie_name = joint_name(system, system.joint[number], tie.first, tie.second, k)
+        k, number = int(np.argmax(np.isin(tie.body_a, members))), int(tie.record)
+        tie_name = joint_name(system, system.joint[number], tie.body_a, tie.body_b, k)
         name = f"joint[{number}] ({tie_name})"
     else:
         name = f"force[{tie.number}]"

@@ -139,18 +139,18 @@ def translations_of(group: SegmentGroup, state: State) -> Translations:
     n, inv_mass = group.members.size, group.bodies.inv_mass
     rate = sum((load.rate for load in loads if isinstance(load, Drag)), np.zeros(n))
     pushed, pull = force_of(group)
-    if links is not None and (links.second != WORLD).any():
+    if links is not None and (links.body_b != WORLD).any():
         return _pair_on_springs(group.bodies, links, state)
     stiffness, pull = np.zeros(n), pull.copy()
     for spring in (load for load in loads if isinstance(load, Spring)):
         stiffness += spring.stiffness
         pull += spring.stiffness * spring.anchor
     if links is not None:
-        np.add.at(stiffness, links.first, links.stiffness)
-        for pulled, at in zip(pull, links.second_at, strict=True):
-            np.add.at(pulled, links.first, links.stiffness * at)
+        np.add.at(stiffness, links.body_a, links.stiffness)
+        for pulled, at in zip(pull, links.at_b, strict=True):
+            np.add.at(pulled, links.body_a, links.stiffness * at)
         if links.damping is not None:
-            np.add.at(rate, links.first, links.damping * inv_mass[links.first])
+            np.add.at(rate, links.body_a, links.damping * inv_mass[links.body_a])
     if not stiffness.any():
         return Translations(Damping(rate, pushed)) if rate.any() else Translations()
     squared, balance = stiffness * inv_mass, pull / stiffness
@@ -164,7 +164,7 @@ def _pair_on_springs(bodies: Bodies, links: Links, state: State) -> Translations
     n, other = bodies.mass.size, _others(links, bodies.mass.size)
     total_mass = bodies.mass + bodies.mass[other]
     stiffness, damping = np.zeros(n), np.zeros(n)
-    for ends in (links.first, links.second):
+    for ends in (links.body_a, links.body_b):
         np.add.at(stiffness, ends, links.stiffness)
         np.add.at(damping, ends, 0.0 if links.damping is None else links.damping)
     softness = bodies.inv_mass + bodies.inv_mass[other]
@@ -180,7 +180,7 @@ def _pair_on_springs(bodies: Bodies, links: Links, state: State) -> Translations
 def _others(links: Links, n: int) -> Ints:
     """The other body of the pair to which each of n bodies belongs."""
     other = np.full(n, WORLD)
-    other[links.first], other[links.second] = links.second, links.first
+    other[links.body_a], other[links.body_b] = links.body_b, links.body_a
     return other
 
 
@@ -207,17 +207,17 @@ def _on_springs(bodies: Bodies, terms: Terms) -> Bools:
     """Which bodies have springs that pull at the centre of mass as oscillators do, (n,)."""
     links, n = terms.links, bodies.mass.size
     assert links is not None
-    ends = links.first_at.any(axis=0) | (links.rest_length != 0.0) | ~(links.stiffness > 0.0)
+    ends = links.at_a.any(axis=0) | (links.rest_length != 0.0) | ~(links.stiffness > 0.0)
     fits = bodies.inv_mass > 0.0
     if links.damping is not None:
         fits = fits & (False if terms.is_straight is None else terms.is_straight)
-    is_world = links.second == WORLD
+    is_world = links.body_b == WORLD
     if is_world.all():
-        fits[links.first[ends]] = False
-        return fits & (np.bincount(links.first, minlength=n) > 0)
+        fits[links.body_a[ends]] = False
+        return fits & (np.bincount(links.body_a, minlength=n) > 0)
     other = _others(links, n)
-    is_bound = (other[links.first] == links.second) & (other[links.second] == links.first)
-    is_bare: Bools = is_bound & ~is_world & ~ends & ~links.second_at.any(axis=0)
+    is_bound = (other[links.body_a] == links.body_b) & (other[links.body_b] == links.body_a)
+    is_bare: Bools = is_bound & ~is_world & ~ends & ~links.at_b.any(axis=0)
     are_pairs = is_bare.all() and (other != WORLD).all() and not terms.loads
     return fits if are_pairs else np.zeros(n, dtype=bool)
 
@@ -266,7 +266,7 @@ def words_of_forms(bodies: Bodies, terms: Terms) -> list[str]:
     words += ["a torque along the axis of the turn: constant"] * bool(torque.any())
     words += ["linear drag: exponentials"] * any(isinstance(load, Drag) for load in terms.loads)
     springs = any(isinstance(load, Spring) for load in terms.loads)
-    if terms.links is not None and (terms.links.second != WORLD).any():
+    if terms.links is not None and (terms.links.body_b != WORLD).any():
         return [*words, "pairs on springs without length: an oscillator about a parabola"]
     if terms.links is not None:
         words += ["springs without length, damped along the line of the motion: an oscillator"]

@@ -161,12 +161,12 @@ class ContactLists:
         first, second = self._own_pairs(*self._search.pairs(points, self.skin)[:2])
         cutoff = self.skin + displacement
         near = self._walls.pairs(points, workspace.poses, cutoff, self._at_walls)
-        self.n_pairs = self._counted(first, second) + near.first.size
+        self.n_pairs = self._counted(first, second) + near.sphere.size
         spheres, walls = self.contact.model.spheres, self.contact.model.walls
         shell = np.empty(first.size, dtype=np.int64)
         find_shells((first, second), workspace.xyzr, self.skin, shell)
         between = self._contacts(0, (first, second), (self.numbers, self.numbers), shell)
-        shell = np.zeros(near.first.size, dtype=np.int64)
+        shell = np.zeros(near.sphere.size, dtype=np.int64)
         if displacement == 0.0:  # walls that move may come at once
             find_wall_shells(walls, workspace.poses, points, spheres.radius, self.skin, near, shell)
         outside = self._contacts(1, near[:2], (self.numbers, self._primitives), shell)
@@ -175,8 +175,8 @@ class ContactLists:
         lists = NeighbourLists(
             between,
             outside,
-            incidence(body[between.first], body[between.second], n, by_number[0]),
-            incidence(body[outside.first], np.full(outside.first.size, -1), n, by_number[1]),
+            incidence(body[between.sphere], body[between.other], n, by_number[0]),
+            incidence(body[outside.sphere], np.full(outside.sphere.size, -1), n, by_number[1]),
             self._max_contact_arm,
         )
         return lists, time + duration
@@ -289,4 +289,4 @@ class ContactLists:
             ContactHistory(saved["keys.1"], saved["rows.1"], records.to_floats(walls)),
         )
         self.skin, self.count = float(saved["skin"]), int(saved["count"])
-        self.n_pairs = lists.spheres.first.size + lists.walls.first.size
+        self.n_pairs = lists.spheres.sphere.size + lists.walls.sphere.size

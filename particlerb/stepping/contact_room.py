@@ -106,8 +106,8 @@ def with_room(contact: MovingContact) -> MovingContact:
     setup, workspace, lists, *_ = contact
     if workspace.impulses is None:
         return contact
-    n, impulses = lists.spheres.first.size + lists.walls.first.size, workspace.impulses
-    if n > impulses.rows.first.size:
+    n, impulses = lists.spheres.sphere.size + lists.walls.sphere.size, workspace.impulses
+    if n > impulses.rows.partner_a.size:
         bounded, with_rolling = impulses.rows.bounded, impulses.rows.rolling is not None
         rows = room_for_rows(int(_ROOM_FACTOR * n), bounded, with_rolling)
         impulses = impulses._replace(rows=rows)
@@ -117,12 +117,12 @@ def with_room(contact: MovingContact) -> MovingContact:
         moves[:n] = setup.model.inv_mass > 0.0
         body, other = owner[first], owner[second]
         if setup.pistons is not None:
-            wall = setup.model.walls.wall[lists.walls.second]
+            wall = setup.model.walls.wall[lists.walls.other]
             slides = setup.pistons.of_wall[wall] >= 0
-            body = np.append(body, owner[lists.walls.first[slides]])
+            body = np.append(body, owner[lists.walls.sphere[slides]])
             other = np.append(other, n + wall[slides])
         a, b = pairs_through(impulses.partners.mechanisms, body, other)
-        newton = room_for_newton(moves, a, b, impulses.rows.first.size)
+        newton = room_for_newton(moves, a, b, impulses.rows.partner_a.size)
         impulses = impulses._replace(newton=newton)
     return contact._replace(workspace=workspace._replace(impulses=impulses))
 

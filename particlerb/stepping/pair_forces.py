@@ -35,9 +35,9 @@ def cost_of(terms: Terms) -> float:
         return 0.0
     cost = _NANOSECONDS_TO_CALL
     if links is not None:
-        cost += _NANOSECONDS_PER_LINK * links.first.size
+        cost += _NANOSECONDS_PER_LINK * links.body_a.size
     if user_pairs is not None:
-        cost += _NANOSECONDS_PER_LINK * user_pairs.first.size
+        cost += _NANOSECONDS_PER_LINK * user_pairs.body_a.size
     if attraction is not None:
         n = float(attraction.mass.size)
         cost += _NANOSECONDS_IN_TREE * n if terms.opening_angle else _NANOSECONDS_PER_PAIR * n * n
@@ -113,7 +113,7 @@ class PairForces:
             energy = energy + link_energy(self.pairs.links, com, q, self.worlds)
         if self.pairs.user_pairs is not None:
             energies = pair_energies(self.pairs.user_pairs, com, q)
-            energy = energy + over_pairs(energies, self.pairs.user_pairs.first, self.worlds)
+            energy = energy + over_pairs(energies, self.pairs.user_pairs.body_a, self.worlds)
         y = np.zeros((STATE_ROWS, com.shape[1]))
         y[:3], y[3:7] = com, q
         if self.pairs.attraction is not None and self.pairs.fields is not None:

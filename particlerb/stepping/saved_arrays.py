@@ -23,6 +23,8 @@ IN_FILES: Final = {
     "event_time": "at",
     "sphere_incidence": "of_spheres",
     "wall_incidence": "of_walls",
+    "sphere": "first",
+    "other": "second",
 }
 """Fields whose arrays have other names in checkpoints, which older files have too."""
 

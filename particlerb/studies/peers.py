@@ -193,9 +193,9 @@ def _springs(bodies: Bodies, links: list[Link]) -> tuple[Any, ...]:
     """Ends (2, s), their places (2, s, 3) in rotor frames, and three numbers (3, s) of springs."""
     springs = links_among(np.arange(bodies.mass.size), bodies, links)
     damping = np.zeros_like(springs.stiffness) if springs.damping is None else springs.damping
-    at = np.ascontiguousarray(np.stack([springs.first_at.T, springs.second_at.T]))
+    at = np.ascontiguousarray(np.stack([springs.at_a.T, springs.at_b.T]))
     numbers = np.array([springs.stiffness, damping, springs.rest_length])
-    return np.stack([springs.first, springs.second]), at, numbers
+    return np.stack([springs.body_a, springs.body_b]), at, numbers
 
 
 def _touching(system: System, types: ModuleType) -> PeerScene:

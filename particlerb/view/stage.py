@@ -62,7 +62,7 @@ class JointLines(BodyLines):
         setup = joints_of(system)
         if setup is None:
             raise ValueError("the system has no joints")
-        first, second = setup.first, setup.second
+        first, second = setup.body_a, setup.body_b
         self.held = {int(b) for b in np.concatenate([first, second]) if b != WORLD}
         types = np.array(setup.types)
         at, at_to, axis, axis_to = np.moveaxis(setup.places, 1, 0)
@@ -101,8 +101,8 @@ class SpringLines(BodyLines):
         for k, force in enumerate(system.force):
             if isinstance(force, SpringTable) and force.reach is None:
                 link = link_of(system, k, force)
-                body.append(np.stack([link.first, link.second], axis=1))
-                point.append(np.stack([link.first_at.T, link.second_at.T], axis=1))
+                body.append(np.stack([link.body_a, link.body_b], axis=1))
+                point.append(np.stack([link.at_a.T, link.at_b.T], axis=1))
         super().__init__(np.concatenate(body), np.concatenate(point))
 
 

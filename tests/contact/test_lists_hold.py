@@ -27,7 +27,7 @@ def seen(monkeypatch):
 
     def noted(motion):
         make_lists(motion)
-        found.append((motion.lists.skin, motion.contact.lists.spheres.first.size))
+        found.append((motion.lists.skin, motion.contact.lists.spheres.sphere.size))
 
     monkeypatch.setattr(ContactMotion, "make_lists", noted)
     return found

@@ -120,9 +120,9 @@ def all_pairs(points, radius, body, skin):
 
 
 def as_set(pairs):
-    lower, higher = np.minimum(pairs.first, pairs.second), np.maximum(pairs.first, pairs.second)
+    lower, higher = np.minimum(pairs.sphere, pairs.other), np.maximum(pairs.sphere, pairs.other)
     found = set(zip(lower.tolist(), higher.tolist(), strict=True))
-    assert len(found) == pairs.first.size, "a pair is there twice"
+    assert len(found) == pairs.sphere.size, "a pair is there twice"
     return found
 
 
@@ -193,14 +193,14 @@ def test_bodies_of_other_worlds_are_no_neighbours(far, skin):
 def test_no_and_one_sphere_have_no_neighbours():
     for n in (0, 1):
         pairs = neighbours(np.ones((3, n)), np.ones(n), np.zeros(n, dtype=np.int64), 0.1)
-        assert pairs.first.size == 0
+        assert pairs.sphere.size == 0
         assert pairs.start.tolist() == [0] * (n + 1)
 
 
 def test_all_spheres_in_one_place_are_all_neighbours():
     n = 40
     pairs = neighbours(np.zeros((3, n)), np.ones(n), np.arange(n) // 4, 0.0)
-    assert pairs.first.size == n * (n - 4) // 2
+    assert pairs.sphere.size == n * (n - 4) // 2
 
 
 def test_a_chosen_part_has_only_pairs_of_its_own():

@@ -419,8 +419,8 @@ def test_a_search_fits_its_cells_to_a_skin_that_widens_and_narrows():
     search, cells = WallSearch(walls, r), []
     for skin in (0.01, 0.5, 0.01):
         found, fresh = search.pairs(x, poses, skin), WallSearch(walls, r).pairs(x, poses, skin)
-        assert (found.first == fresh.first).all()
-        assert (found.second == fresh.second).all()
+        assert (found.sphere == fresh.sphere).all()
+        assert (found.other == fresh.other).all()
         cells.append(search.cutoff)
     assert cells == pytest.approx([0.11, 0.6, 0.11])
 
@@ -431,11 +431,11 @@ def test_candidates_of_a_chosen_part_and_of_nothing():
     x, r, which = rng.uniform(-1, 1, (3, n)), np.full(n, 0.1), np.arange(0, n, 3)
     poses, search = poses_at([REST] * 4, 0.0), WallSearch(walls, r)
     pairs, some = search.pairs(x, poses, 0.1), search.pairs(x, poses, 0.1, which)
-    keep = np.isin(pairs.first, which)
-    assert (some.first == pairs.first[keep]).all()
-    assert (some.second == pairs.second[keep]).all()
-    assert not search.pairs(x, poses, 0.1, which[:0]).first.size
-    assert not WallSearch(joined([]), r).pairs(x, poses_at([], 0.0), 0.1).first.size
+    keep = np.isin(pairs.sphere, which)
+    assert (some.sphere == pairs.sphere[keep]).all()
+    assert (some.other == pairs.other[keep]).all()
+    assert not search.pairs(x, poses, 0.1, which[:0]).sphere.size
+    assert not WallSearch(joined([]), r).pairs(x, poses_at([], 0.0), 0.1).sphere.size
 
 
 def test_lists_of_a_fine_surface_are_short():

@@ -44,7 +44,7 @@ def scene(seed, damping=True, rest=None):
 def ends(links, y):
     """Both points of each link and their velocities, (3, s) each, and the arms."""
     found = []
-    for body, at in ((links.first, links.first_at), (links.second, links.second_at)):
+    for body, at in ((links.body_a, links.at_a), (links.body_b, links.at_b)):
         q, L = y[3:7, body], y[10:, body]
         inverse = np.array([1.0, -1.0, -1.0, -1.0])[:, None] * q
         w = turned(q, links.inv_inertia[:, body] * turned(inverse, L))
@@ -152,10 +152,10 @@ def test_a_dashpot_pulls_with_c_times_the_rate_of_its_length(seed):
 
 def test_a_link_without_length_pulls_nothing():
     links, y = scene(3)
-    at, to = links.first_at.copy(), links.second_at.copy()
+    at, to = links.at_a.copy(), links.at_b.copy()
     at[:, 3], to[:, 3] = 0.0, y[:3, 3]  # link 3 goes to the world
     stiffness = np.where(np.arange(6) == 3, 1.0, 1e-300)
-    links = links._replace(first_at=at, second_at=to, stiffness=stiffness)
+    links = links._replace(at_a=at, at_b=to, stiffness=stiffness)
     load = loads(links._replace(damping=None), y)
     assert np.isfinite(load).all()
     assert np.abs(load).max() < 1e-15

@@ -43,21 +43,21 @@ def test_contacts_of_a_colour_share_no_body_that_moves(monkeypatch, least, hub):
     first = rng.integers(0, n, m)
     second = (first + rng.integers(1, n + 1, m)) % (n + 1)
     first[:hub], second[:hub] = 7, np.where(second[:hub] == 7, 8, second[:hub])
-    rows.first[:], rows.second[:], rows.entry[:] = first, second, np.arange(m)
+    rows.partner_a[:], rows.partner_b[:], rows.entry[:] = first, second, np.arange(m)
     none = np.zeros(0, dtype=np.int64)
     newton = room_for_newton(np.zeros(0, dtype=np.bool_), none, none, 0)
     put_in_colours(Impulses(None, partners, rows, np.array([m, -1]), np.zeros(TALLY), newton))
     colours, count = rows.colours, rows.colours.counts[0]
     assert sorted(rows.entry) == list(range(m))
-    assert (rows.first == first[rows.entry]).all()
-    assert (rows.second == second[rows.entry]).all()
+    assert (rows.partner_a == first[rows.entry]).all()
+    assert (rows.partner_b == second[rows.entry]).all()
     chunk = colours.chunk[: count + 1]
     ends = colours.row[: chunk[-1] + 1]
     assert ends[[0, -1]].tolist() == [0, m]
     assert (np.diff(ends) > 0).all()
     for i in range(count):
         within = slice(ends[chunk[i]], ends[chunk[i + 1]])
-        held = np.append(rows.first[within], rows.second[within])
+        held = np.append(rows.partner_a[within], rows.partner_b[within])
         moving = held[held < n]
         if np.unique(moving).size < moving.size:  # the last one: one thread takes it
             assert (i, chunk[i + 1] - chunk[i]) == (count - 1, 1)

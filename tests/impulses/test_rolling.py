@@ -104,7 +104,7 @@ def test_an_impact_of_unequal_moments_resists_as_the_law_asks(limit, torsion):
     partners, rows = room_for_partners(2), room_for_rows(1, with_rolling=True)
     partners.inverse[0] = [1.0, *W[np.triu_indices(3)]]
     partners.velocity[0, 3:] = 3.0, -4.0, 1.0
-    rows.second[0] = 1
+    rows.partner_b[0] = 1
     write_frame(partners, rows, 0, (0.0, 0.0, 1.0), (0.0, 0.0, -R))
     rows.rolling.limit[0, [ACROSS, ABOUT]] = limit, torsion
     write_rolling(rows.rolling, partners, rows, 1, 0.0)

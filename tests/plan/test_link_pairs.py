@@ -34,7 +34,7 @@ def links(case):
 
 
 def pairs_of(link):
-    return list(zip(link.first.tolist(), link.second.tolist(), strict=True))
+    return list(zip(link.body_a.tolist(), link.body_b.tolist(), strict=True))
 
 
 def problems(case):
@@ -72,8 +72,8 @@ def test_ends_and_lengths_of_a_link_are_what_the_case_says(make):
     tie = make.tie("b", 2.5, body="a", at=[0.1, 0.2, 0.3], to_at=[0, 0, 1], rest_length=0.7)
     (link,) = links(make.case(make.body("a"), make.body("b"), force=[tie]))
     assert (link.force.stiffness, link.force.damping) == (2.5, 0.0)
-    assert link.first_at.T.tolist() == [[0.1, 0.2, 0.3]]
-    assert link.second_at.T.tolist() == [[0.0, 0.0, 1.0]]
+    assert link.at_a.T.tolist() == [[0.1, 0.2, 0.3]]
+    assert link.at_b.T.tolist() == [[0.0, 0.0, 1.0]]
     assert link.rest_length.tolist() == [0.7]
 
 
@@ -99,9 +99,9 @@ def test_only_springs_between_bodies_and_damped_ones_are_links_and_others_loads(
 def test_a_damped_spring_to_the_world_has_its_anchor_at_the_other_end(make):
     spring = make.spring([0, 3.0, 4.0], 1.0, "initial", damping=0.2, body="bead")
     (link,) = links(make.case(row(make, 2), force=[spring]))
-    assert link.first.tolist() == [0, 1]
-    assert link.second.tolist() == [WORLD, WORLD]
-    assert link.second_at.T.tolist() == [[0, 3, 4], [0, 3, 4]]
+    assert link.body_a.tolist() == [0, 1]
+    assert link.body_b.tolist() == [WORLD, WORLD]
+    assert link.at_b.T.tolist() == [[0, 3, 4], [0, 3, 4]]
     assert link.rest_length == pytest.approx([5.0, np.sqrt(26)], abs=1e-15)
 
 
@@ -197,8 +197,8 @@ def test_reach_ties_the_neighbours_of_a_grid_at_exactly_its_spacing(make):
     grid = {"type": "grid", "spacing": 0.1, "n": [5, 5, 5], "origin": [0.7, -0.3, 11.1]}
     tie = make.tie(body="bead", reach=0.1, rest_length="initial")
     (link,) = links(make.case(make.body("bead", count=125, place=grid), force=[tie]))
-    assert link.first.size == 300
-    assert (link.first < link.second).all()
+    assert link.body_a.size == 300
+    assert (link.body_a < link.body_b).all()
     assert link.rest_length == pytest.approx(0.1, abs=1e-14)
     assert pairs_of(link) == sorted(set(pairs_of(link)))
 
@@ -249,8 +249,8 @@ def test_many_bodies_have_their_neighbours_without_all_pairs(make):
     tie = make.tie(body="bead", reach=reach)
     (link,) = links(make.case(make.body("bead", count=n, place=box), force=[tie]))
     expected = n * n / 2 * 4 / 3 * np.pi * reach**3 * (1 - 9 / 8 * reach)  # the walls cut it short
-    assert link.first.size == pytest.approx(expected, rel=0.02)
-    assert len(set(pairs_of(link))) == link.first.size
+    assert link.body_a.size == pytest.approx(expected, rel=0.02)
+    assert len(set(pairs_of(link))) == link.body_a.size
 
 
 # Bodies that cannot turn

@@ -41,7 +41,7 @@ def jointed(trajectory: Trajectory) -> Linkage | None:
 
 def mechanism_of(scene: Linkage, body: int, most: int) -> list[int]:
     """Bodies that joints connect with a body, itself among them; where there are more, some."""
-    pairs = np.stack([scene.setup.first, scene.setup.second], axis=1)
+    pairs = np.stack([scene.setup.body_a, scene.setup.body_b], axis=1)
     members, n_before = np.array([body]), 0
     while n_before < members.size <= most:
         n_before = members.size
@@ -151,7 +151,7 @@ def _joint_points(
     hinged: dict[int, list[Floats]] = {b: [] for b in row}
     distances: list[list[_End]] = []
     for j, number in enumerate(setup.record.tolist()):
-        joint, tied, ends = system.joint[number], (int(setup.first[j]), int(setup.second[j])), []
+        joint, tied, ends = system.joint[number], (int(setup.body_a[j]), int(setup.body_b[j])), []
         if not row.keys() >= {*tied}:
             continue
         for k, b in enumerate(tied):
