@@ -94,14 +94,10 @@ def driven_along(joints: Joints, data: JointData, r: int) -> float:
 
 
 @inline
-def _centripetal(
-    joints: Joints, data: JointData, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3
-) -> Vec3:
+def _centripetal(joints: Joints, r: int, R: tuple[Matrix, Matrix], wa: Vec3, wb: Vec3) -> Vec3:
     """k of row r."""
-    ra, rb = (
-        turn(R[0], row3(joints.rows.vector_a, r)),
-        turn(R[1], row3(joints.rows.vector_b, r)),
-    )
+    ra = turn(R[0], row3(joints.rows.vector_a, r))
+    rb = turn(R[1], row3(joints.rows.vector_b, r))
     return subtract(cross(wa, cross(wa, ra)), cross(wb, cross(wb, rb)))
 
 
@@ -130,7 +126,7 @@ def accelerations(joints: Joints, data: JointData, lo: int, hi: int, load: Float
             spin_b = _spin_of(joints, data, rows.b[r], R[1])
         if rows.kind[r] == kinds.WORLD_ALONG:
             if r == lo or not joints.beside[r]:
-                k = _centripetal(joints, data, r, R, spin_a.w, spin_b.w)
+                k = _centripetal(joints, r, R, spin_a.w, spin_b.w)
             acceleration = dot(row3(rows.axis, r), k)
         else:
             acceleration = _convective(joints, data, r, R, spin_a.w, spin_b.w)

@@ -181,7 +181,7 @@ def _contact_line(system: System, plan: Plan) -> str:
         line += f", {contact.n_interior} inner spheres left out, which nothing can reach"
     if contact.rules is not None:
         line = line if spheres else "nothing, impulse in joints alone"
-        line += f", {_solved(system, plan, system.contact)}"
+        line += f", {_solved(plan, system.contact)}"
         if not spheres:
             return line
     if contact.events is not None:
@@ -201,7 +201,7 @@ def _overlap_words(system: System, plan: Plan) -> str:
     return f"; the fastest impact may overlap by about {overlap:.3g} m, {words}"
 
 
-def _solved(system: System, plan: Plan, table: ContactTable) -> str:
+def _solved(plan: Plan, table: ContactTable) -> str:
     """How impulses are found."""
     by_impulses = [each for each in plan.segments if each[1].terms.touches_by_impulses]
     after = _after_sweeps(table.solver, max(group.members.size for group, _ in by_impulses))

@@ -38,8 +38,8 @@ class SteppedBodies:
     ----------
     method, group, state, start, dt :
         As for `SteppedMotion`.
-    books : Flag
-        whether external work is summed.
+    sums_external : Flag
+        Whether external work is summed.
     memory : ndarray, optional
         Blocks that are needed no more.
     """
