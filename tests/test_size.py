@@ -31,7 +31,7 @@ BUDGETS = {
     "sweeps": 1602,
     "one scene over ranks": 2597,
     "reports, pictures, the page": 1778,
-    "scenes for other programs": 534,
+    "scenes for other programs": 540,
     "speed of compiling and of whole calls": 1374,
     "watches": 169,
     "beside all these": 407,

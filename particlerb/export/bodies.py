@@ -115,6 +115,17 @@ def numbers(*values: Any) -> str:
     return " ".join(repr(float(value)) for value in flat.reshape(-1))
 
 
+def possible(moments: Floats) -> Floats:
+    """Principal moments (3,), the largest at most the sum of the others, as MuJoCo demands.
+
+    Rounding may have put that of a plate above it.
+    """
+    k = int(np.argmax(moments))
+    lowered = moments.copy()
+    lowered[k] = min(moments[k], moments[k - 1] + moments[k - 2])
+    return lowered
+
+
 def six(tensor: Floats) -> Floats:
     """xx yy zz xy xz yz."""
     return tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
@@ -192,7 +203,7 @@ def mjcf(bodies: Sequence[NamedBody]) -> dict[str, str]:
         element = ET.SubElement(world, "body", name=body.name)
         ET.SubElement(element, "freejoint")
         inertial = {"pos": numbers(com), "mass": numbers(mass), "quat": numbers(quaternions(axes))}
-        ET.SubElement(element, "inertial", inertial, diaginertia=numbers(moments))
+        ET.SubElement(element, "inertial", inertial, diaginertia=numbers(possible(moments)))
         carrying = _carriers_of(body)
         for position, radius in zip(carrying.position, carrying.radius, strict=True):
             place = {"type": "sphere", "pos": numbers(position)}

@@ -28,7 +28,7 @@ import numpy as np
 
 from particlerb.contact.sphere_search import bodies_of_keys
 from particlerb.export import ExportError
-from particlerb.export.bodies import COMMENT, numbers
+from particlerb.export.bodies import COMMENT, numbers, possible
 from particlerb.export.mjcf_joints import Joint, freedoms, joint_at_start, laws_of
 from particlerb.export.mjcf_walls import geoms_of
 from particlerb.export.scene import FREE_STEP, left_out, springs_of
@@ -220,7 +220,8 @@ class _Writer:
         bodies = self.system.bodies
         mass, axes = numbers(bodies.mass[b]), numbers(bodies.rotor_frame[:, b])
         inertial = {"pos": "0 0 0", "mass": mass, "quat": axes}
-        ET.SubElement(element, "inertial", inertial, diaginertia=numbers(bodies.inertia[:, b]))
+        moments = numbers(possible(bodies.inertia[:, b]))
+        ET.SubElement(element, "inertial", inertial, diaginertia=moments)
         if j == _FREE_BODY:
             ET.SubElement(element, "freejoint")  # a joint may have the name of a body
             self.speeds[name] = [*body.velocity.tolist(), *body.turned_back(body.spin).tolist()]
