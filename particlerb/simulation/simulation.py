@@ -183,7 +183,8 @@ class Simulation(Closing):
             If `every` is no number, not above 0, or less than rounding of `run.t_end`.
         """
         least = float(np.spacing(self.system.run.t_end))
-        if not least <= number_of(every, "frames: every") < np.inf:
+        every = number_of(every, "frames: every")
+        if not least <= every < np.inf:
             told = f"must be above 0 s, and finite: at least {least:.3g} s, to which t_end rounds"
             raise ValueError(f"frames(every={every!r}): {told}")
         yield self.state

@@ -349,15 +349,15 @@ def test_a_motion_that_fails_at_its_start_is_a_failed_run():
         Simulation(scene)
 
 
-def test_its_file_says_that_it_cannot_be_resumed(tmp_path):
+def test_its_file_is_that_of_a_run_until_there(tmp_path):
     with Simulation(turned_box(), tmp_path / "a.h5") as simulation:
         simulation.advance(5.0)
     with particlerb.open(tmp_path / "a.h5") as trajectory:
         assert trajectory.time.tolist() == [0, 1, 2, 3, 4, 5]
-    with pytest.raises(particlerb.ResumeError, match="cannot be continued"):
-        particlerb.resume(tmp_path / "a.h5")
     with pytest.raises(FileExistsError):
         Simulation(turned_box(), tmp_path / "a.h5")
+    with particlerb.resume(tmp_path / "a.h5") as trajectory:
+        assert trajectory.time.tolist() == list(range(11))
 
 
 def test_a_change_at_the_start_repeats_no_impulse():
@@ -417,7 +417,7 @@ def test_what_was_cut_off_while_bodies_moved_goes_no_further(monkeypatch, tmp_pa
         lambda: simulation.state,
         lambda: next(simulation.frames(every=1.0)),
         lambda: simulation.set_state(velocity=np.zeros((2, 3))),
-        lambda: simulation.change("force[0].torque", TORQUE),
+        lambda: simulation.change("force[0].torque", (0.0, 0.0, 7.0)),
     ):
         with pytest.raises(particlerb.RunError, match=r"was cut off.*KeyboardInterrupt"):
             go_on()
