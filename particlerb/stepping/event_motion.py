@@ -16,7 +16,7 @@ from particlerb.model.state import Frames, State, store_all
 from particlerb.rotors.single_turn import COLUMNS, STEADY_COLUMNS
 from particlerb.stepping.event_scene import bounds_of, order_of, scene_of
 from particlerb.stepping.motion import Motion, MotionError, SegmentGroup
-from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays
+from particlerb.stepping.saved_arrays import IN_FILES, Saved, to_arrays
 
 _PER_CALL: Final = 100_000  # events: progress and Ctrl-C in between
 _REASONS: Final = {
@@ -113,6 +113,5 @@ class EventMotion(Motion):
 
     def restore(self, saved: Saved) -> None:
         """Go on from what was saved."""
-        kept = from_arrays(self.state, saved)._asdict()
         for name, values in self.state._asdict().items():
-            values[:] = kept[name]
+            values[:] = saved[IN_FILES.get(name, name)]
