@@ -218,7 +218,7 @@ def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts(
     partners, contacts = room_for_partners(3, mechanisms), room_for_rows(2)
     partners.inverse[:2, [0, 1, 4, 6]] = 1.0
     partners.position[1, 0], partners.velocity[:2, 2] = 1.0, -1.0
-    contacts.sphere[:], contacts.other[:] = [0, 1], 2
+    contacts.partner_a[:], contacts.partner_b[:] = [0, 1], 2
     for k, x in enumerate((-0.2, 1.3)):
         write_frame(partners, contacts, k, (0.0, 0.0, 1.0), (x, 0.1, -0.1))
         contacts.frame[k, FRICTION] = 0.5

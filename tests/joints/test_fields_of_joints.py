@@ -283,7 +283,9 @@ def test_one_thread_counts_turns_however_many_share_a_mechanism(size, monkeypatc
     meetings, values = np.zeros(32, dtype=np.int64), np.zeros((size, 16))
     for thread in range(size):
         team = Team(size, thread, meetings, values)
-        joint_stages.drift_clusters(motion.jointed, team, None, motion.blocks, 0.05, 0.0, 0.1)
+        joint_stages.drift_clusters(
+            motion.jointed, team, None, motion.bodies.blocks, 0.05, 0.0, 0.1
+        )
     assert counts == [1]
 
 

@@ -227,7 +227,7 @@ def steered(simulation, looks=()):
 def test_set_points_of_a_drive_follow_each_other():
     """Angles of the closed forms; the work is what the wheel has gained; no type is another one."""
     simulation = simulated(wheel(1.0, drive={"speed": 1.0}), 2.0, 0.02)
-    (first,) = (typeof(group.motion.moving) for group in simulation._run.group_runs)
+    (first,) = (typeof(group.motion.bodies.moving) for group in simulation._run.group_runs)
     simulation.advance(0.5)
     simulation.change("joint[0].drive.speed", [[0.5, 1.0], [1.0, 2.0]])
     assert turned(simulation) == pytest.approx(0.5, abs=1e-12)
@@ -245,7 +245,7 @@ def test_set_points_of_a_drive_follow_each_other():
     simulation.advance(1.75)
     assert turned(simulation) == pytest.approx(2.0 + 0.1, abs=1e-12)
     assert abs(simulation.energy_error) < 2e-3
-    (now,) = (typeof(group.motion.moving) for group in simulation._run.group_runs)
+    (now,) = (typeof(group.motion.bodies.moving) for group in simulation._run.group_runs)
     assert now == first
 
 
