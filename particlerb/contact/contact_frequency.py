@@ -63,7 +63,9 @@ def springs(
     return _Springs(spheres.body[i], second, point, normal, k, shear)
 
 
-def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, depth: float) -> float:
+def initial_contact_frequency(
+    contact: GroupContact, com: Floats, q: Floats, depth: float, time: float
+) -> float:
     """Fastest frequency of bodies on the contacts that they begin with [rad/s].
 
     Parameters
@@ -73,6 +75,8 @@ def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, dep
         As for `contact_frequency`.
     depth : float [m]
         Overlap that decides how stiff `hertz` is, if two do not overlap by more.
+    time : float [s]
+        When, for walls that move.
     """
     model = contact.model
     spheres, near = model.spheres, _TOUCH_GAP * float(model.spheres.radius.min(initial=np.inf))
@@ -83,7 +87,7 @@ def initial_contact_frequency(contact: GroupContact, com: Floats, q: Floats, dep
     away = x[:, second] - x[:, first]
     between = _initial_springs(model, (first, second), False, x, away, depth)
     motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
-    poses = poses_at(motions, 0.0)
+    poses = poses_at(motions, time)
     first, second, _ = WallSearch(model.walls, spheres.radius).pairs(x, poses, near)
     away = -gaps(model.walls, poses, x, first, second)
     outside = _initial_springs(model, (first, second), True, x, away, depth)

@@ -47,7 +47,7 @@ def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
                 continue
             like = f"bodies like {system.names[int(group.members[0])]}"
             if segment is group.segments[0]:
-                what = f"{like} that touch at t = 0 grow without bound on all their contacts"
+                what = f"{like} that touch at t = {segment.start:.6g} grow without bound on all their contacts"
                 rate = _crowded_rate(system, group)
                 _refuse_above(system, segment, rate, f"where {what} together")
             rate = fastest_contact(system, group, segment)
@@ -60,7 +60,8 @@ def _crowded_rate(system: System, group: GroupPlan) -> float:
     terms, state = group.segments[0].terms, taken(system.state, group.members)
     contact, fall = terms.known_contact, falling_speed(terms, state.com)
     depth = deepest_impact(contact, group.bodies, state, fall)
-    return initial_contact_frequency(contact, state.com, state.q, depth)
+    start = group.segments[0].start
+    return initial_contact_frequency(contact, state.com, state.q, depth, start)
 
 
 def _refuse_above(system: System, segment: Segment, rate: float, where: str) -> None:

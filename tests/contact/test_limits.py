@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import particlerb
+from particlerb import Simulation
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.contact.restitution import damping_ratio
@@ -292,3 +293,21 @@ def test_softest_turning_is_the_largest_eigenvalue():
         turns = [np.cross(arm[:, 3 * b + k], np.eye(3)) for k in range(3)]
         largest = max(np.linalg.eigvalsh(T @ np.diag(inverse[:, b]) @ T.T)[-1] for T in turns)
         assert found[b] == pytest.approx(largest, rel=1e-12)
+
+
+def test_a_wall_whose_motion_changes_is_met_where_it_is_now():
+    """A floor that rose and is to sink now: where its new motion had it at t = 0 it never was."""
+    floor = {"name": "f", "type": "plane", "normal": [0, 0, 1], "material": "soft"}
+    ball = {"name": "b", "shape": {"type": "sphere", "radius": 0.1}, "mass": 1.0}
+    scene = {
+        "run": {"t_end": 1.0, "every": 0.1, "dt": 9e-3},
+        "body": [ball | {"material": "soft", "position": [0, 0, 0.1], "velocity": [0, 0, 0.5]}],
+        "wall": [floor | {"motion": {"velocity": [0, 0, 0.5]}}],
+        "material": [{"name": "soft", "young": 1e6, "poisson": 0.3}],
+        "contact": {"law": "hertz", "restitution": 1.0, "friction": 0.0},
+    }
+    simulation = Simulation(scene)
+    simulation.advance(0.3)
+    simulation.change("wall[0].motion.velocity", [0, 0, -0.1])
+    simulation.advance(0.5)
+    assert simulation.state.velocity[0, 2] == pytest.approx(0.5, abs=1e-12)
