@@ -82,7 +82,9 @@ class Simulation(Closing):
         system = prepared.system
         self._cut_off = ""  # what was raised while bodies moved
         self._run, self._due = Run(prepared), 0  # frame that comes next
-        self._begun, self._run.is_by_hand = system, True
+        files = system.source.files.copied(allow_code)  # those that the output has
+        self._begun = system._replace(source=system.source._replace(files=files))
+        self._run.is_by_hand = True
         self._recorder: Recorder | None = None
         if path is not None:
             self._recorder = Recorder(path, system, content_of(prepared)[0], overwrite)
