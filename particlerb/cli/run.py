@@ -331,6 +331,11 @@ def event_text(tally: Floats) -> str:
 def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
     """Warnings about what a run has seen: stiff contacts, a tree that errs, missing impulses."""
     warnings, limit, tree, tally = [], stable_turn(prepared.plan), outcome.tree, outcome.tally
+    if any(check.time and check.time <= outcome.passed for check in prepared.system.check.value):
+        warnings.append(
+            f"particlerb: warning: checks until t = {outcome.passed:.6g} s were not made: a"
+            " Simulation has moved the bodies until then, and makes none"
+        )
     if outcome.swing > limit:
         warnings.append(
             "particlerb: warning: all contacts of a body together reached"

@@ -47,9 +47,9 @@ def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
                 continue
             like = f"bodies like {system.names[int(group.members[0])]}"
             if segment is group.segments[0]:
-                what = f"{like} that touch at t = {segment.start:.6g} grow without bound on all their contacts"
+                what = f"{like} that touch at t = {segment.start:.6g} grow without bound"
                 rate = _crowded_rate(system, group)
-                _refuse_above(system, segment, rate, f"where {what} together")
+                _refuse_above(system, segment, rate, f"where {what} on all their contacts together")
             rate = fastest_contact(system, group, segment)
             what = f"a contact of {like} grows without bound"
             _refuse_above(system, segment, rate, f"where {what}")

@@ -54,14 +54,14 @@ def limits(check: Check, drift: ConservationError) -> list[Result]:
 def results(system: System, outcome: Outcome, ranks: Ranks = ALONE) -> list[Result]:
     """All checks of a system, limits of drift first; of all bodies of all ranks.
 
-    Of what a simulation has moved beyond a time, nothing is known of then.
+    Of times that a simulation had passed before this run nothing is known.
     """
     probes = {probe.time: probe for probe in outcome.probes}
     setup = joints_of(system) if any(check.joint for check in system.check.value) else None
     values: list[list[Result]] = []
     for check in system.check.value:
         time = system.run.t_end if check.time is None else check.time
-        if time not in probes:
+        if time <= outcome.passed and time not in probes:
             continue
         if check.body is not None:
             index = system.names.find(check.body)

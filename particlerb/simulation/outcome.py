@@ -52,6 +52,7 @@ class Outcome(NamedTuple):
     tree: TreeError | None = None  # of the tree that sums the attraction, where it was fitted
     tally: Floats | None = None  # of impulses: see impulses/records.py
     broken: tuple[tuple[str, float], ...] = ()  # joints that have broken, and when [s]
+    passed: float = 0.0  # until when a simulation has moved all, before this run [s]
 
 
 def saved_probes(probes: Sequence[Probe], of: slice) -> Saved:

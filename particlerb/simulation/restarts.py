@@ -1,7 +1,8 @@
 """What a run leaves in a checkpoint that began anew on its way, and the run that goes on from it.
 
 That is the tables that have changed, the files that only these name, when, and the states of then:
-those by which it was planned, and those from which bodies moved on. All else follows from them, and from the case of the file.
+those by which it was planned, and those from which bodies moved on. All else follows from them, and
+from the case of the file.
 """
 
 import json

@@ -142,7 +142,7 @@ def advance(
             recorder.save_checkpoint(state)
         else:
             ranks.together(lambda: _restore(run, checkpoint))
-        for batch in batches(prepared.system, run.n_frames, ranks, first_batch, run.reached):
+        for batch in batches(prepared.system, run.n_frames, ranks, first_batch, run.passed):
             reached, error = _one_batch(run, recorder, batch)
             progress(reached)
             if error is not None:
@@ -174,6 +174,7 @@ def advance(
         run.tree_error(),
         tally_of(run.group_runs),
         broken_joints(run.setup, run.joints),
+        run.passed,
     )
 
 

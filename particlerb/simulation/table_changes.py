@@ -56,7 +56,8 @@ def _refuse_other_joints(system: System, changed: System) -> None:
             reason, hint = STAYS, f"what may of a joint: {', '.join(_ACTING)}"
             if key in _ACTING:
                 reason = f"{STAYS} but for its numbers: it comes, goes or is of another kind"
-                hint = "let it be there from the start: motor = 0, or another number above 0"
+                none = "drive = { speed = 0 }" if key == "drive" else "motor = 0"
+                hint = f"let it be there from the start: {none}, or another number"
             raise CaseError([problem_at(system, f"joint[{k}].{key}", reason, hint)])
         if _moves_inwards(before["limit"], after["limit"]):
             reason = "a hard stop moves outwards alone: what is beyond it would jump back"

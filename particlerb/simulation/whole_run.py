@@ -79,7 +79,7 @@ class Run:
         self.gross_work_at_restart: Floats | float = 0.0  # and gross work of contacts [J]
 
         self.joints: joint_values.JointValues | None = None  # of the last frames, if asked for
-        self.is_by_hand, self.reached = False, 0.0  # whether a simulation moves it, until when [s]
+        self.is_by_hand, self.passed = False, 0.0  # whether a simulation moves it, until when [s]
         self.kept_of_restart: Saved = {}  # of the last one, for checkpoints
         self.broken: dict[int, float] = {}  # joints that broke before a restart, and when [s]
         self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
@@ -198,7 +198,7 @@ class Run:
         first = self.number_of_first
         rows = slice(of.first - first, of.stop - first)
         saved = {"last": self.last[rows].copy()} | under("ledger", self.balance.checkpoint())
-        saved |= {BY_HAND: np.array(self.reached)} if self.is_by_hand else {}
+        saved |= {BY_HAND: np.array(self.passed)} if self.is_by_hand or self.passed else {}
         if self.kept_of_restart:
             kept = {"booked": self.external_at_restart.copy(), "gross": self.gross_work_at_restart}
             kept |= {"broken": np.array([*self.broken.items()])} if self.broken else {}
@@ -211,7 +211,7 @@ class Run:
     def restore(self, n_frames: int, saved: Saved) -> None:
         """Go on behind so many frames from what was saved then."""
         self.n_frames = n_frames
-        restart, self.reached = within("restart", saved), float(saved.get(BY_HAND, 0.0))
+        restart, self.passed = within("restart", saved), float(saved.get(BY_HAND, 0.0))
         if restart:
             self.kept_of_restart = restart
             self.external_at_restart = restart["booked"]
@@ -248,7 +248,8 @@ class Run:
         Where a state is not finite, or a torque has turned a rod about its own axis, they end
         before it, and the error says so. The next call writes over the frames.
         """
-        self.reached = float(times[-1])
+        if self.is_by_hand:
+            self.passed = float(times[-1])
         if times.size > len(self.room.position):
             self.room = self.new_room(times.size)
         is_whole = times.size == len(self.room.position)

@@ -264,7 +264,7 @@ def test_looks_between_changes_of_a_drive_change_no_bit():
         ({"position": [[0, 0], [1, 2.0]]}, r"drive\.position: the coordinate would jump from 0\.5"),
         ({"position": [[0.5, 0.5], [1, 2.0]]}, r"jump from 1\.0 to 0\.0 .*\n.*end_speeds = \[1\.0"),
         ({"amplitude": 1.0, "frequency": 1.0}, "its speed would jump"),
-        (None, "comes, goes or is of another kind"),
+        (None, r"comes, goes or is of another kind\n.*from the start: drive = \{ speed = 0 \}"),
     ],
 )
 def test_a_drive_that_would_jump_is_refused(drive, words):

@@ -7,6 +7,7 @@ import pytest
 
 import particlerb
 from particlerb import Simulation
+from particlerb.cli.run import run_warnings
 from particlerb.simulation.checks import results
 from particlerb.simulation.resume import look_at, resume_pending
 
@@ -150,9 +151,30 @@ def test_checks_before_it_are_not_looked_at_and_later_ones_are(tmp_path):
     path = moved(scene, tmp_path / "a.h5", STATES, 0.95)
     copy = shutil.copy(path, tmp_path / "c.h5")
     pending = look_at(copy)
-    (found,) = results(pending.prepared.system, resume_pending(pending))
+    outcome = resume_pending(pending)
+    (found,) = results(pending.prepared.system, outcome)
     assert not found.holds
     assert "0.97" in found.name
+    (warning,) = run_warnings(pending.prepared, outcome)
+    assert "checks until t = 0.95 s were not made" in warning
+    again = look_at(copy, 3.0)
+    outcome = resume_pending(again)
+    assert outcome.passed == 0.95
+    assert [check.name[-6:] for check in results(again.prepared.system, outcome)] == ["0.97 s"]
     particlerb.resume(path, 1.5).close()
     particlerb.resume(path, 2.0).close()
     assert_same(path, moved(scene, tmp_path / "b.h5", STATES, 2.0))
+
+
+def test_a_file_that_only_a_changed_table_names_goes_along(tmp_path):
+    """The case of the file does not know of it."""
+    (tmp_path / "a.csv").write_text("0, 0, 0, 1\n2, 0, 1, 0\n")
+    (tmp_path / "b.csv").write_text("0, 1, 0, 0\n2, 0, 0, 3\n")
+    scene = free()
+    scene["force"][1] = {"type": "push", "body": "b", "force": {"table": str(tmp_path / "a.csv")}}
+    changes = [(0.33, change("force[1].force", {"table": str(tmp_path / "b.csv")}))]
+    path = moved(scene, tmp_path / "a.h5", changes, 0.5)
+    whole = moved(scene, tmp_path / "b.h5", changes, 2.0)
+    (tmp_path / "b.csv").unlink()
+    particlerb.resume(path).close()
+    assert_same(path, whole)
