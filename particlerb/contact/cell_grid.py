@@ -116,7 +116,7 @@ def find_bounds(points: Floats, indices: Ints, bounds: Floats, first: int, end: 
 def number_cells(
     points: Floats, indices: Ints, level: Ints, grid: CellGrid, cell: Ints, first: int, end: int
 ) -> None:
-    """Write the number of the cell of each sphere of units first to last."""
+    """Write the number of the cell of each sphere of units first to end."""
     origin, per_metre, strides, cells, is_dense = grid
     rows, zero = rows3(points, 0, points.shape[1]), (origin[0], origin[1], origin[2])
     for at in range(first * UNIT, min(end * UNIT, indices.size)):
@@ -145,7 +145,7 @@ def sort_by_cell(indices: Ints, cell: Ints, begin: Ints, number: Ints) -> None:
 def place_sorted(
     points: Floats, radius: Floats, spheres: SortedSpheres, first: int, end: int
 ) -> None:
-    """Write centres and radii of the sorted spheres of units first to last."""
+    """Write centres and radii of the sorted spheres of units first to end."""
     number, xyzr, _ = spheres
     rows = rows3(points, 0, points.shape[1])
     for at in range(first * UNIT, min(end * UNIT, number.size)):
@@ -250,7 +250,7 @@ def sort_by_first(pairs: FoundPairs, start: Ints, second: Ints) -> None:
 
 @kernel
 def sort_by_second(pairs: PairList, first: int, end: int) -> None:
-    """Sort the pairs of each sphere of units first to last by the second: there are few."""
+    """Sort the pairs of each sphere of units first to end by the second: there are few."""
     firsts, seconds, start = pairs
     for i in range(first * UNIT, min(end * UNIT, start.size - 1)):
         lo = start[i]

@@ -28,7 +28,7 @@ class PrescribedBodies(NamedTuple):
 
 @inline
 def prescribed_in(prescribed: PrescribedBodies, first: int, end: int) -> range:
-    """Those that are bodies first to last."""
+    """Those that are bodies first to end."""
     body = prescribed.body
     return range(np.searchsorted(body, first), np.searchsorted(body, end))
 

@@ -45,9 +45,8 @@ def _find_overlaps(impulses: Impulses, team: Team, dt: float) -> bool:
             rows.old[k, 0], rows.old[k, 1] = 0.0, gap
             overlap = max(overlap, -gap)
     overlap, deepest, _ = largest(team, overlap, deepest, 0.0)
-    count[1] = (
-        int(deepest) if deepest < rows.partner_a.size else -1
-    )  # none where a thread has failed
+    # none where a thread has failed
+    count[1] = int(deepest) if deepest < rows.partner_a.size else -1
     return overlap > rules.slop
 
 

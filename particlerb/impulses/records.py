@@ -167,9 +167,8 @@ class Bounded(NamedTuple):
 class Rolling(NamedTuple):
     """Resistance of contacts to rolling and spinning, see `rolling`: room as in `ImpulseRows`."""
 
-    limit: (
-        Floats  # (.., 7) μ_r R* [m], λ [1/(kg m²)] across the normal; about it; [rad/s] of drives
-    )
+    # (.., 7) μ_r R* [m], λ [1/(kg m²)] across the normal; about it; [rad/s] of drives
+    limit: Floats
     impulse: Floats  # (.., 3) [N m s] along n, t₁, t₂, on the first; world axes until the solve
     impact: Floats  # (.., 3) [N m s] the same of impacts
     old: Floats  # (.., 3) before a sweep

@@ -52,7 +52,7 @@ def _change_pairs(acting: Acting, pairs: PairTerms | None, blocks: Floats, layou
     """
     if pairs is None:
         return
-    links, y, change = pairs.links, pairs.y, pairs.external
+    links, y, change = pairs.links, pairs.y, pairs.flows
     gather_states(blocks, layout, y)
     for k in range(layout.first.size):
         rows, lo = blocks[k], layout.first[k]

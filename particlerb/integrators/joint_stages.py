@@ -68,7 +68,7 @@ def set_prescribed(
     prescribed: PrescribedBodies | None, data: JointData, time: float, dt: float, first: int,
     end: int,
 ) -> None:  # fmt: skip
-    """Put prescribed bodies, of first to last, where they are, with momenta if dt is 0."""
+    """Put prescribed bodies, of first to end, where they are, with momenta if dt is 0."""
     if prescribed is None:
         return
     y, motion = data.y, data.motion

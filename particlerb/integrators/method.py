@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeAlias
 
 from particlerb.maths.vec3 import Floats
 
-Step: TypeAlias = Callable[..., None]  # (moving, first, last, open_kick, dt): see `Method.step`
+Step: TypeAlias = Callable[..., None]  # (moving, first, end, open_kick, dt): see `Method.step`
 
 
 class Method(NamedTuple):
@@ -38,14 +38,14 @@ class Method(NamedTuple):
     closing_kick: float = 0.0
     """Share of dt of the kick with which a step ends; 0 where it ends with none."""
     step: Step | None = None
-    """Stages of a step: `step(moving, first, last, open_kick, dt)` advances the blocks `first` to
-    `last`, `last` excluded, of `stages.MovingBodies` by dt [s]. The closing kick is left open: the
+    """Stages of a step: `step(moving, first, end, open_kick, dt)` advances the blocks `first` to
+    `end`, `end` excluded, of `stages.MovingBodies` by dt [s]. The closing kick is left open: the
     next step makes it, `open_kick` [s] long, together with its own first one."""
     coupled_step: Step | None = None
     """The same for bodies that act on each other, where that takes other stages."""
     show: Callable[..., None] | None = None
     """Of methods that take contact and end a step with no kick: what evaluates contacts at a frame,
-    `show(moving, first, last, open_kick, instant)`."""
+    `show(moving, first, end, open_kick, instant)`."""
     takes_slopes: bool = False
     """Whether tangential springs of contacts take several slopes in a step."""
     contact_limit: Callable[[float], float] | None = None

@@ -51,7 +51,7 @@ class PairTerms(NamedTuple):
     clock: Floats  # [s] (3,): of the loads, when the step began, and the segment
     y: Floats  # (13, n) states
     load: Floats  # (13, n), rows of model/load.py; of users without a potential (19, n)
-    external: Floats  # (13, n) the same rows, of flows
+    flows: Floats  # (13, n) the same rows, of flows; room for gradients
 
 
 @kernel
@@ -151,20 +151,20 @@ def flow_pairs(
         return
     meet_all(team)
     if _is_first(team):
-        links, user_pairs, _, _, _, clock, y, _, external = pairs
+        links, user_pairs, _, _, _, clock, y, _, flows = pairs
         gather_states(blocks, layout, y)
-        clear(external)
+        clear(flows)
         if backwards:
-            flow_user_pairs(user_pairs, clock[0], y, external, dt, backwards)
-        damp_links(links, y, external, dt, backwards)
+            flow_user_pairs(user_pairs, clock[0], y, flows, dt, backwards)
+        damp_links(links, y, flows, dt, backwards)
         if not backwards:
-            flow_user_pairs(user_pairs, clock[0], y, external, dt, backwards)
+            flow_user_pairs(user_pairs, clock[0], y, flows, dt, backwards)
         scatter(y, blocks, layout, P, _MOMENTA_ROW)
         for k in range(layout.first.size):
             rows, lo = blocks[k], layout.first[k]
             for c in range(LOAD_ROWS - POWER):
                 for b in range(layout.size[k]):
-                    value = get(rows, EXTERNAL + c, b) + external[POWER + c, lo + b]
+                    value = get(rows, EXTERNAL + c, b) + flows[POWER + c, lo + b]
                     put(rows, EXTERNAL + c, b, value)
     meet_all(team)
 

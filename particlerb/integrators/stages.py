@@ -1,6 +1,6 @@
 """What the steps of integrators are made of: loads, kicks, flows of dashpots, drifts.
 
-A stage works on the blocks `first` to `last`, `last` excluded, of `MovingBodies`. Where a loop over
+A stage works on the blocks `first` to `end`, `end` excluded, of `MovingBodies`. Where a loop over
 steps runs as Python, to spread large sums over threads, `over_threads` puts kernels that spread
 each stage in the place of those that are compiled into the loop: the sums are the same to the bit.
 """
@@ -71,7 +71,7 @@ class MovingBodies(NamedTuple):
 
 
 def stage(function: Function) -> Function:
-    """Compile a stage `(moving, first, last, ...)` whose blocks have nothing to do with others."""
+    """Compile a stage `(moving, first, end, ...)` whose blocks have nothing to do with others."""
     inlined = inline(function)
     _KERNELS[id(inlined)] = kernel(function)
     return inlined

@@ -48,7 +48,7 @@ def _by_carried(joints: Joints, data: JointData, r: int) -> float:
 
 @inline
 def carry(joints: Joints, data: JointData, first: int, end: int) -> None:
-    """Put bodies first to last that move as prescribed where they are at the end of a drift."""
+    """Put bodies first to end that move as prescribed where they are at the end of a drift."""
     for b in range(first, end):
         if joints.prescribed[b]:
             for i in range(col.P):

@@ -72,9 +72,8 @@ class Ends(NamedTuple):
     at_a: Floats  # [m] point of the first body
     at_b: Floats  # [m] point of the second
     directions_a: Mapping[str, Floats]  # directions in the first body
-    directions_b: Mapping[
-        str, Floats
-    ]  # in the second; x, y, z of the world; `at`: where first_at is
+    # in the second; x, y, z of the world; `at`: where at_a is
+    directions_b: Mapping[str, Floats]
     length: Floats  # (k,) [m]
     size: Floats  # (k,) [m]
     roll: Floats  # (k, 3) k [m/rad], z_b/z_a and pitch [m] of what rolls: wheels.py

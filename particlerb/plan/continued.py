@@ -51,10 +51,8 @@ def with_continued(system: System, changed: System, time: float) -> System:
     tables = [k for k, table in enumerate(system.joint) if table.drive is not None]
     changes = False
     for j, k in enumerate(tables):
-        if (
-            len({each.joint[k].model_dump_json(include={"drive"}) for each in (system, changed)})
-            > 1
-        ):
+        was, now = (of.joint[k].model_dump_json(include={"drive"}) for of in (system, changed))
+        if was != now:
             drives[j], changes = _drive(changed, k, drives[j], time, problems), True
     refuse(problems)
     after = Continued(walls, bodies, tuple(drives))

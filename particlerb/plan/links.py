@@ -39,8 +39,8 @@ class Link(NamedTuple):
     force: SpringTable
     body_a: Ints  # (s,) bodies of the system
     body_b: Ints  # (s,) bodies of the system; WORLD: an anchor
-    at_a: Floats  # (3, s) [m], body frame of first, from its centre of mass
-    at_b: Floats  # (3, s) [m], body frame of second, or the anchor in the world frame
+    at_a: Floats  # (3, s) [m], body frame of a, from its centre of mass
+    at_b: Floats  # (3, s) [m], body frame of b, or the anchor in the world frame
     rest_length: Floats  # (s,) [m]
 
 
@@ -383,7 +383,7 @@ def components(
     ----------
     n_bodies : int
         Of the system.
-    links : sequence of records with `first` and `second`
+    links : sequence of records with `body_a` and `body_b`
         Ends in the world tie nothing.
     attracted : ndarray, shape (k,)
         Bodies that attract each other.

@@ -314,7 +314,7 @@ def loop_over_ranks(
         In place of the stages that find where spheres and walls are, that write a frame, and that
         write what contacts have into it: these exchange bodies.
     enter_kick : callable
-        Enters a kernel `(moving, first, last, open_kick)`, or with a step too, with all threads:
+        Enters a kernel `(moving, first, end, open_kick)`, or with a step too, with all threads:
         takes it, then `moving`, ...
     settle : callable
         Called before anything is saved.
