@@ -1,4 +1,4 @@
-"""Where the penalty laws of contact fail: tables of docs/contact.md.
+"""Where the penalty laws of contact fail: tables of docs/measurements.md.
 
     python benchmarks/contact_limits.py [TABLE ..]
 

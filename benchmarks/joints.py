@@ -11,7 +11,7 @@
     python benchmarks/joints.py --cost --record   # and add the figures to results/joints.csv
 
 Processor seconds, medians of interleaved rounds; each figure is the difference of a long and a
-short run, so that what happens once does not count. docs/joints.md has what was asked.
+short run, so that what happens once does not count. docs/measurements.md has what was asked.
 """
 
 import argparse
