@@ -116,13 +116,13 @@ def numbers(*values: Any) -> str:
 
 
 def possible(moments: Floats) -> Floats:
-    """Principal moments (3,), the largest at most the sum of the others, as MuJoCo demands.
+    """Principal moments, three, the largest at most the sum of the others, as MuJoCo demands.
 
     Rounding may have put that of a plate above it.
     """
-    k = int(np.argmax(moments))
-    lowered = moments.copy()
-    lowered[k] = min(moments[k], moments[k - 1] + moments[k - 2])
+    lowered = moments.ravel().copy()
+    k = int(np.argmax(lowered))
+    lowered[k] = min(lowered[k], lowered[k - 1] + lowered[k - 2])
     return lowered
 
 

@@ -65,8 +65,8 @@ def output_path(path: Path, overwrite: bool) -> Path:
 def appearing(*paths: Path) -> Iterator[list[Path]]:
     """Give files to write, which become those at the paths when all are whole, on the disk.
 
-    Until they are what was there stays. They lie beside it, behind links, and have the endings of the
-    paths; errors as of `output_path`. Of several the first takes its name last, and what had it
+    Until they are what was there stays. They lie beside it, behind links, and have the endings of
+    the paths; errors as of `output_path`. Of several the first takes its name last, and what had it
     goes first: where it is, the others are those that belong to it.
     """
     places = [output_path(path, overwrite=True) for path in paths]
