@@ -27,7 +27,7 @@ BUDGETS = {
     "contact by impulses": 4184,
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2143,
-    "scenes and simulations in Python": 1010,
+    "scenes and simulations in Python": 1011,
     "sweeps": 1602,
     "one scene over ranks": 2597,
     "reports, pictures, the page": 1778,

@@ -331,7 +331,8 @@ def event_text(tally: Floats) -> str:
 def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
     """Warnings about what a run has seen: stiff contacts, a tree that errs, missing impulses."""
     warnings, limit, tree, tally = [], stable_turn(prepared.plan), outcome.tree, outcome.tally
-    if any(check.time and check.time <= outcome.passed for check in prepared.system.check.value):
+    times = [check.time for check in prepared.system.check.value if check.time is not None]
+    if outcome.passed > 0.0 and min(times, default=math.inf) <= outcome.passed:
         warnings.append(
             f"particlerb: warning: checks until t = {outcome.passed:.6g} s were not made: a"
             " Simulation has moved the bodies until then, and makes none"

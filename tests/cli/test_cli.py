@@ -817,9 +817,9 @@ def test_contacts_beyond_their_limit_are_a_warning(monkeypatch, swing, warns):
     from particlerb.cli.run import run_warnings
 
     monkeypatch.setattr("particlerb.cli.run.stable_turn", lambda plan: 2.0)
-    told = run_warnings(
-        SimpleNamespace(plan=None), SimpleNamespace(swing=swing, tree=None, tally=None)
-    )
+    system = SimpleNamespace(check=SimpleNamespace(value=()))
+    outcome = SimpleNamespace(swing=swing, tree=None, tally=None, passed=0.0)
+    told = run_warnings(SimpleNamespace(plan=None, system=system), outcome)
     assert bool(told) == warns
     assert all("ω dt = 2.5: above 2 " in text and "divide run.dt by 1.2" in text for text in told)
 
