@@ -29,7 +29,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2143,
     "scenes and simulations in Python": 1011,
     "sweeps": 1602,
-    "one scene over ranks": 2597,
+    "one scene over ranks": 2600,
     "reports, pictures, the page": 1778,
     "scenes for other programs": 540,
     "speed of compiling and of whole calls": 1374,

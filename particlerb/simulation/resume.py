@@ -169,9 +169,12 @@ def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
             " run the case anew"
         )
     start = max(common)
-    state = joined([states[start] for states in saved])
-    checkpoint = Checkpoint(start, state if numbers else of_no_body(state))
-    return pending._replace(checkpoint=checkpoint, start=start)
+    try:
+        state = joined([states[start] for states in saved])
+        state = state if numbers else of_no_body(state)
+    except (LookupError, ValueError) as error:
+        raise ResumeError(f"{pending.path}: checkpoints of its parts do not fit: {error}") from None
+    return pending._replace(checkpoint=Checkpoint(start, state), start=start)
 
 
 def resume_pending(
