@@ -28,6 +28,7 @@ from particlerb.events import advance, queue, search
 from particlerb.events.records import EPOCH, HIT, empty_state
 from particlerb.impulses.records import IMPACTS
 from particlerb.simulation.run import Run, prepare
+from particlerb.stepping.event_motion import EventMotion
 
 BOX = {"type": "box", "name": "box", "lower": [-1, -1, -1], "upper": [1, 1, 1]}
 plain = pytest.mark.plain  # compiling takes long, and shows no more
@@ -367,3 +368,17 @@ def test_the_queue_gives_events_by_time_then_by_number():
             queue.take_out(state, c)
             state.event_time[c, HIT] = times[c] - state.sums[EPOCH]
             queue.insert(scene, state, c)
+
+
+@pytest.mark.plain
+def test_an_array_that_a_checkpoint_lacks_is_missed():
+    """Read as nothing it would be NaN, without a word; names are those of older files too."""
+    motion, other = (SimpleNamespace(state=empty_state(3, 3, 4, 6)) for _ in range(2))
+    other.state.event_time[:] = 7.0
+    saved = EventMotion.checkpoint(other)
+    assert "at" in saved
+    EventMotion.restore(motion, saved)
+    assert (motion.state.event_time == 7.0).all()
+    del saved["flight"]
+    with pytest.raises(KeyError, match="flight"):
+        EventMotion.restore(motion, saved)
