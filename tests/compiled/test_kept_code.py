@@ -74,6 +74,7 @@ def fresh(tmp_path, monkeypatch):
     def load():
         spec = importlib.util.spec_from_file_location("kernels", tmp_path / "kernels.py")
         module = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, "kernels", module)  # what is kept imports it by its name
         spec.loader.exec_module(module)
         return module
 
