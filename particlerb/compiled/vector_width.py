@@ -6,19 +6,26 @@ setting of the process would change what Numba compiles for others, and throw aw
 """
 
 import platform
+from functools import cache
 from typing import Any, Final
 
-import llvmlite.binding
 import numba
+from llvmlite import binding
 
 config: Any = numba.config
 WIDE: Final = frozenset({"icelake-server", "sapphirerapids", "emeraldrapids", "graniterapids"})
 """Processors, as LLVM calls them, on which wide vectors are faster: benchmarks/vector_width.py."""
 
 
+@cache
+def _host() -> tuple[str, str]:
+    """Name and instructions of this processor: LLVM takes half a millisecond to find them."""
+    return binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
+
+
 def processor() -> str:
     """The processor that is compiled for, as LLVM calls it."""
-    return str(config.CPU_NAME or llvmlite.binding.get_host_cpu_name())
+    return str(config.CPU_NAME or _host()[0])
 
 
 def is_wide() -> bool:
@@ -27,9 +34,7 @@ def is_wide() -> bool:
     A virtual machine may bear another processor's name. Half precision in vectors of 512 bits is in
     Intel's since Sapphire Rapids, whatever the name.
     """
-    has = config.CPU_FEATURES
-    if has is None:
-        has = llvmlite.binding.get_host_cpu_features().flatten()
+    has = _host()[1] if config.CPU_FEATURES is None else config.CPU_FEATURES
     return processor() in WIDE or "+avx512fp16" in has.split(",")
 
 
