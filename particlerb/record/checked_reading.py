@@ -16,7 +16,7 @@ from typing import Any, Final, TypeVar
 
 import h5py
 import numpy as np
-from h5py import h5d, h5l, h5z
+from h5py import h5d, h5g, h5l, h5o, h5z
 
 from particlerb.record.atomic import to_read
 from particlerb.record.hdf5 import header_attribute
@@ -157,14 +157,14 @@ def dataset_at(
 
 def object_at(file: h5py.File, path: str) -> Any:
     """What hard links lead to."""
-    place: Any = file
-    for name in path.split("/"):
-        if not isinstance(place, h5py.Group) or name not in place:
+    place = file.id
+    for name in (part.encode() for part in path.split("/")):
+        if not isinstance(place, h5g.GroupID) or not place.links.exists(name):
             raise KeyError(f"{path} is missing")
-        if place.id.links.get_info(name.encode()).type != h5l.TYPE_HARD:
+        if place.links.get_info(name).type != h5l.TYPE_HARD:
             raise ValueError(f"{path} is a link to elsewhere")
-        place = place[name]
-    return place
+        place = h5o.open(place, name)
+    return h5py.Dataset(place) if isinstance(place, h5d.DatasetID) else h5py.Group(place)
 
 
 def has(file: h5py.File | Memory, path: str) -> bool:

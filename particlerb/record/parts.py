@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 import h5py
 import numpy as np
-from h5py import h5d, h5p, h5s, is_hdf5
+from h5py import h5a, h5d, h5p, h5s, is_hdf5
 
 from particlerb.model.superblocks import Range
 from particlerb.record.hdf5 import WITH_GROUPS, header_attribute, note
@@ -119,7 +119,7 @@ def parts_in(file: Any) -> Parts | None:
     ValueError
         If what it says of them makes no sense.
     """
-    if not isinstance(file, h5py.File) or _EDGES not in file.attrs:
+    if not isinstance(file, h5py.File) or not h5a.exists(file.id, _EDGES.encode()):
         return None
     edges = header_attribute(file, _EDGES, "i")
     folder = os.fsdecode(bytes(header_attribute(file, _FOLDER, "S")))
@@ -139,7 +139,7 @@ def part_paths(file: Any) -> list[Path]:
 
 def range_in(file: h5py.File) -> tuple[Range, str] | None:
     """Bodies of a part, and its run; None where it is none."""
-    if _RANGE not in file.attrs:
+    if not h5a.exists(file.id, _RANGE.encode()):
         return None
     first, stop = header_attribute(file, _RANGE, "i").tolist()
     return Range(first, stop), bytes(header_attribute(file, _RUN, "S")).decode()
