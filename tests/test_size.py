@@ -26,7 +26,7 @@ BUDGETS = {
     "contact with every method": 670,
     "contact by impulses": 4184,
     "collisions by events": 1737,
-    "forces: tables, gradients, written by users": 2143,
+    "forces: tables, gradients, written by users": 2148,
     "scenes and simulations in Python": 1011,
     "sweeps": 1602,
     "one scene over ranks": 2600,

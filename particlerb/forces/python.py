@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 _POTENTIAL_TOLERANCE: Final = 1e-4  # share of a force by which that of its potential may be another
 LOOKED_AT: Final = 64  # bodies on which a potential is compared,
-_ASIDE: Final = np.array([[0.31], [-0.23], [0.17]])  # and where, beside their places
+_ASIDE: Final = np.array([[0.31], [-0.23], [0.17]])  # and where, beside their places,
+_AWAY: Final = (0.0, 3e4, -1.2e5, 4.8e5, -2e6)  # in steps of differences,
+_TURN: Final = np.array([[0.927], [0.3], [-0.2], [0.1]]) / np.sqrt(0.999329)  # more for each [-]
 _BOILERPLATE: Final = ("Failed in", "During:", "File ", "[1", "[2", "- Resolution", "<source")
 
 # From a table to parameters
@@ -260,24 +262,28 @@ def compare(
     force: UserForce, bodies: Bodies, state: State, loads: Callable[[State], Floats],
     energy: Callable[[State], Floats], other: Floats | None = None, words: str = "",
 ) -> None:  # fmt: skip
-    """Raise ForceError where loads (6, n) are not those of an energy (n,): at first, and nearby.
+    """Raise ForceError where loads (6, n) are not those of an energy (n,): at first, and elsewhere.
 
-    `other` is where the other body of a pair is, (3, n) [m].
+    `other` is where the other body of a pair is, (3, n) [m]. Places further away, where bodies are
+    turned more and more, say nothing where the functions raise an error, or give no numbers.
     """
-    centre = np.zeros_like(state.com) if other is None else other
-    reach = lengths(state.com - centre)
-    away = state._replace(com=state.com + 3e4 * user_kicks.scales(bodies, reach) * _ASIDE)
-    half = np.array([[np.cos(0.4)], [0.3], [-0.2], [0.1]])
-    turn = np.repeat(half / np.linalg.norm(half), len(state.q.T), axis=1)
-    for now in (state, away._replace(q=quaternion_product(turn, state.q))):
-        reach = lengths(now.com - centre)
-        with np.errstate(all="ignore"):
-            acting, potential = loads(now), energy(now)
-            derived = -user_kicks.gradient(lambda s: energy(s)[None], bodies, now, reach)[:6, 0]
-            steps = np.where(
-                np.arange(6)[:, None] < 3, user_kicks.scales(bodies, reach), user_kicks.DIFFERENCE
-            )
-            noise = 1e-14 * np.abs(potential) / steps
+    reach = lengths(state.com - (0.0 if other is None else other))
+    step, largest = user_kicks.scales(bodies, reach), np.zeros_like(reach)
+    steps = np.where(np.arange(6)[:, None] < 3, step, user_kicks.DIFFERENCE)
+    turn, q = np.repeat(_TURN, reach.size, axis=1), state.q
+    for away in _AWAY:
+        now = state._replace(com=state.com + away * step * _ASIDE, q=q)
+        q = quaternion_product(turn, q)
+        try:
+            with np.errstate(all="ignore"):
+                acting, potential = loads(now), energy(now)
+                derived = -user_kicks.gradient(lambda s: energy(s)[None], bodies, now, reach)[:6, 0]
+        except Exception:
+            if away == 0.0:
+                raise
+            continue
+        largest = np.fmax(largest, np.abs(potential))
+        noise = 1e-14 * largest / steps
         for rows, what in ((slice(0, 3), "force [N]"), (slice(3, 6), "torque [N m]")):
             size = np.maximum(lengths(acting[rows]), lengths(derived[rows]))
             error = lengths(acting[rows] - derived[rows])

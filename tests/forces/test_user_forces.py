@@ -335,6 +335,27 @@ def not_its_force(x, k):
     return scale(-k, x), NO_TORQUE
 
 
+def spring_to_origin(x, k):
+    return 0.5 * k * dot(x, x)
+
+
+@particlerb.force(potential=spring_to_origin)
+def stiffer_beyond(x, k):
+    """Twice as stiff as its potential says beyond 3 m."""
+    return scale(-k if dot(x, x) < 9.0 else -2.0 * k, x), NO_TORQUE
+
+
+def upright(R, k):
+    return -k * R[2][2]
+
+
+@particlerb.force(potential=upright)
+def twisted_upside_down(R, k):
+    """More than its potential says where the body stands on its head."""
+    more = 0.1 * k if R[2][2] < -0.5 else 0.0
+    return NO_TORQUE, (k * R[1][2] + more, -k * R[0][2], 0.0)
+
+
 @particlerb.force
 def too_late(t):
     if t > 0.5:
@@ -391,6 +412,10 @@ def line_of(text):
     [
         (table(not_its_force, k=1.0), CaseError, "@particlerb.force(potential=wrong_energy)",
          r"force \[N\] .* and its potential"),
+        (table(stiffer_beyond, k=1.0), CaseError, "@particlerb.force(potential=spring_to_origin)",
+         r"force \[N\] .* and its potential"),
+        (table(twisted_upside_down, k=1.0), CaseError, "@particlerb.force(potential=upright)",
+         r"torque \[N m\] .* and its potential"),
         (table(too_late), RunError, '        raise ValueError("too late")', "ValueError: too late"),
         (table(no_root), RunError, None, r"no_root returns \[\[nan, 0.0, 0.0\]"),
         (table(ends_on_a_frame), RunError, None,
