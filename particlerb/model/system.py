@@ -9,7 +9,6 @@ t = 0. Nothing that takes a `System` knows whether there ever was a file.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
@@ -88,7 +87,7 @@ class System(NamedTuple):
     """Scenes that share the arrays, one after the other; the records are those of the first."""
     whole: System | None = None
     """The system of which this is a part; None: it is whole."""
-    others: Mapping[int, tuple[AnyForce, ...]] = MappingProxyType({})
+    others: Mapping[int, tuple[AnyForce, ...]] = {}
     """Forces that differ from world to world: the record of each, by the number of the first."""
     contacts: tuple[ContactTable, ...] = ()
     """Contact of each world, where they differ in it."""

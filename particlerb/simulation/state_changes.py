@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from particlerb.maths.vec3 import Floats
-from particlerb.model.state import State, initial_state, omega_world
+from particlerb.model.state import State, initial_state, kinetic_energy, omega_world
 from particlerb.model.system import System
 from particlerb.rotors.rotor_class import POINT, ROD
 
@@ -42,7 +42,13 @@ def new_state(system: System, old: Mapping[str, Floats], given: Mapping[str, Any
             raise ValueError(f"set_state: {system.names[b]} is held and has no velocity")
     largest = np.abs(new["orientation"]).max(axis=1, keepdims=True)  # whose square may overflow
     new["orientation"] = np.ldexp(new["orientation"], -np.frexp(largest)[1])
-    state, spin = initial_state(system.bodies, *new.values()), new["angular_velocity"]
+    spin = new["angular_velocity"]
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused
+        state = initial_state(system.bodies, *new.values())
+        too_fast = np.flatnonzero(~np.isfinite(kinetic_energy(system.bodies, state))).tolist()
+    for b in too_fast:
+        name = system.names[b]
+        raise ValueError(f"set_state: the kinetic energy of {name} is too large for float64")
     lost = np.abs(omega_world(system.bodies, state).T - spin).max(axis=1)
     is_thin = np.isin(system.bodies.rotor_class, (POINT, ROD))
     for b in np.flatnonzero(is_thin & (lost > _SPIN_ROUNDING * np.abs(spin).max(axis=1))).tolist():

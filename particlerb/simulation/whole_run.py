@@ -4,7 +4,6 @@ import math
 import re
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -46,7 +45,7 @@ class Prepared(NamedTuple):
     system: System
     plan: Plan
     text: str  # the plan in words
-    parameters: Mapping[str, str] = MappingProxyType({})  # more for /parameters of the file
+    parameters: Mapping[str, str] = {}  # more for /parameters of the file
     first: int = 0  # number of its first body in the scene, where it is a part of one
     is_copied: bool = False  # whether each of several ranks moves all bodies
 

@@ -10,6 +10,7 @@ import pytest
 import particlerb
 from particlerb import CaseError, Scene, Simulation
 from particlerb.simulation import frame_times
+from particlerb.simulation.run import identity, prepare
 from particlerb.stepping import stepped_motion
 from particlerb.tables import (
     AttractionTable,
@@ -212,10 +213,20 @@ def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
     assert repr(simulation) == "<Simulation bodies: 1; t = 2 s of 10 s>"
     with pytest.raises(ValueError, match="orientation of zero"):
         simulation.set_state(orientation=[[0, 0, 0, 0]])
+    for key in ("velocity", "angular_velocity"):
+        with pytest.raises(ValueError, match="the kinetic energy of box is too large for float64"):
+            simulation.set_state(**{key: [[0, 0, 1e200]]})
     state = simulation.advance(10.0)
     assert np.array_equal(state.position, particlerb.run(turned_box()).position[-1])
     with pytest.raises(ValueError, match="joints hold"):
         Simulation(SCENES["joint"]()).set_state(velocity=[[0, 0, 0]])
+
+
+@pytest.mark.once
+def test_a_system_can_be_pickled_and_copied():
+    system = Simulation(bouncing(dt=1e-3)).system
+    for other in (pickle.loads(pickle.dumps(system)), copy.deepcopy(system)):
+        assert identity(prepare(other)) == identity(prepare(system))
 
 
 def over_a_floor(output=None, **wall) -> Simulation:
