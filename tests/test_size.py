@@ -28,7 +28,7 @@ BUDGETS = {
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2148,
     "scenes and simulations in Python": 1015,
-    "sweeps": 1602,
+    "sweeps": 1610,
     "one scene over ranks": 2600,
     "reports, pictures, the page": 1778,
     "scenes for other programs": 540,

@@ -1,10 +1,13 @@
 """Values set from outside a case: `--set run.dt=1e-4`, applied before the case is checked."""
 
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from particlerb.case.problems import Path, Problem, Source, key_of, path_of, refuse, shown
+
+_NUMBER: Final = re.compile(r"[+-]?(?:0|[1-9][0-9]*)(\.[0-9]+)?([eE][+-]?[0-9]+)?")
 
 
 def overridden(source: Source, overrides: Sequence[str]) -> Source:
@@ -40,7 +43,9 @@ def overridden(source: Source, overrides: Sequence[str]) -> Source:
 
 
 def toml_value(text: str) -> Any:
-    """Value of a TOML text; the text itself where it is none."""
+    """Value of a TOML text; the text itself where it is none. Tables of runs are mostly numbers."""
+    if number := _NUMBER.fullmatch(text):
+        return float(text) if number.lastindex else int(text)
     try:
         values = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):

@@ -1,6 +1,7 @@
 """Designs of a sweep: combinations, values side by side, drawn runs, tables of runs, replicates."""
 
 import csv
+import io
 import itertools
 from collections.abc import Iterator
 from typing import Any
@@ -49,21 +50,24 @@ def _columns(case: Case, name: str) -> dict[str, list[Any]]:
     files = case.source.files
     try:  # a new row must not change the others: the file does not go along with the case
         file = Files(files.folder, files.contents).read(name)
-        lines = list(csv.reader(file.data.decode("utf-8-sig").splitlines(), skipinitialspace=True))
+        text = io.StringIO(file.data.decode("utf-8-sig"), newline="")
+        reader = csv.reader(text, skipinitialspace=True, strict=True)
+        stripped = ([cell.strip() for cell in line] for line in reader)
+        lines = [(reader.line_num, cells) for cells in stripped if any(cells)]
     except (ValueError, csv.Error) as error:
         raise CaseError([problem_at(case, "sweep.file", str(error))]) from None
-    keys, *rows = [[cell.strip() for cell in line] for line in lines] or [[]]
-    problems = [] if any(rows) else [file_problem(None, "needs a row of keys, and rows of values")]
+    (_, keys), *rows = lines or [(1, [])]
+    problems = [] if rows else [file_problem(None, "needs a row of keys, and rows of values")]
     if len(set(keys)) < len(keys):
         problems.append(file_problem(None, f"a column is given twice: {keys}"))
     problems += [
         file_problem(None, f"needs a value for each of {keys}")._replace(line=k, column=1)
-        for k, row in enumerate(rows, 2)
-        if row and (len(row) != len(keys) or "" in row)
+        for k, row in rows
+        if len(row) != len(keys) or "" in row
     ]
     if problems:
         raise CaseError(problem._replace(file=file.name) for problem in problems)
-    columns = zip(*filter(None, rows), strict=True)
+    columns = zip(*(row for _, row in rows), strict=True)
     return {key: [toml_value(cell) for cell in col] for key, col in zip(keys, columns, strict=True)}
 
 

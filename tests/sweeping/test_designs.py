@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -11,11 +12,12 @@ import pytest
 
 import particlerb
 from particlerb import CaseError
+from particlerb.case.overrides import toml_value
 from particlerb.case.reader import load
 from particlerb.cli import main
 from particlerb.cli.sweep import summary
 from particlerb.sweeping import driver
-from particlerb.sweeping.designs import written_out
+from particlerb.sweeping.designs import rows_of, written_out
 from particlerb.sweeping.table import SweepRows
 from particlerb.sweeping.variants import _encoded_row, variants
 
@@ -68,6 +70,37 @@ def test_a_table_has_a_run_in_each_row(tmp_path):
     assert rows == [(1.5, [1, 0, 0], "auto"), (2, [0.5, 1, 0], "strang")]
 
 
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("text", "rows"),
+    [
+        ("\ufeffbody.0.mass\r\n1\r\n2\r\n", [(1,), (2,)]),  # as Excel writes it
+        ("body.0.mass\r1\r2\r", [(1,), (2,)]),
+        ("\n\nbody.0.mass,run.dt\n\n1,0.5\n,,\n  \n2,0.1\n", [(1, 0.5), (2, 0.1)]),
+        ('title\n"two\nlines"\n"a\u2028b"\n', [("two\nlines",), ("a\u2028b",)]),
+    ],
+)
+def test_tables_of_runs_come_from_many_programs(tmp_path, text, rows):
+    path = case_of(tmp_path, 'file = "runs.csv"')
+    (tmp_path / "runs.csv").write_bytes(text.encode())
+    case = load(path)
+    assert list(rows_of(written_out(case, case.sweep))) == rows
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    "text",
+    ["0", "-7", "+3", "1.5", "-0.0", "1e3", "2.5E-7", "1e400", "007", ".5", "5.", "1_000", "0x10",
+     "nan", "inf", "+", "1e", "1.0.0", "\u0663", "auto"],
+)  # fmt: skip
+def test_numbers_are_those_of_toml(text):
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    assert (type(toml_value(text)), repr(toml_value(text))) == (type(value), repr(value))
+
+
 def test_a_longer_table_runs_what_is_new_alone(tmp_path):
     def hashes(runs):
         case = load(case_of(tmp_path, 'file = "runs.csv"', runs))
@@ -85,6 +118,8 @@ def test_a_longer_table_runs_what_is_new_alone(tmp_path):
         ('file = "runs.csv"', "body.0.mass\n", "needs a row of keys"),
         ('file = "runs.csv"', "body.0.mass,run.dt\n1,\n", r"runs.csv:2:1: error: needs a value"),
         ('file = "runs.csv"', "body.0.mass,body.0.mass\n1,2\n", "given twice"),
+        ('file = "runs.csv"', '\nbody.0.mass,title\n\n1,"a\nb"\n2\n', r"runs.csv:6:1: .*needs a"),
+        ('file = "runs.csv"', 'body.0.mass\n"1\n2\n', "unexpected end of data"),
         ('file = "runs.csv"', "body.0.mas\n1\n", "unknown key"),
         ('file = "runs.csv"', "body.0.mass\n-1\n", r"must be > 0, got -1"),
         ('file = "runs.csv"', 'body.0,body.0.mass\n{},1\n', "both are axes"),
