@@ -62,12 +62,13 @@ def output_path(path: Path, overwrite: bool) -> Path:
 
 
 @contextlib.contextmanager
-def appearing(*paths: Path) -> Iterator[list[Path]]:
+def appearing(*paths: Path, is_new: bool = False) -> Iterator[list[Path]]:
     """Give files to write, which become those at the paths when all are whole, on the disk.
 
     Until they are what was there stays. They lie beside it, behind links, and have the endings of
-    the paths; errors as of `output_path`. Of several the first takes its name last, and what had it
-    goes first: where it is, the others are those that belong to it.
+    the paths; errors as of `output_path`, and FileExistsError where the first is there although it
+    `is_new`. Of several the first takes its name last, and what had it goes first: where it is, the
+    others are those that belong to it.
     """
     places = [output_path(path, overwrite=True) for path in paths]
     pairs = list(zip(paths, places, strict=True))
@@ -87,6 +88,8 @@ def appearing(*paths: Path) -> Iterator[list[Path]]:
             other.replace(place)
             removed.append(place)
             sync(place.parent)
+        if is_new:
+            first.touch(exist_ok=False)  # whoever else would do so now
         new.replace(first)
     except BaseException:
         for path in removed:

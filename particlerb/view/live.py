@@ -268,12 +268,15 @@ class Live(Page):
         if self.written == MOST_SAVED:
             raise ValueError(f"{MOST_SAVED} sessions were saved: start again to save more")
         text = recorded(self.session)
-        path, number = self.path, 1
-        while os.path.lexists(path):
-            number += 1
-            path = self.path.with_stem(f"{self.path.stem}_{number}")
-        with appearing(path) as (new,):
-            new.write_text(text, encoding="utf-8")
+        while True:
+            path, number = self.path, 1
+            while os.path.lexists(path):
+                number += 1
+                path = self.path.with_stem(f"{self.path.stem}_{number}")
+            with contextlib.suppress(FileExistsError):  # of another page, since we looked
+                with appearing(path, is_new=True) as (new,):
+                    new.write_text(text, encoding="utf-8")
+                break
         self.saved, self.written = self.session.raw["force"], self.written + 1
         self.say(f"saved: {path}; `python -m particlerb {path}` repeats it bit for bit")
         return path

@@ -276,6 +276,21 @@ def test_sessions_are_saved_a_hundred_times_and_never_written_over(page, monkeyp
     assert len(list(tmp_path.iterdir())) == 2 + MOST_SAVED
 
 
+def test_two_pages_that_save_at_once_keep_both_sessions(page, monkeypatch, tmp_path):
+    """The other one writes after this one has looked which names are free."""
+    monkeypatch.setattr(page, "path", tmp_path / "s.toml")
+    monkeypatch.setattr("particlerb.view.live.recorded", lambda session: "ours")
+
+    def write_other(path):
+        if not page.path.exists():
+            page.path.write_text("theirs")
+
+    monkeypatch.setattr("particlerb.record.output_path.sync", write_other)
+    assert page.save() == tmp_path / "s_2.toml"
+    texts = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    assert texts == {"s.toml": "theirs", "s_2.toml": "ours"}
+
+
 def test_a_session_that_cannot_be_written_whole_leaves_no_file(page, monkeypatch, tmp_path):
     monkeypatch.setattr(page, "path", tmp_path / "s.toml")
     monkeypatch.setattr(page, "written", 0)
