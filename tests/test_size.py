@@ -30,7 +30,7 @@ BUDGETS = {
     "scenes and simulations in Python": 1015,
     "sweeps": 1610,
     "one scene over ranks": 2600,
-    "reports, pictures, the page": 1783,
+    "reports, pictures, the page": 1784,
     "scenes for other programs": 540,
     "speed of compiling and of whole calls": 1376,
     "watches": 169,

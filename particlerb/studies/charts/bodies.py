@@ -172,11 +172,12 @@ def set_equal_scale(axes: Axes3D, points: Floats, unit: str = " [m]") -> None:
     unit = unit.replace("[", f"[1e{power} ") if power else unit
     labels = {f"{letter}label": f"{letter}{unit}" for letter in "xyz"}
     axes.set(xlim=x, ylim=y, zlim=z, **labels)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+    shares = half / half.max()
+    for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), shares.tolist(), strict=True):
+        axis.get_major_locator().set_params(nbins=max(2, round(4.0 * share)))
         axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
         axis.labelpad = 6.0  # beside the values, not over them
-    axes.set_box_aspect(half / half.max())
-    axes.locator_params(nbins=4)
+    axes.set_box_aspect(shares)
 
 
 def direction(trajectory: Trajectory, body: int, axis: int) -> Floats:
