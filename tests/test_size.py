@@ -32,7 +32,7 @@ BUDGETS = {
     "one scene over ranks": 2600,
     "reports, pictures, the page": 1784,
     "scenes for other programs": 540,
-    "speed of compiling and of whole calls": 1376,
+    "speed of compiling and of whole calls": 1379,
     "watches": 169,
     "beside all these": 399,
 }

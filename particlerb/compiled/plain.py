@@ -26,6 +26,7 @@ BUDGET: Final = 0.4  # [s] of a process in Python: each run of a scene spends th
 _MAX_CALL_SECONDS: Final = 0.2
 _LOAD_SECONDS: Final = 0.02  # that a kernel on disk takes to be loaded
 _SECONDS_PER_NUMBER: Final = 1e-5  # of the arguments, before a kernel has run
+_NUMBERS_PER_CALL: Final = 200  # that take as long as what a call does once
 _PACKAGE: Final = __name__.partition(".")[0]
 _TWINS: Final[dict[FunctionType, FunctionType]] = {}
 _MAKING_LOCK: Final = threading.RLock()
@@ -113,13 +114,18 @@ def _arrays(value: Any) -> Iterator[Any]:
     return (one for one in _leaves(value) if isinstance(one, np.ndarray))
 
 
+def _numbers(args: Any) -> int:
+    """How many numbers a call with these arguments takes as long as."""
+    return sum(array.size for array in _arrays(args)) + _NUMBERS_PER_CALL
+
+
 class UnfusedKernel(Kernel):
     """A kernel in which each operation is rounded by itself."""
 
     compiler = UnfusedCompiler
     kept_as = ".unfused"
     spent = 0.0  # [s] in Python so far, for
-    numbers = 0  # of the arguments
+    numbers = 0  # of the arguments, and of calls
     looks_after = _LOAD_SECONDS  # [s] spent so, before it looks for code on disk again
 
     def _compile_for_args(self, *args: Any, **keys: Any) -> Any:
@@ -133,7 +139,7 @@ class UnfusedKernel(Kernel):
         if any(isinstance(one, FunctionSet) for one in _leaves(args)):
             return False
         rate = self.spent / self.numbers if self.numbers else _SECONDS_PER_NUMBER
-        expected = rate * sum(array.size for array in _arrays(args))
+        expected = rate * _numbers(args)
         if expected > min(_Time.left, _MAX_CALL_SECONDS):
             return False
         if self.spent + expected < self.looks_after:
@@ -154,6 +160,6 @@ class UnfusedKernel(Kernel):
         finally:
             spent = time.thread_time() - start
             self.spent += spent
-            self.numbers += sum(array.size for array in _arrays(args)) + 1
+            self.numbers += _numbers(args)
             _Time.left -= spent
         return self.compile(tuple(map(cast(Any, self).typeof_pyval, args)))(*args)

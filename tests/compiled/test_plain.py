@@ -102,6 +102,18 @@ def test_what_python_refuses_is_compiled_and_done_once(x, y, expected, monkeypat
     assert called
 
 
+def test_what_each_call_costs_is_not_taken_for_a_cost_of_its_numbers(monkeypatch):
+    """A body in free flight: 66 numbers took 2.5 ms, and so do 9294 rows that are empty but one."""
+    clock = iter((0.0, 2.5e-3))
+    monkeypatch.setattr(_plain._Time, "left", _plain.BUDGET)
+    monkeypatch.setattr(_plain.time, "thread_time", lambda: next(clock))
+    kernel = unfused_kernel(_add_up)
+    kernel._cache = NullCache()
+    kernel.run_in_python(np.zeros(65), np.zeros(1))
+    assert kernel.is_quick((np.zeros(9294),))
+    assert not kernel.is_quick((np.zeros(100_000),))
+
+
 def in_both(monkeypatch, module, names, work):
     """What something gives with kernels compiled, and with Python in their places."""
     compiled = work()
