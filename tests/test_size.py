@@ -30,7 +30,7 @@ BUDGETS = {
     "scenes and simulations in Python": 1015,
     "sweeps": 1610,
     "one scene over ranks": 2600,
-    "reports, pictures, the page": 1784,
+    "reports, pictures, the page": 1785,
     "scenes for other programs": 540,
     "speed of compiling and of whole calls": 1379,
     "watches": 169,

@@ -80,8 +80,8 @@ def opened(path: str) -> Iterator[Trajectory]:
 
     What its values lead to is their fault only where the file is not whole.
     """
-    if Path(path).suffix == ".toml":
-        raise Ending(f"{path} is a case, not a trajectory: run it, and give the .h5 file it makes")
+    if (case := case_path(path)) is not None and case.suffix == ".toml":
+        raise Ending(f"{path} is a case, not a trajectory: run it, and give output/{case.stem}.h5")
     with ending(TrajectoryError, FileNotFoundError, IsADirectoryError):
         trajectory = open_trajectory(path)
     with trajectory, ending(TrajectoryError, code=FAILED):

@@ -90,7 +90,8 @@ def _export_scene(options: argparse.Namespace, case: Case) -> int:
 def _export_trajectory(options: argparse.Namespace) -> int:
     """Export what was chosen of a trajectory file."""
     if options.to not in FORMATS:
-        raise Ending(f"--to {options.to}: trajectories become {', '.join(FORMATS)}")
+        known = f"trajectories become {', '.join(FORMATS)}; ParaView opens them as they are"
+        raise Ending(f"--to {options.to}: {known}")
     source = Path(options.file)
     added = {"particles": "_particles", "h5": "_whole"}.get(options.to, "")
     named = source.with_name(f"{source.stem}{added}{source.suffix}")

@@ -30,7 +30,7 @@ from particlerb.sweeping.together import may_share
 from particlerb.sweeping.variants import Variant, built, label, variants
 from particlerb.sweeping.worker import Task, work
 
-_AXIS_HINT: Final = "give it a table [sweep], or --axis 'run.t_end=[1, 2]', in Python axes"
+_AXIS_HINT: Final = "give it a table [sweep], or --axis 'run.t_end=[1, 2]'; in Python axes={..}"
 _MAX_ATTEMPTS: Final = 3  # of a task whose worker dies
 _MAX_STARTS: Final = 20  # of workers that die before they do anything
 _END: Final = ("run", "t_end")
@@ -111,7 +111,7 @@ def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
     """The table [sweep], with other axes in place of what it says if they are given."""
     if axes is None:
         if base.sweep is None:
-            wrong = file_problem(base.path, "says not what to vary", _AXIS_HINT)
+            wrong = file_problem(base.path, "does not say what to vary", _AXIS_HINT)
             raise CaseError([wrong])
         return base.sweep
     kept = {} if base.sweep is None else base.sweep.model_dump(include={"value", "replicates"})

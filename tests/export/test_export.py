@@ -391,7 +391,7 @@ def test_command_exports_beside_the_input(path, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--to", "xyz"], "trajectories become gsd, csv, particles, contacts, lammps, npz"),
+        (["--to", "vtk"], "lammps, npz, h5; ParaView opens them as they are"),
         (["--to", "csv", "--bodies", "nobody"], "nobody: no such body"),
         (["--to", "csv", "-o", "."], ". is a folder: name a file with -o"),
         (["--to", "npz", "-o", "INPUT", "--overwrite"], "is the input: give another name with -o"),
