@@ -184,6 +184,13 @@ def as_agreed(error: BaseException) -> BaseException:
     return error
 
 
+def is_agreed(error: BaseException | None) -> bool:
+    """Whether all ranks raise an error, or have raised one that it was made from."""
+    return error is not None and (
+        getattr(error, _AGREED_ATTRIBUTE, False) or is_agreed(error.__context__)
+    )
+
+
 def _with_rank(error: BaseException, number: int) -> BaseException:
     """An error with the number of the rank in its words."""
     if isinstance(error, OSError) and error.strerror:
@@ -250,14 +257,17 @@ def ending_all(ranks: Ranks) -> Iterator[None]:
         raise
 
 
-def end_all(ranks: Ranks, error: BaseException) -> None:
-    """End all ranks, unless all of them raise this error: the others would wait for this one."""
-    is_agreed = ranks.count == 1 or getattr(error, _AGREED_ATTRIBUTE, False)
-    if isinstance(ranks, _RanksOfMPI) and not is_agreed:
-        is_asked = isinstance(error, KeyboardInterrupt)
-        what = "interrupted" if is_asked else f"{type(error).__name__}: {error}"
+def end_all(ranks: Ranks, error: BaseException, code: int = 0) -> None:
+    """End all ranks, unless all of them raise this error: the others would wait for this one.
+
+    With a code it is the end of a command, and has the words for it.
+    """
+    is_alike = ranks.count == 1 or getattr(error, _AGREED_ATTRIBUTE, False)
+    if isinstance(ranks, _RanksOfMPI) and not is_alike:
+        what, code = (str(error), code) if code else (f"{type(error).__name__}: {error}", 1)
+        if isinstance(error, KeyboardInterrupt):
+            what, code = "interrupted", 130
         print(ranks.named(ranks.number, f"particlerb: {what}"), file=sys.__stderr__, flush=True)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPI adds words of its own
-        code = 130 if is_asked else 1
         ranks.communicator.Abort(code)
         os._exit(code)  # MPICH may return, and what follows would send others what is not expected

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from particlerb.cli.exit_codes import Ending, ending
 from particlerb.compiled.jit import WHEN_COMPILING
-from particlerb.ranks import ALONE, NoRanksError, Ranks, end_all, launched, ranks_of_mpi
+from particlerb.ranks import ALONE, NoRanksError, Ranks, end_all, is_agreed, launched, ranks_of_mpi
 
 
 @contextlib.contextmanager
@@ -31,8 +31,7 @@ def ranks_of(options: argparse.Namespace) -> Iterator[Ranks]:
             WHEN_COMPILING.clear()
         try:
             yield ranks
-        except (Ending, NoRanksError, SystemExit):
-            raise
         except BaseException as error:
-            end_all(ranks, error)
+            if not is_agreed(error):
+                end_all(ranks, error, error.code if isinstance(error, Ending) else 0)
             raise

@@ -30,7 +30,7 @@ from particlerb.impulses import records
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.plan.time_step import STEPS_PER_CONTACT, stable_turn
-from particlerb.ranks import ALONE, Ranks, end_all
+from particlerb.ranks import ALONE, Ranks
 from particlerb.record import schema
 from particlerb.record.checked_reading import can_be_continued
 from particlerb.record.file_size import SMALLEST_FILE, estimated_size
@@ -81,7 +81,7 @@ def run_command(options: argparse.Namespace) -> int:
         prepared = prepared_case(options, ranks)
         system = prepared.system
         if ranks is not ALONE:
-            part_of(prepared, ranks)
+            ranks.together(lambda: part_of(prepared, ranks))
         path = ranks.together(partial(_output_path, options, system))
         ranks.together(lambda: _warn(options, _disk_warnings(system, path)))
         if not (options.quiet or options.json):
@@ -103,7 +103,7 @@ def resume_command(options: argparse.Namespace) -> int:
         ranks.together(lambda: None if ranks.number else probe(path))
         with ending(CaseError, ResumeError, TrajectoryError, FileNotFoundError):
             pending = look_at(path, options.t_end, options.threads, options.allow_code, ranks)
-        _warn(options, list(pending.warnings))
+        ranks.together(partial(_warn, options, list(pending.warnings)))
         system, start = pending.prepared.system, pending.start
         total = frame_count(system.run)
         ranks.together(lambda: _warn(options, _disk_warnings(system, path, pending.n_before)))
@@ -133,7 +133,7 @@ def _conclude(
             lines.insert(0, f"checks\n{table(checks, _MAX_ENDING_LINES - len(lines) - 1)}")
         if lines:
             print("\n".join(lines))
-    _warn(options, run_warnings(prepared, outcome))
+    ranks.together(partial(_warn, options, run_warnings(prepared, outcome)))
     return DONE if all(check.holds for check in checks) else MISSED
 
 
@@ -210,7 +210,6 @@ def _execute(
     except FileExistsError as error:
         raise Ending(str(error)) from None
     except OSError as error:
-        end_all(ranks, error)  # where the log of the first rank cannot be ended
         why = f"cannot write {error.filename}: {error.strerror}" if error.strerror else str(error)
         raise Ending(f"the run failed: {why}; {kept(path, before)}", FAILED) from None
 

@@ -20,7 +20,7 @@ from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.superblocks import own_parts
-from particlerb.ranks import ALONE, Ranks
+from particlerb.ranks import ALONE, Ranks, as_agreed
 from particlerb.record.checked_reading import require_self_contained, text_at, trajectory_errors
 from particlerb.record.checkpoint import Checkpoint, CheckpointError, read_checkpoint, states_of
 from particlerb.record.output_file import DamagedError
@@ -39,6 +39,7 @@ from particlerb.simulation.run import advance, identity
 from particlerb.simulation.set_up_apart import prepared_apart
 from particlerb.simulation.shares import attraction_of, part_of
 from particlerb.simulation.whole_run import SHARED, Prepared
+from particlerb.stepping.saved_arrays import Saved
 
 _UNVERIFIED_WARNING = (
     "particlerb: warning: run.accuracy was verified until the earlier t_end only; method and step"
@@ -97,7 +98,8 @@ def look_at(
     """
     case, stepping, parts = ranks.together(lambda: _case_in(path, t_end, threads, allow_code))
     if ranks.count > 1 and parts is None:
-        raise ResumeError(f"{path} is one file, which one process writes: continue without --mpi")
+        told = f"{path} is one file, which one process writes: continue without --mpi"
+        raise as_agreed(ResumeError(told))
     prepared = prepared_apart(case, ranks) if stepping is None else None
     if prepared is None:
         prepared = ranks.together(lambda: prepare_again(to_system(case), stepping))
@@ -164,17 +166,18 @@ def _from_parts(pending: _Pending, parts: Parts, ranks: Ranks) -> _Pending:
     each = [set(states) for rank in ranks.gathered([list(one) for one in saved]) for states in rank]
     common = [n for n in set.intersection(*each) if n <= pending.n_before]
     if not common:
-        raise ResumeError(
-            f"{pending.path}: its parts have no whole checkpoint in common: it cannot be continued;"
-            " run the case anew"
-        )
+        told = "its parts have no whole checkpoint in common: it cannot be continued"
+        raise as_agreed(ResumeError(f"{pending.path}: {told}; run the case anew"))
     start = max(common)
-    try:
+
+    def state_of() -> Saved:
         state = joined([states[start] for states in saved])
-        state = state if numbers else of_no_body(state)
-    except (LookupError, ValueError) as error:
+        return state if numbers else of_no_body(state)
+
+    try:
+        return pending._replace(checkpoint=Checkpoint(start, ranks.together(state_of)), start=start)
+    except (LookupError, TypeError, ValueError) as error:
         raise ResumeError(f"{pending.path}: checkpoints of its parts do not fit: {error}") from None
-    return pending._replace(checkpoint=Checkpoint(start, state), start=start)
 
 
 def resume_pending(
@@ -198,7 +201,7 @@ def resume_pending(
                 prepared = part_of(prepared, ranks)  # parts were made one file
             recorder = Recorder.reopen(path, system, start, n_kept, is_prolonged=is_prolonged)
         else:
-            prepared = part_of(prepared, ranks)
+            prepared = ranks.together(lambda: part_of(pending.prepared, ranks))
             recorder = PartRecorder.reopen(
                 path, prepared.system, pending.parts, ranks, start, n_kept, is_prolonged
             )

@@ -40,7 +40,7 @@ def prepared_apart(case: Case, ranks: Ranks) -> Prepared | None:
     if ranks is ALONE or not can_be_apart(case):
         return None
     names = BodyNames((body.name, body.count) for body in case.body)
-    own = range(*share_of(len(names), ranks))
+    own = range(*ranks.together(lambda: share_of(len(names), ranks)))
     system = ranks.together(lambda: made_ready(to_system(case, part=own)))
     plan = ranks.together(lambda: make_plan(system))
     if is_planned_together(system):

@@ -1,6 +1,7 @@
 """Scenes that ranks share: the bits of one process, whatever their number; what is wrong said."""
 
 import argparse
+import io
 import json
 import os
 import shutil
@@ -26,11 +27,12 @@ from particlerb.model.names import BodyNames
 from particlerb.model.superblocks import SUPERBLOCK, own_parts, parts_of
 from particlerb.ranks import Ranks, as_agreed, end_all, launched
 from particlerb.record import atomic
-from particlerb.record.checkpoint import read_checkpoint
+from particlerb.record.checkpoint import put, read_checkpoint, slots_in
 from particlerb.record.checksums import frame_checksums
 from particlerb.record.part_recorder import PartRecorder
 from particlerb.record.trajectory import TrajectoryError
 from particlerb.simulation import shares
+from particlerb.simulation.resume import ResumeError, look_at
 
 
 def run(path: Path, *more: str, ranks: int = 0) -> subprocess.CompletedProcess[str]:
@@ -205,6 +207,26 @@ def test_a_part_that_does_not_fit_is_named(two, tmp_path, fault):
     assert "0002.h5" in done.stderr
 
 
+@pytest.mark.plain
+def test_checkpoints_of_parts_that_do_not_fit_are_refused_on_all_ranks(monkeypatch, tmp_path):
+    """Though the parts that cannot be joined are those of the second rank."""
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    monkeypatch.setattr(of_commands, "ranks_of_mpi", Ranks)
+    path = tmp_path / "run.h5"
+    words = ["--set", "body.0.count=1000", "-q", "--mpi"]  # four parts
+    assert main([*map(str, run_words(path, scene="free.toml")), *words]) == 0
+    with h5py.File(tmp_path / "run.parts/0003.h5", "r+") as part:
+        for n, state in slots_in(part).items():
+            content = io.BytesIO()
+            np.savez(content, **state | {"last": state["last"][:, :3]})
+            slots = part["checkpoint"].values()
+            put(next(s for s in slots if s.attrs["frames"] == n), n, content.getvalue())
+    for n in (1, 2):
+        for told in over_ranks(n, lambda ranks: look_at(path, 0.4, ranks=ranks))[1]:
+            assert isinstance(told, ResumeError), told
+            assert "checkpoints of its parts do not fit" in str(told)
+
+
 @needs_mpi
 @pytest.mark.slow
 def test_what_cannot_be_shared_is_refused_once(tmp_path):
@@ -295,8 +317,8 @@ def test_who_fails_alone_goes_no_further(monkeypatch, capfd):
 def test_a_file_that_one_rank_cannot_finish_ends_all(monkeypatch, tmp_path, owner, name):
     """The others would wait for it: a part or the master, or the log of the first rank."""
     ended = set()
-    for module in (of_package, of_runs):
-        monkeypatch.setattr(module, "end_all", lambda _, error: ended.add(str(error)))
+    for module in (of_package, of_commands):
+        monkeypatch.setattr(module, "end_all", lambda _, error, *told: ended.add(str(error)))
 
     def fails(_):
         raise OSError("no room")
@@ -304,7 +326,7 @@ def test_a_file_that_one_rank_cannot_finish_ends_all(monkeypatch, tmp_path, owne
     monkeypatch.setattr(owner, name, fails)
     monkeypatch.setattr(of_commands, "ranks_of_mpi", Ranks)
     assert main([str(HERE / "gas.toml"), "--mpi", "-o", str(tmp_path / "a.h5")]) == 1
-    assert ended == {"no room"}
+    assert any("no room" in words for words in ended)
 
 
 def test_launchers_say_how_many_they_started():

@@ -62,6 +62,27 @@ def test_an_interrupt_of_one_rank_that_is_still_imported_ends_all(tmp_path, modu
     assert not list(tmp_path.iterdir())
 
 
+ALONE = """
+import argparse
+from particlerb.cli.exit_codes import Ending
+from particlerb.cli.ranks import ranks_of
+with ranks_of(argparse.Namespace(quiet=True, mpi=True)) as ranks:
+    if ranks.number == 1:
+        raise Ending("interrupted; 3 frames are kept", 130)
+    ranks.gathered(0)
+"""
+
+
+def test_a_command_that_ends_on_one_rank_ends_all():
+    """The others would wait for it: an interrupt of the set-up, or a case wrong there alone."""
+    done = subprocess.run(
+        [*line(ranks=3)[:4], "-c", ALONE],
+        env=PLAIN, capture_output=True, text=True, timeout=60.0, check=False,
+    )  # fmt: skip
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "particlerb: interrupted; 3 frames are kept (rank 1)\n"
+
+
 def test_a_full_disk_of_one_rank_ends_all(tmp_path):
     path = tmp_path / "run.h5"
     done = command(*run_words(path, *LONG, "-q"), ranks=2, LIMITED="100000", OFTEN="1")

@@ -61,7 +61,7 @@ def over_ranks(n, work):
             found[k] = work(ranks[k])
         except BaseException as error:
             found[k] = error
-            if not getattr(error, of_package._AGREED_ATTRIBUTE, False):
+            if not of_package.is_agreed(error):
                 barrier.abort()
 
     threads = [threading.Thread(target=does, args=(k,)) for k in range(n)]
