@@ -13,6 +13,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
 from particlerb.cli.exit_codes import FAILED, Ending, code_of, ending
+from particlerb.cli.guard import probe
 from particlerb.record.output_path import output_path
 from particlerb.record.trajectory import Trajectory, TrajectoryError, open_trajectory
 from particlerb.record.verify import verify
@@ -75,13 +76,14 @@ def output_of(options: argparse.Namespace, default: Path, source: Path | None = 
 
 
 @contextlib.contextmanager
-def opened(path: str) -> Iterator[Trajectory]:
+def opened(path: str, visits_parts: bool = False) -> Iterator[Trajectory]:
     """Trajectory in a file, open: wrong usage where it is none, one message where it is damaged.
 
     What its values lead to is their fault only where the file is not whole.
     """
     if (case := case_path(path)) is not None and case.suffix == ".toml":
         raise Ending(f"{path} is a case, not a trajectory: run it, and give output/{case.stem}.h5")
+    probe(Path(path), visits_parts)
     with ending(TrajectoryError, FileNotFoundError, IsADirectoryError):
         trajectory = open_trajectory(path)
     with trajectory, ending(TrajectoryError, code=FAILED):

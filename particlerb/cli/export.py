@@ -96,7 +96,7 @@ def _export_trajectory(options: argparse.Namespace) -> int:
     added = {"particles": "_particles", "h5": "_whole"}.get(options.to, "")
     named = source.with_name(f"{source.stem}{added}{source.suffix}")
     path = output_of(options, named.with_suffix(FORMATS[options.to]), Path(options.file))
-    with opened(options.file) as trajectory, ending(ExportError), writing(path):
+    with opened(options.file, True) as trajectory, ending(ExportError), writing(path):
         n = export(trajectory, path, options.to, options.bodies, options.frames, options.fields)
     print(f"written: {path} ({count_of(n, 'frame')})")
     return DONE

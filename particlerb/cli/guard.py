@@ -9,9 +9,10 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, Ending
 
@@ -19,7 +20,7 @@ GUARDED: Final = ("info", "plot", "export", "resume")
 FILES: Final = (".h5", ".hdf5", ".vtkhdf")  # that `view` plays
 MARK: Final = "PARTICLERB_IS_GUARDED"
 _SECONDS_TO_END: Final = 2.0
-SECONDS_TO_LOOK: Final = 10  # of the processor: a file has some hundred objects
+SECONDS_TO_LOOK: Final = 10  # of the processor at each file: it has some hundred objects
 
 
 def wants_guard(words: Sequence[str]) -> bool:
@@ -59,15 +60,17 @@ def guarded(words: Sequence[str]) -> int:
     return FAILED
 
 
-def probe(path: Path) -> None:
+def probe(path: Path, visits_parts: bool = True) -> None:
     """Visit all objects of a file in a fork: a command that goes on for long would die of them.
+
+    Those of its parts too, if these are asked for.
 
     Raises
     ------
     Ending
         If HDF5 crashes on the file, or goes round in circles.
     """
-    from particlerb.record.checked_reading import TrajectoryError, open_file, require_self_contained
+    from particlerb.record.checked_reading import TrajectoryError, open_file
     from particlerb.record.parts import part_paths
     from particlerb.record.trajectory import open_trajectory
 
@@ -81,15 +84,18 @@ def probe(path: Path) -> None:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
             resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-            resource.setrlimit(resource.RLIMIT_CPU, (SECONDS_TO_LOOK, SECONDS_TO_LOOK + 1))
+            most = resource.getrlimit(resource.RLIMIT_CPU)[1]
+            resource.setrlimit(resource.RLIMIT_CPU, (SECONDS_TO_LOOK, most))
             with (
                 contextlib.suppress(FileNotFoundError, TrajectoryError),
                 open_trajectory(path) as t,
             ):
-                require_self_contained(t.file)
-                for part_path in part_paths(t.file):
+                _visit(t.file)
+                for part_path in part_paths(t.file) if visits_parts else ():
+                    until = int(time.process_time()) + SECONDS_TO_LOOK
+                    resource.setrlimit(resource.RLIMIT_CPU, (until, most))
                     with open_file(part_path) as part:
-                        require_self_contained(part)
+                        _visit(part)
         finally:
             os._exit(0)
     try:
@@ -101,3 +107,12 @@ def probe(path: Path) -> None:
     if code < 0:
         name = signal.Signals(-code).name
         raise Ending(f"{path} is damaged: HDF5 crashed reading it, or did not end ({name})", FAILED)
+
+
+def _visit(group: Any) -> None:
+    """Open all that is in a group, one by one: a visit by HDF5 ends at the first fault."""
+    for name in list(group):
+        with contextlib.suppress(Exception):  # what cannot be opened is found by who reads it
+            item = group[name]
+            if hasattr(item, "keys"):
+                _visit(item)

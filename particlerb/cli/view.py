@@ -12,7 +12,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import opened, read_case, to_write
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, ending
-from particlerb.cli.guard import FILES, probe
+from particlerb.cli.guard import FILES
 
 if TYPE_CHECKING:
     import viser
@@ -102,8 +102,7 @@ def _play(options: argparse.Namespace, server: "viser.ViserServer", access: "Acc
     """Serve a file."""
     from particlerb.view.replay import Replay, ReplayError
 
-    probe(Path(options.case))
-    with opened(options.case) as trajectory:
+    with opened(options.case, True) as trajectory:
         with ending(ReplayError, about=options.case):
             replay = Replay(trajectory, server, Path(options.case))
         with open_to(access, options.no_browser):

@@ -376,14 +376,20 @@ def test_what_was_found_by_fuzzing(path, tmp_path):
     assert str(copy) in done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("command", ["resume", "view"])
-def test_a_visit_without_end_is_ended(tmp_path, monkeypatch, capsys, command):
-    """These commands read in their own process, where nothing could end it."""
+@pytest.mark.parametrize(
+    ("command", "is_harmed"), [("resume", False), ("view", False), ("plot", True)]
+)
+def test_a_visit_without_end_is_ended(tmp_path, monkeypatch, capsys, command, is_harmed):
+    """Of a file that is read in this process; also beside a group that HDF5 cannot list."""
     from particlerb.cli import guard
 
     monkeypatch.setattr(guard, "SECONDS_TO_LOOK", 1)
     path = tmp_path / "found.h5"
-    path.write_bytes(lzma.decompress((FUZZ / "found_by_resume/endless_visit.h5.xz").read_bytes()))
+    data = lzma.decompress((FUZZ / "found_by_resume/endless_visit.h5.xz").read_bytes())
+    if is_harmed:  # a node of that group, where a visit by HDF5 ends
+        place = [found.start() for found in re.finditer(b"SNOD", data)][5]
+        data = data[:place] + b"node" + data[place + 4 :]
+    path.write_bytes(data)
     os.utime(path, (0, 0))
     assert main([command, str(path)]) == 1
     assert "found.h5 is damaged: HDF5 crashed reading it, or did not end" in capsys.readouterr().err
