@@ -29,7 +29,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2148,
     "scenes and simulations in Python": 1015,
     "sweeps": 1610,
-    "one scene over ranks": 2603,
+    "one scene over ranks": 2601,
     "reports, pictures, the page": 1785,
     "scenes for other programs": 540,
     "speed of compiling and of whole calls": 1379,

@@ -322,8 +322,6 @@ class Run:
 
     def named(self, text: str, is_of_scene: bool) -> str:
         """Text with bodies, here or of the scene, and walls by their names, not their numbers."""
-        if self.moving.merging is not None:  # merged bodies have other numbers
-            return text
         bodies = self.system.names.scene if is_of_scene else self.system.names
         names = {"body": bodies, "wall": [wall.name for wall in self.system.wall]}
         return re.sub(r"\b(body|wall) (\d+)\b", lambda m: f"{m[1]} {names[m[1]][int(m[2])]}", text)

@@ -213,6 +213,17 @@ def test_a_fall_into_the_centre_ends_with_the_time_of_it():
         assert 0.0 < found.position[-1, 0, 2] < 0.2
 
 
+@pytest.mark.plain
+def test_who_falls_is_told_by_name_beside_bodies_that_are_one():
+    scene = orbit(2.0, (0.0, 0.0, 1.5), (0, 0, 0), 2.0)
+    block = {"shape": {"type": "moments", "inertia": [1.0, 2.0, 2.5]}, "mass": 1.0}
+    left, right = (block | {"name": n, "position": [x, 0, 0]} for n, x in (("l", 5), ("r", 6)))
+    scene["body"] = [left, right, *scene["body"]]
+    scene["joint"] = [{"type": "fixed", "body": "l", "to": "r"}]
+    with pytest.raises(RunError, match=f"body {scene['body'][2]['name']} falls into what"):
+        particlerb.run(scene)
+
+
 def test_bodies_that_a_gradient_turns_are_stepped():
     scene = orbit(1.0, (1, 0, 0), (0, 1, 0), 1.0)
     scene["body"][0] |= {"shape": {"type": "moments", "inertia": [0.4, 0.4, 0.1]}, "mass": 2.0}
