@@ -16,7 +16,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import lengths
 from particlerb.model.superblocks import Range, summed, superblocks
-from particlerb.model.totals import N_TOTALS, Totals, far_norm
+from particlerb.model.totals import N_TOTALS, far_norm
 from particlerb.ranks import ALONE, Ranks
 
 _STILL_ENERGY_SHARE = 1e-20  # share of the energy of a motion that is seen; below it there is none
@@ -91,9 +91,9 @@ def _enter(
 class EnergyBalance:
     """The balance of a run from its initial totals on."""
 
-    def __init__(self, initial: Totals) -> None:
-        self.shape = initial.sums.shape[1:-1]  # of worlds
-        sums = initial.sums[0].reshape(-1, N_TOTALS)
+    def __init__(self, initial: Floats) -> None:
+        self.shape = initial.shape[1:-1]  # of worlds
+        sums = initial[0].reshape(-1, N_TOTALS)
         self.initial = sums[:, 1:8].copy()
         self.initial[:, 0] += sums[:, 0]
         self.errors = np.zeros((3, len(sums)))
@@ -118,20 +118,21 @@ class EnergyBalance:
         self.initial = saved["initial"][None]
         self.errors, self.scales = saved["errors"][:, None], saved["scales"][:, None]
 
-    def enter(self, now: Totals, external: Floats, gross: Floats | float = 0.0) -> Entries:
+    def enter(self, now: Floats, external: Floats, gross: Floats | float = 0.0) -> Entries:
         """Entries of some frames.
 
         Parameters
         ----------
-        now : Totals
+        now : ndarray, shape (T, 10) or (T, n_worlds, 10)
+            See `totals`.
         external : ndarray, shape (T, 7) or (T, n_worlds, 7)
         gross : float, or ndarray of shape (n_worlds,) [J]
             Sum of the sizes of all that contacts have taken or given until the last of them: what
             goes in by one wall and out by friction cancels in `external`.
         """
-        n = now.sums.size // N_TOTALS
+        n = now.size // N_TOTALS
         single, vectors = np.empty((5, n)), np.empty((4, n, 3))
-        sums, gains = now.sums.reshape(n, N_TOTALS), external.reshape(n, 7)
+        sums, gains = now.reshape(n, N_TOTALS), external.reshape(n, 7)
         _enter(sums, gains, self.initial, self.errors, self.scales, single, vectors)
         np.maximum(self.scales[0], gross, out=self.scales[0])
         if self.shape:

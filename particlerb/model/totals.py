@@ -26,42 +26,6 @@ _REACH_SHARE = 1e-6  # of |x| |p| that angular momenta are never judged below: x
 _HUGE_SQUARE, _HUGE_SCALE = 2.0**1000, 2.0**-520  # of what is far, and what makes it smaller
 
 
-class Totals(NamedTuple):
-    """Sums over all bodies, per frame; (T, n_worlds) in place of (T,) for scenes in a batch."""
-
-    sums: Floats  # (T, 10)
-
-    @property
-    def kinetic_energy(self) -> Floats:
-        """(T,) [J]."""
-        return self.sums[..., 0]
-
-    @property
-    def potential_energy(self) -> Floats:
-        """(T,) [J] of gravity, attraction, springs, contacts, piston loads."""
-        return self.sums[..., 1]
-
-    @property
-    def linear_momentum(self) -> Floats:
-        """(T, 3) [kg m/s]."""
-        return self.sums[..., 2:5]
-
-    @property
-    def angular_momentum(self) -> Floats:
-        """(T, 3) [kg m²/s], about the origin of the world."""
-        return self.sums[..., 5:8]
-
-    @property
-    def momentum_size(self) -> Floats:
-        """(T,) Σ|p| [kg m/s]."""
-        return self.sums[..., 8]
-
-    @property
-    def spin_size(self) -> Floats:
-        """(T,) Σ|L| of the bodies and of their centres of mass [kg m²/s]."""
-        return self.sums[..., 9]
-
-
 @inline
 def _load_rows(frames: Frames, f: int, lo: int, mass: Floats, local: Floats, n: int) -> None:
     """Copy x, p, L, q of n bodies of a frame into rows, so that what follows fills SIMD lanes.
@@ -225,8 +189,12 @@ def totals(
     n_worlds: int = 1,
     ranks: Ranks = ALONE,
     known: Sequence[Floats | None] = (),
-) -> Totals:
-    """Totals of frames.
+) -> Floats:
+    """Sums over all bodies, (T, 10), or (T, n_worlds, 10) of scenes in a batch.
+
+    Columns: kinetic energy [J]; potential energy [J] of gravity, attraction, springs, contacts,
+    piston loads; momentum (3) [kg m/s]; angular momentum about the origin of the world (3)
+    [kg m²/s]; Σ|p| [kg m/s]; Σ|L| of the bodies and of their centres of mass [kg m²/s].
 
     Parameters
     ----------
@@ -254,4 +222,4 @@ def totals(
     sums = summed(block_sums, ranks)
     sums[..., 0] += kinetic
     sums[..., 1] += potential
-    return Totals(sums)
+    return sums

@@ -20,10 +20,10 @@ from particlerb.record.parts import part_paths
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.vtkhdf import STEP_STARTS, STEP_TIMES
 
-_SIZE_OF_SUM: Final = {  # what is summed again, and the size of what is summed
-    "kinetic_energy": "kinetic_energy",
-    "linear_momentum": "momentum_size",
-    "angular_momentum": "spin_size",
+_SUMMED: Final[dict[str, tuple[int | slice, int]]] = {  # columns of totals, and of their size
+    "kinetic_energy": (0, 0),
+    "linear_momentum": (slice(2, 5), 8),
+    "angular_momentum": (slice(5, 8), 9),
 }
 _SUM_ROUNDING: Final = {"f8": 1e-11, "f4": 1e-5}  # of sums, relative to the size of what is summed
 
@@ -157,12 +157,12 @@ def _summed_again(trajectory: Trajectory, span: slice) -> float:
     frames = Frames(x, q, p, L, q[-1].copy(), np.ones(n_frames, dtype=np.bool_))
     now = totals(frames, counted(trajectory), np.zeros(3))
     worst = 0.0
-    for name, size in _SIZE_OF_SUM.items():
-        difference = trajectory.observable(name, span) - getattr(now, name)
+    for name, (columns, size) in _SUMMED.items():
+        difference = trajectory.observable(name, span) - now[:, columns]
         if name == "kinetic_energy" and _has_pistons(trajectory):  # theirs is in the balance too
             difference = np.minimum(difference, 0.0)
         difference = np.abs(difference).reshape(n_frames, -1).max(axis=1)
-        largest = getattr(now, size).max(initial=0.0)
+        largest = now[:, size].max(initial=0.0)
         share = float(difference.max(initial=0.0)) / (largest or 1.0)
         if not share <= _SUM_ROUNDING["f8" if precise else "f4"]:
             frame = int(np.argmax(difference)) + (span.start or 0)

@@ -127,7 +127,7 @@ def drifts(part: BodySubset, frames: Frames, gains: _Gains) -> tuple[float, floa
 def energies(part: BodySubset, frames: Frames, gains: _Gains) -> tuple[Floats, Floats]:
     """Kinetic and potential energy of a run at its frames, (T,) [J]."""
     bodies = counted(part.groups, part.bodies)
-    sums = totals(frames, bodies, part.gravity, *gains.later).sums
+    sums = totals(frames, bodies, part.gravity, *gains.later)
     return sums[..., 0], sums[..., 1]
 
 
@@ -146,7 +146,7 @@ def energies_at(part: BodySubset, frames: Frames, with_contacts: bool) -> Floats
             bound = sum(run.potential(*run.state_in(frame, 0)[:2]) for run in runs if run.is_bound)
             beside = Energies(np.zeros(1) + bound, np.zeros(1))
         bodies = counted(part.groups, part.bodies)
-        sums = totals(frame, bodies, part.gravity, *beside).sums
+        sums = totals(frame, bodies, part.gravity, *beside)
         energy[row] = sums[0, 0] + sums[0, 1]
     return energy
 

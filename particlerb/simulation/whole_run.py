@@ -14,7 +14,7 @@ from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.superblocks import Range, summed
 from particlerb.model.system import System
-from particlerb.model.totals import N_TOTALS, Totals, totals
+from particlerb.model.totals import N_TOTALS, totals
 from particlerb.plan.joints import asked_of_joints, joints_of
 from particlerb.plan.merging import merged
 from particlerb.plan.segments import GroupPlan, Plan, in_superblocks
@@ -121,7 +121,7 @@ class Run:
         own = [part for each in self.adding.gathered(parts[n_shared:]) for part in each]
         return summed([*parts[:n_shared], *own])
 
-    def totals_of(self, frames: Frames, beside: Energies, sums: _Sums = ()) -> Totals:
+    def totals_of(self, frames: Frames, beside: Energies, sums: _Sums = ()) -> Floats:
         """Totals of frames, with the energies beside the bodies' own."""
         n_worlds, ranks = self.system.n_worlds, self.adding
         return totals(frames, self.counted, self.gravity, *beside, n_worlds, ranks, sums)
@@ -151,9 +151,9 @@ class Run:
                 run.motion.continue_joints(before)
         frame = as_frame(self.moving.bodies, state)
         now = self.totals_of(frame, self.initial_energies(frame))
-        self.external_at_restart[0] += (now.kinetic_energy + now.potential_energy - last.energy)[-1]
-        self.external_at_restart[1:4] += (now.linear_momentum - last.linear_momentum)[-1]
-        self.external_at_restart[4:] += (now.angular_momentum - last.angular_momentum)[-1]
+        self.external_at_restart[0] += (now[..., 0] + now[..., 1] - last.energy)[-1]
+        self.external_at_restart[1:4] += (now[..., 2:5] - last.linear_momentum)[-1]
+        self.external_at_restart[4:] += (now[..., 5:8] - last.angular_momentum)[-1]
 
     def begin_again(
         self, system: System, plan: Plan, state: State, motions: Mapping[bytes, Motion]
@@ -262,14 +262,14 @@ class Run:
         self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
         external += self.external_at_restart
         now = self.totals_of(frames, energies, sums)
-        is_finite = math.isfinite(np.add.reduce(now.sums, axis=None))
+        is_finite = math.isfinite(np.add.reduce(now, axis=None))
         verdict = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
         verdicts = self.ranks.gathered(verdict)
         rank = min(range(len(verdicts)), key=lambda k: verdicts[k][0])
         sound, problem = verdicts[rank]
         error = RunError(self.ranks.named(rank, problem)) if problem else None
         if not (is_finite and math.isfinite(np.add.reduce(external, axis=None))):
-            values = np.concatenate([now.sums, external], axis=-1).reshape(times.size, -1)
+            values = np.concatenate([now, external], axis=-1).reshape(times.size, -1)
             are_finite = np.isfinite(values[:sound]).all(axis=1)
             if not are_finite.all():
                 sound = int(np.argmin(are_finite))
@@ -278,7 +278,7 @@ class Run:
                     " number is too large for float64, or a potential is not a number there"
                 )
         if sound < times.size:
-            frames, now = frames.rows(slice(sound)), Totals(now.sums[:sound])
+            frames, now = frames.rows(slice(sound)), now[:sound]
         gross_work = self.gross_work_at_restart + sum(t.gross_work() for t in self.group_runs)
         entries = self.balance.enter(now, external[:sound], gross_work)
         if self.moving.merging is not None:
