@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+import h5py
 import numpy as np
 
 from particlerb.case.matter import Matter, matter_of, matter_of_mesh, matter_of_spheres
@@ -25,7 +26,6 @@ from particlerb.model.state import omega_world
 from particlerb.studies.mass_report import record_of, text_of
 
 _TABLE_SUFFIXES: Final = (".csv", ".txt", ".dat", ".xyzr", ".xyz")
-_HDF5_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _DEFAULT_DENSITY: Final = 1.0  # [kg/m³] where neither the file nor an option says one
 
 
@@ -36,17 +36,7 @@ def is_case(name: str) -> bool:
 
 def holds_bodies(name: str) -> bool:
     """Whether a file is a case, a table or a mesh, rather than a trajectory."""
-    path = Path(name)
-    return path.suffix.lower() in (".toml", "", *_READERS) and not is_hdf5(path)
-
-
-def is_hdf5(path: Path) -> bool:
-    """Whether a file says that it is HDF5."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_HDF5_SIGNATURE)) == _HDF5_SIGNATURE
-    except OSError:
-        return False
+    return Path(name).suffix.lower() in (".toml", "", *_READERS) and not h5py.is_hdf5(name)
 
 
 def named_bodies(options: argparse.Namespace, wanted: str | None) -> list[NamedBody]:

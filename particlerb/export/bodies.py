@@ -131,14 +131,6 @@ def six(tensor: Floats) -> Floats:
     return tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def only(bodies: Sequence[NamedBody], to: str) -> NamedBody:
-    """The one body that a file of a format holds."""
-    if len(bodies) != 1:
-        names = ", ".join(body.name for body in bodies)
-        raise ExportError(f"{to} files hold one body: name one of {names}")
-    return bodies[0]
-
-
 def _refuse_degenerate(body: NamedBody, to: str, *classes: int) -> None:
     """ExportError for a body without extent in a code that does not have such."""
     code = int(body.properties.rotor_class[0])
@@ -154,7 +146,10 @@ def lammps(bodies: Sequence[NamedBody]) -> dict[str, str]:
     that `fix deposit` or `fix pour` add to fix rigid/small have what the header says; those that
     are there from the start need the infile, which holds for a body that stands as in the file.
     """
-    body = only(bodies, "lammps")
+    if len(bodies) != 1:
+        names = ", ".join(body.name for body in bodies)
+        raise ExportError(f"lammps files hold one body: name one of {names}")
+    body = bodies[0]
     _refuse_degenerate(body, "fix rigid", POINT)
     mass, com, _, moments, axes, _ = (array[0] for array in body.properties)
     carrying = _carriers_of(body)
@@ -205,14 +200,21 @@ def mjcf(bodies: Sequence[NamedBody]) -> dict[str, str]:
         inertial = {"pos": numbers(com), "mass": numbers(mass), "quat": numbers(quaternions(axes))}
         ET.SubElement(element, "inertial", inertial, diaginertia=numbers(possible(moments)))
         carrying = _carriers_of(body)
-        for position, radius in zip(carrying.position, carrying.radius, strict=True):
-            place = {"type": "sphere", "pos": numbers(position)}
-            if radius > 0.0:
-                ET.SubElement(element, "geom", place, size=numbers(radius), mass="0")
-            else:
-                ET.SubElement(element, "site", place)
+        add_spheres(element, carrying.position, carrying.radius, {})
     ET.indent(root)
     return {".xml": ET.tostring(root, encoding="unicode") + "\n"}
+
+
+def add_spheres(
+    element: ET.Element, position: Floats, radius: Floats, touching: Mapping[str, str]
+) -> None:
+    """Add spheres (n, 3), (n,) [m] as geoms without mass, points as sites."""
+    for x, r in zip(position, radius, strict=True):
+        place = {"type": "sphere", "pos": numbers(x)}
+        if r > 0.0:
+            ET.SubElement(element, "geom", {**place, **touching}, size=numbers(r), mass="0")
+        else:
+            ET.SubElement(element, "site", place)
 
 
 def yade(bodies: Sequence[NamedBody]) -> dict[str, str]:

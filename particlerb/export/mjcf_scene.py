@@ -28,7 +28,7 @@ import numpy as np
 
 from particlerb.contact.sphere_search import bodies_of_keys
 from particlerb.export import ExportError
-from particlerb.export.bodies import COMMENT, numbers, possible
+from particlerb.export.bodies import COMMENT, add_spheres, numbers, possible
 from particlerb.export.mjcf_joints import Joint, freedoms, joint_at_start, laws_of
 from particlerb.export.mjcf_walls import geoms_of
 from particlerb.export.scene import FREE_STEP, left_out, springs_of
@@ -213,7 +213,8 @@ class _Writer:
         name = self.system.names[b]
         element = ET.SubElement(self.elements[parent], "body", name=name, pos=place, quat=turned)
         self.elements[b] = element
-        self.add_particles(element, b)
+        position, _, radius, _ = kind_of(self.system.particles, int(self.system.kind[b]))
+        add_spheres(element, position, radius, self.touch(b))
         if j == _HELD_BODY:
             self.speeds[name] = []
             return
@@ -234,20 +235,10 @@ class _Writer:
                     joint = ET.SubElement(self.actuators, "general", joint=self.joints[j].name)
                 joint.attrib.update(law)
 
-    def add_particles(self, element: ET.Element, b: int) -> None:
-        """Spheres of a body as geoms without mass, its points as sites."""
-        position, _, radius, _ = kind_of(self.system.particles, int(self.system.kind[b]))
-        touching = self.contact is not None and self.contact.material[b] != NOTHING
-        text = {"type": "sphere", "mass": "0"} | (self.touch(b) if touching else {})
-        for x, r in zip(position, radius, strict=True):
-            if r > 0.0:
-                ET.SubElement(element, "geom", text, pos=numbers(x), size=numbers(r))
-            else:
-                ET.SubElement(element, "site", type="sphere", pos=numbers(x))
-
     def touch(self, b: int) -> dict[str, str]:
-        """What makes a geom of a body touch others, and how stiffly."""
-        assert self.contact is not None
+        """What makes a geom of a body touch others, if it does, and how stiffly."""
+        if self.contact is None or self.contact.material[b] == NOTHING:
+            return {}
         text = {"contype": "1", "conaffinity": "1"}
         if self.contact.record.law == "hooke":
             stiffness = float(self.contact.pairs.stiffness.max()) * self.system.bodies.inv_mass[b]
