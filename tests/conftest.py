@@ -307,6 +307,16 @@ def arrays(case: dict | str, *overrides: str) -> SimpleNamespace:
         return SimpleNamespace(ledger=t.ledger, plan=t.parameter("plan"), **found)
 
 
+def turned_round(there: SimpleNamespace) -> dict:
+    """Keys of a body that goes back from where a run has brought the first."""
+    return {
+        "position": there.position[-1, 0],
+        "orientation": there.orientation[-1, 0],
+        "velocity": -there.velocity[-1, 0],
+        "angular_velocity": -there.angular_velocity[-1, 0],
+    }
+
+
 def python(code: str, **environment: str) -> str:
     """What a new Python process prints; an error of it is one here."""
     done = subprocess.run(
@@ -362,6 +372,7 @@ def make() -> SimpleNamespace:
         integrate=integrate,
         done=done,
         arrays=arrays,
+        turned_round=turned_round,
         python=python,
         assembly=assembly,
         arithmetic=arithmetic,

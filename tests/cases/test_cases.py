@@ -14,6 +14,7 @@ import pytest
 from commands import CASES, TESTS, commanded, has_met_its_checks
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from short_names import short_names
 
 import particlerb
 from particlerb.case.problems import CaseError
@@ -105,17 +106,10 @@ def ran(case: str | dict, *overrides: str) -> SimpleNamespace:
     """Arrays of a run from Python; w are the rates of the first bodies in their own axes."""
     where = CASES / f"{case}.toml" if isinstance(case, str) else case
     with particlerb.run(where, overrides=overrides) as t:
-        return SimpleNamespace(
-            t=t.time,
-            x=t.position,
-            q=t.orientation,
-            v=t.velocity,
-            L=t.angular_momentum,
-            w_world=t.angular_velocity,
-            w=np.stack([t.omega_body(b) for b in range(min(t.n_bodies, 5))], axis=1),
-            bodies=t.bodies,
-            ledger=t.ledger,
-        )
+        run = short_names(t)
+        run.w_world = run.w
+        run.w = np.stack([t.omega_body(b) for b in range(min(t.n_bodies, 5))], axis=1)
+        return run
 
 
 def rows_at(run: SimpleNamespace, times: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
+from short_names import short_names
 
 import particlerb
 
@@ -25,14 +26,7 @@ pytestmark = pytest.mark.compiled
 def ran(name: str, *overrides: str) -> SimpleNamespace:
     """Arrays of a run, (T, n, 3), and its ledger."""
     with particlerb.run(CASES / f"{name}.toml", overrides=overrides) as t:
-        return SimpleNamespace(
-            t=t.time,
-            x=t.position,
-            q=t.orientation,
-            v=t.velocity,
-            w=t.angular_velocity,
-            ledger=t.ledger,
-        )
+        return short_names(t)
 
 
 def lean(run: SimpleNamespace) -> np.ndarray:

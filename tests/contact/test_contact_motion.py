@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from short_names import short_names
 
 import particlerb
 from particlerb.stepping import contact_motion
@@ -34,17 +35,7 @@ SLIDING = [  # angle [°], tangential velocity after over before, spin after [ra
 def ran(case: dict) -> SimpleNamespace:
     """Arrays of a run, (T, n, 3), and its ledger."""
     with particlerb.run(case) as t:
-        return SimpleNamespace(
-            t=t.time,
-            x=t.position,
-            q=t.orientation,
-            v=t.velocity,
-            w=t.angular_velocity,
-            p=t.linear_momentum,
-            L=t.angular_momentum,
-            ledger=t.ledger,
-            bodies=t.bodies,
-        )
+        return short_names(t)
 
 
 def same(one, other, row=-1):

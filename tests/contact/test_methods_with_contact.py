@@ -2,11 +2,11 @@
 
 import itertools
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from collision import displacement, hertz_duration, hooke_duration
+from short_names import short_names
 
 import particlerb
 from particlerb.case.problems import CaseError
@@ -45,16 +45,7 @@ def scene(method, dt, t_end, *bodies, wall=(FLOOR,), gravity=(0, 0, -G), **keys)
 def ran(*arguments, **keys):
     """Arrays of a run, and its balance."""
     with particlerb.run(scene(*arguments, **keys)) as t:
-        return SimpleNamespace(
-            t=t.time,
-            x=t.position,
-            q=t.orientation,
-            v=t.velocity,
-            w=t.angular_velocity,
-            p=t.linear_momentum,
-            L=t.angular_momentum,
-            ledger=t.ledger,
-        )
+        return short_names(t)
 
 
 def state(run, row=-1):

@@ -1,6 +1,5 @@
 """Bodies in the files of LAMMPS, MuJoCo, YADE and gsd, as these programs read them."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -40,20 +39,6 @@ def needle():
 def carriers(body):
     """Spheres, or masses, of an exported body."""
     return carriers_of(body.particles, body.properties.mass[0])
-
-
-@pytest.fixture
-def lammps():
-    sys.path.insert(0, str(Path(__file__).parents[2]))
-    try:
-        from benchmarks.peers.with_lammps import missing, start
-    finally:
-        sys.path.pop(0)
-    if missing():
-        pytest.skip(missing())
-    engine = start()
-    yield engine
-    engine.close()
 
 
 LAMMPS_SCENE = """

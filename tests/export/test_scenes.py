@@ -1,7 +1,6 @@
 """Whole scenes as inputs of LAMMPS and models of MuJoCo: run there, they move as here."""
 
 import math
-import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -73,20 +72,6 @@ def made(scene):
     """A scene made ready, and its step."""
     prepared = prepare(to_system(scene))
     return prepared.system, step_of(prepared)
-
-
-@pytest.fixture
-def lammps():
-    sys.path.insert(0, str(Path(__file__).parents[2]))
-    try:
-        from benchmarks.peers.with_lammps import missing, start
-    finally:
-        sys.path.pop(0)
-    if missing():
-        pytest.skip(missing())
-    engine = start()
-    yield engine
-    engine.close()
 
 
 def set_up(engine, scene, folder, monkeypatch):

@@ -137,13 +137,7 @@ def test_symmetric_methods_run_backwards(make, method):
     """Forward, momenta turned round, and as far again: back at the start but for rounding."""
     keys = {"force": fields(make), "t_end": 4.0, "every": 4.0, "dt": 0.1, "method": method}
     there = make.arrays(make.case(make.body(**START), **keys))
-    end = {
-        "position": there.position[-1, 0],
-        "orientation": there.orientation[-1, 0],
-        "velocity": -there.velocity[-1, 0],
-        "angular_velocity": -there.angular_velocity[-1, 0],
-    }
-    back = make.arrays(make.case(make.body(**end), **keys))
+    back = make.arrays(make.case(make.body(**make.turned_round(there)), **keys))
     assert make.angle(there.orientation[0, 0], there.orientation[-1, 0]) > 0.1
     # 80 steps of up to 12 kicks and drifts, 1e-16 each, which the motion amplifies by some 10
     assert back.position[-1, 0] == pytest.approx(START["position"], abs=1e-12)
@@ -156,13 +150,7 @@ def test_the_baselines_do_not_run_backwards(make):
     """What the two tests above would see of a method that is not symmetric."""
     keys = {"force": fields(make), "t_end": 4.0, "every": 4.0, "dt": 0.1, "method": "rk4"}
     there = make.arrays(make.case(make.body(**START), **keys))
-    end = {
-        "position": there.position[-1, 0],
-        "orientation": there.orientation[-1, 0],
-        "velocity": -there.velocity[-1, 0],
-        "angular_velocity": -there.angular_velocity[-1, 0],
-    }
-    back = make.arrays(make.case(make.body(**end), **keys))
+    back = make.arrays(make.case(make.body(**make.turned_round(there)), **keys))
     assert make.angle(back.orientation[-1, 0], START["orientation"]) > 1e-6
 
 
