@@ -60,8 +60,8 @@ class SystemContact(NamedTuple):
     excluded: Ints  # (k,) pairs of bodies of the system that joints keep from touching
 
 
-def contact_of(system: System) -> SystemContact | None:
-    """Contact of a system; None where nothing touches.
+def contact_of(system: System, is_start: bool = True) -> SystemContact | None:
+    """Contact of a system, which may stand at t = 0; None where nothing touches.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def contact_of(system: System) -> SystemContact | None:
         wall_material=wall_material,
         excluded=excluded_pairs(system),
     )
-    if can_meet.any() and system.continued is None:
+    if can_meet.any() and is_start:
         refuse_misplaced(system, contact)
     return contact
 

@@ -71,7 +71,7 @@ def _wall(
     problems: list[Problem],
 ) -> PrescribedMotion:
     """How a wall goes on; one that is another, or elsewhere, moves as its record says."""
-    if w >= len(system.wall) or _place(system, w) != _place(changed, w):
+    if places_of_walls(system)[w : w + 1] != places_of_walls(changed)[w : w + 1]:
         return motion
     before = wall_motions(system)[w]
     if system.wall[w].motion == changed.wall[w].motion:
@@ -81,9 +81,9 @@ def _wall(
     return continued(before, motion, time)
 
 
-def _place(system: System, w: int) -> str:
-    """What says where a wall is at t = 0, whatever its motion."""
-    return system.wall[w].model_dump_json(exclude=_NO_PLACE)
+def places_of_walls(system: System) -> list[str]:
+    """What says where each wall is at t = 0, whatever its motion."""
+    return [wall.model_dump_json(exclude=_NO_PLACE) for wall in system.wall]
 
 
 def _bodies(

@@ -1,12 +1,11 @@
-"""What is wrong with contact at t = 0: bodies that overlap, or lie beyond a wall.
+"""What is wrong where bodies are put: some overlap, or lie beyond a wall.
 
 Overlaps are found with the search of the contacts themselves, so that no step is quadratic.
 """
 
-import math
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -16,12 +15,13 @@ from particlerb.case.problems import Problem, problem_at, refuse
 from particlerb.compiled.beside import compile_beside
 from particlerb.contact.cell_grid import find_bounds
 from particlerb.contact.sphere_search import neighbours
-from particlerb.contact.wall_motion import PrescribedMotion, poses_at
+from particlerb.contact.wall_motion import pose_at, poses_at
 from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.forces.spring import places
+from particlerb.maths.quaternion import conjugate
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.state import as_frame, lengths, store_all
+from particlerb.model.state import as_frame, lengths, rotate, store_all
 from particlerb.model.system import System
 from particlerb.model.totals import sum_blocks, totals
 from particlerb.plan.links import and_more, is_among, particles_of
@@ -45,20 +45,23 @@ class _SetupSpheres(NamedTuple):
     body: Ints  # (n,) body of the system
 
 
-def refuse_misplaced(system: System, contact: "SystemContact") -> None:
-    """Raise CaseError with all that overlaps or lies beyond a wall at t = 0."""
-    spheres = spheres_of(system, contact)
+def refuse_misplaced(system: System, contact: "SystemContact", later: float | None = None) -> None:
+    """Raise CaseError with all that overlaps or lies beyond a wall in the state of a system.
+
+    That is one at t = 0, or `later` [s]: then what contacts press together is no mistake, but for
+    what springs would push out on the other side.
+    """
+    given = system, contact, spheres_of(system, contact), later
     if system.wall:
         first = partial(as_frame, system.bodies, system.state)
-        search = find_bounds, lambda: list(_overlapping(system, contact, spheres))
+        search = find_bounds, lambda: list(_overlapping(*given))
         sums = sum_blocks, lambda: totals(first(), system.bodies, np.zeros(3))
         compile_beside([search, (store_all, first), sums])
-    wrong = [*_beyond_walls(system, contact, spheres), *_overlapping(system, contact, spheres)]
-    refuse(wrong)
+    refuse([*_beyond_walls(*given), *_overlapping(*given)])
 
 
 def spheres_of(system: System, contact: "SystemContact") -> _SetupSpheres:
-    """Where the spheres of a system are at t = 0."""
+    """Where the spheres of a system are in its state."""
     index, of_body = particles_of(system, contact.body)
     solid = system.particles.radius[index] > 0.0
     index, owner = index[solid], contact.body[of_body[solid]]
@@ -96,13 +99,13 @@ def _with_images(spheres: _SetupSpheres, contact: "SystemContact") -> _SetupSphe
 
 
 def _overlapping(
-    system: System, contact: "SystemContact", spheres: _SetupSpheres
+    system: System, contact: "SystemContact", spheres: _SetupSpheres, later: float | None
 ) -> Iterator[Problem]:
     """What is wrong with bodies that overlap: which, how deep, and how many.
 
     More than the smaller radius cannot be allowed: springs would push out on the other side.
     """
-    if contact.record.relax:
+    if contact.record.relax and later is None:
         return
     spheres = _with_images(spheres, contact)
     pairs = neighbours(
@@ -113,7 +116,7 @@ def _overlapping(
     depth = spheres.radius[i] + spheres.radius[j] - distance
     a, b = spheres.body[i], spheres.body[j]
     most = np.minimum(spheres.radius[i], spheres.radius[j])
-    wrong = depth > np.minimum(_allowed(contact, spheres), most)
+    wrong = depth > (most if later else np.minimum(_allowed(contact, spheres), most))
     wrong &= ~(contact.fixed[a] & contact.fixed[b])
     if not wrong.any():
         return
@@ -128,31 +131,35 @@ def _overlapping(
         f"{system.names[int(a[k])]} and {system.names[int(b[k])]} by {depth[k]:.3g} m"
         for k in named
     )
-    reason = f"bodies overlap at t = 0: {listed}{and_more(a.size - named.size)}"
+    reason = f"bodies overlap at t = {later or 0:g}: {listed}{and_more(a.size - named.size)}"
     key = f"body[{system.block[b[named[0]]]}]"
-    yield problem_at(system, key, reason, _hint(contact, is_deep))
+    yield problem_at(system, key, reason, _APART_HINT if later else _hint(contact, is_deep))
 
 
 def _beyond_walls(
-    system: System, contact: "SystemContact", spheres: _SetupSpheres
+    system: System, contact: "SystemContact", spheres: _SetupSpheres, later: float | None
 ) -> Iterator[Problem]:
-    """What is wrong with bodies that overlap a wall, or lie on its other side."""
+    """What is wrong with bodies that overlap a wall, or lie on its other side.
+
+    Where a wall that slides is `later`, nobody says here.
+    """
     moving = np.flatnonzero(~contact.fixed[spheres.body])
     is_moving = is_among(spheres.body[moving], system)
     depth = np.full((len(system.wall), len(system.kind)), -np.inf)
-    if not contact.record.relax:
+    may_overlap = contact.record.relax or later is not None
+    if not may_overlap:
         poses = poses_at(contact.motions, 0.0)
         i, p, _ = WallSearch(contact.walls, spheres.radius).pairs(spheres.place, poses, 0.0, moving)
         gap = lengths(gaps(contact.walls, poses, spheres.place, i, p))
         owner = (contact.walls.wall[p], spheres.body[i])
         np.maximum.at(depth, owner, spheres.radius[i] - gap)
     for number, table in enumerate(system.wall):
-        motion = contact.motions[number]
-        outside = (_room_in(table, motion, system.state.com) <= 0.0) & is_moving
-        if outside.any():
-            yield _outside_problem(system, number, np.flatnonzero(outside))
-        if not contact.record.relax:
-            room = _room_in(table, motion, spheres.place[:, moving])
+        pose = pose_at(contact.motions[number], later or 0.0)
+        outside = (_room_in(table, pose, system.state.com) <= 0.0) & is_moving
+        if outside.any() and not (later and table.piston):
+            yield _outside_problem(system, number, np.flatnonzero(outside), later or 0.0)
+        if not may_overlap:
+            room = _room_in(table, pose, spheres.place[:, moving])
             beyond = moving[room <= 0.0]
             further = spheres.radius[beyond] - room[room <= 0.0]
             np.maximum.at(depth[number], spheres.body[beyond], further)
@@ -165,13 +172,13 @@ def _beyond_walls(
             yield problem_at(system, f"wall[{number}]", reason, _hint(contact))
 
 
-def _room_in(table: AnyWall, motion: PrescribedMotion, points: Floats) -> Floats:
+def _room_in(table: AnyWall, pose: tuple[Any, ...], points: Floats) -> Floats:
     """Distance of points (3, n) from the nearest face around them [m], negative beyond it.
 
     Closed faces count as endless and open ones not at all. It is inf where points may be anywhere.
     """
-    shift = math.sin(motion.phase) * np.array(motion.amplitude)
-    away = points - (np.array(middle(table)) + shift)[:, None]
+    shift, turn = (np.array(part)[:, None] for part in (pose[0], conjugate(pose[1])))
+    away = rotate(turn, points - shift) - np.array(middle(table))[:, None]
     if isinstance(table, PlaneWall):
         return np.asarray(unit_vectors(np.array(table.normal)) @ away)
     if isinstance(table, BoxWall) and table.inside:
@@ -190,7 +197,7 @@ def _room_in(table: AnyWall, motion: PrescribedMotion, points: Floats) -> Floats
     return np.full(points.shape[1], np.inf)
 
 
-def _outside_problem(system: System, number: int, bodies: Ints) -> Problem:
+def _outside_problem(system: System, number: int, bodies: Ints, time: float) -> Problem:
     """Bodies on the wrong side of a wall."""
     listed = ", ".join(system.names[int(b)] for b in bodies[:_MAX_OVERLAPS_NAMED])
     more = and_more(max(bodies.size - _MAX_OVERLAPS_NAMED, 0))
@@ -198,5 +205,5 @@ def _outside_problem(system: System, number: int, bodies: Ints) -> Problem:
     where, hint = f"outside the {table.type}", "move the wall or the body, or say inside = false"
     if isinstance(table, PlaneWall):
         where, hint = "behind the plane", "bodies are where the normal points"
-    reason = f"{listed}{more} {verb} {where} at t = 0"
+    reason = f"{listed}{more} {verb} {where} at t = {time:g}"
     return problem_at(system, f"wall[{number}]", reason, hint)

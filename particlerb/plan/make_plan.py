@@ -19,6 +19,7 @@ from particlerb.plan import segments, time_step
 from particlerb.plan.case_forces import impossible, loads_of
 from particlerb.plan.contact_setup import contact_of
 from particlerb.plan.groups import GroupForces, groups_of
+from particlerb.plan.initial_overlaps import refuse_misplaced
 from particlerb.plan.joints import joints_of
 from particlerb.plan.known_courses import Behind
 from particlerb.plan.links import AnyLink, Link, coincident, links_of
@@ -30,6 +31,7 @@ def make_plan(
     choose: Callable[[segments.GroupPlan], time_step.Stepping | None] = lambda group: None,
     now: tuple[float, State] | None = None,
     behind: Mapping[bytes, Behind] = MappingProxyType({}),
+    is_moved: bool = False,
 ) -> segments.Plan:
     """Plan of a system.
 
@@ -40,28 +42,30 @@ def make_plan(
     choose : callable, optional
         How a group is stepped, in place of what `run` says; None where that stays.
     now : tuple of float and State, optional
-        Time from which on to plan [s], and the state then; left out, t = 0 and that of the system.
-        Springs, joints and driven bodies are tied as they were at t = 0.
+        Time from which on to plan [s], and the state then, where that is not t = 0. Springs, joints
+        and driven bodies are tied as they were at t = 0.
     behind : mapping of bytes to Behind, optional
         By the members of each group: what is over for it, and need not be among the forces.
+    is_moved : bool
+        Whether bodies or walls were put elsewhere now, and may lie in each other.
 
     Raises
     ------
     CaseError
-        If a torque overflows or turns a body that cannot turn so, if the method does not accept a
-        force, or if no step can be chosen.
+        If a torque is impossible, a method does not accept a force, or no step can be chosen.
     RegroupedError
         If bodies no longer belong to the groups of `behind`.
     """
     system = merged(system)
-    loads = loads_of(system)
-    links = _links_on_hosts(system)
+    loads, links = loads_of(system), _links_on_hosts(system)
     refuse(impossible(system, loads) + coincident(system))
-    touching, joints = contact_of(system), joints_of(system)
+    touching, joints = contact_of(system, now is None), joints_of(system)
     start, state = now or (0.0, system.state)
     if now is not None and system.merging is not None:
         state = system.merging.together(state)
     system = system._replace(state=state)
+    if is_moved and touching is not None:
+        refuse_misplaced(system, touching, start or None)
     grouped = groups_of(system, loads, links, touching, joints, _apart(behind, system.n_bodies))
     grouped = _after(behind, grouped) if behind else grouped
     setting = touching, start, now is None
@@ -69,22 +73,24 @@ def make_plan(
     cut.sort(key=lambda group: int(group.members.min()))
     segments.refuse_method(system, cut)
     steps = [time_step.step(system, group) for group in cut]
-    stepped = tuple(map(time_step.with_steps, cut, steps))
-    time_step.refuse_endless(system, stepped)
-    choice = [choose(group) for group in stepped]
-    groups = tuple(
-        group if chosen is None else time_step.stepped_by(group, chosen)
-        for group, chosen in zip(stepped, choice, strict=True)
-    )
+    groups = tuple(map(time_step.with_steps, cut, steps))
+    time_step.refuse_endless(system, groups)
+    choice = [choose(group) for group in groups]
     if any(choice):
+        groups = tuple(map(_stepped, groups, choice))
         time_step.refuse_endless(system, groups)
     time_step.refuse_unstable(system, groups)
-    if system.n_worlds > 1:  # nobody reads what else is said of them
-        return segments.Plan(groups, "", ())
+    if system.n_worlds > 1:
+        return segments.Plan(groups, "", ())  # nobody reads what else is said of them
     told = [*(coarse(system) if now is None else ()), *time_step.growing_contacts(system, groups)]
     warnings = (*map(time_step.as_warning, told), *time_step.step_warnings(system, groups))
     distinct = {dt for group, dt in zip(groups, steps, strict=True) if group.stepped}
     return segments.Plan(groups, time_step.step_reason(system, groups, distinct, choice), warnings)
+
+
+def _stepped(group: segments.GroupPlan, chosen: time_step.Stepping | None) -> segments.GroupPlan:
+    """A group that is stepped as was chosen for it, if something was."""
+    return group if chosen is None else time_step.stepped_by(group, chosen)
 
 
 def _links_on_hosts(system: System) -> list[AnyLink]:

@@ -27,7 +27,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
 from particlerb.model.state import State, initial_state
 from particlerb.model.system import System
-from particlerb.plan.continued import with_continued
+from particlerb.plan.continued import places_of_walls, with_continued
 from particlerb.plan.make_plan import make_plan
 from particlerb.record.frame_values import FrameError
 from particlerb.record.writer import Recorder
@@ -259,6 +259,8 @@ class Simulation(Closing):
             If a shape is wrong, a number not finite, or if joints hold the bodies; if a body that
             is fixed would get a velocity, another state what moves as prescribed, or a spin what
             has no moment of inertia about it.
+        CaseError
+            If bodies would lie beyond a wall, or overlap by more than a radius.
         """
         old = {name: getattr(self.state, name) for name in _STATE_NAMES}
         given = position, orientation, velocity, angular_velocity
@@ -297,7 +299,11 @@ class Simulation(Closing):
     def _restart(self, system: System, state: State | None) -> None:
         """Go on as another system, from the state of now or another one."""
         planned = state or self._state_now()
-        plan, entries = make_plan(system, now=(self.time, planned)), self._entries
+        before = self.system
+        is_moved = state is not None or before.contact is None
+        is_moved |= places_of_walls(system) != places_of_walls(before)
+        plan = make_plan(system, now=(self.time, planned), is_moved=is_moved)
+        entries = self._entries
 
         def restarted() -> BodyStates:
             reached = self._run.finish(self.time)

@@ -278,6 +278,30 @@ def test_a_piston_does_not_jump_back(key, value):
 
 
 @pytest.mark.plain
+def test_what_is_put_elsewhere_is_looked_at_where_all_is_now():
+    """A ball has fallen from 9 m to 4.095 m above a floor, and another one on it."""
+    scene = Scene(RunTable(t_end=2.0, every=1.0, dt=5e-3), gravity=(0, 0, -9.81))
+    falling = {"shape": Ball(radius=0.5), "mass": 1.0}
+    scene.add_body(name="ball", position=(0, 0, 9), **falling)
+    scene.add_body(name="other", position=(0, 0, 10), **falling)
+    scene.contact = ContactTable(stiffness=1e4, restitution=0.5, friction=0.3)
+    floor = PlaneWall(name="floor", normal=(0, 0, 1), motion={"velocity": (0, 0, 1)})
+    scene.add_wall(floor)
+    simulation = Simulation(scene)
+    simulation.advance(1.0)
+    z = simulation.state.position[:, 2].copy()
+    roof = {"type": "plane", "name": "roof", "normal": (0, 0, -1)}
+    simulation.change("wall", [floor, roof | {"point": (0, 0, 8)}])  # below where they were
+    for key, value in (("wall[1].point", (0, 0, z[0])), ("wall[0].point", (0, 0, z[1]))):
+        with pytest.raises(CaseError, match=r"(ball|ball, other|other) (is|are) behind .* t = 1"):
+            simulation.change(key, value)
+    for height, problem in ((0.9, "ball is behind the plane"), (z[1] - 0.1, "bodies overlap at")):
+        with pytest.raises(CaseError, match=problem):  # the floor has come to 1 m
+            simulation.set_state(position=[[0, 0, height], [0, 0, z[1]]])
+    simulation.set_state(position=[[0, 0, z[1] - 0.9], [0, 0, z[1]]])  # as springs may be pressed
+    assert simulation.advance(1.001).velocity[1, 2] > simulation.state.velocity[0, 2]
+
+
 def test_a_file_has_room_for_the_walls_that_it_began_with(tmp_path):
     with over_a_floor(tmp_path / "a.h5") as simulation:
         floor = {"type": "plane", "name": "floor", "normal": (0, 0, 1)}
