@@ -17,6 +17,7 @@ from particlerb.cli.guard import probe
 from particlerb.record.output_path import output_path
 from particlerb.record.trajectory import Trajectory, TrajectoryError, open_trajectory
 from particlerb.record.verify import verify
+from particlerb.record.writer_lock import WriterLock
 
 PICTURES: Final = (".png", ".svg", ".pdf")
 _FAULTS_OF_VALUES: Final = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
@@ -99,8 +100,10 @@ def opened(path: str, visits_parts: bool = False) -> Iterator[Trajectory]:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """End the command where the file of a path cannot be written."""
+    """End the command where the file of a path cannot be written, or a run writes it now."""
     try:
+        if path.is_file() and os.access(path, os.W_OK):
+            WriterLock(path).close()
         yield
     except OSError as error:
         raise Ending(f"cannot write {path}: {error.strerror or error}", FAILED) from None

@@ -18,6 +18,7 @@ from particlerb.model.superblocks import Range
 from particlerb.record.output_path import appearing, output_path
 from particlerb.record.parts import Parts, note_master, parts_in
 from particlerb.record.trajectory import TrajectoryError
+from particlerb.record.writer_lock import WriterLock
 
 pytestmark = pytest.mark.once
 
@@ -170,6 +171,23 @@ def test_files_that_belong_together_are_so_at_every_moment(tmp_path, monkeypatch
         if at < 3:
             assert "new" not in shown()
     assert shown() == ["new"] * 3
+
+
+def test_what_a_run_writes_is_not_replaced(tmp_path, monkeypatch, capsys):
+    """Its frames would go into a file without a name, and it would not know."""
+    monkeypatch.chdir(tmp_path)
+    run = {"t_end": 0.2, "every": 0.1}
+    body = {"name": "a", "shape": {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}}
+    particlerb.run({"run": run, "body": [body]}, "a.h5").close()
+    shutil.copy("a.h5", "b.h5")
+    before = Path("b.h5").read_bytes()
+    words = ["export", "a.h5", "--to", "h5", "-o", "b.h5", "--overwrite"]
+    lock = WriterLock(Path("b.h5"))
+    assert main(words) == 1
+    assert "b.h5: is being written by another run" in capsys.readouterr().err
+    assert Path("b.h5").read_bytes() == before
+    lock.close()
+    assert main(words) == 0
 
 
 def test_a_file_system_without_syncs_is_written(tmp_path, monkeypatch):
