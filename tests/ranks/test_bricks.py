@@ -94,6 +94,42 @@ def test_who_fails_on_a_rank_is_named(monkeypatch, tmp_path):
             assert str(told).startswith("at t = 0 s body four moves by 100 m in a step")
 
 
+def balls(places: list[list[float]], speed: float) -> dict:
+    """Balls that spin, of which the first is thrown along x."""
+    shape = {"shape": {"type": "sphere", "radius": 0.1}, "mass": 2.0}
+    spin = {"angular_velocity": [0.3, 0.0, 1.0]}
+    bodies = [shape | spin | {"name": f"b{k}", "position": x} for k, x in enumerate(places)]
+    bodies[0]["velocity"] = [speed, 0.3, 0.0]
+    run = {"t_end": 0.02, "every": 0.005, "dt": 2e-4, "threads": 1, "method": "strang"}
+    contact = {"stiffness": 2e6, "restitution": 0.7, "friction": 0.5}
+    return {"run": run, "body": bodies, "contact": contact, "output": {"fields": ["contacts"]}}
+
+
+BALLS = {
+    "a row, in which one is hit after the other": balls([[0.25 * k, 0, 0] for k in range(6)], 40.0),
+    "bricks of 1 mm, of which one crosses four in a step": balls(
+        [[0, 0, 0], *([0.3 + 0.001 * k, 0.25 * k, 0] for k in range(1, 5))], 20.0
+    ),
+    "bricks without extent": balls([[0.0, 0.21 * k, 0.0] for k in range(6)], 0.0),
+}
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("name", BALLS)
+def test_thin_bricks_change_no_bit(tmp_path, name):
+    """Up to as many ranks as bodies: a brick has one, or none for a while."""
+    prepared = prepare(to_system(load(BALLS[name])))
+    run_prepared(prepared, tmp_path / "1.h5", ranks=Ranks())
+    expected = digests(tmp_path / "1.h5")
+    for n in (2, 4, len(BALLS[name]["body"])):
+        path = tmp_path / f"{n}.h5"
+        for told in over_ranks(
+            n, lambda ranks, path=path: run_prepared(prepared, path, ranks=ranks)
+        )[1]:
+            assert not isinstance(told, BaseException), told
+        assert digests(path) == expected, n
+
+
 @needs_mpi
 @pytest.mark.slow
 def test_clumps_that_collide_across_borders_keep_their_momentum(tmp_path):
