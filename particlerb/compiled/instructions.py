@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Callable
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 from llvmlite import ir
 from numba import types
@@ -11,7 +11,16 @@ from numba.extending import intrinsic
 from particlerb.compiled.jit import config
 
 BITS: Final = ir.IntType(64)  # of a double, as an integer
-_Plain = TypeVar("_Plain", bound=Callable[..., float])
+_Plain = TypeVar("_Plain", bound=Callable[..., Any])
+
+
+def with_stand_in(plain: _Plain, typed: Callable[..., Any]) -> _Plain:
+    """What Numba makes of a function that types and builds a call; `plain` in Python."""
+    if config.DISABLE_JIT:
+        return plain
+    made: Any = intrinsic(typed)
+    made.py_func = plain
+    return cast(_Plain, made)
 
 
 def instruction(plain: _Plain) -> Callable[[Callable[..., Any]], _Plain]:
@@ -21,9 +30,6 @@ def instruction(plain: _Plain) -> Callable[[Callable[..., Any]], _Plain]:
     """
 
     def decorate(build: Callable[..., Any]) -> Any:
-        if config.DISABLE_JIT:
-            return plain
-
         def typed(typing: Any, *operands: Any) -> Any:
             def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
                 return build(builder, *arguments)
@@ -32,8 +38,6 @@ def instruction(plain: _Plain) -> Callable[[Callable[..., Any]], _Plain]:
 
         typed.__signature__ = inspect.signature(build)  # type: ignore[attr-defined]
         typed.__name__, typed.__doc__ = build.__name__, build.__doc__
-        made: Any = intrinsic(typed)
-        made.py_func = plain
-        return made
+        return with_stand_in(plain, typed)
 
     return decorate

@@ -9,7 +9,7 @@ around; each lane is rounded as a float is. A comparison of packs is a pack of t
 import math
 import operator
 from collections.abc import Callable
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, cast
 
 import numpy as np
 from llvmlite import ir
@@ -18,9 +18,9 @@ from numba.core import cgutils as numbas_cgutils
 from numba.core import typeconv
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, models, register_model
+from numba.extending import models, register_model
 
-from particlerb.compiled.jit import config
+from particlerb.compiled.instructions import with_stand_in
 
 cgutils: Final[Any] = numbas_cgutils
 LANES: Final = 4  # doubles in a register of AVX2, or two of NEON
@@ -28,7 +28,6 @@ _DOUBLE: Final = ir.DoubleType()
 _INDEX: Final = ir.IntType(32)
 _PACK: Final = ir.VectorType(_DOUBLE, LANES)
 _TRUTHS: Final = ir.VectorType(ir.IntType(1), LANES)
-Value = TypeVar("Value")
 
 
 class _Lanewise(types.Type):
@@ -79,18 +78,19 @@ class _TruthsModel(models.PrimitiveModel):
         cast(Any, super()).__init__(manager, kind, _TRUTHS)
 
 
-def _in_all_lanes(builder: Any, value: Any, vector: Any) -> Any:
+def in_all_lanes(builder: Any, value: Any, vector: Any) -> Any:
     """Vector of one value."""
     one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, _INDEX(0))
-    return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES))
+    firsts = ir.Constant(ir.VectorType(_INDEX, vector.count), [0] * vector.count)
+    return builder.shuffle_vector(one, one, firsts)
 
 
 def _float_to_pack(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
-    return _in_all_lanes(builder, context.cast(builder, value, given, types.float64), _PACK)
+    return in_all_lanes(builder, context.cast(builder, value, given, types.float64), _PACK)
 
 
 def _bool_to_truths(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
-    return _in_all_lanes(builder, value, _TRUTHS)
+    return in_all_lanes(builder, value, _TRUTHS)
 
 
 for _given in (types.Float, types.Integer):
@@ -174,15 +174,6 @@ _operator(max, PACK, PACK, 2, _one_of(">"))
 _operator(min, PACK, PACK, 2, _one_of("<"))
 
 
-def _for_both(plain: Value, typed: Callable[..., Any]) -> Value:
-    """A function of packs and floats, and of floats in Python."""
-    if config.DISABLE_JIT:
-        return plain
-    made: Any = intrinsic(typed)
-    made.py_func = plain
-    return cast(Value, made)
-
-
 def _choice(is_so: bool, x: float, y: float) -> float:
     return x if is_so else y
 
@@ -252,8 +243,8 @@ def _typed_packs(context: Any, array: Any) -> Any:
     return packs(array), generate
 
 
-choose = _for_both(_choice, _typed_choice)
-opposite = _for_both(_not, _typed_not)
-any_of = _for_both(_as_it_is, _typed_any)
-lane = _for_both(_itself, _typed_lane)
-as_packs = _for_both(_same, _typed_packs)
+choose = with_stand_in(_choice, _typed_choice)
+opposite = with_stand_in(_not, _typed_not)
+any_of = with_stand_in(_as_it_is, _typed_any)
+lane = with_stand_in(_itself, _typed_lane)
+as_packs = with_stand_in(_same, _typed_packs)

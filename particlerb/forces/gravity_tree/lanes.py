@@ -15,6 +15,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from particlerb.compiled.jit import config, inline, unsigned
+from particlerb.compiled.lanes import in_all_lanes
 from particlerb.maths.vec3 import Floats
 
 LANES: Final = 16  # particles of a bucket, and cells that are summed over at a time
@@ -135,13 +136,8 @@ class _Lanes:
     def number(self, k: int) -> Any:
         """A number of the list in all lanes."""
         if k not in self.numbers:
-            pointer = self.builder.gep(self.arrays[1], [self.group.type(k)])
-            zero = ir.Constant(ir.IntType(32), 0)
-            one = self.builder.insert_element(
-                ir.Constant(self.vector, ir.Undefined), self.builder.load(pointer), zero
-            )
-            mask = ir.Constant(ir.VectorType(ir.IntType(32), _REGISTER), [0] * _REGISTER)
-            self.numbers[k] = self.builder.shuffle_vector(one, one, mask)
+            number = self.builder.load(self.builder.gep(self.arrays[1], [self.group.type(k)]))
+            self.numbers[k] = in_all_lanes(self.builder, number, self.vector)
         return self.numbers[k]
 
 
