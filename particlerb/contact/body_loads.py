@@ -11,7 +11,7 @@ from particlerb.contact.neighbour_list import Incidence
 from particlerb.contact.piston import IMPULSE, PUSH, REST, SHARE, Pistons, add_exactly
 from particlerb.contact.records import Records
 from particlerb.maths.quaternion import matrix, turn, turn_back
-from particlerb.maths.rows import row3, row4
+from particlerb.maths.rows import column3_at, row3, row4
 from particlerb.maths.vec3 import (
     ZERO,
     Bools,
@@ -97,9 +97,8 @@ def _add_correction(forces: Records, c: int, arm: Vec3, load: _BodyLoad) -> _Bod
 @inline
 def _angular_acceleration(model: ContactModel, bodies: Records, b: int, torque: Vec3) -> Vec3:
     """I⁻¹ τ of body b, world axes [rad/s²]."""
-    inertia = model.inv_inertia
     R = matrix(row4(bodies.orientation, b))
-    inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
+    inverse = column3_at(model.inv_inertia, b)
     return turn(R, component_product(inverse, turn_back(R, torque)))
 
 

@@ -23,7 +23,7 @@ from particlerb.contact.law import (
 from particlerb.contact.records import Records
 from particlerb.contact.spring_growth import Sliding, reset_stages, spring_after, spring_at
 from particlerb.maths.quaternion import matrix, turn, turn_back
-from particlerb.maths.rows import put_row3, put_row4, row3, row4
+from particlerb.maths.rows import column3_at, put_row3, put_row4, row3, row4
 from particlerb.maths.vec3 import (
     ZERO,
     Floats,
@@ -91,12 +91,11 @@ def body_kinematics(
         p, spin = get3(rows, P, k), get3(rows, L, k)
         v, omega = p, spin  # of bodies that are held: see `prescribed_motion`
         if inv_mass[b] > 0.0:
-            p = add_scaled(ahead, subtract(p, (last[0, b], last[1, b], last[2, b])), p)
-            spin = add_scaled(ahead, subtract(spin, (last[3, b], last[4, b], last[5, b])), spin)
-            inverse = (inertia[0, b], inertia[1, b], inertia[2, b])
+            p = add_scaled(ahead, subtract(p, column3_at(last, b)), p)
+            spin = add_scaled(ahead, subtract(spin, column3_at(last, b, 3)), spin)
             v, omega = (
                 scale(inv_mass[b], p),
-                turn(R, component_product(inverse, turn_back(R, spin))),
+                turn(R, component_product(column3_at(inertia, b), turn_back(R, spin))),
             )
         put_row3(bodies.position, b, x)
         put_row3(bodies.velocity, b, v)
@@ -105,7 +104,7 @@ def body_kinematics(
         bodies.inv_mass[b] = inv_mass[b]
         bodies.speed[b], bodies.angular_speed[b] = norm(v), norm(omega)
         for i in range(offset[b], offset[b + 1]):
-            r = turn(R, (arm[0, i], arm[1, i], arm[2, i]))
+            r = turn(R, column3_at(arm, i))
             xyzr[i, 0], xyzr[i, 1], xyzr[i, 2] = x[0] + r[0], x[1] + r[1], x[2] + r[2]
             xyzr[i, 3] = radius[i]
 

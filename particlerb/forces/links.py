@@ -15,6 +15,7 @@ import numpy as np
 from particlerb.compiled.jit import inline, kernel
 from particlerb.forces.spring import Spring, change_along
 from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
+from particlerb.maths.rows import add_to_column3_at, column3_at
 from particlerb.maths.vec3 import (
     Floats,
     Ints,
@@ -52,20 +53,6 @@ class Links(NamedTuple):
 
 
 @inline
-def column3_at(rows: Floats, at: int, b: int) -> Vec3:
-    """Vector of body b from row `at` on."""
-    return rows[at, b], rows[at + 1, b], rows[at + 2, b]
-
-
-@inline
-def add_to_column3_at(rows: Floats, at: int, b: int, a: float, v: Vec3) -> None:
-    """Add a v to the vector of body b."""
-    rows[at, b] += a * v[0]
-    rows[at + 1, b] += a * v[1]
-    rows[at + 2, b] += a * v[2]
-
-
-@inline
 def rotation_of(y: Floats, b: int) -> Matrix:
     """Rotation matrix of body b."""
     return matrix((y[3, b], y[4, b], y[5, b], y[6, b]))
@@ -84,28 +71,26 @@ def _first_end(links: Links, y: Floats, s: int) -> _End:
     """End of link s on its first body."""
     a = links.body_a[s]
     R = rotation_of(y, a)
-    arm = turn(R, column3_at(links.at_a, 0, s))
-    return _End(arm, add_scaled(1.0, column3_at(y, 0, a), arm), R)
+    arm = turn(R, column3_at(links.at_a, s))
+    return _End(arm, add_scaled(1.0, column3_at(y, a), arm), R)
 
 
 @inline
 def _second_end(links: Links, y: Floats, s: int) -> _End:
     """End of link s on its second body, or in the world."""
-    b, at = links.body_b[s], column3_at(links.at_b, 0, s)
+    b, at = links.body_b[s], column3_at(links.at_b, s)
     if b == WORLD:
         return _End((0.0, 0.0, 0.0), at, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
     R = rotation_of(y, b)
     arm = turn(R, at)
-    return _End(arm, add_scaled(1.0, column3_at(y, 0, b), arm), R)
+    return _End(arm, add_scaled(1.0, column3_at(y, b), arm), R)
 
 
 @inline
 def velocity(links: Links, y: Floats, b: int, end: _End) -> Vec3:
     """Velocity of the end on body b [m/s]."""
-    w = component_product(
-        column3_at(links.inv_inertia, 0, b), turn_back(end.R, column3_at(y, 10, b))
-    )
-    return add_scaled(links.inv_mass[b], column3_at(y, 7, b), cross(turn(end.R, w), end.arm))
+    w = component_product(column3_at(links.inv_inertia, b), turn_back(end.R, column3_at(y, b, 10)))
+    return add_scaled(links.inv_mass[b], column3_at(y, b, 7), cross(turn(end.R, w), end.arm))
 
 
 @inline
@@ -122,7 +107,7 @@ def rate(links: Links, y: Floats, s: int, ends: tuple[_End, _End], n: Vec3) -> f
 def share(links: Links, b: int, end: _End, n: Vec3) -> float:
     """1/M + (r × n)·I⁻¹(r × n) of one body [1/kg]."""
     m = turn_back(end.R, cross(end.arm, n))
-    turning = dot(m, component_product(column3_at(links.inv_inertia, 0, b), m))
+    turning = dot(m, component_product(column3_at(links.inv_inertia, b), m))
     return links.inv_mass[b] + turning
 
 
@@ -144,14 +129,14 @@ def _act(
     With their turning moments, to `rows` from `at` on; of the world to the rows OUTSIDE of `load`.
     """
     a, b = links.body_a[s], links.body_b[s]
-    add_to_column3_at(rows, at, a, 1.0, vector)
-    add_to_column3_at(rows, at + TORQUE, a, 1.0, cross(ends[0].arm, vector))
+    add_to_column3_at(rows, a, 1.0, vector, at)
+    add_to_column3_at(rows, a, 1.0, cross(ends[0].arm, vector), at + TORQUE)
     if b == WORLD:
-        add_to_column3_at(load, OUTSIDE, a, 1.0, vector)
-        add_to_column3_at(load, OUTSIDE + 3, a, 1.0, cross(ends[0].point, vector))
+        add_to_column3_at(load, a, 1.0, vector, OUTSIDE)
+        add_to_column3_at(load, a, 1.0, cross(ends[0].point, vector), OUTSIDE + 3)
     else:
-        add_to_column3_at(rows, at, b, -1.0, vector)
-        add_to_column3_at(rows, at + TORQUE, b, -1.0, cross(ends[1].arm, vector))
+        add_to_column3_at(rows, b, -1.0, vector, at)
+        add_to_column3_at(rows, b, -1.0, cross(ends[1].arm, vector), at + TORQUE)
 
 
 @kernel
@@ -190,14 +175,14 @@ def change_links(links: Links | None, y: Floats, change: Floats) -> None:
         force, bent = change_along(links.stiffness[s], links.rest_length[s], d, rate)
         for end, body, sign in ((0, a, 1.0), (1, b, -1.0)):
             if body != WORLD:
-                relative = subtract(v[end], scale(links.inv_mass[body], column3_at(y, 7, body)))
+                relative = subtract(v[end], scale(links.inv_mass[body], column3_at(y, body, 7)))
                 turned = add_scaled(1.0, cross(relative, force), cross(ends[end].arm, bent))
-                add_to_column3_at(change, FORCE, body, sign, bent)
-                add_to_column3_at(change, TORQUE, body, sign, turned)
+                add_to_column3_at(change, body, sign, bent, FORCE)
+                add_to_column3_at(change, body, sign, turned, TORQUE)
         if b == WORLD:
             turned = add_scaled(1.0, cross(v[0], force), cross(ends[0].point, bent))
-            add_to_column3_at(change, OUTSIDE, a, 1.0, bent)
-            add_to_column3_at(change, OUTSIDE + 3, a, 1.0, turned)
+            add_to_column3_at(change, a, 1.0, bent, OUTSIDE)
+            add_to_column3_at(change, a, 1.0, turned, OUTSIDE + 3)
 
 
 @kernel

@@ -13,9 +13,10 @@ import numpy as np
 
 from particlerb.compiled.function_set import FunctionSet
 from particlerb.compiled.jit import inline, inline_from, kernel
-from particlerb.forces.links import add_to_column3_at, column3_at, rotation_of
+from particlerb.forces.links import rotation_of
 from particlerb.forces.user_kicks import Lengths, body_axes, chosen, compiled, rotor_axes, sign_of
 from particlerb.maths.quaternion import turn, turn_back
+from particlerb.maths.rows import add_to_column3_at, column3_at
 from particlerb.maths.vec3 import (
     ZERO,
     Bools,
@@ -78,7 +79,7 @@ class UserPairs(NamedTuple):
 @inline
 def _axes_of(pairs: UserPairs, y: Floats, b: int) -> Any:
     """Rotation matrix of the body frame of b."""
-    lines = column3_at(pairs.axes, 0, b), column3_at(pairs.axes, 3, b), column3_at(pairs.axes, 6, b)
+    lines = column3_at(pairs.axes, b), column3_at(pairs.axes, b, 3), column3_at(pairs.axes, b, 6)
     return body_axes(rotation_of(y, b), *lines)
 
 
@@ -88,17 +89,17 @@ def _spin(pairs: UserPairs, y: Floats, b: int) -> Vec3:
     R = rotation_of(y, b)
     return turn(
         R,
-        component_product(column3_at(pairs.inv_inertia, 0, b), turn_back(R, column3_at(y, _L, b))),
+        component_product(column3_at(pairs.inv_inertia, b), turn_back(R, column3_at(y, b, _L))),
     )
 
 
 @inline
 def _speed(pairs: UserPairs, y: Floats, b: int) -> Vec3:
     """Velocity of the centre of mass of body b [m/s]."""
-    return scale(pairs.inv_mass[b], column3_at(y, _P, b))
+    return scale(pairs.inv_mass[b], column3_at(y, b, _P))
 
 
-_ARGUMENTS: Final = {"x": "column3_at(y, 0, {})", "R": "axes_of(pairs, y, {})",
+_ARGUMENTS: Final = {"x": "column3_at(y, {})", "R": "axes_of(pairs, y, {})",
                      "v": "speed(pairs, y, {})", "omega": "spin(pairs, y, {})"}  # fmt: skip
 
 
@@ -193,7 +194,7 @@ def _load(pairs: UserPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Ve
     """Force on the first body of pair s, and the torques on both."""
     a, b = pairs.body_a[s], pairs.body_b[s]
     F, tau = pairs.functions.load(pairs, y, t, s, pairs.kind[s])
-    other = subtract(cross(subtract(column3_at(y, 0, b), column3_at(y, 0, a)), F), tau)
+    other = subtract(cross(subtract(column3_at(y, b), column3_at(y, a)), F), tau)
     return F, scale(pairs.turns[a], tau), scale(pairs.turns[b], other)
 
 
@@ -201,10 +202,10 @@ def _load(pairs: UserPairs, t: float, y: Floats, s: int) -> tuple[Vec3, Vec3, Ve
 def _add_load(pairs: UserPairs, s: int, rows: Floats, at: int, h: float, load: Any) -> None:
     """Add h times a load of pair s to the rows of both bodies, from `at` on."""
     a, b, (F, tau, other) = pairs.body_a[s], pairs.body_b[s], load
-    add_to_column3_at(rows, at, a, h, F)
-    add_to_column3_at(rows, at + TORQUE, a, h, tau)
-    add_to_column3_at(rows, at, b, -h, F)
-    add_to_column3_at(rows, at + TORQUE, b, h, other)
+    add_to_column3_at(rows, a, h, F, at)
+    add_to_column3_at(rows, a, h, tau, at + TORQUE)
+    add_to_column3_at(rows, b, -h, F, at)
+    add_to_column3_at(rows, b, h, other, at + TORQUE)
 
 
 @kernel
@@ -238,8 +239,8 @@ def _flow_pair(pairs: UserPairs, t: float, y: Floats, s: int, dt: float) -> floa
     """
     a, b = pairs.body_a[s], pairs.body_b[s]
     p, spin = (
-        (column3_at(y, _P, a), column3_at(y, _P, b)),
-        (column3_at(y, _L, a), column3_at(y, _L, b)),
+        (column3_at(y, a, _P), column3_at(y, b, _P)),
+        (column3_at(y, a, _L), column3_at(y, b, _L)),
     )
     sizes = _sum3(p[0]) + _sum3(p[1]), _sum3(spin[0]) + _sum3(spin[1])
     load, change = (ZERO, ZERO, ZERO), 1.0

@@ -41,6 +41,7 @@ from particlerb.contact.wall_contacts import wall_contact_forces
 from particlerb.contact.wall_motion import put_poses
 from particlerb.forces.registry import PAIR, STEADY
 from particlerb.integrators.pair_stages import BlockShare, PairTerms
+from particlerb.maths.rows import column3_at
 from particlerb.maths.vec3 import Floats
 from particlerb.model.block import (
     COM,
@@ -208,10 +209,7 @@ def farthest(listed_pose: Floats, rows: Floats, reach: Floats, lo: int, n: int) 
     path, then = 0.0, listed_pose
     for k in range(n):
         b = lo + k
-        x, q = (
-            (then[0, b], then[1, b], then[2, b]),
-            (then[3, b], then[4, b], then[5, b], then[6, b]),
-        )
+        x, q = column3_at(then, b), (then[3, b], then[4, b], then[5, b], then[6, b])
         moved = max_displacement(x, q, get3(rows, COM, k), get4(rows, Q, k), reach[b])
         path = max(path, moved if moved < np.inf else np.inf)  # what is not a number has moved too
     return path

@@ -4,7 +4,7 @@ The name says how the array lies: `row3` where each vector is a row, or a part o
 where its components are in three rows, and `get3` of model/block.py in the blocks of a motion. Of
 component-first arrays a block of bodies is reached through one-dimensional row views (`rows3`):
 with these LLVM keeps neighbouring bodies in the lanes of a SIMD register, with two-dimensional
-slices it does not.
+slices it does not, and `column3_at` is for bodies that are taken one by one.
 """
 
 from particlerb.compiled.jit import inline, unsigned
@@ -55,6 +55,20 @@ def column3(rows: Rows3, b: int) -> Vec3:
 def put_column3(rows: Rows3, b: int, vector: Vec3) -> None:
     """Write the vector of body b."""
     rows[0][b], rows[1][b], rows[2][b] = vector
+
+
+@inline
+def column3_at(array: Floats, b: int, at: int = 0) -> Vec3:
+    """Three numbers of column b from row `at` on."""
+    return array[at, b], array[at + 1, b], array[at + 2, b]
+
+
+@inline
+def add_to_column3_at(array: Floats, b: int, scale: float, v: Vec3, at: int = 0) -> None:
+    """Add scale v to three numbers of column b from row `at` on."""
+    array[at, b] += scale * v[0]
+    array[at + 1, b] += scale * v[1]
+    array[at + 2, b] += scale * v[2]
 
 
 @inline

@@ -19,7 +19,7 @@ from particlerb.forces.gravity_tree.multipole import (
     add_shifted_moments,
 )
 from particlerb.maths.quaternion import matrix, turn
-from particlerb.maths.rows import column3, column4, put_column3, rows3, rows4
+from particlerb.maths.rows import column3, column3_at, column4, put_column3, rows3, rows4
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross
 
 DEEPEST: Final = 128  # levels: two trees of halves
@@ -247,7 +247,7 @@ def place_points(
 def _centre_of(mass: Floats, place: Floats, lo: int, hi: int) -> Vec3:
     """Centre of mass of particles; that of massless ones is the first."""
     X, total = (0.0, 0.0, 0.0), 0.0
-    o = (place[0, lo], place[1, lo], place[2, lo])
+    o = column3_at(place, lo)
     for i in range(lo, hi):
         a = (place[0, i] - o[0], place[1, i] - o[1], place[2, i] - o[2])
         X, total = add_scaled(mass[i], a, X), total + mass[i]

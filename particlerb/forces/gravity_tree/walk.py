@@ -27,6 +27,7 @@ from particlerb.forces.gravity_tree.multipole import (
     add_particle_fields,
     add_shifted_field,
 )
+from particlerb.maths.rows import column3_at
 from particlerb.maths.vec3 import Floats, Ints, Vec3, subtract
 
 RANGES: Final = 128  # of particles that are waited for
@@ -142,7 +143,7 @@ def _pull_by(
     """
     for k in range(count):
         for j in range(ranges[2 * k], ranges[2 * k + 1]):
-            x, m = (place[0, j], place[1, j], place[2, j]), mass[j]
+            x, m = column3_at(place, j), mass[j]
             for i in range(near.size // MOMENT):
                 _pull(near, i, x, m, eps2, False)
 
@@ -151,7 +152,7 @@ def _pull_by(
 def _pull_each_other(points: TreePoints, lo: int, hi: int, eps2: float, near: Floats) -> None:
     """Add the field of a bucket's own particles, those of the same body left out."""
     for j in range(lo, hi):
-        x = points.place[0, j], points.place[1, j], points.place[2, j]
+        x = column3_at(points.place, j)
         owner, m = points.owner[j], points.mass[j]
         for i in range(LANES):
             _pull(near, i, x, m, eps2, near[at(OWNER, i)] == owner)
@@ -244,7 +245,7 @@ def _pull_lane(
 ) -> None:
     """Add the field of particles to that of one of a bucket."""
     for j in range(lo, hi):
-        _pull(near, lane, (place[0, j], place[1, j], place[2, j]), mass[j], eps2, False)
+        _pull(near, lane, column3_at(place, j), mass[j], eps2, False)
 
 
 @kernel
