@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import inline, unfused_inline, unfused_kernel
+from particlerb.compiled.jit import unfused_inline, unfused_kernel
 from particlerb.maths.double_double import exact_difference
 from particlerb.maths.quaternion import Rows4, conjugate, multiply
 from particlerb.maths.rows import column3, column4, put_column4, rows3, rows4
@@ -111,27 +111,20 @@ def store_frame(
         put_column4(
             rows4(turned, 0, n), b, multiply(column4(q, b), conjugate(column4(rotor_frame, b)))
         )
-    _store_rows(frames.position, f, index, com)
-    _store_rows(frames.linear_momentum, f, index, p)
-    _store_rows(frames.angular_momentum, f, index, L)
-    out, last, is_kept = frames.orientation[f], frames.last, frames.is_frame[f]
-    for b in range(n):
+    position, out, linear, angular, last, is_frame = frames
+    is_kept = is_frame[f]
+    for b in range(n):  # one loop, so that rows of all four are fetched at once
         i = index[b]
+        position[f, i, 0], position[f, i, 1], position[f, i, 2] = column3(com, b)
+        linear[f, i, 0], linear[f, i, 1], linear[f, i, 2] = column3(p, b)
+        angular[f, i, 0], angular[f, i, 1], angular[f, i, 2] = column3(L, b)
         w, x, y, z = column4(rows4(turned, 0, n), b)
         along = w * last[i, 0] + x * last[i, 1] + y * last[i, 2] + z * last[i, 3]
         sign = -1.0 if along < 0.0 else 1.0
         w, x, y, z = sign * w, sign * x, sign * y, sign * z
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = w, x, y, z
+        out[f, i, 0], out[f, i, 1], out[f, i, 2], out[f, i, 3] = w, x, y, z
         if is_kept:
             last[i, 0], last[i, 1], last[i, 2], last[i, 3] = w, x, y, z
-
-
-@inline
-def _store_rows(values: Floats, f: int, index: Ints, v: Rows3) -> None:
-    """Write vectors of a block of bodies into frame f."""
-    for b in range(index.size):
-        i = index[b]
-        values[f, i, 0], values[f, i, 1], values[f, i, 2] = column3(v, b)
 
 
 @unfused_kernel
