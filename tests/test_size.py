@@ -24,7 +24,7 @@ BUDGETS = {
     "closed forms under force": 1582,
     "joints": 5763,
     "contact with every method": 670,
-    "contact by impulses": 4184,
+    "contact by impulses": 4204,
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2148,
     "scenes and simulations in Python": 1021,

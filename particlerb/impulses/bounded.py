@@ -240,17 +240,25 @@ def miss_of_bounded(bounded: Bounded, velocity: Floats) -> tuple[float, float]:
 
 
 @inline
-def speed_of_bounded(bounded: Bounded, velocity: Floats, floor: float) -> float:
-    """Square of the rates that miss what they may be without impulses, with a floor [(m/s)²]."""
-    size, values = 0.0, bounded.values
+def scales_of_bounded(
+    bounded: Bounded, velocity: Floats, floor: float, rounding: float
+) -> tuple[float, float, float]:
+    """Squares for `solver.Scales`, the speed first: shares of what is slow, and of all terms."""
+    size, off, left, values = 0.0, 0.0, 0.0, bounded.values
     for k in range(bounded.kind.size):
-        u = rate_along(bounded, velocity, k)
-        off = max(values[k, col.B_LEAST] - u, u - values[k, col.B_MOST], 0.0)
-        off = min(off, values[k, col.B_LARGEST] * values[k, col.B_INVERSE])
-        least = floor * values[k, col.B_SLOW]
+        u, inverse = rate_along(bounded, velocity, k), values[k, col.B_INVERSE]
+        miss = max(values[k, col.B_LEAST] - u, u - values[k, col.B_MOST], 0.0)
+        miss = min(miss, values[k, col.B_LARGEST] * inverse)
+        least, by = floor * values[k, col.B_SLOW], 0.0
+        for i in range(6):
+            by += abs(bounded.gradient[k, i] * velocity[bounded.partner_a[k], i])
+            by += abs(bounded.gradient[k, 6 + i] * velocity[bounded.partner_b[k], i])
+        by *= rounding
         if values[k, col.B_WEIGHT] > 0.0:
-            size += (off * off + least * least) / values[k, col.B_WEIGHT]
-    return size
+            size += (miss * miss + least * least) / values[k, col.B_WEIGHT]
+            off += values[k, col.B_WEIGHT] * (by / inverse) ** 2
+            left += by * by / values[k, col.B_WEIGHT]
+    return size, off, left
 
 
 @inline

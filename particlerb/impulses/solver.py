@@ -7,14 +7,15 @@ sweep, and every few sweeps the residual
 
     |r - P_K(r - û / W_nn)| / |r|,   û = u - least + μ |u_t| n
 
-says how far that is from a solution, P_K the projection onto the cones.
+says how far that is from a solution, P_K the projection onto the cones. What it is by rounding of
+the velocities alone is an end of the sweeps too.
 
 Sources: Silcowitz, Niebe and Erleben, Visual Computer 26, 893 (2010), conjugate gradients;
 De Saxcé and Feng, Mathematical and Computer Modelling 28, 225 (1998), û.
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import inline, kernel
@@ -25,8 +26,8 @@ from particlerb.impulses.bounded import (
     leave_out_stops,
     miss_of_bounded,
     mix_bounded,
+    scales_of_bounded,
     size_of_bounded,
-    speed_of_bounded,
     sweep_bounded,
     warm_start_bounded,
 )
@@ -45,7 +46,7 @@ from particlerb.impulses.rolling import (
 )
 from particlerb.impulses.rows import approach, approach_at_end, change_by, driven_by, give, in_frame
 from particlerb.maths.rows import put_row3, row3
-from particlerb.maths.vec3 import ZERO, Vec3, dot, subtract
+from particlerb.maths.vec3 import ZERO, Vec3, add, dot, norm, subtract
 
 _SWEEPS_PER_RESIDUAL: Final = 5
 _NEWTON_ROUNDS: Final = 4
@@ -54,6 +55,17 @@ _REGULARISATION: Final = 1e-9  # part of the unit matrix in Newton's method, in 
 _REGULARISATION_RATIO: Final = 0.01  # from round to round
 _NEWTON_TOLERANCE_SHARE: Final = 0.1  # of the tolerance
 _FLOOR_SHARE: Final = 1e-6  # of all impulses of the kick: contacts that carry less carry nothing
+_ROUNDING: Final = 2.0**-51  # of the terms of a velocity
+
+
+class Scales(NamedTuple):
+    """Beside what the residual of a step is measured, and where it is as small as can be."""
+
+    tolerance: float
+    floor: float  # [N s] of all impulses
+    speed: float  # [m/s] velocities that the law misses without impulses
+    rounding: float  # [(N s)²] what rounding of velocities makes of impulses in a sweep, squared,
+    speed_rounding: float  # [(m/s)²] and of them
 
 
 @kernel
@@ -158,33 +170,45 @@ def _miss(partners: Partners, rows: ImpulseRows, k: int, r: Vec3) -> Vec3:
     return subtract(r, nearest_in_cone(r[0] - share * lifted, x, y, mu))
 
 
+@inline
+def _rounding(partners: Partners, rows: ImpulseRows, k: int) -> float:
+    """Rounding of the velocity in contact k, by its terms [m/s]."""
+    terms, velocity = 0.0, partners.velocity
+    for b, at in ((rows.partner_a[k], col.ARM), (rows.partner_b[k], col.ARM + 3)):
+        turning = norm(row3(velocity, b, 3)) * norm(row3(rows.frame, k, at))
+        terms += norm(row3(velocity, b)) + turning
+    return _ROUNDING * terms
+
+
 @kernel
-def _speed(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team: Team) -> float:
-    """Size of the velocities that the law misses without impulses, or a floor [m/s]."""
+def _scales(impulses: Impulses, bounded: Bounded | None, team: Team, moved: float) -> Scales:
+    """Sizes for the residual, by what the law misses without impulses; `moved` as for `solve`."""
+    rules, partners, rows, _, _, _ = impulses
     colours = rows.colours
     first, end = share_of(team, 0, colours.chunk[colours.counts[0]])
     for c in range(first, end):
-        size = 0.0
+        sums = ZERO
         for k in range(colours.row[c], colours.row[c + 1]):
             miss, least = _miss(partners, rows, k, ZERO), _FLOOR_SHARE * rows.limits[k, col.SLOW]
-            size += rows.frame[k, col.INVERSE] ** 2 * dot(miss, miss) + least * least
-        colours.sums[c, 0] = size
+            size = rows.frame[k, col.INVERSE] ** 2 * dot(miss, miss) + least * least
+            by = _rounding(partners, rows, k) ** 2
+            sums = add(sums, (size, rows.frame[k, col.SHARE] ** 2 * by, by))
+        put_row3(colours.sums, c, sums)
     meet(team)
-    size = total(colours, 0)
+    sums = total(colours, 0), total(colours, 1), total(colours, 2)
     if bounded is not None:
-        size += speed_of_bounded(bounded, partners.velocity, _FLOOR_SHARE)
-    return max(math.sqrt(size), 1e-300)
+        sums = add(sums, scales_of_bounded(bounded, partners.velocity, _FLOOR_SHARE, _ROUNDING))
+    return Scales(rules.tolerance, _FLOOR_SHARE * moved, max(math.sqrt(sums[0]), 1e-300), *sums[1:])
 
 
 @kernel
 def residual(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team: Team, floor: float,
-    speed: float,
-) -> float:  # fmt: skip
-    """How far impulses are from a solution, over their size, or a floor [N s].
+    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team: Team, scales: Scales
+) -> tuple[float, float, float]:
+    """How far impulses are from a solution, over their size; where that ends; this size [N s].
 
-    What this is as velocities, over a speed [m/s], is added by squares: beside what heavy bodies
-    press, the impulse that would keep them apart from a light one is small.
+    What this is as velocities, over a speed, is added by squares: beside what heavy bodies press,
+    the impulse that would keep them apart from a light one is small.
     """
     colours = rows.colours
     first, end = share_of(team, 0, colours.chunk[colours.counts[0]])
@@ -206,7 +230,12 @@ def residual(
     if bounded is not None:
         more, as_speed = miss_of_bounded(bounded, partners.velocity)
         off, left, size = off + more, left + as_speed, size + size_of_bounded(bounded)
-    return math.sqrt(off / max(size, floor * floor, 1e-300) + left / (speed * speed))
+    size, square = max(size, scales.floor * scales.floor, 1e-300), scales.speed * scales.speed
+    return (
+        math.sqrt(off / size + left / square),
+        max(scales.tolerance, math.sqrt(scales.rounding / size + scales.speed_rounding / square)),
+        math.sqrt(size),
+    )
 
 
 @kernel
@@ -235,37 +264,24 @@ def _mix(
 
 @kernel
 def _sweeps(
-    impulses: Impulses, bounded: Bounded | None, team: Team, most: int, floor: float, speed: float,
-) -> float:  # fmt: skip
-    """Sweep over all contacts until the residual is within the tolerance; the last one."""
-    rules, partners, rows, _, tally, _ = impulses
-    sweeps, before, defect = 0, 0.0, math.inf
-    while sweeps < most and defect > rules.tolerance:
+    impulses: Impulses, bounded: Bounded | None, team: Team, most: int, scales: Scales
+) -> tuple[float, float, float]:
+    """Sweep until the residual is within the tolerance, or rounding; what `residual` says then."""
+    _, partners, rows, _, tally, _ = impulses
+    sweeps, before, defect, enough, size = 0, 0.0, math.inf, 0.0, 0.0
+    while sweeps < most and defect > enough:
         changed = _sweep(partners, rows, bounded, team)
         sweeps += 1
         if sweeps % _SWEEPS_PER_RESIDUAL == 0 or sweeps == most or changed == 0.0:
-            defect = residual(partners, rows, bounded, team, floor, speed)
+            defect, enough, size = residual(partners, rows, bounded, team, scales)
         if changed == 0.0:
             break
         beta = changed / before if 0.0 < changed < before else 0.0
         before = changed
-        _mix(partners, rows, bounded, team, beta, sweeps == most or defect <= rules.tolerance)
+        _mix(partners, rows, bounded, team, beta, sweeps == most or defect <= enough)
     if team.thread == 0:
         tally[col.SWEEPS] += sweeps
-    return defect
-
-
-@kernel
-def _size(rows: ImpulseRows, bounded: Bounded | None, count: int, floor: float) -> float:
-    """Size of all impulses [N s], or a floor."""
-    size = 0.0
-    for k in range(count):
-        r = row3(rows.impulse, k)
-        size += dot(r, r)
-    size += size_of_rolling(rows.rolling, rows, 0, count)
-    if bounded is not None:
-        size += size_of_bounded(bounded)
-    return max(math.sqrt(size), floor)
+    return defect, enough, size
 
 
 @kernel
@@ -285,14 +301,16 @@ def _keep_best(impulses: Impulses, bounded: Bounded | None, goes_back: bool) -> 
 
 
 @inline
-def _finish(impulses: Impulses, bounded: Bounded | None, defect: float, time: float) -> None:
+def _finish(
+    impulses: Impulses, bounded: Bounded | None, defect: float, enough: float, time: float
+) -> None:
     """Give momenta, and count a step that ended with a residual."""
-    rules, partners, _, count, tally, _ = impulses
+    _, partners, _, count, tally, _ = impulses
     if bounded is not None:
         give_bounded(bounded, partners.impulse)
     tally[col.STEPS] += 1.0
     tally[col.CONTACTS] += count[0]
-    tally[col.UNMET] += 1.0 if defect > rules.tolerance else 0.0
+    tally[col.UNMET] += 1.0 if defect > enough else 0.0
     tally[col.RESIDUAL] = defect
     tally[col.WORST] = max(tally[col.WORST], defect)
     if defect > tally[col.WORST_EVER]:
@@ -328,28 +346,26 @@ def solve(
         tally[col.RESIDUAL] = 0.0
         return
     meet(team)
-    speed = _speed(partners, rows, bounded, team)
+    scales = _scales(impulses, bounded, team, moved)
     meet(team)
     _warm_start(impulses, bounded, team)
-    floor, most, is_done = _FLOOR_SHARE * moved, rules.iterations, newton.change.size == 0
-    defect = _sweeps(impulses, bounded, team, most, floor, speed)
+    most, is_done = rules.iterations, newton.change.size == 0
+    defect, enough, size = _sweeps(impulses, bounded, team, most, scales)
     small, best = _REGULARISATION, math.inf
     for _ in range(_NEWTON_ROUNDS):
-        if defect <= rules.tolerance or is_done:
+        if defect <= enough or is_done:
             break
         if defect < best:
             best = defect
             _keep_best(impulses, bounded, False)
-        size = _size(rows, bounded, m, floor)
-        is_done = take_newton_steps(
-            impulses, bounded, _NEWTON_TOLERANCE_SHARE * rules.tolerance, size, speed, small
-        )
+        tolerance = _NEWTON_TOLERANCE_SHARE * enough
+        is_done = take_newton_steps(impulses, bounded, tolerance, size, scales.speed, small)
         small *= _REGULARISATION_RATIO
-        defect = residual(partners, rows, bounded, team, floor, speed)
-        if defect > rules.tolerance and not is_done:
+        defect, enough, size = residual(partners, rows, bounded, team, scales)
+        if defect > enough and not is_done:
             most *= _SWEEPS_RATIO
-            defect = _sweeps(impulses, bounded, team, most, floor, speed)
-    if defect > max(best, rules.tolerance):
+            defect, enough, size = _sweeps(impulses, bounded, team, most, scales)
+    if defect > max(best, enough):
         _keep_best(impulses, bounded, True)
         defect = best
     for i in range(rows.colours.counts[0]):
@@ -359,4 +375,4 @@ def solve(
         give_rolling(rows.rolling, partners, rows, first, end)
         meet(team)
     if team.thread == 0:
-        _finish(impulses, bounded, defect, time)
+        _finish(impulses, bounded, defect, enough, time)
