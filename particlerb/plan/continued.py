@@ -71,7 +71,7 @@ def _wall(
     problems: list[Problem],
 ) -> PrescribedMotion:
     """How a wall goes on; one that is another, or elsewhere, moves as its record says."""
-    if places_of_walls(system)[w : w + 1] != places_of_walls(changed)[w : w + 1]:
+    if _places_of_walls(system)[w : w + 1] != _places_of_walls(changed)[w : w + 1]:
         return motion
     before = wall_motions(system)[w]
     if system.wall[w].motion == changed.wall[w].motion:
@@ -81,7 +81,12 @@ def _wall(
     return continued(before, motion, time)
 
 
-def places_of_walls(system: System) -> list[str]:
+def begins_elsewhere(system: System, changed: System) -> bool:
+    """Whether bodies come to touch by a change that moves none: contact begins, or walls jump."""
+    return system.contact is None or _places_of_walls(system) != _places_of_walls(changed)
+
+
+def _places_of_walls(system: System) -> list[str]:
     """What says where each wall is at t = 0, whatever its motion."""
     return [wall.model_dump_json(exclude=_NO_PLACE) for wall in system.wall]
 

@@ -249,9 +249,11 @@ class Recorder:
         self.n_frames, self.n_written = first + n_known, self.n_written + n_known
         return n_known
 
-    def save_checkpoint(self, checkpoint: Callable[[], Mapping[str, Any]]) -> None:
-        """Keep the state behind all frames; it is written, and counts, from the next commit on."""
-        self.waiting = self.n_frames, checkpoint()
+    def save_checkpoint(
+        self, checkpoint: Callable[[], Mapping[str, Any]], n_frames: int | None = None
+    ) -> None:
+        """Keep the state behind all frames, or so many; it counts from the next commit on."""
+        self.waiting = self.n_frames if n_frames is None else n_frames, checkpoint()
         self.last_checkpoint = time.monotonic()
 
     def commit_if_due(self, checkpoint: Callable[[], Mapping[str, Any]] | None) -> None:

@@ -43,6 +43,12 @@ def multiples(every: float, first: int, stop: int) -> Floats:
     return np.where(k * above <= _MAX_EXACT_INTEGER, k * above / below, every * k)
 
 
+def whole_frames(run: RunTable) -> int:
+    """Number of frames that a run to any later end has as well."""
+    n = frame_count(run)
+    return n if multiples(run.every, n - 1, n)[0] == run.t_end else n - 1
+
+
 class Batch(NamedTuple):
     """Times that are computed together."""
 
@@ -69,15 +75,14 @@ def batches(
     how many frames the first has, if it is given; none has times until `reached` [s].
     """
     most, n = frames_at_once(system), frame_count(system.run)
-    is_multiple = multiples(system.run.every, n - 1, n)[0] == system.run.t_end
-    whole_frames = n if is_multiple else n - 1  # that a run to any later end has as well
+    n_whole = whole_frames(system.run)
     asked = [system.run.t_end if v.time is None else v.time for v in system.check.value]
     probes = np.unique(np.array(asked, dtype=np.float64))
     if done:
         probes = probes[probes > max(float(frame_times(system.run, done - 1, done)[0]), reached)]
     size = min(first or FIRST_BATCH, most)
     while done < n:
-        stop = whole_frames if done < whole_frames else n
+        stop = n_whole if done < n_whole else n
         over = (done + size) % size if size >= _MIN_ALIGNED_FRAMES else 0
         frames = frame_times(system.run, done, min(done + size - over, stop))
         due, probes = probes[probes <= frames[-1]], probes[probes > frames[-1]]
@@ -86,6 +91,6 @@ def batches(
         done += len(frames)
         none = (times >= 0.0, times < 0.0)
         masks = (np.isin(times, frames), np.isin(times, due)) if due.size else none
-        yield Batch(times, *masks, done == whole_frames, done > whole_frames)
+        yield Batch(times, *masks, done == n_whole, done > n_whole)
         share = BATCH_SECONDS / max(time.monotonic() - start, 1e-9)
         size = min(ranks.gathered(int(min(max(size * min(share, 4.0), 1), most))))

@@ -27,13 +27,13 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
 from particlerb.model.state import State, initial_state
 from particlerb.model.system import System
-from particlerb.plan.continued import places_of_walls, with_continued
+from particlerb.plan.continued import begins_elsewhere, with_continued
 from particlerb.plan.make_plan import make_plan
 from particlerb.record.frame_values import FrameError
 from particlerb.record.writer import Recorder
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.body_states import BodyStates
-from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples
+from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples, whole_frames
 from particlerb.simulation.restarts import saved_restart
 from particlerb.simulation.run import content_of
 from particlerb.simulation.state_changes import new_state
@@ -82,6 +82,7 @@ class Simulation(Closing):
         system = prepared.system
         self._cut_off = ""  # what was raised while bodies moved
         self._run, self._due = Run(prepared), 0  # frame that comes next
+        self._n_whole = whole_frames(system.run)
         files = system.source.files.copied(allow_code)  # those that the output has
         self._begun = system._replace(source=system.source._replace(files=files))
         self._run.is_by_hand = True
@@ -285,23 +286,20 @@ class Simulation(Closing):
             self._finish()
 
     def _save(self) -> None:
-        """Keep what a run needs that goes on from here."""
-        if self._recorder is not None and not self._cut_off and not self._is_odd:
+        """Keep what a run needs that goes on from here; a longer one has no frame at an odd end."""
+        if self._recorder is None or self._cut_off:
+            return
+        if self._due <= self._n_whole:
             self._recorder.save_checkpoint(self._run.checkpoint)
-
-    @property
-    def _is_odd(self) -> bool:
-        """Whether a frame lies behind that a prolonged run does not have."""
-        run, n = self.system.run, frame_count(self.system.run)
-        return self._due == n and float(multiples(run.every, n - 1, n)[0]) != run.t_end
+        elif self._run.kept_of_restart.get("time") == self.time:
+            saved = self._run.checkpoint() | {"last": self._signs_before_odd}
+            self._recorder.save_checkpoint(lambda: saved, self._n_whole)
 
     @np.errstate(over="ignore")  # found in the energy, where it is asked for
     def _restart(self, system: System, state: State | None) -> None:
         """Go on as another system, from the state of now or another one."""
         planned = state or self._state_now()
-        before = self.system
-        is_moved = state is not None or before.contact is None
-        is_moved |= places_of_walls(system) != places_of_walls(before)
+        is_moved = state is not None or begins_elsewhere(self.system, system)
         plan = make_plan(system, now=(self.time, planned), is_moved=is_moved)
         entries = self._entries
 
@@ -354,8 +352,11 @@ class Simulation(Closing):
         if self._recorder is None:
             return self._glance(until)
         run, most = self.system.run, frames_at_once(self.system)
-        if until == run.t_end:
-            self._save()  # behind its last frame is nothing to go on from, if that is odd
+        if until == run.t_end and self._n_whole < frame_count(run):  # at an odd end
+            last_whole = float(frame_times(run, self._n_whole - 1, self._n_whole)[0])
+            self._state = self._go_to(max(self.time, last_whole))
+            self._save()
+            self._signs_before_odd = self._run.last.copy()
         while True:
             stop = min(self._due + most, frame_count(run))
             due = frame_times(run, self._due, stop) if self._due < stop else np.zeros(0)
@@ -386,7 +387,8 @@ class Simulation(Closing):
                 self._recorder.append(self._run.to_record(times, frames, rows, self._known))
                 self._due += rows.size
                 if error is None:
-                    self._recorder.commit_if_due(None if self._is_odd else self._run.checkpoint)
+                    is_whole = self._due <= self._n_whole
+                    self._recorder.commit_if_due(self._run.checkpoint if is_whole else None)
         except (RunError, FrameError) as problem:
             error = RunError(str(problem))
         if error is not None:

@@ -112,9 +112,16 @@ def test_a_simulation_is_resumed_as_it_was_left(tmp_path, scene, changes):
     assert_same(stopped, moved(scene, tmp_path / "b.h5", changes, 2.0))
 
 
-@pytest.mark.parametrize("stop", [0.8, 1.05])
-def test_a_frame_at_an_odd_end_does_not_count_when_it_is_prolonged(tmp_path, stop):
-    changes = STATES[:1]
+@pytest.mark.parametrize(
+    ("stop", "changes"),
+    [
+        (0.8, STATES[:1]),
+        (1.05, STATES[:1]),
+        (1.05, [STATES[0], (1.05, STATES[1][1]), (1.05, STATES[2][1])]),
+        (1.05, [(1.05, change("run.dt", 0.02))]),
+    ],
+)
+def test_a_frame_at_an_odd_end_does_not_count_when_it_is_prolonged(tmp_path, stop, changes):
     stopped = moved(free(t_end=1.05), tmp_path / "a.h5", changes, stop)
     particlerb.resume(stopped, 2.0).close()
     assert_same(stopped, moved(free(), tmp_path / "b.h5", changes, 2.0))
