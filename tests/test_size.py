@@ -30,7 +30,7 @@ BUDGETS = {
     "scenes and simulations in Python": 1031,
     "sweeps": 1610,
     "one scene over ranks": 2601,
-    "reports, pictures, the page": 1785,
+    "reports, pictures, the page": 1786,
     "scenes for other programs": 540,
     "speed of compiling and of whole calls": 1375,
     "watches": 183,

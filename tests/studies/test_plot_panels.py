@@ -30,6 +30,14 @@ def heap(make):
                      wall=[FLOOR])  # fmt: skip
 
 
+def column(make):
+    """Balls above each other, which come 2 mm down."""
+    case = heap(make)
+    place = case["body"][0]["place"] | {"n": [1, 1, 3], "origin": [0, 0, 0.5]}
+    case["body"][0] |= {"count": 3, "place": place}
+    return case
+
+
 @pytest.mark.parametrize(("axis", "seen"), [((0, 1, 0), "xz"), ((-2, 0, 0), "yz")])
 def test_a_drum_that_lies_is_seen_along_its_axis(make, axis, seen):
     """There its slope shows, wherever bodies move and however long it is."""
@@ -99,6 +107,7 @@ def points_apart(make):
 ERRORS = "conservation errors: largest so far"
 SCENES = {
     heap: ["energies", "height of bodies"],
+    column: ["energies", "change of height of bodies"],
     orbits: ["energies", "distance from the common centre of mass"],
     linkage: ["angular velocities", "energies"],
     top: ["angular velocity of body, body frame", "axis of body"],
@@ -131,6 +140,25 @@ def test_panels_fit_the_scene(scene, make, monkeypatch):
     figure, _ = drawn(scene(make), monkeypatch)
     titles = [axes.get_title(loc="left") for axes in figure.axes[1:]]
     assert [title for title in titles if title] == [*SCENES[scene], ERRORS]
+
+
+def test_heights_that_hardly_change_are_counted_from_the_first(make, monkeypatch):
+    figure, trajectory = drawn(column(make), monkeypatch)
+    axes = panel(figure, "change of height of bodies")
+    assert axes.get_ylabel() == "z - z(0) [m]"
+    for b, line in enumerate(axes.lines):
+        heights = trajectory.position[:, b, 2]
+        assert np.array_equal(line.get_ydata(), heights - heights[0])
+
+
+def test_of_lines_on_each_other_each_is_seen(make, monkeypatch):
+    """Both bodies turn with 2 rad/s, then one of them with 3."""
+    case = apart(make)
+    for rate, wider in ((2.0, True), (3.0, False)):
+        case["body"][1]["angular_velocity"] = [0, 0, rate]
+        figure, _ = drawn(case, monkeypatch)
+        below, above = (line.get_linewidth() for line in panel(figure, "angular velocities").lines)
+        assert (below > above) is wider
 
 
 def test_a_body_that_is_named_has_its_own_panels(make, monkeypatch):

@@ -1,5 +1,6 @@
 """Bodies as a picture shows them: paths, a side view, a linkage at instants, one as it turns."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -26,6 +27,9 @@ _STILL_SHARE: Final = 1e-3  # of the width, which bodies at rest would not move 
 _AROUND: Final = 0.25  # of the width of many bodies: how far around them walls are shown
 FEW: Final = 12  # bodies at most whose paths are drawn
 KEYED: Final = 6  # bodies at most that have a colour each
+LINES, _LETTERS = 9, 40  # that one row of names has at most
+_LINE_WIDTH: Final = 1.3
+_SAME_SHARE: Final = 2e-3  # of the range of all values, by which lines of these do not differ
 
 
 def upright(trajectory: Trajectory) -> int:
@@ -106,6 +110,23 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     words = rest if is_still else f"blue: up to {speed.max():.3g} m/s"
     title = f"t = {trajectory.time[frame]:.4g} s; {words}"
     finish_view(axes, title, f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]")
+
+
+def draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -> None:
+    """A line for each of a few, else the median and the range that holds 80 % of them.
+
+    What lies below others looks out on both sides.
+    """
+    n = values.shape[1]
+    if n <= KEYED or (n <= LINES and sum(map(len, names)) <= _LETTERS):
+        for k, name in enumerate(names):
+            apart = np.abs(values[:, k + 1 :] - values[:, [k]]).max(axis=0)
+            width = _LINE_WIDTH * (1 + np.count_nonzero(apart <= _SAME_SHARE * np.ptp(values)))
+            axes.plot(time, values[:, k], lw=width, label=plain(name), **line_style(k))
+        return
+    low, middle, high = np.percentile(values, (10.0, 50.0, 90.0), axis=1)
+    axes.fill_between(time, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="10 to 90 %")
+    axes.plot(time, middle, color=COLOURS[0], lw=_LINE_WIDTH, label=f"median of {n}")
 
 
 def draw_at_rest(axes: Axes, trajectory: Trajectory, shown: list[int]) -> None:

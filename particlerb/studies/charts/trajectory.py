@@ -4,7 +4,6 @@ The panels depend on the scene: for many bodies that touch a side view, for orbi
 joints their coordinates or forces, for a top nutation and precession, for one body its rates.
 """
 
-from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -22,22 +21,14 @@ from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.rotors.rotor_class import SYMMETRIC
 from particlerb.studies.charts import bodies
 from particlerb.studies.charts.linkage import draw_linkage, jointed, mechanism_of
-from particlerb.studies.charts.style import (
-    COLOURS,
-    INK,
-    Picture,
-    finish_panel,
-    line_style,
-    plain,
-    write_beside,
-)
+from particlerb.studies.charts.style import COLOURS, INK, Picture, finish_panel, plain, write_beside
 from particlerb.words import count_of
 
 _MIN_TURN: Final = 1e-6  # rad in the whole time
 _STILL_SHARE: Final = 1e-6  # motion beside the size of a scene which is none
+_SMALL_SHARE: Final = 0.1  # change of heights beside their differences that these would hide
 _LEVEL_SHARE: Final = 0.01  # change of height beside that of place which is none
 _MIN_ERROR: Final = 1e-17  # that is drawn
-_LINES, _LETTERS = 9, 40  # that one row of names has at most
 _MAX_BODIES_SAMPLED: Final = 1000  # whose heights are looked at
 
 
@@ -223,18 +214,6 @@ def _centre(trajectory: Trajectory, case: dict[str, Any]) -> Floats | None:
     return np.array(centres[0]) if len(centres) == 1 and is_long else None
 
 
-def _draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -> None:
-    """A line for each of a few, else the median and the range that holds 80 % of them."""
-    n = values.shape[1]
-    if n <= bodies.KEYED or (n <= _LINES and sum(map(len, names)) <= _LETTERS):
-        for k, name in enumerate(names):
-            axes.plot(time, values[:, k], lw=1.3, label=plain(name), **line_style(k))
-        return
-    low, middle, high = np.percentile(values, (10.0, 50.0, 90.0), axis=1)
-    axes.fill_between(time, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="10 to 90 %")
-    axes.plot(time, middle, color=COLOURS[0], lw=1.3, label=f"median of {values.shape[1]}")
-
-
 def _draw_energies(axes: Axes, trajectory: Trajectory) -> None:
     """Energies of all bodies together, and the work that they were given."""
     ledger = trajectory.ledger
@@ -256,20 +235,24 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
     """Contacts if recorded, heights under gravity, distances under attraction, else speeds."""
     time = trajectory.time
     if "contact_number" in trajectory.other_fields:
-        _draw_lines(axes, time, trajectory.contact_number.astype(float), trajectory.names)
+        bodies.draw_lines(axes, time, trajectory.contact_number.astype(float), trajectory.names)
         finish(axes, "contacts of a body", "number")
     elif case["gravity"] and _rises(trajectory):
         up, some = bodies.upright(trajectory), _shown(trajectory.n_bodies, _MAX_BODIES_SAMPLED, 0)
         heights = trajectory.read("position", bodies=some)[:, :, up]
-        _draw_lines(axes, time, heights, trajectory.names)
-        finish(axes, "height of bodies", f"{'xyz'[up]} [m]")
+        moved, first = np.ptp(heights, axis=0).max(), heights[0]
+        is_small = _STILL_SHARE * np.ptp(first) < moved < _SMALL_SHARE * np.ptp(first)
+        bodies.draw_lines(axes, time, heights - first * is_small, trajectory.names)
+        title, z = "height of bodies", "xyz"[up]
+        title, z = (f"change of {title}", f"{z} - {z}(0)") if is_small else (title, z)
+        finish(axes, title, f"{z} [m]")
     elif not case["attraction"]:
-        _draw_lines(axes, time, np.linalg.norm(trajectory.velocity, axis=2), trajectory.names)
+        bodies.draw_lines(axes, time, np.linalg.norm(trajectory.velocity, axis=2), trajectory.names)
         finish(axes, "speeds", "|v| [m/s]")
     else:
         x = trajectory.read("position")
         centre = np.average(x, axis=1, weights=trajectory.mass)[:, None]
-        _draw_lines(axes, time, np.linalg.norm(x - centre, axis=2), trajectory.names)
+        bodies.draw_lines(axes, time, np.linalg.norm(x - centre, axis=2), trajectory.names)
         finish(axes, "distance from the common centre of mass", "r [m]")
 
 
@@ -293,7 +276,7 @@ def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) ->
         across = np.linalg.norm(np.cross(axis, r), axis=1)
         angles.append(np.degrees(np.arctan2(across, np.abs((axis * r).sum(axis=1)))))
     names = [trajectory.names[b] for b in shown]
-    _draw_lines(axes, trajectory.time, np.array(angles).T, names)
+    bodies.draw_lines(axes, trajectory.time, np.array(angles).T, names)
     finish(axes, "longest axis to the line to the centre", "angle [°]")
 
 
@@ -301,11 +284,11 @@ def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> No
     """Joint coordinates or forces, if they were recorded, else angular velocities."""
     time, fields = trajectory.time, trajectory.other_fields
     if "joint_coordinate" in fields and trajectory.joint_coordinate.size:
-        _draw_lines(axes, time, trajectory.joint_coordinate, trajectory.coordinate_names)
+        bodies.draw_lines(axes, time, trajectory.joint_coordinate, trajectory.coordinate_names)
         finish(axes, "joint coordinates", "angle [rad] or length [m]")
     elif "joint_force" in fields and np.isfinite(trajectory.joint_force).any():
         forces = np.linalg.norm(trajectory.joint_force, axis=2)
-        _draw_lines(axes, time, forces, trajectory.joint_names)
+        bodies.draw_lines(axes, time, forces, trajectory.joint_names)
         finish(axes, "forces in joints", "|F| [N]")
     else:
         _draw_rates(axes, trajectory, case)
@@ -316,10 +299,10 @@ def _draw_rates(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> Non
     time, names = trajectory.time, trajectory.names
     rates = np.linalg.norm(trajectory.angular_velocity, axis=2)
     if rates.max() * np.ptp(time) > _MIN_TURN:
-        _draw_lines(axes, time, rates, names)
+        bodies.draw_lines(axes, time, rates, names)
         finish(axes, "angular velocities", "|ω| [rad/s]")
     else:
-        _draw_lines(axes, time, np.linalg.norm(trajectory.velocity, axis=2), names)
+        bodies.draw_lines(axes, time, np.linalg.norm(trajectory.velocity, axis=2), names)
         finish(axes, "speeds", "|v| [m/s]")
 
 
@@ -390,8 +373,8 @@ def finish(axes: Axes, title: str, label: str) -> None:
     """What all panels over time have in common: a legend below the title, values that differ."""
     finish_panel(axes, title, 18, xlabel="t [s]", ylabel=label)
     axes.legend(
-        fontsize=7.5, ncols=_LINES, loc="lower left", bbox_to_anchor=(0.0, 1.0), frameon=False,
-        handlelength=1.4, columnspacing=1.0, borderaxespad=0.2, borderpad=0.0,
+        fontsize=7.5, ncols=bodies.LINES, loc="lower left", bbox_to_anchor=(0.0, 1.0),
+        frameon=False, handlelength=1.4, columnspacing=1.0, borderaxespad=0.2, borderpad=0.0,
     )  # fmt: skip
     axes.yaxis.set_offset_position("right")  # a common power of ten: the legend is at the left
     low, high = axes.get_ylim()
