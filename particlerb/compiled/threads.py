@@ -93,7 +93,7 @@ class _Threads:
         Parameters
         ----------
         kernel : callable
-            Works on the units first to last, last excluded.
+            Works on the units first to end, end excluded.
         units : int
             Number of units, for instance blocks.
         work : int

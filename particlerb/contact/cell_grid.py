@@ -176,9 +176,9 @@ def find_neighbours(
     skin: float,
     pairs: FoundPairs,
     first: int,
-    last: int,
+    end: int,
 ) -> None:
-    """Find the neighbours of the sorted spheres of units first to last.
+    """Find the neighbours of the sorted spheres of units first to end.
 
     On its own level a sphere looks at those after it, in 14 of 27 cells; on coarser ones at all.
     Branches would be guessed wrong too often: candidates are written some ahead at a time, then
@@ -189,8 +189,8 @@ def find_neighbours(
     pair, count, missing = pairs
     x0, y0, z0 = origin[0], origin[1], origin[2]
     capacity, top = pair.size // missing.size, cells.size - 1
-    for unit in range(first, last):
-        k, end, lost = unit * capacity, (unit + 1) * capacity, 0
+    for unit in range(first, end):
+        k, full, lost = unit * capacity, (unit + 1) * capacity, 0
         for here in range(unit * UNIT, min((unit + 1) * UNIT, number.size)):
             i = number[here]
             x, y, z, r = xyzr[here, 0], xyzr[here, 1], xyzr[here, 2], xyzr[here, 3] + skin
@@ -210,7 +210,7 @@ def find_neighbours(
                         if same_level and c == middle:
                             lo = here + 1
                         left, c = left - (stop - c), 0
-                        if k + (hi - lo) + _WRITE_AHEAD > end:
+                        if k + (hi - lo) + _WRITE_AHEAD > full:
                             lost += hi - lo + _WRITE_AHEAD
                             hi = lo
                         for some in range(lo, hi, _WRITE_AHEAD):

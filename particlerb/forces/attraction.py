@@ -56,7 +56,7 @@ class Fields(NamedTuple):
     depth: Floats  # (n_padded,) [m²/s²], minus the potential of all other bodies
     body: Ints  # (n_padded,) body of each particle, -1 beyond the last; is not written
     order: Ints  # (n_bodies,) which of the group each body is, likewise
-    tile: Ints  # (n_tiles, 4) first target and last, first source and last, likewise
+    tile: Ints  # (n_tiles, 4) targets and sources, each from first to end, likewise
     first_tile: Ints  # (n_worlds,) of each world, likewise
 
 
@@ -69,9 +69,9 @@ def fields_of(attraction: Attraction, worlds: Worlds | None = None) -> Fields:
     order = np.arange(offset.size - 1) if worlds is None else worlds.bodies.ravel()
     ends = offset[:: order.size if worlds is None else worlds.bodies.shape[1]].tolist()
     tiles = [
-        (lo, min(lo + TILE, last), first, last)
-        for first, last in pairwise(ends)
-        for lo in range(first, last, TILE)
+        (lo, min(lo + TILE, end), first, end)
+        for first, end in pairwise(ends)
+        for lo in range(first, end, TILE)
     ]
     padded = (-(-n // LINE) | 1) * LINE  # an odd number: rows that a power of two parts collide
     arm, point, field = (aligned_zeros(3 * padded).reshape(3, padded) for _ in range(3))
@@ -142,7 +142,7 @@ def squared(d: Vec3, softening: float) -> float:
 
 
 def _place(attraction: Attraction, fields: Fields, y: Floats, first: int, end: int) -> None:
-    """Place the particles of bodies first to last: x = com + R r.
+    """Place the particles of bodies first to end: x = com + R r.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def _place(attraction: Attraction, fields: Fields, y: Floats, first: int, end: i
     y : ndarray, shape (13, n_bodies)
         Centre of mass [m], unit quaternion from rotor frame to world; the rest is not used.
     first, end : int
-        Bodies, last excluded.
+        Bodies, end excluded.
     """
     local, _, _, offset, _ = attraction
     arm, point = fields.arm, fields.point
@@ -196,13 +196,13 @@ def add_near_source(
 
 @inline
 def _tile_of(fields: Fields, tile: int) -> tuple[int, int, int, int]:
-    """First target and last, first source and last of a tile."""
+    """Targets and sources of a tile, each from first to end."""
     bounds = fields.tile[tile]
     return bounds[0], bounds[1], bounds[2], bounds[3]
 
 
-def _find_fields(attraction: Attraction, fields: Fields, first: int, last: int) -> None:
-    """Write the field at the particles of tiles first to last.
+def _find_fields(attraction: Attraction, fields: Fields, first: int, end: int) -> None:
+    """Write the field at the particles of tiles first to end, end excluded.
 
     Sources are cut into those before the bodies that a tile touches, those of these bodies, where
     each target leaves out its own, and those after.
@@ -210,19 +210,19 @@ def _find_fields(attraction: Attraction, fields: Fields, first: int, last: int) 
     _, _, gm, offset, softening = attraction
     point, field, body = fields.point, fields.field, fields.body
     sources = rows3(point, 0, gm.size)
-    for tile in range(first, last):
-        lo, hi, begin, end = _tile_of(fields, tile)
+    for tile in range(first, end):
+        lo, hi, first_source, end_source = _tile_of(fields, tile)
         targets, accelerations, bodies = rows3(point, lo, hi), rows3(field, lo, hi), body[lo:hi]
         for i in range(hi - lo):
             accelerations[0][i], accelerations[1][i], accelerations[2][i] = 0.0, 0.0, 0.0
         before, after = offset[body[lo]], offset[body[hi - 1] + 1]
-        for j in range(begin, before):
+        for j in range(first_source, before):
             _add_field(column3(sources, j), gm[j], softening, targets, accelerations, hi - lo)
         if body[lo] != body[hi - 1]:
             for j in range(before, after):
                 x = column3(sources, j)
                 add_near_source(x, gm[j], body[j], softening, targets, accelerations, bodies)
-        for j in range(after, end):
+        for j in range(after, end_source):
             _add_field(column3(sources, j), gm[j], softening, targets, accelerations, hi - lo)
 
 
@@ -233,7 +233,7 @@ pull, attract = inline(_find_fields), kernel(_find_fields)
 
 
 def _collect(attraction: Attraction, fields: Fields, load: Floats, first: int, end: int) -> None:
-    """Add force and torque of bodies first to last: Σ m g and Σ R r × m g.
+    """Add force and torque of bodies first to end: Σ m g and Σ R r × m g.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def _collect(attraction: Attraction, fields: Fields, load: Floats, first: int, e
     load : ndarray, shape (rows, n_bodies) [N, N m]
         Force in rows 0 to 2, torque about the centre of mass in rows 3 to 5, world axes.
     first, end : int
-        Bodies, last excluded.
+        Bodies, end excluded.
     """
     _, mass, _, offset, _ = attraction
     arms, accelerations = rows3(fields.arm, 0, mass.size), rows3(fields.field, 0, mass.size)
@@ -290,11 +290,11 @@ def spread_loads(
 
 
 def _spread_tiles(part: Callable[[int, int], object], fields: Fields, ranks: Ranks) -> Range:
-    """Call part(first, last) for ranges of tiles that cover those of this rank; which these are."""
+    """Call part(first, end) for ranges of tiles that cover those of this rank; which these are."""
     n = len(fields.tile)
     tiles = Range(n * ranks.number // ranks.count, n * (ranks.number + 1) // ranks.count)
-    first, last, begin, end = fields.tile[slice(*tiles)].T
-    n_pairs = int((last - first) @ (end - begin))
+    lo, hi, first, end = fields.tile[slice(*tiles)].T
+    n_pairs = int((hi - lo) @ (end - first))
     shifted = (lambda lo, hi: part(tiles.first + lo, tiles.first + hi)) if tiles.first else part
     THREADS.share(shifted, tiles.stop - tiles.first, n_pairs // _PAIRS_PER_BODY_STEP)
     return tiles
@@ -313,27 +313,27 @@ def _share(values: Floats, first: int, stop: int, ranks: Ranks) -> None:
 
 @kernel
 def attraction_potential(
-    attraction: Attraction, fields: Fields, first: int, last: int, sums: Floats
+    attraction: Attraction, fields: Fields, first: int, end: int, sums: Floats
 ) -> None:
-    """Write the potential energy of tiles first to last: -½ Σ_i m_i Σ_j G m_j/√(d² + ε²).
+    """Write the potential energy of tiles first to end: -½ Σ_i m_i Σ_j G m_j/√(d² + ε²).
 
     Parameters
     ----------
     attraction, fields : Attraction, Fields
         Particles, with points; the depth of the potential is written.
-    first, last : int
-        Tiles, last excluded.
+    first, end : int
+        Tiles, end excluded.
     sums : ndarray, shape (n_tiles,) [J]
         One for each tile is written; their sum is U, every pair in halves.
     """
     _, mass, gm, _, softening = attraction
     point, depth, body = fields.point, fields.depth, fields.body
     sources = rows3(point, 0, gm.size)
-    for tile in range(first, last):
-        lo, hi, begin, end = _tile_of(fields, tile)
+    for tile in range(first, end):
+        lo, hi, first_source, end_source = _tile_of(fields, tile)
         targets, depths, bodies = rows3(point, lo, hi), depth[lo:hi], body[lo:hi]
         depths[:] = 0.0
-        for j in range(begin, end):
+        for j in range(first_source, end_source):
             x = column3(sources, j)
             for i in range(hi - lo):
                 is_own = bodies[i] == body[j]

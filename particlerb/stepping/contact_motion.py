@@ -246,8 +246,8 @@ class ContactMotion(SteppedMotion):
 
         def through(team: Team) -> Position:
             moving = self.bodies.moving._replace(contact=self.contact, team=team)
-            first, last = n * team.thread // team.size, n * (team.thread + 1) // team.size
-            return self.loop(moving, schedule, recording, copies, position, n, first, last)
+            first, end = n * team.thread // team.size, n * (team.thread + 1) // team.size
+            return self.loop(moving, schedule, recording, copies, position, n, first, end)
 
         enters_kernels = self.domain.loop is not None or self.bodies.is_spread
         return through(ONE_THREAD) if enters_kernels else together(through, self.threads)

@@ -312,7 +312,7 @@ def test_buckets_are_full_and_each_body_is_in_one(n):
     assert len(ends) == -(-n // LANES)
     assert sorted(order) == list(range(n))
     assert (items[0] == place[:, order]).all()
-    assert [nodes.first[k] for k in ends[1:]] == [nodes.last[k] for k in ends[:-1]]
+    assert [nodes.first[k] for k in ends[1:]] == [nodes.stop[k] for k in ends[:-1]]
 
 
 def test_indices_are_all_of_an_order():

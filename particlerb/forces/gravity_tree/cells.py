@@ -32,7 +32,7 @@ class Nodes(NamedTuple):
     second: Ints  # (n_nodes,) other half, 0 where the cell is not split
     end: Ints  # (n_nodes,) first cell after all that are inside
     first: Ints  # (n_nodes,) particle
-    last: Ints  # (n_nodes,) particle, excluded
+    stop: Ints  # (n_nodes,) particle, excluded
     body: Ints  # (n_nodes,) of which the cell is a part, -1 where it has several
 
 
@@ -146,7 +146,7 @@ def _graft(kinds: Nodes, lo: int, hi: int, b: int, k: int, placed: int, nodes: N
         second = kinds.second[lo + j]
         nodes.second[k + j] = k + second if second > 0 else 0
         nodes.first[k + j] = placed + kinds.first[lo + j]
-        nodes.last[k + j] = placed + kinds.last[lo + j]
+        nodes.stop[k + j] = placed + kinds.stop[lo + j]
         nodes.body[k + j] = b
     return k + hi - lo
 
@@ -168,7 +168,7 @@ def grow(
     stack : ndarray, shape (4, ...)
     """
     place, order, weight = items
-    second, end, first, last, body = nodes
+    second, end, first, stop, body = nodes
     count, placed, top = 0, 0, 1
     stack[0, 0], stack[1, 0], stack[2, 0] = 0, order.size, -1
     while top > 0:
@@ -180,7 +180,7 @@ def grow(
         points = 0
         for i in range(lo, hi):
             points += weight[i]
-        second[k], first[k], last[k] = 0, placed, placed + points
+        second[k], first[k], stop[k] = 0, placed, placed + points
         body[k] = order[lo] if hi - lo == 1 else -1
         count += 1
         if points > LANES and hi - lo > 1:
@@ -213,7 +213,7 @@ def place_points(
     first: int,
     end: int,
 ) -> None:
-    """Place the particles of bodies first to last, in the order of the tree: x = com + R r.
+    """Place the particles of bodies first to end, in the order of the tree: x = com + R r.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def place_points(
     points, ball : TreePoints, ndarray of shape (n_points, 7)
         What is written: particles, and the same as cells.
     first, end : int
-        Positions in `order`, last excluded.
+        Positions in `order`, end excluded.
     """
     com, q = rows3(y, 0, y.shape[1]), rows4(y[3:7], 0, y.shape[1])
     arms, places = rows3(kinds.arm, 0, kinds.mass.size), rows3(points.place, 0, kinds.mass.size)
@@ -300,10 +300,10 @@ def fill_cells(
     nodes: Nodes, points: TreePoints, cells: Cells, rows: Floats, powers: Floats, count: int
 ) -> None:
     """Write centre, radius and moments of cells, the inner ones first."""
-    second, _, first, last, _ = nodes
+    second, _, first, stop, _ = nodes
     ball, moment, _ = cells
     for k in range(count - 1, -1, -1):
-        lo, hi = first[k], last[k]
+        lo, hi = first[k], stop[k]
         for i in range(TERMS):
             moment[k, i] = 0.0
         if second[k] > 0:
@@ -332,7 +332,7 @@ def add_loads(
     first: int,
     end: int,
 ) -> None:
-    """Add force Σ m g and torque Σ (x - com) × m g of bodies first to last in the tree's order."""
+    """Add force Σ m g and torque Σ (x - com) × m g of bodies first to end in the tree's order."""
     com, places = rows3(y, 0, y.shape[1]), rows3(points.place, 0, points.mass.size)
     fields = rows3(points.field, 0, points.mass.size)
     for k in range(first, end):

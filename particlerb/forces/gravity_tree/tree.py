@@ -150,14 +150,14 @@ class Tree:
         """Call part(first, last) for ranges of bodies."""
         n = self.order.size
         THREADS.spread(
-            lambda first, last: part(first * BLOCK, min(last * BLOCK, n)), n, self.points.mass.size
+            lambda first, end: part(first * BLOCK, min(end * BLOCK, n)), n, self.points.mass.size
         )
 
     def pieces(self) -> Ints:
         """First cells of the parts of the walk, and the number of cells; not of threads."""
         nodes, count = self.nodes, self.count
         most = max(_MIN_PART_PARTICLES, self.points.mass.size // _WALK_PARTS)
-        size = nodes.last[:count] - nodes.first[:count]
+        size = nodes.stop[:count] - nodes.first[:count]
         is_piece = (size <= most) | (nodes.second[:count] == 0)
         starts, k = [], 0
         while k < count:

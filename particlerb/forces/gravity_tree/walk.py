@@ -166,7 +166,7 @@ def _meet_itself(
     if nodes.body[A] >= 0:
         return tail
     if nodes.second[A] == 0:
-        _pull_each_other(points, nodes.first[A], nodes.last[A], eps2, scratch.near)
+        _pull_each_other(points, nodes.first[A], nodes.stop[A], eps2, scratch.near)
         return tail
     scratch.meets[tail], scratch.meets[tail + 1] = A + 1, nodes.second[A]
     return tail + 2
@@ -188,12 +188,12 @@ def meet(
     A : int
         The cell whose field grows.
     lists : tuple of two ints
-        First and last of its list; that for its parts is written behind it.
+        First of its list, and its end, excluded; that for its parts is written behind it.
     square, eps2 : float
         θ² and ε².
     """
     nodes, points, cells = tree
-    second, _, first, last, _ = nodes
+    second, _, first, stop, _ = nodes
     place, mass = points.place, points.mass
     rows, scaled, near, ranges = scratch.rows, scratch.scaled, scratch.near, scratch.ranges
     meets, stack, far = scratch.meets, scratch.stack, scratch.far
@@ -218,7 +218,7 @@ def meet(
             elif how == _TAKE_EACH:
                 j = B - second.size
                 ranges[2 * n_near] = j if j >= 0 else first[B]
-                ranges[2 * n_near + 1] = j + 1 if j >= 0 else last[B]
+                ranges[2 * n_near + 1] = j + 1 if j >= 0 else stop[B]
                 n_near += 1
                 if n_near == RANGES:
                     _pull_by(place, mass, ranges, n_near, eps2, near)
@@ -230,7 +230,7 @@ def meet(
                 stack[2, top], stack[2, top + 1] = second[B], B + 1
                 top += 2
             else:
-                for j in range(first[B], last[B]):
+                for j in range(first[B], stop[B]):
                     stack[2, top] = second.size + j
                     top += 1
     _pull_by(place, mass, ranges, n_near, eps2, near)
@@ -260,7 +260,7 @@ def _meet_point(
 ) -> None:
     """Let particle i, in a lane of a bucket, meet the cells in a list."""
     nodes, points, cells = tree
-    second, _, first, last, _ = nodes
+    second, _, first, stop, _ = nodes
     place, mass = points.place, points.mass
     rows, scaled, near = scratch.rows, scratch.scaled, scratch.near
     meets, stack, far = scratch.meets, scratch.stack, scratch.far
@@ -281,7 +281,7 @@ def _meet_point(
                     _meet_far_point(cells, X, far, n_far, eps2, rows, scaled)
                     n_far = 0
             elif how == _TAKE_EACH:
-                _pull_lane(place, mass, first[B], last[B], eps2, near, lane)
+                _pull_lane(place, mass, first[B], stop[B], eps2, near, lane)
             else:
                 stack[2, top], stack[2, top + 1] = second[B], B + 1
                 top += 2
@@ -343,9 +343,9 @@ def walk(
     square: float,
     eps2: float,
     start: int,
-    stop: int,
+    until: int,
 ) -> None:
-    """Write the fields at the particles of cells start to stop, and the energy of these cells.
+    """Write the fields at the particles of cells start to until, and the energy of these cells.
 
     Cells above are gone through on the way, by every thread that needs them, with the same bits.
 
@@ -357,25 +357,25 @@ def walk(
         Own room of the thread.
     square, eps2 : float
         θ² and ε² [m²].
-    start, stop : int
-        Cells, last excluded: whole branches.
+    start, until : int
+        Cells, until excluded: whole branches.
     """
     nodes, points, cells = tree
-    second, end, first, last, _ = nodes
+    second, end, first, stop, _ = nodes
     local, stack, near = scratch.local, scratch.stack, scratch.near
     scratch.meets[0], bounds, path = 0, stack[3], stack[4]
     stack[0, 0], stack[1, 0], bounds[0], bounds[1], top = 0, 0, 0, 1, 1
     while top > 0:
         top -= 1
         A, level = stack[0, top], stack[1, top]
-        if stop <= A or end[A] <= start:
+        if until <= A or end[A] <= start:
             continue
         clear(scratch.rows, LOCAL, LOCAL + TERMS)
         m = cells.moment[A]
         for k in range(TERMS):
             scratch.scaled[k] = m[k] / m[0] if m[0] > 0.0 else 0.0
         if second[A] == 0:
-            _load_bucket(points, first[A], last[A], near)
+            _load_bucket(points, first[A], stop[A], near)
         lists = (bounds[level], bounds[level + 1])
         tail = meet(tree, scratch, A, lists, square, eps2)
         parent = path[level - 1] if level > 0 else -1
@@ -387,8 +387,8 @@ def walk(
             top += 2
         else:
             if tail > lists[1]:
-                for i in range(first[A], last[A]):
+                for i in range(first[A], stop[A]):
                     _meet_point(tree, scratch, i, i - first[A], (lists[1], tail), square, eps2)
             X = _ball_of(cells, A)[:3]
-            depth += _store_fields(points, X, first[A], last[A], local[level + 1], scratch)
+            depth += _store_fields(points, X, first[A], stop[A], local[level + 1], scratch)
         cells.energy[A] = -0.5 * depth
