@@ -291,7 +291,7 @@ def integrate(
 
 
 def done(ledger) -> np.ndarray:
-    """Work of all forces since t = 0 [J]: that booked, and the loss of potential energy."""
+    """Work of all forces since t = 0 [J]: that counted, and the loss of potential energy."""
     potential = ledger.potential_energy
     return np.asarray(ledger.work - (potential - potential[0]))
 

@@ -67,7 +67,7 @@ def test_overlaps_of_clumps_are_as_small_as_the_case_says(drop):
     assert last.size / 1000 == pytest.approx(3.2, abs=0.3)
 
 
-def test_what_falling_clumps_lose_is_booked(drop):
+def test_what_falling_clumps_lose_is_counted(drop):
     ledger = drop.ledger
     assert ledger.kinetic_energy[-1] < 20.0
     assert -ledger.work[-1] == pytest.approx(FREE_FALL, rel=0.05)

@@ -335,7 +335,7 @@ def test_a_ball_rolls_in_circles_on_a_turntable(make):
 
 
 @pytest.mark.compiled
-def test_a_belt_drags_a_raft_along_and_its_work_is_booked(make):
+def test_a_belt_drags_a_raft_along_and_its_work_is_counted(make):
     """v = μ g t until the raft goes with the belt: half of the belt's work is friction's."""
     k, speed = 1e5, 1.0
     shape = {"type": "points", "mass": 0.5, "radius": 0.05}
@@ -533,7 +533,7 @@ def test_bodies_of_all_classes_that_collide_keep_both_momenta(once):
 
 
 @pytest.mark.compiled
-def test_what_a_floor_that_shakes_gives_a_crowd_is_booked(shaken):
+def test_what_a_floor_that_shakes_gives_a_crowd_is_counted(shaken):
     assert np.abs(shaken.p[-1] - shaken.p[0]).sum(axis=0)[2] > 1.0
     assert np.abs(shaken.ledger.linear_momentum_error).max() < 1e-12
     assert np.abs(shaken.ledger.angular_momentum_error).max() < 1e-12

@@ -1,4 +1,4 @@
-"""Bodies that move as prescribed: where they are, what they do to others, what is booked."""
+"""Bodies that move as prescribed: where they are, what they do to others, what is counted."""
 
 import math
 
@@ -58,7 +58,7 @@ def test_a_driven_body_goes_where_its_motion_says(make, centre):
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_a_bat_throws_a_ball_with_twice_its_speed_and_its_work_is_booked(make, first):
+def test_a_bat_throws_a_ball_with_twice_its_speed_and_its_work_is_counted(make, first):
     """v' = (1 + e) u; what the driver gives, less what dashpots take, is m v'²/2."""
     u, e, m = 1.5, 0.7, 2.0
     duration = math.pi * math.sqrt(m / K)
@@ -80,7 +80,7 @@ def test_a_bat_throws_a_ball_with_twice_its_speed_and_its_work_is_booked(make, f
 
 @pytest.mark.compiled
 def test_a_ball_on_a_body_that_shakes_swings_as_a_driven_spring_to_order_two(make):
-    """y = A/(1 - r²) (sin Ωt - r sin ωt), r = Ω/ω; the books close to the same order."""
+    """y = A/(1 - r²) (sin Ωt - r sin ωt), r = Ω/ω; the balance closes to the same order."""
     m, A, f, g = 2.0, 2e-3, 4.0, 9.81
     omega, drive = math.sqrt(K / m), 2.0 * math.pi * f
     r = drive / omega

@@ -93,7 +93,7 @@ def thrown(parameters, ball, start, gravity, dt, onset, corrected, rows):
     `start` is gap, rate of overlap, velocity along x, spin about y; `onset` replaces dt in the law;
     where `corrected`, the law corrects the predicted rate.
     Each row gets what COLUMNS says at the instants 0, dt, …; the energy is kinetic, elastic and
-    that of gravity, `booked` what dashpots and sliding have taken.
+    that of gravity, `external` what dashpots and sliding have taken.
     """
     m, inertia, R, r_eff = ball
     gap, fall, v, w = start

@@ -153,7 +153,7 @@ def test_a_ball_shares_its_momentum_with_a_free_lid_by_the_restitution(make, e):
 
 
 @pytest.mark.compiled
-def test_a_lid_that_settles_loses_what_dashpots_take_and_the_books_close(make):
+def test_a_lid_that_settles_loses_what_dashpots_take_and_the_balance_closes(make):
     errors = []
     for dt in (2e-4, 1e-4):
         case = column(make, e=0.4, velocity=1.0)
@@ -167,7 +167,7 @@ def test_a_lid_that_settles_loses_what_dashpots_take_and_the_books_close(make):
     assert errors[1] < 1e-6
 
 
-def test_a_lid_falls_freely_and_stops_at_its_limit_and_the_loss_is_booked(make):
+def test_a_lid_falls_freely_and_stops_at_its_limit_and_the_loss_is_counted(make):
     lid = make.plane([0, 0, 1], "lid", point=[0, 0, 2.0])
     lid["piston"] = {"mass": 4.0, "axis": [0, 0, 1], "load": -10.0, "limits": [-0.05, 1.0]}
     away = make.sphere(position=[0, 0, 5.0])
@@ -208,7 +208,7 @@ def test_frames_threads_and_segments_do_not_change_the_way_of_a_lid(make, monkey
 
 @pytest.mark.compiled
 def test_the_lid_of_a_shear_cell_is_drawn_along_and_slides(make):
-    """A lid that is drawn along drags a ball that it presses; what draws it is booked."""
+    """A lid that is drawn along drags a ball that it presses; what draws it is counted."""
     case = column(make, 1, e=0.5, F=50.0, g=0.0)
     case["wall"][1]["motion"] = {"velocity": [0.5, 0, 0]}
     case["run"] |= {"t_end": 0.3, "every": 0.01}

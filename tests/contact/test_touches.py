@@ -47,8 +47,8 @@ def test_a_stack_presses_the_floor_with_its_weight_and_each_contact_with_what_is
         assert set(t.other_fields) == set(ALL) - set(STATE)
 
 
-def test_torque_on_a_turning_wall_is_about_its_own_centre_and_its_power_is_booked(make):
-    """A ball is dragged by a turntable: F·v + τ·ω of the wall is the rate of the work booked."""
+def test_torque_on_a_turning_wall_is_about_its_own_centre_and_its_power_is_counted(make):
+    """A ball is dragged by a turntable: F·v + τ·ω of the wall is the rate of the work counted."""
     rate, centre = 3.0, [0.2, 0.1, 0.0]
     table = make.plane(
         point=centre, motion={"angular_velocity": [0, 0, rate], "velocity": [1, 0, 0]}

@@ -196,7 +196,7 @@ def potential_work(terms, com, q):
 
 @given(seed=seeds, kind=st.sampled_from(list(KINDS)))
 @settings(max_examples=60)
-def test_forces_with_a_potential_are_its_gradient_and_the_others_are_booked(make, seed, kind):
+def test_forces_with_a_potential_are_its_gradient_and_the_others_are_counted(make, seed, kind):
     """F = ∂W/∂x and τ·e = dW/dφ for a turn by φ about the world axis e, W the work done."""
     terms, (x, q, p, L) = world(seed)
     terms = only(terms, kind)

@@ -1,4 +1,4 @@
-"""A field that turns: a dipole follows it like a pendulum, and what it gives is booked."""
+"""A field that turns: a dipole follows it like a pendulum, and what it gives is counted."""
 
 import numpy as np
 import pytest

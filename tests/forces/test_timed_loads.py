@@ -144,7 +144,7 @@ def test_of_bodies_that_act_on_each_other_it_reaches_those_it_names(make, loop):
 
 
 def test_a_push_and_a_torque_against_an_integration(make):
-    """Frames between the knots too; what the loads did is booked."""
+    """Frames between the knots too; what the loads did is counted."""
     forces = [push(make), torque(make, frame="body")]
     case = make.case(make.body(**START), force=forces, t_end=END, every=0.2)
     found = make.arrays(case, "run.method=dop853", "run.tolerance=1e-13")

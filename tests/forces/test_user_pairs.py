@@ -163,7 +163,7 @@ def test_a_dashpot_is_a_flow_in_strang():
 
 @plain
 def test_friction_of_pairs_is_of_order_two_and_keeps_momenta():
-    """Work is exact: at a fixed pose the midpoint rule loses what it books, and a drift nothing."""
+    """Work is exact: at a fixed pose the midpoint rule loses what counts, a drift nothing."""
     pulled = PushTable(body="a", force=(1.0, 0.5, 0.0))
     last = {}
     for dt in (0.05, 0.025, 0.0125, 0.00125):

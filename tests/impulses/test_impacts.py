@@ -103,7 +103,7 @@ def test_clumps_that_meet_keep_their_momenta_and_gain_no_energy(restitution, fri
 
 
 @plain
-def test_push_out_changes_nothing_that_is_not_booked():
+def test_push_out_changes_nothing_that_is_not_counted():
     t = go(*converging(), contact=impulse(0.5, 0.5), dt=5e-3, t_end=0.4, every=5e-3, gravity=DOWN,
            wall=[plane(point=[0, 0, -0.8])])  # fmt: skip
     energy, linear, angular = errors(t)

@@ -259,7 +259,7 @@ def loads_of(body, joint, **keys):
 
 @plain
 @pytest.mark.parametrize(("share", "breaks"), [(0.999, 0.5), (1.001, 0.0)])
-def test_a_joint_breaks_under_a_weight_and_the_momenta_are_booked(share, breaks):
+def test_a_joint_breaks_under_a_weight_and_the_momenta_are_counted(share, breaks):
     """The load of the first step is m g; the free fall begins at its end."""
     hook, load = sphere("hook", contact=False), sphere("load", position=[0, 0, -0.5])
     joint = [

@@ -43,7 +43,7 @@ def gas(n=3, side=1.7, shift=0.0, seed=4, **keys):
 
 
 @plain
-def test_a_gas_in_a_box_that_repeats_keeps_its_momentum_and_books_the_rest():
+def test_a_gas_in_a_box_that_repeats_keeps_its_momentum_and_counts_the_rest():
     t = gas(t_end=0.4, every=0.1)
     size = np.abs(t.linear_momentum[0]).sum()
     total = t.linear_momentum.sum(axis=1)

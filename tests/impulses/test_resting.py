@@ -115,7 +115,7 @@ def test_a_ball_in_a_corner_presses_on_all_three_faces():
 
 
 @plain
-def test_a_conveyor_takes_a_box_along_and_its_work_is_booked():
+def test_a_conveyor_takes_a_box_along_and_its_work_is_counted():
     belt = plane(motion={"velocity": [0.5, 0.0, 0.0]})
     t = go(clump("box", position=[0, 0, 2 * R]), contact=exact(0.0, 0.3), wall=[belt],
            gravity=DOWN, dt=5e-3, t_end=0.4, every=0.1)  # fmt: skip
@@ -134,7 +134,7 @@ def test_a_wall_that_comes_fast_meets_a_body_at_rest_before_it_is_in_it():
 
 
 @plain
-def test_a_table_that_swings_lifts_a_ball_with_all_that_it_gives_booked():
+def test_a_table_that_swings_lifts_a_ball_with_all_that_it_gives_counted():
     swing = {"oscillation": {"amplitude": [0.0, 0.0, 0.02], "frequency": 2.0}}
     t = go(sphere(position=[0, 0, R]), contact=exact(0.0, 0.3), wall=[plane(motion=swing)],
            gravity=DOWN, dt=2e-3, t_end=0.5, every=0.05)  # fmt: skip

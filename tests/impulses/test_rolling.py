@@ -159,7 +159,7 @@ def test_a_wheel_on_an_arm_is_resisted_by_what_it_carries():
     assert errors(t)[0] < 1e-11
 
 
-def test_what_a_driven_body_does_by_turning_is_booked():
+def test_what_a_driven_body_does_by_turning_is_counted():
     wheel = sphere("wheel", radius=0.3, position=[0, 0, 0])
     wheel["motion"] = {"angular_velocity": [0, 2.0, 0]}
     ball = sphere(position=[0, 0, 0.4])

@@ -308,7 +308,7 @@ def test_the_ledger_closes_at_order_two_where_dashpots_and_drag_take_energy(make
     error = [np.abs(one.energy_error).max() for one in ledgers]
     assert order(steps, error) == pytest.approx(2, abs=0.1)
     assert error[-1] < 1e-3 * np.abs(ledgers[-1].work).max()
-    for one in ledgers:  # impulses of the world are booked as they are given, at any step
+    for one in ledgers:  # impulses of the world are counted as they are given, at any step
         assert np.abs(one.linear_momentum_error).max() < 1e-13
         assert np.abs(one.angular_momentum_error).max() < 1e-13
 
@@ -450,7 +450,7 @@ def test_frames_and_the_end_never_change_the_motion(make, forces, method):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("method", SMOOTH_METHODS)
-def test_springs_that_come_and_go_book_the_energy_that_they_are_connected_with(make, method):
+def test_springs_that_come_and_go_count_the_energy_that_they_are_connected_with(make, method):
     """Momenta stay; energy changes by what whoever connects a stretched spring gives."""
     bodies, force = two_of(make, ["stone1", "disc1"])
     force = [force[0], force[0] | {"stiffness": 5.0, "rest_length": 0.3, "during": [0.33, 1.27]}]
@@ -477,7 +477,7 @@ def test_springs_that_come_and_go_book_the_energy_that_they_are_connected_with(m
 
 
 @pytest.mark.compiled
-def test_an_impulse_on_one_of_a_cluster_is_booked_and_felt_by_the_others(make):
+def test_an_impulse_on_one_of_a_cluster_is_counted_and_felt_by_the_others(make):
     bodies, force = two_of(make, ["stone1", "disc1", "point1"])
     hit = make.impulse([0.7, -0.2, 0.4], [0.3, 0.1, 0.2], 0.5, "disc1")
     keys = {"t_end": 1.0, "every": 0.25, "dt": 0.01}

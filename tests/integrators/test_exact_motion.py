@@ -105,7 +105,7 @@ def group_of(make, push=None, gravity=None, n=300):
 
 @pytest.mark.compiled
 def test_end_of_a_segment_is_what_a_frame_there_would_show(make):
-    """`finish` and `record` agree; so do the energies and impulses that they book."""
+    """`finish` and `record` agree; so do the energies and impulses that they count."""
     n = 3 * 300 + 1
     mass = np.full(n, 2.0)
     force = np.tile([[1.0], [-0.5], [2.0]], n)

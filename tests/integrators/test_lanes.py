@@ -44,7 +44,7 @@ def acting():
     return {
         "nothing": Terms(),
         "push": Terms(loads=(Push(one((3, 1)), one((9, 1))),)),
-        "booked": Terms(loads=(Follower(one((3, 1)), one((3, 1))), Torque(one((3, 1))))),
+        "counted": Terms(loads=(Follower(one((3, 1)), one((3, 1))), Torque(one((3, 1))))),
         "drag": Terms(loads=(Drag(one(1), one(1)),)),
         "fields": Terms(loads=(*springs, pulls)),
         "a user's force": Terms(loads=(own(one((14, 1))),)),
@@ -53,7 +53,7 @@ def acting():
 
 TERMS = acting()
 CHOSEN = [("strang", load) for load in TERMS]
-CHOSEN += [("rkn6", "fields"), ("rk4", "push"), ("rk4", "drag"), ("semi_implicit_euler", "booked"),
+CHOSEN += [("rkn6", "fields"), ("rk4", "push"), ("rk4", "drag"), ("semi_implicit_euler", "counted"),
            ("explicit_euler", "push"), ("momentum_euler", "push")]  # fmt: skip
 
 

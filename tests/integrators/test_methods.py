@@ -158,8 +158,8 @@ def test_the_baselines_do_not_run_backwards(make):
 
 
 @pytest.mark.parametrize("method", STEPPED)
-def test_work_and_momenta_are_booked_to_the_order_of_the_method(make, method):
-    """Work against an integration of all forces; total less initial less booked is small."""
+def test_work_and_momenta_are_counted_to_the_order_of_the_method(make, method):
+    """Work against an integration of all forces; total less initial less counted is small."""
     force = forces_for(make, method)
     dt = {1: 2e-4, 2: 2e-3}.get(METHODS[method].order, 0.02)
     keys = {"t_end": 0.4, "every": 0.1, "method": method, "dt": dt, "tolerance": 1e-12}
@@ -171,7 +171,7 @@ def test_work_and_momenta_are_booked_to_the_order_of_the_method(make, method):
     assert np.abs(found.ledger.energy_error).max() < limit
     assert np.abs(found.ledger.linear_momentum_error).max() < limit
     assert np.abs(found.ledger.angular_momentum_error).max() < limit
-    assert np.abs(true.external[-1]).min() > 0.03  # there is something to book
+    assert np.abs(true.external[-1]).min() > 0.03  # there is something to count
 
 
 @pytest.mark.parametrize("method", ["semi_implicit_euler", "explicit_euler"])

@@ -151,7 +151,7 @@ def test_who_is_thrown_straight_up_stays_on_the_line_however_fast(speed):
     assert v @ up == pytest.approx(left, rel=1e-14)
 
 
-def test_a_centre_away_from_the_origin_books_what_it_gives():
+def test_a_centre_away_from_the_origin_counts_what_it_gives():
     """A spinning sphere: energy, and angular momentum about the world's origin, balance."""
     scene = orbit(1.0, (1, 0, 0), (0.1, 0.7, 0.3), 30.0, CENTRE)
     scene["run"]["every"] = 3.0

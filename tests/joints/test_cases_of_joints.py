@@ -279,7 +279,7 @@ def test_a_run_goes_on_bit_for_bit(tmp_path):
         assert (np.array(resumed.angular_momentum) == np.array(whole.angular_momentum)).all()
 
 
-def test_the_world_books_what_it_gives_through_joints():
+def test_the_world_counts_what_it_gives_through_joints():
     with moved(SCENES["chain6"](), 0.2, 0.005, every=0.05) as trajectory:
         ledger = trajectory.ledger
         assert np.abs(ledger.linear_momentum_error).max() < 1e-13

@@ -106,7 +106,7 @@ def test_friction_that_is_changed_brakes_by_what_it_is_now():
     assert abs(simulation.energy_error) < 1e-12
 
 
-def test_a_spring_and_a_damper_that_are_changed_are_booked():
+def test_a_spring_and_a_damper_that_are_changed_are_counted():
     """Of order two: a swing about another rest with another stiffness, then e^(-c t/I)."""
     simulation = simulated(wheel(2.0, spring={"stiffness": 8.0}, damper=LEAST), 2.0, 0.002)
     simulation.advance(0.25)
@@ -139,7 +139,7 @@ def test_a_hard_stop_moves_away_and_lets_a_motor_on():
 
 
 def test_a_stop_with_a_stiffness_moves_to_where_a_wheel_is():
-    """What that stores is booked, and it swings back about the stop's new place."""
+    """What that stores is counted, and it swings back about the stop's new place."""
     limit = {"range": [-1.0, 1.0], "stiffness": 32.0}
     simulation = simulated(wheel(2.0, limit=limit), 2.0, 0.002)
     simulation.advance(0.4)

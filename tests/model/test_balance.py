@@ -1,4 +1,4 @@
-"""The ledger: sums, booked work and impulses, and that what is left is the error of integration."""
+"""The energy balance: sums, work and impulses that count, and what is left, the errors of steps."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,7 @@ def test_totals_against_a_loop(make, n):
     assert rotating + 0.5 * moving == pytest.approx(kinetic, rel=1e-13)
 
 
-# What is booked
+# What is counted
 
 
 CASES = {
@@ -98,7 +98,7 @@ def case_of(make, name, **keys):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("name", CASES)
-def test_booked_work_and_impulses_against_an_integration(make, name):
+def test_counted_work_and_impulses_against_an_integration(make, name):
     """Work of all but gravity; impulse and angular impulse about the origin of all."""
     found = make.arrays(case_of(make, name, t_end=2.0, every=0.23, dt=1e-3))
     load_of, weighs = CASES[name]
@@ -126,7 +126,7 @@ def test_booked_work_and_impulses_against_an_integration(make, name):
 @pytest.mark.compiled
 @pytest.mark.parametrize("name", CASES)
 def test_energy_error_is_that_of_the_integration(make, name):
-    """It falls by four when the step is halved: nothing is booked twice or forgotten."""
+    """It falls by four when the step is halved: nothing is counted twice or forgotten."""
     errors = []
     for dt in (0.02, 0.01):
         ledger = make.arrays(case_of(make, name, t_end=1.9, every=0.19, dt=dt)).ledger
@@ -145,7 +145,7 @@ def test_errors_of_free_bodies_are_rounding(make):
 
 
 @pytest.mark.compiled
-def test_what_is_booked_adds_up_over_edges_and_impulses(make):
+def test_what_is_counted_adds_up_over_edges_and_impulses(make):
     """Free, pushed, struck while pushed, pushed and turned, free again."""
     force = [
         make.push(FORCE, AT, during=[0.13, 0.61]),
@@ -181,7 +181,7 @@ def test_work_of_constant_forces_in_closed_form(make):
 
 @given(time=st.sampled_from([0.0, 0.25, 0.5]), at=st.tuples(*[st.floats(-1, 1)] * 3))
 @settings(max_examples=10)
-def test_impulse_books_its_work_and_momenta(make, time, at):
+def test_impulse_counts_its_work_and_momenta(make, time, at):
     hit = make.impulse(FORCE, at, time)
     found = make.arrays(make.case(make.body(**START), force=[hit]))
     ledger, after = found.ledger, found.time >= time
@@ -253,7 +253,7 @@ def totals_at_start(run):
 
 
 @pytest.mark.plain
-def test_frames_are_booked_alike_at_once_and_one_by_one(make):
+def test_frames_are_counted_alike_at_once_and_one_by_one(make):
     """In all bits, by kernels and by potentials: how many are asked for at once changes nothing."""
     velocity = [[0.1 * k, 0.2, -0.3] for k in range(20)]
     bodies = make.body(**(START | {"position": velocity, "velocity": velocity}), count=20)
@@ -274,7 +274,7 @@ def test_frames_are_booked_alike_at_once_and_one_by_one(make):
 
 
 @pytest.mark.plain
-def test_booked_work_that_is_no_number_is_found(make, monkeypatch):
+def test_counted_work_that_is_no_number_is_found(make, monkeypatch):
     """Though energies and momenta are numbers; frames before are kept."""
     work = [[0.0] * 7, [np.nan] + [0.0] * 6]
     monkeypatch.setattr(FreeMotion, "external", lambda self, elapsed: np.array(work))
@@ -335,7 +335,7 @@ def test_drift_is_relative_to_the_largest_energy_and_momenta(make):
     assert borne.angular_momentum == pytest.approx(1.0)
 
 
-def test_booked_momenta_are_taken_away(make):
+def test_counted_momenta_are_taken_away(make):
     rng = np.random.default_rng(1)
     one = np.ones(1)
     bodies = Bodies(one, one, np.ones((3, 1)), np.ones((3, 1)), unit(rng, 1), np.array([2]))

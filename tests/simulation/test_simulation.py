@@ -155,7 +155,7 @@ def test_contacts_keep_their_springs_through_a_change():
     assert np.abs(simulation.state.position - before).max() < 1e-7
 
 
-def test_a_new_state_is_booked_as_work_and_goes_on_from_there():
+def test_a_new_state_is_counted_as_work_and_goes_on_from_there():
     simulation = Simulation(turned_box(dt=0.01))
     simulation.advance(4.0)
     before = simulation.state.position.copy()

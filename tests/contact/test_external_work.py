@@ -1,4 +1,4 @@
-"""What is booked where bodies have several contacts, and what counts as turned over."""
+"""What is counted where bodies have several contacts, and what counts as turned over."""
 
 import math
 
@@ -36,7 +36,7 @@ def settling(make, kind: str, dt: float) -> dict:
 
 @pytest.mark.compiled
 @pytest.mark.parametrize(("kind", "share"), [("balls", 2e-6), ("cube", 6e-6)])
-def test_books_of_several_contacts_close_to_order_three(make, kind, share):
+def test_the_balance_of_several_contacts_closes_to_order_three(make, kind, share):
     """In frames too, which end with half a kick: gravity and rotation count there."""
     off = []
     for dt in (4e-4, 2e-4, 1e-4):
@@ -67,7 +67,7 @@ def test_what_a_sliding_ball_loses_is_turned_over(make):
 
 @pytest.mark.compiled
 def test_drift_is_judged_by_what_a_belt_gives_and_friction_takes(make):
-    """A ball that spins in a groove between two belts: what is booked stays far below both."""
+    """A ball that spins in a groove between two belts: what is counted stays far below both."""
     run = {"t_end": 1.0, "every": 0.1, "dt": 5e-4, "method": "strang"}
     belt = make.plane(motion={"velocity": [1.0, 0, 0]})
     stop = make.plane([-1, 0, 0], "stop", point=[0.1, 0, 0])
