@@ -162,7 +162,10 @@ def search(system: System, group: GroupPlan) -> ChosenStep | None:
     family = [name for name in RATIO if METHODS[name].holds_joints == held or name == "dop853"]
     for segment in stepped:
         family = accepting(family, segment.terms)
-    return cheapest(pilot, [Ladder(pilot, name) for name in candidates(pilot, family)])
+    ladders = [Ladder(pilot, name) for name in candidates(pilot, family)]
+    usual = min(ladders, key=Ladder.usual_cost)
+    pilot.narrow(usual.stepping(usual.first_setting()), usual.usual_cost())
+    return cheapest(pilot, ladders)
 
 
 def candidates(pilot: Pilot, able: list[str]) -> list[str]:
@@ -192,15 +195,23 @@ def cheapest(pilot: Pilot, ladders: list[Ladder]) -> ChosenStep:
         if best.is_verified:
             return best.chosen_step(best.setting, best.error)
         if best.cost == math.inf:
-            closest = [one.closest() for one in ladders if one.tried]
-            met = [step for step in closest if step.error <= pilot.wanted]
-            if met:
-                return min(met, key=lambda step: step.cost)
-            return min(closest, key=lambda step: step.error)
+            return closest([ladder for ladder in ladders if ladder.tried], pilot.wanted)
         if best.cost > _HOPELESS_RATIO * min(ladder.lost_at for ladder in ladders):
             best.cost = math.inf
         else:
             best.climb()
+
+
+def closest(ladders: list[Ladder], wanted: float) -> ChosenStep:
+    """Setting that meets the accuracy at the least cost though not surely so, or errs least."""
+
+    def rank(found: tuple[Ladder, float, float]) -> tuple[bool, float]:
+        ladder, setting, error = found
+        n = ladder.pilot.group.members.size
+        return error > wanted, error if error > wanted else ladder.cost_of(setting, n)
+
+    ladder, setting, error = min(((one, *one.closest()) for one in ladders), key=rank)
+    return ladder.chosen_step(setting, error)
 
 
 def by_energy(pilot: Pilot, method: str) -> ChosenStep:

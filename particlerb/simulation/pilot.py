@@ -37,9 +37,9 @@ _LOG: Final = logging.getLogger(__name__)
 _MAX_PILOT_BODIES: Final = 32  # that are looked at
 _BODIES_PER_PILOT: Final = 16  # one of so many is looked at, in lines
 _BODIES_PER_FASTEST: Final = 4  # one of so many by its rate at t = 0, others by their errors
-_COARSE_TURNS: Final = 1.0, 3.0  # rad of a step of strang by which they err; the second is for many
+_COARSE_TURNS: Final = (1.0, 4.0), (0.125, 1.0)  # rad of strang: steady forces, and others
 _COMPARED_STEP_SHARE: Final = 0.7  # of the first step, of the one that it is compared with
-_CHANGING_STEP_SHARE: Final = 0.125  # of these steps, where forces change along the motion
+_TRIALS_PER_RUN: Final = 2.0  # what the trials of all bodies would take
 REGULAR: Final = 0.1  # errors below it follow the order of a method
 SET_UP: Final = 1.7e5  # ns of a trial beside its steps, roughly,
 BEGIN: Final = 3e5  # and of a search beside its trials
@@ -80,10 +80,24 @@ class Pilot:
         if can_rehearse(group, t_end):
             self.rehearsal = Rehearsal(group, self.state)
         self.calm = 1.0  # steps that the whole group takes beside the pilot, where it adapts them
-        enough = min(_MAX_PILOT_BODIES, LINE * -(-self.sampled.size // (LINE * _BODIES_PER_PILOT)))
-        if self.sampled.size > enough and not self.is_coupled:
-            self.take(self.worst(enough))
-            self.calm = _per_pack(self.rates) / _per_pack(self.rates[self.sampled])
+
+    def narrow(self, usual: Stepping, usual_cost: float) -> None:
+        """Look at the worst bodies alone, where that pays.
+
+        Parameters
+        ----------
+        usual : Stepping
+            Of a first trial of what is the cheapest in most scenes.
+        usual_cost : float
+            That of a run then [ns].
+        """
+        n = self.sampled.size
+        enough = min(_MAX_PILOT_BODIES, LINE * -(-n // (LINE * _BODIES_PER_PILOT)))
+        saved = _TRIALS_PER_RUN * usual_cost * (1.0 - enough / n)
+        if self.is_coupled or n <= enough or (n <= _MAX_PILOT_BODIES and saved < 3.0 * SET_UP):
+            return
+        self.take(self.worst(enough, usual))
+        self.calm = _per_pack(self.rates) / _per_pack(self.rates[self.sampled])
 
     def take(self, indices: Ints) -> None:
         """Let the pilot have these bodies of the group."""
@@ -108,36 +122,36 @@ class Pilot:
         """Step in which the fastest body turns so far, or the shortest segment [s]."""
         return min([turn / self.rate if self.rate > 0.0 else math.inf, *self.lengths])
 
-    def worst(self, count: int) -> Ints:
-        """Bodies that are fastest, and those that err most with coarse steps.
+    def worst(self, count: int, usual: Stepping) -> Ints:
+        """Bodies that are fastest, and those that err most when all take coarse steps.
 
-        Where not even so few err regularly, more are taken. Steps are finer where forces change
-        along the motion, if that is cheap.
+        Where not even so few err regularly, all are moved by the usual method too, whose higher
+        order tells them apart; and where that is not enough, more are taken.
         """
-        turn = _COARSE_TURNS[0 if self.is_short(_COARSE_TURNS[0]) else 1]
-        if self.has_changing_forces and self.is_short(_CHANGING_STEP_SHARE * turn, 10.0):
-            turn *= _CHANGING_STEP_SHARE
-        error = self.coarse_errors(turn)
-        if np.partition(error, -count)[-count] > REGULAR:
-            count = min(_MAX_PILOT_BODIES, error.size)
-            self.stands_for = error.size / count
+        error = self.coarse_errors(Stepping("strang", self.longest(self.coarse_turn()), 0.0, ""))
+        if (error > REGULAR).sum() >= count and not is_adaptive(usual.method):
+            error = self.coarse_errors(usual)
+        irregular = int((error > REGULAR).sum())
+        if irregular >= count:
+            most = min(_MAX_PILOT_BODIES, error.size)
+            count = min(LINE * -(-(irregular + count) // LINE), most)
+            self.stands_for = error.size / most if irregular >= most else 1.0
         fastest = np.argsort(-self.rates, kind="stable")[: count // _BODIES_PER_FASTEST]
         error[fastest] = np.inf
         return np.sort(np.argsort(-error, kind="stable")[:count])
 
-    def is_short(self, turn: float, times: float = 1.0) -> bool:
-        """Whether two runs of all bodies with such steps [rad] take no longer than some set-ups."""
-        longer = Stepping("strang", self.longest(turn), 0.0, "")
-        steps = 3.0 * self.system.run.t_end / longer.dt
-        return self.cost(longer, steps, self.sampled.size) < times * SET_UP
+    def coarse_turn(self) -> float:
+        """Turn in a step with which two runs of all bodies take a set-up, in bounds [rad]."""
+        least, most = _COARSE_TURNS[self.has_changing_forces]
+        one = Stepping("strang", self.longest(1.0), 0.0, "")
+        steps = (1.0 + 1.0 / _COMPARED_STEP_SHARE) * self.system.run.t_end / one.dt
+        return min(max(self.cost(one, steps, self.sampled.size) / SET_UP, least), most)
 
-    def coarse_errors(self, turn: float) -> Floats:
-        """Errors at t_end of all bodies, (n,), with steps of such a turn [rad]."""
+    def coarse_errors(self, stepping: Stepping) -> Floats:
+        """Errors at t_end of all bodies, (n,)."""
         times = np.array([self.system.run.t_end])
-        coarse, fine = (
-            self.poses(Stepping("strang", self.longest(share * turn), 0.0, ""), times)[0]
-            for share in (1.0, _COMPARED_STEP_SHARE)
-        )
+        finer = stepping._replace(dt=_COMPARED_STEP_SHARE * stepping.dt)
+        coarse, fine = (self.poses(one, times)[0] for one in (stepping, finer))
         return np.asarray(self.errors(times, coarse, fine)[0])
 
     def poses(self, stepping: Stepping, times: Floats) -> tuple[Frames, float]:

@@ -82,7 +82,11 @@ class Ladder:
         self.apart: dict[tuple[float, float], float] = {}  # largest error between two settings
         self.setting, self.is_verified = 0.0, False
         self.lost_at = math.inf  # cost of the finest run, where errors no longer fall [ns]
-        self.cost = self.hoped_cost() if self.is_stepped else self.least_cost()
+
+    @cached_property
+    def cost(self) -> float:
+        """What a run is thought to take; before the first trial the least that is likely [ns]."""
+        return self.hoped_cost() if self.is_stepped else self.least_cost()
 
     @cached_property
     def times(self) -> Floats:
@@ -103,7 +107,7 @@ class Ladder:
         """What a run takes in most scenes [ns]: in few do steps grow much longer than at first."""
         step = self.pilot.longest(self.first_turn(1.0))
         n = self.pilot.group.members.size
-        return self.cost_of(step, n) if self.is_stepped else _LONGER_RATIO * self.cost
+        return self.cost_of(step, n) if self.is_stepped else _LONGER_RATIO * self.least_cost()
 
     def least_cost(self) -> float:
         """What an adaptive method costs at least, by the rate at t = 0; never too little [ns].
@@ -199,8 +203,10 @@ class Ladder:
         """Whether errors no longer fall: with much finer settings they are half at least.
 
         Or the finest run, with much the finest setting, is much farther from the one before than
-        that one from its own.
+        that one from its own; or there is no finer tolerance.
         """
+        if not self.is_stepped and self.tried[-1].setting == _MIN_TOLERANCE:
+            return True
         (*_, last, finest), ratio = [one.setting for one in self.tried], RATIO[self.name]
         is_fine = len(self.tried) > 2 and last >= 0.99 * ratio**2 * finest
         if is_fine and _ASTRAY_RATIO * self.between(*self.tried[-3:-1]) < self.errors[-1] < REGULAR:
@@ -271,14 +277,20 @@ class Ladder:
         return spent <= max(self.cost_of(best, self.pilot.group.members.size), LEAST)
 
     def next_setting(self) -> float:
-        """Setting to try next."""
+        """Setting to try next: a finer one, or, where that is dear, a coarser one for the order."""
         if not self.tried:
             return self.first_setting()
         finest, ratio = self.tried[-1].setting, RATIO[self.name]
-        if len(self.tried) == 1 or self.setting >= finest:
-            return finest / ratio if len(self.tried) == 1 else self.setting
-        wanted = self.setting / ratio
-        if not self.affords(wanted, self.setting):
+        if len(self.tried) == 1:
+            return finest / ratio
+        wanted = self.setting if self.setting >= finest else self.setting / ratio
+        coarser, is_dear = self.tried[0].setting * ratio, not self.affords(wanted, self.setting)
+        is_regular = self.errors[-1] < REGULAR
+        if len(self.tried) == 2 and is_dear and is_regular and coarser <= self.coarsest:
+            return coarser
+        if self.setting >= finest:
+            return self.setting
+        if is_dear and is_regular:
             wanted = max(self.setting * ratio, finest / ratio**1.5)
         wanted = min(wanted, finest / ratio)
         return wanted if self.is_stepped else max(wanted, _MIN_TOLERANCE)
@@ -290,8 +302,15 @@ class Ladder:
         """
         if not self.is_stepped:
             return min(max(_TOLERANCE_SHARE * self.pilot.wanted, _MIN_TOLERANCE), _MAX_TOLERANCE)
-        longest = self.pilot.longest(self.first_turn(_ORDER_SHARE))
-        return min(longest, sum(self.pilot.lengths) / TIMES)
+        return min(self.pilot.longest(self.first_turn(_ORDER_SHARE)), self.coarsest)
+
+    @property
+    def coarsest(self) -> float:
+        """Longest step that is tried: others err too much, or are cut where one looks."""
+        if not self.is_stepped:
+            return 0.0
+        turn = 1.01 * RATIO[self.name] * self.first_turn(0.0)
+        return min(self.pilot.longest(turn), sum(self.pilot.lengths) / TIMES)
 
     def first_turn(self, share: float) -> float:
         """Turn in a step for the wanted accuracy by a share of the order [rad]."""
@@ -308,14 +327,14 @@ class Ladder:
             steps *= self.pilot.calm if n > self.pilot.sampled.size else 1.0
         return self.pilot.cost(self.stepping(setting), steps, n)
 
-    def closest(self) -> ChosenStep:
-        """The coarsest setting that meets the accuracy all the same, or that with least error."""
+    def closest(self) -> tuple[float, float]:
+        """The coarsest setting that meets the accuracy all the same, or the best; and its error."""
         if not self.errors:
-            return self.chosen_step(self.tried[-1].setting, math.inf)
+            return self.tried[-1].setting, math.inf
         bounds = [max(self.errors[k:][:2]) for k in range(len(self.errors))]
         met = [k for k, bound in enumerate(bounds) if bound <= self.pilot.wanted]
         k = met[0] if met else int(np.argmin(bounds))
-        return self.chosen_step(self.tried[k].setting, bounds[k])
+        return self.tried[k].setting, bounds[k]
 
     def chosen_step(self, setting: float, error: float) -> ChosenStep:
         """What is known of a setting."""

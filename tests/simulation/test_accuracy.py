@@ -25,6 +25,14 @@ REFERENCE = Path(__file__).parents[1] / "reference"
 CASES = Path(__file__).parents[2] / "cases"
 
 
+def narrowed(system, group):
+    """A pilot that looks at the worst bodies alone."""
+    pilot = Pilot(system, group)
+    usual = Ladder(pilot, "force_gradient")
+    pilot.narrow(usual.stepping(usual.first_setting()), usual.usual_cost())
+    return pilot
+
+
 def turn_between(a, b):
     """Angle between two orientations [rad]."""
     w = abs(a @ b)
@@ -251,7 +259,7 @@ def test_a_body_that_becomes_the_hardest_later_is_looked_at(make):
     scene = make.case(body, force=[sun], t_end=6.0, every=6.0)
     system = to_system(load(scene, ["run.accuracy=1e-6"]))
     plan = prepare(to_system(scene)).plan
-    assert odd in Pilot(system, plan.groups[0]).sampled
+    assert odd in narrowed(system, plan.groups[0]).sampled
     true = make.arrays(scene, "run.method=dop853", "run.tolerance=1e-14")
     found = make.arrays(scene, "run.accuracy=1e-6")
     off = np.linalg.norm(found.position[-1] - true.position[-1], axis=1)
@@ -262,11 +270,11 @@ def test_a_body_that_becomes_the_hardest_later_is_looked_at(make):
 @pytest.mark.compiled
 @pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
 def test_a_search_costs_no_more_than_the_run(make, wanted):
-    """By the table of costs; at 1e-3 to look at all bodies takes as long as a run of 40 steps."""
+    """By the table of costs."""
     system = to_system(tops(make, 2000, accuracy=wanted))
     found = search(system, prepare(to_system(tops(make, 2000))).plan.groups[0])
     assert found.error <= wanted
-    assert found.spent <= (1.5 if wanted == 1e-3 else 1.0) * max(found.cost, LEAST)
+    assert found.spent <= max(found.cost, LEAST)
 
 
 def stones(make, n):
@@ -315,7 +323,6 @@ def test_a_choice_is_cheap_and_not_too_good(make, monkeypatch, scene, wanted, na
     alone = [cheapest(pilot, [Ladder(pilot, name)]).cost for name in names]
     assert found.stepping.method in names
     assert found.cost <= 1.5 * min(alone)
-    monkeypatch.setattr(Pilot, "worst", lambda pilot, count: np.arange(pilot.rates.size))
     every, times = Pilot(system, group), np.array([system.run.t_end])
     finer = found.stepping._replace(dt=found.stepping.dt / 3.0)
     own, true = (every.poses(stepping, times)[0] for stepping in (found.stepping, finer))
@@ -418,7 +425,7 @@ def test_where_the_worst_cannot_be_told_more_are_looked_at_and_stand_for_all(mak
         with monkeypatch.context() as patch:
             patch.setattr(Pilot, "coarse_errors", lambda pilot, turn, e=error: e.copy())
             system = to_system(tops(make, 50, accuracy=1e-6))
-            pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
+            pilot = narrowed(system, make_plan(system.with_run(method="auto")).groups[0])
         assert pilot.sampled.size == count
         assert pilot.stands_for == times
         frames = pilot.poses(Stepping("strang", 1.0, 0.0, ""), np.array([1.0]))[0]
@@ -429,11 +436,44 @@ def test_where_the_worst_cannot_be_told_more_are_looked_at_and_stand_for_all(mak
 
 
 @pytest.mark.plain
+@pytest.mark.parametrize(("irregular", "count"), [(0, 8), (5, 8), (11, 24), (40, 32)])
+def test_what_strang_cannot_tell_a_higher_order_can(make, monkeypatch, irregular, count):
+    """As of 80 bodies on long springs: strang errs by a radian where others are regular."""
+    looks = []
+
+    def coarse_errors(pilot, stepping):
+        looks.append(stepping.method)
+        large = 80 if stepping.method == "strang" else irregular
+        return np.where(np.arange(80) < large, 1.0, 1e-3)
+
+    monkeypatch.setattr(Pilot, "coarse_errors", coarse_errors)
+    system = to_system(tops(make, 80, accuracy=1e-6))
+    pilot = narrowed(system, make_plan(system.with_run(method="auto")).groups[0])
+    assert looks == ["strang", "force_gradient"]
+    assert pilot.sampled.size == count
+    assert set(range(min(irregular, count // 2))) <= set(pilot.sampled.tolist())
+    assert pilot.stands_for == (80 / 32 if irregular > 32 else 1.0)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(("n", "wanted", "looks"), [(30, 1e-3, 0), (30, 1e-10, 2), (40, 1e-3, 2)])
+def test_a_few_bodies_are_not_sorted_first(make, monkeypatch, n, wanted, looks):
+    """To find the worst of them costs two runs, and their own trials hardly more than of eight."""
+    calls = []
+    moved = Pilot.poses
+    monkeypatch.setattr(Pilot, "poses", lambda *a: calls.append(a[1]) or moved(*a))
+    system = to_system(tops(make, n, accuracy=wanted))
+    pilot = narrowed(system, make_plan(system.with_run(method="auto")).groups[0])
+    assert len(calls) == looks
+    assert pilot.sampled.size == (8 if looks else n)
+
+
+@pytest.mark.plain
 def test_a_method_that_pays_late_in_a_run_is_not_the_first_to_be_tried(make, monkeypatch):
     """Of many tops, whose rates stay as they are, the adaptive method only seems cheap."""
-    monkeypatch.setattr(Pilot, "worst", lambda pilot, count: np.arange(count))
     system = to_system(tops(make, 1000, accuracy=1e-6))
     pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
+    pilot.take(np.arange(32))
     ladders = [Ladder(pilot, name) for name in ("force_gradient", "rkn6", "dop853")]
     assert min(ladders, key=Ladder.usual_cost).name == "force_gradient"
 

@@ -19,7 +19,7 @@ class FakePilot:
     """A pilot whose runs end where a formula says, at 0 without error."""
 
     def __init__(self, wanted, laws, bodies=1000, seen=32):
-        self.wanted, self.laws, self.spent, self.steps = wanted, laws, 0.0, []
+        self.wanted, self.laws, self.spent, self.steps, self.looks = wanted, laws, 0.0, [], []
         self.rate, self.lengths, self.calm = 1.0, [T_END], 1.0
         self.has_changing_forces = False
         self.sampled, self.group = np.arange(seen), SimpleNamespace(members=np.arange(bodies))
@@ -31,6 +31,7 @@ class FakePilot:
     def poses(self, stepping, times):
         steps = np.ceil(T_END / stepping.dt)
         self.steps.append(stepping)
+        self.looks.append(times.size)
         self.spent += self.cost(stepping, steps, self.sampled.size)
         return self.laws[stepping.method](stepping.dt), float(steps)
 
@@ -147,6 +148,36 @@ def test_a_long_run_of_few_bodies_is_not_made_again_and_again(monkeypatch):
     found = choice(FakePilot(1e-9, {"sixth": law(1e-3, 6)}, 1, 1), "sixth")
     assert law(1e-3, 6)(found.stepping.dt) < 1e-9
     assert found.spent < 2.0 * found.cost
+
+
+def test_where_a_finer_run_is_too_dear_a_coarser_one_shows_the_order(monkeypatch):
+    """Of one body a run with finer steps takes longer than what is searched for."""
+    monkeypatch.setitem(COSTS, "second", 1e5)
+    pilot = FakePilot(1e-7, {"second": law(1e-3, 2)}, 1, 1)
+    found = choice(pilot, "second")
+    first, second, *others = (one.dt for one in pilot.steps)
+    assert second < first < max(others)
+    assert 1e-8 < law(1e-3, 2)(found.stepping.dt) < 1e-7
+    assert found.spent < found.cost
+
+
+def test_where_errors_follow_no_order_steps_shrink_faster(monkeypatch):
+    """Runs with errors above 0.1: six, where each half as long a step in turn would take nine."""
+    monkeypatch.setitem(COSTS, "second", 1e5)
+    pilot = FakePilot(1e-3, {"second": law(1e4, 2)}, 1, 1)
+    found = choice(pilot, "second")
+    assert 1e-4 < law(1e4, 2)(found.stepping.dt) < 1e-3
+    assert sum(law(1e4, 2)(one.dt) > 0.1 for one in pilot.steps) <= 6
+
+
+def test_how_long_an_accuracy_holds_is_looked_at_once():
+    """For the choice alone, and not for the best of each method."""
+    random = np.random.default_rng(1)
+    noisy = {name: lambda h: h**2 + 1e-5 * random.uniform(0.5, 1.0) for name in ORDERS}
+    pilot = FakePilot(1e-9, noisy)
+    choice(pilot)
+    assert {one.method for one in pilot.steps} == set(ORDERS)
+    assert pilot.looks.count(ladder.MORE_TIMES) == 2
 
 
 @pytest.mark.parametrize(("bodies", "tried"), [(1, {"second"}), (1_000_000, {"second", "sixth"})])
