@@ -38,7 +38,7 @@ MORE_TIMES: Final = 32  # that are looked at where an accuracy is not met
 LEAST: Final = 1e6  # ns that may be spent on a search, whatever the run takes
 DEAREST: Final = 5e9  # ns that a trial may take
 _MAX_TRIALS: Final = 24  # of a method
-_MAX_TRUSTED_ORDER: Final = 2  # by which the finest of two runs is better
+_MAX_TRUSTED_ORDER: Final = 2  # by which the finest run is better, before three show the order
 _ORDERLY_SHARES: Final = (0.75, 1.75)  # of the order of a method that errors may follow
 _NEAR_COST_RATIO: Final = 1.5  # ratio of costs between which nothing else is looked for
 _NOISE_ERROR: Final = 1e-13  # no error below it is foretold
@@ -154,11 +154,9 @@ class Ladder:
 
     def look(self) -> None:
         """Compare all that was tried with the finest: which setting would do, and is it sure."""
-        finest, order = self.tried[-1], min(self.order, _MAX_TRUSTED_ORDER)
-        self.errors = [
-            self.between(one, finest) / (1.0 - (finest.setting / one.setting) ** order)
-            for one in self.tried[:-1]
-        ]
+        self.errors = self.beside_finest(min(self.order, _MAX_TRUSTED_ORDER))
+        if len(self.errors) > 1 and self.is_orderly(len(self.errors) - 2):
+            self.errors = self.beside_finest(self.order)
         self.setting, self.is_verified = self.promising()
         self.content()
         self.cost = self.cost_of(self.setting, self.pilot.group.members.size)
@@ -172,6 +170,14 @@ class Ladder:
             or len(self.tried) == _MAX_TRIALS
         ):
             self.cost = math.inf
+
+    def beside_finest(self, order: int) -> list[float]:
+        """Errors of all runs but the finest, which errs less by this order itself."""
+        finest = self.tried[-1]
+        return [
+            self.between(one, finest) / (1.0 - (finest.setting / one.setting) ** order)
+            for one in self.tried[:-1]
+        ]
 
     def between(self, one: _Tried, other: _Tried) -> float:
         """Largest error of a run beside another, at the last times."""

@@ -72,6 +72,14 @@ def test_the_error_of_each_method_lies_just_below_what_is_wanted(wanted, constan
         assert error > wanted / 10 or is_longest
 
 
+@pytest.mark.parametrize("name", ORDERS)
+def test_an_estimate_is_right_once_the_order_is_seen(name):
+    """The finest run errs too: less than the others by the order, which three runs show."""
+    order = ORDERS[name]
+    found = choice(FakePilot(1e-6, {name: law(1e-3, order)}), name)
+    assert law(1e-3, order)(found.stepping.dt) == pytest.approx(1e-6 * 1.25**-order, rel=0.01)
+
+
 @pytest.mark.parametrize("wanted", [1e-2, 1e-3, 1e-5, 1e-7])
 def test_the_cheaper_of_two_methods_is_chosen(wanted):
     laws = {"second": law(1e-3, 2), "sixth": law(1e-3, 6)}
