@@ -80,9 +80,10 @@ def sample(system: System, plan: Plan, t_end: float, packs: int) -> Ints:
 def part(system: System, plan: Plan, indices: Ints) -> BodySubset:
     """Chosen bodies of a plan, ascending."""
     size = system.reach[system.kind[indices]]
-    groups = []
+    groups, is_chosen = [], np.zeros(system.kind.size, dtype=np.bool_)
+    is_chosen[indices] = True
     for group in plan.groups:
-        places = np.flatnonzero(np.isin(group.members, indices))
+        places = np.flatnonzero(is_chosen[group.members])
         if places.size:
             groups.append(chosen(group, places, np.searchsorted(indices, group.members[places])))
     bodies, state = taken(system.bodies, indices), taken(system.state, indices)

@@ -264,6 +264,8 @@ class FreeMotion(Motion):
             if is_spun.any():
                 yield self.spun_part(free[is_spun], torque, drag)
                 free = free[~is_spun]
+        if not free.size:
+            return
         if free.size < bodies.mass.size:
             bodies, state = taken(bodies, free), taken(state, free)
         for among, turn in turns_of(bodies.inertia, bodies.rotor_class, state.q, state.L):
