@@ -50,30 +50,34 @@ def landen(k: float, kc: float) -> Landen:
     k1, kc1 = _next_modulus(k, kc)
     k2, kc2 = _next_modulus(k1, kc1)
     k3, kc3 = _next_modulus(k2, kc2)
-    k4, kc4 = _next_modulus(k3, kc3)
-    k5, _ = _next_modulus(k4, kc4)
+    k4, _ = _next_modulus(k3, kc3)
+    k5 = 0.25 * (k4 * k4)  # k4 is below 2e-5
     period = (1.0 + k1) * (1.0 + k2) * (1.0 + k3) * (1.0 + k4) * (1.0 + k5)
     return Landen(k1, k2, k3, k4, k5, period, nome(k1, kc1))
 
 
 @inline
-def _descend(k1: float, s: float, c: float) -> tuple[float, float]:
-    """(sn, cn) of the modulus before one step into those after it, modulus k₁ (DLMF 22.7.2)."""
-    other = 1.0 - k1
-    root = math.sqrt(other * other + 4.0 * k1 * (c * c))
+def _descend(k1: float, s: float, c: float, root: float) -> tuple[float, float, float]:
+    """(sn, cn) of the modulus before one step into those after it, modulus k₁ (DLMF 22.7.2).
+
+    `root` is (1 + k₁) dn before the step; the last one is dn after it.
+    """
     s1 = 2.0 * s / ((1.0 + k1) + root)
     part = k1 * (s1 * s1)
-    return s1, c * (1.0 + part) / math.sqrt(1.0 - k1 * part)
+    dn = math.sqrt(1.0 - k1 * part)
+    return s1, c * (1.0 + part) / dn, dn
 
 
 @inline
 def phase(chain: Landen, s: float, c: float) -> tuple[float, float]:
-    """Sine and cosine of πu/2K from sn u and cn u."""
-    s, c = _descend(chain.k1, s, c)
-    s, c = _descend(chain.k2, s, c)
-    s, c = _descend(chain.k3, s, c)
-    s, c = _descend(chain.k4, s, c)
-    s, c = _descend(chain.k5, s, c)
+    """Sine and cosine of πu/2K from sn u and cn u; the last step to first order in k₅ < 5e-11."""
+    k1, k2, k3, k4, k5, _, _ = chain
+    other = 1.0 - k1
+    s, c, dn = _descend(k1, s, c, math.sqrt(other * other + 4.0 * k1 * (c * c)))
+    s, c, dn = _descend(k2, s, c, (1.0 + k2) * dn)
+    s, c, dn = _descend(k3, s, c, (1.0 + k3) * dn)
+    s, c, dn = _descend(k4, s, c, (1.0 + k4) * dn)
+    s, c = s - s * (k5 * (c * c)), c + c * (k5 * (s * s))
     inv = 1.0 / math.sqrt(s * s + c * c)
     return s * inv, c * inv
 
