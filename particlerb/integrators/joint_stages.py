@@ -28,7 +28,15 @@ from particlerb.joints.breaking import (
     sum_half_step,
 )
 from particlerb.joints.coordinates import count_turns, store_turns
-from particlerb.joints.packs import Packs, data_of, drift_pack, numbers_of
+from particlerb.joints.packs import (
+    Packs,
+    data_of,
+    drift_pack,
+    exchange_past,
+    numbers_of,
+    put_in_lane,
+    take_from_lane,
+)  # fmt: skip
 from particlerb.joints.records import JointData, Jointed
 from particlerb.joints.rows import by_inverse_inertia, put_pose
 from particlerb.joints.solver import constrained_drift, project_momenta
@@ -45,8 +53,6 @@ def keep_kick(
     new: tuple[Vec3, Vec3],
 ) -> None:  # fmt: skip
     """Keep what forces without potential gave body b in a kick."""
-    put3(rows, STAGE + 6, b, subtract(new[0], old[0]))
-    put3(rows, STAGE + 9, b, subtract(new[1], old[1]))
     p, spin = kick_potential(acting, rows, b, get3(rows, COM, b), R, dt, old[0], old[1])
     put3(rows, STAGE, b, subtract(new[0], p))
     put3(rows, STAGE + 3, b, subtract(new[1], spin))
@@ -59,8 +65,6 @@ def _gather(jointed: Jointed, blocks: Floats, c: int) -> None:
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
         for i in range(STATE_ROWS):
             data.y[k, i] = get(blocks[block[k]], COM + i, lane[k])
-        for i in range(6):
-            data.change[k, i] = get(blocks[block[k]], STAGE + 6 + i, lane[k])
 
 
 @inline
@@ -175,14 +179,23 @@ def _add_work_of_motors(sums_external: Flag, jointed: Jointed, blocks: Floats, c
 
 
 @inline
-def _damp(sums_external: Flag, jointed: Jointed, blocks: Floats, c: int, span: float) -> None:
-    """Let dampers, dashpots and drag of cluster c act over a span, within its constraints."""
-    if jointed.damps is None or span == 0.0:
-        return
+def _finish_projection(
+    sums_external: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float
+) -> None:
+    """Add what joints of cluster c did in a projection."""
+    sum_half_step(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
+    _add_impulses_of_world(sums_external, jointed, blocks, c, jointed.data.y)
+    _add_work_of_drives(sums_external, jointed, blocks, c)
+    _correct_work(sums_external, jointed, blocks, c, kick_dt)
+
+
+@inline
+def _finish_damping(
+    sums_external: Flag, jointed: Jointed, blocks: Floats, c: int, span: float
+) -> None:
+    """Take cluster c from the middle of damping over a span to its end."""
     joints, data, block, lane = jointed.joints, jointed.data, jointed.block, jointed.lane
     start, joint = joints.program.start, joints.clusters.joint
-    soften(joints, data, c, span)
-    project_momenta(softened(joints, data), data, c, 0.0, data.clock[0], span)
     for r in range(start[joint[c]], start[joint[c + 1]]):
         half = data.impulse[r]
         data.impulse[r] = 2.0 * half
@@ -230,51 +243,17 @@ def _finish_drift(
 
 
 @inline
-def _gather_pack(packs: Packs, jointed: Jointed, blocks: Floats, p: int) -> None:
-    """States of pack p."""
-    body, block, lane = jointed.joints.clusters.body, jointed.block, jointed.lane
+def _gather_pack(
+    packs: Packs, jointed: Jointed, blocks: Floats, p: int, t: float, dt: float
+) -> None:
+    """States of pack p, with what is prescribed as in `set_prescribed`."""
+    joints, data, time = jointed.joints, jointed.data, jointed.start + t
+    body = joints.clusters.body
     for i in range(LANES):
         c = packs.cluster[p, i] if packs.cluster[p, i] >= 0 else packs.cluster[p, 0]
-        at = packs.joints.clusters.body[p]
-        for k in range(body[c], body[c + 1]):
-            for j in range(STATE_ROWS):
-                packs.data.y[at + k - body[c], j, i] = get(blocks[block[k]], COM + j, lane[k])
-
-
-@inline
-def _take_from_pack(
-    sums_external: Flag, packs: Packs, jointed: Jointed, p: int, i: int, c: int
-) -> None:
-    """States of cluster c, lane i of pack p, and the external work of its impulses."""
-    joints, data, of_pack = jointed.joints, jointed.data, packs.data
-    start, joint, body = joints.program.start, joints.clusters.joint, joints.clusters.body
-    at = packs.joints.clusters.body[p] - body[c]
-    for k in range(body[c], body[c + 1]):
-        for j in range(STATE_ROWS):
-            data.y[k, j] = of_pack.y[at + k, j, i]
-    if sums_external is None:
-        return
-    for k in range(body[c], body[c + 1]):
-        for j in range(col.X, col.X + 3):
-            data.pose[k, j] = of_pack.pose[at + k, j, i]
-    at = packs.joints.program.start[packs.joints.clusters.joint[p]] - start[joint[c]]
-    for r in range(start[joint[c]], start[joint[c + 1]]):
-        if joints.inv_mass[joints.rows.a[r]] == 0.0 or joints.inv_mass[joints.rows.b[r]] == 0.0:
-            data.impulse[r] = of_pack.impulse[at + r, i]
-            for j in range(9):
-                data.gradient[r, j] = of_pack.gradient[at + r, j, i]
-
-
-@inline
-def _exchange_past(packs: Packs, jointed: Jointed, p: int, i: int, c: int) -> None:
-    """Exchange what cluster c, lane i of pack p, remembers of its impulses."""
-    start, joint = jointed.joints.program.start, jointed.joints.clusters.joint
-    past = packs.data.past
-    at = packs.joints.program.start[packs.joints.clusters.joint[p]] - start[joint[c]]
-    for r in range(start[joint[c]], start[joint[c + 1]]):
-        for j in range(past.shape[1]):
-            mine, its = jointed.data.past[r, j], past[at + r, j, i]
-            jointed.data.past[r, j], past[at + r, j, i] = its, mine
+        _gather(jointed, blocks, c)
+        set_prescribed(jointed.prescribed, data, time, dt, body[c], body[c + 1])
+        put_in_lane(packs, joints, data, p, i, c)
 
 
 @inline
@@ -288,18 +267,18 @@ def _drift_packs(
     joints, data = numbers_of(packs.joints), data_of(packs.data)
     first, end = _share_of(team, packs.cluster.shape[0])
     for p in range(first, end):
-        _gather_pack(packs, jointed, blocks, p)
+        _gather_pack(packs, jointed, blocks, p, t, dt)
         drift_pack(joints, data, p, kick_dt, t, dt)
         for i in range(LANES):
             c = packs.cluster[p, i]
             if c < 0:
                 continue
             if packs.data.failed_row[LANES * p + i] == 0:
-                _take_from_pack(sums_external, packs, jointed, p, i, c)
+                take_from_lane(sums_external, packs, jointed.joints, jointed.data, p, i, c)
             else:
-                _exchange_past(packs, jointed, p, i, c)
+                exchange_past(packs, jointed.joints, jointed.data, p, i, c)
                 _drift_alone(jointed, blocks, c, kick_dt, t, dt)
-                _exchange_past(packs, jointed, p, i, c)
+                exchange_past(packs, jointed.joints, jointed.data, p, i, c)
             _finish_drift(sums_external, jointed, blocks, c, kick_dt)
 
 
@@ -327,6 +306,38 @@ def drift_clusters(
         count_turns(jointed.joints.coordinates, jointed.data.y, jointed.data.turned)
 
 
+@inline
+def _project_packs(
+    packs: Packs | None, jointed: Jointed, team: Team | None, sums_external: Flag, blocks: Floats,
+    kick_dt: float, span: float,
+) -> None:  # fmt: skip
+    """Kick of springs, projection and damping of clusters in packs, where something damps."""
+    if packs is None:
+        return
+    joints, data, t = numbers_of(packs.joints), data_of(packs.data), jointed.data.clock[0]
+    first, end = _share_of(team, packs.cluster.shape[0])
+    for p in range(first, end):
+        of_pack = packs.cluster[p]
+        _gather_pack(packs, jointed, blocks, p, t, 0.0)
+        project_momenta(joints, data, p, kick_dt, t, 0.0)
+        for i in range(LANES):
+            c = of_pack[i]
+            if c >= 0:
+                take_from_lane(sums_external, packs, jointed.joints, jointed.data, p, i, c)
+                _finish_projection(sums_external, jointed, blocks, c, kick_dt)
+                soften(jointed.joints, jointed.data, c, span)
+            put_in_lane(packs, jointed.joints, jointed.data, p, i, max(c, of_pack[0]))
+        if span > 0.0:
+            project_momenta(softened(joints, data), data, p, 0.0, t, span)
+        for i in range(LANES):
+            c = of_pack[i]
+            if c >= 0 and span > 0.0:
+                take_from_lane(sums_external, packs, jointed.joints, jointed.data, p, i, c)
+                _finish_damping(sums_external, jointed, blocks, c, span)
+            if c >= 0:
+                _scatter(jointed, blocks, c)
+
+
 @kernel
 def project_clusters(
     jointed: Jointed | None, team: Team | None, sums_external: Flag, blocks: Floats, kick_dt: float,
@@ -336,18 +347,21 @@ def project_clusters(
     if jointed is None:
         return
     meet_all(team)
-    t, body = jointed.data.clock[0], jointed.joints.clusters.body
-    first, end = _share_of(team, body.size - 1)
-    time = jointed.start + t
-    for c in range(first, end):
+    joints, data, t = jointed.joints, jointed.data, jointed.data.clock[0]
+    if jointed.damps is not None:
+        _project_packs(jointed.packs, jointed, team, sums_external, blocks, kick_dt, span)
+    body, time = joints.clusters.body, jointed.start + t
+    first, end = _share_of(team, body.size - 1 if jointed.damps is None else jointed.alone.size)
+    for k in range(first, end):
+        c = k if jointed.damps is None else jointed.alone[k]
         _gather(jointed, blocks, c)
-        set_prescribed(jointed.prescribed, jointed.data, time, 0.0, body[c], body[c + 1])
-        project_momenta(jointed.joints, jointed.data, c, kick_dt, t, 0.0)
-        sum_half_step(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
-        _add_impulses_of_world(sums_external, jointed, blocks, c, jointed.data.y)
-        _add_work_of_drives(sums_external, jointed, blocks, c)
-        _correct_work(sums_external, jointed, blocks, c, kick_dt)
-        _damp(sums_external, jointed, blocks, c, span)
+        set_prescribed(jointed.prescribed, data, time, 0.0, body[c], body[c + 1])
+        project_momenta(joints, data, c, kick_dt, t, 0.0)
+        _finish_projection(sums_external, jointed, blocks, c, kick_dt)
+        if jointed.damps is not None and span > 0.0:
+            soften(joints, data, c, span)
+            project_momenta(softened(joints, data), data, c, 0.0, t, span)
+            _finish_damping(sums_external, jointed, blocks, c, span)
         _scatter(jointed, blocks, c)
     meet_all(team)
 
@@ -357,9 +371,6 @@ def keep_coordinates(jointed: Jointed | None, stored: Floats, frame: int) -> Non
     """Keep the coordinates of joints for a frame, if there are joints."""
     if jointed is not None:
         store_turns(jointed.data.turned, stored, frame)
-
-
-# Loads of joints that may break
 
 
 @inline

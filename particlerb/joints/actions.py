@@ -13,6 +13,7 @@ from math import copysign, inf, pi
 from typing import Final
 
 from particlerb.compiled.jit import inline, unfused_kernel
+from particlerb.compiled.lanes import choose
 from particlerb.joints import kinds
 from particlerb.joints import records as col
 from particlerb.joints.records import Actions, ConstraintRows, JointData, Joints
@@ -33,10 +34,11 @@ def _from_rest(actions: Actions, k: int, kind: int, x: float) -> float:
 @inline
 def unwound(kind: int, x: float, lower: float, upper: float) -> float:
     """Coordinate x; an angle within half a turn of the middle between two stops."""
-    if kind < kinds.TURN or upper == inf:
+    if kind < kinds.TURN:
         return x
-    away = x - 0.5 * (lower + upper)
-    return x - copysign(2.0 * pi, away) if abs(away) > pi else x
+    stops = upper < inf
+    away = x - 0.5 * (choose(stops, lower, 0.0) + choose(stops, upper, 0.0))
+    return choose(stops & (abs(away) > pi), x - copysign(2.0 * pi, away), x)
 
 
 @inline
@@ -52,13 +54,14 @@ def _beyond(actions: Actions, k: int, kind: int, x: float) -> float:
 def gives_way(rows: ConstraintRows, actions: Actions, r: int, before: Floats, y: Floats) -> bool:
     """Whether an angle has all but passed the middle between its stops, or does on the way to y."""
     k, kind = rows.action[r], rows.kind[r]
-    if k == col.HOLDS or kind < kinds.TURN or actions.upper[k] == inf:
+    if k == col.HOLDS or kind < kinds.TURN:
         return False
     x, last = coordinate(rows, y, r), coordinate(rows, before, r)
     on, beyond = shorter(kind, x - last), _beyond(actions, k, kind, x)
-    has_passed = beyond * on < 0.0 and _beyond(actions, k, kind, last) * on >= 0.0
+    has_passed = (beyond * on < 0.0) & (_beyond(actions, k, kind, last) * on >= 0.0)
     middle = pi - 0.5 * (actions.upper[k] - actions.lower[k])
-    return has_passed or abs(beyond) > _MAX_BEYOND_SHARE * middle
+    is_all_but_past = abs(beyond) > _MAX_BEYOND_SHARE * middle
+    return (has_passed | is_all_but_past) & (actions.upper[k] < inf)
 
 
 @inline
@@ -67,15 +70,14 @@ def set_compliance(joints: Joints, data: JointData, r: int, span: float) -> None
     k = joints.rows.action[r]
     if k == col.HOLDS:
         return
-    c = 0.0
-    if span > 0.0:
-        c = joints.actions.damping[k]
-        if (
-            _beyond(joints.actions, k, joints.rows.kind[r], coordinate(joints.rows, data.y, r))
-            != 0.0
-        ):
-            c += joints.actions.stop_damping[k]
-    data.compliance[r] = 2.0 / (span * c) if c > 0.0 else inf
+    if span == 0.0:
+        data.compliance[r] = inf
+        return
+    actions, x = joints.actions, coordinate(joints.rows, data.y, r)
+    is_beyond = _beyond(actions, k, joints.rows.kind[r], x) != 0.0
+    c = actions.damping[k] + choose(is_beyond, actions.stop_damping[k], 0.0)
+    damps = c > 0.0
+    data.compliance[r] = choose(damps, 2.0 / (span * choose(damps, c, 1.0)), inf)
 
 
 @inline

@@ -10,15 +10,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import config, inline, unfused_kernel
+from particlerb.compiled.jit import Flag, config, inline, unfused_kernel
 from particlerb.compiled.lanes import LANES, as_packs, lane
+from particlerb.joints import kinds
 from particlerb.joints import records as col
-from particlerb.joints.iterations import find_impulses, remember, warm_start
-from particlerb.joints.records import Clusters, ConstraintRows, JointData, Joints
-from particlerb.joints.rows import linearise
+from particlerb.joints.actions import gives_way
+from particlerb.joints.iterations import find_impulses, remember
+from particlerb.joints.records import Actions, Clusters, ConstraintRows, Drives, JointData, Joints
 from particlerb.joints.setup import programs_of
-from particlerb.joints.solver import factorise_gradients
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.joints.solver import begin_drift, is_whole
+from particlerb.maths.vec3 import Bools, Floats, Ints
 
 MIN_ALIKE: Final = 16  # mechanisms: fewer are not worth the time to compile this
 
@@ -36,6 +37,7 @@ def _like(joints: Joints) -> dict[bytes, list[int]]:
     """Mechanisms of the same structure; bodies without joints are none."""
     rows, clusters, start = joints.rows, joints.clusters, joints.program.start
     world, found = joints.inv_mass.size - 1, defaultdict[bytes, list[int]](list)
+    holds, is_driven = rows.action == col.HOLDS, rows.drive != col.AT_REST
     for c in np.flatnonzero(np.diff(clusters.joint)).tolist():
         first, last = clusters.body[c : c + 2]
         own = start[clusters.joint[c] : clusters.joint[c + 1] + 1]
@@ -45,7 +47,8 @@ def _like(joints: Joints) -> dict[bytes, list[int]]:
         moves, turns = joints.inv_mass[first:last] > 0.0, moments > 0.0
         is_top = moments[:, 0] == moments[:, 1]
         kinds = (
-            own - own[0], *ends, rows.kind[of], joints.beside[of], moves, turns, is_top,
+            own - own[0], *ends, rows.kind[of], joints.beside[of], holds[of],
+            is_driven[of], joints.prescribed[first:last], moves, turns, is_top,
             clusters.is_uneven[c : c + 1], clusters.smallest_pivot[c : c + 1],
         )  # fmt: skip
         found[b"".join(array.tobytes() for array in kinds)].append(c)
@@ -55,22 +58,15 @@ def _like(joints: Joints) -> dict[bytes, list[int]]:
 def packs_of(joints: Joints, data: JointData) -> tuple[Packs | None, Ints]:
     """Packs of the clusters of joints, and those that are in none.
 
-    There are none where few are alike, something acts in joints, or nothing is compiled.
+    There are none where few are alike, or nothing is compiled; what rolls or may break is in none.
     """
     none = None, np.arange(joints.clusters.body.size - 1)
-    if (
-        config.DISABLE_JIT
-        or (joints.rows.action != col.HOLDS).any()
-        or joints.moves
-        or joints.damps
-        or joints.breaks is not None
-        or joints.bounds is not None
-        or joints.rolls is not None
-    ):
+    if config.DISABLE_JIT or joints.bounds is not None:
         return none
     packs, alone = list[list[int]](), np.flatnonzero(np.diff(joints.clusters.joint) == 0).tolist()
+    leaves = _may_leave(joints)
     for like in _like(joints).values():
-        if len(like) < MIN_ALIKE:
+        if len(like) < MIN_ALIKE or leaves[like[0]]:
             alone += like
             continue
         packs += [like[k : k + LANES] for k in range(0, len(like), LANES)]
@@ -79,6 +75,15 @@ def packs_of(joints: Joints, data: JointData) -> tuple[Packs | None, Ints]:
     cluster = np.array([[*pack, *[-1] * (LANES - len(pack))] for pack in packs])
     packed, row = _packed(joints, np.where(cluster < 0, cluster[:, :1], cluster))
     return Packs(packed, _room(packed, data), cluster, row), np.array(alone, dtype=np.int64)
+
+
+def _may_leave(joints: Joints) -> Bools:
+    """Clusters with joints that roll or may break, for which packs have no code."""
+    rows, start, first = joints.rows, joints.program.start[:-1], joints.clusters.joint
+    leaves = np.logical_or.reduceat(np.isin(rows.kind, (kinds.RACK, kinds.GEAR)), start)
+    if joints.breaks is not None:
+        leaves |= np.isfinite(joints.breaks.force) | np.isfinite(joints.breaks.torque)
+    return np.diff(np.append(0, np.cumsum(leaves))[first]) > 0
 
 
 def _ranges(first: Ints, which: Ints) -> Ints:
@@ -102,20 +107,33 @@ def _packed(joints: Joints, cluster: Ints) -> tuple[Joints, Ints]:
         for name in ("vector_a", "vector_b", "axis", "length", "size")
     }
     of_pack = ConstraintRows._make(array[row[:, 0]] for array in rows)
-    of_pack = of_pack._replace(a=place[of_pack.a], b=place[of_pack.b], **of_lanes)
-    label = np.arange(len(leading))
+    actions, action = _by_lane(joints.actions, rows.action, row)
+    drives, drive = _by_lane(joints.drives, rows.drive, row)
+    of_pack = of_pack._replace(
+        a=place[of_pack.a], b=place[of_pack.b], action=action, drive=drive, **of_lanes
+    )
+    label, holds = np.arange(len(leading)), action == col.HOLDS
     made, program = programs_of(
         np.append(0, np.cumsum(sizes)), np.repeat(label, counts), np.repeat(label, sizes), of_pack,
-        own_start, joints.inv_mass[body[:, 0]], np.ones(joint.size, dtype=np.bool_),
+        own_start, joints.inv_mass[body[:, 0]], np.logical_or.reduceat(holds, own_start[:-1]),
     )  # fmt: skip
     packed = joints._replace(
         order=joints.order[:0], inv_mass=joints.inv_mass[body],
         inv_inertia=np.stack([joints.inv_inertia[lane] for lane in body.T], -1), rows=of_pack,
         clusters=made._replace(even_inv_mass=clusters.even_inv_mass[body]), program=program,
-        number=joints.number[joint], drag=joints.drag[body[:, 0]],
+        number=joints.number[joint], drag=joints.drag[body[:, 0]], actions=Actions(*actions),
         beside=joints.beside[row[:, 0]], prescribed=joints.prescribed[body[:, 0]],
+        drives=Drives(*drives), breaks=None, rolls=None,
     )  # fmt: skip
     return packed, row
+
+
+def _by_lane(of: Actions | Drives, which: Ints, row: Ints) -> tuple[list[Floats], Ints]:
+    """What acts along rows (m, LANES), or prescribes them, one of each; and which, or -1."""
+    is_there = which[row[:, 0]] >= 0
+    taken = which[row[is_there]]
+    numbers = [np.ascontiguousarray(np.moveaxis(array[taken], 1, -1)) for array in of]
+    return numbers, np.where(is_there, np.cumsum(is_there) - 1, -1)
 
 
 def past_of(packs: Packs | None, data: JointData) -> Floats:
@@ -139,6 +157,8 @@ def _room(joints: Joints, data: JointData) -> JointData:
     n, m = len(joints.inv_mass), joints.rows.kind.size
     of_bodies = {"y", "pose", "motion", "end_pose", "change", "inv_mass", "inv_inertia"}
     width = int(np.diff(joints.program.start).max())
+    world = np.zeros((n, col.STATE, LANES))
+    world[-1, col.Q] = 1.0
     room = {
         name: np.zeros((n if name in of_bodies else m, *array.shape[1:], LANES))
         for name, array in data._asdict().items()
@@ -146,9 +166,9 @@ def _room(joints: Joints, data: JointData) -> JointData:
     return data._replace(
         **room
         | {
+            "y": world,
             "factor": np.zeros((len(joints.program.pair), width, width, LANES)),
             "past": np.full((m, 4, LANES), np.nan),
-            "compliance": np.zeros(m),
             "failed_row": np.zeros(LANES * (len(joints.clusters.body) - 1), dtype=np.int64),
             "turned": data.turned[:0], "clock": data.clock, "broken": data.broken[:0],
             "load": data.load[:0],
@@ -160,34 +180,84 @@ def _room(joints: Joints, data: JointData) -> JointData:
 def drift_pack(
     joints: Joints, data: JointData, c: int, kick_dt: float, t: float, dt: float
 ) -> None:
-    """Drift of `constrained_drift` for a pack of clusters, along whose joints nothing acts.
+    """Kick and drift of `constrained_drift` for a pack of clusters.
 
-    Those that no impulses keep are lost, and remember none of these: `failed_row` is 1.
+    Those that no impulses keep, or whose stops give way, are lost, and remember nothing of it:
+    `failed_row` is 1.
     """
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
-    for k in range(clusters.body[c], clusters.body[c + 1]):
-        for i in range(col.STATE):
-            data.pose[k, i] = data.y[k, i]
-    for r in range(lo, hi):
-        data.impulse[r] = 0.0
-    linearise(joints, data, lo, hi)
-    factorise_gradients(joints, data, c)
-    is_whole = dt == data.clock[1]
-    guesses = is_whole and not clusters.is_uneven[c]
-    if guesses:
-        warm_start(joints, data, c, kick_dt)
+    guesses = begin_drift(joints, data, c, kick_dt, t, dt)
     is_lost, _ = find_impulses(joints, data, c, t, dt, guesses)
-    if is_whole:
+    if joints.acts:
+        for r in range(lo, hi):
+            is_lost = is_lost | gives_way(joints.rows, joints.actions, r, data.pose, data.y)
+    if is_whole(data, dt):
         remember(data, lo, hi, kick_dt, is_lost)
     for k in range(LANES):
         data.failed_row[LANES * c + k] = lane(is_lost, k)
 
 
 @inline
+def put_in_lane(packs: Packs, joints: Joints, data: JointData, p: int, i: int, c: int) -> None:
+    """States of cluster c of a group, and what is prescribed or damps, into lane i of pack p."""
+    body, of_pack = joints.clusters.body, packs.data
+    at = packs.joints.clusters.body[p] - body[c]
+    for k in range(body[c], body[c + 1]):
+        for j in range(col.STATE):
+            of_pack.y[at + k, j, i] = data.y[k, j]
+        if joints.prescribed[k]:
+            for j in range(col.P):
+                of_pack.end_pose[at + k, j, i] = data.end_pose[k, j]
+            for j in range(9):
+                of_pack.motion[at + k, j, i] = data.motion[k, j]
+        if joints.damps:
+            of_pack.inv_mass[at + k, i] = data.inv_mass[k]
+            for j in range(3):
+                of_pack.inv_inertia[at + k, j, i] = data.inv_inertia[k, j]
+
+
+@inline
+def take_from_lane(
+    sums_external: Flag, packs: Packs, joints: Joints, data: JointData, p: int, i: int, c: int
+) -> None:
+    """States of cluster c, lane i of pack p, and what external work is found from."""
+    start, joint, body = joints.program.start, joints.clusters.joint, joints.clusters.body
+    of_pack, at = packs.data, packs.joints.clusters.body[p] - body[c]
+    for k in range(body[c], body[c + 1]):
+        for j in range(col.STATE):
+            data.y[k, j] = of_pack.y[at + k, j, i]
+    if sums_external is None:
+        return
+    for k in range(body[c], body[c + 1]):
+        for j in range(col.P if joints.acts else 3):  # of motors work is found from coordinates
+            data.pose[k, j] = of_pack.pose[at + k, j, i]
+    at = packs.joints.program.start[packs.joints.clusters.joint[p]] - start[joint[c]]
+    for r in range(start[joint[c]], start[joint[c + 1]]):
+        data.impulse[r] = of_pack.impulse[at + r, i]
+        if joints.moves or joints.damps:
+            data.dg_dt[r] = of_pack.dg_dt[at + r, i]
+            data.compliance[r] = of_pack.compliance[at + r, i]
+        if joints.inv_mass[joints.rows.a[r]] == 0.0 or joints.inv_mass[joints.rows.b[r]] == 0.0:
+            for j in range(9):
+                data.gradient[r, j] = of_pack.gradient[at + r, j, i]
+
+
+@inline
+def exchange_past(packs: Packs, joints: Joints, data: JointData, p: int, i: int, c: int) -> None:
+    """Exchange what cluster c, lane i of pack p, remembers of its impulses."""
+    start, joint, past = joints.program.start, joints.clusters.joint, packs.data.past
+    at = packs.joints.program.start[packs.joints.clusters.joint[p]] - start[joint[c]]
+    for r in range(start[joint[c]], start[joint[c + 1]]):
+        for j in range(past.shape[1]):
+            mine, its = data.past[r, j], past[at + r, j, i]
+            data.past[r, j], past[at + r, j, i] = its, mine
+
+
+@inline
 def numbers_of(joints: Joints) -> Joints:
     """Joints of packs, as kernels take them."""
-    rows, clusters = joints.rows, joints.clusters
+    rows, clusters, actions = joints.rows, joints.clusters, joints.actions
     return Joints(
         joints.order,
         as_packs(joints.inv_mass),
@@ -201,9 +271,15 @@ def numbers_of(joints: Joints) -> Joints:
             clusters.body, clusters.joint, clusters.block, clusters.smallest_pivot,
             clusters.is_uneven, as_packs(clusters.even_inv_mass),
         ),
-        joints.program, joints.number, joints.actions, joints.drag, joints.beside, joints.acts,
-        joints.damps, joints.coordinates, joints.drives, joints.prescribed, joints.moves, None,
-        None, None,
+        joints.program, joints.number,
+        Actions(
+            as_packs(actions.stiffness), as_packs(actions.rest), as_packs(actions.damping),
+            as_packs(actions.lower), as_packs(actions.upper), as_packs(actions.stop),
+            as_packs(actions.stop_damping), as_packs(actions.motor), as_packs(actions.has_motor),
+        ),
+        joints.drag, joints.beside, joints.acts, joints.damps, joints.coordinates,
+        Drives(as_packs(joints.drives.polynomial), as_packs(joints.drives.wave)),
+        joints.prescribed, joints.moves, None, None, None,
     )  # fmt: skip
 
 
@@ -215,7 +291,7 @@ def data_of(data: JointData) -> JointData:
         as_packs(data.end_pose), as_packs(data.change), as_packs(data.inv_mass),
         as_packs(data.inv_inertia), as_packs(data.g), as_packs(data.dg_dt), as_packs(data.z),
         as_packs(data.impulse), as_packs(data.half_step), as_packs(data.step_impulse),
-        as_packs(data.last_g), as_packs(data.last_gain), as_packs(data.scale), data.compliance,
-        as_packs(data.past), as_packs(data.factor), data.failed_row, data.turned, data.clock,
-        data.broken, data.load,
+        as_packs(data.last_g), as_packs(data.last_gain), as_packs(data.scale),
+        as_packs(data.compliance), as_packs(data.past), as_packs(data.factor), data.failed_row,
+        data.turned, data.clock, data.broken, data.load,
     )  # fmt: skip

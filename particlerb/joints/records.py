@@ -169,7 +169,7 @@ class JointData(NamedTuple):
     gradient: Floats  # (m, 15)
     motion: Floats  # (n + 1, 9) v, ω and dv/dt of prescribed bodies, 0 of others
     end_pose: Floats  # (n + 1, 7) x and q of those at the end of a drift
-    change: Floats  # (n + 1, 6) momenta that a kick gave; those before damping; or loads
+    change: Floats  # (n + 1, 6) momenta before damping; or loads
     inv_mass: Floats  # (n + 1,) [1/kg] with drag in it
     inv_inertia: Floats  # (n + 1, 3) [1/(kg m²)] likewise
     g: Floats  # (m,) residuals

@@ -181,10 +181,10 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
             x, R = row3(y, rows.a[r], col.X), rotations(rows, y, r)
             far = abs(x[0]) + abs(x[1]) + abs(x[2])
             turned = max(1.0, _FAR_TURNED * far / rows.size[r])
-        if data.compliance[r] != 0.0:
+        if lane(data.compliance[r], 0) != 0.0:  # as in all lanes
             g[r] = 0.0
         elif kind == kinds.WORLD_ALONG:
-            if r == lo or not joints.beside[r] or data.compliance[r - 1] != 0.0:
+            if r == lo or not joints.beside[r] or lane(data.compliance[r - 1], 0) != 0.0:
                 d = arms_at(rows, y, r, R)[3]
             g[r] = dot(row3(rows.axis, r), d) - course(joints.drives, rows.drive[r], t)[0]
         elif kind == kinds.DOT:
@@ -282,12 +282,11 @@ def rates(joints: Joints, data: JointData, lo: int, hi: int) -> float:
     for r in range(lo, hi):
         speed = rate(joints, data.gradient, r, data.y, col.P) + data.dg_dt[r]
         soft = data.compliance[r]
-        if soft > 0.0:
-            speed = speed + soft * data.impulse[r] if soft < inf else 0.0
+        is_in = soft < inf
+        speed = choose(is_in, speed + choose(is_in, soft, 0.0) * data.impulse[r], 0.0)
         data.z[r] = -speed
         speed = abs(speed) / joints.rows.size[r]
-        if worst <= inf and not speed <= worst:
-            worst = speed
+        worst = choose((worst <= inf) & opposite(speed <= worst), speed, worst)
     return worst
 
 

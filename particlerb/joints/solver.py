@@ -22,7 +22,7 @@ from math import inf
 from typing import Final
 
 from particlerb.compiled.jit import Flag, inline, kernel, unfused_kernel
-from particlerb.compiled.lanes import choose, lane
+from particlerb.compiled.lanes import any_of, choose, lane
 from particlerb.joints import kinds
 from particlerb.joints import records as col
 from particlerb.joints.actions import gives_way, kick_actions, set_compliance
@@ -118,14 +118,17 @@ def _even_out(
                 gradient[r, i] *= by
 
 
-@unfused_kernel
-def constrained_drift(
-    joints: Joints, data: JointData, c: int, kick_dt: float, t: float, dt: float
-) -> None:
-    """Kick of springs at t, and drift of cluster c over dt with impulses so that g = 0 at its end.
+@inline
+def is_whole(data: JointData, dt: float) -> bool:
+    """Whether a drift is no stage of a composition, nor a part of a step to a frame."""
+    return dt == data.clock[1]
 
-    `data.impulse` has these impulses, `data.failed_row` the row that does not converge.
-    """
+
+@inline
+def begin_drift(
+    joints: Joints, data: JointData, c: int, kick_dt: float, t: float, dt: float
+) -> bool:
+    """Factor of A, kick of springs, and a guess of impulses; whether there is one."""
     clusters, start = joints.clusters, joints.program.start
     lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
     for k in range(clusters.body[c], clusters.body[c + 1]):
@@ -136,14 +139,27 @@ def constrained_drift(
     for k in range(clusters.body[c], clusters.body[c + 1]):
         for i in range(col.P, col.STATE):
             data.pose[k, i] = data.y[k, i]
-    is_whole = dt == data.clock[1]  # not a stage of a composition, nor a part of a step to a frame
-    guesses = is_whole and not clusters.is_uneven[c]
+    guesses = is_whole(data, dt) and not clusters.is_uneven[c]
     if guesses:
         warm_start(joints, data, c, kick_dt)
+    return guesses
+
+
+@unfused_kernel
+def constrained_drift(
+    joints: Joints, data: JointData, c: int, kick_dt: float, t: float, dt: float
+) -> None:
+    """Kick of springs at t, and drift of cluster c over dt with impulses so that g = 0 at its end.
+
+    `data.impulse` has these impulses, `data.failed_row` the row that does not converge.
+    """
+    clusters, start = joints.clusters, joints.program.start
+    lo, hi = start[clusters.joint[c]], start[clusters.joint[c + 1]]
+    guesses = begin_drift(joints, data, c, kick_dt, t, dt)
     _fly_to_joints(joints, data, c, t, dt, guesses)
     if data.failed_row[c] > 0 and clusters.smallest_pivot[c] > 0.0:
         _pass_singular_pose(joints, data, c, t, dt)
-    if is_whole:
+    if is_whole(data, dt):
         remember(data, lo, hi, kick_dt, False)
     if let_break(joints.breaks, joints, data, c, kick_dt, t, dt):
         factorise_gradients(joints, data, c)
@@ -264,11 +280,14 @@ def project_momenta(
 @inline
 def keep_rates(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> None:
     """Take from the momenta what breaks rows lo to hi, those of cluster c, by the factor of A."""
-    before = 1e300
+    before, goes_on = 1e300, True
     for _ in range(_MAX_PASSES):
         worst = rates(joints, data, lo, hi)
-        if not 0.0 < worst < GAIN_RATIO * before:
+        goes_on = goes_on & (worst > 0.0) & (worst < GAIN_RATIO * before)
+        if not any_of(goes_on):
             return
         before = worst
         solve(joints.program, joints.clusters, data.factor, data.z, c)
+        for r in range(lo, hi):
+            data.z[r] = choose(goes_on, data.z[r], 0.0)
         add_gains(joints, data, lo, hi)

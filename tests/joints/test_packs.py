@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scenes import X, Z, bar, case, hinge_chain, joint
+from scenes import X, Z, bar, body, case, four_bar, hinge_chain, joint
 
 import particlerb
 from particlerb import RunError
@@ -45,6 +45,44 @@ def parallelograms(speeds):
     return copies(bars, speeds), joints
 
 
+def carried(scene, speeds):
+    """Copies of a mechanism whose first joint is on a body that moves as prescribed."""
+    motion = {"oscillation": {"amplitude": [0.05, 0.0, 0.02], "frequency": 2.0}}
+    base = body("base", 1.0, [1, 1, 1], [0, 0, 0]) | {"motion": motion}
+    joints = [j | {"assemble": True} for j in scene["joint"]]
+    joints[0]["to"] = "base"
+    bodies = copies([*scene["body"], base], speeds)
+    for key in ("velocity", "angular_velocity"):
+        del bodies[-1][key]
+    return bodies, joints
+
+
+def damped(speeds):
+    """A spring, stops and a motor along hinges, a spring about a ball; what damps each of them."""
+    scene = hinge_chain(3, 0.6)
+    for link in scene["body"]:
+        link["angular_velocity"] = [1.0, 2.0, 4.0]
+    stops = {"range": [-0.05, 0.03], "stiffness": 30.0, "damping": 0.5}
+    keys = (
+        {"spring": {"stiffness": 0.5, "rest": 0.2}, "damper": 0.02, "limit": stops},
+        {"motor": 0.1, "damper": 0.01},
+        {"spring": {"stiffness": 0.5}, "damper": 0.01},
+    )
+    scene["joint"] = [j | more for j, more in zip(scene["joint"], keys, strict=True)]
+    scene["joint"][2]["type"] = "ball"
+    del scene["joint"][2]["axis"]
+    return carried(scene, speeds)
+
+
+def cranks(speeds):
+    """Four-bars of which a hinge is driven, and another damped."""
+    scene = four_bar(1.0)
+    scene["joint"][0]["drive"] = {"amplitude": 0.3, "frequency": 2.0, "phase": 0.3}
+    scene["joint"][2]["damper"] = 0.1
+    scene["joint"][3]["to"] = "base"
+    return carried(scene, speeds)
+
+
 def recorded(scene, path=None):
     """All that a run of a scene records of the motion and of its energy."""
     with particlerb.open(path) if path else particlerb.run({"run": RUN, **scene}) as trajectory:
@@ -56,7 +94,12 @@ def recorded(scene, path=None):
 @pytest.mark.compiled
 @pytest.mark.parametrize(
     ("made", "speeds"),
-    [(chains, np.linspace(0.0, 60.0, N)), (parallelograms, np.linspace(1.0, 12.0, N))],
+    [
+        (chains, np.linspace(0.0, 60.0, N)),
+        (parallelograms, np.linspace(1.0, 12.0, N)),
+        (damped, np.linspace(0.2, 3.0, N)),
+        (cranks, np.linspace(0.2, 3.0, N)),
+    ],
 )
 def test_mechanisms_side_by_side_move_as_each_does_alone(made, speeds, tmp_path, monkeypatch):
     """Over a pause too; some take more iterations than others."""
