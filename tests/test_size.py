@@ -27,7 +27,7 @@ BUDGETS = {
     "contact by impulses": 4204,
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2148,
-    "scenes and simulations in Python": 1031,
+    "scenes and simulations in Python": 1041,
     "sweeps": 1610,
     "one scene over ranks": 2601,
     "reports, pictures, the page": 1786,

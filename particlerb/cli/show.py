@@ -12,7 +12,7 @@ from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
 from particlerb.model.state import STATE_FIELDS
 from particlerb.record.output_path import appearing
 from particlerb.record.parts import part_paths
-from particlerb.record.provenance import this_machine
+from particlerb.record.provenance import changes_in, this_machine
 from particlerb.record.schema import CONTACTS
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.verify import verify
@@ -67,6 +67,7 @@ def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
         "time": [float(t) for t in trajectory.time[[0, -1]]] if trajectory.n_frames else [],
         "fields": trajectory.fields + trajectory.other_fields,
         **({"contacts": trajectory.n_contacts} if has_contacts else {}),
+        "changed": list(changes_in(trajectory.file).values()),
         "files": trajectory.file_names,
         "size": sum(path.stat().st_size for path in paths),
         "seed": trajectory.parameter("seed"),

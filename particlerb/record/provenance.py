@@ -6,6 +6,7 @@ That is the case, the files that it reads, and the versions of what made it.
 import hashlib
 import json
 import platform
+import re
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -30,7 +31,8 @@ from particlerb.record.memory import Memory
 from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
 from particlerb.words import encodable
 
-CHANGED: Final = "changed"  # text of a file whose case a Simulation has changed: how first
+_CHANGED: Final = "changed"  # text of a file whose scene a Simulation has changed
+STATE: Final = "state"  # what stands in it for the states of bodies
 
 
 def texts_of(system: System, more: Mapping[str, str]) -> dict[str, Any]:
@@ -124,6 +126,25 @@ def write_text(file: h5py.File, name: str, words: str) -> None:
     if path in file:
         del file[path]
     put(file, path, words.encode())
+
+
+def note_changes(file: h5py.File, changes: Mapping[str, str]) -> None:
+    """Let a file say what a Simulation has changed."""
+    write_text(file, _CHANGED, "; ".join(changes.values()))
+    seal(file)
+
+
+def changes_in(file: h5py.File | Memory) -> dict[str, str]:
+    """What a Simulation has changed first of each table of the case, and when; or of the state."""
+    if not has(file, f"{PARAMETERS}/{_CHANGED}"):
+        return {}
+    changes = text_at(file, f"{PARAMETERS}/{_CHANGED}").split("; ")
+    return {table_in(change): change for change in changes}
+
+
+def table_in(key: str) -> str:
+    """Table of the case in which a key stands."""
+    return re.split(r"\W", key, maxsplit=1)[0]
 
 
 def versions() -> dict[str, str]:

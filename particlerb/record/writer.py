@@ -20,12 +20,12 @@ from particlerb.model.system import System
 from particlerb.record import frame_values, schema, vtkhdf
 from particlerb.record.atomic import PAGE
 from particlerb.record.checkpoint import count_from, write_checkpoint
-from particlerb.record.checksums import Words, frame_checksums, list_checksums, seal
+from particlerb.record.checksums import Words, frame_checksums, list_checksums
 from particlerb.record.hdf5 import change, opened
 from particlerb.record.layout import laid_out, part_laid_out, write_rest
 from particlerb.record.output_file import OutputFile, new_file
 from particlerb.record.parts import Parts, parts_in
-from particlerb.record.provenance import CHANGED, replace_case, write_text
+from particlerb.record.provenance import note_changes, replace_case, table_in
 from particlerb.record.writer_lock import WriterLock
 
 SECONDS_BETWEEN_COMMITS = 1.0
@@ -135,7 +135,7 @@ class Recorder:
     def begin(self, output: OutputFile, system: System, is_part: bool = False) -> None:
         """Begin with a file that has no frames; a part has what concerns its bodies alone."""
         self.output, self.file, self.system = output, output.file, system
-        self.parts = parts_in(self.file)
+        self.parts, self.changes = parts_in(self.file), dict[str, str]()
         fields = system.output.fields
         paths = [p for p in schema.series_of(fields) if not is_part or p in self.file]
         paths += [schema.STEP, schema.CHECKSUMS]
@@ -184,12 +184,12 @@ class Recorder:
             return int(self.pending[-1][schema.OFFSET][-1])
         return int(self.contacts.offset[self.n_written])
 
-    def note_change(self, words: str) -> None:
-        """Let the file say that its case has changed: the first change, and when."""
-        if f"{schema.PARAMETERS}/{CHANGED}" not in self.file:
+    def note_change(self, key: str, time: float) -> None:
+        """Let the file say that its scene has changed at a time [s]: of each table what first."""
+        if table_in(key) not in self.changes:
+            self.changes[table_in(key)] = f"{key}, at t = {time!r} s"
             with self.output.writing():
-                write_text(self.file, CHANGED, words)
-                seal(self.file)
+                note_changes(self.file, self.changes)
 
     def append(self, frames: frame_values.NewFrames) -> None:
         """Append new frames, but for those that the file had before.

@@ -12,9 +12,7 @@ from particlerb.case.to_system import to_system
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.plan.joints import joints_of
-from particlerb.record.checked_reading import has
-from particlerb.record.provenance import CHANGED
-from particlerb.record.schema import PARAMETERS
+from particlerb.record.provenance import STATE, changes_in
 from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.simulation.joint_values import LoadReader, room_for_values
 from particlerb.simulation.run import prepare
@@ -58,9 +56,10 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
         If its Simulation has changed the scene: the file has the case as it began.
     """
     check_trajectory(trajectory)
-    if has(trajectory.file, f"{PARAMETERS}/{CHANGED}"):
+    changes = changes_in(trajectory.file)
+    if acting := [words for table, words in changes.items() if table not in ("run", STATE)]:
         raise ValueError(
-            f"{trajectory.path}: its Simulation has changed {trajectory.parameter(CHANGED)}, and"
+            f"{trajectory.path}: its Simulation has changed {'; '.join(acting)}, and"
             " loads would be those of the scene as it began: record output.fields ="
             ' ["joint_force", "joint_torque"] in place of joint_loads'
         )

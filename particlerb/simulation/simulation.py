@@ -30,6 +30,7 @@ from particlerb.model.system import System
 from particlerb.plan.continued import begins_elsewhere, with_continued
 from particlerb.plan.make_plan import make_plan
 from particlerb.record.frame_values import FrameError
+from particlerb.record.provenance import STATE
 from particlerb.record.writer import Recorder
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.body_states import BodyStates
@@ -233,9 +234,7 @@ class Simulation(Closing):
         if is_same(system, changed, path):
             return
         refuse_what_stays(system, changed, self.time, self._recorder is not None)
-        self._restart(with_continued(system, changed, self.time), None)
-        if self._recorder is not None and path[0] != "run":
-            self._recorder.note_change(f"{key_of(path)}, at t = {self.time!r} s")
+        self._restart(with_continued(system, changed, self.time), None, key_of(path))
 
     def set_state(
         self,
@@ -266,7 +265,7 @@ class Simulation(Closing):
         old = {name: getattr(self.state, name) for name in _STATE_NAMES}
         given = position, orientation, velocity, angular_velocity
         new = new_state(self.system, old, dict(zip(_STATE_NAMES, given, strict=True)))
-        self._restart(self.system, new)
+        self._restart(self.system, new, STATE)
 
     def __repr__(self) -> str:
         """What it moves and how far it has come, in a line."""
@@ -296,8 +295,8 @@ class Simulation(Closing):
             self._recorder.save_checkpoint(lambda: saved, self._n_whole)
 
     @np.errstate(over="ignore")  # found in the energy, where it is asked for
-    def _restart(self, system: System, state: State | None) -> None:
-        """Go on as another system, from the state of now or another one."""
+    def _restart(self, system: System, state: State | None, key: str) -> None:
+        """Go on as another system, from the state of now or another one; a key has changed."""
         planned = state or self._state_now()
         is_moved = state is not None or begins_elsewhere(self.system, system)
         plan = make_plan(system, now=(self.time, planned), is_moved=is_moved)
@@ -310,6 +309,7 @@ class Simulation(Closing):
             if self._recorder is not None:
                 kept = saved_restart(self._begun, system, self.time, planned, begins)
                 self._run.kept_of_restart = kept
+                self._recorder.note_change(key, self.time)
             return self._glance(self.time)
 
         self._moved(system.run.threads, restarted)

@@ -7,9 +7,12 @@ import pytest
 
 import particlerb
 from particlerb import Simulation
+from particlerb.cli import main
 from particlerb.cli.run import run_warnings
+from particlerb.record.verify import verify
 from particlerb.simulation.checks import results
 from particlerb.simulation.resume import look_at, resume_pending
+from particlerb.studies.charts.solids import draw_walls
 
 pytestmark = pytest.mark.plain
 
@@ -150,6 +153,27 @@ def test_values_that_are_there_already_change_nothing(tmp_path):
     assert_same(path, tmp_path / "b.h5")
     with particlerb.open(path) as trajectory:
         assert "changed" not in trajectory.file["parameters"]
+
+
+def test_a_file_says_what_has_changed_and_pictures_show_walls_that_have_not(tmp_path, capsys):
+    figure = pytest.importorskip("matplotlib.figure")
+    changes = [(0.3, change("run.dt", 0.001)), (0.4, change("gravity.acceleration", [0, 0, -9]))]
+    changes += [(0.5, change("gravity.acceleration", [0, 0, -8]))]
+    velocity = [[0.5, 0, 0], [0, 1, 0]]
+    changes += [(0.5, lambda simulation: simulation.set_state(velocity=velocity))]
+    scene = bounce(stiffness=1e4) | {"wall": bounce()["wall"][:1]}
+    path = moved(scene, tmp_path / "a.h5", changes, 0.6)
+    told = "run.dt, at t = 0.3 s, gravity.acceleration, at t = 0.4 s, state, at t = 0.5 s"
+    moved(scene, tmp_path / "b.h5", [*changes, (0.6, WALLS[0][1])], 0.7)
+    for name, words, n_lines in (("a", told, 1), ("b", f"{told}, wall[0].motion.velocity, at", 0)):
+        assert main(["info", str(tmp_path / f"{name}.h5")]) == 0
+        assert words in capsys.readouterr().out
+        with particlerb.open(tmp_path / f"{name}.h5") as trajectory:
+            assert all(found.is_whole for found in verify(trajectory))
+            axes = figure.Figure().subplots()
+            draw_walls(axes, trajectory, 1, [0, 2])
+            assert len(axes.lines) == n_lines
+    particlerb.resume(path).close()
 
 
 def test_checks_before_it_are_not_looked_at_and_later_ones_are(tmp_path):

@@ -22,9 +22,7 @@ from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import rotation_matrix
 from particlerb.model.system import System
 from particlerb.plan.obstacles import middle, motion_of
-from particlerb.record.checked_reading import has
-from particlerb.record.provenance import CHANGED
-from particlerb.record.schema import PARAMETERS
+from particlerb.record.provenance import changes_in
 from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.studies.charts.style import INK
 
@@ -178,9 +176,9 @@ def draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int])
     """Walls where they are in a frame: planes and boxes seen edge on, others by their outlines.
 
     `shown` are the axes to the right and upwards. A wall that slides is left out where its place
-    was not recorded, and so are all where a simulation has changed the scene: they may be others.
+    was not recorded, and so are all where a simulation has changed walls: they may be others.
     """
-    if has(trajectory.file, f"{PARAMETERS}/{CHANGED}"):
+    if "wall" in changes_in(trajectory.file):
         return
     middle_of_scene = trajectory.read("position", frame).mean(axis=0)[shown]
     style: dict[str, Any] = {"color": INK, "lw": 1.2, "zorder": 0.4}
