@@ -28,15 +28,15 @@ def put_row3(rows: Floats, k: int, v: Vec3, at: int = 0) -> None:
 
 
 @inline
-def row4(rows: Floats, k: int) -> Quat:
-    """Row k of an (n, 4) array."""
-    return rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3]
+def row4(rows: Floats, k: int, at: int = 0) -> Quat:
+    """Four numbers of row k from `at` on."""
+    return rows[k, at], rows[k, at + 1], rows[k, at + 2], rows[k, at + 3]
 
 
 @inline
-def put_row4(rows: Floats, k: int, q: Quat) -> None:
-    """Write row k of an (n, 4) array."""
-    rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3] = q
+def put_row4(rows: Floats, k: int, q: Quat, at: int = 0) -> None:
+    """Write four numbers of row k from `at` on."""
+    rows[k, at], rows[k, at + 1], rows[k, at + 2], rows[k, at + 3] = q
 
 
 @inline

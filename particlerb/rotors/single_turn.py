@@ -9,6 +9,7 @@ from typing import Final
 from particlerb.compiled.jit import inline, kernel
 from particlerb.maths import double_double as dd
 from particlerb.maths.quaternion import Quat, multiply, to_body
+from particlerb.maths.rows import put_row4, row4
 from particlerb.maths.trig import cos_sin_half_turns
 from particlerb.maths.vec3 import Floats, Vec3, norm, scale
 from particlerb.rotors.exact import CROSSOVER
@@ -28,33 +29,21 @@ _STEADY_TURN, _THETA_TURN, _NEAR_TURN = 0.0, 1.0, 2.0
 
 
 @inline
-def _put(turn: Floats, b: int, at: int, q: Quat) -> None:
-    """Write four numbers of row b from a column on."""
-    turn[b, at], turn[b, at + 1], turn[b, at + 2], turn[b, at + 3] = q
-
-
-@inline
-def _quat(turn: Floats, b: int, at: int) -> Quat:
-    """Four numbers of row b from a column on."""
-    return turn[b, at], turn[b, at + 1], turn[b, at + 2], turn[b, at + 3]
-
-
-@inline
 def _set_steady(turn: Floats, b: int, q: Quat, L: Vec3, about: float, along: float) -> None:
     """Write a turn at the rate `about` [rad/s] about L, and at `along` about rotor axis 3."""
     inverse = 1.0 / max(norm(L), TINY)
-    _put(turn, b, 0, (_STEADY_TURN, L[0] * inverse, L[1] * inverse, L[2] * inverse))
+    put_row4(turn, b, (_STEADY_TURN, L[0] * inverse, L[1] * inverse, L[2] * inverse))
     turn[b, 4], turn[b, 5] = 0.5 * about, 0.5 * along
-    _put(turn, b, 6, q)
+    put_row4(turn, b, q, 6)
 
 
 @inline
 def _set_theta(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
     """Write a turn of `exact.ThetaTurn`; moments and L in units whose ratio is `rate`."""
     clock, left, right, of = theta_turn(inertia, dd.to_body(q, L), q, rate)
-    _put(turn, b, 0, (_THETA_TURN, clock[0], clock[1], clock[2]))
-    _put(turn, b, 4, left)
-    _put(turn, b, 8, right)
+    put_row4(turn, b, (_THETA_TURN, clock[0], clock[1], clock[2]))
+    put_row4(turn, b, left, 4)
+    put_row4(turn, b, right, 8)
     turn[b, 12], turn[b, 13], turn[b, 14] = of.cosh, of.sinh, of.kappa
 
 
@@ -62,10 +51,10 @@ def _set_theta(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: floa
 def _set_near(turn: Floats, b: int, inertia: Vec3, q: Quat, L: Vec3, rate: float) -> None:
     """Write a turn of `exact.HyperbolicTurn`."""
     clock, left, right, of = near_turn(inertia, dd.to_body(q, L), q, rate)
-    _put(turn, b, 0, (_NEAR_TURN, clock[0], clock[1], clock[2]))
-    _put(turn, b, 4, left)
-    _put(turn, b, 8, right)
-    _put(turn, b, 12, (of.fall, of.r, of.s, of.kappa))
+    put_row4(turn, b, (_NEAR_TURN, clock[0], clock[1], clock[2]))
+    put_row4(turn, b, left, 4)
+    put_row4(turn, b, right, 8)
+    put_row4(turn, b, (of.fall, of.r, of.s, of.kappa), 12)
     turn[b, 16] = of.turn
     for k in range(6):
         turn[b, 17 + k], turn[b, 23 + k] = of.cosines[k], of.sines[k]
@@ -118,7 +107,7 @@ def steadily_turned(turn: Floats, b: int, t: float) -> Quat:
     """`turned` of a body whose turn is steady."""
     cos, sin, _ = cos_sin_half_turns(turn[b, 4] * t)
     cos_b, sin_b, _ = cos_sin_half_turns(turn[b, 5] * t)
-    q = multiply(_quat(turn, b, 6), (cos_b, 0.0, 0.0, sin_b))
+    q = multiply(row4(turn, b, 6), (cos_b, 0.0, 0.0, sin_b))
     return multiply((cos, sin * turn[b, 1], sin * turn[b, 2], sin * turn[b, 3]), q)
 
 
@@ -128,11 +117,11 @@ def turned(turn: Floats, b: int, t: float) -> Quat:
     if turn[b, 0] == _STEADY_TURN:
         return steadily_turned(turn, b, t)
     x, phase = turn[b, 1] + turn[b, 2] * t, turn[b, 3] * t
-    left, right = _quat(turn, b, 4), _quat(turn, b, 8)
+    left, right = row4(turn, b, 4), row4(turn, b, 8)
     if turn[b, 0] == _THETA_TURN:
         of = ThetaCoefficients(turn[b, 12], turn[b, 13], turn[b, 14])
         return oriented(left, phase, theta_local(x, of), right)
-    c, s = _quat(turn, b, 17), _quat(turn, b, 23)
+    c, s = row4(turn, b, 17), row4(turn, b, 23)
     near = NearCoefficients(
         turn[b, 12], turn[b, 13], turn[b, 14], turn[b, 15], turn[b, 16],
         (c[0], c[1], c[2], c[3], turn[b, 21], turn[b, 22]),
