@@ -19,7 +19,6 @@ from particlerb.case.problems import Source
 from particlerb.case.run import AttractionTable, Gravity, RunTable
 from particlerb.case.sweep import SweepTable
 from particlerb.case.values import Table
-from particlerb.files import File
 
 
 class Case(Table):
@@ -62,23 +61,9 @@ class Case(Table):
         return self._source
 
     @property
-    def text(self) -> str:
-        """TOML text as read; empty for a case from Python."""
-        return self._source.text
-
-    @property
     def path(self) -> Path | None:
         """File of the case; None for a case from Python."""
         return self._source.path
-
-    def file(self, name: str) -> File:
-        """Content of a file that the case names, relative to the folder of the case."""
-        return self._source.files.read(name)
-
-    @property
-    def n_bodies(self) -> int:
-        """Number of bodies of all blocks."""
-        return sum(body.count for body in self.body)
 
 
 def case_json_schema() -> dict[str, Any]:

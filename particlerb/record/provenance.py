@@ -42,7 +42,7 @@ def texts_of(system: System, more: Mapping[str, str]) -> dict[str, Any]:
     """
     case = to_case(system)
     texts = {
-        "case": case.text,
+        "case": case.source.text,
         "case_resolved": case.model_dump_json(),
         **more,
         "versions": json.dumps(versions()),

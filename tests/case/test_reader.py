@@ -94,20 +94,20 @@ def test_defaults_are_the_expected_ones():
     assert case.output.fields == (
         "position", "orientation", "linear_momentum", "angular_momentum"
     )  # fmt: skip
-    assert (case.text, case.path) == ("", None)
+    assert (case.source.text, case.path) == ("", None)
 
 
 def test_case_keeps_its_text_path_and_folder(tmp_path):
     path = tmp_path / "two.toml"
     path.write_text(TEXT)
     case = load(str(path))
-    assert (case.text, case.path) == (TEXT, path)
+    assert (case.source.text, case.path) == (TEXT, path)
     (tmp_path / "a.csv").write_text("1")
-    assert case.file("a.csv") == (str(tmp_path / "a.csv"), b"1")
-    assert case.file(str(path)) == (str(path), TEXT.encode())
+    assert case.source.files.read("a.csv") == (str(tmp_path / "a.csv"), b"1")
+    assert case.source.files.read(str(path)) == (str(path), TEXT.encode())
     with pytest.raises(ValueError, match=r'there is no file "a\.csv" in \.$'):
-        parse(TEXT).file("a.csv")
-    assert case.n_bodies == 2
+        parse(TEXT).source.files.read("a.csv")
+    assert sum(body.count for body in case.body) == 2
 
 
 def test_case_is_frozen():

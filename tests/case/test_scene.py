@@ -225,7 +225,7 @@ def test_a_file_is_read_anew_with_each_case_of_a_scene(tmp_path, monkeypatch):
     for force in (b"1", b"3"):
         Path("load.csv").write_bytes(b"0 0 0 0\n1 0 0 " + force)
         cases.append(load(scene))
-    assert [case.file("load.csv").data[-1:] for case in cases] == [b"1", b"3"]
+    assert [case.source.files.read("load.csv").data[-1:] for case in cases] == [b"1", b"3"]
 
 
 def test_a_scene_says_what_it_holds():

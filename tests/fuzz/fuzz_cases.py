@@ -625,7 +625,7 @@ def is_small(case: "Case") -> bool:
             )
             each += MOST + 1 if is_slow else 50 * (wanted is not None)
         particles += each * body.count
-    return case.n_bodies <= MOST_BODIES and particles <= MOST
+    return sum(body.count for body in case.body) <= MOST_BODIES and particles <= MOST
 
 
 def hangs(*_: object) -> None:

@@ -42,7 +42,7 @@ def test_a_system_states_the_case_that_it_was_made_of(path):
     assert again.output.model_copy(update={"fields": own}) == case.output
     known = case.model_copy(update={"sweep": None, "output": again.output})  # without other cases
     assert again.model_dump_json() == known.model_dump_json()
-    assert again.text == case.text
+    assert again.source.text == case.source.text
 
 
 def test_a_problem_is_found_in_the_file_of_its_record():
