@@ -102,9 +102,9 @@ def _find_candidates(
     pairs: PairList,
     is_counting: bool,
     first_unit: int,
-    last_unit: int,
+    end_unit: int,
 ) -> None:
-    """Count, or write, the primitives within the cutoff of the spheres of units first to last.
+    """Count, or write, the primitives within the cutoff of the spheres of units first to end.
 
     Counting, the number of sphere i is written to start[i + 1].
     """
@@ -112,7 +112,7 @@ def _find_candidates(
     origin, per_metre, shape, first, begin, entry = lists
     _, second, start = pairs
     centres = rows3(points, 0, points.shape[1])
-    for at in range(first_unit * UNIT, min(last_unit * UNIT, indices.size)):
+    for at in range(first_unit * UNIT, min(end_unit * UNIT, indices.size)):
         i = indices[at]
         count, square = 0, cutoff[i] * cutoff[i]
         if not is_counting and start[i + 1] == start[i]:

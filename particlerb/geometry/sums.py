@@ -221,7 +221,7 @@ def _sum_chunks(
     first: int,
     end: int,
 ) -> None:
-    """Sums of the chunks first to last, high parts, then low parts, and what was noted."""
+    """Sums of the chunks first to end, high parts, then low parts, and what was noted."""
     lanes, units = np.empty(_BUFFER_SIZE), np.empty(5)
     for c in range(first, end):
         k, lo, hi = chunks[c]

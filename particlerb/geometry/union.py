@@ -138,7 +138,7 @@ def _sweep(centre: Floats, radius: Floats, along: int, pairs: Ints) -> int:
 def patches(
     centre: Floats, radius: Floats, cover: Cover, rows: Floats, first: int, end: int
 ) -> None:
-    """Write what the exposed parts of the spheres first to last add to the moments."""
+    """Write what the exposed parts of the spheres first to end add to the moments."""
     for i in range(first, end):
         if cover.hidden[i]:
             continue
