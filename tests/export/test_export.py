@@ -7,6 +7,7 @@ import time
 import h5py
 import numpy as np
 import pytest
+from formulas import product
 from numba import config
 
 import particlerb
@@ -78,12 +79,6 @@ def tensor_from_particles(t, make, k, b):
     r = make.rotation(t.orientation[k, b]).apply(t.particles.position[own])
     tensor = 0.4 * (m * radius**2).sum() * np.eye(3)
     return tensor + (m * (r * r).sum(axis=1)).sum() * np.eye(3) - np.einsum("i,ij,ik", m, r, r)
-
-
-def product(a, b):
-    """Product of two quaternions, scalar first."""
-    vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-    return np.array([a[0] * b[0] - a[1:] @ b[1:], *vector])
 
 
 def test_gsd_shapes_are_what_the_bodies_are(trajectory, tmp_path, make):

@@ -12,6 +12,7 @@ import mpmath
 import numba
 import numpy as np
 import pytest
+from formulas import derivative
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -251,12 +252,6 @@ def test_a_scene_turned_and_moved_as_a_whole_has_turned_loads(seed, turn):
     limit = rounding(attraction, y) + rounding(attraction, turned)
     for one, other in zip(found_loads(attraction, y), found_loads(attraction, turned), strict=True):
         assert other == pytest.approx(R.as_matrix() @ one, abs=10 * limit)
-
-
-def derivative(f, h=1e-3):
-    """f'(0) by a difference of order 6: errors of h⁶ f⁽⁷⁾ / 140 and 1e-16 f / h."""
-    weights = np.array([-1, 9, -45, 45, -9, 1]) / 60
-    return sum(c * f(k * h) for c, k in zip(weights, (-3, -2, -1, 1, 2, 3), strict=True)) / h
 
 
 @given(seed=seeds, softening=st.sampled_from([0.0, 0.3]))

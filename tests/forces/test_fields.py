@@ -5,6 +5,7 @@ Rounding of what is computed here in one place is some 1e-16 of the largest numb
 
 import numpy as np
 import pytest
+from formulas import derivative
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ellipk
@@ -180,12 +181,6 @@ def test_a_scene_moved_as_a_whole_has_the_same_forces(seed, shift, kind):
     )
     for one, other in zip(loads(terms, x, q, p, L), loads(moved, x + by, q, p, L), strict=True):
         assert other == pytest.approx(one, abs=1e-13)
-
-
-def derivative(f, h=1e-3):
-    """f'(0) by a difference of order 6: errors of h⁶ f⁽⁷⁾ / 140 and 1e-16 f / h."""
-    weights = np.array([-1, 9, -45, 45, -9, 1]) / 60
-    return sum(c * f(k * h) for c, k in zip(weights, (-3, -2, -1, 1, 2, 3), strict=True)) / h
 
 
 def potential_work(terms, com, q):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from formulas import unit_quaternion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,11 +19,6 @@ HEAVY = {"mass": 1e12, "shape": {"type": "moments", "inertia": [1e12, 2e12, 2.5e
 vectors = st.tuples(*[st.floats(-2, 2)] * 3).map(np.array)
 
 
-def unit(seed):
-    q = np.random.default_rng(seed).standard_normal(4)
-    return q / np.linalg.norm(q)
-
-
 def given_momenta(make, forces, q=(1.0, 0, 0, 0), t_end=0.5):
     """What forces give in half a second to a body that is too heavy to turn meanwhile."""
     body = make.body(orientation=list(q)) | HEAVY
@@ -35,7 +31,7 @@ def given_momenta(make, forces, q=(1.0, 0, 0, 0), t_end=0.5):
 @settings(max_examples=25)
 def test_forces_add_up(make, seed):
     """Pushes and torques, two of each in either frame, give the sum of F dt and r × F dt."""
-    q, rng = unit(seed), np.random.default_rng(seed)
+    q, rng = unit_quaternion(seed), np.random.default_rng(seed)
     R = make.rotation(q)
     forces, F, tau = [], np.zeros(3), np.zeros(3)
     for frame in ("world", "body", "world", "body"):
@@ -102,7 +98,7 @@ def test_forces_in_either_frame_against_an_integration(make, kind, frame):
 def test_lever_work_is_the_potential_of_the_push(force, at, a, axis):
     """d/dφ tr(R T) = τ·axis for a turn by φ about any world axis, by central difference."""
     lever = np.outer(force, at).reshape(9, 1)
-    q = unit(a)
+    q = unit_quaternion(a)
     h = 1e-5
 
     def turned_by(angle):
@@ -129,11 +125,11 @@ def test_work_of_an_impulse_is_the_change_of_kinetic_energy(J, at, seed, follows
         np.array([0.5]),
         inertia,
         1 / inertia,
-        unit(seed)[:, None],
+        unit_quaternion(seed)[:, None],
         np.array([4]),
     )
     com, p, L = rng.standard_normal((3, 3, 1))
-    state = State(com, unit(seed + 1)[:, None], p, L)
+    state = State(com, unit_quaternion(seed + 1)[:, None], p, L)
     hit = Impulse(at[:, None], J[:, None], follows)
     after, given = apply_impulse(hit, bodies, state)
     external = given[:, 0]

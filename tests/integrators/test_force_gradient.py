@@ -6,6 +6,7 @@ differences along the axes of the world, and bodies drift by a Taylor series.
 
 import numpy as np
 import pytest
+from formulas import product
 
 import particlerb
 from particlerb.case.problems import CaseError
@@ -45,19 +46,13 @@ def start(name):
     }
 
 
-def times(a, b):
-    """Product of quaternions."""
-    vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-    return np.array([a[0] * b[0] - a[1:] @ b[1:], *vector])
-
-
 def drifted(q, m, inverse, t, terms=22):
     """Free rotation over t by the Taylor series of q̇ = ½ q (0, ω), ṁ = m × ω."""
     ms, qs = [m], [q]
     for k in range(terms):
         spins = [np.array([0.0, *(inverse * one)]) for one in ms]
         dm = sum(np.cross(ms[i], spins[k - i][1:]) for i in range(k + 1))
-        dq = sum(times(qs[i], spins[k - i]) for i in range(k + 1))
+        dq = sum(product(qs[i], spins[k - i]) for i in range(k + 1))
         ms.append(dm / (k + 1))
         qs.append(0.5 * dq / (k + 1))
     return sum(one * t**k for k, one in enumerate(qs))

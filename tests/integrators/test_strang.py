@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from formulas import unit_quaternion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -38,11 +39,6 @@ def vectors(size=1.0):
 def unit_quaternions():
     """Unit quaternions in any direction."""
     return st.integers(0, 2**32 - 1).map(unit_quaternion)
-
-
-def unit_quaternion(seed):
-    q = np.random.default_rng(seed).standard_normal(4)
-    return q / np.linalg.norm(q)
 
 
 # Order
