@@ -54,7 +54,7 @@ def add_gains(joints: Joints, data: JointData, lo: int, hi: int) -> None:
 
 @inline
 def warm_start(joints: Joints, data: JointData, c: int, kick_dt: float) -> None:
-    """Begin with the impulses that a cubic through those of the last four steps foresees.
+    """Begin with the impulses that a polynomial through those of the last steps foresees.
 
     Rows that the factor leaves out have none.
     """

@@ -146,10 +146,10 @@ def past_of(packs: Packs | None, data: JointData) -> Floats:
 
 
 def set_past(packs: Packs | None, data: JointData, past: Floats) -> None:
-    """Go on from what it was."""
-    data.past[:] = past
+    """Go on from what it was; older checkpoints have fewer steps."""
+    data.past[:, : past.shape[1]] = past
     if packs is not None:
-        packs.data.past[:] = np.moveaxis(past[packs.row], 1, -1)
+        packs.data.past[:] = np.moveaxis(data.past[packs.row], 1, -1)
 
 
 def _room(joints: Joints, data: JointData) -> JointData:
@@ -168,7 +168,7 @@ def _room(joints: Joints, data: JointData) -> JointData:
         | {
             "y": world,
             "factor": np.zeros((len(joints.program.pair), width, width, LANES)),
-            "past": np.full((m, 4, LANES), np.nan),
+            "past": np.full((m, col.PAST, LANES), np.nan),
             "failed_row": np.zeros(LANES * (len(joints.clusters.body) - 1), dtype=np.int64),
             "turned": data.turned[:0], "clock": data.clock, "broken": data.broken[:0],
             "load": data.load[:0],

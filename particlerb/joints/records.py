@@ -24,6 +24,7 @@ AT_REST: Final = -1  # the drive of a row that has none
 STATE: Final = 13  # x, q, p, L of a body
 X, Q, P, L = 0, 3, 7, 10
 WHEEL: Final = 12  # of a row: see ConstraintRows
+PAST: Final = 8  # steps that a guess of impulses is made from
 GRADIENT: Final = 15  # of a row: by x, by θ_a and by θ_b, and the last two times J⁻¹
 
 
@@ -182,7 +183,7 @@ class JointData(NamedTuple):
     last_gain: Floats  # (m,) and the impulses that it has added
     scale: Floats  # (m,) diagonal of A
     compliance: Floats  # (m,) what is added to the diagonal of A; inf: the row is left out
-    past: Floats  # (m, 4) impulse of the last step over its kick, and differences back; or NaN
+    past: Floats  # (m, PAST) impulse of the last step over its kick, and differences back; or NaN
     factor: Floats  # (blocks, w, w) for joints of w rows at most
     failed_row: Ints  # (k,) 1 + row that did not converge; m, 2 m more: see `lost_joints`
     turned: Floats  # (c, 3) cosine, sine and whole turns of each angle; or displacement [m], 0, 0
@@ -225,7 +226,7 @@ def joint_data_at(joints: Joints, state: State) -> JointData:
         np.zeros((n, 3)),
         *np.zeros((9, m)),
         np.where(joints.rows.action == HOLDS, 0.0, np.inf).astype(np.float64),
-        np.full((m, 4), np.nan),
+        np.full((m, PAST), np.nan),
         np.zeros((len(joints.program.pair), width, width)),
         np.zeros(k, dtype=np.int64),
         np.zeros((joints.coordinates.a.size, 3)),

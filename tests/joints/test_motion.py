@@ -12,16 +12,38 @@ from scenes import SCENES, Y, Z, bar, body, case, four_bar, hinge_chain, joint, 
 import particlerb
 from particlerb import RunError
 from particlerb.case.to_system import to_system
+from particlerb.joints import iterations
 from particlerb.simulation.run import prepare
 
 CASES = Path(__file__).parents[2] / "cases"
 ORDERS = {"rattle": 2, "rattle4": 4, "rattle6": 6, "rattle8": 8}
 
 
+def run_of(dt):
+    """Keys of [run] for 30 steps, in frames of 10."""
+    return {"t_end": 30 * dt, "every": 10 * dt, "dt": dt, "method": "rattle", "threads": 1}
+
+
 def error(name, t, dt, method):
     """Largest error of a coordinate [m] at t."""
     with moved(SCENES[name](), t, dt, method) as trajectory:
         return np.abs(np.array(trajectory.position)[-1] - reference(name, t)[0]).max()
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("name", "dt", "most"),
+    [("chain6", 1e-3, 2.2), ("double_rod", 5e-3, 2.6), ("bricard", 0.01, 3.3)],
+)
+def test_a_guess_of_the_impulses_saves_drifts(name, dt, most, monkeypatch):
+    """Of smooth motion, once the steps before are known; 3.0, 4.0, 5.1 with a cubic."""
+    drifts, fly = [], iterations.fly
+    monkeypatch.setattr(iterations, "fly", lambda *args: (drifts.append(1), fly(*args)))
+    with particlerb.Simulation({"run": run_of(dt), **SCENES[name]()}) as simulation:
+        simulation.advance(20 * dt)
+        drifts.clear()
+        simulation.advance(30 * dt)
+    assert len(drifts) <= most * 10
 
 
 @pytest.mark.compiled

@@ -9,6 +9,7 @@ from scenes import X, Z, bar, body, case, four_bar, hinge_chain, joint
 import particlerb
 from particlerb import RunError
 from particlerb.joints import packs
+from particlerb.joints.records import PAST
 
 RUN = {"t_end": 0.12, "every": 0.04, "dt": 5e-3, "method": "rattle", "threads": 1}
 N = 18  # four packs, and two more
@@ -135,3 +136,11 @@ def test_one_mechanism_among_bodies_without_joints_drifts_alone(monkeypatch):
     position, *_ = recorded(scene | {"run": RUN | {"t_end": 0.04}})
     assert np.allclose(position[-1, 1:], np.array(places) - [0.0, 0.0, 0.5 * 9.81 * 0.04**2])
     assert np.allclose(position[-1, 0], 0.0)
+
+
+@pytest.mark.once
+def test_a_checkpoint_that_knows_fewer_steps_is_taken():
+    data = SimpleNamespace(past=np.full((2, PAST), np.nan))
+    packs.set_past(None, data, np.arange(8.0).reshape(2, 4))
+    assert np.array_equal(data.past[:, :4], np.arange(8.0).reshape(2, 4))
+    assert np.isnan(data.past[:, 4:]).all()
