@@ -7,7 +7,7 @@ through others, are a cluster and share one too, with copies of it; asymmetric b
 import itertools
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,10 @@ from particlerb.plan.links import AnyLink, attracted, components
 from particlerb.rotors.rotor_class import ASYMMETRIC
 
 _Part = TypeVar("_Part")
+_OF_EACH: Final = {  # keys of joints that may differ among mechanisms that are alike
+    "name", "body", "to", "at", "at_to", "axis", "axis_to", "spring", "damper", "limit", "motor",
+    "friction",
+}  # fmt: skip
 
 
 class GroupForces(NamedTuple):
@@ -139,25 +143,29 @@ def clusters(
 ) -> list[Ints]:
     """Bodies of each group of clusters that are copies of each other; asymmetric ones first.
 
-    Those that lie in different superblocks are in different groups: ranks may share them.
+    Where the step is given, mechanisms of tables that are alike are copies too. Those that lie in
+    different superblocks are in different groups: ranks may share them.
     """
     if not bound.size:
         return []
     order = bound[np.argsort(label[bound], kind="stable")]
     starts = np.flatnonzero(np.diff(label[order], prepend=-1))
     signs: dict[int, list[object]] = {}
+    moves = np.array([body.motion is not None for body in system.body])[system.block]
+    kind = np.stack([system.kind, moves, system.is_held])
     for cluster in np.split(order, starts[1:]):
         first, last = int(cluster[0]), int(cluster[-1])
         block = superblock_of(first, last) if system.n_worlds == 1 else 0
-        like = int(apart[first]), block, *system.kind[cluster % system.in_each].tolist()
+        like = int(apart[first]), block, *kind[:, cluster % system.in_each].ravel().tolist()
         signs[int(label[first])] = [like]
     for link in links:
         labels, count = np.unique(label[link.body_a], return_counts=True)
         for key, springs in zip(labels.tolist(), count.tolist(), strict=True):
             signs[key].append((link.number, springs))
     if joints is not None:
+        kinds = [_kind_of_joint(system, k) for k in range(len(system.joint))]
         for key, number in zip(label[joints.body_a].tolist(), joints.record.tolist(), strict=True):
-            signs[key].append(("joint", number))
+            signs[key].append(("joint", kinds[number]))
     for load in loads:
         labels = np.unique(label[load.members[np.isin(load.members, bound)]])
         for key in labels.tolist():
@@ -168,6 +176,21 @@ def clusters(
     groups = [np.sort(np.concatenate(parts)) for parts in alike.values()]
     is_asymmetric = system.bodies.rotor_class == ASYMMETRIC
     return [members[np.argsort(~is_asymmetric[members], kind="stable")] for members in groups]
+
+
+def _kind_of_joint(system: System, number: int) -> object:
+    """What joints of a table have in common with those of others whose bodies may share a group.
+
+    Numbers of what acts along them may differ, and change in a simulation; what damps, or cuts the
+    time at knots, acts on the steps of all.
+    """
+    table = system.joint[number]
+    if system.run.dt is None or table.drive is not None:
+        return number
+    stop, spring, motor = (getattr(table, key) for key in ("limit", "spring", "motor"))
+    damps = table.damper > 0.0, stop is not None and stop.damping > 0.0, table.friction > 0.0
+    acting = stop is None or stop.stiffness is None, spring is None, type(motor)
+    return table.model_dump_json(exclude=_OF_EACH), damps, stop is None, acting
 
 
 def within(link: AnyLink, is_inside: Bools) -> AnyLink:

@@ -4,12 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scenes import X, Z, bar, body, case, four_bar, hinge_chain, joint
+from scenes import X, Y, Z, bar, body, case, four_bar, hinge_chain, joint
 
 import particlerb
 from particlerb import RunError
+from particlerb.case.to_system import to_system
 from particlerb.joints import packs
 from particlerb.joints.records import PAST
+from particlerb.plan.make_plan import make_plan
 
 RUN = {"t_end": 0.12, "every": 0.04, "dt": 5e-3, "method": "rattle", "threads": 1}
 N = 18  # four packs, and two more
@@ -144,3 +146,34 @@ def test_a_checkpoint_that_knows_fewer_steps_is_taken():
     packs.set_past(None, data, np.arange(8.0).reshape(2, 4))
     assert np.array_equal(data.past[:, :4], np.arange(8.0).reshape(2, 4))
     assert np.isnan(data.past[:, 4:]).all()
+
+
+def pendulum(name, **keys):
+    """A bar on a hinge, along which something acts."""
+    link = bar(name, [0, 0, 0], [1, 0, 0], velocity=(0, 0, -0.5), spin=(0, 1, 0))
+    return link, joint("hinge", name, None, [0, 0, 0], Y, **keys)
+
+
+def of_groups(*pendulums, **run):
+    """Names of bodies of each group of a plan."""
+    bodies, joints = zip(*pendulums, strict=True)
+    scene = case(list(bodies), list(joints)) | {"run": {"t_end": 0.1, "every": 0.1, **run}}
+    system = to_system(scene)
+    return [[system.names[b] for b in group.members] for group in make_plan(system).groups]
+
+
+@pytest.mark.once
+def test_mechanisms_of_tables_that_are_alike_share_a_group_where_the_step_is_given():
+    sprung = [pendulum(f"s{k}", spring={"stiffness": 1.0 + k}) for k in range(2)]
+    others = [pendulum("damped", damper=0.1), pendulum("driven", drive={"speed": 1.0})]
+    assert of_groups(*sprung, *others, dt=1e-3) == [["s0", "s1"], ["damped"], ["driven"]]
+    assert of_groups(*sprung) == [["s0"], ["s1"]]
+
+
+@pytest.mark.plain
+def test_of_tables_that_are_alike_each_mechanism_moves_as_it_does_alone():
+    pendulums = [pendulum(f"s{k}", spring={"stiffness": 1.0 + k}) for k in range(2)]
+    states = recorded(case(*map(list, zip(*pendulums, strict=True))))[:4]
+    for k, (link, hinge) in enumerate(pendulums):
+        for together, alone in zip(states, recorded(case([link], [hinge]))[:4], strict=True):
+            assert np.array_equal(together[:, k], alone[:, 0])
