@@ -28,7 +28,7 @@ BUDGETS = {
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2148,
     "scenes and simulations in Python": 1041,
-    "sweeps": 1610,
+    "sweeps": 1621,
     "one scene over ranks": 2601,
     "reports, pictures, the page": 1786,
     "scenes for other programs": 540,

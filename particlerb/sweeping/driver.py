@@ -32,6 +32,7 @@ from particlerb.sweeping.worker import Task, work
 
 _AXIS_HINT: Final = "give it a table [sweep], or --axis 'run.t_end=[1, 2]'; in Python axes={..}"
 _MAX_ATTEMPTS: Final = 3  # of a task whose worker dies
+_MAX_FAILED: Final = 100  # variants at the begin that cost their own rows
 _MAX_STARTS: Final = 20  # of workers that die before they do anything
 _END: Final = ("run", "t_end")
 _DIED: Final = "the worker died"
@@ -121,7 +122,7 @@ def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
 def _first_system(
     base: Case, asked: SweepTable, all_variants: list[Variant]
 ) -> tuple[System, list[str]]:
-    """System of the first variant, and columns of what is asked for.
+    """System of the first variant that is one, and columns of what is asked for.
 
     Raises
     ------
@@ -129,8 +130,7 @@ def _first_system(
         If its code is not allowed, or if a variant has other columns, or has ended by then.
     """
     paths = list(map(path_of, asked.axes))
-    system = to_system(built(base, paths, all_variants[0].values))
-    loads_of(system)  # whose code may have to be allowed
+    system = _first_of(base, paths, all_variants[:_MAX_FAILED])
     ends = [one.values[k] for k, path in enumerate(paths) if path == _END for one in all_variants]
     numbers = [end for end in ends if isinstance(end, int | float)]  # others cost their own rows
     first = _columns_of(base, asked, system, min(numbers, default=system.run.t_end))
@@ -150,6 +150,20 @@ def _first_system(
                 hint = "name one body, which all runs have"
                 raise CaseError([problem_at(base, f"sweep.value[{k}]", reason, hint)])
     return system, [name for names in first for name in names]
+
+
+def _first_of(base: Case, paths: list[Path], variants: list[Variant]) -> System:
+    """System of the first of some variants that is one; CaseError of the first where none is."""
+    errors = list[CaseError]()
+    for variant in variants:
+        try:
+            system = to_system(built(base, paths, variant.values))
+            loads_of(system)  # whose code may have to be allowed
+        except CaseError as error:
+            errors.append(error)
+        else:
+            return system
+    raise errors[0]
 
 
 def _matters(path: Path) -> bool:

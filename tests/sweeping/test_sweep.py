@@ -194,6 +194,19 @@ def test_a_run_that_fails_and_one_that_misses_a_check_have_their_rows():
     assert found.column("checks_missed") == [1, 0, 1]
 
 
+@pytest.mark.plain
+def test_a_variant_that_is_none_costs_its_own_row_wherever_it_stands():
+    """A rod does not spin about its axis; where no variant is one, nothing runs."""
+    scene, rod = fallen(), {"type": "rod", "length": 1.0, "n": 3}
+    scene.body = [scene.body[0].model_copy(update={"angular_velocity": (0.0, 0.0, 1.0)})]
+    box = {"type": "box", "size": [1, 1, 2], "n": 2}
+    for shapes in ([rod, box, box], [box, rod, box]):
+        rows = in_threads(scene, axes={"body.0.shape": shapes}).rows
+        assert [row[2][:6] for row in rows] == ["failed" if s is rod else "done" for s in shapes]
+    with pytest.raises(CaseError, match="box is a rod"):
+        in_threads(scene, axes={"body.0.shape": [rod, rod]})
+
+
 def test_rows_that_are_there_are_not_run_again(tmp_path, monkeypatch):
     path, ran = tmp_path / "t.csv", []
     monkeypatch.setattr(driver, "work", lambda task: ran.append(task.numbers) or work(task))
