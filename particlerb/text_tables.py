@@ -124,6 +124,7 @@ def _numbers(
     try:
         table = np.array([cells for _, cells in lines], dtype=np.float64)
         is_whole = table.ndim == 2 and table.shape[1] == len(names)
+        is_whole &= not any("_" in cell for _, cells in lines for cell in cells)
     except ValueError:
         is_whole = False
     if is_whole and np.isfinite(table).all():
@@ -140,7 +141,7 @@ def _row(cells: Sequence[str], names: Sequence[str], where: str) -> list[float]:
     values = []
     for name, cell in zip(names, cells, strict=True):
         try:
-            value = float(cell)
+            value = float("" if "_" in cell else cell)  # 1_0 would be 10
         except ValueError:
             raise ValueError(f"{where}: {name} = {cell!r} is not a number") from None
         if not math.isfinite(value):

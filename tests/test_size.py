@@ -26,7 +26,7 @@ BUDGETS = {
     "contact with every method": 670,
     "contact by impulses": 4204,
     "collisions by events": 1737,
-    "forces: tables, gradients, written by users": 2148,
+    "forces: tables, gradients, written by users": 2149,
     "scenes and simulations in Python": 1041,
     "sweeps": 1621,
     "one scene over ranks": 2601,

@@ -291,6 +291,7 @@ def refused(path, text):
         ("0,1,2,3\n\n0.5,1,nan,3\n", "load.csv:3: y = nan is not finite"),
         ("0,1,2,3\n0.5,1,2e999,3\n", "load.csv:2: y = 2e999 is not finite"),
         ("0,1,2,3\n0.5,1,two,3\n", "load.csv:2: y = 'two' is not a number"),
+        ("0,1,2,3\n0.5,1,1_0,3\n", "load.csv:2: y = '1_0' is not a number"),
         ("-1,1,2,3\n0.5,1,2,3\n", "load.csv:1: t = -1 is negative"),
         ("0,1,2,3\n0.5,1,2,3\n0.4,1,2,3\n", "load.csv:3: t = 0.4 after 0.5: times must ascend"),
         ("0,1,2,3\n0.5,1,2,3\n0.5,1,2,4\n", "load.csv:3: t = 0.5 after 0.5: times must ascend"),
