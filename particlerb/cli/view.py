@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import math
 import signal
 import sys
 from collections.abc import Iterator
@@ -33,6 +34,7 @@ def view_command(options: argparse.Namespace) -> int:
     try:
         import viser  # noqa: F401
 
+        from particlerb.compiled.plain import time_in_python
         from particlerb.view.access import Access, AccessError
         from particlerb.view.server import listening
     except ImportError:
@@ -49,7 +51,11 @@ def view_command(options: argparse.Namespace) -> int:
     if text:
         print(f"particlerb: warning: {text}", file=sys.stderr)
     is_file = Path(options.case).suffix.lower() in FILES
-    with ending(AccessError, code=FAILED), listening(access, options.port) as server:
+    with (
+        ending(AccessError, code=FAILED),
+        listening(access, options.port) as server,
+        time_in_python(math.inf),  # a page that compiles stands still
+    ):
         return _play(options, server, access) if is_file else push(options, server, access)
 
 

@@ -17,6 +17,7 @@ import particlerb.cli.view as command
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.cli import main
+from particlerb.compiled.jit import config
 from particlerb.view.live import Live
 from particlerb.view.session import UserPush
 
@@ -64,6 +65,37 @@ def test_the_address_stands_alone_on_its_line(monkeypatch, tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     (address,) = [line for line in lines if "http" in line]
     assert re.fullmatch(r"http://\[::1\]:\d+/\?token=[0-9a-f]{48}", address)
+
+
+LONG_SESSION = """
+import json
+import particlerb.cli
+from particlerb.compiled import plain
+from particlerb.compiled.jit import compiling
+from particlerb.view.live import Live
+from particlerb.view.session import UserPush
+
+def used(page):
+    plain._Time.left -= 1.0  # [s], as after some thousand updates
+    page.session.advance(0.25)
+    page.session.apply(UserPush(0, (0.2, 0.2, -0.5), (0.0, 0.0, 1.0), 0.0))
+    page.session.advance(0.5)
+
+Live.go = used
+with compiling() as spent:
+    assert particlerb.cli.main(["view", "--port", "8425", "-o", {path!r}]) == 0
+print()
+print(json.dumps(len(spent)))
+"""
+
+
+@pytest.mark.compiled
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled in plain Python")
+def test_no_push_waits_for_the_compiler_however_long_a_page_is_open(make, tmp_path):
+    """Where little moves, Python goes on to do it: a page that compiles stands still."""
+    code = LONG_SESSION.format(path=str(tmp_path / "session.toml"))
+    printed = make.python(code, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
+    assert printed.splitlines()[-1] == "0"
 
 
 def test_a_session_is_saved_at_the_end(monkeypatch, tmp_path, capsys):
