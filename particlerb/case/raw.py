@@ -6,7 +6,7 @@ from typing import Any, TypeAlias, TypeVar
 
 from particlerb.case.problems import Path
 from particlerb.case.values import LARGEST_COUNT
-from particlerb.model.names import REFERENCE
+from particlerb.model.names import REFERENCE, BodyNames
 
 Finding: TypeAlias = tuple[Path, str, str]
 _Kind = TypeVar("_Kind", dict[str, Any], list[Any], str)
@@ -45,42 +45,32 @@ def has(table: dict[str, Any], key: str) -> bool:
     return value is not None and not (isinstance(value, list) and not value)
 
 
-def members(raw: dict[str, Any]) -> dict[str, range]:
-    """Indices of the bodies of every block; none where a block says not how many it has."""
-    blocks: dict[str, range] = {}
-    first = 0
+def members(raw: dict[str, Any]) -> BodyNames:
+    """Names of the bodies of every block; none where a block says not how many it has."""
+    records: list[tuple[str, int]] = []
     for _, body in tables(raw, "body"):
         name, count = body.get("name"), body.get("count", 1)
         is_count = isinstance(count, int) and 1 <= count <= LARGEST_COUNT
         if not isinstance(name, str) or not is_count:
-            return {}
-        blocks[name] = range(first, first + count)
-        first += count
-    return blocks
+            return BodyNames(())
+        records.append((name, count))
+    return BodyNames(records)
 
 
-def bodies_named(value: Any, blocks: dict[str, range]) -> list[range] | None:
+def bodies_named(value: Any, names: BodyNames) -> list[range] | None:
     """Bodies of one name, or of each of a list; None where one is not there."""
-    named = []
-    for name in value if isinstance(value, list) else [value]:
-        match = REFERENCE.fullmatch(name) if isinstance(name, str) else None
-        if match is None or match["name"] not in blocks:
-            return None
-        block = blocks[match["name"]]
-        if match["index"]:
-            k = int(match["index"])
-            block = block[k : k + 1]
-        if not block:
-            return None
-        named.append(block)
-    return named
+    listed = value if isinstance(value, list) else [value]
+    try:
+        return [names.span(name) for name in listed]
+    except (KeyError, TypeError):  # no such body, or no name
+        return None
 
 
 def pair_rules(
-    path: Path, raw: dict[str, Any], blocks: dict[str, range], hint: str, either_way: bool = False
+    path: Path, raw: dict[str, Any], names: BodyNames, hint: str, either_way: bool = False
 ) -> Iterator[Finding]:
     """`body` and `to` make pairs: equal numbers, or one `to` for all; `either_way`: one `body`."""
-    ends = (bodies_named(raw.get(key), blocks) or () for key in ("body", "to"))
+    ends = (bodies_named(raw.get(key), names) or () for key in ("body", "to"))
     n, m = (sum(map(len, end)) for end in ends)
     if n and m and m not in {n, 1} and not (either_way and n == 1):
         yield (*path, "to"), f"names {m} bodies, `body` {n}: they make no pairs", hint

@@ -89,7 +89,7 @@ class BodyNames(Sequence[str]):
         """
         listed = [names] if isinstance(names, str) else names
         start, stop = self.part.start, self.part.stop
-        spans = [self._find_one(name) for name in listed]
+        spans = [self.span(name) for name in listed]
         ends = [(max(span.start, start), min(span.stop, stop)) for span in spans]
         inside = np.concatenate([np.arange(*end) for end in ends]) - start
         worlds = np.arange(self.n_worlds, dtype=np.int64)[:, None]
@@ -98,12 +98,12 @@ class BodyNames(Sequence[str]):
     def has(self, name: str) -> bool:
         """Whether there is such a body."""
         try:
-            return len(self._find_one(name)) > 0
+            return len(self.span(name)) > 0
         except KeyError:
             return False
 
-    def _find_one(self, name: str) -> range:
-        """Bodies of the scene."""
+    def span(self, name: str) -> range:
+        """Bodies of the scene that a name stands for; KeyError where there are none."""
         match = REFERENCE.fullmatch(name)
         if match is None or match["name"] not in self._number:
             raise KeyError(name)

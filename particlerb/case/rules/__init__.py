@@ -26,7 +26,7 @@ from particlerb.case.rules.contact import contact_rules
 from particlerb.case.rules.forces import code_rules, force_rules, table_of
 from particlerb.case.rules.joints import driven_rules, joint_rules
 from particlerb.files import Files
-from particlerb.model.names import REFERENCE
+from particlerb.model.names import REFERENCE, BodyNames
 
 _MAX_FRAMES = 10**9
 _LATER = "take an earlier time, or a longer run.t_end"
@@ -37,15 +37,15 @@ def findings(raw: dict[str, Any], files: Files) -> Iterator[Finding]:
     yield from _time_rules(raw)
     yield from _name_rules(raw)
     yield from _reference_rules(raw)
-    blocks = members(raw)
+    names = members(raw)
     for i, force in tables(raw, "force"):
-        yield from force_rules(("force", i), force, blocks, files)
+        yield from force_rules(("force", i), force, names, files)
     yield from code_rules(raw, files)
     law = entry_at(raw.get("contact"), "law", str)
     for i, joint in tables(raw, "joint"):
-        yield from joint_rules(("joint", i), joint, blocks, law)
+        yield from joint_rules(("joint", i), joint, names, law)
     yield from driven_rules([joint for _, joint in tables(raw, "joint")])
-    yield from _attraction_rules(raw.get("attraction"), blocks)
+    yield from _attraction_rules(raw.get("attraction"), names)
     yield from contact_rules(raw)
     yield from bodies.held_rules(raw)
     for i, body in tables(raw, "body"):
@@ -139,14 +139,14 @@ def _named_body(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Find
         yield path, f'there is no body "{value}"', f"{match['name']}[0] to [{count - 1}] exist"
 
 
-def _attraction_rules(table: Any, blocks: dict[str, range]) -> Iterator[Finding]:
+def _attraction_rules(table: Any, names: BodyNames) -> Iterator[Finding]:
     """Two bodies at least attract each other, and what a tree sums as one is said once."""
     if not isinstance(table, dict):
         return
     if has(table, "opening_angle") and has(table, "accuracy"):
         yield ("attraction", "accuracy"), "given beside opening_angle", "give one of them"
-    every = list(blocks.values())
-    attracted = bodies_named(table["body"], blocks) if has(table, "body") else every
+    listed = table["body"] if has(table, "body") else [name for name, _ in names.records]
+    attracted = bodies_named(listed, names)
     if attracted and all(len(b) == 1 and b == attracted[0] for b in attracted):
         key = ("attraction", "body") if has(table, "body") else ("attraction",)
         yield key, "needs two bodies at least, has one", "name more of them, or leave this out"

@@ -8,6 +8,7 @@ from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, entry_at, has, out_of_place, pair_rules, tables
 from particlerb.case.rules.bodies import file_rules
 from particlerb.files import Files
+from particlerb.model.names import BodyNames
 from particlerb.user_force import UserForce
 
 
@@ -17,7 +18,7 @@ def table_of(force: dict[str, Any]) -> type[ForceTable] | None:
 
 
 def force_rules(
-    path: Path, raw: dict[str, Any], blocks: dict[str, range], files: Files
+    path: Path, raw: dict[str, Any], names: BodyNames, files: Files
 ) -> Iterator[Finding]:
     """What one [[force]] says fits together, and bodies at both ends make pairs."""
     table = table_of(raw)
@@ -35,7 +36,7 @@ def force_rules(
         yield from _end_rules(path, raw)
     if "to" in table.names_bodies and not has(raw, "reach"):
         hint = "name equal numbers, or one for all; or give `reach`"
-        yield from pair_rules(path, raw, blocks, hint, either_way=True)
+        yield from pair_rules(path, raw, names, hint, either_way=True)
 
 
 def _end_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:

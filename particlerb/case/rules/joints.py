@@ -7,11 +7,10 @@ from typing import Any
 from particlerb.case.joints import ACTIONS, ALONG, JOINT_TYPES, WITHOUT_AXIS
 from particlerb.case.problems import Path, nearest
 from particlerb.case.raw import Finding, bodies_named, entry_at, has, number, pair_rules
+from particlerb.model.names import BodyNames
 
 
-def joint_rules(
-    path: Path, raw: dict[str, Any], blocks: dict[str, range], law: str
-) -> Iterator[Finding]:
+def joint_rules(path: Path, raw: dict[str, Any], names: BodyNames, law: str) -> Iterator[Finding]:
     """A joint has the axes that it needs, and two ends; `law` is that of [contact], if any."""
     kind = raw.get("type")
     if kind in JOINT_TYPES:
@@ -29,9 +28,9 @@ def joint_rules(
         yield (*path, "during"), "a joint acts from the start on", hint
     yield from _other_end_rules(path, raw)
     if raw.get("chain") is True:
-        yield from _chain_rules(path, raw, bodies_named(raw.get("body"), blocks))
+        yield from _chain_rules(path, raw, bodies_named(raw.get("body"), names))
     else:
-        yield from pair_rules(path, raw, blocks, "name equal numbers, or one for all")
+        yield from pair_rules(path, raw, names, "name equal numbers, or one for all")
 
 
 def _other_end_rules(path: Path, raw: dict[str, Any]) -> Iterator[Finding]:
