@@ -164,7 +164,8 @@ def object_at(file: h5py.File, path: str) -> Any:
         if place.links.get_info(name).type != h5l.TYPE_HARD:
             raise ValueError(f"{path} is a link to elsewhere")
         place = h5o.open(place, name)
-    return h5py.Dataset(place) if isinstance(place, h5d.DatasetID) else h5py.Group(place)
+    kinds = {h5g.GroupID: h5py.Group, h5d.DatasetID: h5py.Dataset}
+    return kinds.get(type(place), h5py.Datatype)(place)
 
 
 def has(file: h5py.File | Memory, path: str) -> bool:
