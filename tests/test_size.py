@@ -24,7 +24,7 @@ BUDGETS = {
     "closed forms under force": 1582,
     "joints": 5869,
     "contact with every method": 670,
-    "contact by impulses": 4204,
+    "contact by impulses": 4206,
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2149,
     "scenes and simulations in Python": 1041,

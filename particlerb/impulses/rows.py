@@ -11,6 +11,8 @@ from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
 _STICKING_SHARE: Final = 1.0 - 1e-6  # of μ times the normal force: with less friction it sticks
+_SLIP_SHARE: Final = 0.1  # of what drives and turning change: with less slip it sticks
+_CAME_SHARE: Final = 2.0  # of what came across the normal: so much turning gives back at most
 _MIN_SCHUR_SHARE: Final = 1e-6  # of an inverse mass without joints: with less, friction is nothing
 
 
@@ -188,7 +190,8 @@ def lean(
     Until then it changes without impulses, as the normal turns and as bodies turn. So what rolls or
     slides along what is bent leaves the middle of a step as it came there; without this, each step
     would take from its energy what the normal has turned towards it. No more than what came is
-    given back, and across the normal only to what stuck in the step before; what drives and
+    given back, and across the normal twice that, to what stuck in the step before or does not slip:
+    several contacts of a pair ask for what rigid bodies can have at once. What drives and
     prescribed motions accelerate counts in full. What moves in contact over what is bent away
     from it lies beyond in the middle, which is not counted as a gap.
 
@@ -216,9 +219,10 @@ def lean(
     n = n_by + min(max(came - n_by, min(n, 0.0)), max(n, 0.0))
     gap = limits[c, col.GAP] - 0.25 * dt * max(n, 0.0)
     rows.frame[c, col.LEAST] = (-gap / dt if gap > slop else 0.0) - n
-    if math.sqrt(f * f + g * g) < _STICKING_SHARE * rows.frame[c, col.FRICTION] * pressed:
-        u, v = u - x_by, v - y_by
-        size, most = math.sqrt(x * x + y * y), math.sqrt(u * u + v * v)
+    is_within = math.hypot(f, g) < _STICKING_SHARE * rows.frame[c, col.FRICTION] * pressed
+    slip, u, v = math.hypot(u - x_by - x, v - y_by - y), u - x_by, v - y_by
+    if is_within or slip <= _SLIP_SHARE * math.hypot(x + x_by, y + y_by):
+        size, most = math.hypot(x, y), _CAME_SHARE * math.hypot(u, v)
         share = most / size if size > most else 1.0
         x_by, y_by = x_by + share * x, y_by + share * y
     put_row3(limits, c, (n, x_by, y_by), col.LEAN)
