@@ -8,7 +8,7 @@ least (Anderson's mixing), which saves up to a fifth of them; not in loops, whic
 poses: there it may lead to another branch. It goes on until the residual no longer falls; where
 that of a loop rises a hundredfold, it is on its way to another branch, and rows rest instead.
 Each cluster is solved by itself, so that its bits do not depend on others. Whole steps begin with a
-guess of ν from those before, which saves a fifth to a third; checkpoints keep what it needs. Its
+guess of ν from those before, which saves up to half of them; checkpoints keep what it needs. Its
 error turns a body of 1e-6 of the mass of its neighbours a million times as far: where masses of a
 cluster differ by more than a hundredfold, and where the guess leaves residuals above 1e-2, there is
 none.
