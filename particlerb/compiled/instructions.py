@@ -41,3 +41,33 @@ def instruction(plain: _Plain) -> Callable[[Callable[..., Any]], _Plain]:
         return with_stand_in(plain, typed)
 
     return decorate
+
+
+def rows_of(count: int, width: int) -> Callable[[Any], Any]:
+    """A view of an array as `count` rows of `width` numbers, which the compiler knows."""
+
+    def plain(flat: Any) -> Any:
+        return flat.reshape(count, width)
+
+    def typed(typing: Any, flat: Any) -> Any:
+        rows = types.Array(types.float64, 2, "C")
+
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            from numba.np.arrayobj import populate_array
+
+            made = context.make_array(rows)(context, builder)
+            cast(Any, populate_array)(
+                made,
+                data=context.make_array(flat)(context, builder, values[0]).data,
+                shape=[BITS(count), BITS(width)],
+                strides=[BITS(8 * width), BITS(8)],
+                itemsize=BITS(8),
+                meminfo=None,
+            )
+            return made._getvalue()
+
+        return rows(flat), generate
+
+    made: Any = with_stand_in(plain, typed)
+    made.is_view = True  # for `lowering`
+    return cast(Callable[[Any], Any], made)

@@ -198,7 +198,8 @@ class _Lower(lowering.Lower):
             return True
         if step.op == "call":
             called = self.fndesc.typemap[step.func.name]
-            is_view = getattr(called, "typing_key", None) == "array.reshape"
+            key = getattr(called, "typing_key", None)
+            is_view = key == "array.reshape" or getattr(key, "is_view", False)
             return not (is_view or isinstance(called, types.NamedTupleClass))
         if step.op in ("getitem", "static_getitem"):
             return any(self._is_counted(kind) for kind in signature.args[1:])

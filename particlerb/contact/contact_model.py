@@ -139,6 +139,7 @@ class Workspace(NamedTuple):
     gross_work: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect_loads`
     step_start: Records  # (1,) STEP_START: all threads write the same
     piston_loads: Floats  # (k, 4, 3): see `body_loads.sum_piston_loads`
+    pack: Floats  # (threads, room for contacts in lanes: see `sphere_contacts`)
     impulses: Impulses | None = None  # where contacts have no stiffness
 
 

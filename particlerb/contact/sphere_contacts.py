@@ -9,9 +9,8 @@ so that a contact takes the same instructions wherever it stands in a list, and 
 import math
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-
-from particlerb.compiled.jit import config, inline, kernel, unsigned
+from particlerb.compiled.instructions import rows_of
+from particlerb.compiled.jit import config, inline, kernel, splice, unsigned
 from particlerb.contact.contact_model import ContactList, ContactModel, Evaluation
 from particlerb.contact.law import Law
 from particlerb.contact.pair_force import (
@@ -26,11 +25,13 @@ from particlerb.contact.pair_force import (
 from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.records import Records
 from particlerb.maths.rows import put_row3, row3
-from particlerb.maths.vec3 import ZERO, Floats, Ints, Vec3, add_scaled, dot, norm, scale, subtract
+from particlerb.maths.vec3 import ZERO, Floats, Vec3, add_scaled, dot, norm, scale, subtract
 
 _LANES: Final = 16  # contacts of a pack
 _GOES_THROUGH_ALL: Final = not config.DISABLE_JIT  # lanes; in Python those with a contact
-_ROWS: Final = 74  # numbers of a contact in a pack
+_ROWS: Final = 75  # numbers of a contact in a pack
+ROOM: Final = _ROWS * _LANES  # numbers of a pack
+_rows_of: Final = rows_of(_ROWS, _LANES)
 _MAX_OVERLAP: Final = 1.0  # of two spheres, in the smaller radius: more is an error
 
 
@@ -89,17 +90,20 @@ class _Stages(NamedTuple):
 class _Pack(NamedTuple):
     """Contacts whose forces are found together."""
 
-    contact: Ints  # (_LANES,) number in the list
+    contact: Floats  # (_LANES,) number in the list
     spheres: _Spheres
     body_a: Any  # _Bodies
     body_b: Any  # _Bodies
     on: Evaluation  # of a list with a contact in each lane, each with a law of its own
 
 
-@inline
-def _empty_pack(on: Evaluation) -> _Pack:
-    """Room for contacts of a list, and what is to be known to find their forces."""
-    rows, model, contacts = np.zeros((_ROWS, _LANES)), on.model, on.contacts
+@splice
+def _pack_of(on: Evaluation) -> _Pack:
+    """Room of a thread for contacts of a list, and what is to be known to find their forces.
+
+    Copied as text: a function that returned it would count the owners of all arrays.
+    """
+    rows, model, contacts = _rows_of(on.workspace.pack[on.thread]), on.model, on.contacts
     law, stages = model.law, contacts.stages
     rolling = None if law.rolling is None else rows[61]
     spheres = _Spheres(rows[0:3].T, rows[3:6].T, rows[6], rows[7], rows[8:11].T)
@@ -126,7 +130,7 @@ def _empty_pack(on: Evaluation) -> _Pack:
         model.inv_inertia, model.prescribed,
     )  # fmt: skip
     return _Pack(
-        np.zeros(_LANES, dtype=np.int64), spheres, first, second,
+        rows[74], spheres, first, second,
         Evaluation(of_each, on.workspace, lanes, on.before, on.after, on.growth, on.thread),
     )  # fmt: skip
 
@@ -191,7 +195,7 @@ def sphere_contact_forces(on: Evaluation, v: float, w: float, first: int, end: i
     `v` and `w` [m/s, rad/s] are the largest of all points of bodies, and of all bodies.
     """
     model, workspace, contacts, before, after, _, _ = on
-    pack = _empty_pack(on)
+    pack = _pack_of(on)
     firsts, seconds, active = contacts.sphere, contacts.other, contacts.active
     body, xyzr, bodies = model.spheres.body, workspace.xyzr, workspace.bodies
     longer, n = max(before, after), 0
@@ -281,7 +285,7 @@ def _pack_forces(on: Evaluation, pack: _Pack, n: int) -> None:
         contact_force(pack.on, lane, lane, _collision(pack, lane))
     contacts, rolling, lanes = on.contacts, on.model.law.rolling, pack.on.contacts
     for lane in range(n):
-        c = unsigned(pack.contact[unsigned(lane)])
+        c = unsigned(int(pack.contact[unsigned(lane)]))
         _copy_history(rolling, lanes.history, unsigned(lane), contacts.history, c)
         _copy_forces(rolling, lanes.forces, unsigned(lane), contacts.forces, c)
         _copy_stages(contacts.stages, lanes.stages, unsigned(lane), contacts.stages, c)

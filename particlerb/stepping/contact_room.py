@@ -19,6 +19,7 @@ from particlerb.contact.contact_model import (
     Workspace,
 )
 from particlerb.contact.piston import PARTS, initial_piston_state, with_pistons
+from particlerb.contact.sphere_contacts import ROOM
 from particlerb.forces import has_potential
 from particlerb.impulses import records as col
 from particlerb.impulses.order import room_for_newton
@@ -26,6 +27,7 @@ from particlerb.impulses.records import Impulses, room_for_partners, room_for_ro
 from particlerb.integrators.stages import MovingBodies
 from particlerb.joints.responses import bounded_of, mechanisms_of, pairs_through
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.block import aligned_zeros
 from particlerb.model.state import State
 from particlerb.stepping.contact_lists import ContactLists
 from particlerb.stepping.loop import Copies
@@ -49,7 +51,10 @@ def room_for_contact(
     step_start = records.zero_records(records.STEP_START, 1)
     loads, impulses = np.zeros((len(pistons), 4, PARTS)), room_for_impulses(group, setup)
     gross_work = np.zeros(n)
-    workspace = Workspace(xyzr, poses, bodies, deepest, gross_work, step_start, loads, impulses)
+    pack = aligned_zeros(threads * ROOM).reshape(threads, ROOM)
+    workspace = Workspace(
+        xyzr, poses, bodies, deepest, gross_work, step_start, loads, pack, impulses
+    )
     extremes = records.zero_records(records.EXTREMES, 1)
     memory = ContactMemory(y[7:].copy(), y[:7].copy(), start, np.inf, pistons, extremes)
     frames = room_for_frames(0, bins, n_bins, len(pistons), impulses is not None)

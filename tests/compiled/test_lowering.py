@@ -9,6 +9,7 @@ from numba.core.runtime import _nrt_python as _nrt
 from numba.core.runtime import rtsys
 from numba.core.runtime.context import NRTContext
 
+from particlerb.compiled.instructions import rows_of
 from particlerb.compiled.jit import compile_with, inline
 from particlerb.compiled.lowering import _Lower
 
@@ -40,6 +41,16 @@ def reshaped(pair, scale):
     return scale * rows[0, 1]
 
 
+as_row = rows_of(1, 5)
+
+
+@inline
+def in_rows(pair, scale):
+    """A view whose shape the compiler knows."""
+    rows = as_row(pair.second)
+    return scale * rows[0, 4] + rows[0:1].T[3, 0]
+
+
 @inline
 def given_back(pair):
     """An array of its caller."""
@@ -66,6 +77,11 @@ def borrows(pair):
 @compiled
 def reshapes(pair):
     return reshaped(pair, 2.0) + pair.second.reshape(5, 1)[2, 0]
+
+
+@compiled
+def takes_rows(pair):
+    return in_rows(pair, 2.0)
 
 
 @compiled
@@ -113,6 +129,7 @@ def counted():
     [
         (borrows, 3.0),
         (reshapes, 4.0),
+        (takes_rows, 6.0),
         (passes_back, 20.0),
         (makes, 9 * (2.0 + 4.0 + 3.0)),
         (walks, 3.0),
@@ -134,7 +151,7 @@ def test_arrays_live_as_long_as_needed(function, value):
 
 
 @pytest.mark.parametrize(
-    ("function", "counts"), [(lent, False), (reshaped, False), (given_back, True)]
+    ("function", "counts"), [(lent, False), (reshaped, False), (in_rows, False), (given_back, True)]
 )
 def test_what_is_lent_is_not_counted(function, counts, monkeypatch):
     """A function that returns no array and makes none has no code that counts owners."""
