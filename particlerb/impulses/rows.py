@@ -221,7 +221,8 @@ def lean(
     rows.frame[c, col.LEAST] = (-gap / dt if gap > slop else 0.0) - n
     is_within = math.hypot(f, g) < _STICKING_SHARE * rows.frame[c, col.FRICTION] * pressed
     slip, u, v = math.hypot(u - x_by - x, v - y_by - y), u - x_by, v - y_by
-    if is_within or slip <= _SLIP_SHARE * math.hypot(x + x_by, y + y_by):
+    sticks = is_within or slip <= _SLIP_SHARE * math.hypot(x + x_by, y + y_by)
+    if sticks and pressed > 0.0:
         size, most = math.hypot(x, y), _CAME_SHARE * math.hypot(u, v)
         share = most / size if size > most else 1.0
         x_by, y_by = x_by + share * x, y_by + share * y

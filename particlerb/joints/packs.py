@@ -66,10 +66,12 @@ def packs_of(joints: Joints, data: JointData) -> tuple[Packs | None, Ints]:
     packs, alone = list[list[int]](), np.flatnonzero(np.diff(joints.clusters.joint) == 0).tolist()
     leaves = _may_leave(joints)
     for like in _like(joints).values():
-        if len(like) < MIN_ALIKE or leaves[like[0]]:
+        fit = [c for c in like if not leaves[c]]
+        if len(fit) < MIN_ALIKE:
             alone += like
             continue
-        packs += [like[k : k + LANES] for k in range(0, len(like), LANES)]
+        alone += [c for c in like if leaves[c]]
+        packs += [fit[k : k + LANES] for k in range(0, len(fit), LANES)]
     if not packs:
         return none
     cluster = np.array([[*pack, *[-1] * (LANES - len(pack))] for pack in packs])
@@ -227,20 +229,21 @@ def take_from_lane(
     for k in range(body[c], body[c + 1]):
         for j in range(col.STATE):
             data.y[k, j] = of_pack.y[at + k, j, i]
+    own = packs.joints.program.start[packs.joints.clusters.joint[p]] - start[joint[c]]
+    for r in range(start[joint[c]], start[joint[c + 1]]):
+        data.impulse[r] = of_pack.impulse[own + r, i]
     if sums_external is None:
         return
     for k in range(body[c], body[c + 1]):
         for j in range(col.P if joints.acts else 3):  # of motors work is found from coordinates
             data.pose[k, j] = of_pack.pose[at + k, j, i]
-    at = packs.joints.program.start[packs.joints.clusters.joint[p]] - start[joint[c]]
     for r in range(start[joint[c]], start[joint[c + 1]]):
-        data.impulse[r] = of_pack.impulse[at + r, i]
         if joints.moves or joints.damps:
-            data.dg_dt[r] = of_pack.dg_dt[at + r, i]
-            data.compliance[r] = of_pack.compliance[at + r, i]
+            data.dg_dt[r] = of_pack.dg_dt[own + r, i]
+            data.compliance[r] = of_pack.compliance[own + r, i]
         if joints.inv_mass[joints.rows.a[r]] == 0.0 or joints.inv_mass[joints.rows.b[r]] == 0.0:
             for j in range(9):
-                data.gradient[r, j] = of_pack.gradient[at + r, j, i]
+                data.gradient[r, j] = of_pack.gradient[own + r, j, i]
 
 
 @inline

@@ -13,6 +13,7 @@ import numpy as np
 
 from particlerb.forces.links import WORLD
 from particlerb.forces.registry import force_of
+from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Bools, Ints
 from particlerb.model.superblocks import superblock_of
 from particlerb.model.system import System
@@ -184,8 +185,9 @@ def _kind_of_joint(system: System, number: int) -> object:
     Numbers of what acts along them may differ, and change in a simulation; what damps, or cuts the
     time at knots, acts on the steps of all.
     """
-    table = system.joint[number]
-    if system.run.dt is None or table.drive is not None:
+    table, run = system.joint[number], system.run
+    is_adaptive = run.method in METHODS and METHODS[run.method].is_adaptive
+    if run.dt is None or run.accuracy is not None or is_adaptive or table.drive is not None:
         return number
     stop, spring, motor = (getattr(table, key) for key in ("limit", "spring", "motor"))
     damps = table.damper > 0.0, stop is not None and stop.damping > 0.0, table.friction > 0.0

@@ -51,7 +51,10 @@ def refuse_misplaced(system: System, contact: "SystemContact", later: float | No
     That is one at t = 0, or `later` [s]: then what contacts press together is no mistake, but for
     what springs would push out on the other side.
     """
-    given = system, contact, spheres_of(system, contact), later
+    spheres = spheres_of(system, contact)
+    given = system, contact, spheres, later
+    if not spheres.radius.size:
+        return
     if system.wall:
         first = partial(as_frame, system.bodies, system.state)
         search = find_bounds, lambda: list(_overlapping(*given))

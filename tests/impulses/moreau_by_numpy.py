@@ -162,7 +162,8 @@ class Scene:
             gap = touch.gap - 0.25 * self.dt * max(touch.ahead, 0.0)
             touch.least = -touch.ahead - (gap / self.dt if gap > self.slop * radius else 0.0)
             size, slip = np.hypot(*half[1:]), np.hypot(*(came - half)[1:])
-            if np.hypot(*t) < (1.0 - 1e-6) * self.friction * n or slip <= 0.1 * size:
+            within = np.hypot(*t) < (1.0 - 1e-6) * self.friction * n
+            if n > 0.0 and (within or slip <= 0.1 * size):
                 most = 2.0 * np.hypot(*came[1:])
                 touch.across = half[1:] * (min(1.0, most / size) if size > 0.0 else 0.0)
 

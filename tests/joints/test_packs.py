@@ -12,6 +12,7 @@ from particlerb.case.to_system import to_system
 from particlerb.joints import packs
 from particlerb.joints.records import PAST
 from particlerb.plan.make_plan import make_plan
+from particlerb.stepping import jointed_motion
 
 RUN = {"t_end": 0.12, "every": 0.04, "dt": 5e-3, "method": "rattle", "threads": 1}
 N = 18  # four packs, and two more
@@ -140,6 +141,30 @@ def test_one_mechanism_among_bodies_without_joints_drifts_alone(monkeypatch):
     assert np.allclose(position[-1, 0], 0.0)
 
 
+@pytest.mark.plain
+@pytest.mark.parametrize("weak", [0, N])
+def test_what_may_break_is_in_no_pack_wherever_it_stands(weak, monkeypatch):
+    """Packs have no code for it; those that are like it but for that are in packs."""
+    found = []
+
+    def noted(joints, data):
+        found.append(packs.packs_of(joints, data))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(packs, "config", SimpleNamespace(DISABLE_JIT=False))
+    monkeypatch.setattr(jointed_motion, "packs_of", noted)
+    link = {"shape": {"type": "points", "position": [[0, 0, 0]], "mass": [1.0], "radius": [0.1]}}
+    bodies = [link | {"name": f"b{k}", "position": [k, 0, 0]} for k in range(N + 1)]
+    joints = [joint("distance", f"b{k}", None, [k, 0, 0], at_to=[k, 0, 1]) for k in range(N + 1)]
+    joints[weak]["breaks_at"] = {"force": 5.0}
+    contact = {"stiffness": 1e4, "restitution": 0.5, "friction": 0.0}
+    with pytest.raises(KeyboardInterrupt):
+        particlerb.run({"run": RUN, **case(bodies, joints, contact=contact)})
+    ((made, alone),) = found
+    assert alone.tolist() == [weak]
+    assert set(made.cluster.ravel().tolist()) == {-1, *range(N + 1)} - {weak}
+
+
 @pytest.mark.once
 def test_a_checkpoint_that_knows_fewer_steps_is_taken():
     data = SimpleNamespace(past=np.full((2, PAST), np.nan))
@@ -167,7 +192,8 @@ def test_mechanisms_of_tables_that_are_alike_share_a_group_where_the_step_is_giv
     sprung = [pendulum(f"s{k}", spring={"stiffness": 1.0 + k}) for k in range(2)]
     others = [pendulum("damped", damper=0.1), pendulum("driven", drive={"speed": 1.0})]
     assert of_groups(*sprung, *others, dt=1e-3) == [["s0", "s1"], ["damped"], ["driven"]]
-    assert of_groups(*sprung) == [["s0"], ["s1"]]
+    for run in ({}, {"dt": 1e-3, "method": "dop853"}, {"dt": 1e-3, "accuracy": 1e-3}):
+        assert of_groups(*sprung, **run) == [["s0"], ["s1"]]
 
 
 @pytest.mark.plain

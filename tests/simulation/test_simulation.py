@@ -302,6 +302,20 @@ def test_what_is_put_elsewhere_is_looked_at_where_all_is_now():
     assert simulation.advance(1.001).velocity[1, 2] > simulation.state.velocity[0, 2]
 
 
+@pytest.mark.plain
+def test_walls_move_where_no_body_can_touch_them():
+    """Contact is there for the stops of a joint alone."""
+    scene = Scene(RunTable(t_end=1.0, every=0.5, dt=5e-3), gravity=(0, 0, -9.81))
+    scene.contact = ContactTable(law="impulse", restitution=0.0, friction=0.5)
+    scene.add_body(name="door", shape=Ball(radius=0.5), mass=1.0, position=(1, 0, 0), contact=False)
+    limit = {"range": (-0.1, 0.1), "restitution": 0.0}
+    scene.add_joint(type="hinge", body="door", at=(0, 0, 0), axis=(0, 1, 0), limit=limit)
+    scene.add_wall(PlaneWall(name="floor", normal=(0, 0, 1), point=(0, 0, -5)))
+    simulation = Simulation(scene)
+    simulation.change("wall[0].point", (0, 0, -6))
+    assert simulation.advance(0.5).time == 0.5
+
+
 def test_a_file_has_room_for_the_walls_that_it_began_with(tmp_path):
     with over_a_floor(tmp_path / "a.h5") as simulation:
         floor = {"type": "plane", "name": "floor", "normal": (0, 0, 1)}
