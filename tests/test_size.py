@@ -27,13 +27,13 @@ BUDGETS = {
     "contact by impulses": 4206,
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2149,
-    "scenes and simulations in Python": 1041,
+    "scenes and simulations in Python": 1076,
     "sweeps": 1621,
     "one scene over ranks": 2601,
     "reports, pictures, the page": 1786,
     "scenes for other programs": 540,
     "speed of compiling and of whole calls": 1384,
-    "watches": 183,
+    "watches": 201,
     "beside all these": 431,
 }
 """Lines of code that an ability took: see «Where things go» in docs/architecture.md."""

@@ -44,9 +44,9 @@ def overridden(source: Source, overrides: Sequence[str]) -> Source:
 
 def toml_value(text: str) -> Any:
     """Value of a TOML text; the text itself where it is none. Tables of runs are mostly numbers."""
-    if number := _NUMBER.fullmatch(text):
-        return float(text) if number.lastindex else int(text)
     try:
+        if number := _NUMBER.fullmatch(text):
+            return float(text) if number.lastindex else int(text)
         values = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
         return text

@@ -90,12 +90,12 @@ def probe(path: Path, visits_parts: bool = True) -> None:
                 contextlib.suppress(FileNotFoundError, TrajectoryError),
                 open_trajectory(path) as t,
             ):
-                _visit(t.file)
+                _visit(t.file, set())
                 for part_path in part_paths(t.file) if visits_parts else ():
                     until = int(time.process_time()) + SECONDS_TO_LOOK
                     resource.setrlimit(resource.RLIMIT_CPU, (until, most))
                     with open_file(part_path) as part:
-                        _visit(part)
+                        _visit(part, set())
         finally:
             os._exit(0)
     try:
@@ -109,10 +109,19 @@ def probe(path: Path, visits_parts: bool = True) -> None:
         raise Ending(f"{path} is damaged: HDF5 crashed reading it, or did not end ({name})", FAILED)
 
 
-def _visit(group: Any) -> None:
-    """Open all that is in a group, one by one: a visit by HDF5 ends at the first fault."""
+def _visit(group: Any, met: set[tuple[int, int]]) -> None:
+    """Open all that is in a group, one by one, as a visit by HDF5 ends at the first fault.
+
+    Each object is opened once, and links to elsewhere are not followed.
+    """
+    from h5py import h5l, h5o
+
     for name in list(group):
         with contextlib.suppress(Exception):  # what cannot be opened is found by who reads it
+            if group.id.links.get_info(name.encode()).type != h5l.TYPE_HARD:
+                continue
             item = group[name]
-            if hasattr(item, "keys"):
-                _visit(item)
+            about = h5o.get_info(item.id)
+            if hasattr(item, "keys") and (about.fileno, about.addr) not in met:
+                met.add((about.fileno, about.addr))
+                _visit(item, met)

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 from collections.abc import Iterator
 
-from particlerb.cli.exit_codes import Ending, ending
+from particlerb.cli.exit_codes import Ending, ending, tamed
 from particlerb.compiled.jit import WHEN_COMPILING
 from particlerb.ranks import ALONE, NoRanksError, Ranks, end_all, is_agreed, launched, ranks_of_mpi
 
@@ -33,5 +33,6 @@ def ranks_of(options: argparse.Namespace) -> Iterator[Ranks]:
             yield ranks
         except BaseException as error:
             if not is_agreed(error):
-                end_all(ranks, error, error.code if isinstance(error, Ending) else 0)
+                code = error.code if isinstance(error, Ending) else 0
+                end_all(ranks, Ending(tamed(str(error)), code) if code else error, code)
             raise

@@ -67,7 +67,7 @@ def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
         "time": [float(t) for t in trajectory.time[[0, -1]]] if trajectory.n_frames else [],
         "fields": trajectory.fields + trajectory.other_fields,
         **({"contacts": trajectory.n_contacts} if has_contacts else {}),
-        "changed": list(changes_in(trajectory.file).values()),
+        "changed": list(dict.fromkeys(changes_in(trajectory.file).values())),
         "files": trajectory.file_names,
         "size": sum(path.stat().st_size for path in paths),
         "seed": trajectory.parameter("seed"),

@@ -26,6 +26,9 @@ SCENES: Final = {
     "cradle": "newtons_cradle", "linkage": "four_bar", "heap": "heap",
 }  # fmt: skip
 """Examples that may be chosen on the page, by what they are called there."""
+_LONGEST_CALL: Final = (
+    0.02  # [s] of a kernel in Python: some take longer, and are compiled at first
+)
 _VISER_HINT: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
 
 
@@ -54,7 +57,7 @@ def view_command(options: argparse.Namespace) -> int:
     with (
         ending(AccessError, code=FAILED),
         listening(access, options.port) as server,
-        time_in_python(math.inf),  # a page that compiles stands still
+        time_in_python(math.inf, _LONGEST_CALL),  # a page that compiles stands still
     ):
         return _play(options, server, access) if is_file else push(options, server, access)
 

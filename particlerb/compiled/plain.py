@@ -37,16 +37,18 @@ class _Time:
     """Time that this process may spend so."""
 
     left = BUDGET  # [s]
+    longest = _MAX_CALL_SECONDS  # [s] of a call
 
 
 @contextmanager
-def time_in_python(seconds: float) -> Iterator[None]:
-    """Let Python spend so long on kernels until the end of the block."""
-    before, _Time.left = _Time.left, seconds
+def time_in_python(seconds: float, longest: float = _MAX_CALL_SECONDS) -> Iterator[None]:
+    """Let Python spend so long on kernels, and on a call, until the end of the block."""
+    before = _Time.left, _Time.longest
+    _Time.left, _Time.longest = seconds, longest
     try:
         yield
     finally:
-        _Time.left = before
+        _Time.left, _Time.longest = before
 
 
 all_compiled: Final = partial(time_in_python, 0.0)
@@ -145,7 +147,7 @@ class UnfusedKernel(Kernel):
             return False
         rate = self.spent / self.numbers if self.numbers else _SECONDS_PER_NUMBER
         expected = rate * _numbers(args)
-        if expected > min(_Time.left, _MAX_CALL_SECONDS):
+        if expected > min(_Time.left, _Time.longest):
             return False
         if self.spent + expected < self.looks_after:
             return True

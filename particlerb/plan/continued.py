@@ -15,6 +15,7 @@ from particlerb.contact.prescribed_motion import PrescribedBodies, prescribed_po
 from particlerb.contact.records import MOTION, from_floats, to_floats
 from particlerb.contact.wall_motion import PrescribedMotion, continued, motion_in, motion_records
 from particlerb.model.system import System
+from particlerb.plan.initial_overlaps import Elsewhere
 from particlerb.plan.joint_drives import DriveCourse, course_of, courses_of
 from particlerb.plan.joint_ends import pairs_of
 from particlerb.plan.obstacles import motion_of, prescribed_bodies, wall_motions
@@ -71,7 +72,7 @@ def _wall(
     problems: list[Problem],
 ) -> PrescribedMotion:
     """How a wall goes on; one that is another, or elsewhere, moves as its record says."""
-    if _places_of_walls(system)[w : w + 1] != _places_of_walls(changed)[w : w + 1]:
+    if put_elsewhere(system, changed).walls[w]:
         return motion
     before = wall_motions(system)[w]
     if system.wall[w].motion == changed.wall[w].motion:
@@ -81,14 +82,13 @@ def _wall(
     return continued(before, motion, time)
 
 
-def begins_elsewhere(system: System, changed: System) -> bool:
-    """Whether bodies come to touch by a change that moves none: contact begins, or walls jump."""
-    return system.contact is None or _places_of_walls(system) != _places_of_walls(changed)
-
-
-def _places_of_walls(system: System) -> list[str]:
-    """What says where each wall is at t = 0, whatever its motion."""
-    return [wall.model_dump_json(exclude=_NO_PLACE) for wall in system.wall]
+def put_elsewhere(system: System, changed: System) -> Elsewhere:
+    """What may come to touch by a change that moves no body: contact begins, or walls jump."""
+    before, after = (
+        [wall.model_dump_json(exclude=_NO_PLACE) for wall in of.wall] for of in (system, changed)
+    )
+    walls = [k >= len(before) or one != before[k] for k, one in enumerate(after)]
+    return Elsewhere(np.full(system.n_bodies, system.contact is None), np.array(walls, dtype=bool))
 
 
 def _bodies(

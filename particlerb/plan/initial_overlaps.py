@@ -20,7 +20,7 @@ from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.forces.spring import places
 from particlerb.maths.quaternion import conjugate
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.state import as_frame, lengths, rotate, store_all
 from particlerb.model.system import System
 from particlerb.model.totals import sum_blocks, totals
@@ -45,16 +45,32 @@ class _SetupSpheres(NamedTuple):
     body: Ints  # (n,) body of the system
 
 
-def refuse_misplaced(system: System, contact: "SystemContact", later: float | None = None) -> None:
+class Elsewhere(NamedTuple):
+    """What was put elsewhere in a simulation: all else is where it came by itself."""
+
+    bodies: Bools  # (n,)
+    walls: Bools  # (n_walls,)
+
+
+def refuse_misplaced(
+    system: System,
+    contact: "SystemContact",
+    later: float | None = None,
+    moved: Elsewhere | None = None,
+) -> None:
     """Raise CaseError with all that overlaps or lies beyond a wall in the state of a system.
 
-    That is one at t = 0, or `later` [s]: then what contacts press together is no mistake, but for
-    what springs would push out on the other side.
+    That is one at t = 0, or `later` [s], where something was put elsewhere: then what contacts
+    press together is no mistake, but for what springs would push out on the other side.
     """
+    if moved is None:
+        moved = Elsewhere(np.ones(system.n_bodies, bool), np.ones(len(system.wall), bool))
+    if not (moved.bodies.any() or moved.walls.any()):
+        return
     spheres = spheres_of(system, contact)
-    given = system, contact, spheres, later
     if not spheres.radius.size:
         return
+    given = system, contact, spheres, later, moved
     if system.wall:
         first = partial(as_frame, system.bodies, system.state)
         search = find_bounds, lambda: list(_overlapping(*given))
@@ -102,8 +118,9 @@ def _with_images(spheres: _SetupSpheres, contact: "SystemContact") -> _SetupSphe
 
 
 def _overlapping(
-    system: System, contact: "SystemContact", spheres: _SetupSpheres, later: float | None
-) -> Iterator[Problem]:
+    system: System, contact: "SystemContact", spheres: _SetupSpheres, later: float | None,
+    moved: Elsewhere,
+) -> Iterator[Problem]:  # fmt: skip
     """What is wrong with bodies that overlap: which, how deep, and how many.
 
     More than the smaller radius cannot be allowed: springs would push out on the other side.
@@ -120,7 +137,7 @@ def _overlapping(
     a, b = spheres.body[i], spheres.body[j]
     most = np.minimum(spheres.radius[i], spheres.radius[j])
     wrong = depth > (most if later else np.minimum(_allowed(contact, spheres), most))
-    wrong &= ~(contact.fixed[a] & contact.fixed[b])
+    wrong &= ~(contact.fixed[a] & contact.fixed[b]) & (moved.bodies[a] | moved.bodies[b])
     if not wrong.any():
         return
     is_deep = bool((depth > most)[wrong].any())
@@ -140,8 +157,9 @@ def _overlapping(
 
 
 def _beyond_walls(
-    system: System, contact: "SystemContact", spheres: _SetupSpheres, later: float | None
-) -> Iterator[Problem]:
+    system: System, contact: "SystemContact", spheres: _SetupSpheres, later: float | None,
+    moved: Elsewhere,
+) -> Iterator[Problem]:  # fmt: skip
     """What is wrong with bodies that overlap a wall, or lie on its other side.
 
     Where a wall that slides is `later`, nobody says here.
@@ -159,6 +177,7 @@ def _beyond_walls(
     for number, table in enumerate(system.wall):
         pose = pose_at(contact.motions[number], later or 0.0)
         outside = (_room_in(table, pose, system.state.com) <= 0.0) & is_moving
+        outside &= moved.bodies | moved.walls[number]
         if outside.any() and not (later and table.piston):
             yield _outside_problem(system, number, np.flatnonzero(outside), later or 0.0)
         if not may_overlap:

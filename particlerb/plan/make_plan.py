@@ -19,7 +19,7 @@ from particlerb.plan import segments, time_step
 from particlerb.plan.case_forces import impossible, loads_of
 from particlerb.plan.contact_setup import contact_of
 from particlerb.plan.groups import GroupForces, groups_of
-from particlerb.plan.initial_overlaps import refuse_misplaced
+from particlerb.plan.initial_overlaps import Elsewhere, refuse_misplaced
 from particlerb.plan.joints import joints_of
 from particlerb.plan.known_courses import Behind
 from particlerb.plan.links import AnyLink, Link, coincident, links_of
@@ -31,7 +31,7 @@ def make_plan(
     choose: Callable[[segments.GroupPlan], time_step.Stepping | None] = lambda group: None,
     now: tuple[float, State] | None = None,
     behind: Mapping[bytes, Behind] = MappingProxyType({}),
-    is_moved: bool = False,
+    moved: Elsewhere | None = None,
 ) -> segments.Plan:
     """Plan of a system.
 
@@ -46,8 +46,8 @@ def make_plan(
         and driven bodies are tied as they were at t = 0.
     behind : mapping of bytes to Behind, optional
         By the members of each group: what is over for it, and need not be among the forces.
-    is_moved : bool
-        Whether bodies or walls were put elsewhere now, and may lie in each other.
+    moved : Elsewhere, optional
+        Bodies and walls that were put elsewhere now, and may lie in others.
 
     Raises
     ------
@@ -64,8 +64,8 @@ def make_plan(
     if now is not None and system.merging is not None:
         state = system.merging.together(state)
     system = system._replace(state=state)
-    if is_moved and touching is not None:
-        refuse_misplaced(system, touching, start or None)
+    if moved is not None and touching is not None:
+        refuse_misplaced(system, touching, start or None, moved)
     grouped = groups_of(system, loads, links, touching, joints, _apart(behind, system.n_bodies))
     grouped = _after(behind, grouped) if behind else grouped
     setting = touching, start, now is None

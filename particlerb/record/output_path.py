@@ -90,6 +90,7 @@ def appearing(*paths: Path, is_new: bool = False) -> Iterator[list[Path]]:
             sync(place.parent)
         if is_new:
             first.touch(exist_ok=False)  # whoever else would do so now
+            removed.append(first)
         new.replace(first)
     except BaseException:
         for path in removed:

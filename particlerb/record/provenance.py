@@ -19,6 +19,7 @@ import numpy as np
 
 import particlerb
 from particlerb.case.problems import Source
+from particlerb.case.schema import Case
 from particlerb.case.to_system import to_case
 from particlerb.compiled.jit import CACHE_FOLDER, source_hash
 from particlerb.compiled.vector_width import machine
@@ -31,7 +32,8 @@ from particlerb.record.memory import Memory
 from particlerb.record.schema import FILE_NAMES, FILES, PARAMETERS
 from particlerb.words import encodable
 
-_CHANGED: Final = "changed"  # text of a file whose scene a Simulation has changed
+_CHANGES: Final = "changes"  # text of a file whose scene a Simulation has changed
+_FIRST_CHANGE: Final = "changed"  # of older files, which do not tell of other tables
 STATE: Final = "state"  # what stands in it for the states of bodies
 
 
@@ -130,15 +132,21 @@ def write_text(file: h5py.File, name: str, words: str) -> None:
 
 def note_changes(file: h5py.File, changes: Mapping[str, str]) -> None:
     """Let a file say what a Simulation has changed."""
-    write_text(file, _CHANGED, "; ".join(changes.values()))
+    write_text(file, _CHANGES, "; ".join(changes.values()))
     seal(file)
 
 
 def changes_in(file: h5py.File | Memory) -> dict[str, str]:
-    """What a Simulation has changed first of each table of the case, and when; or of the state."""
-    if not has(file, f"{PARAMETERS}/{_CHANGED}"):
+    """What a Simulation has changed first of each table of the case, and when; or of the state.
+
+    Of older files that tell of one table, this for each: others may have changed later.
+    """
+    if has(file, f"{PARAMETERS}/{_FIRST_CHANGE}"):
+        first = text_at(file, f"{PARAMETERS}/{_FIRST_CHANGE}")
+        return dict.fromkeys(Case.model_fields, first)
+    if not has(file, f"{PARAMETERS}/{_CHANGES}"):
         return {}
-    changes = text_at(file, f"{PARAMETERS}/{_CHANGED}").split("; ")
+    changes = text_at(file, f"{PARAMETERS}/{_CHANGES}").split("; ")
     return {table_in(change): change for change in changes}
 
 

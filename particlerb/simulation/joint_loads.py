@@ -53,7 +53,8 @@ def joint_loads(trajectory: Trajectory) -> JointLoads:
     TypeError
         If it is no trajectory.
     ValueError
-        If its Simulation has changed the scene: the file has the case as it began.
+        If its Simulation has changed more than `run` and the state: the file has the case as it
+        began.
     """
     check_trajectory(trajectory)
     changes = changes_in(trajectory.file)

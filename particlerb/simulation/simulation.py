@@ -27,7 +27,8 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
 from particlerb.model.state import State, initial_state
 from particlerb.model.system import System
-from particlerb.plan.continued import begins_elsewhere, with_continued
+from particlerb.plan.continued import put_elsewhere, with_continued
+from particlerb.plan.initial_overlaps import Elsewhere
 from particlerb.plan.make_plan import make_plan
 from particlerb.record.frame_values import FrameError
 from particlerb.record.provenance import STATE
@@ -37,7 +38,7 @@ from particlerb.simulation.body_states import BodyStates
 from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples, whole_frames
 from particlerb.simulation.restarts import saved_restart
 from particlerb.simulation.run import content_of
-from particlerb.simulation.state_changes import new_state
+from particlerb.simulation.state_changes import moved_by_hand, new_state
 from particlerb.simulation.table_changes import STAYS, is_same, refuse_what_stays
 from particlerb.simulation.whole_run import Run, RunError
 
@@ -234,7 +235,8 @@ class Simulation(Closing):
         if is_same(system, changed, path):
             return
         refuse_what_stays(system, changed, self.time, self._recorder is not None)
-        self._restart(with_continued(system, changed, self.time), None, key_of(path))
+        system, moved = with_continued(system, changed, self.time), put_elsewhere(system, changed)
+        self._restart(system, None, moved, key_of(path))
 
     def set_state(
         self,
@@ -265,7 +267,8 @@ class Simulation(Closing):
         old = {name: getattr(self.state, name) for name in _STATE_NAMES}
         given = position, orientation, velocity, angular_velocity
         new = new_state(self.system, old, dict(zip(_STATE_NAMES, given, strict=True)))
-        self._restart(self.system, new, STATE)
+        moved = moved_by_hand(self.system, self._state_now(), new, given[:2])
+        self._restart(self.system, new, moved, STATE)
 
     def __repr__(self) -> str:
         """What it moves and how far it has come, in a line."""
@@ -295,12 +298,10 @@ class Simulation(Closing):
             self._recorder.save_checkpoint(lambda: saved, self._n_whole)
 
     @np.errstate(over="ignore")  # found in the energy, where it is asked for
-    def _restart(self, system: System, state: State | None, key: str) -> None:
+    def _restart(self, system: System, state: State | None, moved: Elsewhere, key: str) -> None:
         """Go on as another system, from the state of now or another one; a key has changed."""
         planned = state or self._state_now()
-        is_moved = state is not None or begins_elsewhere(self.system, system)
-        plan = make_plan(system, now=(self.time, planned), is_moved=is_moved)
-        entries = self._entries
+        plan, entries = make_plan(system, now=(self.time, planned), moved=moved), self._entries
 
         def restarted() -> BodyStates:
             reached = self._run.finish(self.time)

@@ -1,6 +1,6 @@
 """States that a user gives bodies of a running simulation, and those that bodies cannot have."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import State, initial_state, kinetic_energy, omega_world
 from particlerb.model.system import System
+from particlerb.plan.initial_overlaps import Elsewhere
 from particlerb.rotors.rotor_class import POINT, ROD
 
 _SPIN_ROUNDING: Final = 1e-9  # share of an angular velocity that is none
@@ -67,3 +68,10 @@ def _array_of(name: str, old: Floats, given: Any) -> Floats:
     if array.shape != old.shape or not np.isfinite(array).all() or np.ma.is_masked(given):
         raise ValueError(f"set_state: {name} must be finite, of shape {old.shape}, nothing masked")
     return array
+
+
+def moved_by_hand(system: System, now: State, new: State, poses: Sequence[Any]) -> Elsewhere:
+    """Bodies that a new state puts elsewhere; none where no poses were given."""
+    bodies = (new.com != now.com).any(axis=0) | (new.q != now.q).any(axis=0)
+    bodies &= any(given is not None for given in poses)
+    return Elsewhere(bodies, np.zeros(len(system.wall), dtype=bool))

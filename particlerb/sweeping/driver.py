@@ -32,7 +32,7 @@ from particlerb.sweeping.worker import Task, work
 
 _AXIS_HINT: Final = "give it a table [sweep], or --axis 'run.t_end=[1, 2]'; in Python axes={..}"
 _MAX_ATTEMPTS: Final = 3  # of a task whose worker dies
-_MAX_FAILED: Final = 100  # variants at the begin that cost their own rows
+_MAX_FAILED: Final = 100  # variants at the beginning that cost their own rows
 _MAX_STARTS: Final = 20  # of workers that die before they do anything
 _END: Final = ("run", "t_end")
 _DIED: Final = "the worker died"

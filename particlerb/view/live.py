@@ -273,10 +273,13 @@ class Live(Page):
             while os.path.lexists(path):
                 number += 1
                 path = self.path.with_stem(f"{self.path.stem}_{number}")
-            with contextlib.suppress(FileExistsError):  # of another page, since we looked
+            try:
                 with appearing(path, is_new=True) as (new,):
                     new.write_text(text, encoding="utf-8")
                 break
+            except FileExistsError:
+                if not os.path.lexists(path):  # else it is of another page, since we looked
+                    raise
         self.saved, self.written = self.session.raw["force"], self.written + 1
         self.say(f"saved: {path}; `python -m particlerb {path}` repeats it bit for bit")
         return path

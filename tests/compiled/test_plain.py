@@ -112,6 +112,8 @@ def test_what_each_call_costs_is_not_taken_for_a_cost_of_its_numbers(monkeypatch
     kernel.run_in_python(np.zeros(65), np.zeros(1))
     assert kernel.is_quick((np.zeros(9294),))
     assert not kernel.is_quick((np.zeros(100_000),))
+    with _plain.time_in_python(np.inf, 2e-3):
+        assert not kernel.is_quick((np.zeros(9294),))
 
 
 def in_both(monkeypatch, module, names, work):

@@ -395,6 +395,19 @@ def test_a_visit_without_end_is_ended(tmp_path, monkeypatch, capsys, command, is
     assert "found.h5 is damaged: HDF5 crashed reading it, or did not end" in capsys.readouterr().err
 
 
+def test_links_of_others_in_a_file_are_not_followed(copy, capsys):
+    """One in a circle, one to where it began, one to a pipe that nobody writes."""
+    pipe = copy.with_name("pipe")
+    os.mkfifo(pipe)
+    with h5py.File(copy, "r+") as file:
+        file["mine/again"] = file["/"]
+        file["mine/root"] = h5py.SoftLink("/")
+        file["mine/other"] = h5py.ExternalLink(str(pipe), "/")
+    os.utime(copy, (0, 0))
+    assert main(["info", str(copy)]) == 0
+    assert "damaged" not in capsys.readouterr().err
+
+
 def test_what_resume_misses_while_it_writes_is_told(copy, capsys):
     """No visit finds what is not there, and the other slot is opened for the next checkpoint."""
     with h5py.File(copy, "r+") as file:

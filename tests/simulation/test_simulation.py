@@ -16,6 +16,7 @@ from particlerb.tables import (
     AttractionTable,
     Ball,
     Box,
+    BoxWall,
     ContactTable,
     ImpulseTable,
     Output,
@@ -300,6 +301,25 @@ def test_what_is_put_elsewhere_is_looked_at_where_all_is_now():
             simulation.set_state(position=[[0, 0, height], [0, 0, z[1]]])
     simulation.set_state(position=[[0, 0, z[1] - 0.9], [0, 0, z[1]]])  # as springs may be pressed
     assert simulation.advance(1.001).velocity[1, 2] > simulation.state.velocity[0, 2]
+
+
+@pytest.mark.plain
+def test_what_left_a_box_by_an_open_face_stays_where_it_is():
+    """Only what is put elsewhere is looked at, and walls that are."""
+    scene = Scene(RunTable(t_end=2.0, every=1.0, dt=5e-3))
+    scene.contact = ContactTable(stiffness=1e4, restitution=0.5, friction=0.3)
+    ball = {"shape": Ball(radius=0.1), "mass": 1.0}
+    scene.add_body(name="out", position=(0, 0, 0), velocity=(4, 0, 3), **ball)
+    scene.add_body(name="in", position=(0, 0.5, 0), **ball)
+    scene.add_wall(BoxWall(name="box", lower=(-1, -1, -1), upper=(1, 1, 1), open=("+x",)))
+    scene.add_wall(PlaneWall(name="low", normal=(0, 0, 1), point=(0, 0, -9)))
+    simulation = Simulation(scene)
+    x = simulation.advance(1.0).position.copy()
+    simulation.set_state(velocity=np.zeros((2, 3)))
+    simulation.set_state(position=x + np.array([[0, 0, 0], [0.1, 0, 0]]))
+    simulation.change("wall[1].point", (0, 0, -8))
+    with pytest.raises(CaseError, match="out is outside the box at t = 1"):
+        simulation.set_state(position=x + np.array([[0, 0, 1], [0, 0, 0]]))
 
 
 @pytest.mark.plain

@@ -91,12 +91,12 @@ def test_tables_of_runs_come_from_many_programs(tmp_path, text, rows):
 @pytest.mark.parametrize(
     "text",
     ["0", "-7", "+3", "1.5", "-0.0", "1e3", "2.5E-7", "1e400", "007", ".5", "5.", "1_000", "0x10",
-     "nan", "inf", "+", "1e", "1.0.0", "\u0663", "auto"],
+     "nan", "inf", "+", "1e", "1.0.0", "\u0663", "auto", "1" * 5000],
 )  # fmt: skip
 def test_numbers_are_those_of_toml(text):
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except ValueError:
         value = text
     assert (type(toml_value(text)), repr(toml_value(text))) == (type(value), repr(value))
 
