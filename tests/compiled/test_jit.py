@@ -27,7 +27,7 @@ for array in frames[:4]:
     array[:] = 0.0
 frames.linear_momentum[0, 0, 0] = 2.0
 with all_compiled():
-    print(totals(frames, bodies, np.zeros(3)).kinetic_energy[0], CACHE_FOLDER)
+    print(totals(frames, bodies, np.zeros(3))[0, 0], CACHE_FOLDER)
 """
 
 
