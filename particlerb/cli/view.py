@@ -26,9 +26,7 @@ SCENES: Final = {
     "cradle": "newtons_cradle", "linkage": "four_bar", "heap": "heap",
 }  # fmt: skip
 """Examples that may be chosen on the page, by what they are called there."""
-_LONGEST_CALL: Final = (
-    0.02  # [s] of a kernel in Python: some take longer, and are compiled at first
-)
+_LONGEST_CALL: Final = 0.02  # [s] of a kernel in Python: what has taken longer is compiled
 _VISER_HINT: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
 
 

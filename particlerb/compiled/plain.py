@@ -37,12 +37,12 @@ class _Time:
     """Time that this process may spend so."""
 
     left = BUDGET  # [s]
-    longest = _MAX_CALL_SECONDS  # [s] of a call
+    longest = _MAX_CALL_SECONDS  # [s] of a call: what has taken longer is compiled
 
 
 @contextmanager
 def time_in_python(seconds: float, longest: float = _MAX_CALL_SECONDS) -> Iterator[None]:
-    """Let Python spend so long on kernels, and on a call, until the end of the block."""
+    """Let Python spend so long on kernels, and on calls again, until the end of the block."""
     before = _Time.left, _Time.longest
     _Time.left, _Time.longest = seconds, longest
     try:
@@ -133,6 +133,7 @@ class UnfusedKernel(Kernel):
     kept_as = ".unfused"
     spent = 0.0  # [s] in Python so far, for
     numbers = 0  # of the arguments, and of calls
+    latest = 0.0  # [s] of its latest call in Python
     looks_after = _LOAD_SECONDS  # [s] spent so, before it looks for code on disk again
 
     def _compile_for_args(self, *args: Any, **keys: Any) -> Any:
@@ -147,7 +148,7 @@ class UnfusedKernel(Kernel):
             return False
         rate = self.spent / self.numbers if self.numbers else _SECONDS_PER_NUMBER
         expected = rate * _numbers(args)
-        if expected > min(_Time.left, _Time.longest):
+        if expected > min(_Time.left, _MAX_CALL_SECONDS) or self.latest > _Time.longest:
             return False
         if self.spent + expected < self.looks_after:
             return True
@@ -165,8 +166,8 @@ class UnfusedKernel(Kernel):
             for array, values in before:
                 array[...] = values
         finally:
-            spent = time.thread_time() - start
-            self.spent += spent
+            self.latest = time.thread_time() - start
+            self.spent += self.latest
             self.numbers += _numbers(args)
-            _Time.left -= spent
+            _Time.left -= self.latest
         return self.compile(tuple(map(cast(Any, self).typeof_pyval, args)))(*args)

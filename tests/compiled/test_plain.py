@@ -112,8 +112,18 @@ def test_what_each_call_costs_is_not_taken_for_a_cost_of_its_numbers(monkeypatch
     kernel.run_in_python(np.zeros(65), np.zeros(1))
     assert kernel.is_quick((np.zeros(9294),))
     assert not kernel.is_quick((np.zeros(100_000),))
+
+
+def test_what_has_taken_long_is_compiled(monkeypatch):
+    """A first call tells how long one takes: what its arguments let expect may be a hundredfold."""
+    kernel = unfused_kernel(_add_up)
+    kernel._cache = NullCache()
     with _plain.time_in_python(np.inf, 2e-3):
-        assert not kernel.is_quick((np.zeros(9294),))
+        assert kernel.is_quick((np.zeros(9294),))
+        monkeypatch.setattr(kernel, "latest", 1e-3)
+        assert kernel.is_quick((np.zeros(9294),))
+        monkeypatch.setattr(kernel, "latest", 3e-3)
+        assert not kernel.is_quick((np.zeros(4),))
 
 
 def in_both(monkeypatch, module, names, work):
