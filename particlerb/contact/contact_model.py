@@ -134,7 +134,7 @@ class Workspace(NamedTuple):
     poses: Records  # (n_walls,) POSE
     bodies: Records  # (n_bodies,) BODY
     deepest: (
-        Floats  # (threads, 5) a contact too deep: overlap, radius [m], body; partner, [s]; or 0
+        Floats  # (threads, 5) a contact too deep: overlap, radius [m], body, partner; [s]; or 0
     )
     gross_work: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect_loads`
     step_start: Records  # (1,) STEP_START: all threads write the same

@@ -238,7 +238,7 @@ def _put_contact(on: Evaluation, c: int, d: Vec3, pack: _Pack, n: int) -> int:
     if square < larger * larger:
         overlap, smaller = r_i + r_j - math.sqrt(square), min(r_i, r_j)
         if overlap > _MAX_OVERLAP * smaller:
-            note_overlap(on, overlap, smaller, a)
+            note_overlap(on, overlap, smaller, a, b)
     pack.contact[lane] = c
     near = pack.spheres
     put_row3(near.centre, lane, row3(xyzr, i))

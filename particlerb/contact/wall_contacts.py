@@ -236,7 +236,7 @@ def _piece_forces(on: Evaluation, at: SphereAtWall, piece: WallPiece) -> None:
         start_contact(on, pair, c, inv_mass, radius)
     is_thin = model.walls.kind[primitive] != PLANE
     if piece.is_too_weak or (piece.overlap > _MAX_WALL_OVERLAP * radius and is_thin):
-        note_overlap(on, piece.overlap, radius, a)
+        note_overlap(on, piece.overlap, radius, a, model.inv_mass.size + w)
     turning = wall_normal_rate(on, at, piece, normal)
     now = Collision(overlap, normal, point, relative, omega, moving, radius, turning)
     contact_force(on, pair, c, now)

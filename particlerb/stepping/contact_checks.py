@@ -145,21 +145,28 @@ class ContactChecks:
         """Raise MotionError where a body lies so deep that it may come out on the other side."""
         deepest = max(contact.workspace.deepest.tolist(), key=lambda row: (row[0], -row[2]))
         depth, radius, body, other, time = deepest  # the same for any number of threads
-        if depth > 0.0 and (impulses := contact.workspace.impulses) is not None:
-            k = int(other) - self.members.size
-            partner = f"wall {k}" if k >= 0 else f"body {int(self.members[int(other)])}"
-            raise MotionError(
-                f"at t = {contact.memory.start + time:.6g} s body {int(self.members[int(body)])}"
-                f" and {partner} overlap by {depth:.3g} m, {depth / radius:.2g} of the smaller"
-                f" radius: they are too fast for a step of {self.dt:.3g} s, or no impulses were"
-                " found that keep them apart (residual"
-                f" {impulses.tally[col.WORST_EVER]:.2g} at worst): take a shorter run.dt, more"
-                ' contact.iterations or contact.solver = "newton"'
+        if depth <= 0.0:
+            return
+        impulses, model = contact.workspace.impulses, contact.setup.model
+        k, when = int(other) - self.members.size, f"{now:.6g} s or before,"
+        partner = f"wall {k}" if k >= 0 else f"body {int(self.members[int(other)])}"
+        why = (
+            "the contact is too soft for its speed or load, and lets it through; take a greater"
+            " contact.stiffness or young"
+        )
+        if impulses is not None:
+            when = f"{contact.memory.start + time:.6g} s"
+            why = (
+                f"they are too fast for a step of {self.dt:.3g} s, or no impulses were found that"
+                f" keep them apart (residual {impulses.tally[col.WORST_EVER]:.2g} at worst): take a"
+                ' shorter run.dt, more contact.iterations or contact.solver = "newton"'
             )
-        if depth > 0.0:
-            raise MotionError(
-                f"at t = {now:.6g} s or before, body"
-                f" {int(self.members[int(body)])} overlaps what it touches by {depth:.3g} m,"
-                f" {depth / radius:.2g} of the smaller radius: the contact is too soft for its"
-                " speed or load, and lets it through; take a greater contact.stiffness or young"
-            )
+        held = () if model.prescribed is None else model.prescribed.body
+        if np.isin((body, other), held).any() or (
+            k >= 0 and peak_speed(self._motions[k], self.dt) > 0.0
+        ):
+            why += "; one of them moves as prescribed: let it not press what cannot give way"
+        raise MotionError(
+            f"at t = {when} body {int(self.members[int(body)])} and {partner} overlap by"
+            f" {depth:.3g} m, {depth / radius:.2g} of the smaller radius: {why}"
+        )
