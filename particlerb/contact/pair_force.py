@@ -88,25 +88,27 @@ def body_kinematics(
         b = lo + k
         x, q = get3(rows, COM, k), get4(rows, Q, k)
         R = matrix(q)
-        p, spin = get3(rows, P, k), get3(rows, L, k)
-        v, omega = p, spin  # of bodies that are held: see `prescribed_motion`
-        if inv_mass[b] > 0.0:
+        if inv_mass[b] > 0.0:  # others rest, or move as prescribed: see `prescribed_motion`
+            p, spin = get3(rows, P, k), get3(rows, L, k)
             p = add_scaled(ahead, subtract(p, column3_at(last, b)), p)
             spin = add_scaled(ahead, subtract(spin, column3_at(last, b, 3)), spin)
-            v, omega = (
-                scale(inv_mass[b], p),
-                turn(R, component_product(column3_at(inertia, b), turn_back(R, spin))),
-            )
+            turning = component_product(column3_at(inertia, b), turn_back(R, spin))
+            put_velocity(bodies, b, scale(inv_mass[b], p), turn(R, turning))
         put_row3(bodies.position, b, x)
-        put_row3(bodies.velocity, b, v)
-        put_row3(bodies.angular_velocity, b, omega)
         put_row4(bodies.orientation, b, q)
         bodies.inv_mass[b] = inv_mass[b]
-        bodies.speed[b], bodies.angular_speed[b] = norm(v), norm(omega)
         for i in range(offset[b], offset[b + 1]):
             r = turn(R, column3_at(arm, i))
             xyzr[i, 0], xyzr[i, 1], xyzr[i, 2] = x[0] + r[0], x[1] + r[1], x[2] + r[2]
             xyzr[i, 3] = radius[i]
+
+
+@inline
+def put_velocity(bodies: Records, b: int, v: Vec3, omega: Vec3) -> None:
+    """Write how fast body b moves [m/s] and turns [rad/s]."""
+    put_row3(bodies.velocity, b, v)
+    put_row3(bodies.angular_velocity, b, omega)
+    bodies.speed[b], bodies.angular_speed[b] = norm(v), norm(omega)
 
 
 @inline

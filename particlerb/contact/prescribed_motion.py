@@ -1,7 +1,7 @@
 """Bodies that move as prescribed, whatever touches them, by the motions that walls have.
 
-A prescribed body has no inverse mass, so nothing pushes it. Where the states of others have
-momenta, its state has velocities while contacts are evaluated.
+A prescribed body has no inverse mass, so nothing pushes it: its velocities do not follow from its
+momenta, and are written for contacts beside them.
 """
 
 from typing import NamedTuple

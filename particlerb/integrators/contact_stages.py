@@ -22,7 +22,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.contact.body_loads import collect_loads, sum_piston_loads
 from particlerb.contact.contact_model import Evaluation, Growth, Instant, LoadTimes, MovingContact
 from particlerb.contact.neighbour_list import N_SHELLS, SHELL_GAPS, max_displacement
-from particlerb.contact.pair_force import body_kinematics, max_point_speed, max_speeds
+from particlerb.contact.pair_force import body_kinematics, max_point_speed, max_speeds, put_velocity
 from particlerb.contact.piston import (
     drift_pistons,
     kick_pistons,
@@ -36,6 +36,7 @@ from particlerb.contact.prescribed_motion import (
     prescribed_momenta,
     prescribed_pose,
 )
+from particlerb.contact.records import Records
 from particlerb.contact.sphere_contacts import sphere_contact_forces
 from particlerb.contact.wall_contacts import wall_contact_forces
 from particlerb.contact.wall_motion import put_poses
@@ -158,7 +159,7 @@ def kinematics_at(
     blocks, layout, first, end = share
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
-        _put_prescribed(model.prescribed, t, False, rows, lo, n)
+        _put_prescribed(model.prescribed, t, rows, workspace.bodies, lo, n)
         path = max(path, farthest(memory.listed_pose, rows, setup.max_arm, lo, n))
         body_kinematics(model, workspace, rows, memory.momenta, ahead, lo, n)
         if setup.rules is None:
@@ -187,20 +188,21 @@ def wall_poses(contact: MovingContact | None, team: Team | None, time: float, ah
 
 @inline
 def _put_prescribed(
-    prescribed: PrescribedBodies | None, t: float, with_momenta: bool, rows: Floats, lo: int, n: int
+    prescribed: PrescribedBodies | None, t: float, rows: Floats, bodies: Records, lo: int, n: int
 ) -> None:
-    """Write prescribed bodies into their block, with velocities or, as others are, momenta."""
+    """Write prescribed bodies into their block, and how fast they are for contacts."""
     if prescribed is None:
         return
     for k in prescribed_in(prescribed, lo, lo + n):
-        slot = prescribed.body[k] - lo
+        b = prescribed.body[k]
+        slot = b - lo
         x, q, v, omega = prescribed_pose(prescribed, k, t)
-        if with_momenta:
-            v, omega = prescribed_momenta(prescribed, k, q, v, omega)
+        p, spin = prescribed_momenta(prescribed, k, q, v, omega)
+        put_velocity(bodies, b, v, omega)
         put3(rows, COM, slot, x)
         put4(rows, Q, slot, q)
-        put3(rows, P, slot, v)
-        put3(rows, L, slot, omega)
+        put3(rows, P, slot, p)
+        put3(rows, L, slot, spin)
 
 
 @inline
@@ -217,13 +219,14 @@ def farthest(listed_pose: Floats, rows: Floats, reach: Floats, lo: int, n: int) 
 
 @kernel
 def close_prescribed(contact: MovingContact | None, share: BlockShare, time: float) -> None:
-    """Write prescribed bodies with their momenta, as frames show them."""
+    """Write prescribed bodies as they are at a frame."""
     if contact is None:
         return
     prescribed, t = contact.setup.model.prescribed, contact.memory.start + time
     blocks, layout, first, end = share
     for k in range(first, end):
-        _put_prescribed(prescribed, t, True, blocks[k], layout.first[k], layout.size[k])
+        lo, n = layout.first[k], layout.size[k]
+        _put_prescribed(prescribed, t, blocks[k], contact.workspace.bodies, lo, n)
 
 
 # Loads

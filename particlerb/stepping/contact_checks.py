@@ -108,10 +108,9 @@ class ContactChecks:
         if missed.depth > 0.0:
             raise MotionError(lost_pair(missed, self.members, now, setup.skin))
 
-    def tunnelling(self, contact: MovingContact, y: Floats, now: float) -> None:
+    def tunnelling(self, contact: MovingContact, now: float) -> None:
         """Raise MotionError where a body moves by more than its own radius in a step."""
-        inverse = contact.setup.model.inv_mass  # held bodies have velocities in place of momenta
-        speed = np.sqrt((y[7:10] ** 2).sum(axis=0)) * np.where(inverse > 0.0, inverse, 1.0)
+        speed = contact.workspace.bodies.speed
         fast = np.flatnonzero(speed * self.dt > self._radius)
         if fast.size:
             b = int(fast[np.argmax(speed[fast])])

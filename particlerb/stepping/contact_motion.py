@@ -166,7 +166,7 @@ class ContactMotion(SteppedMotion):
         if steps > 0:
             cost = self.share * (self.lists.cost + steps * self.step_cost)
             self.checks.missed_pairs(contact, cost, self.now)
-        self.checks.tunnelling(contact, self.bodies.values(0, 13), self.now)
+        self.checks.tunnelling(contact, self.now)
 
     def migrate(self) -> None:
         """Take bodies over that have come near, before new lists, and give others away."""

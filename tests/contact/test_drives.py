@@ -57,6 +57,26 @@ def test_a_driven_body_goes_where_its_motion_says(make, centre):
         assert not t.ledger.linear_momentum.any()
 
 
+def test_a_driven_body_has_its_momenta_whenever_lists_are_made(make, monkeypatch):
+    """M v and I ω, not at frames alone: rows of a state mean the same at all times."""
+    motion = {"velocity": [0.3, 0, 0], "angular_velocity": [0, 0, 2.0]}
+    bat = make.sphere("bat", 0.2, position=[0, 0, 0], motion=motion, mass=77.0)
+    momenta, list_pairs = [], contact_motion.ContactMotion.list_pairs
+
+    def noting(self, *args):
+        (b,) = self.contact.setup.model.prescribed.body
+        momenta.append(self.bodies.values(7, 6)[:, b].copy())
+        list_pairs(self, *args)
+
+    monkeypatch.setattr(contact_motion.ContactMotion, "list_pairs", noting)
+    case = scene(make, bat, make.sphere("ball", position=[0.6, 0, 0]), t_end=0.03, every=0.03)
+    case["contact"] |= {"skin": 0.01}
+    particlerb.run(case).close()
+    assert len(momenta) > 2
+    expected = [77.0 * 0.3, 0, 0, 0, 0, 0.4 * 77.0 * 0.2**2 * 2.0]
+    assert np.array(momenta) == pytest.approx(np.tile(expected, (len(momenta), 1)), rel=1e-12)
+
+
 @pytest.mark.parametrize("first", [True, False])
 def test_a_bat_throws_a_ball_with_twice_its_speed_and_its_work_is_counted(make, first):
     """v' = (1 + e) u; what the driver gives, less what dashpots take, is m v'²/2."""
