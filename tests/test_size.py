@@ -32,7 +32,7 @@ BUDGETS = {
     "one scene over ranks": 2601,
     "reports, pictures, the page": 1786,
     "scenes for other programs": 540,
-    "speed of compiling and of whole calls": 1384,
+    "speed of compiling and of whole calls": 1412,
     "watches": 208,
     "beside all these": 431,
 }

@@ -105,7 +105,10 @@ class _Threads:
             If a signal has asked for the end. Raised here, between kernels, because an exception
             that a signal handler raises is lost where it meets a destructor of HDF5.
         """
-        self.timed(self.share_out, kernel, units, work)
+        if units == 1 or work < LEAST_WORK or self.count == 1:
+            self.timed(kernel, 0, units)
+        else:
+            self.timed(self.share_out, kernel, units, work)
 
     def heed(self) -> None:
         """Raise KeyboardInterrupt if a signal has asked for the end: they reach the main thread."""
@@ -119,18 +122,17 @@ class _Threads:
 
     def timed(self, kernel: Callable[..., Result], *arguments: object) -> Result:
         """Call a kernel on this thread for what it returns; KeyboardInterrupt as in `share`."""
-        self.heed()
-        start = self.local.clock()
+        if self.is_stopping:
+            self.heed()
+        local = self.local
+        start = local.clock()
         try:
             return kernel(*arguments)
         finally:
-            self.local.busy += self.local.clock() - start
+            local.busy += local.clock() - start
 
     def share_out(self, kernel: Callable[[int, int], object], units: int, work: int) -> None:
-        """Do the work of `share`."""
-        if self.count == 1 or units == 1 or work < LEAST_WORK:
-            kernel(0, units)
-            return
+        """Do the work of `share` on several threads."""
         pieces = min(_MAX_RANGES_PER_THREAD * self.count, max(self.count, work // _MIN_RANGE_WORK))
         size = -(-units // pieces)
         ranges = [(lo, min(lo + size, units)) for lo in range(0, units, size)]

@@ -297,7 +297,7 @@ def energies_of(load: Any, com: Floats, q: Floats) -> Floats | None:
 
 def has_energy(terms: Terms) -> bool:
     """Whether a load has potential energy."""
-    return any(term_of(load).energy is not None for load in terms.loads)
+    return bool(terms.loads) and any(term_of(load).energy is not None for load in terms.loads)
 
 
 def energies_of_loads(terms: Terms, com: Floats, q: Floats, n_states: int) -> list[Floats]:

@@ -185,7 +185,7 @@ def _sizes(bodies: Bodies, com: Floats, n_worlds: int) -> Floats:
     """
     reach = lengths(com) + np.sqrt(bodies.inertia.max(axis=0) * bodies.inv_mass)
     n = reach.size
-    ranges = [Range(0, n)] if n_worlds > 1 else list(superblocks(n))
+    ranges = [Range(0, n)] if n_worlds > 1 else superblocks(n)
     sizes = np.empty((2, len(ranges), n_worlds))
     for k, span in enumerate(ranges):
         sizes[0, k] = reach[slice(*span)].reshape(n_worlds, -1).max(axis=1)

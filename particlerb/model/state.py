@@ -60,8 +60,8 @@ def room_for(n_frames: int, n_bodies: int, last: Floats) -> Frames:
     """
     k, each = n_frames * n_bodies, (n_frames, n_bodies, 3)
     room = np.empty(13 * k)
-    x, p, L = (room[first * k : (first + 3) * k].reshape(each) for first in (0, 7, 10))
-    q = room[3 * k : 7 * k].reshape(n_frames, n_bodies, 4)
+    x, p, L = room[: 3 * k].reshape(each), room[7 * k : 10 * k].reshape(each), room[10 * k :]
+    q, L = room[3 * k : 7 * k].reshape(n_frames, n_bodies, 4), L.reshape(each)
     return Frames(x, q, p, L, last, np.ones(n_frames, dtype=np.bool_))
 
 

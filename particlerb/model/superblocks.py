@@ -4,7 +4,7 @@ So a sum has the same bits for any number of ranks, each of which has whole supe
 ranks are cut there too, in parts that depend on the number of bodies only.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -24,10 +24,11 @@ class Range(NamedTuple):
     stop: int
 
 
-def superblocks(n: int) -> Iterator[Range]:
+def superblocks(n: int) -> list[Range]:
     """Superblocks of n bodies."""
-    for first in range(0, n, SUPERBLOCK):
-        yield Range(first, min(first + SUPERBLOCK, n))
+    if 0 < n <= SUPERBLOCK:
+        return [Range(0, n)]
+    return [Range(first, min(first + SUPERBLOCK, n)) for first in range(0, n, SUPERBLOCK)]
 
 
 def superblock_of(first: int, last: int) -> int:

@@ -213,13 +213,15 @@ def totals(
     known : sequence of ndarray
         What `sums_over` gives of superblocks, where it is known.
     """
-    blocks = list(superblocks(bodies.mass.size)) if n_worlds == 1 else [None]
-    known = known if len(known) == len(blocks) else [None] * len(blocks)  # one where bodies touch
-    block_sums = [
-        sums_over(frames, bodies, gravity, n_worlds, of) if sums is None else sums
-        for of, sums in zip(blocks, known, strict=True)
-    ]
-    sums = summed(block_sums, ranks)
+    sums = known[0] if len(known) == 1 and ranks is ALONE else None  # the plain case
+    if sums is None:
+        blocks = superblocks(bodies.mass.size) if n_worlds == 1 else [None]
+        known = known if len(known) == len(blocks) else [None] * len(blocks)  # one: bodies touch
+        block_sums = [
+            sums_over(frames, bodies, gravity, n_worlds, of) if one is None else one
+            for of, one in zip(blocks, known, strict=True)
+        ]
+        sums = summed(block_sums, ranks)
     sums[..., 0] += kinetic
     sums[..., 1] += potential
     return sums

@@ -95,7 +95,7 @@ class GroupPlan(NamedTuple):
     @property
     def is_closed(self) -> bool:
         """Whether its bodies move in closed form throughout, and touch nothing."""
-        return not (self.stepped or self.touches)
+        return not (self.touches or any(METHODS[s.method].order for s in self.segments))
 
 
 class Plan(NamedTuple):
@@ -377,20 +377,23 @@ def is_coupled(group: GroupPlan) -> bool:
     return tied or group.touches
 
 
-def is_one(group: GroupPlan) -> bool:
+def is_one(group: GroupPlan, is_cut: bool) -> bool:
     """Whether a group is not to be cut into superblocks: its bodies act on others elsewhere."""
     if group.touches or group.worlds is not None:
         return True
-    members = group.members
-    return is_coupled(group) and superblock_of(int(members.min()), int(members.max())) < 0
+    at = group.members
+    return is_cut and is_coupled(group) and superblock_of(int(at.min()), int(at.max())) < 0
 
 
 def in_superblocks(groups: Sequence[GroupPlan], n_bodies: int) -> list[tuple[int, list[GroupPlan]]]:
     """Groups that are one, with -1; those of each superblock by themselves, with its first body."""
     together, apart = list[GroupPlan](), list[GroupPlan]()
+    ranges = superblocks(n_bodies)
     for group in groups:
-        (together if is_one(group) else apart).append(group)
-    ranges = list(superblocks(n_bodies))
-    each = [(of.first, inside(apart, of) if len(ranges) > 1 else apart) for of in ranges]
-    each = [(b, sorted(some, key=lambda group: int(group.members.min()))) for b, some in each]
-    return [one for one in [(-1, together), *each] if one[1]]
+        (together if is_one(group, len(ranges) > 1) else apart).append(group)
+    each = [(-1, together)]
+    for of in ranges:
+        some = inside(apart, of) if len(ranges) > 1 else apart
+        some = sorted(some, key=lambda one: int(one.members.min())) if len(some) > 1 else some
+        each.append((of.first, some))
+    return [one for one in each if one[1]]

@@ -228,7 +228,8 @@ def turns_of(
     """
     moments, turned, spin = rows_of(inertia), rows_of(q), rows_of(L)
     n, (asymmetric,) = rotor_class.size, (rotor_class == ASYMMETRIC).nonzero()
-    modulus, n_turning, n_theta = np.full(n, -1.0), 0, 0
+    modulus, n_turning, n_theta = np.empty(n), 0, 0
+    modulus.fill(-1.0)  # also of those that are not asymmetric
     if asymmetric.size:
         bodies = Tumblers(moments, turned, np.empty((MOMENTUM_ROWS, n)), np.empty((2, n)))
         n_turning, n_theta = THREADS.timed(moduli, bodies, spin, asymmetric, CROSSOVER, modulus)

@@ -112,9 +112,10 @@ class GroupRun:
 
         One that was chosen before stays where it still does: its potential energy was found last.
         """
-        terms, tree = self.segment.terms, self.tree
+        terms = self.segment.terms
         if terms.attraction is None or not terms.tree_accuracy:
             return
+        tree = self.tree
         if tree is not None and sampled_error(tree) <= terms.tree_accuracy:
             return
         y = np.vstack((self.first_state.com, self.first_state.q))
@@ -122,14 +123,14 @@ class GroupRun:
 
     def pair_forces(self) -> PairForces | None:
         """What the bodies of the segment do to each other; None where it is nothing."""
-        if not self.terms.is_coupled:
+        if not (terms := self.terms).is_coupled:
             return None
-        return PairForces(self.terms, self.plan.members.size, True, worlds=self.plan.worlds)
+        return PairForces(terms, self.plan.members.size, True, worlds=self.plan.worlds)
 
     @property
     def sums_itself(self) -> bool:
         """Whether its motion sums over the bodies, in all segments alike."""
-        return self.plan.is_closed and bool(self.plan.bodies.mass.all())
+        return self.plan.is_closed and 0.0 not in self.plan.bodies.mass
 
     @property
     def is_bound(self) -> bool:
@@ -185,7 +186,9 @@ class GroupRun:
         """Motion of this segment from its first state."""
         segment = self.segment
         method = METHODS[segment.method]
-        group = self.plan.group(segment)._replace(terms=self.terms)
+        group = self.plan.group(segment)
+        if segment.terms.tree_accuracy:
+            group = group._replace(terms=self.terms)
         motion = make_motion(
             method, group, self.first_state, segment.start, segment.dt, segment.tolerance, before
         )
@@ -319,8 +322,9 @@ def record_all(
 def initial_energies(runs: Sequence[GroupRun], initial: Frames) -> Energies:
     """Energies at t = 0 beside those of the bodies themselves, (1,) or (1, n_worlds)."""
     bound = sum(run.potential(*run.state_in(initial, 0)[:2]) for run in runs if run.is_bound)
-    energies = [run.motion.initial_energies for run in runs]
-    potential, kinetic = (sum(values[1:], values[0]) for values in zip(*energies, strict=True))
+    potential, kinetic = runs[0].motion.initial_energies
+    for more in [run.motion.initial_energies for run in runs[1:]]:
+        potential, kinetic = potential + more.potential, kinetic + more.kinetic
     if runs[0].plan.worlds is not None:
         potential, kinetic = potential.reshape(1, -1), kinetic.reshape(1, -1)
     return Energies(potential + bound, kinetic)

@@ -53,7 +53,7 @@ def refuse_coupled(prepared: Prepared) -> None:
     each = [(np.array(k), *pairs_of(system, table)) for k, table in enumerate(system.joint)]
     ties: list[AnyLink | Ties] = [*itertools.starmap(Ties, each), *links_of(system)]
     label = components(system.n_bodies, ties, np.zeros(0, dtype=np.int64))
-    block = next(superblocks(system.n_bodies)).stop
+    block = superblocks(system.n_bodies)[0].stop
     torn = label[np.arange(label.size) // block != label // block]
     if torn.size:
         raise NoRanksError(_told_of(system, ties, np.flatnonzero(label == torn.min()), block))

@@ -33,6 +33,9 @@ class StateChecks:
 
         Where all totals are finite, so are the states; the reverse does not hold, squares overflow.
         """
+        rods = self.rods
+        if is_finite and not rods.size:
+            return times.size, ""
         lost_fields = []  # what is not finite stays so
         for name in () if is_finite else STATE_FIELDS:
             finite = np.isfinite(getattr(frames, name)).all(axis=2)
@@ -51,7 +54,6 @@ class StateChecks:
                 f"{when}: the step is too long for this force, the body met a singular point of it,"
                 f" or a number is too large for float64{why}"
             )
-        rods = self.rods
         if not self._spinning(rods, frames, -1).size:
             return times.size, ""
         f = next(k for k in range(times.size) if self._spinning(rods, frames, k).size)

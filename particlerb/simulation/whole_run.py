@@ -61,7 +61,6 @@ class Run:
     def __init__(self, prepared: Prepared, ranks: Ranks = ALONE) -> None:
         self.system, plan, self.ranks = prepared.system, prepared.plan, ranks
         self.number_of_first = prepared.first
-        self.is_shared = any(group.shared for group in plan.groups)  # a motion is that of all ranks
         self.adding = ALONE if prepared.is_copied else ranks  # that have bodies of their own
         self.moving = merged(self.system)  # with bodies that move as one
         self.gravity = self.system.acceleration
@@ -90,10 +89,12 @@ class Run:
         self.groups, self.superblocks = plan.groups, list[list[GroupRun]]()
         self.firsts: list[int] = []  # body of each; -1: of groups that are one
         for first, groups in in_superblocks(plan.groups, self.system.n_bodies):
-            before = [motions.get(group.members.tobytes()) if motions else None for group in groups]
-            states = [taken(state, group.members, group.is_closed) for group in groups]
+            begun = list[GroupRun]()
             try:
-                begun = [GroupRun(*one) for one in zip(groups, states, before, strict=True)]
+                for group in groups:
+                    before = motions.get(group.members.tobytes()) if motions else None
+                    started = taken(state, group.members, group.is_closed), before
+                    begun.append(GroupRun(group, *started))
             except Exception as failure:
                 raise self.told(failure, groups) from None
             self.superblocks.append(begun)
@@ -109,15 +110,23 @@ class Run:
 
     def initial_energies(self, frame: Frames) -> Energies:
         """Energies of a first frame beside those of the bodies themselves."""
-        each = [initial_energies(runs, frame) for runs in self.superblocks]
-        return Energies(*(self.over_ranks(values) for values in zip(*each, strict=True)))
+        return self.energies([initial_energies(runs, frame) for runs in self.superblocks])
+
+    def energies(self, parts: Sequence[Energies]) -> Energies:
+        """The sum over superblocks of all ranks of energies."""
+        if len(parts) == 1 and self.adding is ALONE:
+            return parts[0]
+        potential, kinetic = zip(*parts, strict=True)
+        return Energies(self.over_ranks(potential), self.over_ranks(kinetic))
 
     def over_ranks(self, parts: Sequence[Floats]) -> Floats:
         """Sum over superblocks of all ranks of what their motions return.
 
         What bodies that touch return is of all ranks.
         """
-        n_shared = int(self.is_shared)
+        if len(parts) == 1 and self.adding is ALONE:
+            return parts[0]
+        n_shared = int(any(group.shared for group in self.groups))  # a motion is that of all ranks
         own = [part for each in self.adding.gathered(parts[n_shared:]) for part in each]
         return summed([*parts[:n_shared], *own])
 
@@ -258,8 +267,10 @@ class Run:
             self.joints = joint_values.room_for_values(self.setup, times.size)
         external_parts, beside, sums = self.ranks.together(lambda: self.record(times, frames))
         external = self.over_ranks(external_parts)
-        energies = Energies(*(self.over_ranks(parts) for parts in zip(*beside, strict=True)))
-        self.tallies = next((one.tallies for one in self.group_runs if one.tallies), {})
+        energies = self.energies(beside)
+        self.tallies = {}
+        for one in reversed(self.group_runs):
+            self.tallies = one.tallies or self.tallies
         external += self.external_at_restart
         now = self.totals_of(frames, energies, sums)
         is_finite = math.isfinite(np.add.reduce(now, axis=None))
@@ -360,7 +371,10 @@ class Run:
 
 def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
     """Bodies as the energy balance counts them: those that are held have no mass."""
-    if bodies.mass.all() and all(group.bodies.mass.all() for group in groups):
+    has_held = 0.0 in bodies.mass
+    for group in groups:
+        has_held = has_held or 0.0 in group.bodies.mass
+    if not has_held:
         return bodies
     mass, inv_mass = bodies.mass.copy(), bodies.inv_mass.copy()
     for group in groups:

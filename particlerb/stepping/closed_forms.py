@@ -43,8 +43,10 @@ class Levers(NamedTuple):
 
 def lever_of(terms: Terms) -> Floats | None:
     """Lever tensor of the loads of a group, (9, n) [N m]; None where nothing turns a body."""
-    levers = [load.lever for load in terms.loads if isinstance(load, Push) and load.lever.any()]
-    return levers[0] if levers else None
+    for load in terms.loads:
+        if isinstance(load, Push) and load.lever.any():
+            return load.lever
+    return None
 
 
 def levers_on(bodies: Bodies, lever: Floats) -> Levers:
@@ -134,7 +136,7 @@ class Translations(NamedTuple):
 def translations_of(group: SegmentGroup, state: State) -> Translations:
     """Drag and springs on the centres of mass of a group."""
     loads, links = group.terms.loads, group.terms.links
-    if links is None and not any(isinstance(load, Drag | Spring) for load in loads):
+    if links is None and not (loads and any(isinstance(load, Drag | Spring) for load in loads)):
         return Translations()
     n, inv_mass = group.members.size, group.bodies.inv_mass
     rate = sum((load.rate for load in loads if isinstance(load, Drag)), np.zeros(n))

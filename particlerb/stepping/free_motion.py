@@ -21,7 +21,7 @@ from particlerb.maths.quaternion import Rows4
 from particlerb.maths.rows import column3, column4, put_column3, put_column4, rows3, rows4
 from particlerb.maths.vec3 import Floats, Ints, Rows3, rows_of
 from particlerb.model.block import COM, EXTERNAL, STRIDE, L, P, Q, get, get3, in_blocks
-from particlerb.model.bodies import Bodies, Record, taken
+from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import CONJUGATE, Frames, State, quaternion_product, rotate, store_frame
 from particlerb.model.totals import N_TOTALS, BlockRows, sum_block
 from particlerb.model.worlds import bins_among, over_bins, over_bodies, part_of_worlds, shape_of
@@ -99,7 +99,7 @@ class _Part(NamedTuple):
         """Whether what forces give is summed by the kernel."""
         orbit_and_spring = (None, None) if self.is_pair else (self.orbit, self.spring)
         terms = (self.drag, self.braked, self.changes_spin, *orbit_and_spring)
-        return any(one is not None for one in terms)
+        return terms.count(None) < len(terms)
 
 
 class _Turned(NamedTuple):
@@ -222,11 +222,6 @@ def _end_blocks(part: _Part, t: float, end: State, external: ExternalWork | None
                     end.L[i, j] = local[L + i, b]
 
 
-def _taken(record: Record | None, index: Ints) -> Record | None:
-    """`taken` of what is there."""
-    return None if record is None else taken(record, index)
-
-
 class FreeMotion(Motion):
     """A group of bodies in closed form, sorted into kinds of turn; see `motion.Motion`."""
 
@@ -243,7 +238,7 @@ class FreeMotion(Motion):
         self.rows = rows_of(state.com), rows_of(p), rows_of(state.L), rows_of(force)
         is_constant = group.terms.gravity is not None or bool(group.terms.loads)
         no_parabola = moves.drag, moves.spring, moves.braked, self.orbit
-        is_constant &= self.is_pair or all(one is None for one in no_parabola)
+        is_constant &= self.is_pair or no_parabola.count(None) == len(no_parabola)
         self.constant = constant_force(group, state) if is_constant else None
         self.parts = list(self.sorted_parts())
 
@@ -258,7 +253,7 @@ class FreeMotion(Motion):
                 levers = turned_about(levers, bodies, lever, terms.axis, state.q)
             yield from self.top_parts(levers)
             free = np.flatnonzero(levers.is_free)
-        if any(isinstance(load, Drag | Torque) for load in terms.loads):
+        if terms.loads and any(isinstance(load, Drag | Torque) for load in terms.loads):
             torque, drag = torques_on(terms, bodies.mass.size)
             is_spun = (drag[free] > 0.0) | torque[:, free].any(axis=0)
             if is_spun.any():
@@ -310,6 +305,10 @@ class FreeMotion(Motion):
         """Some bodies of the group, with constants of all, and their turn, if that is known."""
         moves, gravity = self.moves, self.group.terms.gravity
         drift = None if moves.drift is None else np.ascontiguousarray(moves.drift[:, index])
+        acting = moves.drag, moves.spring, moves.braked, self.orbit
+        for name, record in zip(("drag", "spring", "braked", "orbit"), acting, strict=True):
+            if record is not None:
+                turn[name] = taken(record, index)
         return _Part(
             *self.rows,
             rows_of(bodies.rotor_frame),
@@ -318,11 +317,7 @@ class FreeMotion(Motion):
             rows_of(bodies.inv_inertia),
             _WEIGHTLESS if gravity is None else gravity.acceleration,
             index,
-            _taken(moves.drag, index),
-            _taken(moves.spring, index),
-            _taken(moves.braked, index),
-            drift,
-            _taken(self.orbit, index),
+            drift=drift,
             is_pair=flag(self.is_pair),
             **turn,
         )
@@ -351,9 +346,10 @@ class FreeMotion(Motion):
         for index, part, turned in self.parts:
             worlds, binned, bins = self.group.worlds, None, None
             n_bins = -(-index.size // BLOCK)
-            if part.sums or worlds is not None:
+            sums_forces = part.sums
+            if sums_forces or worlds is not None:
                 bins, n_bins = bins_among(index, worlds, BLOCK)
-            if part.sums:
+            if sums_forces:
                 binned = np.zeros((times.size, n_bins, N_EXTERNAL))
             sums = np.zeros((0 if self.sums is None else times.size, n_bins, N_TOTALS))
             room = self.group.members, frames, binned, bins, sums

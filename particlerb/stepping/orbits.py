@@ -198,7 +198,8 @@ def _orbits(frame: tuple[Floats, Floats], x: Floats, v: Floats, mu: Floats, shar
 def orbits_of(group: SegmentGroup, state: State) -> Orbit | None:
     """Orbits of a group that has a closed form; None where nothing attracts."""
     attraction, n = group.terms.attraction, group.members.size
-    centres = [load for load in group.terms.loads if isinstance(load, Central)]
+    loads = group.terms.loads
+    centres = loads and [load for load in loads if isinstance(load, Central)]
     if attraction is None and not centres:
         return None
     velocity = state.p * group.bodies.inv_mass

@@ -2,7 +2,10 @@
 
 import hashlib
 import json
+import sys
+from collections import Counter
 from decimal import Decimal
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -16,12 +19,13 @@ from particlerb.case.run import FRAME_ROUNDING
 from particlerb.case.to_system import to_system
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.run import prepare, run_prepared
-from particlerb.simulation.whole_run import RunError
+from particlerb.simulation.whole_run import Run, RunError
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7], "velocity": [0.3, 0.1, -0.2]}
 AT, FORCE = [0.4, -0.3, 0.2], [1.0, 2.0, -1.5]
 STATES = ("position", "orientation", "linear_momentum", "angular_momentum")
 EDGES = (0.13, 0.61)
+MOST_CALLS = {"simulation": 48, "plan": 22, "stepping": 22}  # of functions in these folders
 
 
 def scene(make, **keys):
@@ -44,6 +48,29 @@ def scene(make, **keys):
 def same(a, b, rows_a=slice(None), rows_b=slice(None), names=STATES):
     """Whether the states are equal to the bit; of orientations also the sign."""
     return all((getattr(a, n)[rows_a] == getattr(b, n)[rows_b]).all() for n in names)
+
+
+# What a motion costs
+
+
+def test_a_motion_of_one_free_body_takes_few_calls(make):
+    """From its set-up to the energy balance of a frame: beside a kernel each takes its time."""
+    prepared = prepare(to_system(make.case(make.body("free", **SPIN))))
+    times, is_frame = np.array([1.0]), np.ones(1, dtype=bool)
+    Run(prepared).frames_at(times, is_frame)
+    calls = Counter()
+
+    def count(frame, event, _):
+        calls[Path(frame.f_code.co_filename).parent.name] += event == "call"
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        Run(prepared).frames_at(times, is_frame)
+    finally:
+        sys.setprofile(before)
+    too_many = [folder for folder, most in MOST_CALLS.items() if calls[folder] > most]
+    assert not too_many, calls
 
 
 # Frames
