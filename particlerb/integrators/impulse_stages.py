@@ -212,13 +212,9 @@ def _let_joints_hold(jointed: Jointed | None, impulses: Impulses) -> None:
 
 @kernel
 def bounce(
-    contact: MovingContact | None,
-    jointed: Jointed | None,
-    team: Team | None,
-    blocks: Floats,
-    layout: Layout,
-    dt: float,
-) -> None:
+    contact: MovingContact | None, jointed: Jointed | None, team: Team | None, blocks: Floats,
+    layout: Layout, dt: float,
+) -> None:  # fmt: skip
     """Find contacts of a step, and let those bounce that touch and approach."""
     if contact is None or team is None or contact.workspace.impulses is None:
         return
@@ -288,10 +284,11 @@ def _move(acting: Acting, sums_external: Flag, rows: Floats, i: int, dx: Vec3, t
 @inline
 def _move_bodies(
     contact: MovingContact, jointed: Jointed | None, pairs: PairTerms | None, impulses: Impulses,
-    acting: Acting, sums_external: Flag, blocks: Floats, layout: Layout,
+    acting: Acting, sums_external: Flag, share: BlockShare,
 ) -> None:  # fmt: skip
     """Move all bodies that are to be moved, add the work; `_move` takes springs as before it."""
     partners, move = impulses.partners, impulses.partners.move
+    blocks, layout = share.blocks, share.layout
     pistons, state = contact.setup.pistons, contact.memory.pistons
     stored = half_work_of_pairs(pairs, move, blocks, layout) - stored_in_joints(jointed)
     impulses.tally[col.PUSH_OUT_WORK] += move_pistons(
@@ -326,16 +323,10 @@ def _note_overlap(contact: MovingContact, impulses: Impulses, dt: float) -> None
 
 @kernel
 def press(
-    contact: MovingContact | None,
-    jointed: Jointed | None,
-    pairs: PairTerms | None,
-    team: Team | None,
-    acting: Acting,
-    sums_external: Flag,
-    share: BlockShare,
-    dt: float,
-) -> None:
-    """Solve all contacts of a step, and push out of each other what overlaps."""
+    contact: MovingContact | None, jointed: Jointed | None, team: Team | None, acting: Acting,
+    sums_external: Flag, share: BlockShare, dt: float,
+) -> None:  # fmt: skip
+    """Solve all contacts of a step."""
     if contact is None or team is None or contact.workspace.impulses is None:
         return
     impulses, rows = contact.workspace.impulses, contact.workspace.impulses.rows
@@ -343,8 +334,7 @@ def press(
     meet(team)
     solving = who_solves(team, rows.colours)
     if solving.thread < solving.size:
-        partners, bounded = impulses.partners, rows.bounded
-        pistons, state = contact.setup.pistons, contact.memory.pistons
+        partners, bounded, pistons = impulses.partners, rows.bounded, contact.setup.pistons
         is_first, n = team.thread == 0, contact.setup.max_arm.size
         if is_first:
             push_pistons(pistons, partners.velocity, n, 0.5 * dt)
@@ -362,19 +352,31 @@ def press(
         if is_first:
             add_work_of_impulses(contact, impulses, sums_external, blocks, layout)
             add_work_among_joints(sums_external, jointed, partners, blocks)
-            keep_pistons(pistons, state, partners.velocity, n)
+            keep_pistons(pistons, contact.memory.pistons, partners.velocity, n)
             if jointed is not None and bounded is not None:  # not for a step to a frame
                 keep_bounded(bounded, dt, dt == jointed.data.clock[1])
         keep_impulses(contact.lists, impulses, solving, dt)
-        moves = push_out(impulses, bounded, solving, dt)
-        if is_first:
+    meet(team)
+
+
+@kernel
+def move_apart(
+    contact: MovingContact | None, jointed: Jointed | None, pairs: PairTerms | None,
+    team: Team | None, acting: Acting, sums_external: Flag, share: BlockShare, dt: float,
+) -> None:  # fmt: skip
+    """Push out of each other what overlaps, where joints have borne their part of the solve."""
+    if contact is None or team is None or contact.workspace.impulses is None:
+        return
+    impulses, rows = contact.workspace.impulses, contact.workspace.impulses.rows
+    solving = who_solves(team, rows.colours)
+    if solving.thread < solving.size:
+        mechanisms, tries = impulses.partners.mechanisms, 0
+        moves = push_out(impulses, rows.bounded, solving, dt) and team.thread == 0
+        if team.thread == 0:
             _note_overlap(contact, impulses, dt)
-        for _ in range(_MAX_MOVES if is_first else 0):
-            if not moves:
-                break
-            _move_bodies(contact, jointed, pairs, impulses, acting, sums_external, blocks, layout)
-            moves = False
-            if jointed is not None and partners.mechanisms is not None:  # to where joints hold
-                joints, mechanisms = jointed.joints, partners.mechanisms
-                moves = move_to_joints(joints, jointed.data, partners, mechanisms)
+        while moves and tries < _MAX_MOVES:
+            _move_bodies(contact, jointed, pairs, impulses, acting, sums_external, share)
+            moves, tries = False, tries + 1
+            if jointed is not None and mechanisms is not None:  # to where joints hold
+                moves = move_to_joints(jointed.joints, jointed.data, impulses.partners, mechanisms)
     meet(team)

@@ -20,6 +20,7 @@ from particlerb.integrators.impulse_stages import (
     bounce,
     gather_velocities,
     midpoint_kinematics,
+    move_apart,
     press,
 )
 from particlerb.integrators.joint_stages import count_drift, count_projection, let_joints_break
@@ -66,9 +67,10 @@ def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float
     project(moving, 0.5 * dt, 0.5 * dt)
     count_projection(jointed, team)
     gather_velocities(contact, blocks, layout, first, end)
-    press(contact, jointed, moving.pairs, team, moving.acting, moving.sums_external, share, dt)
+    press(contact, jointed, team, moving.acting, moving.sums_external, share, dt)
     project(moving, 0.0, 0.0)
     count_projection(jointed, team)
+    move_apart(contact, jointed, moving.pairs, team, moving.acting, moving.sums_external, share, dt)
     if jointed is None:
         drift(moving, first, end, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
