@@ -6,6 +6,7 @@ form: of such variants one is judged as a whole, and of the others what changes.
 
 from collections.abc import Sequence
 from functools import cache
+from math import isfinite
 from typing import Annotated, Any, Final
 
 from pydantic import TypeAdapter, ValidationError
@@ -18,6 +19,7 @@ from particlerb.case.schema import Case
 _BODY_KEYS: Final = frozenset(
     ("shape", "mass", "density", "position", "orientation", "velocity", "angular_velocity")
 )
+_VECTOR_KEYS: Final = frozenset(("position", "velocity", "angular_velocity"))
 _TIME_KEYS: Final = frozenset(("during", "time", "times", "table", "file", "body", "to", "type"))
 _CONTACT_KEYS: Final = frozenset(
     ("friction", "restitution", "rolling_friction", "stiffness", "torsional_friction")
@@ -61,6 +63,25 @@ def _pattern(value: Any) -> object:
     if isinstance(value, dict):
         return tuple((key, _pattern(entry)) for key, entry in sorted(value.items()))
     return repr(value)
+
+
+def wrong_among(case: Case, paths: Sequence[Path], rows: Sequence[Sequence[Any]]) -> set[int]:
+    """Numbers of variants that are wrong, as `changed` finds them.
+
+    A finite component of an initial position or velocity breaks no rule: it is not read.
+    """
+    judged = [
+        k
+        for k, path in enumerate(paths)
+        if not (_is_component(path) and all(type(r[k]) is float and isfinite(r[k]) for r in rows))
+    ]
+    return changed(case, [paths[k] for k in judged], [[r[k] for k in judged] for r in rows])[1]
+
+
+def _is_component(path: Path) -> bool:
+    """Whether a key is a component of a vector of an initial position or velocity."""
+    is_vector = path[0] == "body" and not _VECTOR_KEYS.isdisjoint(path[2:3])
+    return is_vector and isinstance(path[-1], int) and set(path[3:-1]) <= {"body"}
 
 
 def changed(

@@ -234,7 +234,7 @@ def _drive(
                     lost.append((task, _DIED))
                     is_broken = True
             done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
+            for future in [one for one in running if one in done]:  # rows come in their order
                 task = running.pop(future)
                 try:
                     rows = future.result()

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from particlerb.case.changes import changed, likeness
+from particlerb.case.changes import likeness, wrong_among
 from particlerb.case.overrides import with_values
 from particlerb.case.problems import CaseError, Path, Problem, key_of, path_of, problem_at, refuse
 from particlerb.case.reader import build
@@ -71,7 +71,7 @@ def variants(case: Case, sweep: SweepTable) -> list[Variant]:
                 if start is None:
                     start = _hash_start(variant, sweep, paths)
                     others = [rows[k] for k in numbers[1:]]
-                    suspects = {numbers[1 + k] for k in changed(variant, paths, others)[1]}
+                    suspects = {numbers[1 + k] for k in wrong_among(variant, paths, others)}
             assert start is not None
             hashed = start.copy()
             hashed.update(_encoded_row(rows[number]).encode())

@@ -15,6 +15,7 @@ from particlerb.case.problems import CaseError, Path, Source
 from particlerb.case.reader import build
 from particlerb.case.side_by_side import side_by_side
 from particlerb.case.to_system import to_system
+from particlerb.compiled.helper import no_collection
 from particlerb.compiled.threads import THREADS
 from particlerb.model.system import System
 from particlerb.model.worlds import WorldsDifferError
@@ -55,7 +56,8 @@ def work(task: Task) -> list[Row]:
     """Rows of a task; a variant that fails fails alone."""
     if task.is_batch and len(task.numbers) > 1:
         try:
-            return rows_together(task.numbers, batch_of(task), task.asked)
+            with no_collection():  # it would look at the records of all variants again and again
+                return rows_together(task.numbers, batch_of(task), task.asked)
         except (CaseError, RunError, WorldsDifferError, ArithmeticError, ValueError):
             pass  # each alone says what is wrong
     rows = []

@@ -100,6 +100,7 @@ def test_what_is_no_variant_is_refused_before_anything_runs(axes, more, words):
 JUDGED = {
     "body.0.mass": [2.0, -1.0, 3, 0.0, "a", True, 1e400],
     "body.0.velocity": [[1, 0, 0], [2.0, 1.0, 0], [1, 0], {"body": [1, 2, 3]}, [1, "x", 0]],
+    "body.0.velocity.1": [0.5, -2.0, 0.0, math.inf, math.nan, True, "a"],
     "body.0.orientation": [[1, 0, 0, 0], [0, 0, 0, 0], {"euler_deg": [1, 2, 3]}, "random", "no"],
     "body.0.shape.size": [[1, 1, 2], [1, 1, -2], [1, 2], 3.0],
     "force.0.translation": [0.1, 0.2, -0.1, 0.0],
@@ -146,6 +147,16 @@ def test_numbers_are_judged_without_reading_the_whole_case_again(monkeypatch):
     )
     found = values_of({DRAG: {"low": 0.1, "high": 1.0, "n": 50}, "run.dt": [1e-3, 2e-3]})
     assert (len(found), len(read)) == (100, 2)
+
+
+def test_components_of_initial_velocities_are_judged_by_their_columns(monkeypatch):
+    def refuse(*given):
+        raise AssertionError("a record was read")
+
+    monkeypatch.setattr("particlerb.case.changes._adapter", refuse)
+    axes = {"body.0.velocity.1": {"low": 0.1, "high": 1.0, "n": 50}}
+    axes["body.0.velocity.2"] = [0.5, -1.5]
+    assert len(values_of(axes)) == 100
 
 
 def test_a_hash_is_that_of_the_variant_and_not_of_its_neighbours():
