@@ -28,7 +28,7 @@ BUDGETS = {
     "collisions by events": 1737,
     "forces: tables, gradients, written by users": 2149,
     "scenes and simulations in Python": 1076,
-    "sweeps": 1634,
+    "sweeps": 1641,
     "one scene over ranks": 2601,
     "reports, pictures, the page": 1786,
     "scenes for other programs": 540,

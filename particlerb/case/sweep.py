@@ -1,6 +1,7 @@
 """The table [sweep]: variants of a case, and what is asked of each."""
 
 from itertools import pairwise
+from math import isfinite
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, Strict, model_validator
@@ -32,6 +33,9 @@ class Spread(Table):
             raise broken(f"must be below high = {self.high!r}", "low")
         if self.log and self.low <= 0.0:
             raise broken("must be above 0 where log is true", "low")
+        if not isfinite(self.high / self.low if self.log else self.high - self.low):
+            what = "ratio" if self.log else "difference"
+            raise broken(f"its {what} to high = {self.high!r} is too large for float64", "low")
         return self
 
     def at(self, share: float) -> float:

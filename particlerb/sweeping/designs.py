@@ -12,9 +12,11 @@ from particlerb.case.overrides import toml_value
 from particlerb.case.problems import CaseError, file_problem, problem_at
 from particlerb.case.schema import Case
 from particlerb.case.sweep import SEED, Spread, SweepTable
+from particlerb.compiled.helper import no_collection
 from particlerb.files import Files
 
 
+@no_collection()
 def written_out(case: Case, sweep: SweepTable) -> SweepTable:
     """A sweep whose runs are those of a file, or are repeated, as values side by side.
 
@@ -60,6 +62,7 @@ def _columns(case: Case, name: str) -> dict[str, list[Any]]:
     problems = [] if rows else [file_problem(None, "needs a row of keys, and rows of values")]
     if len(set(keys)) < len(keys):
         problems.append(file_problem(None, f"a column is given twice: {keys}"))
+    problems += [file_problem(None, "a column has no key")] if "" in keys else []
     problems += [
         file_problem(None, f"needs a value for each of {keys}")._replace(line=k, column=1)
         for k, row in rows

@@ -118,6 +118,7 @@ def test_a_longer_table_runs_what_is_new_alone(tmp_path):
         ('file = "runs.csv"', "body.0.mass\n", "needs a row of keys"),
         ('file = "runs.csv"', "body.0.mass,run.dt\n1,\n", r"runs.csv:2:1: error: needs a value"),
         ('file = "runs.csv"', "body.0.mass,body.0.mass\n1,2\n", "given twice"),
+        ('file = "runs.csv"', ",body.0.mass\n0,1\n", "a column has no key"),
         ('file = "runs.csv"', '\nbody.0.mass,title\n\n1,"a\nb"\n2\n', r"runs.csv:6:1: .*needs a"),
         ('file = "runs.csv"', 'body.0.mass\n"1\n2\n', "unexpected end of data"),
         ('file = "runs.csv"', "body.0.mas\n1\n", "unknown key"),

@@ -86,6 +86,8 @@ def test_drawn_runs_lie_within_and_repeat(design):
         ({DRAG: [-1.0, 0.5]}, {}, r"must be >= 0, got -1.0 \(with force.0.translation = -1.0\)"),
         ({"force.3.translation": [1.0]}, {}, "there is no entry 3"),
         ({DRAG: {"low": 2.0, "high": 1.0}}, {}, r"axes.force.0.translation.low: must be below"),
+        ({DRAG: {"low": -1e308, "high": 1e308, "n": 3}}, {}, "low: its difference to high"),
+        ({DRAG: {"low": 1e-300, "high": 1e9, "n": 3, "log": True}}, {}, "low: its ratio to high"),
         ({DRAG: {"low": 1.0, "high": 2.0}}, {}, "give n"),
         ({DRAG: [1.0], "run.dt": [1e-3, 1e-2]}, {"design": "zip"}, "as many values each"),
         ({DRAG: [1.0]}, {"design": "latin"}, "how many a latin design has"),
