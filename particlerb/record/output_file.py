@@ -14,7 +14,7 @@ import h5py
 
 from particlerb.record.atomic import AtomicFile
 from particlerb.record.checked_reading import FAULTS, reason_of
-from particlerb.record.output_path import output_path, sync
+from particlerb.record.output_path import output_path, short_name, sync
 from particlerb.record.parts import parts_used_by
 from particlerb.record.writer_lock import InUseError, WriterLock
 
@@ -125,7 +125,7 @@ class OutputFile:
 
 def waiting_in(folder: Path, place: Path) -> Path:
     """Where a new file lies until its first commit."""
-    return folder / f"{place.name}.new"
+    return folder / f"{short_name(place)}.new"
 
 
 def _empty(lock: WriterLock, waiting: Path) -> None:

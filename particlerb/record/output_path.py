@@ -2,10 +2,14 @@
 
 import contextlib
 import errno
+import hashlib
 import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
+
+_MOST_BYTES: Final = 128  # of a name to which others are added; disks take 143 to 255
 
 
 def output_path(path: Path, overwrite: bool) -> Path:
@@ -72,7 +76,7 @@ def appearing(*paths: Path, is_new: bool = False) -> Iterator[list[Path]]:
     """
     places = [output_path(path, overwrite=True) for path in paths]
     pairs = list(zip(paths, places, strict=True))
-    unfinished = [place.with_name(f".{os.getpid()}.{path.name}") for path, place in pairs]
+    unfinished = [place.with_name(f".{os.getpid()}.{short_name(path)}") for path, place in pairs]
     removed = list(unfinished)  # where something fails
     try:
         for place in places:
@@ -97,6 +101,13 @@ def appearing(*paths: Path, is_new: bool = False) -> Iterator[list[Path]]:
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
         raise
+
+
+def short_name(path: Path) -> str:
+    """Name of a file, to which more can be added: of a long one a digest, with its ending."""
+    name = os.fsencode(path.name)
+    is_short = len(name) <= _MOST_BYTES
+    return path.name if is_short else hashlib.sha256(name).hexdigest() + path.suffix
 
 
 def sync(path: Path) -> None:

@@ -141,6 +141,18 @@ def test_a_link_where_a_file_is_begun_leads_nowhere(place):
     assert b"precious" in Path("folder/target").read_bytes()
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_name_is_as_long_as_the_disk_takes(place, capsys, name):
+    """What is added until a file is whole takes nothing of it; one byte more is refused first."""
+    words, suffix = COMMANDS[name]
+    longest = os.pathconf(".", "PC_NAME_MAX") - len(suffix)
+    assert main([*words, "-o", "n" * longest + suffix]) == 0
+    assert main([*words, "-o", "n" * (longest + 1) + suffix]) in (1, 2)
+    assert "File name too long" in capsys.readouterr().err
+    names = [one for one in os.listdir() if len(one) > 60]
+    assert names == ["n" * longest + suffix]
+
+
 @pytest.mark.parametrize("before", ["old", ""])
 def test_files_that_belong_together_are_so_at_every_moment(tmp_path, monkeypatch, before):
     """Where the first one is, a kill at any rename has left others of its own; a failure none."""
