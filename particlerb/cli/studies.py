@@ -15,7 +15,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import read_case, to_write, writing
 from particlerb.cli.exit_codes import DONE, Ending, ending
-from particlerb.record.output_path import appearing
+from particlerb.record.output_path import appearing, sync
 
 
 def chart_command(options: argparse.Namespace) -> int:
@@ -78,13 +78,13 @@ def _show(
     `words` has `table` and `csv_rows` of such results.
     """
     print(words.table(results))
-    written = list(paths["csv"])
-    with (
-        writing(written[0]),
-        appearing(written[0]) as (new,),
-        new.open("w", newline="", encoding="utf-8") as file,
-    ):
-        csv.writer(file).writerows(words.csv_rows(results))
+    written, old = list(paths["csv"]), [path for name in pictures for path in paths[name]]
+    with writing(written[0]), appearing(written[0]) as (new,):
+        with new.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows(words.csv_rows(results))
+        for path in reversed(old):  # a picture of other rows must not stand beside these
+            path.unlink(missing_ok=True)
+        sync(written[0].parent)
     for name, draw in pictures.items():
         for path in paths[name]:
             with writing(path), appearing(path) as (new,):

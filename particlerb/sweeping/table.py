@@ -145,6 +145,9 @@ class TableFile(Closing):
         path.parent.mkdir(parents=True, exist_ok=True)
         self._lock = WriterLock(path)
         try:
+            if overwrite and n > 1:  # those of other rows
+                means_beside(path).unlink(missing_ok=True)
+                sync(path.parent)
             self._read(path, overwrite)
         except BaseException:
             self.close()

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from particlerb.cli import main
+from particlerb.studies.charts import convergence as convergence_chart
 
 TOP = """
 title = "a top"
@@ -70,6 +71,23 @@ def test_chart_refuses_what_is_not_there(here, capsys, words, message):
 def test_numbers_of_a_study_must_be_positive(here, capsys, words):
     assert main(["chart", "top.toml", *words]) == 2
     assert "must be a positive number" in capsys.readouterr().err
+
+
+def test_pictures_are_those_of_the_table_beside_them(here, monkeypatch, capsys):
+    """An end while pictures are drawn leaves the new rows, which may have taken hours, alone."""
+    words = ["converge", "box", "--most", "1000", "--overwrite", "-o", "a"]
+    assert main(words) == 0
+    old = Path("a.csv").read_bytes()
+    drawing = convergence_chart.draw_convergence
+
+    def stopped(results, path):
+        drawing(results, path)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(convergence_chart, "draw_convergence", stopped)
+    assert main([*words, "--most", "2000"]) == 130
+    assert Path("a.csv").read_bytes() != old
+    assert sorted(path.name for path in here.iterdir()) == ["a.csv", "top.toml"]
 
 
 def test_converge_shows_the_clean_order_of_a_box(here, capsys):

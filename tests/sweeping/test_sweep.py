@@ -315,6 +315,16 @@ def test_the_name_of_a_new_table_is_on_the_disk_before_its_rows(tmp_path, monkey
     assert synced == [str(tmp_path.resolve() / "t.csv"), str(tmp_path.resolve())]
 
 
+def test_means_are_those_of_the_table_beside_them(tmp_path):
+    """A table that is begun anew may be stopped before it has means."""
+    table, means = tmp_path / "t.csv", tmp_path / "t_means.csv"
+    for path in (table, means):
+        path.write_text("of another sweep\n")
+    TableFile(table, ["x"], [], overwrite=True, n=2).close()
+    assert table.read_text().startswith("run,hash")
+    assert not means.exists()
+
+
 def test_what_lies_beside_a_new_table_is_left_alone(tmp_path, capsys):
     """Means over replicates, and a picture: of another sweep, or by hand."""
     path, others = tmp_path / "t.csv", [tmp_path / "t_means.csv", tmp_path / "t.png"]
