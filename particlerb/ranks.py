@@ -265,6 +265,8 @@ def end_all(ranks: Ranks, error: BaseException, code: int = 0) -> None:
     is_alike = ranks.count == 1 or getattr(error, _AGREED_ATTRIBUTE, False)
     if isinstance(ranks, _RanksOfMPI) and not is_alike:
         what, code = (str(error), code) if code else (f"{type(error).__name__}: {error}", 1)
+        if isinstance(error, MemoryError):
+            what = "out of memory"
         if isinstance(error, KeyboardInterrupt):
             what, code = "interrupted", 130
         print(ranks.named(ranks.number, f"particlerb: {what}"), file=sys.__stderr__, flush=True)

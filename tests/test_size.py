@@ -29,7 +29,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2149,
     "scenes and simulations in Python": 1076,
     "sweeps": 1641,
-    "one scene over ranks": 2601,
+    "one scene over ranks": 2603,
     "reports, pictures, the page": 1786,
     "scenes for other programs": 540,
     "speed of compiling and of whole calls": 1412,

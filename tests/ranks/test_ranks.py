@@ -309,7 +309,9 @@ def test_who_fails_alone_goes_no_further(monkeypatch, capfd):
     end_all(ranks, OSError("no room"))
     end_all(ranks, KeyboardInterrupt())
     end_all(ranks, as_agreed(OSError("of all")))
-    assert codes == [1, 1, 130, 130]
+    end_all(ranks, MemoryError())
+    assert codes == [1, 1, 130, 130, 1, 1]
+    assert capfd.readouterr().err.endswith("out of memory (rank 1)\n")
 
 
 @pytest.mark.plain
