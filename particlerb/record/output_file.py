@@ -101,8 +101,10 @@ class OutputFile:
         self.take_place()
 
     def take_place(self) -> None:
-        """Give a new file its name."""
+        """Give a new file its name; raise OSError where one that had it is not there any more."""
         if self.place is None or self.waiting is None:
+            if not os.fstat(self.disk.descriptor).st_nlink and not self.path.exists():
+                raise OSError(errno.ENOENT, "was removed while it was written", str(self.path))
             return
         self.waiting.replace(self.place)
         folders = dict.fromkeys((self.place.parent, self.waiting.parent))

@@ -15,10 +15,12 @@ import pytest
 import particlerb
 from particlerb.cli import main
 from particlerb.model.superblocks import Range
+from particlerb.record import writer
 from particlerb.record.output_path import appearing, output_path
 from particlerb.record.parts import Parts, note_master, parts_in
 from particlerb.record.trajectory import TrajectoryError
 from particlerb.record.writer_lock import WriterLock
+from particlerb.simulation import frame_times
 
 pytestmark = pytest.mark.once
 
@@ -200,6 +202,25 @@ def test_what_a_run_writes_is_not_replaced(tmp_path, monkeypatch, capsys):
     assert Path("b.h5").read_bytes() == before
     lock.close()
     assert main(words) == 0
+
+
+def test_a_file_that_is_removed_while_it_is_written_is_told(place, monkeypatch, capsys):
+    """Without a name nobody can read what a run would compute for days."""
+    commit, commits = writer.Recorder.commit, []
+
+    def later(recorder):
+        commits.append(recorder.n_frames)
+        if len(commits) == 2:
+            shutil.rmtree("folder")
+        commit(recorder)
+
+    monkeypatch.setattr(writer.Recorder, "commit", later)
+    monkeypatch.setattr(writer, "SECONDS_BETWEEN_COMMITS", -1.0)
+    monkeypatch.setattr(frame_times, "BATCH_FRAMES", 1)
+    assert main(["run", "a.toml", "-q", "-o", "folder/a.h5", "--set", "run.t_end=2.0"]) == 1
+    told = "cannot write folder/a.h5: was removed while it was written; no file was written"
+    assert told in capsys.readouterr().err
+    assert len(commits) < 4
 
 
 def test_a_file_system_without_syncs_is_written(tmp_path, monkeypatch):
