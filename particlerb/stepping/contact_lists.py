@@ -35,7 +35,7 @@ from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved
 
 _MIN_STEPS: Final = 64  # for which lists are made where walls move slowly
-_MAX_STEPS: Final = 4096  # of lists: the stability of contacts is looked at when they are made
+_MAX_STEPS: Final = 4096  # of lists that are cheap: stability is looked at when they are made
 _NS_PER_LIST: Final = 4e5  # of making lists, roughly
 _NS_PER_LISTED_SPHERE: Final = 150.0  # of making lists
 _NS_PER_PAIR_STEP: Final = 6.0
@@ -146,7 +146,7 @@ class ContactLists:
         """
         reach = farthest_distances(self.motions, now, corners)
         self._fit_skin(corners, poses, reach, lasted)
-        return self.walls_ahead(lasted.steps, reach)
+        return self.walls_ahead(lasted, reach)
 
     def make(
         self, workspace: Workspace, memory: ContactMemory, time: float, ahead: WallsAhead
@@ -222,15 +222,17 @@ class ContactLists:
         farthest = sum(float(np.abs(x).max(initial=0.0)) for x in places)
         self.skin = min(skin, _MAX_SKIN * 2.0 * (math.sqrt(3.0) * farthest + self._extent))
 
-    def walls_ahead(self, lasted: int, reach: Sequence[float]) -> WallsAhead:
+    def walls_ahead(self, lasted: ListLifetime, reach: Sequence[float]) -> WallsAhead:
         """How long lists hold as walls move [s], and how far these may move until then [m].
 
-        Up to twice the steps that the last ones have lasted, and no farther than the skin.
+        Up to twice the steps that the last ones have lasted, and no farther than the skin. Where
+        little moves, steps are as many as take the time that new lists are cheap in.
         """
-        steps, skin = min(max(_MIN_STEPS, 2 * lasted), _MAX_STEPS), self.skin
+        most = max(_MAX_STEPS, int(self.cost / (_CHEAP_LIST_SHARE * lasted.step_cost)))
+        steps, skin = min(max(_MIN_STEPS, 2 * lasted.steps), most), self.skin
         sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
         if not records.to_floats(self.contact.motions)[:, 3:14].any():
-            return WallsAhead(_MAX_STEPS * self.dt, sliding)
+            return WallsAhead(most * self.dt, sliding)
         reach = [far + skin for far in reach]  # as bodies move
         while steps > 1 and wall_displacement(self.motions, steps * self.dt, reach) > skin:
             steps //= 2

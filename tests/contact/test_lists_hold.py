@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 
 import particlerb
+from particlerb.case.to_system import to_system
 from particlerb.contact import missed_pairs as watch
 from particlerb.contact.cell_grid import PairList
 from particlerb.contact.missed_pairs import Watch
 from particlerb.contact.sphere_search import SphereSearch
 from particlerb.contact.wall_motion import PrescribedMotion, farthest_distances
 from particlerb.contact.wall_search import WallSearch
+from particlerb.integrators import METHODS
 from particlerb.plan import group_terms
+from particlerb.simulation.run import prepare
 from particlerb.simulation.whole_run import RunError
 from particlerb.stepping import sparse_contact as dilute
 from particlerb.stepping.contact_lists import ContactLists
@@ -40,6 +43,24 @@ def ball_at_rest(make, steps, **motion) -> dict:
     contact = make.hooke(1e5, 0.5, 0.5, overlap=1e-3)
     run = {"t_end": steps * 1e-4, "every": steps * 1e-4, "dt": 1e-4, "method": "strang"}
     return make.case(ball, contact=contact, wall=[floor], **WEIGHT) | {"run": run}
+
+
+# How long they last
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("n", [1, 1000])
+def test_lists_of_a_scene_at_rest_take_little_of_its_time(make, n):
+    """By the table of costs no more than 2 %, or as much as 4096 steps bring with them."""
+    case = ball_at_rest(make, 10)
+    place = [[0.3 * k, 0, 0.0999] for k in range(n)]
+    case["body"][0] |= {"count": n, "position": place}
+    prepared = prepare(to_system(case))
+    (group,), state = prepared.plan.groups, prepared.system.state
+    motion = ContactMotion(METHODS["strang"], group.group(group.segments[0]), state, 0.0, 1e-4)
+    steps = round(motion.contact.memory.valid_until / 1e-4)
+    assert motion.lists.cost < 0.0201 * steps * motion.step_cost
+    assert (steps > 4096) == (n == 1)
 
 
 # Order
