@@ -88,7 +88,10 @@ def main(words: Sequence[str] | None = None) -> int:
             words.insert(0, "run")
         options = _parsed(top, words)
         options.started = time.perf_counter()
-        _tell_progress()
+        log = logging.getLogger("particlerb")
+        if not log.handlers:  # what the package logs goes to stderr, as all other messages
+            log.addHandler(_ToStderr())
+            log.setLevel(logging.INFO)
         gc.disable()  # what is imported stays: no garbage in it, now or at the end
         try:
             module = import_module(f"particlerb.cli.{COMMANDS[options.command].module}")
@@ -139,14 +142,6 @@ def _drop_unwritten() -> None:
             stream.flush()
         except OSError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def _tell_progress() -> None:
-    """Write what the package logs, from INFO on, to stderr, as all other messages."""
-    log = logging.getLogger("particlerb")
-    if not log.handlers:
-        log.addHandler(_ToStderr())
-        log.setLevel(logging.INFO)
 
 
 class _ToStderr(logging.Handler):

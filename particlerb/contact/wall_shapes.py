@@ -139,12 +139,7 @@ def surface(vertices: Floats, triangles: Ints) -> Walls:
     normal *= np.sign(np.einsum("ij,ij->i", np.cross(b - a, c - a), normal))[:, None]
     parameter = np.concatenate([places[faces].reshape(-1, 9), normal], axis=1)
     kind = np.full(len(faces), FACE)
-    return _joined_in_one([Walls(kind, parameter, kind * 0, np.zeros((0, 3))), edges, corners])
-
-
-def _joined_in_one(parts: Sequence[Walls]) -> Walls:
-    """Parts of the same wall."""
-    walls = joined(parts)
+    walls = joined([Walls(kind, parameter, kind * 0, np.zeros((0, 3))), edges, corners])
     return walls._replace(wall=np.zeros_like(walls.wall))
 
 

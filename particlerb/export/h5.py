@@ -1,7 +1,6 @@
 """One plain trajectory file out of a master and its parts: what one process would have written."""
 
 import logging
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -50,8 +49,10 @@ def write(selection: Selection, path: Path) -> None:
     path.write_bytes(empty)
     with h5py.File(path, "r+") as made:
         write_rest(made, content)
-        for name in _growing(file, recorded):
-            _copy(trajectory, made, name)
+        by_frame = schema.STEP, schema.CHECKSUMS, STEP_TIMES, STEP_STARTS
+        for name in (*schema.series_of(recorded), *by_frame):
+            if has(file, name):
+                _copy(trajectory, made, name)
         if selection.has_contacts:
             _copy_contacts(trajectory, made)
         count_steps(made, n)
@@ -60,12 +61,6 @@ def write(selection: Selection, path: Path) -> None:
         resize_vtkhdf(made, values, n)
         change(made.id, schema.COMMITTED, np.int64(n))
         _copy_state(file, made, n)
-
-
-def _growing(file: h5py.File, recorded: Sequence[str]) -> list[str]:
-    """Paths of what has a row for each frame."""
-    paths = [*schema.series_of(recorded), schema.STEP, schema.CHECKSUMS, STEP_TIMES, STEP_STARTS]
-    return [path for path in paths if has(file, path)]
 
 
 def _copy(trajectory: Trajectory, made: h5py.File, path: str) -> None:

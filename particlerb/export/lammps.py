@@ -5,9 +5,8 @@ quatw, quati, quatj, quatk for the orientation. The time step is the number of t
 the same in all frames and about the origin: MDAnalysis counts positions from its corner.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, TextIO
+from typing import Any, Final
 
 import numpy as np
 
@@ -44,7 +43,9 @@ def write(selection: Selection, path: Path) -> None:
         for frames in selection.portions():
             values = np.concatenate([selection.values(name, frames) for name in fields], axis=2)
             for frame, rows in zip(range(trajectory.n_frames)[frames], values, strict=True):
-                write_header(file, frame, len(rows), edges)
+                file.write(f"ITEM: TIMESTEP\n{frame}\nITEM: NUMBER OF ATOMS\n{len(rows)}\n")
+                file.write("ITEM: BOX BOUNDS ff ff ff\n")  # MDAnalysis reads no ITEM: TIME
+                file.writelines(f"{-0.5 * edge:.17g} {0.5 * edge:.17g}\n" for edge in edges)
                 file.write(f"ITEM: ATOMS {head}\n")
                 entries: list[Any] = [
                     entry
@@ -52,10 +53,3 @@ def write(selection: Selection, path: Path) -> None:
                     for entry in (*two, mass, *row)
                 ]
                 file.write(line * len(rows) % tuple(entries))
-
-
-def write_header(file: TextIO, frame: int, n: int, edges: Sequence[float]) -> None:
-    """What stands before the n atoms of a frame; MDAnalysis reads no ITEM: TIME."""
-    file.write(f"ITEM: TIMESTEP\n{frame}\nITEM: NUMBER OF ATOMS\n{n}\n")
-    file.write("ITEM: BOX BOUNDS ff ff ff\n")
-    file.writelines(f"{-0.5 * edge:.17g} {0.5 * edge:.17g}\n" for edge in edges)

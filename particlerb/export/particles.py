@@ -28,7 +28,9 @@ _UNITS: Final = {"position": "m", "velocity": "m s-1"}
 def write(selection: Selection, path: Path) -> None:
     """Write positions, and velocities v + ω × r where they are asked for and known."""
     trajectory, n_frames = selection.trajectory, len(selection.frames)
-    body, row = _chosen_particles(selection)
+    body, row = trajectory.constituents
+    chosen = np.isin(body, selection.bodies)
+    body, row = body[chosen], row[chosen]
     particles = trajectory.particles
     moves = {"linear_momentum", "velocity"} & set(selection.fields)
     spins = is_known(trajectory, "angular_velocity")
@@ -84,13 +86,6 @@ def placed(state: tuple[Floats, ...], column: Ints, local: Floats) -> dict[str, 
         v, omega = motion
         fields["velocity"] = v[column] + np.cross(omega[column], arms)
     return fields
-
-
-def _chosen_particles(selection: Selection) -> tuple[Ints, Ints]:
-    """Body of each particle of the chosen bodies, and its row in the table of particles."""
-    body, row = selection.trajectory.constituents
-    chosen = np.isin(body, selection.bodies)
-    return body[chosen], row[chosen]
 
 
 def element(

@@ -83,11 +83,6 @@ class Terms(NamedTuple):
         between = self.links, self.user_pairs, self.attraction, self.contact, self.joints
         return between.count(None) < len(between)
 
-    @property
-    def has_other_pair_loads(self) -> bool:
-        """Whether some of these loads have no potential, and are not those of dashpots."""
-        return self.has_springy_contact or not pairs_have_potential(self)
-
 
 def summed(loads: list[Any]) -> tuple[Any, ...]:
     """Loads in the order of the registry: those of a kind added up, but for those that stay apart.
@@ -141,10 +136,11 @@ def acting_of(terms: Terms) -> Acting:
             return None
         return tuple(range(names.count(kick.name))) if kick.is_many else 1
 
+    has_others = terms.has_springy_contact or not pairs_have_potential(terms)
     return Acting(
         tuple(tag(kick) for kick in KICKS),
         PAIR if terms.has_pair_loads else None,
-        PAIR + OTHER if terms.has_other_pair_loads else None,
+        PAIR + OTHER if has_others else None,
         1 if any(kick.flow is not None for kick in acting) else None,
         1 if any(kick.at_time is not None for kick in acting) else None,
         user_functions(users) if users else None,
