@@ -1,134 +1,20 @@
 """Sparse block factors L D Lᵀ of A = G M⁻¹ Gᵀ, one block of rows for each joint.
 
-Two joints couple where they share a body that moves. The order of the joints (minimum degree) and
-the list of block operations are made once, as integers; the kernels run that list, so that any
-topology has the same code and the same bits always. Chains and trees have two blocks a joint. A
-pivot below a share of its diagonal means that the row depends on those before it: its column is
-left out of this factor.
+The list of block operations is made once, as integers (elimination.py); the kernels run that list,
+so that any topology has the same code and the same bits always. A pivot below a share of its
+diagonal means that the row depends on those before it: its column is left out of this factor. Of a
+joint that closes a loop the rows that count are those with the largest pivots, whichever these are
+in a pose: what is next to nothing at one end of a drift is not so at the other.
 """
 
-import heapq
-from collections import defaultdict
-from collections.abc import Sequence
-from typing import Any, NamedTuple
-
-import numpy as np
+from math import inf
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.compiled.lanes import choose
+from particlerb.compiled.lanes import any_of, choose, opposite
 from particlerb.joints.fives import down_fives, up_fives, update_fives
 from particlerb.joints.records import Clusters, ConstraintRows, JointData, Program
 from particlerb.maths.rows import row3
-from particlerb.maths.vec3 import Bools, Floats, Ints, dot
-
-
-class _Elimination(NamedTuple):
-    """Joints in the order in which they are eliminated, and those that each leaves coupled."""
-
-    order: list[int]
-    coupled: list[list[int]]
-
-
-def _eliminated(near: list[set[int]]) -> _Elimination:
-    """Elimination of joints of which these are near each other, fewest neighbours first."""
-    heap = [(len(neighbours), k) for k, neighbours in enumerate(near)]
-    heapq.heapify(heap)
-    remaining, elimination = set(range(len(near))), _Elimination([], [])
-    while heap:
-        degree, k = heapq.heappop(heap)
-        if k not in remaining or degree != len(near[k]):
-            continue
-        remaining.remove(k)
-        elimination.order.append(k)
-        elimination.coupled.append(sorted(near[k]))
-        for i in near[k]:
-            near[i] |= near[k]
-            near[i] -= {i, k}
-            heapq.heappush(heap, (len(near[i]), i))
-    return elimination
-
-
-def _neighbours(a: Ints, b: Ints, moves: Bools) -> list[set[int]]:
-    """Joints that share a body that moves with each joint."""
-    at: defaultdict[int, list[int]] = defaultdict(list)
-    for j, ends in enumerate(zip(a.tolist(), b.tolist(), strict=True)):
-        for body in ends:
-            if moves[body]:
-                at[body].append(j)
-    near: list[set[int]] = [set() for _ in range(a.size)]
-    for joints in at.values():
-        for j in joints:
-            near[j].update(joints)
-    for j, neighbours in enumerate(near):
-        neighbours.discard(j)
-    return near
-
-
-def program_of(a: Ints, b: Ints, start: Ints, inv_mass: Floats) -> Program:
-    """Program for joints of one cluster.
-
-    Parameters
-    ----------
-    a, b : ndarray, shape (j,)
-        Bodies of each joint.
-    start : ndarray, shape (j + 1,)
-        First row of each joint.
-    inv_mass : ndarray, shape (n + 1,) [1/kg]
-    """
-    moves = inv_mass > 0.0
-    elimination = _eliminated(_neighbours(a, b, moves))
-    place = np.empty(a.size, dtype=np.int64)
-    place[elimination.order] = np.arange(a.size)
-    pairs = [(j, j) for j in range(a.size)]
-    numbers = {pair: k for k, pair in enumerate(pairs)}
-
-    def block(i: int, j: int) -> int:
-        """Number of the block of two joints, the later one first."""
-        pair = (i, j) if place[i] >= place[j] else (j, i)
-        if pair not in numbers:
-            numbers[pair] = len(pairs)
-            pairs.append(pair)
-        return numbers[pair]
-
-    column, update = [0], [0]
-    below: list[int] = []
-    below_joint: list[int] = []
-    updates: list[tuple[int, ...]] = []
-    rows = np.diff(start).tolist()
-    for k, coupled in zip(elimination.order, elimination.coupled, strict=True):
-        coupled.sort(key=lambda j: int(place[j]))
-        below += [block(i, k) for i in coupled]
-        below_joint += coupled
-        for n, i in enumerate(coupled):
-            updates += [
-                (block(i, k), block(j, k), block(i, j), rows[i], rows[j]) for j in coupled[: n + 1]
-            ]
-        column.append(len(below))
-        update.append(len(updates))
-    pair = _ints(pairs).reshape(-1, 2)
-    return Program(
-        start,
-        pair,
-        _shared(a, b, pair, inv_mass),
-        _ints(elimination.order),
-        _ints(column),
-        _ints(below),
-        _ints(below_joint),
-        _ints(update),
-        _ints(updates).reshape(-1, 5),
-    )
-
-
-def _ints(values: Sequence[Any]) -> Ints:
-    """Numbers as an array."""
-    return np.array(values, dtype=np.int64)
-
-
-def _shared(a: Ints, b: Ints, pair: Ints, inv_mass: Floats) -> Bools:
-    """Which bodies that move the joints of each block share: aa, ab, ba, bb."""
-    i, j = pair.T
-    ends = (a, a), (a, b), (b, a), (b, b)
-    return np.stack([(p[i] == q[j]) & (inv_mass[p[i]] > 0.0) for p, q in ends], axis=1)
+from particlerb.maths.vec3 import Bools, Floats, dot
 
 
 @inline
@@ -206,6 +92,47 @@ def assemble(
 
 
 @inline
+def _choose_rows(data: JointData, k: int, n: int, smallest: float, at: int) -> None:
+    """Make the scale of rows 0 if they count, and inf if they depend on others of their block.
+
+    One by one the row with the largest pivot over its diagonal counts. Half of the block and
+    what iterations keep of the last one are used meanwhile.
+    """
+    factor, pivot, column, scale = data.factor, data.last_gain, data.last_g, data.scale
+    for r in range(n):
+        pivot[at + r] = factor[k, r, r]
+        scale[at + r] = 1.0 / choose(scale[at + r] > 0.0, scale[at + r], 1.0)
+        for s in range(r):
+            factor[k, s, r] = factor[k, r, s]
+    for _ in range(n):
+        largest, inverse, is_found = smallest, 0.0, False
+        for r in range(n):
+            column[at + r] = 0.0
+            share = pivot[at + r] * scale[at + r]
+            largest = choose(share > largest, share, largest)
+        for r in range(n):
+            is_next = (pivot[at + r] * scale[at + r] == largest) & (largest > smallest)
+            is_next = is_next & opposite(is_found)
+            is_found = is_found | is_next
+            inverse = choose(is_next, 1.0 / choose(is_next, pivot[at + r], 1.0), inverse)
+            for i in range(n):
+                if i != r:
+                    shared = factor[k, min(i, r), max(i, r)]
+                    column[at + i] = choose(is_next, shared, column[at + i])
+            pivot[at + r] = choose(is_next, -inf, pivot[at + r])
+        if not any_of(is_found):
+            break
+        for r in range(n):
+            share = column[at + r] * inverse
+            pivot[at + r] -= share * column[at + r]
+            for s in range(r):
+                factor[k, s, r] -= share * column[at + s]
+    for r in range(n):
+        scale[at + r] = choose(pivot[at + r] == -inf, 0.0, inf)
+        pivot[at + r] = 0.0
+
+
+@inline
 def _factorise_diagonal(
     factor: Floats, k: int, n: int, smallest: float, scale: Floats, at: int
 ) -> None:
@@ -248,14 +175,16 @@ def _update(
 
 @inline
 def _eliminate(
-    program: Program, factor: Floats, scale: Floats, e: int, k: int, d: int, n: int,
-    smallest_pivot: float,
+    program: Program, data: JointData, e: int, k: int, d: int, n: int, smallest_pivot: float,
+    chooses: bool,
 ) -> None:  # fmt: skip
     """Eliminate joint k, the one at place e, of n rows and with the diagonal block d.
 
     Blocks with as many rows have constant loops.
     """
-    start = program.start
+    start, factor, scale = program.start, data.factor, data.scale
+    if chooses and program.closes[k]:
+        _choose_rows(data, d, n, smallest_pivot, start[k])
     _factorise_diagonal(factor, d, n, smallest_pivot, scale, start[k])
     for q in range(program.column[e], program.column[e + 1]):
         i, at = program.below_joint[q], program.below[q]
@@ -276,10 +205,11 @@ def _eliminate(
 
 
 @kernel
-def factorise(program: Program, clusters: Clusters, factor: Floats, scale: Floats, c: int) -> None:
+def factorise(program: Program, clusters: Clusters, data: JointData, c: int, chooses: bool) -> None:
     """Factors in place, of cluster c.
 
-    Numbers of rows that are often met are constants for the compiler.
+    Numbers of rows that are often met are constants for the compiler. `chooses`: it finds which
+    rows count; else `scale` says so.
     """
     start = program.start
     lo, hi, smallest_pivot = clusters.joint[c], clusters.joint[c + 1], clusters.smallest_pivot[c]
@@ -287,11 +217,11 @@ def factorise(program: Program, clusters: Clusters, factor: Floats, scale: Float
         k = program.order[e]
         n, d = start[k + 1] - start[k], clusters.block[c] + k - lo
         if n == 5:
-            _eliminate(program, factor, scale, e, k, d, 5, smallest_pivot)
+            _eliminate(program, data, e, k, d, 5, smallest_pivot, chooses)
         elif n == 3:
-            _eliminate(program, factor, scale, e, k, d, 3, smallest_pivot)
+            _eliminate(program, data, e, k, d, 3, smallest_pivot, chooses)
         else:
-            _eliminate(program, factor, scale, e, k, d, n, smallest_pivot)
+            _eliminate(program, data, e, k, d, n, smallest_pivot, chooses)
 
 
 @inline

@@ -99,7 +99,7 @@ class Clusters(NamedTuple):
 
 
 class Program(NamedTuple):
-    """What a factorisation does, in order: see block_cholesky.py."""
+    """What a factorisation does, in order: see elimination.py."""
 
     start: Ints  # (j + 1,) first row of each joint
     pair: Ints  # (blocks, 2) joints of each block
@@ -110,6 +110,7 @@ class Program(NamedTuple):
     below_joint: Ints  # and their joints
     update: Ints  # (j + 1,) updates by each, from here on in the next
     updates: Ints  # (u, 5) block, block, target, rows of the target and its columns
+    closes: Bools  # (j,) joints that close a loop with others eliminated before
 
 
 class Coordinates(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 from particlerb.compiled.jit import flag
 from particlerb.joints import kinds
 from particlerb.joints import records as col
-from particlerb.joints.block_cholesky import program_of
+from particlerb.joints.elimination import program_of
 from particlerb.joints.records import (
     Actions,
     Clusters,
@@ -129,23 +129,17 @@ def programs_of(
         own_start = start[lo : hi + 1] - start[lo]
         sign = b"".join(values.tobytes() for values in (a, b, own_start, masses, holds[lo:hi]))
         if sign not in made:
-            pivot = _LOOP_PIVOT if _has_loop(a[holds[lo:hi]], b[holds[lo:hi]], masses) else 0.0
+            program = program_of(a, b, own_start, masses, holds[lo:hi])
+            pivot = _LOOP_PIVOT if program.closes.any() else 0.0
             moving = masses[masses > 0.0]
             ratio = moving.max(initial=0.0) / moving.min(initial=np.inf)
-            made[sign] = program_of(a, b, own_start, masses), pivot, bool(ratio > _MOST_EVEN_RATIO)
+            made[sign] = program, pivot, bool(ratio > _MOST_EVEN_RATIO)
         parts.append(made[sign])
     programs, pivots, are_uneven = zip(*parts, strict=True)
     block = _offsets([len(program.pair) for program in programs])
     even = 2.0 * np.frexp(inv_mass)[0]
     clusters = Clusters(first, joint, block, np.array(pivots), np.array(are_uneven), even)
     return clusters, _joined(programs, joint, block, start)
-
-
-def _has_loop(a: Ints, b: Ints, inv_mass: Floats) -> bool:
-    """Whether joints that hold close a loop, all that stands still being one body: the last."""
-    n = inv_mass.size
-    ends = (np.where(inv_mass[end] == 0.0, n - 1, end) for end in (a, b))
-    return bool(a.size > n - np.unique(labels(n, *ends)).size)
 
 
 def _offsets(sizes: list[int]) -> Ints:
@@ -177,4 +171,5 @@ def _joined(parts: Sequence[Program], joint: Ints, block: Ints, start: Ints) -> 
         shifted("below_joint", joint),
         np.append(np.concatenate(updated), update[-1]),
         updates,
+        np.concatenate([part.closes for part in parts]),
     )

@@ -84,7 +84,7 @@ def factorise_gradients(joints: Joints, data: JointData, c: int) -> None:
     if judges:
         for r in range(lo, hi):
             data.scale[r] = choose(data.last_gain[r] == 0.0, inf, 0.0)
-    factorise(joints.program, clusters, data.factor, data.scale, c)
+    factorise(joints.program, clusters, data, c, not judges)
 
 
 @kernel
@@ -98,7 +98,7 @@ def _judge(joints: Joints, data: JointData, c: int, lo: int, hi: int) -> None:
     block, first = clusters.block, clusters.joint[c]
     _even_out(joints, gradient, lo, hi, joints.inv_mass, clusters.even_inv_mass)
     assemble(joints.program, joints.rows, clusters.even_inv_mass, data, block[c], block[c + 1])
-    factorise(joints.program, clusters, data.factor, data.scale, c)
+    factorise(joints.program, clusters, data, c, True)
     for j in range(first, clusters.joint[c + 1]):
         at = joints.program.start[j]
         for r in range(at, joints.program.start[j + 1]):

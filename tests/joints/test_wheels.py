@@ -295,6 +295,21 @@ def test_a_nut_on_a_fine_thread_does_not_fall(lead):
 
 
 @pytest.mark.plain
+def test_a_plate_sinks_on_two_screws_that_turn():
+    """A loop whose redundant rows turn with the screws: a = -g m/(m + 2 I (2π/lead)²)."""
+    bodies = [body("plate", 2, [0.1, 0.1, 0.1], [0, 0, 0])]
+    bodies += [body(f"s{k}", 1, [0.02, 0.02, 0.01], [k - 0.5, 0, 0]) for k in range(2)]
+    joints = []
+    for k in range(2):
+        at = [k - 0.5, 0, 0]
+        joints += [joint("hinge", f"s{k}", None, at, Z),
+                   joint("screw", "plate", f"s{k}", at, Z, lead=0.1)]  # fmt: skip
+    with moved(case(bodies, joints), 1.0, "rattle6", 1.0, dt=0.05) as trajectory:
+        z = np.array(trajectory.position)[-1, 0, 2]
+    assert z == pytest.approx(-9.81 / (2 + 2 * 0.01 * (20 * np.pi) ** 2), abs=1e-11)
+
+
+@pytest.mark.plain
 @pytest.mark.parametrize("method", ["rattle", "dop853"])
 @pytest.mark.parametrize("pair", ["gear", "rack"])
 def test_axes_that_tilt_once_they_are_released_end_the_run(pair, method):
