@@ -104,6 +104,8 @@ def number_of(value: object, what: str) -> float:
     TypeError, ValueError
         If it is none, or too large.
     """
+    if type(value) is float:  # nearly always, in a control loop: ABCs are slow to ask
+        return value
     number = value.item() if hasattr(value, "item") and not getattr(value, "ndim", 0) else value
     if isinstance(number, bool) or not isinstance(number, Real):
         raise TypeError(f"{what} must be a number, got {type(value).__name__}")

@@ -81,8 +81,8 @@ class SteppedMotion(JointedMotion):
         """Write the states at a time [s] into the first row of the frames, and add no work."""
         steps, partial = grid_stop(time - self.start, self.dt, self.start)
         count = steps - self.steps_done
-        touches = self.group.terms.contact is not None
-        if touches or count * self.cost > NANOSECONDS_PER_CALL or self.turned.size:
+        touches, turns = self.group.terms.contact is not None, self.jointed is not None
+        if touches or count * self.cost > NANOSECONDS_PER_CALL or (turns and self.turned.size):
             super().pose(time, frames)
             return
         if self.single is None or self.single[0] is not frames:
