@@ -1,7 +1,8 @@
 """Tables of numbers in text files, with messages that name file and line.
 
 A header names the columns in any order; without one they come in the order in which they are
-listed. Values are separated by commas, or all by blanks; what follows a # or % is a comment.
+listed. Values are separated by commas, or all by blanks, and may stand in double quotes; what
+follows a # or % is a comment.
 """
 
 import math
@@ -59,7 +60,7 @@ def lines_of(file: File, expected: str) -> list[tuple[int, list[str]]]:
         raise ValueError(f"{file.name}: not a text file: a table of numbers is needed") from None
     lines = []
     for number, line in enumerate(text.splitlines(), 1):
-        if content := _COMMENT.sub("", line).strip():
+        if content := _COMMENT.sub("", line).replace('"', " ").strip():
             lines.append((number, _split(content)))
     if not lines:
         raise ValueError(f"{file.name}: empty; expected rows with {expected}")

@@ -20,6 +20,7 @@ from particlerb.geometry.particle_files import (
         "1, 2, 3, 0.5\n4,5,6,0.25\n",
         "1; 2; 3; 0.5\n4;5;6;0.25\n",
         "X,Y,Z,Radius\n1,2,3,.5\n4,5,6,.25\n",
+        '"x","y","z","r"\n"1","2","3","0.5"\n4,5,6,.25\n',  # of R
         "r z y x\n0.5 3 2 1\n.25 6 5 4\n",
     ],
 )
