@@ -73,9 +73,10 @@ def _grid(group: SegmentGroup, com: Floats) -> _Grid:
     least = 2.0 * _WIDTH_MARGIN * float(bound.max())
     size = np.where(np.isfinite(box), box, np.maximum(high - low, least))
     width = max(least, float((size.prod() / (_CELLS_PER_BODY * bound.size)) ** (1.0 / 3.0)))
-    if (size / width).max() > LARGEST_NUMBER:
+    span = np.maximum(size, high - low)  # beyond a box that repeats
+    if (span / np.minimum(width, box / impulses.LEAST_CELLS)).max() > LARGEST_NUMBER:
         raise MotionError(
-            f"bodies lie within {size.max():.3g} m, in cells of {width:.3g} m: their numbers end at"
+            f"bodies lie within {span.max():.3g} m, in cells of {width:.3g} m: their numbers end at"
             f" {LARGEST_NUMBER}; take bodies that are nearer to each other"
         )
     count = np.maximum(np.ceil(size / width).astype(np.int64), 3)
