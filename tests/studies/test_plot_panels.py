@@ -19,14 +19,14 @@ from particlerb.tables import MeshWall
 BALL = {"type": "sphere", "radius": 0.1}
 BAR = {"type": "box", "size": [1.0, 0.1, 0.1], "arrangement": "exact"}
 GRAVITY = {"acceleration": [0.0, 0.0, -9.81]}
+CONTACT = {"law": "hooke", "stiffness": 1e4, "restitution": 0.5, "friction": 0.0}
 FLOOR = {"name": "floor", "type": "plane", "normal": [0.0, 0.0, 1.0]}
 
 
 def heap(make):
     grid = {"type": "grid", "spacing": 0.3, "n": [5, 3, 1], "origin": [0, 0, 0.2]}
     ball = {"name": "ball", "shape": BALL, "mass": 2.0, "count": 15, "place": grid}
-    contact = {"law": "hooke", "stiffness": 1e4, "restitution": 0.5, "friction": 0.0}
-    return make.case(ball, t_end=0.02, every=0.01, dt=1e-3, gravity=GRAVITY, contact=contact,
+    return make.case(ball, t_end=0.02, every=0.01, dt=1e-3, gravity=GRAVITY, contact=CONTACT,
                      wall=[FLOOR])  # fmt: skip
 
 
@@ -54,6 +54,15 @@ def orbits(make):
     two = [{"name": n, "shape": point, "position": [x, 0, 0], "velocity": [0, x, 0]}
            for n, x in (("left", -0.5), ("right", 0.5))]  # fmt: skip
     return make.case(*two, t_end=0.2, attraction={"G": 1.0}, dt=0.1)
+
+
+def near_circle(make):
+    """A moon that is 0.5 % faster than on a circle: its distance grows by 0.2 %."""
+    point = {"type": "points", "position": [[0, 0, 0]]}
+    two = [{"name": n, "shape": point | {"mass": [m]}, "position": [x, 0, 0],
+            "velocity": [0, 1.005 * x * math.sqrt(10.0), 0]}
+           for n, m, x in (("planet", 9.0, -0.1), ("moon", 1.0, 0.9))]  # fmt: skip
+    return make.case(*two, t_end=0.2, attraction={"G": 1.0}, method="rkn6", dt=0.01)
 
 
 def linkage(make):
@@ -109,6 +118,7 @@ SCENES = {
     heap: ["energies", "height of bodies"],
     column: ["energies", "change of height of bodies"],
     orbits: ["energies", "distance from the common centre of mass"],
+    near_circle: ["change of energies", "change of distance from the common centre of mass"],
     linkage: ["angular velocities", "energies"],
     top: ["angular velocity of body, body frame", "axis of body"],
     flip: ["angular velocity of body, body frame", "angle of the y axis of body"],
@@ -149,6 +159,33 @@ def test_heights_that_hardly_change_are_counted_from_the_first(make, monkeypatch
     for b, line in enumerate(axes.lines):
         heights = trajectory.position[:, b, 2]
         assert np.array_equal(line.get_ydata(), heights - heights[0])
+
+
+def test_energies_and_distances_that_hardly_change_are_counted_from_the_first(make, monkeypatch):
+    figure, trajectory = drawn(near_circle(make), monkeypatch)
+    kinetic, potential, _ = (line.get_ydata() for line in panel(figure, "change of energies").lines)
+    energy = trajectory.ledger.kinetic_energy
+    assert np.array_equal(kinetic, energy - energy[0])
+    assert np.abs(potential + kinetic).max() < 1e-2 * np.ptp(kinetic)
+    axes = panel(figure, "change of distance from the common centre of mass")
+    moved = axes.lines[1].get_ydata()  # 0.9 m (1 + δ), with δ'' = 10 (1.005² - 1) /s² at first
+    assert moved[-1] == pytest.approx(0.9 * 0.5 * 10.0 * (1.005**2 - 1.0) * 0.2**2, rel=0.05)
+
+
+def test_long_names_take_no_width_from_the_panels(make, monkeypatch):
+    """Six of them stood in one row, wider than their panel."""
+    widths = []
+    for long in ("", " of a body with a name"):
+        turns = [{"angular_velocity": [0, 0, k + 1.0], "velocity": [0, 0, k]} for k in range(6)]
+        bodies = [make.body(f"{k}{long}", **turn) for k, turn in enumerate(turns)]
+        figure, _ = drawn(make.case(*bodies, t_end=0.2), monkeypatch)
+        figure.draw_without_rendering()
+        axes = panel(figure, "angular velocities")
+        legend = axes.get_legend().get_window_extent()
+        assert legend.x1 <= figure.bbox.x1
+        assert legend.y1 < axes.title.get_window_extent().y1
+        widths.append(axes.get_window_extent().width)
+    assert widths[1] > 0.95 * widths[0]
 
 
 def test_of_lines_on_each_other_each_is_seen(make, monkeypatch):

@@ -27,7 +27,7 @@ _STILL_SHARE: Final = 1e-3  # of the width, which bodies at rest would not move 
 _AROUND: Final = 0.25  # of the width of many bodies: how far around them walls are shown
 FEW: Final = 12  # bodies at most whose paths are drawn
 KEYED: Final = 6  # bodies at most that have a colour each
-LINES, _LETTERS = 9, 40  # that one row of names has at most
+_LINES, _LETTERS = 9, 40  # that one row of names has at most
 _LINE_WIDTH: Final = 1.3
 _SAME_SHARE: Final = 2e-3  # of the range of all values, by which lines of these do not differ
 
@@ -118,7 +118,7 @@ def draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -
     What lies below others looks out on both sides.
     """
     n = values.shape[1]
-    if n <= KEYED or (n <= LINES and sum(map(len, names)) <= _LETTERS):
+    if n <= KEYED or (n <= _LINES and sum(map(len, names)) <= _LETTERS):
         for k, name in enumerate(names):
             apart = np.abs(values[:, k + 1 :] - values[:, [k]]).max(axis=0)
             width = _LINE_WIDTH * (1 + np.count_nonzero(apart <= _SAME_SHARE * np.ptp(values)))

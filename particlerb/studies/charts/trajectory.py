@@ -4,6 +4,7 @@ The panels depend on the scene: for many bodies that touch a side view, for orbi
 joints their coordinates or forces, for a top nutation and precession, for one body its rates.
 """
 
+import math
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -27,8 +28,11 @@ from particlerb.words import count_of
 _MIN_TURN: Final = 1e-6  # rad in the whole time
 _STILL_SHARE: Final = 1e-6  # motion beside the size of a scene which is none
 _SMALL_SHARE: Final = 0.1  # change of heights beside their differences that these would hide
+_FLAT_SHARE: Final = 0.01  # the same of energies beside the largest of them
+_EXCHANGE: Final = 100.0  # times the largest error: change of energy which is more than that
 _LEVEL_SHARE: Final = 0.01  # change of height beside that of place which is none
 _MIN_ERROR: Final = 1e-17  # that is drawn
+_HANDLE, _ROW = 6, 84  # letters beside a name, and of a row, of a legend as wide as a panel
 _MAX_BODIES_SAMPLED: Final = 1000  # whose heights are looked at
 
 
@@ -215,20 +219,25 @@ def _centre(trajectory: Trajectory, case: dict[str, Any]) -> Floats | None:
 
 
 def _draw_energies(axes: Axes, trajectory: Trajectory) -> None:
-    """Energies of all bodies together, and the work that they were given."""
+    """Energies of all bodies together, or their changes, and the work that they were given."""
     ledger = trajectory.ledger
     parts = {"kinetic": (ledger.kinetic_energy, COLOURS[0], "-")}
+    is_small = False
     if ledger.potential_energy.any():
         has_zero = not trajectory.parameter("case_resolved")["gravity"]
         start = 0.0 if has_zero else ledger.potential_energy[0]
         name = "potential" if has_zero else "potential (0 at first)"
         parts[name] = (ledger.potential_energy - start, COLOURS[1], "-")
         parts["total"] = (ledger.energy - start, COLOURS[2], "-")
+        values = np.stack([line for line, _, _ in parts.values()])
+        moved, size = np.ptp(values, axis=1).max(), np.abs(values).max()
+        is_small = bool(_EXCHANGE * np.abs(ledger.energy_error).max() < moved < _FLAT_SHARE * size)
     if ledger.work.any():
         parts["work of other forces"] = (ledger.work, INK, "--")
-    for name, (values, colour, dashes) in parts.items():
-        axes.plot(trajectory.time, values, dashes, color=colour, lw=1.3, label=name)
-    finish(axes, "energies", "E [J]")
+    for name, (line, colour, dashes) in parts.items():
+        shown = line - line[0] * is_small
+        axes.plot(trajectory.time, shown, dashes, color=colour, lw=1.3, label=name)
+    finish(axes, *(("change of energies", "E - E(0) [J]") if is_small else ("energies", "E [J]")))
 
 
 def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
@@ -240,20 +249,24 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
     elif case["gravity"] and _rises(trajectory):
         up, some = bodies.upright(trajectory), _shown(trajectory.n_bodies, _MAX_BODIES_SAMPLED, 0)
         heights = trajectory.read("position", bodies=some)[:, :, up]
-        moved, first = np.ptp(heights, axis=0).max(), heights[0]
-        is_small = _STILL_SHARE * np.ptp(first) < moved < _SMALL_SHARE * np.ptp(first)
-        bodies.draw_lines(axes, time, heights - first * is_small, trajectory.names)
-        title, z = "height of bodies", "xyz"[up]
-        title, z = (f"change of {title}", f"{z} - {z}(0)") if is_small else (title, z)
-        finish(axes, title, f"{z} [m]")
+        _draw_places(axes, trajectory, heights, "height of bodies", "xyz"[up])
     elif not case["attraction"]:
         bodies.draw_lines(axes, time, np.linalg.norm(trajectory.velocity, axis=2), trajectory.names)
         finish(axes, "speeds", "|v| [m/s]")
     else:
         x = trajectory.read("position")
         centre = np.average(x, axis=1, weights=trajectory.mass)[:, None]
-        bodies.draw_lines(axes, time, np.linalg.norm(x - centre, axis=2), trajectory.names)
-        finish(axes, "distance from the common centre of mass", "r [m]")
+        distances = np.linalg.norm(x - centre, axis=2)
+        _draw_places(axes, trajectory, distances, "distance from the common centre of mass", "r")
+
+
+def _draw_places(axes: Axes, trajectory: Trajectory, x: Floats, title: str, letter: str) -> None:
+    """Heights or distances of bodies [m], or their changes where differences would hide these."""
+    moved, size = np.ptp(x, axis=0).max(), np.ptp(x[0])
+    is_small = _STILL_SHARE * size < moved < _SMALL_SHARE * size
+    bodies.draw_lines(axes, trajectory.time, x - x[0] * is_small, trajectory.names)
+    before, after = ("change of ", f" - {letter}(0)") if is_small else ("", "")
+    finish(axes, f"{before}{title}", f"{letter}{after} [m]")
 
 
 def _rises(trajectory: Trajectory) -> bool:
@@ -371,10 +384,13 @@ def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
 
 def finish(axes: Axes, title: str, label: str) -> None:
     """What all panels over time have in common: a legend below the title, values that differ."""
-    finish_panel(axes, title, 18, xlabel="t [s]", ylabel=label)
+    names = axes.get_legend_handles_labels()[1]
+    rows = max(1, math.ceil((sum(map(len, names)) + _HANDLE * len(names)) / _ROW))
+    finish_panel(axes, title, 7 + 11 * rows, xlabel="t [s]", ylabel=label)
     axes.legend(
-        fontsize=7.5, ncols=bodies.LINES, loc="lower left", bbox_to_anchor=(0.0, 1.0),
-        frameon=False, handlelength=1.4, columnspacing=1.0, borderaxespad=0.2, borderpad=0.0,
+        fontsize=7.5, ncols=math.ceil(len(names) / rows), loc="lower left",
+        bbox_to_anchor=(0.0, 1.0), frameon=False, handlelength=1.4, columnspacing=1.0,
+        labelspacing=0.3, borderaxespad=0.2, borderpad=0.0,
     )  # fmt: skip
     axes.yaxis.set_offset_position("right")  # a common power of ten: the legend is at the left
     low, high = axes.get_ylim()
