@@ -188,6 +188,20 @@ def test_long_names_take_no_width_from_the_panels(make, monkeypatch):
     assert widths[1] > 0.95 * widths[0]
 
 
+def test_solids_of_a_side_view_are_the_bluer_the_faster(make, monkeypatch):
+    """The title says so, though of bodies without radii nothing was seen but dots."""
+    corners = (np.indices((2, 2, 2)).reshape(3, 8).T / 5).tolist()
+    tile = {"shape": {"type": "points", "position": corners, "mass": 1.0}}
+    rest = make.body("rest", **tile, count=13, position=[[-k, 0.0, 0.0] for k in range(13)])
+    moving = make.body("moving", **tile, position=[1.0, 0.0, 0.0], velocity=[0.0, 0.0, 1.0])
+    figure, _ = drawn(make.case(rest, moving, t_end=0.2), monkeypatch)
+    (boxes,) = [c for c in figure.axes[0].collections if c.get_zorder() == 0.5]
+    colours = boxes.get_facecolors()
+    red, _, blue, _ = colours[colours[:, 3] > 0].T
+    assert np.count_nonzero(blue - red > 0.4) == 2  # triangles of the side that is seen
+    assert np.count_nonzero(blue - red < 0.02) == 2 * 13
+
+
 def test_of_lines_on_each_other_each_is_seen(make, monkeypatch):
     """Both bodies turn with 2 rad/s, then one of them with 3."""
     case = apart(make)

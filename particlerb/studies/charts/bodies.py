@@ -94,18 +94,20 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     speed = np.linalg.norm(trajectory.read("linear_momentum", frame), axis=1) / trajectory.mass
     reach = np.ptp(centres[:, shown], axis=0).max() or 1.0
     is_still = speed.max() * np.ptp(trajectory.time) <= _STILL_SHARE * reach
-    share = (speed / (1.0 if is_still else speed.max()))[body][order, None]
-    colours = 1.0 - share * (1.0 - np.array(to_rgb(COLOURS[0]))) - 0.08 * (1.0 - share)
+    share = speed[:, None] / (1.0 if is_still else speed.max())
+    tints = 1.0 - share * (1.0 - np.array(to_rgb(COLOURS[0]))) - 0.08 * (1.0 - share)
     radii = trajectory.particles.radius[particle][order]
-    draw_particles(axes, centres[order][:, shown], np.maximum(radii, 0.003 * reach), colours)
+    sizes = np.maximum(radii, 0.003 * reach)
+    draw_particles(axes, centres[order][:, shown], sizes, tints[body][order])
     near = axes.dataLim.padded(_AROUND * max(axes.dataLim.width, axes.dataLim.height))
     solids.draw_walls(axes, trajectory, frame, shown)
     if trajectory.n_bodies > FEW:
         axes.dataLim.set(Bbox.intersection(axes.dataLim, near) or near)
-    else:
-        _draw_outlines(axes, trajectory, frame, (across, up))
+    if trajectory.n_bodies <= FEW or not radii.any():
+        _draw_outlines(axes, trajectory, frame, (across, up), tints)
+    if trajectory.n_bodies <= FEW:
         for path in np.moveaxis(trajectory.read("position")[: frame + 1], 1, 0):
-            axes.plot(*path[:, shown].T, color=COLOURS[1], lw=0.9, alpha=0.7)
+            axes.plot(*path[:, shown].T, color=COLOURS[1], lw=1.2)
     rest = "at rest" if frame else "all begin at rest"
     words = rest if is_still else f"blue: up to {speed.max():.3g} m/s"
     title = f"t = {trajectory.time[frame]:.4g} s; {words}"
@@ -154,14 +156,16 @@ def draw_paths(axes: Axes3D, trajectory: Trajectory, shown: list[int], body: int
     set_equal_scale(axes, position.reshape(-1, 3))
 
 
-def _draw_outlines(axes: Axes, trajectory: Trajectory, frame: int, shown: tuple[int, int]) -> None:
+def _draw_outlines(
+    axes: Axes, trajectory: Trajectory, frame: int, shown: tuple[int, int], tints: Floats
+) -> None:
     """Solids of bodies, and boxes around those of several particles, behind the particles."""
     x, q = (trajectory.read(name, frame) for name in ("position", "orientation"))
     view = solids.view_along(*shown)
     several = np.flatnonzero(np.bincount(trajectory.constituents[0]) > 1)
     shapes = shapes_of(trajectory)
     placed = solids.placed([shapes[b] for b in several], view, q[several], x[several])
-    solids.draw_solids(axes, placed, solids.BODY, 0.5)
+    solids.draw_solids(axes, placed, tints[several], 0.5)
 
 
 def shapes_of(trajectory: Trajectory) -> list[SurfaceMesh]:

@@ -6,7 +6,7 @@ A view is a matrix whose rows point to the right, upwards and away from who look
 import contextlib
 from collections.abc import Sequence
 from itertools import product
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,6 +26,7 @@ from particlerb.record.provenance import changes_in
 from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.studies.charts.style import INK
 
+Tint: TypeAlias = str | Floats | None
 BODY: Final = "#eceff2"
 ANGLED: Final = "[m], seen from above at an angle"
 _VIEW_ANGLES: Final = np.radians((35.0, 22.0))  # about the vertical, and from above
@@ -106,23 +107,26 @@ def _has_surface(body: Body) -> bool:
 
 
 def draw_solids(
-    axes: Axes, solids: Sequence[SurfaceMesh], tint: str | None, height: float, line: str = INK
+    axes: Axes, solids: Sequence[SurfaceMesh], tint: Tint, height: float, line: str = INK
 ) -> None:
     """Draw solids whose vertices are those of the view, those in front over those behind.
 
-    Without a tint only their edges are drawn.
+    A tint of rows (n, 3) is one of each solid. Without a tint only their edges are drawn.
     """
     shapes: list[Floats] = []
     fills: list[Floats] = []
     edges: list[Floats] = []
     depths: list[Floats] = []
-    for mesh in (solid for solid in solids if solid.faces.size):
+    rgb: Any = to_rgb(tint) if isinstance(tint, str) else tint
+    for mesh, colour in zip(solids, np.broadcast_to(rgb, (len(solids), 3)), strict=True):
+        if not mesh.faces.size:
+            continue
         normal = _normals(mesh)
         is_front = normal[:, 2] < 0.0
         faces = mesh.vertices[mesh.faces[is_front]]
         if tint is not None:
             bright = 0.78 + 0.22 * np.clip(normal[is_front] @ _LIGHT_DIRECTION, 0.0, 1.0)
-            shades = np.append(bright[:, None] * to_rgb(tint), np.ones((len(faces), 1)), axis=1)
+            shades = np.append(bright[:, None] * colour, np.ones((len(faces), 1)), axis=1)
             shapes += list(faces[:, :, :2])
             fills.append(shades)
             edges.append(shades)
