@@ -4,7 +4,7 @@ import argparse
 import json
 from time import perf_counter
 
-from particlerb.cli.common import amount, wall_time
+from particlerb.cli.common import amount, fitted, wall_time
 from particlerb.cli.exit_codes import DONE, FAILED, ending, tamed
 from particlerb.cli.run import expected_size, prepared_case, size_text
 from particlerb.ranks import NoRanksError
@@ -27,7 +27,7 @@ def check_command(options: argparse.Namespace) -> int:
         told |= {"ranks": shares._asdict()} if shares is not None else {}
         print(json.dumps(told))
     else:
-        print(tamed(f"{options.case} is valid\n\nplan\n{prepared.text}"))
+        print(tamed(f"{options.case} is valid\n\nplan\n{fitted(prepared.text)}"))
         print(f"  run             {size_text(prepared.system)}; about {wall_time(seconds)}")
         if shares is not None:
             print(_words(options.ranks, shares))

@@ -4,6 +4,9 @@ import argparse
 import contextlib
 import math
 import os
+import shutil
+import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -21,6 +24,18 @@ from particlerb.record.writer_lock import WriterLock
 
 PICTURES: Final = (".png", ".svg", ".pdf")
 _FAULTS_OF_VALUES: Final = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+
+
+def fitted(plan: str) -> str:
+    """A plan whose lines go on below their second column where a terminal is narrower."""
+    if not (plan and sys.stdout.isatty()):
+        return plan
+    width = shutil.get_terminal_size().columns
+    column = min(len(plan) - len(plan.split(maxsplit=1)[-1]), width // 2)
+    lines = textwrap.TextWrapper(
+        width, subsequent_indent=" " * column, break_long_words=False, break_on_hyphens=False
+    )
+    return "\n".join(map(lines.fill, plan.split("\n")))
 
 
 def find_case(name: str, commands: tuple[str, ...] = ()) -> Path:

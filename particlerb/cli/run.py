@@ -19,7 +19,7 @@ import numpy as np
 from particlerb.case.problems import CaseError
 from particlerb.case.run import frame_count
 from particlerb.case.to_system import to_system
-from particlerb.cli.common import amount, output_of, read_case
+from particlerb.cli.common import amount, fitted, output_of, read_case
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
 from particlerb.cli.ranks import ranks_of
@@ -86,7 +86,7 @@ def run_command(options: argparse.Namespace) -> int:
         ranks.together(lambda: _warn(options, _disk_warnings(system, path)))
         if not (options.quiet or options.json):
             title = system.title or path.stem
-            print(tamed(f"{title}\n\nplan\n{prepared.text}"), flush=True)
+            print(tamed(f"{title}\n\nplan\n{fitted(prepared.text)}"), flush=True)
             free = amount(_free_bytes(path))
             print(f"  file: {path}, {size_text(system)}; {free} are free\n", flush=True)
 

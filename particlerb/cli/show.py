@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import particlerb
-from particlerb.cli.common import PICTURES, amount, opened, output_of, writing
+from particlerb.cli.common import PICTURES, amount, fitted, opened, output_of, writing
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
 from particlerb.model.state import STATE_FIELDS
 from particlerb.record.output_path import appearing
@@ -38,8 +38,8 @@ def info_command(options: argparse.Namespace) -> int:
         print(json.dumps({**facts, **texts, **verified}))
         return DONE if is_whole else FAILED
     print(_lines_of(facts))
-    for name in ("plan", "case"):
-        print(f"\n{name}\n{tamed(_shortened(str(texts[name]).rstrip())) or '(none)'}")
+    for name, fit in (("plan", fitted), ("case", str)):
+        print(f"\n{name}\n{tamed(fit(_shortened(str(texts[name]).rstrip()))) or '(none)'}")
     print("\n--json has all values of the case, defaults included")
     if options.verify:
         lines = (f"  {'ok' if f.is_whole else 'NOT OK':<7}{f.what:<15}{f.words}" for f in findings)

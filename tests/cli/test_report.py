@@ -10,6 +10,7 @@ import pytest
 
 import particlerb
 from particlerb.cli import main, report
+from particlerb.cli.common import fitted
 from particlerb.cli.exit_codes import Ending
 from particlerb.cli.run import ask_to_stop
 from particlerb.compiled.threads import THREADS
@@ -146,3 +147,18 @@ def raising(error):
         raise error()
 
     return raises
+
+
+def test_a_plan_fits_a_narrow_terminal(monkeypatch):
+    """It goes on below its second column, with the same words; a pipe gets it as it is."""
+    words = "summed once to mass, centre of mass and inertia tensor " * 3
+    plan = f"  bodies     1 spherical top\n  particles  {words.strip()}"
+    assert fitted(plan) == plan
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("sys.stdout", SimpleNamespace(isatty=lambda: True))
+    first, second, *more = fitted(plan).split("\n")
+    assert (first, second[:40]) == tuple(line[:40] for line in plan.split("\n"))
+    assert more
+    assert all(line.startswith(" " * 13 + line.strip()) for line in more)
+    assert max(map(len, (second, *more))) <= 80
+    assert " ".join((second, *more)).split() == plan.split("\n")[1].split()
