@@ -1,5 +1,6 @@
 """The picture of a trajectory has the panels that fit the scene, and these show what happened."""
 
+import itertools
 import math
 import subprocess
 import sys
@@ -286,6 +287,34 @@ def test_a_single_frame_is_drawn_as_points(make, tmp_path):
         figure = particlerb.plot(trajectory)
     lines = panel(figure, "angular velocity of body, body frame").get_lines()
     assert {line.get_marker() for line in lines} == {"o"}
+
+
+def test_a_single_frame_of_many_shows_what_their_other_frames_do(make, tmp_path):
+    """It was taken for one body at rest, and the floor had dots at its ends."""
+    case = heap(make)
+    case["body"][0]["place"] |= {"n": [5, 1, 3], "origin": [0, 0, 0.5]}
+    with particlerb.Simulation(particlerb.Scene.from_case(case), tmp_path / "a.h5"):
+        pass
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        figure = particlerb.plot(trajectory)
+    titles = [axes.get_title(loc="left") for axes in figure.axes[1:]]
+    assert titles == [*SCENES[heap], ERRORS]
+    (floor,) = figure.axes[0].get_lines()
+    epsilon = panel(figure, ERRORS).get_lines()[-1]
+    assert {floor.get_marker(), epsilon.get_marker()} == {"None"}
+
+
+def test_times_of_a_short_run_do_not_cover_each_other(make, monkeypatch):
+    figure, _ = drawn(
+        make.case(make.body(velocity=[1.0, 0, 0]), t_end=2e-3, every=1e-3), monkeypatch
+    )
+    figure.draw_without_rendering()
+    boxes = [
+        label.get_window_extent()
+        for label in panel(figure, ERRORS).get_xticklabels()
+        if label.get_text()
+    ]
+    assert all(one.x1 < other.x0 for one, other in itertools.pairwise(boxes))
 
 
 def rods(make, at):

@@ -185,7 +185,7 @@ def draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int])
     if "wall" in changes_in(trajectory.file):
         return
     middle_of_scene = trajectory.read("position", frame).mean(axis=0)[shown]
-    style: dict[str, Any] = {"color": INK, "lw": 1.2, "zorder": 0.4}
+    style: dict[str, Any] = {"color": INK, "lw": 1.2, "zorder": 0.4, "marker": "None"}
     for k, wall in enumerate(trajectory.case.wall):
         motion = motion_of(wall.motion, middle(wall))
         pose = poses_at([motion], trajectory.time[frame])

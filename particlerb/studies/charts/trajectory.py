@@ -32,6 +32,7 @@ _FLAT_SHARE: Final = 0.01  # the same of energies beside the largest of them
 _EXCHANGE: Final = 100.0  # times the largest error: change of energy which is more than that
 _LEVEL_SHARE: Final = 0.01  # change of height beside that of place which is none
 _MIN_ERROR: Final = 1e-17  # that is drawn
+_TIMES: Final = 6  # steps between times at most: values of short runs are long
 _HANDLE, _ROW = 6, 84  # letters beside a name, and of a row, of a legend as wide as a panel
 _MAX_BODIES_SAMPLED: Final = 1000  # whose heights are looked at
 
@@ -83,9 +84,9 @@ def _draw_panels(
     """Draw what fits the scene, or a body."""
     b = _fastest(trajectory) if body is None else trajectory.names.index(body)
     shown = _shown(trajectory.n_bodies, bodies.FEW, b)
-    is_still = not np.ptp(trajectory.read("position", bodies=shown), axis=0).any()
-    is_tumbling = is_still and not _is_top(trajectory, b) and trajectory.n_frames > 1
-    if is_tumbling and trajectory.omega_body(b)[0].any():
+    moved = np.ptp(trajectory.read("position", bodies=shown), axis=0)
+    is_still = trajectory.n_frames > 1 and not moved.any()
+    if is_still and not _is_top(trajectory, b) and trajectory.omega_body(b)[0].any():
         grid = figure.add_gridspec(2, 3, height_ratios=(0.6, 1.0), width_ratios=(1.0, 1.0, 1.3))
         bodies.draw_orientations(figure.add_subplot(grid[0, :]), trajectory, b)
         places = [grid[1, 0], grid[1, 1], grid[1, 2]]
@@ -373,7 +374,7 @@ def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
         lowest = "" if drift[-1] > _MIN_ERROR else f" (< {_MIN_ERROR:g})" if drift[-1] else " (0)"
         label = f"{name}{lowest}"
         axes.semilogy(time, np.where(drift > 0.0, drift, np.nan), color=colour, lw=1.3, label=label)
-    axes.axhline(epsilon, color=INK, lw=0.8, ls=":")
+    axes.axhline(epsilon, color=INK, lw=0.8, ls=":", marker="None")
     text = "machine epsilon"
     write_beside(axes, 0.99, 0.9 * epsilon, text, fontsize=8, color=INK, ha="right", va="top")
     axes.set_ylim(_MIN_ERROR, max(axes.get_ylim()[1], 1e-14))
@@ -392,6 +393,7 @@ def finish(axes: Axes, title: str, label: str) -> None:
         bbox_to_anchor=(0.0, 1.0), frameon=False, handlelength=1.4, columnspacing=1.0,
         labelspacing=0.3, borderaxespad=0.2, borderpad=0.0,
     )  # fmt: skip
+    axes.locator_params(axis="x", nbins=_TIMES)
     axes.yaxis.set_offset_position("right")  # a common power of ten: the legend is at the left
     low, high = axes.get_ylim()
     if axes.get_yscale() == "linear" and high - low < 1e-6 * max(abs(low), abs(high)):
