@@ -26,7 +26,7 @@ from particlerb.record.provenance import changes_in
 from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.studies.charts.style import INK
 
-Tint: TypeAlias = str | Floats | None
+_Tint: TypeAlias = str | Floats | None
 BODY: Final = "#eceff2"
 ANGLED: Final = "[m], seen from above at an angle"
 _VIEW_ANGLES: Final = np.radians((35.0, 22.0))  # about the vertical, and from above
@@ -107,7 +107,7 @@ def _has_surface(body: Body) -> bool:
 
 
 def draw_solids(
-    axes: Axes, solids: Sequence[SurfaceMesh], tint: Tint, height: float, line: str = INK
+    axes: Axes, solids: Sequence[SurfaceMesh], tint: _Tint, height: float, line: str = INK
 ) -> None:
     """Draw solids whose vertices are those of the view, those in front over those behind.
 
