@@ -32,7 +32,7 @@ BUDGETS = {
     "one scene over ranks": 2603,
     "reports, pictures, the page": 1821,
     "scenes for other programs": 540,
-    "speed of compiling and of whole calls": 1412,
+    "speed of compiling and of whole calls": 1450,
     "watches": 219,
     "beside all these": 418,
 }

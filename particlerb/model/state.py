@@ -9,10 +9,19 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.compiled.jit import unfused_inline, unfused_kernel
+from particlerb.compiled.jit import inline, unfused_inline, unfused_kernel, unsigned
 from particlerb.maths.double_double import exact_difference
 from particlerb.maths.quaternion import Rows4, conjugate, multiply
-from particlerb.maths.rows import column3, column4, put_column4, rows3, rows4
+from particlerb.maths.rows import (
+    column3,
+    column4,
+    put_column4,
+    put_row3,
+    put_row4,
+    row4,
+    rows3,
+    rows4,
+)
 from particlerb.maths.vec3 import Bools, Floats, Ints, Rows3
 from particlerb.model.bodies import Bodies
 
@@ -94,6 +103,50 @@ def states_in(frames: Frames, rows: Ints, index: Ints, bodies: Bodies) -> State:
     return State(x, quaternion_product(q, np.tile(bodies.rotor_frame, rows.size)), p, L)
 
 
+@inline
+def load_last(frames: Frames, index: Ints, last: Rows4) -> None:
+    """Copy the last orientations of bodies `index` of the scene into rows."""
+    for b in range(index.size):
+        put_column4(last, b, row4(frames.last, unsigned(index[b])))
+
+
+@inline
+def store_last(frames: Frames, index: Ints, last: Rows4) -> None:
+    """Copy rows to the last orientations of bodies `index` of the scene."""
+    for b in range(index.size):
+        put_row4(frames.last, unsigned(index[b]), column4(last, b))
+
+
+@unfused_inline
+def show(q: Rows4, rotor_frame: Rows4, last: Rows4, is_kept: bool, shown: Rows4) -> None:
+    """Orientations of body frames, of the sign nearest to the last ones; if kept, the new last."""
+    n = last[0].size
+    for b in range(n):
+        w, x, y, z = multiply(column4(q, b), conjugate(column4(rotor_frame, b)))
+        before = column4(last, b)
+        along = w * before[0] + x * before[1] + y * before[2] + z * before[3]
+        sign = -1.0 if along < 0.0 else 1.0
+        put_column4(shown, b, (sign * w, sign * x, sign * y, sign * z))
+    if is_kept:
+        for b in range(n):
+            put_column4(last, b, column4(shown, b))
+
+
+@inline
+def store_rows(
+    frames: Frames, f: int, index: Ints, com: Rows3, shown: Rows4, p: Rows3, L: Rows3
+) -> None:
+    """Write a block of bodies into frame f; `index` says which bodies of the scene they are."""
+    x, q = frames.position[f], frames.orientation[f]
+    linear, angular = frames.linear_momentum[f], frames.angular_momentum[f]
+    for b in range(index.size):  # one loop, so that rows of all four are fetched at once
+        i = unsigned(index[b])
+        put_row3(x, i, column3(com, b))
+        put_row4(q, i, column4(shown, b))
+        put_row3(linear, i, column3(p, b))
+        put_row3(angular, i, column3(L, b))
+
+
 @unfused_inline
 def store_frame(
     frames: Frames,
@@ -105,26 +158,13 @@ def store_frame(
     p: Rows3,
     L: Rows3,
 ) -> None:
-    """Write a block of bodies into frame f; `index` says which bodies of the scene they are."""
-    n, turned = index.size, np.empty((4, index.size))
-    for b in range(n):  # in SIMD lanes
-        put_column4(
-            rows4(turned, 0, n), b, multiply(column4(q, b), conjugate(column4(rotor_frame, b)))
-        )
-    position, out, linear, angular, last, is_frame = frames
-    is_kept = is_frame[f]
-    for b in range(n):  # one loop, so that rows of all four are fetched at once
-        i = index[b]
-        position[f, i, 0], position[f, i, 1], position[f, i, 2] = column3(com, b)
-        linear[f, i, 0], linear[f, i, 1], linear[f, i, 2] = column3(p, b)
-        angular[f, i, 0], angular[f, i, 1], angular[f, i, 2] = column3(L, b)
-        w, x, y, z = column4(rows4(turned, 0, n), b)
-        along = w * last[i, 0] + x * last[i, 1] + y * last[i, 2] + z * last[i, 3]
-        sign = -1.0 if along < 0.0 else 1.0
-        w, x, y, z = sign * w, sign * x, sign * y, sign * z
-        out[f, i, 0], out[f, i, 1], out[f, i, 2], out[f, i, 3] = w, x, y, z
-        if is_kept:
-            last[i, 0], last[i, 1], last[i, 2], last[i, 3] = w, x, y, z
+    """The same of rotor frames: body frames have signs that continue those of the last frame."""
+    n, room = index.size, np.empty((8, index.size))
+    last, shown = rows4(room[0:4], 0, n), rows4(room[4:8], 0, n)
+    load_last(frames, index, last)
+    show(q, rotor_frame, last, frames.is_frame[f], shown)
+    store_rows(frames, f, index, com, shown, p, L)
+    store_last(frames, index, last)
 
 
 @unfused_kernel

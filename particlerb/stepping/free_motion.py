@@ -22,7 +22,17 @@ from particlerb.maths.rows import column3, column4, put_column3, put_column4, ro
 from particlerb.maths.vec3 import Floats, Ints, Rows3, rows_of
 from particlerb.model.block import COM, EXTERNAL, STRIDE, L, P, Q, get, get3, in_blocks
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.state import CONJUGATE, Frames, State, quaternion_product, rotate, store_frame
+from particlerb.model.state import (
+    CONJUGATE,
+    Frames,
+    State,
+    load_last,
+    quaternion_product,
+    rotate,
+    show,
+    store_last,
+    store_rows,
+)
 from particlerb.model.totals import N_TOTALS, BlockRows, sum_block
 from particlerb.model.worlds import bins_among, over_bins, over_bodies, part_of_worlds, shape_of
 from particlerb.rotors.exact import (
@@ -177,6 +187,7 @@ def _fly_blocks(
     g, room = (part.gravity[0], part.gravity[1], part.gravity[2]), np.empty((N_TOTALS, STRIDE))
     out, inputs = np.empty((EXTERNAL + 1) * STRIDE), np.empty((_INPUT_ROWS, STRIDE))
     local, place = out.reshape((EXTERNAL + 1, STRIDE)), np.empty(BLOCK, np.int64)
+    orientations = np.empty((8, STRIDE))
     for k in range(first, end):
         lo = k * BLOCK
         n = min(BLOCK, part.bodies.size - lo)
@@ -190,13 +201,17 @@ def _fly_blocks(
         if part.changes_spin is not None:
             spin = rows3(local[L : L + 3], 0, n)
         frame, inverse = rows4(inputs[12:16], 0, n), rows3(inputs[18:21], 0, n)
+        last, shown = rows4(orientations[0:4], 0, n), rows4(orientations[4:8], 0, n)
+        load_last(frames, place[:n], last)
         summed = BlockRows(com, q, p, spin, inputs[17, :n], inputs[16, :n], inverse)
         for f in range(times.size):
             external = None if binned is None or bins is None else ExternalWork(binned[f], bins)
             _move_block(part, k, times[f], of, q, out, external)
-            store_frame(frames, rows[f], place[:n], frame, com, q, p, spin)
+            show(q, frame, last, frames.is_frame[rows[f]], shown)
+            store_rows(frames, rows[f], place[:n], com, shown, p, spin)
             if f < sums.shape[0]:
                 sum_block(summed, g, bins, k, sums[f], room)
+        store_last(frames, place[:n], last)
 
 
 @unfused_kernel
@@ -229,13 +244,11 @@ class FreeMotion(Motion):
         self.group, self.state, self.start = group, state, start
         self.moves = moves = translations_of(group, state)
         self.orbit = orbits_of(group, state)
-        self.is_pair = self.orbit is not None and group.terms.is_coupled
-        self.is_pair |= moves.drift is not None
+        self.is_pair = moves.drift is not None or bool(self.orbit and group.terms.is_coupled)
         p = state.p  # relative to what carries pairs
         if moves.drift is not None:
             p = p - group.bodies.mass * moves.drift
-        _, force = force_of(group)
-        self.rows = rows_of(state.com), rows_of(p), rows_of(state.L), rows_of(force)
+        self.rows = rows_of(state.com), rows_of(p), rows_of(state.L), rows_of(force_of(group)[1])
         is_constant = group.terms.gravity is not None or bool(group.terms.loads)
         no_parabola = moves.drag, moves.spring, moves.braked, self.orbit
         is_constant &= self.is_pair or no_parabola.count(None) == len(no_parabola)
@@ -273,8 +286,7 @@ class FreeMotion(Motion):
         bodies, axis = self.group.bodies, self.group.terms.axis
         k = np.zeros(index.size, dtype=np.int64) if axis is None else np.maximum(axis[index], 0)
         inverse = bodies.inv_inertia[k % LINE, index]
-        vectors = (self.state.q, self.state.L, torque)
-        columns = [np.ascontiguousarray(vector[:, index]) for vector in vectors]
+        columns = [np.ascontiguousarray(v[:, index]) for v in (self.state.q, self.state.L, torque)]
         spinning = Spinning(drag[index] * inverse, inverse, *columns)
         return index, self.part(index, bodies, spinning=spinning, changes_spin=flag(True)), None
 
@@ -344,12 +356,10 @@ class FreeMotion(Motion):
             self.refuse_fall(elapsed.max(initial=0.0))
         external = self.external(elapsed)
         for index, part, turned in self.parts:
-            worlds, binned, bins = self.group.worlds, None, None
-            n_bins = -(-index.size // BLOCK)
-            sums_forces = part.sums
-            if sums_forces or worlds is not None:
+            worlds, binned, bins, n_bins = self.group.worlds, None, None, -(-index.size // BLOCK)
+            if part.sums or worlds is not None:
                 bins, n_bins = bins_among(index, worlds, BLOCK)
-            if sums_forces:
+            if part.sums:
                 binned = np.zeros((times.size, n_bins, N_EXTERNAL))
             sums = np.zeros((0 if self.sums is None else times.size, n_bins, N_TOTALS))
             room = self.group.members, frames, binned, bins, sums
