@@ -102,6 +102,8 @@ def _operator(function: Any, kind: Any, returned: Any, arguments: int, build: An
     """Let Numba know a function of packs, or of packs and what counts in all lanes."""
 
     class Template(AbstractTemplate):
+        key = function
+
         def generic(self, args: Any, keys: Any) -> Any:
             if keys or len(args) != arguments or kind not in args:
                 return None
@@ -112,7 +114,7 @@ def _operator(function: Any, kind: Any, returned: Any, arguments: int, build: An
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return build(builder, *values)
 
-    cast(Any, infer_global)(function)(Template)
+    cast(Any, infer_global)(function, types.Function(Template))  # ufuncs of old NumPy too
     cast(Any, lower_builtin)(function, *[kind] * arguments)(generate)
 
 
