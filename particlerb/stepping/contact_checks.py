@@ -164,7 +164,7 @@ class ContactChecks:
         if np.isin((body, other), held).any() or (
             k >= 0 and peak_speed(self._motions[k], self.dt) > 0.0
         ):
-            why += "; one of them moves as prescribed: let it not press what cannot give way"
+            why += "; one of them moves as prescribed: let it leave space for what it presses"
         raise MotionError(
             f"at t = {when} body {int(self.members[int(body)])} and {partner} overlap by"
             f" {depth:.3g} m, {depth / radius:.2g} of the smaller radius: {why}"
