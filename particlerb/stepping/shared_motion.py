@@ -33,10 +33,10 @@ class SharedMotion(ContactMotion):
 
     def collect(self) -> None:
         """Send bodies, and what contacts keep, to the ranks that save them."""
-        is_own, exchange = self.domain.is_own, self.domain.exchange
-        bodies = self.domain.local[is_own]
-        listed = self.contact.memory.listed_pose.T[is_own]
         with ending_all(self.ranks):
+            is_own, exchange = self.domain.is_own, self.domain.exchange
+            bodies = self.domain.local[is_own]
+            listed = self.contact.memory.listed_pose.T[is_own]
             rows = np.column_stack([self.body_rows()[is_own], listed])
             bodies, rows = exchange.bodies_sent(exchange.home[bodies], bodies, rows)
             self.bodies_to_save = np.column_stack([bodies, rows])
