@@ -25,7 +25,7 @@ BUDGETS = {
     "joints": 5920,
     "contact with every method": 702,
     "contact by impulses": 4218,
-    "collisions by events": 1738,
+    "collisions by events": 1739,
     "forces: tables, gradients, written by users": 2149,
     "scenes and simulations in Python": 1078,
     "sweeps": 1641,

@@ -158,10 +158,10 @@ def inv_effective_mass(
 @inline
 def note_overlap(on: Evaluation, overlap: float, radius: float, b: int, partner: int) -> None:
     """Note that a body lies too deep in another or in a wall, for the host to say."""
-    deepest, thread = on.workspace.deepest, on.thread
-    if overlap > deepest[thread, 0] or (overlap == deepest[thread, 0] and b < deepest[thread, 2]):
-        deepest[thread, 0], deepest[thread, 1], deepest[thread, 2] = overlap, radius, b
-        deepest[thread, 3] = partner
+    deepest, k = on.workspace.deepest, on.thread
+    comes_first = b < deepest[k, 2] or (b == deepest[k, 2] and partner < deepest[k, 3])
+    if overlap > deepest[k, 0] or (overlap == deepest[k, 0] and comes_first):
+        deepest[k, 0], deepest[k, 1], deepest[k, 2], deepest[k, 3] = overlap, radius, b, partner
 
 
 @inline

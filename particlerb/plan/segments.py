@@ -95,7 +95,7 @@ class GroupPlan(NamedTuple):
     @property
     def is_closed(self) -> bool:
         """Whether its bodies move in closed form throughout, and touch nothing."""
-        return not (self.touches or any(METHODS[s.method].order for s in self.segments))
+        return not (self.touches or any(has_step(one.method) for one in self.segments))
 
 
 class Plan(NamedTuple):

@@ -142,8 +142,8 @@ class ContactChecks:
 
     def depth(self, contact: MovingContact, now: float) -> None:
         """Raise MotionError where a body lies so deep that it may come out on the other side."""
-        deepest = max(contact.workspace.deepest.tolist(), key=lambda row: (row[0], -row[2]))
-        depth, radius, body, other, time = deepest  # the same for any number of threads
+        seen = contact.workspace.deepest.tolist()  # the same for any number of threads
+        depth, radius, body, other, time = max(seen, key=lambda row: (row[0], -row[2], -row[3]))
         if depth <= 0.0:
             return
         impulses, model = contact.workspace.impulses, contact.setup.model

@@ -35,7 +35,7 @@ from particlerb.stepping.motion import MotionError
 from particlerb.stepping.saved_arrays import Saved
 
 _MIN_STEPS: Final = 64  # for which lists are made where walls move slowly
-_MAX_STEPS: Final = 4096  # of lists that are cheap: stability is looked at when they are made
+_CHEAP_STEPS: Final = 4096  # of lists that are cheap: stability is looked at when they are made
 _NS_PER_LIST: Final = 4e5  # of making lists, roughly
 _NS_PER_LISTED_SPHERE: Final = 150.0  # of making lists
 _NS_PER_PAIR_STEP: Final = 6.0
@@ -215,7 +215,7 @@ class ContactLists:
             elif (
                 have_moved
                 and self.cost > _CHEAP_LIST_SHARE * steps * lasted.step_cost
-                and steps < _MAX_STEPS
+                and steps < _CHEAP_STEPS
             ):
                 skin *= _SKIN_FACTOR
         places = corners, poses.position
@@ -228,7 +228,7 @@ class ContactLists:
         Up to twice the steps that the last ones have lasted, and no farther than the skin. Where
         little moves, steps are as many as take the time that new lists are cheap in.
         """
-        most = max(_MAX_STEPS, int(self.cost / (_CHEAP_LIST_SHARE * lasted.step_cost)))
+        most = max(_CHEAP_STEPS, int(self.cost / (_CHEAP_LIST_SHARE * lasted.step_cost)))
         steps, skin = min(max(_MIN_STEPS, 2 * lasted.steps), most), self.skin
         sliding = 0.0 if self.contact.pistons is None else 0.5 * skin
         if not records.to_floats(self.contact.motions)[:, 3:14].any():

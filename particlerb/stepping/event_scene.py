@@ -74,10 +74,11 @@ def _grid(group: SegmentGroup, com: Floats) -> _Grid:
     size = np.where(np.isfinite(box), box, np.maximum(high - low, least))
     width = max(least, float((size.prod() / (_CELLS_PER_BODY * bound.size)) ** (1.0 / 3.0)))
     span = np.maximum(size, high - low)  # beyond a box that repeats
-    if (span / np.minimum(width, box / impulses.LEAST_CELLS)).max() > LARGEST_NUMBER:
+    narrowest = np.minimum(width, box / impulses.LEAST_CELLS)
+    if (span / narrowest).max() > LARGEST_NUMBER:
         raise MotionError(
-            f"bodies lie within {span.max():.3g} m, in cells of {width:.3g} m: their numbers end at"
-            f" {LARGEST_NUMBER}; take bodies that are nearer to each other"
+            f"bodies lie within {span.max():.3g} m, in cells of {narrowest.min():.3g} m: their"
+            f" numbers end at {LARGEST_NUMBER}; take bodies that are nearer to each other"
         )
     count = np.maximum(np.ceil(size / width).astype(np.int64), 3)
     while count.prod() > _MAX_CELLS_PER_BODY * bound.size + 27:
