@@ -21,13 +21,13 @@ from particlerb.compiled.jit import inline
 from particlerb.impulses import records as col
 from particlerb.impulses.cone import on_disc
 from particlerb.impulses.records import ImpulseRows, Partners, Rolling
-from particlerb.impulses.rows import AT_BOUND, clear_moves, goes_on, in_frame, in_world, push
+from particlerb.impulses.rows import clear_moves, in_frame, in_world, push
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, dot, scale, subtract
 
 ACROSS: Final = 0  # columns of `Rolling.limit`: μ_r R* and λ across the normal
 ABOUT: Final = 2  # the same about it
-DRIVEN: Final = 4  # [rad/s] what ω is taken with beside its own, see `lean`, along n, t₁, t₂
+DRIVEN: Final = 4  # [rad/s] what drives change ω by until the end of the step, along n, t₁, t₂
 
 _MAX_ITERATIONS: Final = 200  # of an impact
 _CHANGE_TOLERANCE: Final = 1e-14  # relative change at which an impact is solved
@@ -107,7 +107,7 @@ def write_rolling(
 ) -> None:
     """Write λ of all contacts, whose frames are known; what joints hold is not resisted.
 
-    And what drives change until the end of a step of dt [s], or what came, of what rolls on.
+    And what drives change until the end of a step of dt [s].
     """
     if rolling is None:
         return
@@ -131,12 +131,6 @@ def write_rolling(
             coupling = math.sqrt((n[1] * n[1] + n[2] * n[2]) / (across * about))
             limit[k, ACROSS + 1] += coupling * across
             limit[k, ABOUT + 1] += coupling * about
-        came, m = turning(partners.before, rows, k), row3(rolling.impulse, k)
-        m, pressed = in_frame(rows.frame, k, m), in_frame(rows.frame, k, row3(rows.impulse, k))[0]
-        rubs, speed = math.hypot(m[1], m[2]), math.hypot(came[1], came[2])
-        is_at_bound = rubs > AT_BOUND * limit[k, ACROSS] * pressed
-        if is_at_bound and goes_on(rubs, speed, 1.0 / limit[k, ACROSS + 1]):
-            limit[k, DRIVEN + 1], limit[k, DRIVEN + 2] = came[1], came[2]
 
 
 @inline

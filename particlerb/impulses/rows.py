@@ -10,9 +10,8 @@ from particlerb.impulses.records import ImpulseRows, Mechanisms, Partners
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
-AT_BOUND: Final = 1.0 - 1e-6  # of μ times the normal force: with less friction it sticks
+_STICKING_SHARE: Final = 1.0 - 1e-6  # of μ times the normal force: with less friction it sticks
 _SLIP_SHARE: Final = 0.1  # of what drives and turning change: with less slip it sticks
-_GOES_ON_SHARE: Final = 2.0  # of what friction changes in a step: with more speed it does not end
 _CAME_SHARE: Final = 2.0  # of what came across the normal: so much turning gives back at most
 _MIN_SCHUR_SHARE: Final = 1e-6  # of an inverse mass without joints: with less, friction is nothing
 
@@ -182,16 +181,6 @@ def driven_by(partners: Partners, rows: ImpulseRows, c: int, dt: float) -> Vec3:
 
 
 @inline
-def goes_on(rubs: float, speed: float, share: float) -> bool:
-    """Whether an impulse of friction, at its bound, ends no such speed in a step.
-
-    `share` is the impulse over the change of the speed. Then friction is opposite to the mean of
-    the velocities before and after, which adds the one before.
-    """
-    return share * speed > _GOES_ON_SHARE * rubs > 0.0
-
-
-@inline
 def lean(
     partners: Partners, rows: ImpulseRows, c: int, changes: Vec3, force: Vec3, dt: float,
     slop: float,
@@ -203,9 +192,8 @@ def lean(
     would take from its energy what the normal has turned towards it. No more than what came is
     given back, and across the normal twice that, to what stuck in the step before or does not slip:
     several contacts of a pair ask for what rigid bodies can have at once. What drives and
-    prescribed motions accelerate counts in full. What slides on adds what it came with. What moves
-    in contact over what is bent away from it lies beyond in the middle, which is not counted as a
-    gap.
+    prescribed motions accelerate counts in full. What moves in contact over what is bent away
+    from it lies beyond in the middle, which is not counted as a gap.
 
     Parameters
     ----------
@@ -231,15 +219,13 @@ def lean(
     n = n_by + min(max(came - n_by, min(n, 0.0)), max(n, 0.0))
     gap = limits[c, col.GAP] - 0.25 * dt * max(n, 0.0)
     rows.frame[c, col.LEAST] = (-gap / dt if gap > slop else 0.0) - n
-    is_within = math.hypot(f, g) < AT_BOUND * rows.frame[c, col.FRICTION] * pressed
+    is_within = math.hypot(f, g) < _STICKING_SHARE * rows.frame[c, col.FRICTION] * pressed
     slip, u, v = math.hypot(u - x_by - x, v - y_by - y), u - x_by, v - y_by
     sticks = is_within or slip <= _SLIP_SHARE * math.hypot(x + x_by, y + y_by)
     if sticks and pressed > 0.0:
         size, most = math.hypot(x, y), _CAME_SHARE * math.hypot(u, v)
         share = most / size if size > most else 1.0
         x_by, y_by = x_by + share * x, y_by + share * y
-    elif goes_on(dt * math.hypot(f, g), math.hypot(u + x_by, v + y_by), rows.frame[c, col.RUBBING]):
-        x_by, y_by = u + x_by, v + y_by
     put_row3(limits, c, (n, x_by, y_by), col.LEAN)
 
 

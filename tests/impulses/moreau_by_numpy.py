@@ -166,12 +166,6 @@ class Scene:
             if n > 0.0 and (within or slip <= 0.1 * size):
                 most = 2.0 * np.hypot(*came[1:])
                 touch.across = half[1:] * (min(1.0, most / size) if size > 0.0 else 0.0)
-            elif n > 0.0:  # friction is opposite to the mean velocity where it does not end this
-                W = touch.jacobian @ self.inverse() @ touch.jacobian.T
-                coupled = W[1:, 0] @ W[1:, 0] / W[0, 0]
-                schur = W[1:, 1:] - np.outer(W[1:, 0], W[1:, 0]) / W[0, 0]
-                stops = 2.0 * np.hypot(*t) * (np.linalg.eigvalsh(schur)[-1] + coupled)
-                touch.across = came[1:] if np.hypot(*came[1:]) > stops > 0.0 else np.zeros(2)
 
     def _changes(self, one, x, other, y):
         """Rate (3,) of the velocity of two balls in contact, or one on a plane, as ω stay the same.
