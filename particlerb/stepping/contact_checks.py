@@ -10,7 +10,7 @@ import numpy as np
 from particlerb.contact.contact_frequency import contact_frequency
 from particlerb.contact.contact_model import MovingContact
 from particlerb.contact.missed_pairs import Missed, Watch, WatchedBodies, bounding_radii, peak_speed
-from particlerb.contact.wall_motion import motion_in
+from particlerb.contact.wall_motion import motion_in, wall_displacement
 from particlerb.impulses import records as col
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.power_method import Oscillating
@@ -162,7 +162,7 @@ class ContactChecks:
             )
         held = () if model.prescribed is None else model.prescribed.body
         if np.isin((body, other), held).any() or (
-            k >= 0 and peak_speed(self._motions[k], self.dt) > 0.0
+            k >= 0 and wall_displacement(self._motions[k : k + 1], self.dt, [1.0]) > 0.0
         ):
             why += "; one of them moves as prescribed: let it leave space for what it presses"
         raise MotionError(

@@ -284,15 +284,19 @@ def test_body_that_its_contact_cannot_hold_ends_the_run(share, passes):
 
 
 @pytest.mark.plain
-@pytest.mark.parametrize("presser", ["wall rim", "body ram"])
+@pytest.mark.parametrize("presser", ["wall rim", "body ram", "wall paddle"])
 def test_what_presses_as_prescribed_is_named(presser):
-    """A rim, or a ball, comes down with 1 m/s on a ball that lies on the floor."""
+    """A rim, a ball, or a box that turns, comes down on a ball that lies on the floor."""
     case = drop(1e-3, stiffness=1e3)
     case["body"][0]["position"] = [0.0, 0.0, 0.1]
     down = {"velocity": [0.0, 0.0, -1.0]}
     if presser == "body ram":
         case["body"].append(case["body"][0] | {"name": "ram", "position": [0, 0, 0.3]})
         case["body"][1]["motion"] = down
+    elif presser == "wall paddle":
+        turns = {"centre": [2.0, 0.0, 0.5], "angular_velocity": [0.0, -0.5, 0.0]}
+        paddle = {"name": "paddle", "type": "box", "inside": False, "motion": turns}
+        case["wall"].append(paddle | {"lower": [-0.5, -0.25, 0.25], "upper": [1.5, 0.25, 0.45]})
     else:
         tube = {"name": "rim", "type": "cylinder", "centre": [-1.0, 0.0, 0.7], "radius": 1.0}
         tube |= {"length": 1.0, "open": ["-", "+"], "inside": False, "motion": down}
