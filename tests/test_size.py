@@ -30,7 +30,7 @@ BUDGETS = {
     "scenes and simulations in Python": 1078,
     "sweeps": 1641,
     "one scene over ranks": 2603,
-    "reports, pictures, the page": 1821,
+    "reports, pictures, the page": 1823,
     "scenes for other programs": 540,
     "speed of compiling and of whole calls": 1450,
     "watches": 219,

@@ -203,6 +203,33 @@ def test_solids_of_a_side_view_are_the_bluer_the_faster(make, monkeypatch):
     assert np.count_nonzero(blue - red < 0.02) == 2 * 13
 
 
+@pytest.mark.parametrize("t_end", [None, 1e-4])
+def test_bodies_that_move_are_drawn_though_no_time_passes(make, tmp_path, t_end):
+    """A frame, or a short run: a speed above 1 m/s was no colour."""
+    case = heap(make)
+    case["body"][0]["velocity"] = [3.0, 0.0, 0.0]
+    case["run"] |= {"t_end": 1e-4, "every": 1e-4, "dt": 1e-5}
+    with particlerb.Simulation(particlerb.Scene.from_case(case), tmp_path / "a.h5") as simulation:
+        if t_end is not None:
+            simulation.advance(until=t_end)
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        axes = particlerb.plot(trajectory).axes[0]
+    if t_end is None:
+        assert axes.get_title(loc="left") == "t = 0 s; blue: up to 3 m/s"
+
+
+def test_many_bodies_without_radii_are_dots(make, monkeypatch):
+    """Boxes around all of them took memory and time without end."""
+    corners = (np.indices((2, 2, 2)).reshape(3, 8).T / 5).tolist()
+    tile = {"shape": {"type": "points", "position": corners, "mass": 1.0}}
+    place = [[-k, 0.0, 0.0] for k in range(13)]
+    case = make.case(make.body("tile", **tile, count=13, position=place), t_end=0.2)
+    for most, n in ((12 * 13, 1), (12 * 13 - 1, 0)):
+        monkeypatch.setattr(solids, "MAX_TRIANGLES", most)
+        figure, _ = drawn(case, monkeypatch)
+        assert sum(c.get_zorder() == 0.5 for c in figure.axes[0].collections) == n
+
+
 def test_of_lines_on_each_other_each_is_seen(make, monkeypatch):
     """Both bodies turn with 2 rad/s, then one of them with 3."""
     case = apart(make)

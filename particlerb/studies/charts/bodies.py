@@ -93,8 +93,9 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     order = np.argsort(depth if (across, up) != (0, 2) else -depth)
     speed = np.linalg.norm(trajectory.read("linear_momentum", frame), axis=1) / trajectory.mass
     reach = np.ptp(centres[:, shown], axis=0).max() or 1.0
-    is_still = speed.max() * np.ptp(trajectory.time) <= _STILL_SHARE * reach
-    share = speed[:, None] / (1.0 if is_still else speed.max())
+    passed = speed.max() * np.ptp(trajectory.time)
+    is_still = not speed.any() or 0.0 < passed <= _STILL_SHARE * reach  # one frame has no time
+    share = speed[:, None] / (speed.max() or 1.0) * (not is_still)
     tints = 1.0 - share * (1.0 - np.array(to_rgb(COLOURS[0]))) - 0.08 * (1.0 - share)
     radii = trajectory.particles.radius[particle][order]
     sizes = np.maximum(radii, 0.003 * reach)
@@ -103,7 +104,8 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     solids.draw_walls(axes, trajectory, frame, shown)
     if trajectory.n_bodies > FEW:
         axes.dataLim.set(Bbox.intersection(axes.dataLim, near) or near)
-    if trajectory.n_bodies <= FEW or not radii.any():
+    are_few_boxes = 12 * trajectory.n_bodies <= solids.MAX_TRIANGLES
+    if trajectory.n_bodies <= FEW or (are_few_boxes and not radii.any()):
         _draw_outlines(axes, trajectory, frame, (across, up), tints)
     if trajectory.n_bodies <= FEW:
         for path in np.moveaxis(trajectory.read("position")[: frame + 1], 1, 0):

@@ -34,7 +34,7 @@ _SOLID_SHAPES: Final = frozenset(
     ("box", "ball", "shell", "ellipsoid", "cylinder", "cone", "torus", "tetrahedron", "mesh", "rod")
 )
 """Shapes with a surface; loose particles are drawn as such."""
-_MAX_TRIANGLES: Final = 40_000  # triangles in a picture
+MAX_TRIANGLES: Final = 40_000  # triangles in a picture
 _SMALL: Final = 10  # copies for one that is drawn small, and may be as coarse as these
 _RIM: Final = "#b5bcc4"
 _MAX_EDGE_COSINE: Final = 0.85  # cosine of the angle of two faces whose edge is drawn
@@ -73,7 +73,7 @@ def solids_of(trajectory: Trajectory) -> list[SurfaceMesh | None]:
         for kind, block in zip(system.kind, system.block, strict=True)
     ]
     total = sum(len(mesh.faces) for mesh in meshes if mesh is not None)
-    return meshes if total <= _MAX_TRIANGLES else none
+    return meshes if total <= MAX_TRIANGLES else none
 
 
 def small_solid_of(trajectory: Trajectory, body: int, times: int) -> SurfaceMesh | None:
@@ -85,7 +85,7 @@ def small_solid_of(trajectory: Trajectory, body: int, times: int) -> SurfaceMesh
         return None
     record, kind = system.body[system.block[body]], int(system.kind[body])
     mesh = surface_of(system, record, kind, _SMALL * times).mesh
-    return mesh if 0.5 * times * len(mesh.faces) <= _MAX_TRIANGLES else None
+    return mesh if 0.5 * times * len(mesh.faces) <= MAX_TRIANGLES else None
 
 
 def view_along(across: int, up: int) -> Floats:
