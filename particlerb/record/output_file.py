@@ -75,7 +75,8 @@ class OutputFile:
             yield
         except BaseException as error:
             self.abandon()
-            if self.is_from_before and isinstance(error, FAULTS):
+            is_there = not isinstance(error, FileNotFoundError)
+            if self.is_from_before and is_there and isinstance(error, FAULTS):
                 raise DamagedError(f"{self.path} is damaged: {reason_of(error)}") from None
             raise
         if self.disk.failure is not None:
@@ -101,10 +102,11 @@ class OutputFile:
         self.take_place()
 
     def take_place(self) -> None:
-        """Give a new file its name; raise OSError where one that had it is not there any more."""
+        """Give a new file its name; raise FileNotFoundError where one from before has none now."""
         if self.place is None or self.waiting is None:
-            if not os.fstat(self.disk.descriptor).st_nlink and not self.path.exists():
-                raise OSError(errno.ENOENT, "was removed while it was written", str(self.path))
+            descriptor = self.disk.descriptor
+            if not os.fstat(descriptor).st_nlink and not _is_at(self.path, descriptor):
+                raise OSError(errno.ENOENT, "was removed or replaced meanwhile", str(self.path))
             return
         self.waiting.replace(self.place)
         folders = dict.fromkeys((self.place.parent, self.waiting.parent))
@@ -132,7 +134,7 @@ def waiting_in(folder: Path, place: Path) -> Path:
 
 def _empty(lock: WriterLock, waiting: Path) -> None:
     """Empty it; raise InUseError where another run has just ended, and renamed what was locked."""
-    if not waiting.exists() or not os.path.samestat(os.fstat(lock.fileno()), waiting.stat()):
+    if not _is_at(waiting, lock.fileno()):
         raise InUseError(errno.EBUSY, "was written by another run just now", str(waiting))
     with _blaming(waiting):
         os.truncate(lock.fileno(), 0)
@@ -164,6 +166,11 @@ def new_file(
     lock = WriterLock(waiting)
     replaced = parts_used_by(place) if place.exists() else ()
     return OutputFile(path, lock, is_durable, place, empty, waiting, replaced)
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    """Whether a path leads to an open file."""
+    return path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
 
 
 @contextmanager

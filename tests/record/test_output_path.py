@@ -204,23 +204,36 @@ def test_what_a_run_writes_is_not_replaced(tmp_path, monkeypatch, capsys):
     assert main(words) == 0
 
 
-def test_a_file_that_is_removed_while_it_is_written_is_told(place, monkeypatch, capsys):
+@pytest.mark.parametrize("is_replaced", [False, True])
+@pytest.mark.parametrize("is_resumed", [False, True])
+def test_a_file_that_is_removed_while_it_is_written_is_told(
+    place, monkeypatch, capsys, is_resumed, is_replaced
+):
     """Without a name nobody can read what a run would compute for days."""
     commit, commits = writer.Recorder.commit, []
+    words = ["run", "a.toml", "-q", "-o", "folder/a.h5", "--set", "run.t_end=2.0"]
+    if is_resumed:
+        shutil.copy("sound.h5", "folder/a.h5")
+        words = ["resume", "folder/a.h5", "-q", "--t-end", "2.0"]
 
     def later(recorder):
         commits.append(recorder.n_frames)
-        if len(commits) == 2:
+        if len(commits) == 2 and is_replaced:
+            Path("folder/target").replace("folder/a.h5")
+        elif len(commits) == 2:
             shutil.rmtree("folder")
         commit(recorder)
 
     monkeypatch.setattr(writer.Recorder, "commit", later)
     monkeypatch.setattr(writer, "SECONDS_BETWEEN_COMMITS", -1.0)
     monkeypatch.setattr(frame_times, "BATCH_FRAMES", 1)
-    assert main(["run", "a.toml", "-q", "-o", "folder/a.h5", "--set", "run.t_end=2.0"]) == 1
-    told = "cannot write folder/a.h5: was removed while it was written; no file was written"
+    assert main(words) == 1
+    told = "cannot write folder/a.h5: was removed or replaced meanwhile; "
+    told += "what is in folder/a.h5 cannot be read" if is_replaced else "no file was written"
     assert told in capsys.readouterr().err
     assert len(commits) < 4
+    if is_replaced:
+        assert Path("folder/a.h5").read_text() == "precious"
 
 
 def test_a_file_system_without_syncs_is_written(tmp_path, monkeypatch):
