@@ -15,7 +15,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import read_case, to_write, writing
 from particlerb.cli.exit_codes import DONE, Ending, ending
-from particlerb.record.output_path import appearing, sync
+from particlerb.record.output_path import appearing, remove
 
 
 def chart_command(options: argparse.Namespace) -> int:
@@ -83,8 +83,8 @@ def _show(
         with new.open("w", newline="", encoding="utf-8") as file:
             csv.writer(file).writerows(words.csv_rows(results))
         for path in reversed(old):  # a picture of other rows must not stand beside these
-            path.unlink(missing_ok=True)
-        sync(written[0].parent)
+            with writing(path):
+                remove(path)
     for name, draw in pictures.items():
         for path in paths[name]:
             with writing(path), appearing(path) as (new,):

@@ -86,8 +86,7 @@ def appearing(*paths: Path, is_new: bool = False) -> Iterator[list[Path]]:
             sync(new)
         (new, first), *others = zip(unfinished, places, strict=True)
         if others:
-            first.unlink(missing_ok=True)
-            sync(first.parent)
+            remove(first)
         for other, place in others:
             other.replace(place)
             removed.append(place)
@@ -101,6 +100,14 @@ def appearing(*paths: Path, is_new: bool = False) -> Iterator[list[Path]]:
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
         raise
+
+
+def remove(path: Path) -> None:
+    """Take away a file, if there is one, behind links, for good; errors as of `output_path`."""
+    place = output_path(path, overwrite=True)
+    if place.exists():
+        place.unlink()
+        sync(place.parent)
 
 
 def short_name(path: Path) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from particlerb.files import Closing
 from particlerb.maths.vec3 import Floats
-from particlerb.record.output_path import appearing, output_path, sync, sync_open
+from particlerb.record.output_path import appearing, output_path, remove, sync, sync_open
 from particlerb.record.writer_lock import WriterLock
 from particlerb.sweeping.rows import Row
 from particlerb.sweeping.variants import Variant
@@ -140,14 +140,14 @@ class TableFile(Closing):
         self._lock: WriterLock | None = None
         if path is None:
             return
-        if n > 1 and not path.exists():
+        was_there = path.exists()
+        if n > 1 and not was_there:
             output_path(means_beside(path), overwrite)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._lock = WriterLock(path)
         try:
-            if overwrite and n > 1:  # those of other rows
-                means_beside(path).unlink(missing_ok=True)
-                sync(path.parent)
+            if overwrite and (n > 1 or was_there):  # those of other rows
+                remove(means_beside(path))
             self._read(path, overwrite)
         except BaseException:
             self.close()

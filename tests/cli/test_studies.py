@@ -1,6 +1,7 @@
 """The commands of the studies: what they print, what they write, what they refuse."""
 
 import csv
+import errno
 import re
 from pathlib import Path
 
@@ -88,6 +89,30 @@ def test_pictures_are_those_of_the_table_beside_them(here, monkeypatch, capsys):
     assert main([*words, "--most", "2000"]) == 130
     assert Path("a.csv").read_bytes() != old
     assert sorted(path.name for path in here.iterdir()) == ["a.csv", "top.toml"]
+
+
+def test_an_old_picture_is_taken_away_behind_its_link(here):
+    Path("far").mkdir()
+    Path("far/p.png").write_bytes(b"old")
+    Path("a.png").symlink_to("far/p.png")
+    assert main(["converge", "box", "--most", "1000", "--overwrite", "-o", "a"]) == 0
+    assert Path("a.png").is_symlink()
+    assert Path("far/p.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_picture_that_may_not_be_taken_away_is_named(here, monkeypatch, capsys):
+    Path("a.png").write_bytes(b"old")
+    unlink = Path.unlink
+
+    def refused(path, missing_ok=False):
+        if path.name == "a.png":
+            raise PermissionError(errno.EACCES, "refused", str(path))
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    assert main(["converge", "box", "--most", "1000", "--overwrite", "-o", "a"]) == 1
+    assert "cannot write a.png: refused" in capsys.readouterr().err
+    assert sorted(path.name for path in here.iterdir()) == ["a.png", "top.toml"]
 
 
 def test_converge_shows_the_clean_order_of_a_box(here, capsys):

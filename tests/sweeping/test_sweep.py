@@ -315,14 +315,35 @@ def test_the_name_of_a_new_table_is_on_the_disk_before_its_rows(tmp_path, monkey
     assert synced == [str(tmp_path.resolve() / "t.csv"), str(tmp_path.resolve())]
 
 
-def test_means_are_those_of_the_table_beside_them(tmp_path):
-    """A table that is begun anew may be stopped before it has means."""
-    table, means = tmp_path / "t.csv", tmp_path / "t_means.csv"
-    for path in (table, means):
+@pytest.mark.parametrize("n", [1, 2])
+def test_means_are_those_of_the_table_beside_them(tmp_path, n):
+    """A table that is begun anew may be stopped before it has means, or have none."""
+    table, means, target = (tmp_path / name for name in ("t.csv", "t_means.csv", "target"))
+    for path in (table, target):
         path.write_text("of another sweep\n")
-    TableFile(table, ["x"], [], overwrite=True, n=2).close()
+    means.symlink_to(target)
+    TableFile(table, ["x"], [], overwrite=True, n=n).close()
     assert table.read_text().startswith("run,hash")
-    assert not means.exists()
+    assert not target.exists()
+    assert means.is_symlink()
+
+
+@pytest.mark.parametrize(("make", "told"), [(os.mkfifo, "not a regular"), (os.mkdir, "a folder")])
+def test_what_is_no_file_stays_where_means_would_be_and_so_does_the_table(tmp_path, make, told):
+    table, means = tmp_path / "t.csv", tmp_path / "t_means.csv"
+    table.write_text("of another sweep\n")
+    make(means)
+    with pytest.raises(FileExistsError, match=told):
+        TableFile(table, ["x"], [], overwrite=True, n=2)
+    assert means.exists()
+    assert table.read_text() == "of another sweep\n"
+
+
+def test_what_is_beside_a_new_table_without_means_is_left_alone(tmp_path):
+    means = tmp_path / "t_means.csv"
+    means.write_text("mine")
+    TableFile(tmp_path / "t.csv", ["x"], [], overwrite=True, n=1).close()
+    assert means.read_text() == "mine"
 
 
 def test_what_lies_beside_a_new_table_is_left_alone(tmp_path, capsys):
