@@ -111,10 +111,12 @@ def remove(path: Path) -> None:
 
 
 def short_name(path: Path) -> str:
-    """Name of a file, to which more can be added: of a long one a digest, with its ending."""
+    """Name of a file, to which more can be added: of a long one a digest, with a short ending."""
     name = os.fsencode(path.name)
-    is_short = len(name) <= _MOST_BYTES
-    return path.name if is_short else hashlib.sha256(name).hexdigest() + path.suffix
+    if len(name) <= _MOST_BYTES:
+        return path.name
+    ending = path.suffix if len(os.fsencode(path.suffix)) <= _MOST_BYTES // 4 else ""
+    return hashlib.sha256(name).hexdigest() + ending
 
 
 def sync(path: Path) -> None:

@@ -16,6 +16,7 @@ import particlerb
 from particlerb.cli import main
 from particlerb.model.superblocks import Range
 from particlerb.record import writer
+from particlerb.record.output_file import waiting_in
 from particlerb.record.output_path import appearing, output_path
 from particlerb.record.parts import Parts, note_master, parts_in
 from particlerb.record.trajectory import TrajectoryError
@@ -153,6 +154,15 @@ def test_a_name_is_as_long_as_the_disk_takes(place, capsys, name):
     assert "File name too long" in capsys.readouterr().err
     names = [one for one in os.listdir() if len(one) > 60]
     assert names == ["n" * longest + suffix]
+
+
+@pytest.mark.parametrize("name", ["x." + "n" * 200, "é." + "é" * 100])
+def test_a_name_without_an_ending_may_be_as_long(place, name):
+    """What is behind its last point is none."""
+    with appearing(Path(name)) as (new,):
+        new.write_text("whole")
+    assert len(os.fsencode(waiting_in(place, Path(name)).name)) <= 143
+    assert Path(name).read_text() == "whole"
 
 
 @pytest.mark.parametrize("before", ["old", ""])
