@@ -1,8 +1,8 @@
 """Tables of numbers in text files, with messages that name file and line.
 
 A header names the columns in any order; without one they come in the order in which they are
-listed. Values are separated by commas, or all by blanks, and may stand in double quotes; what
-follows a # or % is a comment.
+listed. Values are separated by commas, or all by blanks, and each may stand in double quotes, which
+keep no separator; what follows a # or % is a comment.
 """
 
 import math
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from particlerb.files import File
 
 _COMMENT: Final = re.compile(r"[#%].*")
+_QUOTED: Final = re.compile(r'^"\s*([^"]*?)\s*"$')
 _NUMBER_START: Final = re.compile(r"[+-]?\.?\d")
 _OTHER_NAMES: Final = {"mass": "m", "radius": "r", "time": "t"}
 _NOT_NEGATIVE: Final = ("m", "r", "t")
@@ -60,8 +61,9 @@ def lines_of(file: File, expected: str) -> list[tuple[int, list[str]]]:
         raise ValueError(f"{file.name}: not a text file: a table of numbers is needed") from None
     lines = []
     for number, line in enumerate(text.splitlines(), 1):
-        if content := _COMMENT.sub("", line).replace('"', " ").strip():
-            lines.append((number, _split(content)))
+        if content := _COMMENT.sub("", line).strip():
+            cells = _split(content)
+            lines.append((number, [_QUOTED.sub(r"\1", c) if '"' in c else c for c in cells]))
     if not lines:
         raise ValueError(f"{file.name}: empty; expected rows with {expected}")
     return lines

@@ -21,6 +21,7 @@ from particlerb.geometry.particle_files import (
         "1; 2; 3; 0.5\n4;5;6;0.25\n",
         "X,Y,Z,Radius\n1,2,3,.5\n4,5,6,.25\n",
         '"x","y","z","r"\n"1","2","3","0.5"\n4,5,6,.25\n',  # of R
+        '"X" "Y" "Z" "r"\n"1" "2" 3 0.5\n "4" 5 "6" ".25"\n',
         "r z y x\n0.5 3 2 1\n.25 6 5 4\n",
     ],
 )
@@ -57,6 +58,11 @@ def test_points_without_a_header(tmp_path):
         ("1 2 3 -4\n", "a.txt:1: r = -4 is negative"),
         ("1 2 3 1\n1 2 3 0\n", "a.txt:2: r = 0.0: a sphere has a positive radius"),
         ("1 2 inf 1\n", "a.txt:1: z = inf is not finite"),
+        ('"1,5","2","3"\n', "a.txt:1: x = '\"1' is not a number"),
+        ('1 2 3 1\n1"2 3 1 4\n', "a.txt:2: x = '1\"2' is not a number"),
+        ('1 2 3 "4\n', "a.txt:1: r = '\"4' is not a number"),
+        ('1 2 3 ""4""\n', 'a.txt:1: r = \'""4""\' is not a number'),
+        ('1 "" 2 3 4\n', "a.txt:1: 5 values for the 4 columns"),
     ],
 )
 def test_spheres_that_are_refused(tmp_path, text, message):
