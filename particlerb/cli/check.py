@@ -27,10 +27,10 @@ def check_command(options: argparse.Namespace) -> int:
         told |= {"ranks": shares._asdict()} if shares is not None else {}
         print(json.dumps(told))
     else:
-        print(tamed(f"{options.case} is valid\n\nplan\n{fitted(prepared.text)}"))
-        print(f"  run             {size_text(prepared.system)}; about {wall_time(seconds)}")
-        if shares is not None:
-            print(_words(options.ranks, shares))
+        size, time = size_text(prepared.system), wall_time(seconds)
+        plan = f"{prepared.text}\n  run             {size}; about {time}"
+        plan += "" if shares is None else f"\n{_words(options.ranks, shares)}"
+        print(tamed(f"{options.case} is valid\n\nplan\n{fitted(plan)}"))
     return DONE
 
 

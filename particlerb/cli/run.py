@@ -88,7 +88,7 @@ def run_command(options: argparse.Namespace) -> int:
             title = system.title or path.stem
             print(tamed(f"{title}\n\nplan\n{fitted(prepared.text)}"), flush=True)
             free = amount(_free_bytes(path))
-            print(f"  file: {path}, {size_text(system)}; {free} are free\n", flush=True)
+            print(fitted(f"  file: {path}, {size_text(system)}; {free} are free\n"), flush=True)
 
         run = partial(run_prepared, prepared, path, options.overwrite, ranks=ranks)
         before, total = _number_of(path), frame_count(system.run)

@@ -1,6 +1,7 @@
 """What a run says on its way, where there is no terminal, and in a log."""
 
 import os
+import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -162,3 +163,15 @@ def test_a_plan_fits_a_narrow_terminal(monkeypatch):
     assert all(line.startswith(" " * 13 + line.strip()) for line in more)
     assert max(map(len, (second, *more))) <= 80
     assert " ".join((second, *more)).split() == plan.split("\n")[1].split()
+
+
+@pytest.mark.parametrize("words", [["check", "--ranks", "1"], ["run", "-o", "a.h5"]])
+def test_all_lines_of_a_plan_fit(monkeypatch, capsys, tmp_path, words):
+    """Also those below the plan: of the run, of its ranks, of its file."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "50")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main([words[0], "paper_cube", *words[1:]]) == 0
+    plan = capsys.readouterr().out.split("\nplan\n")[1].split("\n\n")[0]
+    assert "frames, about" in " ".join(plan.split())
+    assert max(map(len, plan.split("\n"))) <= 50
