@@ -1,7 +1,7 @@
 """Measure falling clumps beside LAMMPS: cost, overlaps, threads, size; and a dilute gas.
 
     python benchmarks/clump_drop.py [--clumps 1000,10000] [--threads 1000,8000] [--many 1000,100000]
-                                    [--seconds 2.5] [--gas 10000] [--record]
+                                    [--on 2] [--seconds 2.5] [--gas 10000] [--record]
 
 Clumps of 8 spheres fall from a loose lattice into an open box, as in cases/clump_drop.toml. Ours
 and LAMMPS (gran/hooke/history with fix rigid/small) start from the same places with the same
@@ -11,8 +11,8 @@ that what else the machine does disturbs both alike; times are those of the proc
 set-up, of the whole, of the first second, of the first two, and of the heap that rests (2 s to
 2.5 s). The overlaps of both are found from the places at the end of every slice.
 
-Two threads are compared with one in the same manner, by the clock on the wall, the least of many
-short slices of each: on a machine that never has two cores free it says nothing. The cost of a
+Two threads (or those of `--on`) are compared with one in the same manner, by the clock on the wall,
+the least of many short slices of each: without so many free cores it says nothing. The cost of a
 clump and step as their number grows is that of a heap as the first slices leave it. The gas has a
 volume fraction of 0.001 and lossless walls. `--record` adds the figures to results/clump_drop.csv.
 
@@ -261,21 +261,24 @@ def beside_lammps(n: int, seconds: float) -> list[tuple[str, float]]:
     ]
 
 
-def with_threads(n: int, seconds: float, slices: int = 100) -> list[tuple[str, float]]:
-    """One thread and two in turn, in short slices of the heap as it lies after some time."""
+def with_threads(
+    n: int, threads: int, seconds: float, slices: int = 100
+) -> list[tuple[str, float]]:
+    """One thread and some in turn, in short slices of the heap as it lies after some time."""
     case = drop(n, seconds + slices * SHORT, speed=3.0)
-    one, two = Ours(case, 1), Ours(case, 2)
-    for engine in (one, two):
+    one, more = Ours(case, 1), Ours(case, threads)
+    for engine in (one, more):
         engine.advance(seconds)
-    rows = np.array([[*one.advance(SHORT), *two.advance(SHORT)] for _ in range(slices)])
-    assert (one.x == two.x).all()
+    rows = np.array([[*one.advance(SHORT), *more.advance(SHORT)] for _ in range(slices)])
+    assert (one.x == more.x).all()
     least, each = rows.min(axis=0), SHORT / STEP * len(one.x) * 1e-9
-    ratio, more = least[0] / least[2], rows[:, 3].min() / rows[:, 1].min()
+    ratio, processor = least[0] / least[2], rows[:, 3].min() / rows[:, 1].min()
     median = float(np.median(rows[:, 0] / rows[:, 2]))
-    print(f"\n{n} clumps: two threads {ratio:.2f} times as fast as one, same bits;")
+    name = "two threads" if threads == 2 else f"{threads} threads"
+    print(f"\n{n} clumps: {name} {ratio:.2f} times as fast as one, same bits;")
     print(f"  a clump and step {least[0] / each:.0f} and {least[2] / each:.0f} ns by the wall,")
-    print(f"  {more:.2f} times the processor time; median of the slices {median:.2f} times as fast")
-    return [(f"{n} clumps, two threads", ratio), (f"{n} clumps, processor of two threads", more)]
+    print(f"  {processor:.2f} times the processor time; median of the slices {median:.2f} as fast")
+    return [(f"{n} clumps, {name}", ratio), (f"{n} clumps, processor of {name}", processor)]
 
 
 def growth(counts: list[int], seconds: float, steps: int) -> list[tuple[str, float]]:
@@ -308,7 +311,8 @@ def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--clumps", default="1000", help="how many, beside LAMMPS")
-    parser.add_argument("--threads", default="1000,8000", help="how many, one thread and two")
+    parser.add_argument("--threads", default="1000,8000", help="how many, one thread and more")
+    parser.add_argument("--on", default="2", help="threads beside one")
     parser.add_argument("--seconds", type=float, default=2.5, help="simulated")
     parser.add_argument("--many", default="1000,10000,100000", help="how many, ours alone")
     parser.add_argument("--gas", type=int, default=10000, help="clumps of the gas")
@@ -316,12 +320,14 @@ def main() -> None:
     options = parser.parse_args()
     rows: list[tuple[str, float]] = []
     counts = [int(n) for n in options.clumps.split(",") if n]
-    for threads in (1, 2):  # compile what is measured, so that no slice does
+    several = [int(n) for n in options.on.split(",")]
+    for threads in (1, *several):  # compile what is measured, so that no slice does
         Ours(drop(1000, 0.3, speed=5.0), threads).advance(0.3)
     for n in counts:
         rows += beside_lammps(n, options.seconds)
     for n in [int(n) for n in options.threads.split(",") if n]:
-        rows += with_threads(n, 0.7)
+        for threads in several:
+            rows += with_threads(n, threads, 0.7)
     many = [int(n) for n in options.many.split(",") if n]
     if many:
         rows += growth(many, 0.4, 120)

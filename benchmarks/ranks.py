@@ -1,13 +1,13 @@
 """Measure what ranks cost and gain, and what a rank needs: figures of the model in docs/scale.md.
 
-    python benchmarks/ranks.py [--bodies 524288] [--rounds 3] [--only free] [--folder /dev/shm]
-        [--record]
+    python benchmarks/ranks.py [--bodies 524288] [--rounds 3] [--runs 3] [--only free]
+        [--folder /dev/shm] [--record]
 
 Free bodies with six frames of all fields, and the same pushed with 100 steps, on no rank, on one
 and on two, in turn, by `mpiexec`; one thread each. Times are those of the processor in the run
-itself, the least of three; compilation and set-up aside. A rank that waits for others in MPI turns
-in a circle: that is taken off. Times of the wall need two idle cores. Goals: one rank costs 3 % at
-most, two are 1.8 times as fast. `--record` adds the figures to results/ranks.csv.
+itself, the least of `--runs`; compilation and set-up aside. A rank that waits for others in MPI
+turns in a circle: that is taken off. Times of the wall need two idle cores. Goals: one rank costs 3
+% at most, two are 1.8 times as fast. `--record` adds the figures to results/ranks.csv.
 """
 
 import argparse
@@ -84,12 +84,17 @@ class Clock:
         return advance(*arguments)
 
 
-def measure(n: int, is_pushed: bool, path: Path, ranks: Ranks | None) -> dict[str, float]:
-    """What a set-up and a run take; the least times of three, and the memory of the first."""
+def measure(
+    n: int, runs: int, is_pushed: bool, path: Path, ranks: Ranks | None
+) -> dict[str, float]:
+    """What a set-up and a run take; the least times of some, and the memory of the first."""
     found: dict[str, float] = {}
     clock = Clock(ranks)
     simulate.advance = clock.advanced
-    for size in (SUPERBLOCK * (ranks.count if ranks else 1), n, n, n):  # the first one compiles
+    for size in (
+        SUPERBLOCK * (ranks.count if ranks else 1),
+        *(n,) * runs,
+    ):  # the first one compiles
         gc.collect()
         ctypes.CDLL(None).malloc_trim(0)
         start, before = clock.now(), memory("VmRSS")
@@ -112,17 +117,20 @@ def measure(n: int, is_pushed: bool, path: Path, ranks: Ranks | None) -> dict[st
     return found
 
 
-def worker(n: int, is_pushed: bool, path: Path, has_ranks: bool) -> None:
+def worker(n: int, runs: int, is_pushed: bool, path: Path, has_ranks: bool) -> None:
     """Measure on this rank; the first one prints the figures of all."""
     ranks = ranks_of_mpi() if has_ranks else None
     THREADS.use(1)
-    print_figures(ranks, measure(n, is_pushed, path, ranks))
+    print_figures(ranks, measure(n, runs, is_pushed, path, ranks))
 
 
-def measured(n: int, is_pushed: bool, ranks: int, folder: Path) -> list[dict[str, float]]:
+def measured(
+    args: argparse.Namespace, is_pushed: bool, ranks: int, folder: Path
+) -> list[dict[str, float]]:
     """Figures of each rank of a run of its own."""
     kind = ("pushed" if is_pushed else "free") + ("" if ranks else " alone")
-    return figures_of(__file__, ranks, "--bodies", n, "--folder", folder, "--worker", kind)
+    words = "--bodies", args.bodies, "--runs", args.runs, "--folder", folder, "--worker", kind
+    return figures_of(__file__, ranks, *words)
 
 
 def saved_bytes(folder: Path) -> int:
@@ -132,15 +140,16 @@ def saved_bytes(folder: Path) -> int:
     return sum(values.nbytes for values in states[max(states)].values())
 
 
-def figures(n: int, rounds: int, folder: Path, names: list[str]) -> list[tuple[str, float]]:
+def figures(args: argparse.Namespace, folder: Path, names: list[str]) -> list[tuple[str, float]]:
     """All figures, medians over rounds."""
     found: list[tuple[str, float]] = []
+    n = args.bodies
     for name in names:
         is_pushed = name == "pushed"
         alone, one, two = [], [], []
-        for _ in range(rounds):
+        for _ in range(args.rounds):
             for ranks, into in ((0, alone), (1, one), (2, two)):
-                into.append(measured(n, is_pushed, ranks, folder))
+                into.append(measured(args, is_pushed, ranks, folder))
                 print(name, ranks, [round(own["run"], 3) for own in into[-1]], flush=True)
         pairs = list(zip(alone, one, two, strict=True))
         cost = statistics.median((b[0]["run"] + b[0]["waited"]) / a[0]["run"] for a, b, _ in pairs)
@@ -186,6 +195,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--bodies", type=int, default=524_288)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--only", choices=("free", "pushed"))
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--worker", default="", help=argparse.SUPPRESS)
@@ -194,11 +204,11 @@ def main() -> None:
     if args.worker:
         alone = args.worker.endswith("alone")
         path = args.folder / ("alone.h5" if alone else "run.h5")
-        worker(args.bodies, args.worker.startswith("pushed"), path, not alone)
+        worker(args.bodies, args.runs, args.worker.startswith("pushed"), path, not alone)
         return
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
         names = [args.only] if args.only else ["free", "pushed"]
-        found = figures(args.bodies, args.rounds, Path(folder), names)
+        found = figures(args, Path(folder), names)
     for name, value in found:
         print(f"{name}: {value:.4g}")
     if args.record:

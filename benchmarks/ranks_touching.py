@@ -1,11 +1,12 @@
 """Measure clumps that touch on ranks: figures in docs/scale.md.
 
     python benchmarks/ranks_touching.py gas [--ranks 4] [--bodies 1000] [--steps 100000] [--record]
-    python benchmarks/ranks_touching.py weak [--bodies 20000] [--steps 300] [--rounds 3] [--record]
+    python benchmarks/ranks_touching.py weak [--ranks 2] [--bodies 20000] [--steps 300] [--rounds 3]
 
 `gas`: clumps that collide far from everything: how far their momentum drifts, how many are left,
 what is sent for each copy in a step, and how often ranks wait for all others. `weak`: so many
-clumps a rank, in a box that is longer for two; on no rank, one and two in turn, one thread each.
+clumps a rank, in a box that is the longer the more there are; on no rank, one, two, four and so on
+up to `--ranks` in turn, one thread each.
 Goals: 1e-13 of the sum of all momenta, 110 bytes, one reduction; two ranks take 1.12 times as
 long as one, which takes 3 % more than none. Times are those of the wall, which need as many idle
 cores as there are ranks, and those of the processor without what ranks wait for each other.
@@ -139,25 +140,25 @@ def gas(args: argparse.Namespace, folder: Path) -> list[tuple[str, float]]:
 
 
 def weak(args: argparse.Namespace, folder: Path) -> list[tuple[str, float]]:
-    """Times of two ranks over one, and of one over none; medians over rounds."""
+    """Times of more ranks over one, and of one over none; medians over rounds."""
+    counts = [0, *(2**k for k in range(args.ranks.bit_length()))]
     rounds: list[list[list[dict[str, float]]]] = []
     for _ in range(args.rounds):
-        counts = (0, args.bodies), (1, args.bodies), (2, 2 * args.bodies)
-        rounds.append([measured(args, ranks, n, folder) for ranks, n in counts])
+        rounds.append([measured(args, n, max(n, 1) * args.bodies, folder) for n in counts])
         print([[round(own["wall"], 3) for own in each] for each in rounds[-1]], flush=True)
     found = []
     for kind in ("wall", "cpu"):
-        none, one, two = ([max(own[kind] for own in each[k]) for each in rounds] for k in range(3))
+        most = [[max(own[kind] for own in each) for each in row] for row in rounds]
         name = f"{args.bodies} clumps a rank, {kind}"
-        pairs = zip(one, none, strict=True)
+        one = statistics.median(row[1] for row in most)
+        over_none = statistics.median(row[1] / row[0] for row in most)
         found += [
-            (f"{name}: ms a step on one rank", 1e3 * statistics.median(one) / args.steps),
-            (
-                f"{name}: one rank over none, %",
-                100 * statistics.median(a / b for a, b in pairs) - 100,
-            ),
-            (f"{name}: two ranks over one", statistics.median(map(float.__truediv__, two, one))),
+            (f"{name}: ms a step on one rank", 1e3 * one / args.steps),
+            (f"{name}: one rank over none, %", 100 * over_none - 100),
         ]
+        for k, n in enumerate(counts[2:], 2):
+            ratio = statistics.median(row[k] / row[1] for row in most)
+            found.append((f"{name}: {'two' if n == 2 else n} ranks over one", ratio))
     return found
 
 
@@ -165,7 +166,7 @@ def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("what", choices=("gas", "weak"))
-    parser.add_argument("--ranks", type=int, default=4)
+    parser.add_argument("--ranks", type=int)
     parser.add_argument("--bodies", type=int)
     parser.add_argument("--steps", type=int)
     parser.add_argument("--rounds", type=int, default=3)
@@ -174,6 +175,8 @@ def main() -> None:
     parser.add_argument("--record", action="store_true")
     args = parser.parse_args()
     is_gas = args.what == "gas"
+    if args.ranks is None:
+        args.ranks = 4 if is_gas else 2
     args.bodies = args.bodies or (1000 if is_gas else 20_000)
     args.steps = args.steps or (100_000 if is_gas else 300)
     if args.worker:
