@@ -17,7 +17,7 @@ from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity import UniformGravity, parts_of_gravity
 from particlerb.forces.kernels import Acting, user_functions
 from particlerb.forces.links import WORLD, Links
-from particlerb.forces.registry import FIRST, KICKS, MANY, MANY_KICKS, PAIR, TERMS, term_of
+from particlerb.forces.registry import FIRST, KICKS, MANY, MANY_KICKS, PAIR, STAGE, TERMS, term_of
 from particlerb.forces.user_pairs import UserPairs
 from particlerb.joints.records import Joints
 from particlerb.maths.vec3 import Bools, Floats, Ints
@@ -162,8 +162,9 @@ def terms_on(terms: Terms, indices: Ints) -> Terms:
 
 
 def row_count(terms: Terms) -> int:
-    """Rows of a block with these terms."""
-    return MANY + sum(kick.rows for kick, _ in _parts_of(terms) if kick.is_many)
+    """Rows of a block with these terms: with room for stages where bodies act on each other."""
+    many = sum(kick.rows for kick, _ in _parts_of(terms) if kick.is_many)
+    return MANY + many if many or terms.is_coupled or terms.contact is not None else STAGE
 
 
 def has_potential(terms: Terms) -> bool:

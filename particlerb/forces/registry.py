@@ -11,7 +11,7 @@ from typing import Any, Final
 from particlerb.case.forces import FORCES as TABLES
 from particlerb.forces.kinds import Force, Kick, Term
 from particlerb.forces.push import FORCE_KICK
-from particlerb.model.block import LOADS
+from particlerb.model.block import CHANGING, LOADS
 from particlerb.model.load import CONTACT_ROWS
 
 
@@ -44,15 +44,15 @@ _SINGLE: Final = tuple(kick for kick in KICKS if not kick.is_many)
 MANY_KICKS: Final = tuple(kick for kick in KICKS if kick.is_many)
 
 # Rows of a block: those of the kicks that a body has once, its clock, the load of other bodies,
-# and then the others, as many times as they act.
+# room for a method's stages, and then the others, as many times as they act.
 FIRST: Final[dict[str, int]] = {
     kick.name: LOADS + sum(before.rows for before in _SINGLE[:k]) for k, kick in enumerate(_SINGLE)
 }
 STEADY: Final = FIRST[FORCE_KICK.name]  # force that is constant in the world, gravity's among it
 CLOCK: Final = LOADS + sum(kick.rows for kick in _SINGLE)  # time since the segment began [s]
 PAIR: Final = CLOCK + 1  # rows of model/load.py
-MANY: Final = PAIR + CONTACT_ROWS
-STAGE: Final = 1024  # rows from here on, after all loads, are room for a method's stages
+STAGE: Final = PAIR + CONTACT_ROWS
+MANY: Final = STAGE + 2 * CHANGING
 CHANGE: Final = STAGE  # rows of model/load.py: rates at which the load of other bodies changes
 
 

@@ -114,9 +114,8 @@ def scatter_block(values: Floats, rows: Floats, at: int, first: int, lo: int, n:
 
 
 def in_blocks(
-    n: int, n_rows: int, parts: Sequence[tuple[int, Floats]], before: Floats | None = None,
-    unused: tuple[int, int] = (0, 0),
-) -> Floats:  # fmt: skip
+    n: int, n_rows: int, parts: Sequence[tuple[int, Floats]], before: Floats | None = None
+) -> Floats:
     """Blocks (n_blocks, n_rows * STRIDE) of n bodies.
 
     Parameters
@@ -127,15 +126,13 @@ def in_blocks(
         What goes into the rows, and the first of these rows; all others are zero.
     before : ndarray, optional
         Blocks of so many rows, whose memory is used again where there are as many or more.
-    unused : tuple of two int
-        Range of rows that nobody looks at: of memory used again they stay as they are.
     """
-    n_blocks, (low, high) = -(-n // BLOCK), unused
+    n_blocks = -(-n // BLOCK)
     if before is None or len(before) < n_blocks:
         blocks = aligned_zeros(n_blocks * n_rows * STRIDE).reshape(n_blocks, n_rows * STRIDE)
     else:
         blocks = before[:n_blocks]
-        blocks[:, : low * STRIDE] = blocks[:, high * STRIDE :] = 0.0
+        blocks[:] = 0.0
     for at, values in parts:
         into_blocks(blocks, at, values)
     return blocks

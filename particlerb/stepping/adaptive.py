@@ -6,14 +6,13 @@ in SIMD lanes, as long as the error estimate of each stays below the tolerance.
 
 from collections.abc import Iterator
 from functools import partial
-from typing import Final
 
 import numpy as np
 
 from particlerb.compiled.jit import kernel
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import acting_of, row_count, rows_of_terms
-from particlerb.forces.registry import STAGE
+from particlerb.forces.registry import MANY
 from particlerb.integrators.dop853 import PACK
 from particlerb.integrators.dop853_stages import CommonSteps, room_for_vectors
 from particlerb.integrators.dop853_step import Equations
@@ -42,8 +41,6 @@ from particlerb.stepping.pair_forces import PairForces
 from particlerb.stepping.saved_arrays import Saved
 from particlerb.stepping.stepped_motion import NANOSECONDS_PER_CALL
 
-_BLOCK_ROWS: Final = STAGE + 2 * CHANGING  # of blocks in which slopes are taken
-
 
 @kernel
 def _advance_packs(
@@ -52,7 +49,7 @@ def _advance_packs(
 ) -> None:  # fmt: skip
     """Advance the packs of some blocks; the clock is (packs, 3)."""
     size, n = STATE_ROWS if equations.sums_external is None else CHANGING, recording.members.size
-    rows = np.zeros((1, _BLOCK_ROWS * STRIDE))
+    rows = np.zeros((1, max(blocks.shape[1], MANY * STRIDE)))
     layout = Layout(np.zeros(1, np.int64), np.zeros(1, np.int64), 0)
     width = min(n, PACK)  # a body that is alone pays for itself only
     vectors = room_for_vectors(1, size, width, np.zeros(0))
@@ -86,9 +83,8 @@ class AdaptiveMotion(JointedMotion):
         self.account = ForceAccount(group, state)
         self.equations = Equations(acting_of(terms), self.account.sums_external, tolerance)
         self.forces = PairForces(terms, n, True, start) if terms.is_coupled else None
-        assert row_count(terms) <= STAGE
         parts = state_rows(state, group.bodies) + rows_of_terms(terms)
-        self.blocks = in_blocks(n, _BLOCK_ROWS if terms.is_coupled else row_count(terms), parts)
+        self.blocks = in_blocks(n, row_count(terms), parts)
         first = np.arange(0, n, BLOCK)
         self.layout = Layout(first, np.minimum(BLOCK, n - first), 0)
         self.jointed = jointed_in(group, state, np.arange(n), start, 0.0)

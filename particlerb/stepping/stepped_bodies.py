@@ -1,13 +1,10 @@
 """Bodies of a group in blocks, and what acts on them, as the loop over steps takes them."""
 
-from typing import Final
-
 import numpy as np
 
 from particlerb.compiled.jit import Flag, flag
 from particlerb.compiled.threads import BLOCK
 from particlerb.forces import acting_of, row_count, rows_of_terms
-from particlerb.forces.registry import STAGE
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import MovingBodies, RotorClasses
@@ -20,15 +17,12 @@ from particlerb.model.block import (
     out_of_blocks,
     state_rows,
 )
-from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import State
 from particlerb.model.worlds import bins_of
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.stepping.jointed_motion import jointed_in
 from particlerb.stepping.motion import SegmentGroup
 from particlerb.stepping.pair_forces import PairForces
-
-_STAGE_ROWS: Final = 2 * STATE_ROWS  # for methods that keep a state and a sum of slopes
 
 
 class SteppedBodies:
@@ -68,13 +62,8 @@ class SteppedBodies:
             rotor = np.zeros((len(constants), n))
             rotor[:, is_asymmetric] = constants
             parts.append((ROTOR, rotor))
-        acts_together = terms.is_coupled or terms.contact is not None
-        n_rows = STAGE + _STAGE_ROWS if acts_together else row_count(terms)
-        assert row_count(terms) <= STAGE
         spaced = [(at, self._spaced(values)) for at, values in parts]
-        self.blocks = in_blocks(
-            len(full) * BLOCK, n_rows, spaced, memory, (row_count(terms), STAGE)
-        )
+        self.blocks = in_blocks(len(full) * BLOCK, row_count(terms), spaced, memory)
         is_larger = memory is None or len(memory) < len(self.blocks)
         self.memory = self.blocks if is_larger else memory  # new pages cost more than their use
         self.copy = np.empty_like(changing(self.blocks))  # for partial steps

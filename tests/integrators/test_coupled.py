@@ -13,10 +13,13 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from particlerb.case.to_system import to_system
+from particlerb.forces.registry import MANY
 from particlerb.integrators import METHODS
+from particlerb.model.block import STRIDE
 from particlerb.simulation.run import prepare
 from particlerb.stepping import pair_forces
 from particlerb.stepping.pair_forces import PairForces
+from particlerb.stepping.stepped_bodies import SteppedBodies
 from particlerb.studies.chart import chart
 
 T_END = 1.6
@@ -614,3 +617,22 @@ def test_accuracy_is_met_by_bodies_on_springs(make, wanted):
     anew = Together(make, case)
     found = make.arrays(case)
     assert errors(anew, found, anew.run(5.0))[0] < wanted
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("scene", ["springs", "contact"])
+def test_blocks_have_no_rows_that_nobody_uses(scene):
+    """A body takes 1.2 kB: pages of memory are large, and rows between others are theirs too."""
+    body = {"name": "a", "count": 2, "shape": {"type": "ball", "radius": 0.1}, "mass": 1.0}
+    body["place"] = {"type": "grid", "spacing": 1.0, "n": [2, 1, 1]}
+    case = {"run": {"t_end": 1.0, "every": 1.0, "dt": 0.01, "method": "strang"}, "body": [body]}
+    ends = {"body": "a[0]", "to": "a[1]", "stiffness": 1.0, "rest_length": 1.0}
+    contact = {"stiffness": 1e3, "restitution": 0.5, "friction": 0.5}
+    case |= {"contact": contact} if scene == "contact" else {"force": [{"type": "spring", **ends}]}
+    prepared = prepare(to_system(case))
+    (group,) = prepared.plan.groups
+    segment = group.segments[0]
+    at = group.group(segment), prepared.system.state, 0.0, segment.dt
+    bodies = SteppedBodies(METHODS["strang"], *at, None)
+    rows = bodies.blocks.shape[1] // STRIDE
+    assert MANY <= rows < 160
