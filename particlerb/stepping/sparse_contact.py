@@ -147,9 +147,7 @@ class DiluteMotion(Motion):
         self.walls = WallSearch(contact.model.walls, self.bound)
         self.no_reach = np.zeros(n)  # a sphere around a body does not move when it turns
         self.wall_motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
-        motion = ContactMotion(method, group, state, start, dt, histories=histories)
-        self.nothing = all_inactive(motion.contact.lists)
-        self.initial_energies, self.elastic = motion.initial_energies, np.zeros(0)
+        self.elastic = np.zeros(0)
         self.contacts: dict[int, ContactOutput] = {}
         self.state = state
         self.next: tuple[State, Floats, _Interval] | None = None  # at the end of the interval
@@ -161,6 +159,10 @@ class DiluteMotion(Motion):
         self.shown: _Interval | None = None
         self.contact_frequency, self.count = 0.0, 0  # [rad/s]; intervals
         self.plan()
+        whole = self.shown.contact if self.shown is not None and self.active.all() else None
+        whole = whole or ContactMotion(method, group, state, start, dt, histories=histories)
+        self.nothing = all_inactive(whole.contact.lists)
+        self.initial_energies = whole.initial_energies
 
     def time(self, steps: int) -> float:
         """Time after so many steps of the segment [s]."""

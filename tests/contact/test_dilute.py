@@ -10,6 +10,7 @@ from particlerb.model.state import as_frame
 from particlerb.simulation.group_run import GroupRun
 from particlerb.simulation.run import prepare, run_prepared
 from particlerb.stepping import sparse_contact as dilute
+from particlerb.stepping.contact_motion import ContactMotion
 
 DUMBBELL = {"type": "points", "position": [[-0.08, 0, 0], [0.08, 0, 0]], "mass": 0.5, "radius": 0.1}
 
@@ -73,6 +74,26 @@ def test_dense_bodies_are_all_stepped(monkeypatch):
     dense["body"][0]["place"]["spacing"] = 0.38
     dense["body"][0]["velocity"] = {"random": 0.1}
     assert run_prepared(prepare(to_system(dense)), None).flown == 0.0
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("spacing", [0.38, 1.0])
+def test_dense_bodies_are_set_up_once(monkeypatch, spacing):
+    """The first interval has all of them; where some fly, one more tells what all have stored."""
+    made = []
+
+    def noted(*given, **named):
+        made.append(given[1].members.size)
+        return ContactMotion(*given, **named)
+
+    monkeypatch.setattr(dilute, "ContactMotion", noted)
+    case = gas(3, t_end=0.02)
+    case["body"][0]["place"]["spacing"] = spacing
+    (group,) = prepare(to_system(case)).plan.groups
+    segment, state = group.segments[0], prepare(to_system(case)).system.state
+    motion = dilute.DiluteMotion(METHODS["strang"], group.group(segment), state, 0.0, segment.dt)
+    assert sum(made) == made[-1] == 27
+    assert motion.initial_energies.potential == [0.0]
 
 
 def test_only_bodies_under_nothing_but_gravity_fly():
