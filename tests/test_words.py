@@ -5,7 +5,9 @@ in it (docstrings left out), and against the text of README.md and docs/*.md (co
 """
 
 import ast
+import io
 import re
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -113,3 +115,57 @@ def test_a_class_has_a_name_of_its_own():
                 homes.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
     twice = {name: places for name, places in homes.items() if len(places) > 1}
     assert not twice, f"a name means one thing: {twice}"
+
+
+OUTSIDE = {
+    "ARITH", "CODATA", "CONTRIBUTING", "DLMF", "HOOMD", "HTML", "IEEE", "LAPACK", "LLVM", "MPICH",
+    "NEON", "OEIS", "OVITO", "POSIX", "RATTLE", "SIAM", "SIGGRAPH", "SIMD",
+    "coeff_restitution", "ctrl", "inspect_types", "mjData", "mjModel", "position_x",
+    "use_attribute_docstrings",
+}  # fmt: skip
+"""Acronyms, and names of other programs, in docstrings and comments."""
+
+
+def names_in(paths: list[Path]) -> set[str]:
+    """Names of modules and of all that they have, and words of short texts, as of keys."""
+    found = {path.stem for path in paths}
+    for path in paths:
+        for token in tokenize.generate_tokens(io.StringIO(path.read_text()).readline):
+            if token.type == tokenize.NAME:
+                found.add(token.string)
+            elif token.type == tokenize.STRING and not token.string.endswith('"""'):
+                found.update(re.findall(r"\w+", token.string))
+    return found | {name.lstrip("_") for name in found if not name.isupper()}
+
+
+def names_told(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and name of what docstrings and comments call by a name: in capitals, or in backticks.
+
+    A name of one letter and an index is one of a formula.
+    """
+    source = path.read_text()
+    texts = [
+        (node.lineno, node.value.value)
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        if isinstance(node.value.value, str)
+    ]
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    texts += [(one.start[0], one.string) for one in tokens if one.type == tokenize.COMMENT]
+    for line, text in texts:
+        for name in re.findall(r"\b_?[A-Z]{2,}(?:_[A-Z]+)+\b|\b_?[A-Z]{4,}\b", text):
+            yield line, name
+        for code in re.findall(r"`([A-Za-z_]\w+(?:\.\w+)*)`", text):
+            yield from ((line, name) for name in code.split("."))
+
+
+def test_docstrings_and_comments_name_what_there_is():
+    paths = sorted((ROOT / "particlerb").rglob("*.py"))
+    known = names_in(paths) | OUTSIDE
+    lost = [
+        f"{path.relative_to(ROOT)}:{line}: {name}"
+        for path in paths
+        for line, name in names_told(path)
+        if name not in known and name.rstrip("12") not in known
+    ]
+    assert not lost, "no such name:\n" + "\n".join(lost)

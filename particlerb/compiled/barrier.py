@@ -38,7 +38,7 @@ class Team(NamedTuple):
 
     size: int
     thread: int  # number of this one, from 0
-    arrivals: NDArray[np.int64]  # (2 LINE,) see ARRIVED and OVER
+    arrivals: NDArray[np.int64]  # (2 LINE,) see _ARRIVED and _OVER
     values: NDArray[np.float64]  # (size, LINE) of which `largest` finds the largest
 
 

@@ -67,7 +67,7 @@ class ContactList(NamedTuple):
     sphere: Indices  # (m,) sphere
     other: Indices  # (m,) sphere, or primitive of a wall
     history: Records  # (m,) see `GroupContact.history_record`
-    forces: Records  # (m,) see `pair_force.forces_dtype`; only of those that are active
+    forces: Records  # (m,) see `records.forces_record`; only of those that are active
     active: Bools  # (m,) whether there is a force: far fewer have one, and only these are read
     shell_ends: Ints  # (N_SHELLS,) where each shell ends: see `neighbour_list.order_contacts`
     stages: Records | None = None  # (m,) STAGES, for methods that take several slopes

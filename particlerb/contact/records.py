@@ -72,7 +72,7 @@ _WALL_POINT: Final = {
     "correction_impulse": 3,  # [N s] elastic forces of a piece times correction times
     "count": 1,  # how often the primitive's nearest point counts: see `walls.euler_count`
     "is_nearest": 1,  # whether that point is nearer to the sphere than all around it
-    "piece": 1,  # first contact of the piece that the point is of; HANDLED: done with
+    "piece": 1,  # first contact of the piece that the point is of; -1: it is dealt with
     "gap": 3,  # [m] from that point to the centre of the sphere
 }
 

@@ -19,7 +19,7 @@ torque against rolling are those of one contact with that force. What a contact 
 piece: it stands with the point of it that is nearest to x, and goes from primitive to primitive
 with it. Where pieces join, what the hardest pressed one keeps stays; where one falls apart, the
 part that goes on with it keeps it. A fine ring all around a sphere takes off nearly all of itself
-once the sphere reaches its edges: see MIN_RING_SHARE.
+once the sphere reaches its edges: see `wall_pieces._MIN_RING_SHARE`.
 
 Sources: Hadwiger, Vorlesungen über Inhalt, Oberfläche und Isoperimetrie (1957), the Euler
 characteristic as a sum over convex parts; Banchoff, American Mathematical Monthly 77, 475 (1970),

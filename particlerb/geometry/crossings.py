@@ -17,13 +17,13 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, divide, dot, norm, subtract
 
-_PAIRS_TOLD = 1000
+_MAX_PAIRS_TOLD = 1000
 
 _Triangle = tuple[Vec3, Vec3, Vec3]
 
 
 def crossings(vertices: Floats, faces: Ints, nearness: float) -> tuple[Ints, Floats]:
-    """Pairs of faces that cross, (k, 2), and a point of each crossing, (k, 3) [m]; MOST at most.
+    """Pairs of faces that cross, (k, 2), and a point of each crossing, (k, 3) [m].
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def crossings(vertices: Floats, faces: Ints, nearness: float) -> tuple[Ints, Flo
     axis = int(np.argmax(np.ptp(vertices, axis=0)))
     order = np.argsort(corner[:, :, axis].min(axis=1), kind="stable")
     boxes = np.stack([corner.min(axis=1), corner.max(axis=1)])[:, order]
-    pairs, points = np.empty((_PAIRS_TOLD, 2), dtype=np.int64), np.empty((_PAIRS_TOLD, 3))
+    pairs, points = np.empty((_MAX_PAIRS_TOLD, 2), dtype=np.int64), np.empty((_MAX_PAIRS_TOLD, 3))
     count = _sweep(vertices, faces[order], boxes, axis, nearness, pairs, points)
     pairs = np.sort(order[pairs[:count]], axis=1)
     by_face = np.lexsort((pairs[:, 1], pairs[:, 0]))

@@ -1,7 +1,7 @@
 """From a mesh to particles, and how many particles or spheres suffice for a wanted error.
 
-`mesh_particles` fills a mesh; `enough` is the stop rule `inertia_error` of a case: it tries finer
-and finer sets until one has at most this error, and keeps what it has tried.
+`mesh_particles` fills a mesh; `coarsest_within` is the stop rule `inertia_error` of a case: it
+tries finer and finer sets until one has at most this error, and keeps what it has tried.
 
 The error of a set is the larger of ‖I_sum − I‖₂ / ‖I‖₂, each tensor per mass and about its own
 com, and of the distance of the coms in radii of gyration, as in docs/convergence.md. The error of

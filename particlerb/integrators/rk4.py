@@ -77,7 +77,8 @@ def _one_slope(moving: MovingBodies, first: int, end: int, k: int, dt: float) ->
     """One slope, where bodies act on each other: the next needs those of all before it.
 
     The state at the beginning, and the sum so far, have rows of their own; those of the state have
-    where the next slope is taken, with q/|q|, as forces between bodies want it, and |q| in LENGTH.
+    where the next slope is taken, with q/|q|, as forces between bodies want it; |q| is in
+    _LENGTH_ROW.
     """
     acting, sums_external = moving.acting, moving.sums_external
     for block in range(first, end):

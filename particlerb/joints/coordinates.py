@@ -66,7 +66,7 @@ def _placed(y: Floats, k: int, v: Vec3) -> Vec3:
 
 @unfused_kernel
 def count_turns(coordinates: Coordinates, y: Floats, turned: Floats) -> None:
-    """Take the angles and displacements (k, 3) on to the poses of now: see `Work.turned`."""
+    """Take the angles and displacements (k, 3) on to the poses of now: see `JointData.turned`."""
     _, _, a, b, is_angle, vectors = coordinates
     for k in range(a.size):
         v = vectors[k]

@@ -12,7 +12,7 @@ from particlerb.compiled.jit import inline
 
 _INV_PI = 0.3183098861837907
 _PI_HIGH = 3.141592651605606  # the first 29 bits of π: a product with an integer below 2²⁴ is exact
-_PI_LOW = 1.984187159361081e-09  # π - PI_HIGH
+_PI_LOW = 1.984187159361081e-09  # π - _PI_HIGH
 PI = 3.141592653589793
 _HALF_PI = 1.5707963267948966
 _INV_LOG2 = 1.4426950408889634
@@ -110,20 +110,20 @@ def angle_of(cos: float, sin: float) -> float:
 
 
 def _plain_power_of_two(rounded: float) -> float:
-    """2ⁿ of n + ROUNDING."""
+    """2ⁿ of n + _INTEGER_SHIFT."""
     return math.ldexp(1.0, int(rounded - _INTEGER_SHIFT))
 
 
 @instruction(_plain_power_of_two)
 def _power_of_two(builder: Any, rounded: Any) -> Any:
-    """2ⁿ of n + ROUNDING: the last bits of that sum are n, shifted into the exponent."""
+    """2ⁿ of n + _INTEGER_SHIFT: the last bits of that sum are n, shifted into the exponent."""
     exponent = builder.add(builder.bitcast(rounded, BITS), BITS(1023))
     return builder.bitcast(builder.shl(exponent, BITS(52)), rounded.type)
 
 
 @inline
 def decay(x: float) -> float:
-    """Return exp x for x <= 0; below LOWEST it is exp(LOWEST), that is as good as zero."""
+    """Return exp x for x <= 0; below _MIN_EXPONENT it is exp(_MIN_EXPONENT), as good as zero."""
     x = x if x > _MIN_EXPONENT else _MIN_EXPONENT
     rounded = x * _INV_LOG2 + _INTEGER_SHIFT
     n = rounded - _INTEGER_SHIFT

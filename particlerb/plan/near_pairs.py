@@ -74,7 +74,7 @@ def chunks(count: Ints) -> Iterator[tuple[int, int]]:
 def nearest_distance(first: Ints, second: Ints, here: Floats, there: Floats, reach: float) -> float:
     """Distance of the nearest points of different bodies [m], all further apart than `reach`.
 
-    Among very many at about the same distance it is that of the first MOST_SOUGHT pairs.
+    Among very many at about the same distance it is that of the first _MAX_PAIRS_SOUGHT pairs.
     """
     nearest, sought = np.inf, 0
     while not np.isfinite(nearest):

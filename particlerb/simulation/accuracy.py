@@ -29,7 +29,7 @@ from particlerb.plan.segments import GroupPlan, Plan, accepting
 from particlerb.plan.time_step import Stepping, as_warning, stepped_by
 from particlerb.simulation.pilot import Pilot
 from particlerb.simulation.run import made_ready, prepare
-from particlerb.simulation.step_ladder import DEAREST, ENOUGH, MORE_TIMES, RATIO, ChosenStep, Ladder
+from particlerb.simulation.step_ladder import ENOUGH, MAX_NS, MORE_TIMES, RATIO, ChosenStep, Ladder
 from particlerb.simulation.trials import drifts, part, states_at
 from particlerb.simulation.whole_run import Prepared
 
@@ -225,7 +225,7 @@ def by_energy(pilot: Pilot, method: str) -> ChosenStep:
     reason = f"{method}, by the energy balance of a pilot run"
     stepping = Stepping(method, first, system.run.tolerance, reason)
     stepped_time = sum(pilot.lengths)
-    share = min(1.0, DEAREST / pilot.cost(stepping, stepped_time / (0.05 * first), n))
+    share = min(1.0, MAX_NS / pilot.cost(stepping, stepped_time / (0.05 * first), n))
     times = share * np.linspace(0.0, system.run.t_end, MORE_TIMES + 1)[1:]
     while True:
         plan = Plan((stepped_by(pilot.group, stepping),), "", ())
@@ -235,7 +235,7 @@ def by_energy(pilot: Pilot, method: str) -> ChosenStep:
         pilot.spent += share * cost
         pilot.say_so(method)
         met = error <= ENOUGH * pilot.wanted
-        if met or cost * share > DEAREST:
+        if met or cost * share > MAX_NS:
             until = system.run.t_end if met else 0.0
             return ChosenStep(stepping, float(error), until, n, cost, pilot.spent)
         promised = (_ENERGY_SHARE * pilot.wanted / error) ** 0.5 if np.isfinite(error) else 0.1

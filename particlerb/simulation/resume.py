@@ -190,7 +190,7 @@ def resume_pending(
     ResumeError
         If another process writes the file.
     KeyboardInterrupt, OSError, RunError
-        As in `simulate.advance`.
+        As in `run.advance`.
     """
     path, prepared, checkpoint, start, n_kept, is_prolonged, _, _ = pending
     system = prepared.system

@@ -17,10 +17,10 @@ from particlerb.model.state import Frames
 from particlerb.plan.time_step import Stepping
 from particlerb.simulation.pilot import REGULAR, SET_UP, Pilot
 
-FIRST_TURN: Final = {  # rad of a step that errs by FIRST_WANTED: under steady forces, and others
+FIRST_TURNS: Final = {  # rad of a step that errs by 1e-3: under steady forces, and others
     "strang": (0.2, 0.03), "force_gradient": (3.0, 0.6), "rkn6": (4.0, 1.5), "rk4": (0.4, 0.3),
 }  # fmt: skip
-_FIRST_TURN: Final = 0.5, 0.5  # of other methods
+_USUAL_TURNS: Final = 0.5, 0.5  # of other methods
 _FIRST_ACCURACY: Final = 1e-3
 _ORDER_SHARE: Final = 0.5  # of the order by which the first step is shorter for other accuracies
 _TOLERANCE_SHARE: Final = 0.01  # of the accuracy, of the first that is tried
@@ -35,8 +35,8 @@ _MAX_COST_RATIO: Final = 1.25  # of a run to one whose error on the pilot is jus
 TIMES: Final = 8  # that are looked at; the largest error counts
 _LAST_TIMES: Final = 3  # that errors are compared at: at a single one it may pass through 0
 MORE_TIMES: Final = 32  # that are looked at where an accuracy is not met
-LEAST: Final = 1e6  # ns that may be spent on a search, whatever the run takes
-DEAREST: Final = 5e9  # ns that a trial may take
+MIN_NS: Final = 1e6  # ns that may be spent on a search, whatever the run takes
+MAX_NS: Final = 5e9  # ns that a trial may take
 _MAX_TRIALS: Final = 24  # of a method
 _MAX_TRUSTED_ORDER: Final = 2  # by which the finest run is better, before three show the order
 _ORDERLY_SHARES: Final = (0.75, 1.75)  # of the order of a method that errors may follow
@@ -120,7 +120,7 @@ class Ladder:
             self.pilot.cost(self.stepping(_MAX_TOLERANCE), steps, group.size)
             for group in (self.pilot.group.members, self.pilot.sampled)
         )
-        return max(run_cost, LEAST) + 3.0 * (trial_cost + SET_UP)
+        return max(run_cost, MIN_NS) + 3.0 * (trial_cost + SET_UP)
 
     def stepping(self, setting: float) -> Stepping:
         """How bodies are stepped with a setting."""
@@ -166,7 +166,7 @@ class Ladder:
         if not self.is_verified and (
             is_lost
             or following in [one.setting for one in self.tried]
-            or self.cost_of(following, self.pilot.sampled.size) > DEAREST
+            or self.cost_of(following, self.pilot.sampled.size) > MAX_NS
             or len(self.tried) == _MAX_TRIALS
         ):
             self.cost = math.inf
@@ -280,7 +280,7 @@ class Ladder:
     def affords(self, setting: float, best: float) -> bool:
         """Whether a run with a setting leaves the search shorter than the run with the best."""
         spent = self.pilot.spent + SET_UP + self.cost_of(setting, self.pilot.sampled.size)
-        return spent <= max(self.cost_of(best, self.pilot.group.members.size), LEAST)
+        return spent <= max(self.cost_of(best, self.pilot.group.members.size), MIN_NS)
 
     def next_setting(self) -> float:
         """Setting to try next: a finer one, or, where that is dear, a coarser one for the order."""
@@ -321,7 +321,7 @@ class Ladder:
     def first_turn(self, share: float) -> float:
         """Turn in a step for the wanted accuracy by a share of the order [rad]."""
         ratio = float((self.pilot.wanted / _FIRST_ACCURACY) ** (share / self.order))
-        return ratio * FIRST_TURN.get(self.name, _FIRST_TURN)[self.pilot.has_changing_forces]
+        return ratio * FIRST_TURNS.get(self.name, _USUAL_TURNS)[self.pilot.has_changing_forces]
 
     def cost_of(self, setting: float, n: int) -> float:
         """Time of a run of n bodies with a setting, by the table [ns]."""

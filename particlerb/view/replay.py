@@ -153,7 +153,7 @@ class Replay(Page):
         self.say(f"sent: {name}")
 
     def send_film(self, event: Any) -> None:
-        """Send the browser a film of all frames, at most MOST_PICTURES, evenly spread."""
+        """Send the browser a film of all frames, at most _MAX_PICTURES, evenly spread."""
         imageio: Any = import_module("imageio.v2")
 
         form = str(self.film_form.value)

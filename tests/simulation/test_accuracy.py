@@ -18,7 +18,7 @@ from particlerb.plan.time_step import Stepping, stepped_by
 from particlerb.simulation.accuracy import cheapest, prepare_accurately, search
 from particlerb.simulation.pilot import BEGIN, SET_UP, Pilot
 from particlerb.simulation.run import prepare
-from particlerb.simulation.step_ladder import LEAST, Ladder
+from particlerb.simulation.step_ladder import MIN_NS, Ladder
 from particlerb.simulation.trials import poses
 
 REFERENCE = Path(__file__).parents[1] / "reference"
@@ -274,7 +274,7 @@ def test_a_search_costs_no_more_than_the_run(make, wanted):
     system = to_system(tops(make, 2000, accuracy=wanted))
     found = search(system, prepare(to_system(tops(make, 2000))).plan.groups[0])
     assert found.error <= wanted
-    assert found.spent <= max(found.cost, LEAST)
+    assert found.spent <= max(found.cost, MIN_NS)
 
 
 def stones(make, n):

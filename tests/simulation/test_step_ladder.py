@@ -8,7 +8,7 @@ import pytest
 from particlerb.integrators import METHODS
 from particlerb.simulation import step_ladder as ladder
 from particlerb.simulation.accuracy import cheapest
-from particlerb.simulation.step_ladder import LEAST, Ladder
+from particlerb.simulation.step_ladder import MIN_NS, Ladder
 
 T_END = 10.0
 COSTS = {"second": 1.0, "sixth": 11.0}  # ns per body-step
@@ -48,7 +48,7 @@ def methods(monkeypatch):
         method = SimpleNamespace(order=order, is_adaptive=False)
         monkeypatch.setitem(METHODS, name, method)
         monkeypatch.setitem(ladder.RATIO, name, 2.0)
-        monkeypatch.setitem(ladder.FIRST_TURN, name, (1.0, 1.0))
+        monkeypatch.setitem(ladder.FIRST_TURNS, name, (1.0, 1.0))
 
 
 def choice(pilot, *names):
@@ -136,15 +136,15 @@ def test_a_method_is_not_left_for_one_that_is_hardly_cheaper(monkeypatch):
 @pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("bodies", [1, 32, 1000, 100_000])
 def test_the_search_takes_no_longer_than_the_run(wanted, bodies):
-    """By the table of costs; LEAST is what any search may take."""
+    """By the table of costs; MIN_NS is what any search may take."""
     laws = {"second": law(1e-3, 2), "sixth": law(1e-6, 6)}
     found = choice(FakePilot(wanted, laws, bodies, min(bodies, 32)))
-    assert found.spent <= max(found.cost, LEAST)
+    assert found.spent <= max(found.cost, MIN_NS)
 
 
 def test_the_first_run_is_not_coarser_than_the_times_that_are_looked_at(monkeypatch):
     """Longer steps would be cut at these times, and cost as much."""
-    monkeypatch.setitem(ladder.FIRST_TURN, "second", (6.0, 6.0))
+    monkeypatch.setitem(ladder.FIRST_TURNS, "second", (6.0, 6.0))
     pilot = FakePilot(1e-3, {"second": law(1e-3, 2)})
     choice(pilot, "second")
     assert pilot.steps[0].dt == T_END / ladder.TIMES
@@ -152,7 +152,7 @@ def test_the_first_run_is_not_coarser_than_the_times_that_are_looked_at(monkeypa
 
 def test_a_long_run_of_few_bodies_is_not_made_again_and_again(monkeypatch):
     """Where a finer run would be dearer than the run, the order must do."""
-    monkeypatch.setattr(ladder, "LEAST", 0.0)
+    monkeypatch.setattr(ladder, "MIN_NS", 0.0)
     found = choice(FakePilot(1e-9, {"sixth": law(1e-3, 6)}, 1, 1), "sixth")
     assert law(1e-3, 6)(found.stepping.dt) < 1e-9
     assert found.spent < 2.0 * found.cost
