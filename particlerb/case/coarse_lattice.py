@@ -27,7 +27,7 @@ from particlerb.words import count_of
 
 _MAX_MOMENT_ERROR: Final = 0.01  # of a principal moment, relative
 _ERROR_ROUNDING: Final = 1e-9  # a lattice of 10 cells in a row is off by 1 % to rounding
-MOST_PARTICLES: Final = 100_000  # of a lattice that is tried for advice,
+MAX_TRIED_PARTICLES: Final = 100_000  # of a lattice that is tried for advice,
 _MAX_CELLS_ALONG: Final = 200  # the largest extent
 _CELLS_RATIO: Final = 1.1  # of the numbers of cells that are tried one after the other
 _ARRANGEMENTS: Final = {  # with exactly the tensor of the solid
@@ -148,7 +148,7 @@ def _advice(shape: AnyShape) -> str:
             particles = _particles_of(shape, n)
         except ValueError:  # no cell is inside
             continue
-        if len(particles.mass) > MOST_PARTICLES:
+        if len(particles.mass) > MAX_TRIED_PARTICLES:
             break
         if _error_of(shape, particles) <= _MAX_MOMENT_ERROR * (1.0 + _ERROR_ROUNDING):
             finer = f"n = {n} is within {100 * _MAX_MOMENT_ERROR:g} %; "

@@ -332,4 +332,4 @@ AnyForce = (
     PushTable | TorqueTable | ImpulseTable | DragTable | SpringTable
     | UniformField | CentralTable | MagnusTable | PythonTable
 )  # fmt: skip
-FORCES: dict[str, type[ForceTable]] = by_type(AnyForce)
+FORCE_TABLES: dict[str, type[ForceTable]] = by_type(AnyForce)

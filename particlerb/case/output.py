@@ -20,7 +20,7 @@ from particlerb.case.values import (
 from particlerb.model.fields import names_of
 
 _BODY_FIELDS = names_of("body")
-FIELDS = _BODY_FIELDS[:4]  # a state, which is recorded unasked
+DEFAULT_FIELDS = _BODY_FIELDS[:4]  # a state, which is recorded unasked
 FIELDS_OF_WALLS = names_of("wall")
 FIELDS_OF_JOINTS = names_of("joint", "coordinate")
 FIELDS_OF_LAWS = {  # what contacts without stiffness show, by their law
@@ -40,7 +40,7 @@ _Quantity = Annotated[str, one_of(*_BODY_FIELDS, *_OTHER_QUANTITIES)]
 class Output(Table):
     """What the trajectory file holds."""
 
-    fields: _FieldNames = FIELDS
+    fields: _FieldNames = DEFAULT_FIELDS
     """Recorded in each frame. [-]"""
     dtype: Literal["float64", "float32"] = "float64"
     """Precision of the file. [-]"""

@@ -14,7 +14,7 @@ from particlerb.case.placement import Placement
 from particlerb.case.schema import Case
 from particlerb.geometry.mass_properties import MassProperties
 from particlerb.geometry.particles import Particles, concatenate, kind_of, with_surface
-from particlerb.geometry.solid import ROUNDING, UniformSolid, equimomental_points
+from particlerb.geometry.solid import MOMENT_ROUNDING, UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
 MANY: Final = 10_000
@@ -62,7 +62,7 @@ def _points_for(properties: MassProperties, k: int) -> Particles:
     per_mass: Floats = properties.inertia_tensor[k] / mass
     offset = np.linalg.norm(properties.com[k]) / np.sqrt(np.trace(per_mass) or 1.0)
     return equimomental_points(
-        UniformSolid(1.0, np.zeros(3), per_mass, ROUNDING * (1.0 + float(offset))), mass
+        UniformSolid(1.0, np.zeros(3), per_mass, MOMENT_ROUNDING * (1.0 + float(offset))), mass
     )
 
 

@@ -7,7 +7,7 @@ from pydantic import Field, Strict
 from particlerb.case.values import Count, Names, NonNegative, Positive, Table, Vector, one_of
 from particlerb.model.method_names import METHOD_NAMES
 
-METHODS = ("auto", *METHOD_NAMES)
+METHOD_CHOICES = ("auto", *METHOD_NAMES)
 _NEWTON = 6.67430e-11  # G [m³/(kg s²)], CODATA 2018
 FRAME_ROUNDING = 1e-9  # share of run.every within which t_end counts as one of its multiples
 
@@ -19,7 +19,7 @@ class RunTable(Table):
     """Time at the end. [s]"""
     every: Positive
     """Time between frames, at most t_end. [s]"""
-    method: Annotated[str, one_of(*METHODS)] = "auto"
+    method: Annotated[str, one_of(*METHOD_CHOICES)] = "auto"
     """auto, or a name from `particlerb methods`. [-]"""
     dt: Positive | None = None
     """Step of stepping methods; default: chosen. [s]"""

@@ -17,17 +17,17 @@ from typing import Any, Final
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, Ending
 
 GUARDED: Final = ("info", "plot", "export", "resume")
-FILES: Final = (".h5", ".hdf5", ".vtkhdf")  # that `view` plays
-MARK: Final = "PARTICLERB_IS_GUARDED"
+TRAJECTORY_SUFFIXES: Final = (".h5", ".hdf5", ".vtkhdf")  # that `view` plays
+GUARD_MARK: Final = "PARTICLERB_IS_GUARDED"
 _SECONDS_TO_END: Final = 2.0
 SECONDS_TO_LOOK: Final = 10  # of the processor at each file: it has some hundred objects
 
 
 def wants_guard(words: Sequence[str]) -> bool:
     """Whether a command line is to run in a process of its own."""
-    if not words or MARK in os.environ or "--mpi" in words:  # only what is launched has a rank
+    if not words or GUARD_MARK in os.environ or "--mpi" in words:  # what is launched has a rank
         return False
-    is_played = any(Path(word).suffix.lower() in FILES for word in words[1:])
+    is_played = any(Path(word).suffix.lower() in TRAJECTORY_SUFFIXES for word in words[1:])
     return words[0] in GUARDED or (words[0] == "view" and is_played)
 
 
@@ -39,7 +39,7 @@ def guarded(words: Sequence[str]) -> int:
     """
     is_page = words[0] == "view"
     command = [sys.executable, "-m", "particlerb", *words]
-    with subprocess.Popen(command, env=os.environ | {MARK: "1"}) as process:
+    with subprocess.Popen(command, env=os.environ | {GUARD_MARK: "1"}) as process:
         try:
             code = process.wait()
         except KeyboardInterrupt:

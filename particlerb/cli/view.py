@@ -13,7 +13,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import opened, read_case, to_write
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, ending
-from particlerb.cli.guard import FILES
+from particlerb.cli.guard import TRAJECTORY_SUFFIXES
 
 if TYPE_CHECKING:
     import viser
@@ -51,7 +51,7 @@ def view_command(options: argparse.Namespace) -> int:
         text += " token, and can push the bodies and save sessions"
     if text:
         print(f"particlerb: warning: {text}", file=sys.stderr)
-    is_file = Path(options.case).suffix.lower() in FILES
+    is_file = Path(options.case).suffix.lower() in TRAJECTORY_SUFFIXES
     with (
         ending(AccessError, code=FAILED),
         listening(access, options.port) as server,

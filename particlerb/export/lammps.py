@@ -15,7 +15,7 @@ from particlerb.record.schema import FIELDS
 
 NEEDS: Final = ("position",)
 HOLDS: Final = tuple(FIELDS)
-COLUMNS: Final = {
+DUMP_COLUMNS: Final = {
     "position": ("x", "y", "z"),
     "orientation": ("quatw", "quati", "quatj", "quatk"),
     "velocity": ("vx", "vy", "vz"),
@@ -31,8 +31,8 @@ def write(selection: Selection, path: Path) -> None:
     wanted = {"position", *selection.fields}
     if "linear_momentum" in wanted:
         wanted.add("velocity")
-    fields = [name for name in COLUMNS if name in wanted]
-    labels = [label for name in fields for label in COLUMNS[name]]
+    fields = [name for name in DUMP_COLUMNS if name in wanted]
+    labels = [label for name in fields for label in DUMP_COLUMNS[name]]
     trajectory, bodies = selection.trajectory, selection.bodies
     constants = np.stack([bodies + 1, trajectory.kind[bodies] + 1], axis=1).tolist()
     masses = trajectory.mass[bodies].tolist()

@@ -8,7 +8,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any, Final
 
-from particlerb.case.forces import FORCES as TABLES
+from particlerb.case.forces import FORCE_TABLES
 from particlerb.forces.kinds import Force, Kick, Term
 from particlerb.forces.push import FORCE_KICK
 from particlerb.model.block import CHANGING, LOADS
@@ -31,7 +31,7 @@ def complete(kick: Kick) -> Kick:
 
 
 _MODULES: Final[dict[str, ModuleType]] = {
-    name: import_module(f"particlerb.forces.{name}") for name in TABLES
+    name: import_module(f"particlerb.forces.{name}") for name in FORCE_TABLES
 }
 FORCES: Final[dict[str, Force]] = {name: module.FORCE for name, module in _MODULES.items()}
 KICKS: Final[tuple[Kick, ...]] = tuple(

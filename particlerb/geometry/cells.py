@@ -25,7 +25,7 @@ from particlerb.maths.vec3 import Floats, Ints
 _EMPTY_CELL_SHARE: Final = 1e-10  # below which it holds nothing but rounding
 _COLUMN_OF: Final = (0, 1, 2, 0, 3, 4, 0, 5, 1, 2)  # 1, u, v, uu, vv, uv of a column of full height
 _COLUMN_SHARE: Final = np.array([1, 1, 1, 1 / 2, 1, 1, 1 / 3, 1, 1 / 2, 1 / 2])  # and ∫ of w in it
-CORNERS: Final = 12  # of a triangle cut by six planes: nine at most
+MAX_CORNERS: Final = 12  # of a triangle cut by six planes: nine at most
 _MIN_THICKNESS_SHARE: Final = 1e-9
 """Variance of particles over that of the matter, below which they lie in a plane."""
 
@@ -83,7 +83,7 @@ def cut_mesh(vertices: Floats, faces: Ints, grid: Lattice) -> Iterator[Layer]:
     layer_of += np.arange(len(face)) - starts[face]
     order = np.argsort(layer_of, kind="stable")
     bounds = np.searchsorted(layer_of[order], np.arange(nx + 1))
-    work = np.empty((4, 3, CORNERS))
+    work = np.empty((4, 3, MAX_CORNERS))
     for i in range(nx):
         sums, above = np.zeros((ny, nz, 10)), np.zeros((ny, nz, 6))
         _add_faces(corner, face[order[bounds[i] : bounds[i + 1]]], i, sums, above, work)

@@ -25,7 +25,7 @@ from particlerb.geometry.particles import Particles, checked_mass, with_surface
 from particlerb.geometry.solid import UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Floats
 
-MOST_PARTICLES: Final = 1_000_000
+MAX_PARTICLES: Final = 1_000_000
 _MAX_SPHERES: Final = 1000
 _CELLS_RATIO: Final = 1.2  # of the numbers of cells that are tried one after the other
 _SPHERES_RATIO: Final = 1.5  # of the numbers of spheres that are tried one after the other
@@ -129,7 +129,7 @@ def coarsest_within(
             trials.append(made)
             if made.error <= wanted:
                 return FilledShape(particles, tuple(trials))
-            if made.particles * _CELLS_RATIO**3 > MOST_PARTICLES:
+            if made.particles * _CELLS_RATIO**3 > MAX_PARTICLES:
                 raise ValueError(_missed(wanted, trials))
         n = max(n + 1, round(_CELLS_RATIO * n))
 

@@ -25,8 +25,8 @@ from particlerb.geometry.particles import Particles, checked_mass, one_kind
 from particlerb.geometry.sections import BALL, CONE, Profile, hollow, ring, section_particles, tube
 from particlerb.maths.vec3 import Floats
 
-AXES = np.concatenate([np.eye(3), -np.eye(3)])  # six unit vectors: +x +y +z -x -y -z
-CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+SIX_DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])  # six unit vectors: +x +y +z -x -y -z
+CUBE_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _TRIANGLE_ROUNDING = 8 * np.finfo(np.float64).eps  # of I_max: moments that come out of a sum
 
 
@@ -86,7 +86,7 @@ def box(
     """
     half_size = 0.5 * np.asarray(size, dtype=np.float64)
     if arrangement == "exact":
-        return equal(CORNERS * half_size / math.sqrt(3.0), mass)
+        return equal(CUBE_CORNERS * half_size / math.sqrt(3.0), mass)
     counts = np.broadcast_to(n, (3,)).tolist()
     grid = np.meshgrid(*(_cell_centres(count) for count in counts), indexing="ij")
     return equal(np.stack(grid, axis=-1).reshape(-1, 3) * half_size, mass)
@@ -108,7 +108,7 @@ def ellipsoid(
     """Ellipsoid of half axes (3,) [m]; exact: 6 particles at a √(3/5), Σ m x² = M a²/5."""
     half_size = np.asarray(semi_axes, dtype=np.float64)
     if arrangement == "exact":
-        return equal(AXES * half_size * math.sqrt(0.6), mass)
+        return equal(SIX_DIRECTIONS * half_size * math.sqrt(0.6), mass)
     return filled(half_size, mass, n, arrangement, BALL)
 
 
@@ -237,7 +237,7 @@ def moments(inertia: ArrayLike, mass: float) -> Particles:
             f" other two, {float(others[k])!r}, by {-float(excess[k])!r} kg m²: no body has these"
         )
     with np.errstate(over="ignore", invalid="ignore"):
-        arms = AXES * (0.5 * np.sqrt(np.maximum(excess, 0.0) / m))
+        arms = SIX_DIRECTIONS * (0.5 * np.sqrt(np.maximum(excess, 0.0) / m))
     if not np.isfinite(arms).all():
         raise ValueError(f"inertia {array.tolist()} is too large for a mass of {mass!r} kg")
     return equal(arms, mass)

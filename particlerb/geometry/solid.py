@@ -13,7 +13,7 @@ import numpy as np
 from particlerb.geometry.particles import Particles, one_kind
 from particlerb.maths.vec3 import Floats
 
-ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)
+MOMENT_ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)
 
 
 class UniformSolid(NamedTuple):
@@ -53,7 +53,7 @@ def equimomental_points(solid: UniformSolid, mass: float) -> Particles:
     """
     moments, axes = np.linalg.eigh(solid.inertia)
     excess = moments.sum() - 2.0 * moments
-    if not (excess >= -max(ROUNDING, solid.error) * moments[-1]).all():
+    if not (excess >= -max(MOMENT_ROUNDING, solid.error) * moments[-1]).all():
         raise ValueError(impossible(moments))
     reach = np.sqrt(1.5 * np.maximum(excess, 0.0) / solid.volume)
     arms = (axes * reach).T

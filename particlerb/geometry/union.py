@@ -28,7 +28,7 @@ _MAX_TOLERANCE: Final = 1e-9  # as far as this is raised where the edge of a pat
 _MAX_EDGE_GAP: Final = 1e-12  # [of the radius] that counts as none in the edge of a patch
 _SOLID_ANGLE_ROUNDING: Final = 1e-6  # below which all or nothing of a sphere may be exposed
 _WORK_PER_SPHERE: Final = 200  # in the units of threads.LEAST_WORK
-COLUMNS: Final = 15  # volume, first (3), second (6) moments, vector area (3), area, gap
+N_SUMS: Final = 15  # volume, first (3), second (6) moments, vector area (3), area, gap
 
 
 # Directions for the apex of the triangles: the one farthest from the edge's antipode is taken.
@@ -62,7 +62,7 @@ def union(centre: Floats, radius: Floats) -> _Union:
         Positive.
     """
     cover = neighbours(centre, radius)
-    rows = np.zeros((len(radius), COLUMNS))
+    rows = np.zeros((len(radius), N_SUMS))
     c, R = np.ascontiguousarray(centre), np.ascontiguousarray(radius)
 
     def work(first: int, end: int) -> None:

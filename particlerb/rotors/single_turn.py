@@ -24,7 +24,7 @@ from particlerb.rotors.theta import (
 )
 
 STEADY_COLUMNS: Final = 10
-COLUMNS: Final = 29  # where bodies may be asymmetric
+TURN_COLUMNS: Final = 29  # where bodies may be asymmetric
 _STEADY_TURN, _THETA_TURN, _NEAR_TURN = 0.0, 1.0, 2.0
 
 

@@ -13,7 +13,7 @@ from particlerb.events.records import empty_data, empty_state
 from particlerb.impulses import records as impulses
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.state import Frames, State, store_all
-from particlerb.rotors.single_turn import COLUMNS, STEADY_COLUMNS
+from particlerb.rotors.single_turn import STEADY_COLUMNS, TURN_COLUMNS
 from particlerb.stepping.event_scene import bounds_of, order_of, scene_of
 from particlerb.stepping.motion import Motion, MotionError, SegmentGroup
 from particlerb.stepping.saved_arrays import IN_FILES, Saved, to_arrays
@@ -38,7 +38,7 @@ class EventMotion(Motion):
         self.order, n_moving = order_of(group, state)
         self.scene = scene_of(group, state, self.order, n_moving)
         n, n_cells = self.order.size, int(np.prod(self.scene.cells))
-        columns = STEADY_COLUMNS if self.scene.turns is None else COLUMNS
+        columns = STEADY_COLUMNS if self.scene.turns is None else TURN_COLUMNS
         self.state = empty_state(n, n_moving, n_cells, columns)
         self.data = empty_data(int(np.diff(self.scene.kind[:, col.FIRST_SPHERE]).max()))
         if before is not None:

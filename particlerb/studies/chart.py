@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from particlerb.compiled.threads import THREADS
 from particlerb.model.system import System
 from particlerb.studies.peers import engines, variants_of
-from particlerb.studies.points import BESIDE, ENERGY, POSE, WorkPrecision
+from particlerb.studies.points import BESIDE_CONVERGED, BY_ENERGY, BY_POSE, WorkPrecision
 from particlerb.studies.text import chosen_names, method_names
 from particlerb.studies.work_precision import Progress, Study
 
@@ -64,7 +64,7 @@ def chart(
         left_out,
         tuple((one.name, one.error) for one in system.chart.published),
         target or study.usual_target(),
-        (BESIDE if rivals else ENERGY) if study.by_energy else POSE,
+        (BESIDE_CONVERGED if rivals else BY_ENERGY) if study.by_energy else BY_POSE,
         "time of the processor" if by_processor else "time",
         tuple(f"{one.NAME}: {study.words_of(one)}" for one in rivals if study.words_of(one)),
     )

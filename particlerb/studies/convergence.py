@@ -71,11 +71,11 @@ class _ReferenceSolid(NamedTuple):
         return particles
 
 
-CORNERS: Final = ((0.0, 0.0, 0.0), (1.0, 0.1, 0.0), (0.2, 0.8, 0.1), (0.3, 0.2, 0.9))
+VERTICES: Final = ((0.0, 0.0, 0.0), (1.0, 0.1, 0.0), (0.2, 0.8, 0.1), (0.3, 0.2, 0.9))
 SOLIDS: Final[dict[str, _ReferenceSolid]] = {
     "box": _ReferenceSolid("box", {"size": (1.0, 0.8, 0.5)}, ("exact",)),
     "rod": _ReferenceSolid("rod", {"length": 1.0}, ("exact",)),
-    "tetrahedron": _ReferenceSolid("tetrahedron", {"vertices": CORNERS}, ("exact",), finest=100),
+    "tetrahedron": _ReferenceSolid("tetrahedron", {"vertices": VERTICES}, ("exact",), finest=100),
     "thin_shell": _ReferenceSolid("shell", {"radius": 0.5}, coarsest=1, finest=100),
     "ball": _ReferenceSolid("ball", {"radius": 0.5}, ("cells", "exact")),
     "ellipsoid": _ReferenceSolid("ellipsoid", {"semi_axes": (0.5, 0.35, 0.25)}, ("cells", "exact")),

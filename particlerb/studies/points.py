@@ -6,10 +6,10 @@ from typing import Final, NamedTuple
 from particlerb.model.state import Frames
 from particlerb.simulation.trials import Error
 
-LOST: Final = 1.0  # rad: an orientation that is off by more says nothing
-POSE: Final = "error at t_end: orientation [rad], or position, relative"
-ENERGY: Final = "conservation error of the energy, relative"
-BESIDE: Final = "error of the energy against a converged run, relative"
+MAX_TURN_OFF: Final = 1.0  # rad: an orientation that is off by more says nothing
+BY_POSE: Final = "error at t_end: orientation [rad], or position, relative"
+BY_ENERGY: Final = "conservation error of the energy, relative"
+BESIDE_CONVERGED: Final = "error of the energy against a converged run, relative"
 
 
 class Point(NamedTuple):
@@ -55,7 +55,7 @@ class WorkPrecision(NamedTuple):
     """Errors found elsewhere for this case [rad]."""
     target: float
     """Error for which advice is asked [rad]."""
-    measure: str = POSE
+    measure: str = BY_POSE
     """What the error is."""
     clock: str = "time"
     """What the seconds are."""
@@ -75,6 +75,6 @@ def failure(error: Error) -> str:
     """Why a run with this error says nothing; empty where it does."""
     if not math.isfinite(error.worst) or not math.isfinite(error.position):
         return "NaN or infinite"
-    if error.position > LOST:
+    if error.position > MAX_TURN_OFF:
         return f"position off by {error.position:.2g} times the size or path of the body"
-    return f"orientation off by {error.worst:.2g} rad" if error.worst > LOST else ""
+    return f"orientation off by {error.worst:.2g} rad" if error.worst > MAX_TURN_OFF else ""

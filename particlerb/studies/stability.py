@@ -32,7 +32,7 @@ _BUDGET_SECONDS: Final = 240.0  # of two cores for all methods, without compilat
 _DRIFT_TURNS_RATIO: Final = 100  # a drift has so many times the turns of a map
 PACES: Final = np.geomspace(0.02, 4.0, 40)  # h|ω| of the rows of a map
 _TOLERANCES: Final = np.geomspace(1e-12, 1e-2, 11)  # in their place for adaptive methods
-COLUMNS: Final = 33  # of a map, with the default budget
+MAP_COLUMNS: Final = 33  # of a map, with the default budget
 _ADAPTIVE_COLUMNS: Final = 13
 _MAX_COLUMNS: Final = 99  # two families are one block of bodies
 _MIN_PACE: Final = {"rkn6": 0.1, "force_gradient": 0.1}
@@ -76,7 +76,7 @@ def _paces(method: str) -> Floats:
 
 def _columns_of(method: str, budget: float) -> int:
     """Columns of the maps of a method: an odd number, so that one is on the separatrix."""
-    most = _ADAPTIVE_COLUMNS if METHODS[method].is_adaptive else COLUMNS
+    most = _ADAPTIVE_COLUMNS if METHODS[method].is_adaptive else MAP_COLUMNS
     return min(max(int(most * budget / _BUDGET_SECONDS) // 2 * 2 + 1, 5), _MAX_COLUMNS)
 
 

@@ -33,7 +33,7 @@ from particlerb.simulation import trials
 from particlerb.simulation.frame_times import frame_times
 from particlerb.stepping.motion import MotionError
 from particlerb.studies import peers
-from particlerb.studies.points import LOST, Point, Reference, failure
+from particlerb.studies.points import MAX_TURN_OFF, Point, Reference, failure
 from particlerb.studies.text import nice_steps
 
 REPEATS: Final = 5  # at least,
@@ -190,7 +190,7 @@ class Study:
     def failure_of(self, error: trials.Error) -> str:
         """Why a run with this error says nothing; empty where it does."""
         off = error.worst
-        if self.is_compared and off > LOST:
+        if self.is_compared and off > MAX_TURN_OFF:
             return f"energy off by {off:.2g} times the largest kinetic one"
         return failure(error)
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from math import isnan
 from typing import Final
 
-from particlerb.studies.points import BESIDE, POSE, Point, WorkPrecision
+from particlerb.studies.points import BESIDE_CONVERGED, BY_POSE, Point, WorkPrecision
 from particlerb.words import count_of
 
 _ERROR_HEADS: Final = ("worst rad", "rms rad", "position", "energy")
@@ -70,7 +70,7 @@ def table(chart: WorkPrecision) -> str:
     bodies = count_of(chart.n_bodies, "body", "bodies")
     sampled = f"; errors of {chart.n_sampled} sampled bodies"
     front = {id(point) for point in frontier(chart.points)}
-    first = ("error", "", "", "balance") if chart.measure == BESIDE else _ERROR_HEADS
+    first = ("error", "", "", "balance") if chart.measure == BESIDE_CONVERGED else _ERROR_HEADS
     heads = columns(chart, (*first, "|L|"))
     return "\n".join(
         [
@@ -101,8 +101,8 @@ def row(chart: WorkPrecision, p: Point, mark: str) -> str:
 
 def columns(chart: WorkPrecision, values: Sequence[str]) -> str:
     """Columns of a table: errors of orientation and position, which say nothing of contact."""
-    shown = values if chart.measure == POSE else values[3:]
-    shown = (values[0], *shown) if chart.measure == BESIDE else shown
+    shown = values if chart.measure == BY_POSE else values[3:]
+    shown = (values[0], *shown) if chart.measure == BESIDE_CONVERGED else shown
     return " ".join(f"{value:>9}" for value in shown)
 
 

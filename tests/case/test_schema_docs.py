@@ -11,9 +11,9 @@ import pytest
 
 from particlerb.case.bodies import AnyPlace
 from particlerb.case.contact import AnyWall
-from particlerb.case.forces import FORCES
+from particlerb.case.forces import FORCE_TABLES
 from particlerb.case.reader import load
-from particlerb.case.run import METHODS
+from particlerb.case.run import METHOD_CHOICES
 from particlerb.case.schema import case_json_schema
 from particlerb.case.shapes import SHAPES
 from particlerb.case.values import by_type
@@ -32,7 +32,7 @@ HEADINGS = {
     "velocity, angular_velocity = { random = v }": "NormalDistribution",
     **{f"place: {name}": model.__name__ for name, model in by_type(AnyPlace).items()},
     **{f"shape: {name}": model.__name__ for name, model in SHAPES.items()},
-    **{f"force: {name}": model.__name__ for name, model in FORCES.items()},
+    **{f"force: {name}": model.__name__ for name, model in FORCE_TABLES.items()},
     "force and torque by knots": "TimedLoad",
     "[[joint]]": "JointTable",
     "at, axis of a joint = { body = [..] }": "InFrame",
@@ -143,7 +143,7 @@ def test_json_schema_is_closed_and_describes_everything():
         assert table["additionalProperties"] is False
         assert table["description"]
         assert all("description" in schema for schema in table["properties"].values())
-    assert SCHEMA["$defs"]["RunTable"]["properties"]["method"]["enum"] == list(METHODS)
+    assert SCHEMA["$defs"]["RunTable"]["properties"]["method"]["enum"] == list(METHOD_CHOICES)
     json.dumps(SCHEMA)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import particlerb
 from particlerb import tables
-from particlerb.case.forces import FORCES as TABLES
+from particlerb.case.forces import FORCE_TABLES
 from particlerb.forces.registry import FORCES, KICKS, TERMS, complete
 
 PACKAGE = Path(particlerb.__file__).parent
@@ -113,8 +113,8 @@ def test_a_second_process_finds_the_kicks_in_the_cache(copy):
 
 
 def test_every_table_has_a_force_and_every_name_is_there_once():
-    assert list(FORCES) == list(TABLES)
-    assert {table.__name__ for table in TABLES.values()} <= set(dir(tables))
+    assert list(FORCES) == list(FORCE_TABLES)
+    assert {table.__name__ for table in FORCE_TABLES.values()} <= set(dir(tables))
     assert len({kick.name for kick in KICKS}) == len(KICKS)
     assert len({term.name for term in TERMS.values()}) == len(TERMS)
     assert sum(kick.damp is not None for kick in KICKS) == 1  # two would not commute

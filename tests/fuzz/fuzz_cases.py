@@ -597,7 +597,7 @@ def planned(case: "Case") -> None:
     from particlerb.case.to_system import to_system
     from particlerb.simulation.run import prepare
 
-    coarse_lattice.MOST_PARTICLES = MOST  # lattices tried for advice: summed in plain Python
+    coarse_lattice.MAX_TRIED_PARTICLES = MOST  # lattices tried for advice: summed in plain Python
     with np.errstate(all="ignore"):  # kernels in plain Python warn where compiled ones do not
         prepare(to_system(case))
 

@@ -329,7 +329,7 @@ class Session:
         words = [sys.executable, script, "--serve", str(shim), json.dumps(dict(settings))]
         self.server = subprocess.Popen(
             words,
-            env=os.environ | {"LD_PRELOAD": str(shim), guard.MARK: "1"},  # one process
+            env=os.environ | {"LD_PRELOAD": str(shim), guard.GUARD_MARK: "1"},  # one process
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -453,7 +453,7 @@ def test_a_crash_of_hdf5_is_a_message(tmp_path, monkeypatch, capfd):
 def test_the_guard_is_for_commands_that_read_files(monkeypatch):
     from particlerb.cli import guard
 
-    monkeypatch.delenv(guard.MARK, raising=False)
+    monkeypatch.delenv(guard.GUARD_MARK, raising=False)
     assert [guard.wants_guard([word]) for word in (*guard.GUARDED, "run")] == [
         *(True for _ in guard.GUARDED),
         False,
@@ -461,7 +461,7 @@ def test_the_guard_is_for_commands_that_read_files(monkeypatch):
     assert guard.wants_guard(["view", "--port", "8000", "run.H5"])
     assert not guard.wants_guard(["view", "case.toml"])
     assert not guard.wants_guard(["view"])
-    monkeypatch.setenv(guard.MARK, "1")
+    monkeypatch.setenv(guard.GUARD_MARK, "1")
     assert not guard.wants_guard(["info"])
 
 

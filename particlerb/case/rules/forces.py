@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from particlerb.case.forces import FORCES, ForceTable, SpringTable, UniformField
+from particlerb.case.forces import FORCE_TABLES, ForceTable, SpringTable, UniformField
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, entry_at, has, out_of_place, pair_rules, tables
 from particlerb.case.rules.bodies import file_rules
@@ -14,7 +14,7 @@ from particlerb.user_force import UserForce
 
 def table_of(force: dict[str, Any]) -> type[ForceTable] | None:
     """Table of a [[force]] by its type; None where there is none of that name."""
-    return FORCES.get(entry_at(force, "type", str))
+    return FORCE_TABLES.get(entry_at(force, "type", str))
 
 
 def force_rules(

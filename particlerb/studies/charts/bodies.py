@@ -71,7 +71,7 @@ def motion_of_bodies(trajectory: Trajectory) -> Floats:
 
 
 def draw_particles(
-    axes: Axes, centres: Floats, radii: Floats, colours: object = solids.BODY
+    axes: Axes, centres: Floats, radii: Floats, colours: object = solids.BODY_TINT
 ) -> None:
     """Outlines of particles, in the units of the axes."""
     width = 2.0 * radii
@@ -247,7 +247,7 @@ def draw_orientations(axes: Axes, trajectory: Trajectory, body: int) -> None:
         tip = arrow @ to_picture.T
         shift = np.array([_APART * k, 0.0, 0.0])
         seen = to_picture[[0, 2, 1]]  # to the right, upwards, away
-        solids.draw_solids(axes, [mesh.moved(seen, shift)], solids.BODY, 2.0)
+        solids.draw_solids(axes, [mesh.moved(seen, shift)], solids.BODY_TINT, 2.0)
         in_front = 3.0 if tip[1, 1] < 0.0 else 1.0
         x, z = tip[:, 0] + _APART * k, tip[:, 2]
         axes.plot(x, z, color=COLOURS[1], lw=2.0, zorder=in_front)

@@ -27,7 +27,7 @@ from particlerb.record.trajectory import Trajectory, TrajectoryError
 from particlerb.studies.charts.style import INK
 
 _Tint: TypeAlias = str | Floats | None
-BODY: Final = "#eceff2"
+BODY_TINT: Final = "#eceff2"
 ANGLED: Final = "[m], seen from above at an angle"
 _VIEW_ANGLES: Final = np.radians((35.0, 22.0))  # about the vertical, and from above
 _SOLID_SHAPES: Final = frozenset(
