@@ -190,10 +190,8 @@ def vectors(
 
 
 def in_world(q: FloatArray, v: FloatArray) -> FloatArray:
-    """R v = v + w t + u × t with u = (x, y, z), t = 2 u × v; q of shape (..., 4)."""
+    """R v, (..., 3), of orientations q (..., 4), and v (3,) or (..., 3) in the body frames."""
     # Here, as reading a case loads no compiler.
-    from particlerb.model.state import cross_columns
+    from particlerb.model.state import rotate
 
-    w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * cross_columns(u.T, np.broadcast_to(v, u.shape).T)
-    return v + w * t.T + cross_columns(u.T, t).T
+    return rotate(q.T, np.broadcast_to(v, (*q.shape[:-1], 3)).T).T

@@ -126,5 +126,4 @@ FORCE: Final = Force(
     lambda _, numbers, bodies, start: Central(numbers[:3], numbers[3], bodies.mass, bodies.inertia),
     nowhere=_CENTRE_FAR_AWAY, check=_refuse_centre,
 )  # fmt: skip
-KICKS: Final = (KICK,)
 TERMS: Final = (Term(Central, "central field", KICK, _central_rates, central_work),)

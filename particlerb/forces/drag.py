@@ -88,5 +88,4 @@ FORCE: Final = Force(
     same_for_all(lambda table: (table.translation, table.rotation)),
     lambda _, numbers, bodies, start: Drag(numbers[0] * bodies.inv_mass, numbers[1]),
 )
-KICKS: Final = (KICK,)
 TERMS: Final = (Term(Drag, "drag", KICK, _drag_rates),)

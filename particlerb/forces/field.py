@@ -172,5 +172,4 @@ def turning(table: "UniformField", is_point: bool) -> tuple[str, str]:
 
 
 FORCE: Final = Force(resolve, _term_of, has_arm=True, check=_refuse_large, turning=turning)
-KICKS: Final = (KICK,)
 TERMS: Final = (Term(RotatingField, "rotating field", KICK, _field_rates, _field_work),)

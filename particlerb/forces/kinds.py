@@ -2,8 +2,8 @@
 
 `Force` says how the numbers of a [[force]] become parameters of n bodies, `Term` what parameters
 are to the plan and the energy balance, `Kick` what kernels do with them. A module that is named
-like a type of [[force]] brings FORCE, TERMS and KICKS; `registry` collects them, and nobody else
-names a force. How to add one: CONTRIBUTING.md.
+like a type of [[force]] brings FORCE and TERMS, and these their kicks; `registry` collects them,
+and nobody else names a force. How to add one: CONTRIBUTING.md.
 """
 
 from collections.abc import Callable
@@ -111,6 +111,7 @@ class Term(NamedTuple):
     """(parameters, com, q): V, (n,) [J], of one that counts as potential energy."""
     split: Callable[[Any], list[tuple[Kick, Floats]]] | None = None
     """(parameters): what goes into the rows of which kick, where one is not enough."""
+    more: tuple[Kick, ...] = ()  # kicks beside the first
 
     def parts(self, parameters: Any) -> list[tuple[Kick, Floats]]:
         """What goes into the rows of which kick; of one, all arrays in their order."""

@@ -54,5 +54,4 @@ FORCE: Final = Force(
     same_for_all(lambda table: (table.coefficient,)),
     lambda _, numbers, bodies, start: Magnus(numbers[0] * bodies.inv_mass),
 )
-KICKS: Final = (KICK,)
 TERMS: Final = (Term(Magnus, "Magnus lift", KICK, _magnus_rates),)

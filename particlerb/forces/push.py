@@ -19,7 +19,6 @@ import numpy as np
 from particlerb.compiled.jit import inline
 from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, refuse_overflow, same_for_all
 from particlerb.forces.ramp import (
-    RAMP_KICKS,
     RAMP_TERMS,
     FollowerRamp,
     Ramp,
@@ -172,9 +171,10 @@ FORCE: Final = Force(
     same_for_all(lambda table: load_numbers(table, table.at)), _term_of, has_arm=True,
     check=refuse_large,
 )  # fmt: skip
-KICKS: Final = (FORCE_KICK, _LEVER_KICK, _FOLLOWER_KICK, *RAMP_KICKS)
 TERMS: Final = (
-    Term(Push, "push", FORCE_KICK, _push_rates, _push_work, split=_parts_of_push),
+    Term(
+        Push, "push", FORCE_KICK, _push_rates, _push_work, split=_parts_of_push, more=(_LEVER_KICK,)
+    ),
     Term(Follower, "load fixed in the body", _FOLLOWER_KICK, _follower_rates),
     *RAMP_TERMS,
 )

@@ -88,7 +88,6 @@ def _ramp_rates(ramp: Ramp | FollowerRamp, bodies: Bodies, state: State) -> Rate
     return Rates(spinning=lengths(ramp.torque), turning=swinging)
 
 
-RAMP_KICKS: Final = (_RAMP_KICK, _FOLLOWER_KICK)
 RAMP_TERMS: Final = (
     Term(Ramp, "load that changes with time", _RAMP_KICK, _ramp_rates),
     Term(

@@ -34,12 +34,12 @@ _MODULES: Final[dict[str, ModuleType]] = {
     name: import_module(f"particlerb.forces.{name}") for name in FORCE_TABLES
 }
 FORCES: Final[dict[str, Force]] = {name: module.FORCE for name, module in _MODULES.items()}
-KICKS: Final[tuple[Kick, ...]] = tuple(
-    complete(kick) for module in _MODULES.values() for kick in getattr(module, "KICKS", ())
-)
 TERMS: Final[dict[type[Any], Term]] = {
     term.parameters: term for module in _MODULES.values() for term in getattr(module, "TERMS", ())
 }
+KICKS: Final[tuple[Kick, ...]] = tuple(
+    complete(kick) for term in TERMS.values() for kick in (term.kick, *term.more)
+)
 _SINGLE: Final = tuple(kick for kick in KICKS if not kick.is_many)
 MANY_KICKS: Final = tuple(kick for kick in KICKS if kick.is_many)
 

@@ -123,5 +123,4 @@ def _term_of(table: "SpringTable", numbers: Floats, bodies: Bodies, start: float
 
 
 FORCE: Final = Force(resolve, _term_of, has_arm=True)
-KICKS: Final = (KICK,)
 TERMS: Final = (Term(Spring, "spring", KICK, _spring_rates, energy=_spring_energy),)

@@ -63,7 +63,6 @@ FORCE: Final = Force(
     same_for_all(load_numbers), _term_of, is_torque=True,
     turning=turning,
 )  # fmt: skip
-KICKS: Final = (KICK,)
 TERMS: Final = (
     Term(Torque, "torque", KICK, lambda torque, *_: Rates(spinning=lengths(torque.torque))),
 )
