@@ -8,7 +8,7 @@ from particlerb.integrators.method import Method
 from particlerb.model.method_names import METHOD_NAMES
 
 METHODS: Final[dict[str, Method]] = {
-    name: import_module(f"{__name__}.{name}").METHOD for name in METHOD_NAMES
+    name: import_module(f"{__name__}.{name}").METHOD._replace(name=name) for name in METHOD_NAMES
 }
 UNJOINTED: Final = tuple(
     name for name, method in METHODS.items() if not (method.holds_joints or method.takes_impulses)

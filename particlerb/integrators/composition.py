@@ -31,14 +31,13 @@ def _coupled_step(moving: MovingBodies, first: int, end: int, open_kick: float, 
         open_kick, ahead = 0.5 * h, ahead + h
 
 
-def composed(name: str, order: int, limit: float, first: Sequence[float]) -> Method:
+def composed(order: int, limit: float, first: Sequence[float]) -> Method:
     """Composition whose weights begin so, up to the middle one, which follows from the sum.
 
     The limit is the largest hω below its first resonance.
     """
     weights = (*first, 1.0 - 2.0 * sum(first), *reversed(first))
     return METHOD._replace(
-        name=name,
         summary=f"order {order}, symplectic; {len(weights)} stages of rattle; forces of the pose",
         order=order,
         accepts=frozenset({POSE, BODIES, JOINTS}),

@@ -16,7 +16,6 @@ from particlerb.integrators.slopes import ACCEPTED
 PACK: Final = 16  # bodies that take the same steps; BLOCK is a multiple of it
 
 METHOD: Final = Method(
-    name="dop853",
     summary="order 8, adaptive by run.tolerance, dense output; the oracle; any force",
     order=8,
     accepts=ACCEPTED | {JOINTS, FLOWS},

@@ -10,7 +10,6 @@ from particlerb.forces.kinds import EVENTS
 from particlerb.integrators.method import Method
 
 METHOD: Final = Method(
-    name="exact",
     summary="closed form, no step; free bodies, tops, linear drag, some springs, orbits, and"
     " between collisions by events",
     order=0,

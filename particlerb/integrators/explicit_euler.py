@@ -56,7 +56,6 @@ def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float
 
 
 METHOD: Final = Method(
-    name="explicit_euler",
     summary="order 1, baseline; explicit Euler on rates in the body; energy grows; any force",
     order=1,
     accepts=ACCEPTED | {CONTACT, PISTONS},

@@ -82,7 +82,6 @@ def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float
 
 
 METHOD: Final = Method(
-    name="force_gradient",
     summary="order 4, symplectic; gradients of forces that have a potential",
     order=4,
     accepts=frozenset({POSE, BODIES}),

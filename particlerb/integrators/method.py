@@ -12,7 +12,6 @@ Step: TypeAlias = Callable[..., None]  # (moving, first, end, open_kick, dt): se
 class Method(NamedTuple):
     """An integrator."""
 
-    name: str
     summary: str
     """One line for `particlerb methods`."""
     order: int
@@ -21,6 +20,8 @@ class Method(NamedTuple):
     """What it takes into account: see forces/kinds.py, for `exact` stepping/closed_forms.py."""
     cost: float
     """Time for a step, or a frame, of one body without its neighbours, roughly [ns]."""
+    name: str = ""
+    """That of its file, which the list of methods gives it."""
     evaluations: int = 0
     """Evaluations of the forces in a step."""
     takes_gradients: bool = False

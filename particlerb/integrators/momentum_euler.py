@@ -38,7 +38,6 @@ def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float
 
 
 METHOD: Final = Method(
-    name="momentum_euler",
     summary="order 1, baseline; explicit Euler on (x, Q, P, L); energy grows; any force",
     order=1,
     accepts=ACCEPTED,

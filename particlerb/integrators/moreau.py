@@ -88,7 +88,6 @@ def show(moving: MovingBodies, first: int, end: int, open_kick: float, instant: 
 
 
 METHOD: Final = Method(
-    name="moreau",
     summary="order 1 where contacts begin, for law = 'impulse': midpoint step, exact cone",
     order=2,
     accepts=frozenset({POSE, VELOCITY, TIME, BODIES, IMPULSES, PISTONS, JOINTS}),

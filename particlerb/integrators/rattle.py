@@ -40,7 +40,6 @@ def coupled_step(moving: MovingBodies, first: int, end: int, open_kick: float, d
 
 
 METHOD: Final = Method(
-    name="rattle",
     summary="order 2, symplectic; strang with joints; any force but magnus",
     order=2,
     accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, PISTONS, JOINTS}),

@@ -5,7 +5,6 @@ from typing import Final
 from particlerb.integrators.composition import composed
 
 METHOD: Final = composed(
-    "rattle6",
     6,
     2.53,
     (

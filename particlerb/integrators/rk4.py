@@ -121,7 +121,6 @@ def coupled_step(moving: MovingBodies, first: int, end: int, open_kick: float, d
 
 
 METHOD: Final = Method(
-    name="rk4",
     summary="order 4, baseline; Runge-Kutta on (x, Q, P, L); energy drifts; any force",
     order=4,
     accepts=ACCEPTED | {CONTACT},

@@ -63,7 +63,6 @@ def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float
 
 
 METHOD: Final = Method(
-    name="rkn6",
     summary="order 6 (8 on free bodies), symmetric; for forces without velocities",
     order=6,
     accepts=frozenset({POSE, TIME, BODIES}),

@@ -97,7 +97,6 @@ def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float
 
 
 METHOD: Final = Method(
-    name="semi_implicit_euler",
     summary="order 1, baseline; the game standard, implicit gyroscopic term; damps; any force",
     order=1,
     accepts=ACCEPTED | {CONTACT, PISTONS},

@@ -76,7 +76,6 @@ def coupled_step(moving: MovingBodies, first: int, end: int, open_kick: float, d
 
 
 METHOD: Final = Method(
-    name="strang",
     summary="order 2, symplectic; kick-drift-kick with a symmetric-top rotor; any force",
     order=2,
     accepts=frozenset({POSE, VELOCITY, TIME, BODIES, CONTACT, PISTONS}),

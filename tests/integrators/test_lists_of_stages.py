@@ -89,7 +89,7 @@ def midpoint(moving: MovingBodies, first: int, end: int, open_kick: float, dt: f
 
 def method(name, step):
     """Record of a method of order 2 without a closing kick."""
-    return Method(name, "", 2, frozenset({"gravity"}), 10.0, step=step)
+    return Method("", 2, frozenset({"gravity"}), 10.0, name, step=step)
 
 
 def moved(name, step, place, velocity, times, dt):
