@@ -283,8 +283,8 @@ def _notes(outcome: Outcome) -> list[str]:
         is_stepped = outcome.tally[records.STEPS] > 0.0 or not outcome.tally.any()
         text = impulse_text if is_stepped else event_text
         lines += text(outcome.tally).splitlines()
-    if outcome.swing > 0.0:
-        lines.append(contact_text(outcome.swing))
+    if outcome.contact_turn > 0.0:
+        lines.append(contact_text(outcome.contact_turn))
     lines.append(
         f"conservation error (external work removed): energy {energy:.2g}, momentum {linear:.2g},"
         f" angular momentum {angular:.2g}"
@@ -336,11 +336,11 @@ def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
             f"particlerb: warning: checks until t = {outcome.passed:.6g} s were not made: a"
             " Simulation has moved the bodies until then, and makes none"
         )
-    if outcome.swing > limit:
+    if (turn := outcome.contact_turn) > limit:
         warnings.append(
             "particlerb: warning: all contacts of a body together reached"
-            f" ω dt = {outcome.swing:.3g}: above {limit:.3g} contacts with this damping do not"
-            f" come to rest; divide run.dt by {outcome.swing / limit:.2g}"
+            f" ω dt = {turn:.3g}: above {limit:.3g} contacts with this damping do not"
+            f" come to rest; divide run.dt by {turn / limit:.2g}"
         )
     if tree is not None and tree.seen > tree.asked:
         angle = other_angle(*tree)
@@ -371,7 +371,7 @@ def summary(path: Path, outcome: Outcome, checks: list[Result]) -> dict[str, Any
     return {
         "file": str(path),
         "drift": outcome.drift._asdict(),
-        "swing": outcome.swing,
+        "contact_turn": outcome.contact_turn,
         **({"broken": dict(outcome.broken)} if outcome.broken else {}),
         **({"tree": outcome.tree._asdict()} if outcome.tree is not None else {}),
         "checks": [{**check._asdict(), "holds": check.holds} for check in checks],

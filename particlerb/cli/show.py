@@ -1,4 +1,4 @@
-"""Commands that show what is there: files, pictures, cases, methods, the schema."""
+"""Commands that show what is there: files and pictures of them."""
 
 import argparse
 import difflib

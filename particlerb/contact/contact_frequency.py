@@ -1,4 +1,4 @@
-"""How fast bodies swing on all their contacts together: what limits the step.
+"""How fast bodies oscillate on all their contacts together: what limits the step.
 
 A body on several contacts is held by the sum of their stiffnesses, tangential ones included. What
 is known before a run is one contact of two bodies, and who touches at the start; later this looks

@@ -83,8 +83,8 @@ def acceleration_at(motion: PrescribedMotion, p: Vec3, t: float) -> Vec3:
     _, turn, _, omega = pose_at(motion, t)
     arm = to_world(turn, subtract(p, motion.centre))
     rate = 2.0 * math.pi * motion.frequency
-    swing = -rate * rate * math.sin(rate * t + motion.phase)
-    return add_scaled(swing, motion.amplitude, cross(omega, cross(omega, arm)))
+    oscillating = -rate * rate * math.sin(rate * t + motion.phase)
+    return add_scaled(oscillating, motion.amplitude, cross(omega, cross(omega, arm)))
 
 
 @inline

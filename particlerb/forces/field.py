@@ -91,7 +91,7 @@ def _field_work(field: RotatingField, com: Floats, q: Floats, t: Floats) -> Floa
 
 
 def _field_rates(field: RotatingField, bodies: Bodies, state: State) -> Rates:
-    """The torque about which a body swings, and the turn of the field."""
+    """The torque about which a body oscillates, and the turn of the field."""
     strength = np.hypot(lengths(field.along), lengths(field.across))
     return Rates(turning=lengths(field.moment) * strength, rate=field.rate)
 

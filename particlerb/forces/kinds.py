@@ -93,7 +93,7 @@ class Rates(NamedTuple):
     """What a term does to the default step; arrays (n,)."""
 
     spinning: Floats = _NO_TORQUE  # [N m] torque without a potential: it spins a body up
-    turning: Floats = _NO_TORQUE  # [N m] torque of another kind, about which a body swings
+    turning: Floats = _NO_TORQUE  # [N m] other torque, about which a body oscillates
     squared: Floats = _NO_TORQUE  # [1/s²] ω² of an oscillation; those of all terms add up
     rate: Floats = _NO_TORQUE  # [rad/s] of anything else
 

@@ -129,7 +129,7 @@ def _push_work(push: Push, com: Floats, q: Floats, t: Floats) -> Floats:
 
 
 def _push_rates(push: Push, *_: object) -> Rates:
-    """The torque about which a body swings."""
+    """The torque about which a body oscillates."""
     return Rates(turning=lengths(push.lever))
 
 

@@ -174,7 +174,7 @@ def wrong_pair(
 
 
 def pair_rates(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> Floats:
-    """Rates at which each body swings, or slows down, by all its pairs, (n,) [rad/s]."""
+    """Rates at which each body oscillates, or slows down, by all its pairs, (n,) [rad/s]."""
     apart = _Apart(pairs, bodies, state, start)
     by_end = [apart.rates(end) for end in (0, 1)]
     ends = pairs.body_a, pairs.body_b

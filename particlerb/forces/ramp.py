@@ -81,11 +81,11 @@ _FOLLOWER_KICK: Final = Kick(
 
 
 def _ramp_rates(ramp: Ramp | FollowerRamp, bodies: Bodies, state: State) -> Rates:
-    """The torque that spins a body up on average, and that about which it swings meanwhile."""
-    swinging = lengths(ramp.torque_change)
+    """The torque that spins a body up on average, and that about which it oscillates."""
+    turning = lengths(ramp.torque_change)
     if isinstance(ramp, Ramp):
-        swinging = swinging + lengths(ramp.arm) * (lengths(ramp.force) + lengths(ramp.force_change))
-    return Rates(spinning=lengths(ramp.torque), turning=swinging)
+        turning = turning + lengths(ramp.arm) * (lengths(ramp.force) + lengths(ramp.force_change))
+    return Rates(spinning=lengths(ramp.torque), turning=turning)
 
 
 RAMP_TERMS: Final = (

@@ -293,7 +293,7 @@ def gradient(of: Callable[[State], Floats], bodies: Bodies, state: State, reach:
 def rates_by(
     of: Callable[[State], Floats], bodies: Bodies, state: State, reach: Floats, moves: bool
 ) -> Rates:
-    """How fast loads (6, n) of states let bodies swing and slow down, by differences."""
+    """How fast loads (6, n) of states let bodies oscillate and slow down, by differences."""
     inv_inertia, first = bodies.inv_inertia.max(axis=0), of(state)
     change = np.nan_to_num(gradient(of, bodies, state, reach))
     size = np.linalg.norm(change.reshape(4, 3, 2, 3, -1), axis=(1, 3))  # by what, of what, body

@@ -64,8 +64,8 @@ def joint_rates(joints: Joints, bodies: Bodies, state: State, force: Floats) -> 
         end = bodies_of[first]
         load = np.maximum(carried, weight[end])
         turning = _softness(arms[first], joints.inv_inertia[end])
-        swinging = 2.0 * joints.inv_mass[end] / joints.rows.length[first]
-        np.add.at(squared, end, load * (turning + np.where(is_distance, swinging, 0.0)))
+        across = 2.0 * joints.inv_mass[end] / joints.rows.length[first]
+        np.add.at(squared, end, load * (turning + np.where(is_distance, across, 0.0)))
         loaded.append((end, arms[first], load))
     for c in np.flatnonzero(joints.clusters.is_uneven).tolist():
         part = squared[slice(*joints.clusters.body[c : c + 2])]
@@ -111,10 +111,10 @@ def _fastest_squared(
         f_over_r = f / np.where(size > 0.0, size, 1.0)
         turns = free[:, k - first, 3:] * np.sqrt(joints.inv_inertia[k])
         strains.append(np.cross(turns, r) * np.sqrt(f_over_r)[:, None])
-        swinging = (
+        squared = (
             2.0 * f * joints.inv_mass[k] / rows.length[row] * (rows.kind[row] == kinds.DISTANCE)
         )
-        strains.append(free[:, k - first, :3] * np.sqrt(swinging)[:, None])
+        strains.append(free[:, k - first, :3] * np.sqrt(squared)[:, None])
     stacked = np.concatenate(strains, axis=1).reshape(len(free), -1)
     return (_OWN_RATIO * float(np.linalg.norm(stacked, 2))) ** 2 if len(free) else 0.0
 

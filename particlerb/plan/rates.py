@@ -1,4 +1,4 @@
-"""Estimates of how fast bodies turn and swing: what steps are chosen by, and judged by."""
+"""Estimates of how fast bodies turn and oscillate: what steps are chosen by, and judged by."""
 
 import math
 from typing import Final
@@ -29,39 +29,39 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
     """Estimate of the fastest rate of each body of a group, (n,) [rad/s]: spin, forces, impulses.
 
     A torque without potential spins a body up while it lasts, by |τ| Δt / I; one without end counts
-    up to `t_end`. Any torque makes a body at rest turn or swing at a rate of √(|τ| / I).
+    up to `t_end`. Any torque makes a body at rest turn or oscillate at a rate of √(|τ| / I).
     """
     bodies, state = group.bodies, taken(system.state, group.members)
     spin = np.linalg.norm(omega_world(bodies, state), axis=0)
     inv_inertia = bodies.inv_inertia.max(axis=0)
-    swing = np.zeros_like(spin)
+    fastest = np.zeros_like(spin)  # of what oscillates
     for segment in group.segments:
         for at, impulse, _ in segment.jumps:
             spin = spin + lengths(at) * lengths(impulse) * inv_inertia
-        links, attraction = segment.terms.links, segment.terms.attraction
-        lasting, swinging, squares = np.zeros((3, spin.size))
-        for load in segment.terms.loads:
-            spinning, turning, squared, rate = term_of(load).rates(load, bodies, state)
-            lasting, swinging = lasting + spinning, swinging + turning
-            squares, swing = squares + squared, np.maximum(swing, rate)
+        terms = segment.terms
+        lasting, turning, squares = np.zeros((3, spin.size))
+        for load in terms.loads:
+            rates = term_of(load).rates(load, bodies, state)
+            lasting, turning = lasting + rates.spinning, turning + rates.turning
+            squares, fastest = squares + rates.squared, np.maximum(fastest, rates.rate)
         length = (segment.stop if np.isfinite(segment.stop) else t_end) - segment.start
         spin = spin + lasting * inv_inertia * max(length, 0.0)
-        swing = np.maximum(swing, np.sqrt((lasting + swinging) * inv_inertia))
-        swing = np.maximum(swing, np.sqrt(squares))
-        if links is not None:
-            swing = np.maximum(swing, link_rates(links))
-        if segment.terms.user_pairs is not None:
-            pair_swing = pair_rates(segment.terms.user_pairs, bodies, state, segment.start)
-            swing = np.maximum(swing, pair_swing)
-        if segment.terms.joints is not None:
-            _, force = force_of(group.group(segment))
-            swing = np.maximum(swing, joint_rates(segment.terms.joints, bodies, state, force))
-        if attraction is not None:
-            swing = np.maximum(swing, _attraction_rates(attraction, state.com))
-        if segment.terms.contact is not None:
-            fall = falling_speed(segment.terms, state.com)
-            swing = np.maximum(swing, _contact_rates(segment.terms.contact, bodies, state, fall))
-    return np.asarray(np.maximum(spin, swing))
+        found = [fastest, np.sqrt((lasting + turning) * inv_inertia), np.sqrt(squares)]
+        if terms.links is not None:
+            found.append(link_rates(terms.links))
+        if terms.user_pairs is not None:
+            found.append(pair_rates(terms.user_pairs, bodies, state, segment.start))
+        if terms.joints is not None:
+            found.append(
+                joint_rates(terms.joints, bodies, state, force_of(group.group(segment))[1])
+            )
+        if terms.attraction is not None:
+            found.append(_attraction_rates(terms.attraction, state.com))
+        if terms.contact is not None:
+            fall = falling_speed(terms, state.com)
+            found.append(_contact_rates(terms.contact, bodies, state, fall))
+        fastest = np.maximum.reduce(found)
+    return np.asarray(np.maximum(spin, fastest))
 
 
 def fastest_rate(system: System, group: GroupPlan, t_end: float = 0.0) -> float:

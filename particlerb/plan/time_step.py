@@ -56,7 +56,7 @@ def refuse_unstable(system: System, groups: tuple[GroupPlan, ...]) -> None:
 
 
 def _crowded_rate(system: System, group: GroupPlan) -> float:
-    """Rate of the fastest swing of bodies on all contacts with which they begin [rad/s]."""
+    """Rate of the fastest oscillation of bodies on all contacts with which they begin [rad/s]."""
     terms, state = group.segments[0].terms, taken(system.state, group.members)
     contact, fall = terms.known_contact, falling_speed(terms, state.com)
     depth = deepest_impact(contact, group.bodies, state, fall)

@@ -48,7 +48,7 @@ class Outcome(NamedTuple):
     probes: tuple[Probe, ...]
     file: Any  # closed, or what is in memory; None: nowhere
     flown: float | None = None  # share of body-steps that closed forms saved; None: not known
-    swing: float = 0.0  # [rad] per step, the fastest of bodies on all contacts that was seen
+    contact_turn: float = 0.0  # [rad] ω dt of the fastest body on all its contacts that was seen
     tree: TreeError | None = None  # of the tree that sums the attraction, where it was fitted
     tally: Floats | None = None  # of impulses: see impulses/records.py
     broken: tuple[tuple[str, float], ...] = ()  # joints that have broken, and when [s]

@@ -170,7 +170,7 @@ def advance(
         tuple(run.probes),
         recorder.file,
         run.flown(),
-        run.swing(),
+        run.contact_turn(),
         run.tree_error(),
         tally_of(run.group_runs),
         broken_joints(run.setup, run.joints),

@@ -239,8 +239,8 @@ class Run:
         saved, steps = np.sum([one.motion.flown for one in self.group_runs], axis=0)
         return float(saved / steps) if steps else None
 
-    def swing(self) -> float:
-        """Fastest swing of bodies on their contacts that was seen, ω dt [rad]."""
+    def contact_turn(self) -> float:
+        """Largest ω dt of bodies that oscillate on their contacts that was seen [rad]."""
         motions = [one.motion for one in self.group_runs]
         return max((motion.contact_frequency * motion.dt for motion in motions), default=0.0)
 

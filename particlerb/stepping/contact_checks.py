@@ -18,7 +18,7 @@ from particlerb.ranks import as_agreed
 from particlerb.stepping.motion import MotionError, SegmentGroup
 
 STABLE: Final = 2.0  # largest ω dt of a piston, and of contacts where no step is stable
-_LISTS_PER_LOOK: Final = 256  # at how fast the bodies swing
+_LISTS_PER_LOOK: Final = 256  # at how fast the bodies oscillate
 
 
 def is_due(count: int) -> bool:

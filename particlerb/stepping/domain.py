@@ -375,7 +375,7 @@ class Subdomain(Domain):
 
 
 class _Oscillating(Oscillating):
-    """Bodies of this rank that swing, and ghosts."""
+    """Bodies of this rank that oscillate, and ghosts."""
 
     def __init__(self, domain: Subdomain) -> None:
         super().__init__(domain.sum_of)

@@ -267,8 +267,8 @@ class DiluteMotion(Motion):
             self.active,
         )
         poses = poses_at(self.wall_motions, now)
-        swings = np.array([peak_speed(motion, self.dt) for motion in self.wall_motions])
-        missed = self.watch_of_flights.look(model, self.nothing, bodies, poses, swings, self.dt)
+        speeds = np.array([peak_speed(motion, self.dt) for motion in self.wall_motions])
+        missed = self.watch_of_flights.look(model, self.nothing, bodies, poses, speeds, self.dt)
         if missed.depth > 0.0:
             raise MotionError(lost_pair(missed, self.group.members, now, self.skin))
 

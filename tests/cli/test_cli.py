@@ -810,8 +810,8 @@ def test_the_stiffest_contact_is_told_with_its_steps():
     assert contact_text(0.5).endswith(", 6.28 steps in a contact; 20 are accurate")
 
 
-@pytest.mark.parametrize(("swing", "warns"), [(0.5, False), (2.5, True)])
-def test_contacts_beyond_their_limit_are_a_warning(monkeypatch, swing, warns):
+@pytest.mark.parametrize(("turn", "warns"), [(0.5, False), (2.5, True)])
+def test_contacts_beyond_their_limit_are_a_warning(monkeypatch, turn, warns):
     """The limit of `strang` is ω dt = 2."""
     from types import SimpleNamespace
 
@@ -819,7 +819,7 @@ def test_contacts_beyond_their_limit_are_a_warning(monkeypatch, swing, warns):
 
     monkeypatch.setattr("particlerb.cli.run.stable_turn", lambda plan: 2.0)
     system = SimpleNamespace(check=SimpleNamespace(value=()))
-    outcome = SimpleNamespace(swing=swing, tree=None, tally=None, passed=0.0)
+    outcome = SimpleNamespace(contact_turn=turn, tree=None, tally=None, passed=0.0)
     told = run_warnings(SimpleNamespace(plan=None, system=system), outcome)
     assert bool(told) == warns
     assert all("ω dt = 2.5: above 2 " in text and "divide run.dt by 1.2" in text for text in told)
