@@ -86,7 +86,7 @@ def spheres_of(files: Files, shape: SpheresShape) -> tuple[Floats, Floats]:
 
 
 def matter_of_spheres(centre: Floats, radius: Floats, as_sum: bool = False) -> Matter:
-    """Matter of spheres: the union, or their sum."""
+    """Matter of spheres with centres (n, 3) and radii (n,) [m]: the union, or their sum."""
     plain = plain_solid(centre, radius)
     if not overlaps(centre, radius).pairs:
         return Matter(plain.volume, plain.error)

@@ -219,7 +219,7 @@ def _load_of(
 def sum_piston_loads(
     pistons: Pistons | None, sums: Floats, contacts: ContactList, model: ContactModel
 ) -> None:
-    """Sum what contacts do to walls that slide, along their axes, and how stiff they are."""
+    """Sum what contacts do to walls that slide along their axes, (n_pistons, 4, PARTS)."""
     if pistons is None:
         return
     forces, history = contacts.forces, contacts.history
@@ -271,6 +271,6 @@ def find_stored_energy(model: ContactModel, lists: NeighbourLists, stored: Float
 
 @kernel
 def sum_in_bins(values: Floats, bins: Ints, sums: Floats) -> None:
-    """Add the numbers of bodies, in their order, to those of their bins."""
+    """Add values (n,) of bodies, in their order, to sums (bins,): each to that of its bin (n,)."""
     for b in range(values.size):
         sums[bins[b]] += values[b]

@@ -116,7 +116,7 @@ def find_bounds(points: Floats, indices: Ints, bounds: Floats, first: int, end: 
 def number_cells(
     points: Floats, indices: Ints, level: Ints, grid: CellGrid, cell: Ints, first: int, end: int
 ) -> None:
-    """Write the number of the cell of each sphere of units first to end."""
+    """Write the cell (k,) of spheres `indices` among points (3, n) [m], units first to end."""
     origin, per_metre, strides, cells, is_dense = grid
     rows, zero = rows3(points, 0, points.shape[1]), (origin[0], origin[1], origin[2])
     for at in range(first * UNIT, min(end * UNIT, indices.size)):
@@ -129,7 +129,7 @@ def number_cells(
 
 @kernel
 def sort_by_cell(indices: Ints, cell: Ints, begin: Ints, number: Ints) -> None:
-    """Sort spheres by cell, keeping their order within: a counting sort."""
+    """Sort k spheres by their cells (k,), keeping their order within: a counting sort."""
     begin[:] = 0
     for at in range(indices.size):
         begin[cell[at] + 2] += 1
@@ -145,7 +145,7 @@ def sort_by_cell(indices: Ints, cell: Ints, begin: Ints, number: Ints) -> None:
 def place_sorted(
     points: Floats, radius: Floats, spheres: SortedSpheres, first: int, end: int
 ) -> None:
-    """Write centres and radii of the sorted spheres of units first to end."""
+    """Write centres and radii of the sorted spheres of units first to end, [m]."""
     number, xyzr, _ = spheres
     rows = rows3(points, 0, points.shape[1])
     for at in range(first * UNIT, min(end * UNIT, number.size)):
@@ -232,7 +232,7 @@ def find_neighbours(
 
 @kernel
 def sort_by_first(pairs: FoundPairs, start: Ints, second: Ints) -> None:
-    """Sort pairs by the first sphere: a counting sort."""
+    """Sort pairs by the first of n spheres into start (n + 2,): a counting sort."""
     pair, count, missing = pairs
     capacity = pair.size // missing.size
     start[:] = 0

@@ -48,7 +48,10 @@ def springs(
     model: ContactModel, pairs: tuple[Ints, Ints], are_walls: bool, point: Floats, normal: Floats,
     depth: Floats,
 ) -> _Springs:  # fmt: skip
-    """Springs of pairs of spheres, or of spheres with primitives of walls, at their overlaps."""
+    """Springs of k pairs of spheres, or of spheres with primitives of walls.
+
+    At points (3, k) [m] along normals (3, k), overlapping by depth (k,) [m].
+    """
     (i, j), spheres, law = pairs, model.spheres, model.law
     second = np.full(i.size, model.inv_mass.size) if are_walls else spheres.body[j]
     material = model.wall_material[j] if are_walls else spheres.material_column[j]

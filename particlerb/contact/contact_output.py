@@ -52,7 +52,10 @@ def no_contacts(motions: Sequence[PrescribedMotion], t: float) -> ContactOutput:
 def contact_output(
     parts: Sequence[tuple[Ints, Floats]], centre: Floats, velocity: Floats
 ) -> ContactOutput:
-    """Contacts in their order, from rows that `contact_rows` makes."""
+    """Contacts in their order, from rows that `contact_rows` makes.
+
+    Walls have centres (n_walls, 3) [m] and velocities (n_walls, 3) [m/s].
+    """
     who = np.concatenate([np.zeros((0, 5), dtype=np.int64), *(part[0] for part in parts)])
     what = np.concatenate([np.zeros((0, 10)), *(part[1] for part in parts)])
     order = np.lexsort(who.T[::-1])

@@ -161,7 +161,7 @@ class SphereSearch:
         return corners
 
     def grid(self, corners: Floats, skin: float) -> CellGrid:
-        """Cells that are wide enough for each level's spheres."""
+        """Cells in a box (2, 3) [m] that are wide enough for each level's spheres."""
         extent = corners[1] - corners[0]
         width = self.widest + skin
         width = np.maximum(
@@ -191,12 +191,12 @@ class SphereSearch:
 
 
 def pair_keys(a: Ints, b: Ints) -> Ints:
-    """One number for each pair of bodies below 2³¹, in either order."""
+    """One number for each pair of bodies a and b below 2³¹, in either order, (k,)."""
     return np.minimum(a, b) << KEY_BITS | np.maximum(a, b)
 
 
 def bodies_of_keys(keys: Ints) -> tuple[Ints, Ints]:
-    """The two bodies of each pair, the lower number first."""
+    """The two bodies of each pair with a key, (k,) and (k,), the lower numbers first."""
     return keys >> KEY_BITS, keys & ((1 << KEY_BITS) - 1)
 
 
@@ -213,7 +213,7 @@ def neighbours(
 
 
 def levels_of(radius: Floats) -> Ints:
-    """Level of each sphere: radii on a level are within a factor of two, 0 is the finest."""
+    """Level of each sphere, (n,): radii on one are within a factor of two, 0 is the finest."""
     largest = float(radius.max(initial=0.0))
     if largest == 0.0:
         return np.zeros(radius.size, dtype=np.int64)

@@ -142,7 +142,7 @@ def find_wall_shells(
     pairs: PairList,
     shell: Ints,
 ) -> None:
-    """Write the shell of each pair of a sphere and a primitive: see `order_contacts`."""
+    """Write the shell (n_pairs,) of each pair of a sphere and a primitive: see `order_contacts`."""
     kind, rows, wall, _ = walls
     firsts, seconds, _ = pairs
     centres = rows3(points, 0, points.shape[1])

@@ -116,7 +116,7 @@ def numbers(*values: Any) -> str:
 
 
 def possible(moments: Floats) -> Floats:
-    """Principal moments, three, the largest at most the sum of the others, as MuJoCo demands.
+    """Principal moments (3,), the largest at most the sum of the others, as MuJoCo demands.
 
     Rounding may have put that of a plate above it.
     """
@@ -127,7 +127,7 @@ def possible(moments: Floats) -> Floats:
 
 
 def six(tensor: Floats) -> Floats:
-    """xx yy zz xy xz yz."""
+    """xx yy zz xy xz yz of a tensor (3, 3)."""
     return tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 

@@ -44,7 +44,7 @@ class SurfaceMesh(NamedTuple):
     is_smooth: bool = False
 
     def moved(self, R: Floats, shift: Floats) -> "SurfaceMesh":
-        """Turned by a rotation matrix and then shifted."""
+        """Turned by a rotation matrix (3, 3) and then shifted by (3,) [m]."""
         return self._replace(vertices=self.vertices @ R.T + shift)
 
 
@@ -145,7 +145,10 @@ class Surfaces:
 
 
 def meet(surface: _Surface, start: Floats, way: Floats) -> tuple[float, Floats] | None:
-    """Distance to the first point of a surface in front of a ray, and the outward normal there."""
+    """Distance [m] of a surface in front of a ray, and its outward normal (3,) there.
+
+    The ray starts at (3,) [m] and goes along the unit vector `way` (3,), body frame.
+    """
     crossings = [*_meet_triangles(surface.corners, start, way)]
     crossings += _meet_ellipsoids(surface.centre, surface.semi_axes, start, way)
     return min(crossings, key=lambda one: one[0], default=None)
@@ -209,7 +212,7 @@ def surface_of(system: System, body: Body, kind: int, copies: int) -> _Surface:
 
 
 def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _Surface | None:
-    """Surface of a shape where it stands in its body; None for loose particles."""
+    """Surface of a shape turned by R (3, 3) and shifted by (3,) [m]; None for loose particles."""
     kind, record = shape.type, shape
     if kind in ("ball", "shell", "ellipsoid"):
         axes = np.array(record.semi_axes) if kind == "ellipsoid" else np.full(3, record.radius)
@@ -236,7 +239,7 @@ def solid(files: Files, shape: Any, R: Floats, shift: Floats, copies: int) -> _S
 
 
 def box(size: Floats) -> SurfaceMesh:
-    """Box about the origin."""
+    """Box about the origin with edges (3,) [m]."""
     return SurfaceMesh((np.array([*np.ndindex(2, 2, 2)]) - 0.5) * size, np.array(_BOX_FACES))
 
 

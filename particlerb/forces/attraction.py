@@ -264,7 +264,7 @@ collect, add_attraction = inline(_collect), kernel(_collect)
 def attraction_loads(
     attraction: Attraction | None, fields: Fields | None, y: Floats, load: Floats
 ) -> None:
-    """Add the loads on all bodies at y, if any attract: the three parts, by this thread alone.
+    """Add the loads on n bodies at y (13, n), if any attract: all parts, by this thread alone.
 
     The parts stand in this kernel themselves: a call with so many arrays takes as long as two pairs
     of points.
@@ -280,7 +280,7 @@ def attraction_loads(
 def spread_loads(
     attraction: Attraction, fields: Fields, y: Floats, load: Floats, ranks: Ranks = ALONE
 ) -> None:
-    """Add the loads on all bodies at y, tiles spread over ranks and threads; same bits."""
+    """Add the loads on n bodies at y (13, n), tiles spread over ranks and threads; same bits."""
     n_bodies = attraction.offset.size - 1
     with ending_all(ranks):
         THREADS.alone(place_points, attraction, fields, y, 0, n_bodies)

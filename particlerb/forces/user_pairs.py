@@ -175,7 +175,7 @@ def functions_of(forces: tuple[UserForce, ...], lengths: tuple[Lengths, ...]) ->
 def user_pairs(
     functions: PairFunctions, ends: tuple[Ints, Ints], kind: Ints, rows: Floats, bodies: Bodies
 ) -> UserPairs:
-    """Pairs among these bodies."""
+    """Pairs among these bodies: their ends and kind, (s,) each, and parameters, (r, s)."""
     forces = functions.forces
     return UserPairs(
         functions, *ends, kind, np.ascontiguousarray(rows),
@@ -270,7 +270,7 @@ def _flow_pair(pairs: UserPairs, t: float, y: Floats, s: int, dt: float) -> floa
 def flow_user_pairs(
     pairs: UserPairs | None, t: float, y: Floats, load: Floats, dt: float, backwards: bool
 ) -> None:
-    """Flow over dt of each pair whose force takes velocities, on the momenta of y.
+    """Flow over dt of each pair whose force takes velocities, on the momenta of y (13, n).
 
     Their work is added in the rows POWER of `load`. Backwards it is the adjoint, as for dashpots.
     """

@@ -46,7 +46,10 @@ class Caps(NamedTuple):
 
 @kernel
 def caps_of(centre: Floats, radius: Floats, others: Ints, i: int, same: float) -> Caps:
-    """Caps of other balls on sphere i; of those that agree within `same` only the first."""
+    """Caps of other balls on sphere i; of those that agree within `same` only the first.
+
+    Balls have centres (n, 3) and radii (n,); `others` (k,) are those that overlap it.
+    """
     most = len(others)
     axis, e1, e2 = np.empty((most, 3)), np.empty((most, 3)), np.empty((most, 3))
     height, depth, rim = np.empty(most), np.empty(most), np.empty(most)

@@ -44,7 +44,7 @@ class Lattice(NamedTuple):
 
 
 def grid_over(lower: Floats, upper: Floats, n: int) -> Lattice:
-    """Cells of a box: n along its largest extent, as near to cubes as whole numbers allow.
+    """Cells of a box with corners (3,) [m]: n along its largest extent, as near to cubes as can be.
 
     ValueError unless n >= 2, the fewest along any extent: particles in one plane have no second
     moment across it.

@@ -262,7 +262,7 @@ def _outward(vertices: Floats, faces: Ints, number: Ints) -> tuple[Ints, Sequenc
 
 
 def refuse_miscounted(vertices: Floats, faces: Ints) -> None:
-    """Refuse surfaces that wind round matter more than once, or the wrong way.
+    """Refuse surfaces (n, 3), (m, 3) that wind round matter more than once, or the wrong way.
 
     Parts that touch along edges are one here, so that `_outward` cannot tell them apart: a few
     cells must be empty, full, or between.
@@ -281,7 +281,7 @@ def refuse_miscounted(vertices: Floats, faces: Ints) -> None:
 
 
 def sign(vertices: Floats, faces: Ints) -> int:
-    """+1 for faces that look outward, -1 inward, 0 for what has no volume but rounding."""
+    """+1 for faces (m, 3) that look outward, -1 inward, 0 for no volume but rounding."""
     volume = _tetrahedra(vertices[faces] - vertices[faces[0, 0]])
     total = math.fsum(volume)
     is_zero = abs(total) <= _VOLUME_ROUNDING * math.fsum(np.abs(volume))

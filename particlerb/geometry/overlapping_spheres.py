@@ -135,7 +135,7 @@ def plain_solid(position: ArrayLike, radius: ArrayLike) -> UniformSolid:
 
 
 def overlaps(centre: Floats, radius: Floats) -> _Overlaps:
-    """Overlapping pairs, of which touching ones are none."""
+    """Overlapping pairs of spheres (n, 3), (n,) [m], of which touching ones are none."""
     cover = neighbours(centre, radius)
     hidden = np.flatnonzero(cover.hidden)
     pairs = np.stack([np.repeat(np.arange(len(radius)), np.diff(cover.start)), cover.other])

@@ -39,7 +39,7 @@ def _cell_centres(n: int) -> Floats:
 
 
 def equal(position: Floats, mass: float) -> Particles:
-    """Point particles of equal mass M / n."""
+    """Point particles at positions (n, 3) [m] of equal mass M / n."""
     return one_kind(position, checked_mass(mass) / len(position))
 
 

@@ -86,7 +86,7 @@ class Cover(NamedTuple):
 
 
 def neighbours(centre: Floats, radius: Floats) -> Cover:
-    """Who covers whom."""
+    """Who covers whom of balls with centres (n, 3) and radii (n,)."""
     (i, j), distance = _overlapping_pairs(centre, radius)
     large = np.where((radius[i] > radius[j]) | ((radius[i] == radius[j]) & (i < j)), i, j)
     small = i + j - large
@@ -138,7 +138,7 @@ def _sweep(centre: Floats, radius: Floats, along: int, pairs: Ints) -> int:
 def patches(
     centre: Floats, radius: Floats, cover: Cover, rows: Floats, first: int, end: int
 ) -> None:
-    """Write what the exposed parts of the spheres first to end add to the moments."""
+    """Write what the exposed parts of spheres first to end add to the moments: rows (n, N_SUMS)."""
     for i in range(first, end):
         if cover.hidden[i]:
             continue

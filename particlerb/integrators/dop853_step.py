@@ -89,7 +89,10 @@ def take_slopes(
 
 @kernel
 def add_rows(h: float, weights: Floats, K: Floats, count: int, out: Floats) -> None:
-    """out ← out + h Σ w_k K_k over the first rows: four at a time, to load `out` less often."""
+    """out ← out + h Σ w_k K_k over the first rows of K (stages, size): four at a time.
+
+    So `out` (size,) is loaded less often.
+    """
     k = 0
     while k + 4 <= count:
         a, b, c, d = (h * weights[k], h * weights[k + 1], h * weights[k + 2], h * weights[k + 3])
@@ -151,7 +154,7 @@ def _scales_of(pack: Pack, b: int, h: float, tolerance: float) -> tuple[float, f
 
 @kernel
 def differences(K: Floats, five: Floats, three: Floats) -> None:
-    """Differences from the embedded results of orders 5 and 3."""
+    """Differences (size,) from the embedded results of orders 5 and 3, by slopes (stages, size)."""
     five[:], three[:] = 0.0, 0.0
     add_rows(1.0, E[0], K, END, five)
     add_rows(1.0, E[1], K, END, three)
@@ -161,7 +164,7 @@ def differences(K: Floats, five: Floats, three: Floats) -> None:
 def errors_of(
     pack: Pack, five: Floats, three: Floats, h: float, tolerance: float, errors: Floats
 ) -> float:
-    """Write the error estimate of each body over the tolerance; the largest of those that live.
+    """Write the error of each body (w,) over the tolerance; the largest of those that live.
 
     A body that is not a number any more has no say in the steps of the others.
     """
@@ -208,7 +211,7 @@ def factor_of(error: float) -> float:
 
 @kernel
 def interpolate(K: Floats, y: Floats, new: Floats, h: float, share: float, out: Floats) -> None:
-    """State at a share of a step by the polynomial of order 7; |q| is not quite 1."""
+    """State (size,) at a share of a step by the polynomial of order 7; |q| is not quite 1."""
     rest = 1.0 - share
     out[:] = 0.0
     for i in range(4):

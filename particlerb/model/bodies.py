@@ -52,7 +52,7 @@ def bodies_of_kind(properties: MassProperties, kind: Ints) -> Bodies:
 
 
 def made_of(mass: Floats, inertia: Floats, rotor_frame: Floats, rotor_class: Ints) -> Bodies:
-    """Constants with their inverses; a rod turns about its axis like across, a point never."""
+    """Constants in the shapes of `Bodies`; rods turn about their axis like across, points never."""
     inv_inertia = np.zeros_like(inertia)
     np.divide(1.0, inertia, out=inv_inertia, where=inertia > 0.0)
     rods = rotor_class == ROD
@@ -105,7 +105,7 @@ def quaternions(matrices: Floats) -> Floats:
 
 
 def taken(record: Record, index: Ints, is_view: bool = False) -> Record:
-    """A record of arrays with the chosen bodies only, in that order.
+    """A record of arrays (..., n) with the chosen bodies (k,) only, in that order.
 
     Where all are chosen these are the same arrays, which nobody changes. Others are contiguous, but
     for views of neighbours: in these each row is.
@@ -121,7 +121,7 @@ def taken(record: Record, index: Ints, is_view: bool = False) -> Record:
 
 
 def held(bodies: Bodies, fixed: Bools) -> Bodies:
-    """Bodies of which some do not move, whatever acts on them."""
+    """Bodies of which some, (n,), do not move, whatever acts on them."""
     if not fixed.any():
         return bodies
     moves = ~fixed

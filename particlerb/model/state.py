@@ -220,7 +220,7 @@ def body_orientation(q: Floats, rotor_frame: Floats) -> Floats:
 
 
 def lengths(vectors: Floats) -> Floats:
-    """|v| of each column."""
+    """|v| of each column of (k, n), (n,)."""
     return np.asarray(np.linalg.norm(vectors, axis=0))
 
 

@@ -187,7 +187,7 @@ def _is_for_joints(system: System) -> bool:
 def pairs_of(
     system: System, table: ContactTable, names: Sequence[str], can_meet: Bools
 ) -> tuple[MaterialPairs, list[Problem]]:
-    """Numbers of all pairs that can meet, and what is wrong where some are missing."""
+    """Numbers of all pairs that can meet, (k, k), and what is wrong where some are missing."""
     pairs = MaterialPairs._make(
         [*np.zeros((len(MaterialPairs._fields) - 1, *can_meet.shape)), can_meet]
     )

@@ -85,7 +85,7 @@ def _user_pairs_among(members: Ints, bodies: Bodies, links: list[UserLink]) -> U
 
 
 def links_among(members: Ints, bodies: Bodies, links: list[Link]) -> Links:
-    """Links of a group, with its own numbers and in rotor frames."""
+    """Links of a group of members (n,), with its own numbers and in rotor frames."""
     place = np.full(int(members.max()) + 2, WORLD)  # the last is that of the world
     place[members] = np.arange(members.size)
     first = place[np.concatenate([link.body_a for link in links])]

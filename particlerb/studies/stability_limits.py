@@ -187,7 +187,7 @@ def rk4_factor(z: complex) -> complex:
 def half_trace(
     kicks: Sequence[float], drifts: Sequence[float], z: Floats, gradient: float = 0.0
 ) -> Floats:
-    """½ tr of a step of kicks and drifts of an oscillator with hω = z; bounded while |½ tr| <= 1.
+    """½ tr of a step of kicks and drifts of oscillators, hω = z (k,); bounded while |½ tr| <= 1.
 
     The last kick, which closes the step, is the first one again. All others may be bent: of kicks
     by -ω² x, and of ω⁴ x as its rate of change along a motion with that as velocity.

@@ -195,7 +195,7 @@ class Study:
         return failure(error)
 
     def energy_error(self, energy: Floats) -> float:
-        """Largest difference from the energy that is expected, over its scale."""
+        """Largest difference of energies (T,) [J] from what is expected, over their scale."""
         return float(np.abs(energy - self.expected).max() / self.scale)
 
     # Steps

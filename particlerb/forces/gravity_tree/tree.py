@@ -122,7 +122,7 @@ class Tree:
         return self.gravitation * float(self.cells.energy[: self.count].sum())
 
     def walk(self, y: Floats) -> None:
-        """Grow the tree and find the fields at all particles."""
+        """Grow the tree around bodies at y (13, n) and find the fields at all particles."""
         self.grow(y)
         scratch = self.scratch()
         tree = (self.nodes, self.points, self.cells)
@@ -136,7 +136,7 @@ class Tree:
         THREADS.share(part, pieces.size - 1, _BODY_STEPS_PER_PARTICLE * self.points.mass.size)
 
     def grow(self, y: Floats) -> None:
-        """Write nodes and places of particles."""
+        """Write nodes and places of particles of bodies at y (13, n)."""
         kinds, order = self.kinds, np.arange(self.order.size)
         items = (y[:3].copy(), order, self.weight.copy())
         stack = np.zeros((5, 2 * DEEPEST), dtype=np.int64)

@@ -40,7 +40,7 @@ def upright(trajectory: Trajectory) -> int:
 
 
 def side_axes(trajectory: Trajectory, x: Floats) -> list[int]:
-    """Axes of a view of points x: to the right and upwards.
+    """Axes of a view of points x (..., 3): to the right and upwards.
 
     To the right is the axis along which bodies move, where that is one of the two, else that along
     which the points reach farthest. What lies in a plane, and moves within it, is seen from above;
@@ -73,7 +73,7 @@ def motion_of_bodies(trajectory: Trajectory) -> Floats:
 def draw_particles(
     axes: Axes, centres: Floats, radii: Floats, colours: object = solids.BODY_TINT
 ) -> None:
-    """Outlines of particles, in the units of the axes."""
+    """Outlines of particles with centres (n, 2) and radii (n,), in the units of the axes."""
     width = 2.0 * radii
     circles = EllipseCollection(
         width, width, np.zeros_like(width), units="xy", offsets=centres,
@@ -117,7 +117,7 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
 
 
 def draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -> None:
-    """A line for each of a few, else the median and the range that holds 80 % of them.
+    """A line for each of a few values (T, n), else the median and the range of 80 % of them.
 
     What lies below others looks out on both sides.
     """
@@ -188,7 +188,7 @@ def draw_trace(axes: Axes3D, trajectory: Trajectory, body: int, axis: int) -> No
 
 
 def set_equal_scale(axes: Axes3D, points: Floats, unit: str = " [m]") -> None:
-    """Give all three axes the same scale, and none less than a third of the longest."""
+    """Give all axes of points (n, 3) the same scale, none less than a third of the longest."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = np.maximum(high - low, (high - low).max() / 3.0) / 2.0
     half = np.where(half > 0.0, 1.05 * half, 1.0)
