@@ -31,7 +31,7 @@ BUDGETS = {
     "sweeps": 1641,
     "one scene over ranks": 2603,
     "reports, pictures, the page": 1823,
-    "scenes for other programs": 540,
+    "scenes for other programs": 541,
     "speed of compiling and of whole calls": 1450,
     "watches": 231,
     "beside all these": 424,

@@ -38,13 +38,14 @@ class ExportError(Exception):
 
 
 def gsd_hoomd(path: Path) -> ModuleType:
-    """The library that writes gsd files; ExportError where it is missing, or cannot take a path."""
+    """The library that writes gsd files, into an empty one; ExportError where it cannot."""
     if encodable(str(path)) != str(path):
         raise ExportError("gsd takes only names of files that are UTF-8: give another with -o")
     try:
         import gsd.hoomd
     except ImportError:
         raise ExportError("gsd files need the package gsd: pip install gsd") from None
+    path.touch()  # gsd itself lets no others read it, whatever the umask
     return gsd.hoomd
 
 

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import os
+import stat
 import time
 
 import h5py
@@ -13,7 +15,7 @@ from numba import config
 import particlerb
 from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.cli import main
-from particlerb.export import ExportError, export
+from particlerb.export import FORMATS, ExportError, export
 from particlerb.export.surfaces import equal_ellipsoid
 from particlerb.record.schema import SERIES
 from particlerb.record.trajectory import Trajectory
@@ -326,6 +328,16 @@ def test_a_file_of_the_same_run_has_the_same_bytes(path, tmp_path, to):
             export(t, tmp_path / name, to)
             time.sleep(1.1)
     assert (tmp_path / "first").read_bytes() == (tmp_path / "second").read_bytes()
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_the_umask_alone_says_who_may_read_an_export(trajectory, pile, tmp_path, to):
+    before = os.umask(0o002)
+    try:
+        export(pile if to == "contacts" else trajectory, tmp_path / "file", to)
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "file").stat().st_mode) == 0o664
 
 
 @pytest.mark.parametrize(
