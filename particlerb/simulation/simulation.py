@@ -13,15 +13,13 @@ from weakref import finalize
 import numpy as np
 from numpy.typing import ArrayLike
 
-from particlerb.case.overrides import with_value
-from particlerb.case.problems import CaseError, key_of, path_of, problem_at
-from particlerb.case.reader import build, load
+from particlerb.case.problems import key_of, path_of
+from particlerb.case.reader import load
 from particlerb.case.run import frame_count
 from particlerb.case.schema import Case
-from particlerb.case.to_system import to_system, with_records
-from particlerb.case.values import plain
+from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
-from particlerb.files import Closing, number_of
+from particlerb.files import Closing
 from particlerb.files import path_of as file_path_of
 from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import Entries
@@ -34,16 +32,14 @@ from particlerb.record.frame_values import FrameError
 from particlerb.record.provenance import STATE
 from particlerb.record.writer import Recorder
 from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.simulation.asked_times import time_ahead, time_between
 from particlerb.simulation.body_states import BodyStates
 from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples, whole_frames
 from particlerb.simulation.restarts import saved_restart
 from particlerb.simulation.run import content_of
-from particlerb.simulation.state_changes import moved_by_hand, new_state
-from particlerb.simulation.table_changes import STAYS, is_same, refuse_what_stays
-from particlerb.simulation.whole_run import Run, RunError
-
-_STATE_NAMES = "position", "orientation", "velocity", "angular_velocity"
-_CHANGEABLE_TABLES = "force", "gravity", "attraction", "contact", "wall", "joint", "run"
+from particlerb.simulation.state_changes import STATE_NAMES, moved_by_hand, new_state
+from particlerb.simulation.table_changes import changed_at, refuse_what_stays
+from particlerb.simulation.whole_run import Prepared, Run, RunError
 
 
 class Simulation(Closing):
@@ -79,9 +75,9 @@ class Simulation(Closing):
         overrides: Sequence[str] = (),
         allow_code: bool = False,
     ) -> None:
-        path = None if output is None else file_path_of(output, "output")
         prepared = prepare_accurately(to_system(load(scene, overrides, allow_code)))
         system = prepared.system
+        self._unmoved: Prepared | None = prepared
         self._cut_off = ""  # what was raised while bodies moved
         self._run, self._due = Run(prepared), 0  # frame that comes next
         self._n_whole = whole_frames(system.run)
@@ -89,18 +85,31 @@ class Simulation(Closing):
         self._begun = system._replace(source=system.source._replace(files=files))
         self._run.is_by_hand = True
         self._recorder: Recorder | None = None
-        if path is not None:
-            self._recorder = Recorder(path, system, content_of(prepared)[0], overwrite)
-            self._recorder.save_checkpoint(self._run.checkpoint)
         self._known: Entries | None = None  # the energy balance of now, where it has been asked for
+        if output is None:
+            self._moved(system.run.threads, self._go_to, 0.0)
+        else:
+            self.record(output, overwrite=overwrite)
+
+    def record(self, output: str | Path, *, overwrite: bool = False) -> None:
+        """Write the frames into a file, as if the class had got these arguments.
+
+        Raises
+        ------
+        RunError
+            If bodies have moved, anything has changed, or there is a file.
+        """
+        if self._unmoved is None or self._recorder is not None:
+            raise RunError("record: a file begins at t = 0: name one before anything changes")
+        path, system = file_path_of(output, "output"), self.system
+        self._recorder = Recorder(path, system, content_of(self._unmoved)[0], overwrite)
         try:
+            self._recorder.save_checkpoint(self._run.checkpoint)
             self._moved(system.run.threads, self._go_to, 0.0)
         except BaseException:  # nothing takes the place of a file from before
-            if self._recorder is not None:
-                self._recorder.output.abandon()
+            self._recorder.output.abandon()
             raise
-        if self._recorder is not None:
-            self._finish = finalize(self, self._recorder.finish)  # at the end of the program
+        self._finish = finalize(self, self._recorder.finish)  # at the end of the program
 
     @property
     def system(self) -> System:
@@ -134,13 +143,17 @@ class Simulation(Closing):
         """Energy less that at t = 0 and all work since [J]; a change counts as work."""
         return float(self._entries.energy_error[-1])
 
-    def advance(self, until: float) -> BodyStates:
+    def advance(
+        self, until: float, callback: Callable[[BodyStates], object] | None = None
+    ) -> BodyStates:
         """Go on to a time.
 
         Parameters
         ----------
         until : float
             At most `run.t_end` [s].
+        callback : callable, optional
+            Called with the state at each multiple of `run.every` on the way; it may change things.
 
         Returns
         -------
@@ -157,17 +170,17 @@ class Simulation(Closing):
             If the motion fails; the frames until then are in the file. Also afterwards, or where an
             interrupt has cut an `advance` off: bodies then have no time in common.
         """
-        t_end, until = self.system.run.t_end, number_of(until, "advance: until")
-        if not self.time <= until <= t_end:
-            raise ValueError(
-                f"advance(until={until!r}): it is t = {self.time!r} s, and run.t_end = {t_end!r}"
-                " s; a time between them is right"
-            )
+        now = self.time
+        until = time_ahead(until, now, self.system.run.t_end)
+        for state in self.frames(self.system.run.every, until) if callback else ():
+            if callback and state.time > now:
+                callback(state)
         if until > self.time:
+            self._unmoved = None
             self._moved(self.system.run.threads, self._go_to, until)
         return self.state
 
-    def frames(self, every: float) -> Iterator[BodyStates]:
+    def frames(self, every: float, until: float = np.inf) -> Iterator[BodyStates]:
         """States at the multiples of `every` [s] that lie ahead, until `run.t_end`; now first.
 
         What is changed between two of them acts from the first on.
@@ -176,6 +189,8 @@ class Simulation(Closing):
         ----------
         every : float
             Time between two of them [s].
+        until : float
+            Where to end before `run.t_end` [s].
 
         Yields
         ------
@@ -187,14 +202,10 @@ class Simulation(Closing):
         TypeError, ValueError
             If `every` is no number, not above 0, or less than rounding of `run.t_end`.
         """
-        least = float(np.spacing(self.system.run.t_end))
-        every = number_of(every, "frames: every")
-        if not least <= every < np.inf:
-            told = f"must be above 0 s, and finite: at least {least:.3g} s, to which t_end rounds"
-            raise ValueError(f"frames(every={every!r}): {told}")
+        every = time_between(every, self.system.run.t_end)
         yield self.state
         k = int(self.time / every)
-        while (time := float(multiples(every, k, k + 1)[0])) <= self.system.run.t_end:
+        while (time := float(multiples(every, k, k + 1)[0])) <= min(until, self.system.run.t_end):
             if time > self.time:
                 yield self.advance(time)
             k += 1
@@ -218,21 +229,8 @@ class Simulation(Closing):
         CaseError
             If the scene is wrong with it; nothing has changed then.
         """
-        path, system = path_of(str(key)), self.system
-        is_motion = path[:1] == ("body",) and path[2:3] == ("motion",)
-        if not is_motion and (not path or path[0] not in _CHANGEABLE_TABLES):
-            hint = f"what may: {', '.join(_CHANGEABLE_TABLES)}; of a body its motion"
-            raise CaseError([problem_at(system, str(key), STAYS, hint)])
-        if system.run.accuracy is not None:
-            hint = "give run.method and run.dt in its place"
-            reason = "was kept for the run that was planned, and holds for no other"
-            raise CaseError([problem_at(system, "run.accuracy", reason, hint)])
-        try:
-            raw = with_value(system.source.raw, path, plain(value))
-        except LookupError as error:
-            raise CaseError([problem_at(system, key, str(error.args[0]))]) from None
-        changed = with_records(system, build(system.source._replace(raw=raw), ()))
-        if is_same(system, changed, path):
+        system, path = self.system, path_of(str(key))
+        if (changed := changed_at(system, path, value)) is None:
             return
         refuse_what_stays(system, changed, self.time, self._recorder is not None)
         system, moved = with_continued(system, changed, self.time), put_elsewhere(system, changed)
@@ -264,9 +262,9 @@ class Simulation(Closing):
         CaseError
             If bodies would lie beyond a wall, or overlap by more than a radius.
         """
-        old = {name: getattr(self.state, name) for name in _STATE_NAMES}
+        old = {name: getattr(self.state, name) for name in STATE_NAMES}
         given = position, orientation, velocity, angular_velocity
-        new = new_state(self.system, old, dict(zip(_STATE_NAMES, given, strict=True)))
+        new = new_state(self.system, old, dict(zip(STATE_NAMES, given, strict=True)))
         moved = moved_by_hand(self.system, self._state_now(), new, given[:2])
         self._restart(self.system, new, moved, STATE)
 
@@ -302,6 +300,7 @@ class Simulation(Closing):
         """Go on as another system, from the state of now or another one; a key has changed."""
         planned = state or self._state_now()
         plan, entries = make_plan(system, now=(self.time, planned), moved=moved), self._entries
+        self._unmoved = None
 
         def restarted() -> BodyStates:
             reached = self._run.finish(self.time)

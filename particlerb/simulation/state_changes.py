@@ -11,6 +11,7 @@ from particlerb.model.system import System
 from particlerb.plan.initial_overlaps import Elsewhere
 from particlerb.rotors.rotor_class import POINT, ROD
 
+STATE_NAMES: Final = "position", "orientation", "velocity", "angular_velocity"
 _SPIN_ROUNDING: Final = 1e-9  # share of an angular velocity that is none
 
 

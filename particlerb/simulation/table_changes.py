@@ -3,15 +3,44 @@
 import operator
 from typing import Any, Final
 
-from particlerb.case.problems import CaseError, Path, Problem, problem_at
+from particlerb.case.overrides import with_value
+from particlerb.case.problems import CaseError, Path, Problem, key_of, problem_at
+from particlerb.case.reader import build
+from particlerb.case.to_system import with_records
+from particlerb.case.values import plain
 from particlerb.model.system import System
 
+_CHANGEABLE_TABLES: Final = "force", "gravity", "attraction", "contact", "wall", "joint", "run"
 STAYS: Final = "cannot change in a simulation"
 _RUN_KEYS: Final = "t_end", "every", "accuracy"  # that stay
 _ACTING: Final = "spring", "damper", "limit", "motor", "friction", "drive"  # numbers may change
 
 
-def is_same(system: System, changed: System, path: Path) -> bool:
+def changed_at(system: System, path: Path, value: Any) -> System | None:
+    """The scene with another value at a path of its case; None where it is there already.
+
+    Raises
+    ------
+    CaseError
+        If what stands there stays, or the scene is wrong with it.
+    """
+    key, is_motion = key_of(path), path[:1] == ("body",) and path[2:3] == ("motion",)
+    if not is_motion and (not path or path[0] not in _CHANGEABLE_TABLES):
+        hint = f"what may: {', '.join(_CHANGEABLE_TABLES)}; of a body its motion"
+        raise CaseError([problem_at(system, key, STAYS, hint)])
+    if system.run.accuracy is not None:
+        hint = "give run.method and run.dt in its place"
+        reason = "was kept for the run that was planned, and holds for no other"
+        raise CaseError([problem_at(system, "run.accuracy", reason, hint)])
+    try:
+        raw = with_value(system.source.raw, path, plain(value))
+    except LookupError as error:
+        raise CaseError([problem_at(system, key, str(error.args[0]))]) from None
+    changed = with_records(system, build(system.source._replace(raw=raw), ()))
+    return None if _is_same(system, changed, path) else changed
+
+
+def _is_same(system: System, changed: System, path: Path) -> bool:
     """Whether what a path leads to is as before; of a function nobody knows what it reaches now."""
     before, after = ([getattr(each, str(path[0]))] for each in (system, changed))
     if isinstance(before[0], tuple):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb import CaseError, Scene, Simulation
+from particlerb import CaseError, RunError, Scene, Simulation
 from particlerb.simulation import frame_times
 from particlerb.simulation.run import identity, prepare
 from particlerb.stepping import stepped_motion
@@ -563,3 +563,44 @@ def test_a_file_that_nobody_closes_has_its_frames(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
     with particlerb.open(tmp_path / "a.h5") as trajectory:
         assert trajectory.time.tolist() == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.plain
+def test_a_file_that_is_named_later_is_that_of_the_run(tmp_path):
+    scene = turned_box(method="strang", dt=0.01)
+    simulation = Simulation(scene)
+    simulation.record(tmp_path / "later.h5")
+    with pytest.raises(RunError, match=r"record: a file begins at t = 0: name one before"):
+        simulation.record(tmp_path / "second.h5")
+    simulation.advance(3.25)
+    simulation.close()
+    with Simulation(scene, tmp_path / "first.h5") as other:
+        other.advance(3.25)
+    names = "later.h5", "first.h5"
+    later, first = (particlerb.open(tmp_path / name) for name in names)
+    with later, first:
+        assert later.n_frames == first.n_frames == 4
+        for name in STATES:
+            np.testing.assert_array_equal(getattr(later, name), getattr(first, name))
+    for run in (lambda one: one.advance(0.1), lambda one: one.set_state(velocity=[[1, 0, 0]])):
+        begun = Simulation(scene)
+        run(begun)
+        with pytest.raises(RunError, match="before anything changes"):
+            begun.record(tmp_path / "second.h5")
+    assert not (tmp_path / "second.h5").exists()
+
+
+@pytest.mark.plain
+def test_a_callback_is_called_at_frames_and_may_change_what_acts():
+    """F = ma in each interval: the torque of each is that which was set at its beginning."""
+    simulation, seen = Simulation(turned_box(method="strang", dt=0.01)), []
+
+    def double(state):
+        seen.append((state.time, state.angular_momentum[0, 2]))
+        simulation.change("force[0].torque", (0, 0, 0.1 * 2 ** len(seen)))
+
+    simulation.advance(1.5, double)
+    state = simulation.advance(3.0, callback=double)
+    assert [time for time, _ in seen] == [1.0, 2.0, 3.0]
+    np.testing.assert_allclose([L for _, L in seen], [0.1, 0.3, 0.7], rtol=1e-13)
+    assert state.time == simulation.time == 3.0
