@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # (`X as X` tells type checkers that X is public)
+    from particlerb import tables as tables
     from particlerb.case.problems import CaseError as CaseError
     from particlerb.case.scene import Scene as Scene
     from particlerb.case.schema import Case as Case
@@ -52,7 +53,14 @@ __all__ = ["__version__", *_HOMES]  # noqa: PLE0604  # names all of them
 
 def __getattr__(name: str) -> Any:
     """Import public names when they are first used: Numba and HDF5 take a second to load."""
+    if name == "tables":
+        return import_module("particlerb.tables")
     if name not in _HOMES:
         raise AttributeError(f"module 'particlerb' has no attribute {name!r}")
     attribute = "open_trajectory" if name == "open" else name
     return getattr(import_module(f"particlerb.{_HOMES[name]}"), attribute)
+
+
+def __dir__() -> list[str]:
+    """Public names, for completion: most are not imported yet."""
+    return [*__all__, "tables"]

@@ -1,8 +1,10 @@
 """The Python entry: run a case or go on with it, get its trajectory."""
 
+import logging
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from particlerb.case.reader import load
 from particlerb.case.schema import Case
@@ -12,6 +14,21 @@ from particlerb.record.trajectory import Trajectory, open_trajectory
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.resume import look_at, resume_pending
 from particlerb.simulation.run import run_prepared
+from particlerb.simulation.whole_run import Prepared
+
+_LOG: Final = logging.getLogger(__name__)
+
+
+def prepared_from(
+    case: str | PathLike[str] | Mapping[str, Any] | Case,
+    overrides: Sequence[str],
+    allow_code: bool,
+) -> Prepared:
+    """A case made ready to run; warnings of its plan are logged. Raises as `run`."""
+    prepared = prepare_accurately(to_system(load(case, overrides, allow_code)))
+    for warning in prepared.plan.warnings:
+        _LOG.warning(warning)
+    return prepared
 
 
 def run(
@@ -22,7 +39,7 @@ def run(
     overrides: Sequence[str] = (),
     allow_code: bool = False,
 ) -> Trajectory:
-    """Run a case.
+    """Run a case; warnings of its plan go to `logging`, which shows them if nobody configures it.
 
     Parameters
     ----------
@@ -55,7 +72,7 @@ def run(
         If the run fails; the frames until then are in the file.
     """
     path = None if output is None else path_of(output, "output")
-    prepared = prepare_accurately(to_system(load(case, overrides, allow_code)))
+    prepared = prepared_from(case, overrides, allow_code)
     outcome = run_prepared(prepared, path, overwrite)
     return open_trajectory(path) if path else Trajectory(outcome.file)
 

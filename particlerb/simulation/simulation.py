@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from particlerb.case.problems import key_of, path_of
-from particlerb.case.reader import load
 from particlerb.case.run import frame_count
 from particlerb.case.schema import Case
-from particlerb.case.to_system import to_system
 from particlerb.compiled.threads import THREADS
 from particlerb.files import Closing
 from particlerb.files import path_of as file_path_of
@@ -31,9 +29,9 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.record.frame_values import FrameError
 from particlerb.record.provenance import STATE
 from particlerb.record.writer import Recorder
-from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.asked_times import time_ahead, time_between
 from particlerb.simulation.body_states import BodyStates
+from particlerb.simulation.entry import prepared_from
 from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples, whole_frames
 from particlerb.simulation.restarts import saved_restart
 from particlerb.simulation.run import content_of
@@ -75,7 +73,7 @@ class Simulation(Closing):
         overrides: Sequence[str] = (),
         allow_code: bool = False,
     ) -> None:
-        prepared = prepare_accurately(to_system(load(scene, overrides, allow_code)))
+        prepared = prepared_from(scene, overrides, allow_code)
         system = prepared.system
         self._unmoved: Prepared | None = prepared
         self._cut_off = ""  # what was raised while bodies moved
@@ -92,7 +90,12 @@ class Simulation(Closing):
             self.record(output, overwrite=overwrite)
 
     def record(self, output: str | Path, *, overwrite: bool = False) -> None:
-        """Write the frames into a file, as if the class had got these arguments.
+        """Write the frames into a file, as if it had been given at first.
+
+        Parameters
+        ----------
+        output, overwrite
+            As of the class.
 
         Raises
         ------
@@ -143,9 +146,7 @@ class Simulation(Closing):
         """Energy less that at t = 0 and all work since [J]; a change counts as work."""
         return float(self._entries.energy_error[-1])
 
-    def advance(
-        self, until: float, callback: Callable[[BodyStates], object] | None = None
-    ) -> BodyStates:
+    def advance(self, until: float, callback: Callable[..., Any] | None = None) -> BodyStates:
         """Go on to a time.
 
         Parameters
@@ -395,5 +396,5 @@ class Simulation(Closing):
             self._cut_off = str(error)
             self.close()
             raise error from None
-        x, q, p, L = (values[-1] for values in frames[:4])
-        return BodyStates(float(times[-1]), x, q, p, L, self._run.system.bodies)
+        states = (values[-1] for values in frames[:4])
+        return BodyStates(float(times[-1]), *states, self._run.system.bodies)

@@ -1,5 +1,8 @@
 """The Python entry: what `run` and `open` take, and that importing the package is cheap."""
 
+import sys
+from subprocess import run
+
 import numba
 import numpy as np
 import pytest
@@ -8,6 +11,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
+from particlerb.tables import Cylinder, RunTable
 
 TOML = """
 [run]
@@ -36,6 +40,27 @@ def test_public_names():
         assert getattr(particlerb, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = particlerb.nothing
+
+
+@pytest.mark.once
+def test_a_console_completes_public_names_before_they_are_used():
+    code = "import particlerb; print(*dir(particlerb)); print(particlerb.tables.Box.__name__)"
+    told = run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    names, box = told.splitlines()
+    assert set(names.split()) == {*particlerb.__all__, "tables"}
+    assert box == "Box"
+
+
+@pytest.mark.plain
+def test_warnings_of_a_plan_reach_those_who_run_it_from_python(caplog):
+    """A cylinder one cell across has no moment about its axis: it is a rod."""
+    scene = particlerb.Scene(RunTable(t_end=1.0, every=1.0))
+    scene.add_body(name="pin", shape=Cylinder(radius=0.1, height=0.8, n=4), mass=1.0)
+    for start in (particlerb.run, particlerb.Simulation):
+        caplog.clear()
+        start(scene)
+        assert [record.levelname for record in caplog.records] == ["WARNING"]
+        assert "as 4 particles it is a rod, which the solid is not" in caplog.text
 
 
 def test_importing_loads_nothing_heavy(make):
