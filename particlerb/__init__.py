@@ -27,6 +27,7 @@ if TYPE_CHECKING:  # (`X as X` tells type checkers that X is public)
     from particlerb.sweeping.driver import sweep as sweep
     from particlerb.user_force import force as force
 
+    System = Scene
     open = open_trajectory
 
 __version__ = "0.1.0"
@@ -37,6 +38,7 @@ _HOMES = {
     "RunError": "simulation.whole_run",
     "Scene": "case.scene",
     "Simulation": "simulation.simulation",
+    "System": "case.scene",
     "Trajectory": "record.trajectory",
     "TrajectoryError": "record.trajectory",
     "force": "user_force",
@@ -57,7 +59,7 @@ def __getattr__(name: str) -> Any:
         return import_module("particlerb.tables")
     if name not in _HOMES:
         raise AttributeError(f"module 'particlerb' has no attribute {name!r}")
-    attribute = "open_trajectory" if name == "open" else name
+    attribute = {"open": "open_trajectory", "System": "Scene"}.get(name, name)
     return getattr(import_module(f"particlerb.{_HOMES[name]}"), attribute)
 
 

@@ -27,7 +27,7 @@ BUDGETS = {
     "contact by impulses": 4206,
     "collisions by events": 1739,
     "forces: tables, gradients, written by users": 2149,
-    "scenes and simulations in Python": 1118,
+    "scenes and simulations in Python": 1120,
     "sweeps": 1641,
     "one scene over ranks": 2603,
     "reports, pictures, the page": 1823,

@@ -38,6 +38,7 @@ def test_public_names():
     assert set(particlerb.__all__) == {"__version__", *particlerb._HOMES}
     for name in particlerb.__all__:
         assert getattr(particlerb, name) is not None
+    assert particlerb.System is particlerb.Scene
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = particlerb.nothing
 
