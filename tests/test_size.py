@@ -30,7 +30,7 @@ BUDGETS = {
     "scenes and simulations in Python": 1120,
     "sweeps": 1641,
     "one scene over ranks": 2603,
-    "reports, pictures, the page": 1823,
+    "reports, pictures, the page": 1849,
     "scenes for other programs": 541,
     "speed of compiling and of whole calls": 1450,
     "watches": 231,

@@ -117,7 +117,10 @@ _CASE: Final = (
     _option("case", metavar="CASE", help="a TOML file, or the name of an example: see `cases`"),
     _SET, _CODE, _json(),
 )  # fmt: skip
-_PLAN: Final = (_THREADS, _flag("--strict", help="warnings are errors"))
+_STRICT: Final = (_THREADS, _flag("--strict", help="warnings are errors"))
+_PLAN: Final = _flag(
+    "--plan", help="print the whole plan: all groups and segments, and why others do not act"
+)
 _REPORT: Final = (
     _option("--log", metavar="FILE", help="write a line each second: time, energy, error"),
     _flag("-q", "--quiet", help="print only the checks"),
@@ -140,16 +143,16 @@ class Command(NamedTuple):
 
 COMMANDS: Final = {
     "run": Command("run", "run a case into an HDF5 file", (
-        *_CASE, *_PLAN, *_output("FILE", "default: output/<case>.h5"), _MPI, *_REPORT,
+        *_CASE, *_STRICT, _PLAN, *_output("FILE", "default: output/<case>.h5"), _MPI, *_REPORT,
     )),
     "resume": Command("run", "continue a run that was stopped", (
         _option("file", metavar="FILE", help="trajectory of the run; frames are added to it"),
         _option("--t-end", type=_positive, metavar="SECONDS",
                 help="time at which to end; default: t_end of the case"),
-        _CODE, _json(), *_PLAN, _MPI, *_REPORT,
+        _CODE, _json(), *_STRICT, _MPI, *_REPORT,
     )),
     "check": Command("check", "show the plan of a case, its file size and its run time", (
-        *_CASE, *_PLAN,
+        *_CASE, *_STRICT, _PLAN,
         _option("--ranks", type=_number, metavar="N",
                 help="also show how N ranks of --mpi would share the bodies"),
     )),

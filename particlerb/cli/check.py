@@ -6,7 +6,7 @@ from time import perf_counter
 
 from particlerb.cli.common import amount, fitted, wall_time
 from particlerb.cli.exit_codes import DONE, FAILED, ending, tamed
-from particlerb.cli.run import expected_size, prepared_case, size_text
+from particlerb.cli.run import expected_size, plan_text, prepared_case, size_text
 from particlerb.ranks import NoRanksError
 from particlerb.simulation.estimate import estimated_seconds
 from particlerb.simulation.shares import Shares, shares_of
@@ -28,7 +28,7 @@ def check_command(options: argparse.Namespace) -> int:
         print(json.dumps(told))
     else:
         size, time = size_text(prepared.system), wall_time(seconds)
-        plan = f"{prepared.text}\n  run             {size}; about {time}"
+        plan = f"{plan_text(options, prepared)}\n  run             {size}; about {time}"
         plan += "" if shares is None else f"\n{_words(options.ranks, shares)}"
         print(tamed(f"{options.case} is valid\n\nplan\n{fitted(plan)}"))
     return DONE

@@ -29,6 +29,7 @@ from particlerb.forces.gravity_tree.opening_angle import other_angle
 from particlerb.impulses import records
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
+from particlerb.plan.describe import describe
 from particlerb.plan.time_step import STEPS_PER_CONTACT, stable_turn
 from particlerb.ranks import ALONE, Ranks
 from particlerb.record import schema
@@ -67,6 +68,13 @@ def prepared_case(options: argparse.Namespace, ranks: Ranks = ALONE) -> Prepared
     return prepared
 
 
+def plan_text(options: argparse.Namespace, prepared: Prepared, ranks: Ranks = ALONE) -> str:
+    """The plan as it is printed; the whole of it with --plan."""
+    own = ranks if prepared.is_part else ALONE
+    told = prepared.system, prepared.plan, prepared.accuracy, own
+    return describe(*told, is_whole=True) if options.plan else prepared.text
+
+
 def _warn(options: argparse.Namespace, warnings: Sequence[str]) -> None:
     """Print warnings; with --strict they end the program."""
     for warning in warnings:
@@ -83,10 +91,11 @@ def run_command(options: argparse.Namespace) -> int:
         if ranks is not ALONE:
             ranks.together(lambda: part_of(prepared, ranks))
         path = ranks.together(partial(_output_path, options, system))
+        plan = plan_text(options, prepared, ranks)
         ranks.together(lambda: _warn(options, _disk_warnings(system, path)))
         if not (options.quiet or options.json):
             title = system.title or path.stem
-            print(tamed(f"{title}\n\nplan\n{fitted(prepared.text)}"), flush=True)
+            print(tamed(f"{title}\n\nplan\n{fitted(plan)}"), flush=True)
             free = amount(_free_bytes(path))
             print(fitted(f"  file: {path}, {size_text(system)}; {free} are free\n"), flush=True)
 

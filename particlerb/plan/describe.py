@@ -41,34 +41,43 @@ _BALANCE = (  # the hardest first
 _CLASS_WORDS = ("point", "rod", "spherical top", "symmetric top", "asymmetric top")
 
 
-def describe(system: System, plan: Plan, accuracy: str = "", ranks: Ranks = ALONE) -> str:
-    """Text of a plan, with what is known of its accuracy; of several, each with own bodies."""
+def describe(
+    system: System, plan: Plan, accuracy: str = "", ranks: Ranks = ALONE, is_whole: bool = False
+) -> str:
+    """Text of a plan, with what is known of its accuracy; of several, each with own bodies.
+
+    The whole of it has all groups and segments, and a line for each thing that does not act.
+    """
+    out = _left_out(system, plan)
     lines = [
         ("bodies", _bodies_line(system, ranks)),
         ("particles", _particles_line(system)),
         *system.notes,
         *_acting_lines(system, plan, ranks),
-        ("left out", _left_out_line(system, plan)),
+        *((name, f"off: {why}") for name, why in out.items() if is_whole),
+        *([] if is_whole else [("left out", _left_out_line(out))]),
         ("step", plan.step),
         *([("accuracy", accuracy)] if accuracy else []),
         ("energy balance", _BALANCE[min(ranks.gathered(_hardest_balance(plan)))]),
-        *_group_lines(system, plan, ranks),
+        *_group_lines(system, plan, ranks, is_whole),
     ]
     width = min(44, max(len(name) for name, _ in lines))
     return "\n".join(f"  {name:<{width}}  {text}" for name, text in lines)
 
 
-def _group_lines(system: System, plan: Plan, ranks: Ranks) -> Iterator[tuple[str, str]]:
+def _group_lines(
+    system: System, plan: Plan, ranks: Ranks, is_whole: bool
+) -> Iterator[tuple[str, str]]:
     """Groups of bodies, with lines of their segments.
 
     Over ranks, those of which the same is to be said are one.
     """
-    names, first = system.names, system.names.part.start
+    names, first, n = system.names, system.names.part.start, len(plan.groups)
+    most, shown = (n, np.inf) if is_whole else (_MAX_GROUPS_SHOWN, _MAX_SEGMENTS_SHOWN)
     told = [
-        (_runs(group.members + first), group.members.size, _segment_lines(group))
-        for group in plan.groups[: _MAX_GROUPS_SHOWN if ranks is ALONE else None]
+        (_runs(group.members + first), group.members.size, _segment_lines(group, shown))
+        for group in plan.groups[: most if ranks is ALONE else None]
     ]
-    n = len(plan.groups)
     if ranks is not ALONE:
         alike: dict[tuple[str, ...], tuple[list[tuple[int, int]], int]] = {}
         for runs, size, lines in chain(*ranks.gathered(told)):
@@ -78,10 +87,11 @@ def _group_lines(system: System, plan: Plan, ranks: Ranks) -> Iterator[tuple[str
             alike[tuple(lines)] = before + joined + runs[follows:], n_before + size
         told = [(*bodies, list(lines)) for lines, bodies in alike.items()]
         names, n = BodyNames(names.records), len(told)
-    for runs, size, lines in told[:_MAX_GROUPS_SHOWN]:
+        most = n if is_whole else most
+    for runs, size, lines in told[:most]:
         yield from ((_name_of(names, runs, size), text) for text in lines)
-    if n > _MAX_GROUPS_SHOWN:
-        yield "...", f"and {n - _MAX_GROUPS_SHOWN} more groups of bodies"
+    if n > most:
+        yield "...", f"and {n - most} more groups of bodies"
 
 
 def _bodies_line(system: System, ranks: Ranks) -> str:
@@ -141,13 +151,23 @@ def _origin_of_points(system: System, kind: str) -> str:
     return ""
 
 
-def _left_out_line(system: System, plan: Plan) -> str:
-    """What does not act, and why nothing touches."""
-    out = {"gravity": not system.acceleration.any(), "attraction": system.attraction is None}
-    out |= {"joints": not system.joint, "forces": not system.force}
-    why = "no [contact]" if system.particles.radius.any() else "no particle has a radius"
-    out[f"contact ({why})"] = not plan.contacts
-    return ", ".join(name for name, is_out in out.items() if is_out) or "nothing"
+def _left_out(system: System, plan: Plan) -> dict[str, str]:
+    """What does not act, and why."""
+    touches = "no [contact]" if system.particles.radius.any() else "no particle has a radius"
+    out = {
+        "gravity": ("no [gravity]", not system.acceleration.any()),
+        "attraction": ("no [attraction]", system.attraction is None),
+        "joints": ("no [[joint]]", not system.joint),
+        "forces": ("no [[force]]", not system.force),
+        "contact": (touches, not plan.contacts),
+    }
+    return {name: why for name, (why, is_out) in out.items() if is_out}
+
+
+def _left_out_line(out: dict[str, str]) -> str:
+    """The same in a line, with why nothing touches."""
+    words = (f"contact ({why})" if name == "contact" else name for name, why in out.items())
+    return ", ".join(words) or "nothing"
 
 
 def _attraction_line(table: AttractionTable, plan: Plan) -> str:
@@ -260,11 +280,11 @@ def _name_of(names: BodyNames, runs: Sequence[tuple[int, int]], size: int) -> st
     return "bodies " + ", ".join(words[:_MAX_RUNS_SHOWN]) + more
 
 
-def _segment_lines(group: GroupPlan) -> list[str]:
-    """One line per segment, of the first ones and the last."""
-    shown, bodies = group.segments[:_MAX_SEGMENTS_SHOWN], group.bodies
-    lines = [_segment_line(bodies, segment) for segment in shown]
-    left = len(group.segments) - _MAX_SEGMENTS_SHOWN
+def _segment_lines(group: GroupPlan, most: float) -> list[str]:
+    """One line per segment, of so many first ones and the last."""
+    n, bodies = len(group.segments), group.bodies
+    left = n - int(min(most, n))
+    lines = [_segment_line(bodies, segment) for segment in group.segments[: n - left]]
     if left > 1:
         lines.append(f"and {left - 1} more segments")
     if left > 0:

@@ -109,9 +109,11 @@ def prepare_accurately(system: System) -> Prepared:
     chosen = Plan(chosen.groups, chosen.step, warnings)
     unused = [key for key in ("method", "dt") if key in system.run.model_fields_set]
     instead = f"; in place of run.{' and run.'.join(unused)}" if unused else ""
-    text = describe(system, chosen, estimate.text() + instead)
+    accuracy = estimate.text() + instead
+    text = describe(system, chosen, accuracy)
     stepping = json.dumps([None if one is None else one._asdict() for one in choice])
-    return Prepared(system, chosen, text, {"accuracy": estimate.json(), "stepping": stepping})
+    parameters = {"accuracy": estimate.json(), "stepping": stepping}
+    return Prepared(system, chosen, text, parameters, accuracy=accuracy)
 
 
 def prepare_again(system: System, stepping: str | None) -> Prepared:

@@ -48,6 +48,7 @@ class Prepared(NamedTuple):
     parameters: Mapping[str, str] = {}  # more for /parameters of the file
     first: int = 0  # number of its first body in the scene, where it is a part of one
     is_copied: bool = False  # whether each of several ranks moves all bodies
+    accuracy: str = ""  # what its text says of that
 
     @property
     def is_part(self) -> bool:

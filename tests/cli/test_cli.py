@@ -265,6 +265,15 @@ def test_check_prints_the_plan_and_writes_nothing(here, capsys):
     assert not Path("output").exists()
 
 
+def test_the_whole_plan_is_printed_where_it_is_asked_for(here, capsys):
+    Path("cube.toml").write_text(BRICK + PUSH)
+    for words in (["run", "cube.toml", "--plan"], ["check", "cube.toml", "--plan"]):
+        assert main(words) == 0
+        assert re.search(r"^  attraction +off: no \[attraction\]$", capsys.readouterr().out, re.M)
+    with particlerb.open("output/cube.h5") as trajectory:
+        assert "left out" in trajectory.parameter("plan")
+
+
 def test_mass_reports_tensor_class_and_digits(here, capsys):
     Path("cube.toml").write_text(CUBE.replace('arrangement = "exact"', "n = 2"))
     assert main(["mass", "cube.toml"]) == 0

@@ -11,6 +11,7 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
+from particlerb.plan.describe import describe
 from particlerb.plan.time_step import RADIANS_PER_STEP
 from particlerb.simulation.run import prepare
 
@@ -191,6 +192,23 @@ def test_plan_gives_a_reason_for_what_is_left_out(make):
     assert text["body"] == "from 0 s: free, closed form, no step (nothing acts)\n"
     zero = lines(make.case(make.body(), gravity={"acceleration": [0, 0, 0]}))
     assert zero["left out"].startswith("gravity, ")
+
+
+def test_the_whole_plan_leaves_nothing_out(make):
+    """Thirty groups, one of forty segments: nothing is cut, and what is absent has a line."""
+    bodies = [make.body(f"b{k}") for k in range(30)]
+    pushes = [make.push(FORCE, AT, f"b{k}", during=[0.01 * k, 0.9]) for k in range(30)]
+    pushes += [make.push(FORCE, AT, "b0", during=[0.01 * k, 0.02 + 0.01 * k]) for k in range(40)]
+    prepared = prepare(to_system(make.case(*bodies, force=pushes, dt=0.01)))
+    short = describe(*prepared[:2])
+    for words in ("more groups of bodies", "more segments", "left out"):
+        assert words in short
+    whole = describe(*prepared[:2], is_whole=True)
+    assert not re.search(r" more |left out", whole)
+    assert re.search(r"^  attraction +off: no \[attraction\]$", whole, re.MULTILINE)
+    assert re.search(r"^  contact +off: no particle has a radius$", whole, re.MULTILINE)
+    named = set(re.findall(r"^  (b\d+) ", whole, re.MULTILINE))
+    assert named == {f"b{k}" for k in range(30)}
 
 
 def test_plan_gives_a_reason_for_what_is_done(make):
