@@ -396,5 +396,5 @@ class Simulation(Closing):
             self._cut_off = str(error)
             self.close()
             raise error from None
-        states = (values[-1] for values in frames[:4])
-        return BodyStates(float(times[-1]), *states, self._run.system.bodies)
+        x, q, p, L = (values[-1] for values in frames[:4])
+        return BodyStates(float(times[-1]), x, q, p, L, self._run.system.bodies)
