@@ -29,7 +29,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2149,
     "scenes and simulations in Python": 1120,
     "sweeps": 1641,
-    "one scene over ranks": 2603,
+    "one scene over ranks": 2607,
     "reports, pictures, the page": 1849,
     "scenes for other programs": 541,
     "speed of compiling and of whole calls": 1450,

@@ -102,6 +102,15 @@ def _matter(command: _Parser) -> None:
     file.add_argument("--scale", type=_positive, metavar="M", help="unit of length; default: 1 m")
 
 
+def _format(command: _Parser) -> None:
+    """Add the format of an export."""
+    either = command.add_mutually_exclusive_group(required=True)
+    text = "a trajectory: gsd, csv, particles, contacts, lammps, npz, h5; bodies: lammps, mjcf,"
+    either.add_argument("--to", metavar="FORMAT", help=f"{text} yade, gsd")
+    text = "one plain file of a run over ranks: --to h5"
+    either.add_argument("--merge", dest="to", action="store_const", const="h5", help=text)
+
+
 _SET: Final = _option(
     "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
     help="change a key of the case, for example run.dt=1e-4 or body.0.mass=2; repeatable",
@@ -193,9 +202,7 @@ COMMANDS: Final = {
     )),
     "export": Command("export", "write files for other programs", (
         _option("file", metavar="FILE", help=f"a trajectory; or bodies: {_BODY_FILE_HELP}"),
-        _option("--to", required=True, metavar="FORMAT",
-                help="a trajectory: gsd, csv, particles, contacts, lammps, npz, h5; bodies: lammps,"
-                " mjcf, yade, gsd"),
+        _format,
         _SET, _matter, *_output("FILE", "default: the input's name"),
         _list("--bodies", "bodies or blocks; default: all"),
         _option("--frames", type=_frame_slice, default=slice(None), metavar="A:B:C",

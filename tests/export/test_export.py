@@ -393,6 +393,12 @@ def test_command_exports_beside_the_input(path, tmp_path, capsys):
     assert len((tmp_path / "run.csv").read_text().splitlines()) == 2
     assert main(["export", str(source), "--to", "particles"]) == 0
     assert (tmp_path / "run_particles.vtkhdf").exists()
+    assert main(["export", str(source), "--to", "h5", "-o", str(tmp_path / "asked.h5")]) == 0
+    assert main(["export", str(source), "--merge"]) == 0
+    assert (tmp_path / "run_whole.h5").read_bytes() == (tmp_path / "asked.h5").read_bytes()
+    capsys.readouterr()
+    assert main(["export", str(source)]) == 2
+    assert "one of the arguments --to --merge is required" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
