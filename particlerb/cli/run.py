@@ -220,7 +220,10 @@ def _execute(
         raise Ending(str(error)) from None
     except OSError as error:
         why = f"cannot write {error.filename}: {error.strerror}" if error.strerror else str(error)
-        raise Ending(f"the run failed: {why}; {kept(path, before)}", FAILED) from None
+        told = kept(Path(error.filename2 or path), before)
+        if error.filename2 == "":  # moved, the system does not say where
+            told = "all frames are kept under another name"
+        raise Ending(f"the run failed: {why}; {told}", FAILED) from None
 
 
 @contextlib.contextmanager

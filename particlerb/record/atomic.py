@@ -57,6 +57,8 @@ class AtomicFile:
 
     Attributes
     ----------
+    on_disk : int
+        Bytes of the file behind the last access: another program may cut it.
     changed : dict of int to bytearray
         Pages that are not yet in their places; at first those of a commit that was cut off.
     failure : tuple or None
@@ -68,13 +70,14 @@ class AtomicFile:
     def __init__(self, source: BinaryIO | WriterLock, path: Path, is_durable: bool = True) -> None:
         self.source, self.path, self.is_durable = source, path, is_durable
         self.descriptor = source.fileno()
-        self.size = os.fstat(self.descriptor).st_size  # as HDF5 sees it
+        self.on_disk = os.fstat(self.descriptor).st_size
+        self.size = self.on_disk  # as HDF5 sees it
         self.place = 0  # of the next read or write
         self.new: dict[int, bytearray] = {}  # pages behind those that were committed
         self.changed = {k: bytearray(page) for k, page in left_over(self.descriptor).items()}
-        self.committed = _pages_in(self.end())
         self.failure: tuple[int | None, str | None, str] | None = None
         self.seconds = 0.0
+        self.committed = _pages_in(self.end())
 
     def __repr__(self) -> str:
         """Return the name, which h5py makes that of the file."""
@@ -117,8 +120,7 @@ class AtomicFile:
             for number, offset, start, stop in pieces(self.place, len(view))
         ]
         if any(page is None for page, _, _, _ in page_pieces):
-            with self.blaming():
-                fill(self.descriptor, self.place, view)
+            self.take(self.place, view)
         for page, offset, start, stop in page_pieces:
             if page is not None:
                 view[start:stop] = page[offset : offset + stop - start]
@@ -154,8 +156,7 @@ class AtomicFile:
             if page is None:
                 page = pages[number] = bytearray(PAGE)
                 if stop - start < PAGE:
-                    with self.blaming():
-                        fill(self.descriptor, number * PAGE, memoryview(page))
+                    self.take(number * PAGE, memoryview(page))
             page[offset : offset + stop - start] = view[start:stop]
 
     def put_all_new(self) -> None:
@@ -166,15 +167,27 @@ class AtomicFile:
 
     def put_new(self, place: int, data: _Buffer) -> None:
         """Write what is new into the file; HDF5 does not learn of a failure, `commit` does."""
-        if self.failure is None:
-            with contextlib.suppress(OSError), self.blaming():
-                put(self.descriptor, place, data)
+        with contextlib.suppress(OSError), self.blaming():
+            put(self.descriptor, place, data)
+
+    def take(self, place: int, view: memoryview) -> None:
+        """Read what is in the file; of a failure HDF5 sees zeros: it crashes where a read fails."""
+        try:
+            with self.blaming():
+                fill(self.descriptor, place, view)
+        except OSError:
+            view[:] = bytes(len(view))
 
     @contextlib.contextmanager
     def blaming(self) -> Iterator[None]:
-        """Name the file in an error, and write no more after it."""
+        """Name the file in an error, and write no more after it; a file that was cut is one."""
         try:
+            if self.failure is not None:
+                raise OSError(*self.failure)
+            if os.fstat(self.descriptor).st_size < self.on_disk:
+                raise OSError(errno.EIO, "was cut by another program meanwhile")
             yield
+            self.on_disk = os.fstat(self.descriptor).st_size
         except OSError as error:
             self.failure = self.failure or (error.errno, error.strerror, str(self.path))
             raise OSError(*self.failure) from None
@@ -196,11 +209,9 @@ class AtomicFile:
             left it, or this commit is done but for its third step.
         """
         self.put_all_new()
-        if self.failure is not None:
-            raise OSError(*self.failure)
+        end = self.end()
         if self.committed and not self.changed:
             return
-        end = self.end()
         behind = max(_pages_in(end), self.committed) * PAGE
         with self.blaming():
             os.ftruncate(self.descriptor, behind)
@@ -208,7 +219,7 @@ class AtomicFile:
             if self.changed:
                 put(self.descriptor, behind, record(behind, self.changed))
                 self.sync()
-            self.settle()
+        self.settle()
         self.committed = _pages_in(end)
 
     def settle(self) -> None:
@@ -232,9 +243,11 @@ class AtomicFile:
         return True
 
     def end(self) -> int:
-        """End of the file as HDF5 has noted it [bytes]."""
+        """End of the file as HDF5 has noted it [bytes]; OSError where something has failed."""
         self.seek(0)
         start = self.read(SUPERBLOCK)
+        if self.failure is not None:
+            raise OSError(*self.failure)
         if not start.startswith(VERSION_0):
             return self.size
         return int(struct.unpack_from("<Q", start, END)[0])

@@ -14,7 +14,7 @@ import h5py
 
 from particlerb.record.atomic import AtomicFile
 from particlerb.record.checked_reading import FAULTS, reason_of
-from particlerb.record.output_path import output_path, short_name, sync
+from particlerb.record.output_path import is_at, output_path, short_name, sync
 from particlerb.record.parts import parts_used_by
 from particlerb.record.writer_lock import InUseError, WriterLock
 
@@ -55,6 +55,7 @@ class OutputFile:
     ) -> None:  # fmt: skip
         self.path, self.is_from_before, self.is_broken = path, place is None, False
         self.place, self.waiting = place, waiting  # None: it is there
+        self.name = path.absolute()  # also where the process goes to another folder
         self.replaced = replaced
         try:
             if waiting is not None:
@@ -105,7 +106,7 @@ class OutputFile:
         """Give a new file its name; raise FileNotFoundError where one from before has none now."""
         if self.place is None or self.waiting is None:
             descriptor = self.disk.descriptor
-            if not os.fstat(descriptor).st_nlink and not _is_at(self.path, descriptor):
+            if not os.fstat(descriptor).st_nlink and not is_at(self.name, descriptor):
                 raise OSError(errno.ENOENT, "was removed or replaced meanwhile", str(self.path))
             return
         self.waiting.replace(self.place)
@@ -120,10 +121,13 @@ class OutputFile:
                 folder.rmdir()  # if it is empty
 
     def close(self) -> None:
-        """Commit and close."""
+        """Commit and close; where it was moved, raise FileNotFoundError with its new name."""
         self.file.close()
         self.disk.commit()
         self.take_place()
+        if not is_at(self.name, self.disk.descriptor):
+            names = str(self.path), None, _name_of(self.disk.descriptor)
+            raise OSError(errno.ENOENT, "was moved meanwhile", *names)
         self.disk.source.close()
 
 
@@ -134,7 +138,7 @@ def waiting_in(folder: Path, place: Path) -> Path:
 
 def _empty(lock: WriterLock, waiting: Path) -> None:
     """Empty it; raise InUseError where another run has just ended, and renamed what was locked."""
-    if not _is_at(waiting, lock.fileno()):
+    if not is_at(waiting, lock.fileno()):
         raise InUseError(errno.EBUSY, "was written by another run just now", str(waiting))
     with _blaming(waiting):
         os.truncate(lock.fileno(), 0)
@@ -168,9 +172,12 @@ def new_file(
     return OutputFile(path, lock, is_durable, place, empty, waiting, replaced)
 
 
-def _is_at(path: Path, descriptor: int) -> bool:
-    """Whether a path leads to an open file."""
-    return path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
+def _name_of(descriptor: int) -> str:
+    """Name of an open file; empty where the system does not say it."""
+    with suppress(OSError):
+        name = os.readlink(f"/proc/self/fd/{descriptor}")
+        return os.path.relpath(name) if is_at(Path(name), descriptor) else ""
+    return ""
 
 
 @contextmanager

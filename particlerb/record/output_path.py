@@ -119,6 +119,11 @@ def short_name(path: Path) -> str:
     return hashlib.sha256(name).hexdigest() + ending
 
 
+def is_at(path: Path, descriptor: int) -> bool:
+    """Whether a path leads to an open file."""
+    return path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
+
+
 def sync(path: Path) -> None:
     """Wait until the disk has a file, or the names in a folder."""
     descriptor = os.open(path, os.O_RDONLY)

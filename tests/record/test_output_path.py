@@ -246,6 +246,67 @@ def test_a_file_that_is_removed_while_it_is_written_is_told(
         assert Path("folder/a.h5").read_text() == "precious"
 
 
+@pytest.fixture
+def disturbed(place, monkeypatch):
+    """Commit each frame, and before the second one do something to the file."""
+    commit, commits = writer.Recorder.commit, []
+
+    def disturb(act):
+        def later(recorder):
+            commits.append(recorder.n_frames)
+            if len(commits) == 2:
+                act()
+            commit(recorder)
+
+        monkeypatch.setattr(writer.Recorder, "commit", later)
+        return commits
+
+    monkeypatch.setattr(writer, "SECONDS_BETWEEN_COMMITS", -1.0)
+    monkeypatch.setattr(frame_times, "BATCH_FRAMES", 1)
+    return disturb
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_a_file_that_is_cut_while_it_is_written_is_told(disturbed, capsys, share):
+    """Zeros would stand where frames were, or HDF5 would end in a traceback."""
+    path = Path("folder/a.h5")
+    commits = disturbed(lambda: os.truncate(path, int(share * path.stat().st_size)))
+    assert main(["run", "a.toml", "-q", "-o", str(path), "--set", "run.t_end=2.0"]) == 1
+    assert len(commits) == 2
+    told = "the run failed: cannot write folder/a.h5: was cut by another program meanwhile; "
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("where", ["file", "folder", "unknown"])
+def test_a_file_that_is_moved_while_it_is_written_is_told_at_the_end(
+    disturbed, capsys, monkeypatch, where
+):
+    """All frames are in it, but not under the name that was asked for."""
+    moved = ("folder", "other") if where == "folder" else ("folder/a.h5", "b.h5")
+    commits = disturbed(lambda: os.rename(*moved))
+    if where == "unknown":  # a system that does not tell
+        monkeypatch.setattr(os, "readlink", failing_readlink)
+    words = ["run", "a.toml", "-q", "-o", "folder/a.h5", "--set", "run.t_end=2.0"]
+    assert main(words) == 1
+    assert len(commits) > 2
+    name = "other/a.h5" if where == "folder" else "b.h5"
+    told = "all frames are kept under another name"
+    told = told if where == "unknown" else f"21 frames are kept in {name}"
+    assert f"cannot write folder/a.h5: was moved meanwhile; {told}" in capsys.readouterr().err
+    assert main(["info", name, "--verify"]) == 0
+
+
+def failing_readlink(path):
+    raise OSError(errno.ENOENT, os.strerror(errno.ENOENT), path)
+
+
+def test_a_process_that_goes_to_another_folder_has_not_moved_its_file(disturbed):
+    """A name is relative to the folder at the beginning."""
+    disturbed(lambda: os.chdir("folder"))
+    assert main(["run", "a.toml", "-q", "-o", "a.h5", "--set", "run.t_end=2.0"]) == 0
+    assert Path("../a.h5").is_file()
+
+
 def test_a_file_system_without_syncs_is_written(tmp_path, monkeypatch):
     """Some have no such call for folders, some for none: there is nothing to wait for."""
 
