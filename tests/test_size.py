@@ -28,7 +28,7 @@ BUDGETS = {
     "collisions by events": 1739,
     "forces: tables, gradients, written by users": 2149,
     "scenes and simulations in Python": 1120,
-    "sweeps": 1641,
+    "sweeps": 1654,
     "one scene over ranks": 2607,
     "reports, pictures, the page": 1849,
     "scenes for other programs": 541,

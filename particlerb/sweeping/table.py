@@ -1,6 +1,7 @@
 """The table of a sweep: one CSV, to which only the driver appends, so that a kill loses nothing."""
 
 import csv
+import errno
 import io
 import math
 import os
@@ -13,7 +14,7 @@ import numpy as np
 
 from particlerb.files import Closing
 from particlerb.maths.vec3 import Floats
-from particlerb.record.output_path import appearing, output_path, remove, sync, sync_open
+from particlerb.record.output_path import appearing, is_at, output_path, remove, sync, sync_open
 from particlerb.record.writer_lock import WriterLock
 from particlerb.sweeping.rows import Row
 from particlerb.sweeping.variants import Variant
@@ -125,7 +126,7 @@ class TableFile(Closing):
         If there is a file that is no table with these columns.
     OSError
         If it cannot be read or written, or if another sweep writes it, or if there is a file where
-        the means of a new table are to be.
+        the means of a new table are to be. Also later, where another program takes or changes it.
     """
 
     def __init__(
@@ -137,6 +138,7 @@ class TableFile(Closing):
         self.known: dict[str, tuple[Any, ...]] = {}  # rows that are done, by their hash
         self._order: list[str] = []  # hashes in the file
         self._was_there = False  # whether rows were in it before
+        self._size = 0  # of the file [bytes]
         self._lock: WriterLock | None = None
         if path is None:
             return
@@ -165,6 +167,7 @@ class TableFile(Closing):
         if not lines:
             _put(path, "ab", [self.columns])
             sync(path.parent)
+        self._size = path.stat().st_size
         rows = [line for line in lines[1:] if line[2:3] == ["done"]]
         try:
             if any(len(row) != len(self.columns) for row in rows):
@@ -183,13 +186,25 @@ class TableFile(Closing):
         self.known.update(zip(hashes, lines, strict=True))
         self._order += hashes
         if self.path is not None:
+            self._refuse_if_disturbed(self.path)
             _put(self.path, "ab", lines)
+            self._size = self.path.stat().st_size
+
+    def _refuse_if_disturbed(self, path: Path) -> None:
+        """Raise OSError where another program has taken the table, or rows of it."""
+        assert self._lock is not None
+        descriptor = self._lock.fileno()
+        if not is_at(path, descriptor) or os.fstat(descriptor).st_size != self._size:
+            told = "was moved, removed, replaced or changed by another program meanwhile"
+            raise OSError(errno.EIO, told, str(path))
 
     def finish(self, variants: Sequence[Variant]) -> SweepRows:
         """Rows of all variants in their order; the file then has these and no others.
 
         Means over replicates are written beside it.
         """
+        if self.path is not None:
+            self._refuse_if_disturbed(self.path)
         first, stop = len(_FIRST_COLUMNS), len(_FIRST_COLUMNS) + self.n_axes
         known = [self.known[v.hash] for v in variants]
         numbers = [row[0] for row in known]

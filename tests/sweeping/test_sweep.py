@@ -430,6 +430,38 @@ def test_a_progress_that_raises_ends_the_sweep_and_costs_no_row(tmp_path, monkey
     assert ran == [(0,), (1,), (2,)]
 
 
+DISTURBANCES = {
+    "moved": lambda path: path.rename(path.with_name("other.csv")),
+    "removed": lambda path: path.unlink(),
+    "replaced": lambda path: path.with_name("b.csv").replace(path),
+    "cut": lambda path: os.truncate(path, 30),
+    "changed": lambda path: path.write_bytes(path.read_bytes() + b"more"),
+}
+
+
+@pytest.mark.parametrize("n_rows", [1, 3])
+@pytest.mark.parametrize("what", DISTURBANCES)
+def test_a_table_that_another_program_takes_is_told(tmp_path, what, n_rows):
+    """Rows went on under its name without the first ones, and the sweep ended well."""
+    path, done = tmp_path / "t.csv", [0]
+    path.with_name("b.csv").write_text("precious")
+
+    def disturb(n):
+        done[0] += n
+        if done[0] == n_rows:
+            DISTURBANCES[what](path)
+
+    with pytest.raises(OSError, match="by another program meanwhile"):
+        in_threads(fallen(), path, progress=disturb)
+    assert done[0] == n_rows
+    if what == "moved":
+        in_threads(fallen(), path)
+        in_threads(fallen(), path.with_name("other.csv"))
+        assert path.with_name("other.csv").read_text() == path.read_text()
+    if what == "replaced":
+        assert path.read_text() == "precious"
+
+
 def test_a_table_that_is_begun_anew_is_lost_only_if_the_sweep_can_be_run(tmp_path):
     path = tmp_path / "t.csv"
     whole = in_threads(fallen(), path)
