@@ -27,7 +27,7 @@ BUDGETS = {
     "contact by impulses": 4206,
     "collisions by events": 1739,
     "forces: tables, gradients, written by users": 2149,
-    "scenes and simulations in Python": 1120,
+    "scenes and simulations in Python": 1124,
     "sweeps": 1654,
     "one scene over ranks": 2607,
     "reports, pictures, the page": 1849,

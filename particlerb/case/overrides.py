@@ -61,7 +61,7 @@ def with_values(raw: Any, paths: Sequence[Path], values: Sequence[Any]) -> Any:
 
 
 def with_value(node: Any, path: Path, value: Any) -> Any:
-    """Copy of nested tables and lists with one entry set; missing tables are made.
+    """Copy of nested tables and lists with one entry set; tables missing, or None, are made.
 
     Raises
     ------
@@ -74,8 +74,11 @@ def with_value(node: Any, path: Path, value: Any) -> Any:
     if not isinstance(node, list):
         if not isinstance(node, (dict, Mapping)):  # dict is quick to see
             raise LookupError(f"there is no {shown(head)} in {shown(node)}")
-        return {**node, str(head): with_value(node.get(str(head), {}), rest, value)}
-    if not isinstance(head, int) or head >= len(node):
+        inner = node.get(str(head))
+        if inner is None:
+            inner = [] if rest and isinstance(rest[0], int) else {}
+        return {**node, str(head): with_value(inner, rest, value)}
+    if not isinstance(head, int) or not 0 <= head < len(node):
         raise LookupError(
             f"there is no entry {shown(head)} of {len(node)}, counted from 0 as in body.0"
         )

@@ -130,9 +130,9 @@ def key_of(path: Path) -> str:
 
 def path_of(key: str) -> Path:
     """Path of a key, body[0].mass or body.0.mass; what has another form is a part by itself."""
-    is_key = re.fullmatch(r"[^.\[\]]+(\.[^.\[\]]+|\[\d+\])*", key)
+    is_key = re.fullmatch(r"[^.\[\]]+(\.[^.\[\]]+|\[-?\d+\])*", key)
     parts = re.findall(r"[^.\[\]]+", key) if is_key else [key] * bool(key)
-    return tuple(int(part) if re.fullmatch("[0-9]{1,10}", part) else part for part in parts)
+    return tuple(int(part) if re.fullmatch("-?[0-9]{1,10}", part) else part for part in parts)
 
 
 def shown(value: Any) -> str:

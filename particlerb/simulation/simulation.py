@@ -214,9 +214,9 @@ class Simulation(Closing):
     def change(self, key: str, value: Any) -> None:
         """Change a key of a force, a wall, a joint, gravity, attraction, contact or the run.
 
-        It holds from now on; bodies keep their states, and what changes the energy counts as
-        work. A value that is there already changes nothing. Of joints the numbers of springs,
-        dampers, stops, motors, friction and drives may change, and of bodies how they are driven.
+        It holds from now on; bodies keep their states, and what changes the energy is work. A value
+        that is there already changes nothing. Of joints the numbers of springs, dampers, stops,
+        motors, friction and drives may change, and of bodies how they are driven.
 
         Parameters
         ----------
@@ -257,9 +257,8 @@ class Simulation(Closing):
         Raises
         ------
         ValueError
-            If a shape is wrong, a number not finite, or if joints hold the bodies; if a body that
-            is fixed would get a velocity, another state what moves as prescribed, or a spin what
-            has no moment of inertia about it.
+            If a shape is wrong, a number not finite, or joints hold the bodies; if what is fixed
+            would get a velocity, what is driven another state, what has no inertia about it a spin.
         CaseError
             If bodies would lie beyond a wall, or overlap by more than a radius.
         """

@@ -215,6 +215,8 @@ def test_overrides_of_a_case_keep_earlier_ones_and_leave_it_alone():
         ("run..dt=1", "--set run..dt: error: run..dt: unknown key"),
         ("=1", "--set : error: must have the form key=value"),
         ("body.2.mass=1", "--set body.2.mass: error: body[2].mass: there is no entry 2 of 2"),
+        ("body[-1].mass=1", "--set body[-1].mass: error: body[-1].mass: there is no entry -1 of 2"),
+        ("joint[0].motor=1", "joint[0].motor: there is no entry 0 of 0, counted from 0"),
         ("body.x.mass=1", "no entry 'x' of 2, counted from 0 as in body.0"),
         ("run.t_end.x=1", "--set run.t_end.x: error: run.t_end.x: there is no 'x' in 5.0"),
         ("title=0.5", "--set title: error: title: must be a text, got a number: 0.5"),

@@ -190,12 +190,19 @@ def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
         ("force[0].torque", 3.0, "must be a list of 3 numbers"),
         ("force[7].torque", [0, 0, 1], "there is no entry 7"),
         ("run.method", "moreau", "moreau is for contact by impulses"),
-        ("run..dt", 0.01, r"run\.\.dt: cannot change in a simulation"),
-        (3, 0.01, "cannot change in a simulation"),
+        ("run..dt", 0.01, r"run\.\.dt: unknown key"),
+        ("forces[0].torque", [0, 0, 1], r"forces\[0\]\.torque: unknown key\n.*what may: force,"),
+        ("force[-1].torque", [0, 0, 1], r"force\[-1\]\.torque: there is no entry -1 of 2"),
+        ("force[0].torque[-1]", 1.0, r"force\[0\]\.torque\[-1\]: there is no entry -1 of 3"),
+        ("wall[0].friction", 0.1, r"wall\[0\]\.friction: there is no entry 0 of 0"),
+        (3, 0.01, "unknown key"),
         ("force[0].torque", object(), "must be a list of 3 numbers"),
     ]:
         with pytest.raises(CaseError, match=words):
             simulation.change(key, value)
+    simulation.change("gravity", None)
+    with pytest.raises(CaseError, match=r"gravity\.acceleration: must have 3 entries, has 2"):
+        simulation.change("gravity.acceleration", [0, 0])
     for every in (-1, 1e-320, 1e-17):  # multiples of the last two are not told apart
         with pytest.raises(ValueError, match=r"frames\(every=.*\): must be above 0 s"):
             next(simulation.frames(every=every))
