@@ -143,39 +143,57 @@ class EnergyBalance:
     def drift(
         self, bodies: Bodies, com: Floats, duration: float, ranks: Ranks = ALONE, g: float = 0.0
     ) -> ConservationError:
-        """Largest errors until now over the largest scales.
-
-        Where nothing moves but by rounding, the scales are those of a motion that is seen; where
-        momenta are nothing beside what weights give them and what bears them takes, it is that.
-        Energies and angular momenta are judged no finer than weights at their distances round.
-
-        Parameters
-        ----------
-        bodies, com
-            Constants, and centres of mass (3, n) at the start [m].
-        duration : float [s]
-            Of the run.
-        ranks : Ranks
-            Each with bodies of its own.
-        g : float [m/s²]
-            Size of the acceleration of gravity.
-        """
-        sizes = _sizes(bodies, com, len(self.initial))
-        reaches = [reach.max(axis=0, initial=0.0) for reach, _ in ranks.gathered(sizes)]
-        R = np.max(reaches, axis=0)
-        mass = summed(sizes[1], ranks)
-        momentum = mass * R / duration
-        seen = np.stack([momentum * R / duration, momentum, momentum * R])
-        seen[0] += np.abs(self.initial[:, 0])
-        is_still = self.scales[0] < _STILL_ENERGY_SHARE * seen[0]
-        scales = np.where(is_still, np.maximum(self.scales, seen), self.scales)
-        weight = mass * g * duration
-        scales[1] = np.where(scales[1] < _BORNE_SHARE * weight, weight, scales[1])
-        scales[0] = np.maximum(scales[0], _WEIGHT_ROUNDING * mass * g * R)
-        scales[2] = np.maximum(scales[2], _WEIGHT_ROUNDING * weight * R)
-        safe: Floats = np.where(scales > 0.0, scales, 1.0)
-        relative = self.errors / safe
+        """Largest errors until now over the largest scales; arguments as of `scales_seen`."""
+        given = bodies, com, duration, ranks, g
+        relative = self.errors / scales_seen(self.scales, self.initial[:, 0], *given)
         return ConservationError(*(relative if self.shape else relative[:, 0]).tolist())
+
+
+def scales_seen(
+    scales: Floats,
+    energy: Floats,
+    bodies: Bodies,
+    com: Floats,
+    duration: float,
+    ranks: Ranks = ALONE,
+    g: float = 0.0,
+) -> Floats:
+    """Scales by which errors are judged, (3, n_worlds), none of them zero.
+
+    Where nothing moves but by rounding, the scales are those of a motion that is seen; where
+    momenta are nothing beside what weights give them and what bears them takes, it is that.
+    Energies and angular momenta are judged no finer than weights at their distances round.
+
+    Parameters
+    ----------
+    scales : ndarray, shape (3, n_worlds)
+        Largest kinetic energy or work [J], Σ|p| [kg m/s] and Σ|L| [kg m²/s].
+    energy : ndarray, shape (n_worlds,) [J]
+        At the start.
+    bodies, com
+        Constants, and centres of mass (3, n) at the start [m].
+    duration : float [s]
+        Of the run.
+    ranks : Ranks
+        Each with bodies of its own.
+    g : float [m/s²]
+        Size of the acceleration of gravity.
+    """
+    sizes = _sizes(bodies, com, len(energy))
+    reaches = [reach.max(axis=0, initial=0.0) for reach, _ in ranks.gathered(sizes)]
+    R = np.max(reaches, axis=0)
+    mass = summed(sizes[1], ranks)
+    momentum = mass * R / duration
+    seen = np.stack([momentum * R / duration, momentum, momentum * R])
+    seen[0] += np.abs(energy)
+    is_still = scales[0] < _STILL_ENERGY_SHARE * seen[0]
+    scales = np.where(is_still, np.maximum(scales, seen), scales)
+    weight = mass * g * duration
+    scales[1] = np.where(scales[1] < _BORNE_SHARE * weight, weight, scales[1])
+    scales[0] = np.maximum(scales[0], _WEIGHT_ROUNDING * mass * g * R)
+    scales[2] = np.maximum(scales[2], _WEIGHT_ROUNDING * weight * R)
+    safe: Floats = np.where(scales > 0.0, scales, 1.0)
+    return safe
 
 
 def _sizes(bodies: Bodies, com: Floats, n_worlds: int) -> Floats:

@@ -11,7 +11,10 @@ import pytest
 
 import particlerb
 from particlerb.case.problems import Source
+from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.files import Files
+from particlerb.simulation.run import prepare, run_unrecorded
 from particlerb.studies.charts import solids
 from particlerb.studies.charts import trajectory as chart
 from particlerb.studies.charts.bodies import side_axes
@@ -94,6 +97,17 @@ def libration(make):
                      dt=0.1)  # fmt: skip
 
 
+def one_of_many_turns(make):
+    """Fifteen points and a body that spins: no part of what is drawn of all."""
+    grid = {"type": "grid", "spacing": 0.3, "n": [5, 3, 1]}
+    point = {"name": "point", "shape": {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}}
+    case = make.case(point | {"count": 15, "place": grid, "velocity": [1.0, 0, 0]},
+                     make.body("body", position=[9.0, 0, 0], angular_velocity=[0, 0, 2.0]),
+                     t_end=0.2, dt=0.1)  # fmt: skip
+    hold = {"type": "hinge", "body": "body", "at": [9.0, 0, 0], "axis": [0, 0, 1]}
+    return case | {"joint": [hold]}
+
+
 def layer(make):
     grid = {"type": "grid", "spacing": 0.3, "n": [5, 3, 1]}
     ball = {"name": "ball", "shape": BALL, "mass": 2.0, "count": 15, "place": grid}
@@ -125,6 +139,7 @@ SCENES = {
     flip: ["angular velocity of body, body frame", "angle of the y axis of body"],
     libration: ["angular velocities", "longest axis to the line to the centre"],
     layer: ["energies", "speeds"],
+    one_of_many_turns: ["speeds", "energies"],
     apart: ["energies", "angular velocities"],
     points_apart: ["energies", "speeds"],
 }
@@ -475,7 +490,47 @@ def test_what_slides_is_seen_beside_its_way(make, monkeypatch):
     case |= {"contact": heap(make)["contact"], "wall": [FLOOR]}
     figure, _ = drawn(case, monkeypatch)
     assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("x [m]", "z [m]")
-    assert panel(figure, "speeds").lines
+    lines = {line.get_label(): line for line in panel(figure, "speeds, and slip on the wall").lines}
+    slip = lines["slip of at 1.0"]  # friction is 0: it stays the speed
+    assert slip.get_ydata() == pytest.approx(10.0, rel=1e-12)
+
+
+def test_a_ball_that_rolls_has_no_slip(make, monkeypatch):
+    """v = ω R about y, while the other turns about the vertical alone."""
+    ball = {"shape": BALL, "mass": 1.0, "velocity": [10.0, 0, 0]}
+    spins = {"rolls": [0, 100.0, 0], "slides": [0, 0, 10.0]}
+    two = [
+        ball | {"name": name, "position": [0, y, 0.1], "angular_velocity": spin}
+        for y, (name, spin) in enumerate(spins.items())
+    ]
+    case = make.case(*two, gravity=GRAVITY, t_end=0.03, every=0.01, dt=1e-3)
+    figure, _ = drawn(case | {"contact": CONTACT, "wall": [FLOOR]}, monkeypatch)
+    lines = panel(figure, "speeds, and slip on the wall").lines
+    slip = {line.get_label(): line.get_ydata() for line in lines}
+    assert np.abs(slip["slip of rolls"]).max() < 1e-12
+    assert slip["slip of slides"] == pytest.approx(10.0, rel=1e-12)
+
+
+def test_errors_of_a_scene_at_rest_are_those_of_the_report(make, monkeypatch):
+    """Scales were energies and momenta of rounding: 1e-3 where the run said 7e-8."""
+    place = {"type": "grid", "spacing": 0.2, "n": [1, 1, 3], "origin": [0.7, 0.3, 0.3]}
+    ball = {"name": "ball", "shape": BALL, "mass": 1.1, "count": 3, "place": place}
+    case = make.case(ball, gravity=GRAVITY, t_end=0.5, every=0.1, dt=1e-2)
+    case |= {"contact": {"law": "impulse", "friction": 0.5, "restitution": 0.0}, "wall": [FLOOR]}
+    figure, _ = drawn(case, monkeypatch)
+    drift = run_unrecorded(prepare(to_system(load(case)))).drift
+    _, *momenta = [line.get_ydata()[-1] for line in panel(figure, ERRORS).get_lines()[:3]]
+    assert momenta == pytest.approx(list(drift[1:]), rel=1e-9, abs=0.0)
+
+
+def test_small_values_have_their_power_of_ten_in_the_unit(make, monkeypatch):
+    """It stood over the other end of the panel."""
+    ball = {"name": "ball", "shape": BALL, "mass": 1e-9, "velocity": [1.0, 0, 0]}
+    figure, _ = drawn(make.case(ball, gravity=GRAVITY, t_end=0.2), monkeypatch)
+    axes = panel(figure, "energies")
+    assert axes.get_ylabel() == "E [1e-9 J]"
+    figure.draw_without_rendering()
+    assert not axes.yaxis.get_offset_text().get_text()
 
 
 def test_a_wall_that_moves_is_drawn_where_it_is(make, monkeypatch):

@@ -16,7 +16,7 @@ from particlerb.model.state import axes_across, rotate, rotation_matrix
 from particlerb.record import schema
 from particlerb.record.trajectory import Trajectory
 from particlerb.studies.charts import solids
-from particlerb.studies.charts.style import COLOURS, INK, finish_view, line_style, plain
+from particlerb.studies.charts.style import COLOURS, INK, finish_view, in_powers, line_style, plain
 
 _ATTITUDES: Final = 7
 _APART: Final = 1.25  # of orientations, in diagonals of the body
@@ -108,10 +108,13 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     if trajectory.n_bodies <= FEW or (are_few_boxes and not radii.any()):
         _draw_outlines(axes, trajectory, frame, (across, up), tints)
     if trajectory.n_bodies <= FEW:
-        for path in np.moveaxis(trajectory.read("position")[: frame + 1], 1, 0):
-            axes.plot(*path[:, shown].T, color=COLOURS[1], lw=1.2)
+        paths = np.moveaxis(trajectory.read("position")[: frame + 1, :, shown], 1, 0)
+        for path in paths:
+            axes.plot(*path.T, color=COLOURS[1], lw=1.2)
     rest = "at rest" if frame else "all begin at rest"
     words = rest if is_still else f"blue: up to {speed.max():.3g} m/s"
+    has_paths = trajectory.n_bodies <= FEW and np.ptp(paths, axis=1).max() > _STILL_SHARE * reach
+    words += "; orange: paths" if has_paths else ""
     title = f"t = {trajectory.time[frame]:.4g} s; {words}"
     finish_view(axes, title, f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]")
 
@@ -131,6 +134,26 @@ def draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -
     low, middle, high = np.percentile(values, (10.0, 50.0, 90.0), axis=1)
     axes.fill_between(time, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="10 to 90 %")
     axes.plot(time, middle, color=COLOURS[0], lw=_LINE_WIDTH, label=f"median of {n}")
+
+
+def draw_slips(axes: Axes, trajectory: Trajectory) -> bool:
+    """Speeds of the lowest points of a few balls on a plane, dashed; False where it is no such."""
+    walls = trajectory.parameter("case_resolved")["wall"]
+    edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))
+    body, particle = trajectory.constituents
+    radius = np.zeros(trajectory.n_bodies)
+    np.maximum.at(radius, body, trajectory.particles.radius[particle])
+    are_round = np.allclose(edges, 2.0 * radius[:, None], rtol=1e-6) and radius.all()
+    kinds = [wall["type"] for wall in walls]
+    if kinds != ["plane"] or not are_round or trajectory.n_bodies > len(COLOURS):
+        return False
+    down = -np.array(walls[0]["normal"]) / np.linalg.norm(walls[0]["normal"])
+    rim = np.cross(trajectory.angular_velocity, radius[:, None] * down)
+    slip = np.linalg.norm(np.cross(trajectory.velocity + rim, down), axis=2)
+    for k in range(trajectory.n_bodies):
+        label = f"slip of {trajectory.names[k]}"
+        axes.plot(trajectory.time, slip[:, k], "--", color=COLOURS[k], lw=_LINE_WIDTH, label=label)
+    return True
 
 
 def draw_at_rest(axes: Axes, trajectory: Trajectory, shown: list[int]) -> None:
@@ -194,15 +217,13 @@ def set_equal_scale(axes: Axes3D, points: Floats, unit: str = " [m]") -> None:
     half = np.where(half > 0.0, 1.05 * half, 1.0)
     middle = (low + high) / 2.0
     x, y, z = zip(middle - half, middle + half, strict=True)
-    power = 3 * int(np.log10(max(np.abs([x, y, z]).max(), 1e-300)) // 3)
-    power = power if abs(power) > 3 and unit else 0
-    unit = unit.replace("[", f"[1e{power} ") if power else unit
-    labels = {f"{letter}label": f"{letter}{unit}" for letter in "xyz"}
-    axes.set(xlim=x, ylim=y, zlim=z, **labels)
-    shares = half / half.max()
-    for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), shares.tolist(), strict=True):
+    axes.set(xlim=x, ylim=y, zlim=z)
+    shares, largest = half / half.max(), [float(np.abs([x, y, z]).max())]
+    by_axis = (axes.xaxis, axes.yaxis, axes.zaxis)
+    for letter, axis, share in zip("xyz", by_axis, shares.tolist(), strict=True):
         axis.get_major_locator().set_params(nbins=max(2, round(4.0 * share)))
-        axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.6g}")
+        axis.set_major_formatter(lambda value, _: f"{value:.6g}")
+        axis.set_label_text(in_powers(axis, largest, f"{letter}{unit}"))
         axis.labelpad = 6.0  # beside the values, not over them
     axes.set_box_aspect(shares)
 

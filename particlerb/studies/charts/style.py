@@ -1,12 +1,14 @@
 """Colours, lines and panels that all pictures share."""
 
 import io
+import math
 from collections.abc import Sequence
 from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 
 from particlerb.maths.vec3 import Floats
@@ -31,6 +33,8 @@ METHOD_COLOURS: Final = {
 }
 INK: Final = "#333333"
 GRID: Final = "#dddddd"
+_TIMES: Final = 6  # steps between times at most: values of short runs are long
+_HANDLE, _ROW = 6, 84  # letters beside a name, and of a row, of a legend as wide as a panel
 
 
 class Picture(Figure):
@@ -74,6 +78,33 @@ def finish_panel(axes: Axes, title: str = "", pad: float | None = None, **settin
     axes.set_title(plain(title), fontsize=10, loc="left", color=INK, pad=pad)
     axes.grid(color=GRID, lw=0.6)
     bare(axes)
+
+
+def finish_over_time(axes: Axes, title: str, label: str) -> None:
+    """What all panels over time have in common: a legend below the title, values that differ."""
+    names = axes.get_legend_handles_labels()[1]
+    rows = max(1, math.ceil((sum(map(len, names)) + _HANDLE * len(names)) / _ROW))
+    low, high = axes.get_ylim()
+    if axes.get_yscale() == "linear":
+        if high - low < 1e-6 * max(abs(low), abs(high)):
+            axes.set_ylim(*sorted((0.0, 2.0 * low)))
+        label = in_powers(axes.yaxis, axes.get_ylim(), label)
+    finish_panel(axes, title, 7 + 11 * rows, xlabel="t [s]", ylabel=label)
+    axes.legend(
+        fontsize=7.5, ncols=math.ceil(len(names) / rows), loc="lower left",
+        bbox_to_anchor=(0.0, 1.0), frameon=False, handlelength=1.4, columnspacing=1.0,
+        labelspacing=0.3, borderaxespad=0.2, borderpad=0.0,
+    )  # fmt: skip
+    axes.locator_params(axis="x", nbins=_TIMES)
+
+
+def in_powers(axis: Axis, values: Sequence[float], label: str) -> str:
+    """Label of an axis: values far from 1 are shown in powers of ten, which its unit has then."""
+    power = 3 * int(np.log10(max(np.abs(values).max(), 1e-300)) // 3)
+    if abs(power) <= 3 or "[" not in label:
+        return label
+    axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.9g}")
+    return label.replace("[", f"[1e{power} ")
 
 
 def finish_view(axes: Axes, title: str, across: str, up: str) -> None:

@@ -4,7 +4,6 @@ The panels depend on the scene: for many bodies that touch a side view, for orbi
 joints their coordinates or forces, for a top nutation and precession, for one body its rates.
 """
 
-import math
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -17,12 +16,13 @@ from matplotlib.gridspec import SubplotSpec
 
 from particlerb.files import path_of
 from particlerb.maths.vec3 import Floats
+from particlerb.model.balance import scales_seen
 from particlerb.model.state import derived, rotate
 from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.rotors.rotor_class import SYMMETRIC
 from particlerb.studies.charts import bodies
 from particlerb.studies.charts.linkage import draw_linkage, jointed, mechanism_of
-from particlerb.studies.charts.style import COLOURS, INK, Picture, finish_panel, plain, write_beside
+from particlerb.studies.charts.style import COLOURS, INK, Picture, finish_over_time, plain
 from particlerb.words import count_of
 
 _MIN_TURN: Final = 1e-6  # rad in the whole time
@@ -32,8 +32,6 @@ _FLAT_SHARE: Final = 0.01  # the same of energies beside the largest of them
 _EXCHANGE: Final = 100.0  # times the largest error: change of energy which is more than that
 _LEVEL_SHARE: Final = 0.01  # change of height beside that of place which is none
 _MIN_ERROR: Final = 1e-17  # that is drawn
-_TIMES: Final = 6  # steps between times at most: values of short runs are long
-_HANDLE, _ROW = 6, 84  # letters beside a name, and of a row, of a legend as wide as a panel
 _MAX_BODIES_SAMPLED: Final = 1000  # whose heights are looked at
 
 
@@ -238,7 +236,9 @@ def _draw_energies(axes: Axes, trajectory: Trajectory) -> None:
     for name, (line, colour, dashes) in parts.items():
         shown = line - line[0] * is_small
         axes.plot(trajectory.time, shown, dashes, color=colour, lw=1.3, label=name)
-    finish(axes, *(("change of energies", "E - E(0) [J]") if is_small else ("energies", "E [J]")))
+    finish_over_time(
+        axes, *(("change of energies", "E - E(0) [J]") if is_small else ("energies", "E [J]"))
+    )
 
 
 def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
@@ -246,14 +246,15 @@ def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> N
     time = trajectory.time
     if "contact_number" in trajectory.other_fields:
         bodies.draw_lines(axes, time, trajectory.contact_number.astype(float), trajectory.names)
-        finish(axes, "contacts of a body", "number")
+        finish_over_time(axes, "contacts of a body", "number")
     elif case["gravity"] and _rises(trajectory):
         up, some = bodies.upright(trajectory), _shown(trajectory.n_bodies, _MAX_BODIES_SAMPLED, 0)
         heights = trajectory.read("position", bodies=some)[:, :, up]
         _draw_places(axes, trajectory, heights, "height of bodies", "xyz"[up])
     elif not case["attraction"]:
         bodies.draw_lines(axes, time, np.linalg.norm(trajectory.velocity, axis=2), trajectory.names)
-        finish(axes, "speeds", "|v| [m/s]")
+        slips = bodies.draw_slips(axes, trajectory)
+        finish_over_time(axes, "speeds, and slip on the wall" if slips else "speeds", "[m/s]")
     else:
         x = trajectory.read("position")
         centre = np.average(x, axis=1, weights=trajectory.mass)[:, None]
@@ -267,7 +268,7 @@ def _draw_places(axes: Axes, trajectory: Trajectory, x: Floats, title: str, lett
     is_small = _STILL_SHARE * size < moved < _SMALL_SHARE * size
     bodies.draw_lines(axes, trajectory.time, x - x[0] * is_small, trajectory.names)
     before, after = ("change of ", f" - {letter}(0)") if is_small else ("", "")
-    finish(axes, f"{before}{title}", f"{letter}{after} [m]")
+    finish_over_time(axes, f"{before}{title}", f"{letter}{after} [m]")
 
 
 def _rises(trajectory: Trajectory) -> bool:
@@ -291,7 +292,7 @@ def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) ->
         angles.append(np.degrees(np.arctan2(across, np.abs((axis * r).sum(axis=1)))))
     names = [trajectory.names[b] for b in shown]
     bodies.draw_lines(axes, trajectory.time, np.array(angles).T, names)
-    finish(axes, "longest axis to the line to the centre", "angle [°]")
+    finish_over_time(axes, "longest axis to the line to the centre", "angle [°]")
 
 
 def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
@@ -299,11 +300,11 @@ def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> No
     time, fields = trajectory.time, trajectory.other_fields
     if "joint_coordinate" in fields and trajectory.joint_coordinate.size:
         bodies.draw_lines(axes, time, trajectory.joint_coordinate, trajectory.coordinate_names)
-        finish(axes, "joint coordinates", "angle [rad] or length [m]")
+        finish_over_time(axes, "joint coordinates", "angle [rad] or length [m]")
     elif "joint_force" in fields and np.isfinite(trajectory.joint_force).any():
         forces = np.linalg.norm(trajectory.joint_force, axis=2)
         bodies.draw_lines(axes, time, forces, trajectory.joint_names)
-        finish(axes, "forces in joints", "|F| [N]")
+        finish_over_time(axes, "forces in joints", "|F| [N]")
     else:
         _draw_rates(axes, trajectory, case)
 
@@ -312,12 +313,12 @@ def _draw_rates(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> Non
     """Angular velocities of all bodies; speeds where nothing turns."""
     time, names = trajectory.time, trajectory.names
     rates = np.linalg.norm(trajectory.angular_velocity, axis=2)
-    if rates.max() * np.ptp(time) > _MIN_TURN:
+    if np.percentile(rates.max(axis=0), 90.0) * np.ptp(time) > _MIN_TURN:  # of those drawn
         bodies.draw_lines(axes, time, rates, names)
-        finish(axes, "angular velocities", "|ω| [rad/s]")
+        finish_over_time(axes, "angular velocities", "|ω| [rad/s]")
     else:
         bodies.draw_lines(axes, time, np.linalg.norm(trajectory.velocity, axis=2), names)
-        finish(axes, "speeds", "|v| [m/s]")
+        finish_over_time(axes, "speeds", "|v| [m/s]")
 
 
 def _draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> None:
@@ -326,7 +327,7 @@ def _draw_angular_velocity(axes: Axes, trajectory: Trajectory, body: int) -> Non
     for k, letter in enumerate("xyz"):
         axes.plot(time, omega[:, k], color=COLOURS[k], lw=1.3, label=f"ω{letter}")
     axes.plot(time, np.linalg.norm(omega, axis=1), color=INK, lw=1.0, ls="--", label="|ω|")
-    finish(axes, f"angular velocity of {trajectory.names[body]}, body frame", "ω [rad/s]")
+    finish_over_time(axes, f"angular velocity of {trajectory.names[body]}, body frame", "ω [rad/s]")
 
 
 def _draw_axis(axes: Axes, trajectory: Trajectory, body: int, is_free: bool) -> None:
@@ -340,7 +341,9 @@ def _draw_axis(axes: Axes, trajectory: Trajectory, body: int, is_free: bool) -> 
     angle = np.degrees(np.arctan2(across, axis @ towards))
     what = "the angular momentum" if is_free else "its start"
     axes.plot(trajectory.time, angle, color=COLOURS[0], lw=1.3, label=f"with {what}")
-    finish(axes, f"angle of the {'xyz'[spun]} axis of {trajectory.names[body]}", "angle [°]")
+    finish_over_time(
+        axes, f"angle of the {'xyz'[spun]} axis of {trajectory.names[body]}", "angle [°]"
+    )
 
 
 def _draw_nutation(axes: Axes, trajectory: Trajectory, body: int) -> None:
@@ -355,46 +358,32 @@ def _draw_nutation(axes: Axes, trajectory: Trajectory, body: int) -> None:
     line = other.plot(trajectory.time, precession, color=COLOURS[1], lw=1.3)
     axes.plot([], [], color=line[0].get_color(), label="precession (right)")
     other.set_ylabel("precession [°]", color=COLOURS[1])
-    finish(axes, f"axis of {trajectory.names[body]}", f"angle with {'xyz'[up]} [°]")
+    finish_over_time(axes, f"axis of {trajectory.names[body]}", f"angle with {'xyz'[up]} [°]")
 
 
 def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
-    """Largest errors of integration so far, relative to what is turned over."""
-    ledger = trajectory.ledger
-    linear, angular = trajectory.momentum_sizes()
+    """Largest errors of integration so far, relative to the scales of the report of a run."""
+    ledger, case = trajectory.ledger, trajectory.parameter("case_resolved")
     turned_over = max(ledger.kinetic_energy.max(), np.abs(ledger.work).max())
-    errors = (
-        ("energy", np.abs(ledger.energy_error), turned_over),
-        ("momentum", np.linalg.norm(ledger.linear_momentum_error, axis=1), linear),
-        ("angular momentum", np.linalg.norm(ledger.angular_momentum_error, axis=1), angular),
-    )
+    sizes = np.array([[turned_over], *([size] for size in trajectory.momentum_sizes())])
+    g = float(np.linalg.norm(case["gravity"]["acceleration"])) if case["gravity"] else 0.0
+    start, duration = trajectory.read("position", 0).T, case["run"]["t_end"]
+    scales = scales_seen(sizes, ledger.energy[:1], trajectory.bodies, start, duration, g=g)
+    errors = {
+        "energy": np.abs(ledger.energy_error),
+        "momentum": np.linalg.norm(ledger.linear_momentum_error, axis=1),
+        "angular momentum": np.linalg.norm(ledger.angular_momentum_error, axis=1),
+    }
     time, epsilon = trajectory.time, np.finfo(float).eps
-    for (name, error, scale), colour in zip(errors, COLOURS, strict=True):
-        drift = np.maximum.accumulate(error) / (scale or 1.0)
+    for (name, error), scale, colour in zip(errors.items(), scales, COLOURS, strict=True):
+        drift = np.maximum.accumulate(error) / scale
         lowest = "" if drift[-1] > _MIN_ERROR else f" (< {_MIN_ERROR:g})" if drift[-1] else " (0)"
         label = f"{name}{lowest}"
         axes.semilogy(time, np.where(drift > 0.0, drift, np.nan), color=colour, lw=1.3, label=label)
-    axes.axhline(epsilon, color=INK, lw=0.8, ls=":", marker="None")
-    text = "machine epsilon"
-    write_beside(axes, 0.99, 0.9 * epsilon, text, fontsize=8, color=INK, ha="right", va="top")
+    axes.axhline(epsilon, color=INK, lw=0.8, ls=":", marker="None", label="machine epsilon")
     axes.set_ylim(_MIN_ERROR, max(axes.get_ylim()[1], 1e-14))
     axes.update_datalim([(t, epsilon) for t in time[[0, -1]]])  # where there is no error
     axes.autoscale_view(scaley=False)
-    finish(axes, "conservation errors: largest so far", "relative, work of forces counted")
-
-
-def finish(axes: Axes, title: str, label: str) -> None:
-    """What all panels over time have in common: a legend below the title, values that differ."""
-    names = axes.get_legend_handles_labels()[1]
-    rows = max(1, math.ceil((sum(map(len, names)) + _HANDLE * len(names)) / _ROW))
-    finish_panel(axes, title, 7 + 11 * rows, xlabel="t [s]", ylabel=label)
-    axes.legend(
-        fontsize=7.5, ncols=math.ceil(len(names) / rows), loc="lower left",
-        bbox_to_anchor=(0.0, 1.0), frameon=False, handlelength=1.4, columnspacing=1.0,
-        labelspacing=0.3, borderaxespad=0.2, borderpad=0.0,
-    )  # fmt: skip
-    axes.locator_params(axis="x", nbins=_TIMES)
-    axes.yaxis.set_offset_position("right")  # a common power of ten: the legend is at the left
-    low, high = axes.get_ylim()
-    if axes.get_yscale() == "linear" and high - low < 1e-6 * max(abs(low), abs(high)):
-        axes.set_ylim(*sorted((0.0, 2.0 * low)))
+    finish_over_time(
+        axes, "conservation errors: largest so far", "relative, work of forces counted"
+    )
