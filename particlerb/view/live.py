@@ -5,6 +5,7 @@ time that it covers.
 """
 
 import contextlib
+import math
 import os
 import time
 from collections import deque
@@ -97,7 +98,7 @@ class Live(Page):
         self.arm = self.corner()
         self.arrows.forget()
         self.history: deque[tuple[float, ...]] = deque(maxlen=_MAX_CHART_POINTS)
-        self.reference: tuple[float, float] | None = None  # energy error, |L| after the push
+        self.reference: Floats | None = None  # (4,) errors of energy and angular momentum then
         self.next_numbers = self.next_charts = self.speed_so_far = 0.0
 
     def corner(self) -> Floats:
@@ -353,7 +354,7 @@ class Live(Page):
         parts = number_tables.state_parts(session.system, b, motion, self.speed_so_far)
         last, end = session.last.get(b), session.ends.get(b)
         if last is not None:
-            parts = [number_tables.push_part(last, self.drift(last, motion)), *parts]
+            parts = [number_tables.push_part(last, self.drift(last)), *parts]
             joints = self.stage.joints
             if joints is None or b not in joints.held:  # whose joints push too
                 rows = () if end is None else tuple(values[0] for values in end[:4])
@@ -368,17 +369,15 @@ class Live(Page):
             pace += f", computing reaches {1.0 / self.cost:.2g} × real time"
         self.write_status(f"<b>t = {session.time!r} s</b> · {state} · {pace}", session.warnings)
 
-    def drift(self, applied: AppliedPush, motion: BodyMotion) -> tuple[float, float] | None:
-        """Errors of energy and |L| since a push has ended, relative; None while it lasts."""
+    def drift(self, applied: AppliedPush) -> tuple[float, float] | None:
+        """Errors of energy and L of the scene since a push has ended, relative; None before."""
         if self.session.time < applied.stop:
             return None
-        entries = self.session.entries
-        error = float(entries.energy_error[0])
-        size = float(np.linalg.norm(motion.angular_momentum))
+        errors, scales = self.session.errors()
         if self.reference is None:
-            self.reference = error, size
-        energy = max(abs(float(entries.kinetic_energy[0])), 1e-300)
-        return (error - self.reference[0]) / energy, (size - self.reference[1]) / max(size, 1e-300)
+            self.reference = errors
+        energy, *L = ((errors - self.reference) / scales).tolist()
+        return energy, math.hypot(*L)
 
 
 def rests(system: System) -> bool:

@@ -157,7 +157,7 @@ def state_parts(
 
 
 def push_part(applied: AppliedPush, drift: tuple[float, float] | None) -> NumberGroup:
-    """What was done to the body last, and the drifts of energy and |L| since it ended."""
+    """What was done to the body last, and the errors of energy and L since it ended."""
     push = applied.push
     is_push = push.duration > 0.0
     times = [applied.start, applied.stop] if is_push else [applied.start]
@@ -169,7 +169,7 @@ def push_part(applied: AppliedPush, drift: tuple[float, float] | None) -> Number
         row("time", "from, to  s" if is_push else "at  s", times),
     ]
     if drift is not None:
-        rows.append(row("drift", "errors: E, |L|", drift, 1.0))
+        rows.append(row("drift", "errors: E, L", drift, 1.0))
     return NumberGroup("last push", tuple(rows))
 
 

@@ -172,6 +172,12 @@ class Session:
             raise SessionError(str(error)) from None
         return frames.copied_row(-1), Entries(*(values[-1:].copy() for values in entries))
 
+    def errors(self) -> tuple[Floats, Floats]:
+        """Errors (4,) of energy [J] and angular momentum [kg m²/s] now, and their scales so far."""
+        entries, scales = self.entries, self.run.balance.scales[[0, 2, 2, 2], 0]
+        errors = np.concatenate([entries.energy_error, entries.angular_momentum_error[0]])
+        return errors, np.maximum(scales, 1e-300)
+
     def apply(self, push: UserPush) -> AppliedPush:
         """Push a body from now on, or from the next step of its grid on.
 

@@ -134,3 +134,19 @@ def test_what_rounding_leaves_of_a_turn_is_no_arrow_no_chart_and_no_number(live)
         assert drawn == [is_seen, is_seen]
         assert any(live.history[-1][1:4]) == is_seen
         assert (">0<i>…</i>" in str(live.numbers.content)) != is_seen
+
+
+def test_errors_of_a_top_are_those_of_the_solver(tmp_path):
+    """The weight turns L by some percent: that was shown as an error of |L|."""
+    with listening(Access(), 8602) as server:
+        live = Live(to_system(load("heavy_top")), server, tmp_path / "session.toml")
+        live.controls.direction.value = "+z"
+        live.push_at_point(None)
+        last = live.session.last[0]
+        assert live.drift(last) == (0.0, 0.0)
+        before = np.linalg.norm(live.session.frame.angular_momentum)
+        live.session.advance(last.stop + 0.1)
+        energy, L = live.drift(last)
+        after = np.linalg.norm(live.session.frame.angular_momentum)
+        assert abs(after / before - 1.0) > 1e-3
+        assert max(abs(energy), L) < 1e-12  # a closed form
