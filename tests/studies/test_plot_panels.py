@@ -15,7 +15,7 @@ from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.files import Files
 from particlerb.simulation.run import prepare, run_unrecorded
-from particlerb.studies.charts import solids
+from particlerb.studies.charts import bodies, solids
 from particlerb.studies.charts import trajectory as chart
 from particlerb.studies.charts.bodies import side_axes
 from particlerb.tables import MeshWall
@@ -683,3 +683,13 @@ def test_an_open_tube_is_drawn_from_each_side_with_pale_rims(tmp_path):
         is_pale = (lines.get_colors() == to_rgba(solids._RIM)).all(axis=1)
         assert set(length[is_pale]) - {0.0} == {2.0}
         assert set(length[~is_pale]) == {uprights}
+
+
+def test_a_box_around_particles_ends_where_they_do(make):
+    """About the centre of mass, that of a brick of three balls reached below its floor."""
+    three = {"type": "points", "mass": [2.0, 2.0, 1.0], "radius": 0.1,
+             "position": [[0, -0.1, -0.1], [0, 0.1, -0.1], [0, 0, 0.4]]}  # fmt: skip
+    with particlerb.run(make.case({"name": "brick", "shape": three}, t_end=0.1)) as trajectory:
+        ((vertices, _),) = [mesh[:2] for mesh in bodies.shapes_of(trajectory)]
+    assert vertices.min(axis=0) == pytest.approx([-0.1, -0.2, -0.2], abs=1e-12)
+    assert vertices.max(axis=0) == pytest.approx([0.1, 0.2, 0.5], abs=1e-12)

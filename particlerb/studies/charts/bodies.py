@@ -194,10 +194,22 @@ def _draw_outlines(
 
 
 def shapes_of(trajectory: Trajectory) -> list[SurfaceMesh]:
-    """Surface of each body, in its frame from its centre of mass: a box where it has none."""
-    edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))
-    made = zip(solids.solids_of(trajectory), edges, strict=True)
-    return [box(extent) if mesh is None else mesh for mesh, extent in made]
+    """Surface of each body, in its frame from its centre of mass: a box where it has none.
+
+    Around several particles it has their bounds, not those about the centre of mass.
+    """
+    high = 0.5 * trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))
+    body, particle = trajectory.constituents
+    x, radius = trajectory.particles.position[particle], trajectory.particles.radius[particle]
+    of_several = np.bincount(body, minlength=trajectory.n_bodies) > 1
+    low, high = (np.where(of_several[:, None], np.inf, sign * high) for sign in (-1.0, 1.0))
+    high[of_several] *= -1.0
+    chosen = of_several[body]
+    np.minimum.at(low, body[chosen], (x - radius[:, None])[chosen])
+    np.maximum.at(high, body[chosen], (x + radius[:, None])[chosen])
+    made = zip(solids.solids_of(trajectory), low, high, strict=True)
+    return [box(b - a).moved(np.eye(3), 0.5 * (a + b)) if mesh is None else mesh
+            for mesh, a, b in made]  # fmt: skip
 
 
 def draw_trace(axes: Axes3D, trajectory: Trajectory, body: int, axis: int) -> None:
