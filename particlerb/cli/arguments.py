@@ -240,7 +240,7 @@ COMMANDS: Final = {
     "converge": Command("studies", "measure how many particles a body needs", (
         _option("shapes", nargs="*", metavar="SHAPE", help="default: all"),
         _option("--most", type=_number, default=1_000_000, metavar="N",
-                help="largest number of particles per shape"),
+                help="largest number of particles per shape; default: 1000000"),
         *_STUDY,
     )),
     "cases": Command("lists", "list the example cases"),

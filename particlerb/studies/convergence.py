@@ -136,7 +136,8 @@ def converge(
     most : int
         Every n is tried whose set has at most this many particles, up to n = 2 ∛most.
     progress : callable
-        Called with 1 after every curve; there are as many as `arrangements(shapes)` has.
+        Called with 1 after every curve, of which there are as many as `arrangements(shapes)` has,
+        and with 0 after every set.
 
     Raises
     ------
@@ -147,7 +148,7 @@ def converge(
         raise ValueError(f"most is {most}: {_MIN_PARTICLES} particles or more are needed")
     curves = []
     for name, arrangement in arrangements(shapes):
-        curves.append(curve_of(name, arrangement, most))
+        curves.append(curve_of(name, arrangement, most, progress))
         progress(1)
     return Convergence(tuple(curves), int(most))
 
@@ -161,13 +162,14 @@ def arrangements(shapes: Sequence[str] = ()) -> list[tuple[str, str]]:
     ]
 
 
-def curve_of(name: str, arrangement: str, most: int) -> Curve:
+def curve_of(
+    name: str, arrangement: str, most: int, progress: Callable[[int], object] = lambda _: None
+) -> Curve:
     """Errors of one solid filled in one way, of sets with at most this many particles."""
-    solid = SOLIDS[name]
-    rows = [
-        (n, len(particles.mass), *fill.errors(particles, solid.analytic))
-        for n, particles in _sets(solid, arrangement, most)
-    ]
+    solid, rows = SOLIDS[name], []
+    for n, particles in _sets(solid, arrangement, most):
+        rows.append((n, len(particles.mass), *fill.errors(particles, solid.analytic)))
+        progress(0)
     n, number, tensor, com = zip(*rows, strict=True)
     counts = np.array(n, dtype=np.int64), np.array(number, dtype=np.int64)
     return Curve(name, arrangement, *counts, np.array(tensor), np.array(com))

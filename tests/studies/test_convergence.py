@@ -356,7 +356,8 @@ def test_chosen_shapes_come_in_order_and_once_with_progress():
     expected = [("rod", "lattice"), ("rod", "exact"), ("cone", "lattice"), ("cone", "cells")]
     assert [(c.shape, c.arrangement) for c in study.curves] == expected
     assert arrangements(["rod", "cone", "rod"]) == expected
-    assert told == [1, 1, 1, 1]
+    assert told.count(1) == len(study.curves)
+    assert told.count(0) == sum(curve.n.size for curve in study.curves)  # so that a clock goes on
 
 
 def test_every_n_is_tried_up_to_the_limit(study):
