@@ -280,6 +280,11 @@ def works_of(terms: Terms, com: Floats, q: Floats, t: Floats) -> list[Floats]:
     return [work.reshape(t.size, -1) for work in works]
 
 
+def has_work(terms: Terms) -> bool:
+    """Whether there is a potential whose work is summed."""
+    return any(term_of(load).work is not None for load in terms.loads)
+
+
 def _in_states(loads: tuple[Any, ...], com: Floats, n_states: int) -> list[Any]:
     """Loads on the bodies of several states, one after the other."""
     columns = np.tile(np.arange(com.shape[1] // n_states), n_states)

@@ -70,14 +70,21 @@ def _kick_lever(
 
 
 @inline
+def lever_trace(rows: Floats, at: int, b: int, R: Matrix) -> float:
+    """tr(R T) [J]."""
+    (X, Y, Z), t_x, t_y = R, get3(rows, at, b), get3(rows, at + 3, b)
+    return dot(X, t_x) + dot(Y, t_y) + dot(Z, get3(rows, at + 6, b))
+
+
+@inline
 def _change_lever(
     rows: Floats, at: int, b: int, x: Vec3, R: Matrix, motion: Momenta, F: Vec3, tau: Vec3
 ) -> Momenta:
     """τ + R T ω - tr(R T) ω."""
-    (X, Y, Z), (_, w) = R, motion
+    _, w = motion
     t_x, t_y, t_z = get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
     along = add_scaled(w[2], t_z, add_scaled(w[1], t_y, scale(w[0], t_x)))
-    trace = dot(X, t_x) + dot(Y, t_y) + dot(Z, t_z)
+    trace = lever_trace(rows, at, b, R)
     return F, add_scaled(-trace, w, add_scaled(1.0, turn(R, along), tau))
 
 
@@ -93,7 +100,7 @@ def _kick_follower(
 FORCE_KICK: Final = Kick(
     "force", 3, _kick_force, has_potential=True, is_steady=True, is_uniform=True
 )
-_LEVER_KICK: Final = Kick(
+LEVER_KICK: Final = Kick(
     "lever", 9, _kick_lever, has_potential=True, is_steady=True, change=_change_lever
 )
 _FOLLOWER_KICK: Final = Kick("follower", 6, _kick_follower)
@@ -101,26 +108,22 @@ _FOLLOWER_KICK: Final = Kick("follower", 6, _kick_follower)
 
 def _parts_of_push(push: Push) -> list[tuple[Kick, Floats]]:
     """Rows of the force and of the lever, as far as they are there."""
-    parts = (FORCE_KICK, push.force), (_LEVER_KICK, push.lever)
+    parts = (FORCE_KICK, push.force), (LEVER_KICK, push.lever)
     return [(kick, values) for kick, values in parts if values.any()]
 
 
 def lever_work(lever: Floats, q: Floats) -> Floats:
-    """tr(R T), (n,) [J]: what the forces have done by turning the bodies, up to a constant."""
+    """tr(R T), (n,) [J]: what the forces have done by turning the bodies, up to a constant.
+
+    With the roundings of `lever_trace`.
+    """
     w, x, y, z = q
-    t = lever.reshape(3, 3, -1)
-    trace: Floats = (
-        (1 - 2 * (y * y + z * z)) * t[0, 0]
-        + (1 - 2 * (x * x + z * z)) * t[1, 1]
-        + (1 - 2 * (x * x + y * y)) * t[2, 2]
-        + 2 * (x * y - w * z) * t[0, 1]
-        + 2 * (x * z + w * y) * t[0, 2]
-        + 2 * (x * y + w * z) * t[1, 0]
-        + 2 * (y * z - w * x) * t[1, 2]
-        + 2 * (x * z - w * y) * t[2, 0]
-        + 2 * (y * z + w * x) * t[2, 1]
-    )
-    return np.asarray(trace)
+    x2, y2, z2 = 2.0 * q[1:]
+    t_x, t_y, t_z = lever.reshape(3, 3, -1)
+    X = (1.0 - (y * y2 + z * z2)) * t_x[0] + (x * y2 - w * z2) * t_x[1] + (x * z2 + w * y2) * t_x[2]
+    Y = (x * y2 + w * z2) * t_y[0] + (1.0 - (x * x2 + z * z2)) * t_y[1] + (y * z2 - w * x2) * t_y[2]
+    Z = (x * z2 - w * y2) * t_z[0] + (y * z2 + w * x2) * t_z[1] + (1.0 - (x * x2 + y * y2)) * t_z[2]
+    return np.asarray(X + Y + Z)
 
 
 def _push_work(push: Push, com: Floats, q: Floats, t: Floats) -> Floats:
@@ -173,7 +176,7 @@ FORCE: Final = Force(
 )  # fmt: skip
 TERMS: Final = (
     Term(
-        Push, "push", FORCE_KICK, _push_rates, _push_work, split=_parts_of_push, more=(_LEVER_KICK,)
+        Push, "push", FORCE_KICK, _push_rates, _push_work, split=_parts_of_push, more=(LEVER_KICK,)
     ),
     Term(Follower, "load fixed in the body", _FOLLOWER_KICK, _follower_rates),
     *RAMP_TERMS,

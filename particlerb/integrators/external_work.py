@@ -5,9 +5,16 @@ impulse [N m s] about the origin of the world. Total less initial less external 
 integration alone. Where nobody asks (`sums_external` is None), the compiler leaves all of it out.
 """
 
-from particlerb.compiled.jit import Flag, inline
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from particlerb.compiled.jit import Flag, inline, unfused_inline
 from particlerb.forces.kernels import Entry
-from particlerb.maths.quaternion import Matrix, turn_back
+from particlerb.forces.push import LEVER_KICK, lever_trace
+from particlerb.forces.registry import FIRST
+from particlerb.maths.quaternion import Matrix, matrix, turn_back
+from particlerb.maths.rows import column3, row3, rows3
 from particlerb.maths.vec3 import (
     Floats,
     Ints,
@@ -18,7 +25,21 @@ from particlerb.maths.vec3 import (
     dot,
     subtract,
 )
-from particlerb.model.block import EXTERNAL, INV_INERTIA, INV_MASS, get, get3, put
+from particlerb.model.block import (
+    COM,
+    EXTERNAL,
+    INV_INERTIA,
+    INV_MASS,
+    L,
+    Q,
+    get,
+    get3,
+    get4,
+    put,
+    put3,
+)
+
+LEVER: Final = FIRST[LEVER_KICK.name]
 
 
 @inline
@@ -57,18 +78,45 @@ def add_entry(sums_external: Flag, rows: Floats, b: int, dt: float, entry: Entry
         put(rows, EXTERNAL + 4 + k, b, get(rows, EXTERNAL + 4 + k, b) + dt * angular[k])
 
 
+class Steady(NamedTuple):
+    """Bodies under pushes that are constant in the world, for those who look at what these give."""
+
+    force: Floats  # (3, n) [N]; (3, 0): nobody looks
+    first: Floats  # (4, n) F·x + tr(R T) [J] and L [kg m²/s], when the segment began
+
+
+NOT_STEADY: Final = Steady(np.zeros((3, 0)), np.zeros((4, 0)))
+
+
+@unfused_inline
+def put_gained(of: Steady, rows: Floats, lo: int, n: int) -> None:
+    """Write what n bodies from `lo` on were given into their rows: work, and change of L."""
+    force, work = rows3(of.force, lo, lo + n), of.first[0, lo : lo + n]
+    spin = rows3(of.first[1:], lo, lo + n)
+    for b in range(n):
+        turned = lever_trace(rows, LEVER, b, matrix(get4(rows, Q, b)))
+        along = dot(column3(force, b), get3(rows, COM, b))
+        put(rows, EXTERNAL, b, turned + along - work[b])
+        put3(rows, EXTERNAL + 4, b, subtract(get3(rows, L, b), column3(spin, b)))
+
+
 @inline
-def store_sums(sums: Floats, f: int, bins: Ints, sums_external: Flag, rows: Floats) -> None:
-    """Add what the bodies of a block have done, in their order, to their bins in frame f."""
-    if sums_external is None:
-        return
-    for c in range(7):
-        last = bins[0]
-        total = sums[f, last, c]
-        for b in range(bins.size):
-            if bins[b] != last:
-                sums[f, last, c] = total
-                last = bins[b]
-                total = sums[f, last, c]
-            total += get(rows, EXTERNAL + c, b)
-        sums[f, last, c] = total
+def store_sums(sums: Floats, bins: Ints, rows: Floats) -> None:
+    """Add what the bodies of a block have been given, in their order, to sums (bins, 7).
+
+    The sums of neighbours in a bin stay in registers, as chains side by side.
+    """
+    first = 0
+    while first < bins.size:
+        k, end = bins[first], first + 1
+        while end < bins.size and bins[end] == k:
+            end += 1
+        work, (p_x, p_y, p_z), (L_x, L_y, L_z) = sums[k, 0], row3(sums, k, 1), row3(sums, k, 4)
+        for b in range(first, end):
+            dp, dL = get3(rows, EXTERNAL + 1, b), get3(rows, EXTERNAL + 4, b)
+            work += get(rows, EXTERNAL, b)
+            p_x, p_y, p_z = p_x + dp[0], p_y + dp[1], p_z + dp[2]
+            L_x, L_y, L_z = L_x + dL[0], L_y + dL[1], L_z + dL[2]
+        for c, total in enumerate((work, p_x, p_y, p_z, L_x, L_y, L_z)):
+            sums[k, c] = total
+        first = end

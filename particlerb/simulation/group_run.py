@@ -169,7 +169,8 @@ class GroupRun:
         energy = np.zeros((rows.size, *shape_of(self.plan.worlds)))
         if self.pairs is not None or self.segment.terms.joints is not None:
             energy += [self.between_bodies(*self.state_in(frames, r)[:2]) for r in rows.tolist()]
-        for few in few_at_once(rows.size, self.plan.members.size):
+        n_states = rows.size if has_energy(self.segment.terms) else 0
+        for few in few_at_once(n_states, self.plan.members.size):
             com, q, _, _ = states_in(frames, rows[few], self.plan.members, self.plan.bodies)
             energy[few] += self.of_loads(com, q, rows[few].size)
         return energy

@@ -15,6 +15,7 @@ from particlerb.compiled.jit import flag
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import acting_of, is_constant, row_count, rows_of_terms
 from particlerb.integrators import METHODS
+from particlerb.integrators.external_work import NOT_STEADY
 from particlerb.integrators.pair_stages import Layout
 from particlerb.integrators.stages import MovingBodies, RotorClasses
 from particlerb.maths.vec3 import Floats, Ints, differences
@@ -132,7 +133,7 @@ class Rehearsal:
         schedule = Schedule(stepping.dt, further, partial_steps, np.arange(times.size))
         changing(self.blocks)[:] = self.first
         sums = np.zeros((times.size, len(self.blocks), 7))
-        places = self.bodies.rotor_frame, columns, frames, sums, self.block, _NO_JOINTS
+        places = self.bodies.rotor_frame, columns, frames, sums, self.block, _NO_JOINTS, NOT_STEADY
         arguments = schedule, Recording(*places), Copies(self.saved), Position(0, 0, 0)
         through = partial(self.loop(stepping.method), *arguments, 1)
         THREADS.share(through, len(self.blocks), columns.size * int(steps[-1] + times.size))

@@ -16,6 +16,7 @@ from particlerb.forces.registry import MANY
 from particlerb.integrators.dop853 import PACK
 from particlerb.integrators.dop853_stages import CommonSteps, room_for_vectors
 from particlerb.integrators.dop853_step import Equations
+from particlerb.integrators.external_work import NOT_STEADY
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, pair_loads
 from particlerb.integrators.stages import over_threads
@@ -156,7 +157,7 @@ class AdaptiveMotion(JointedMotion):
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
         where, nobody = (group.bodies.rotor_frame, group.members), np.zeros(0, dtype=np.int64)
         self.coordinates = np.zeros((len(frames.position), *self.turned.shape))
-        recording = Recording(*where, frames, sums, nobody, self.coordinates)
+        recording = Recording(*where, frames, sums, nobody, self.coordinates, NOT_STEADY)
         for lo, hi, until in self.calls(times, stop):
             cut = stop if until == stop else np.inf
             self.advance_some(Leg(times[lo:hi], rows[lo:hi], until, cut), recording)

@@ -19,7 +19,7 @@ from particlerb.compiled.jit import Flag, inline, kernel, kernel_from
 from particlerb.contact.contact_model import NO_GROWTH, ContactChanges, Growth, Instant, Slope
 from particlerb.integrators.contact_copies import restore_contacts, save_contacts, store_contacts
 from particlerb.integrators.contact_stages import close_prescribed, find_contact_forces
-from particlerb.integrators.external_work import store_sums
+from particlerb.integrators.external_work import Steady, put_gained, store_sums
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare, Layout, put_pair_loads
 from particlerb.integrators.stages import (
@@ -79,6 +79,7 @@ class Recording(NamedTuple):
     sums: Floats  # (T, bins, 7) external work
     bins: Ints  # (n,) where each body is summed: see model/worlds.py
     turned: Floats  # (T, c, 3) of joints
+    steady: Steady
 
 
 @kernel
@@ -99,7 +100,7 @@ def store_blocks(
     end: int,
 ) -> None:
     """Write the bodies of some blocks into a frame."""
-    rotor_frame, members, frames, sums, bins, _ = recording
+    rotor_frame, members, frames, sums, bins, _, steady = recording
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         local = rows.reshape(rows.size // STRIDE, STRIDE)
@@ -107,7 +108,11 @@ def store_blocks(
         p, spin = rows3(local[P : P + 3], 0, n), rows3(local[L : L + 3], 0, n)
         turn = rows4(rotor_frame, lo, lo + n)
         store_frame(frames, frame, members[lo : lo + n], turn, com, q, p, spin)
-        store_sums(sums, frame, bins[lo : lo + n], sums_external, rows)
+        looks = steady.force.shape[1] > 0
+        if looks:
+            put_gained(steady, rows, lo, n)
+        if sums_external is not None or looks:
+            store_sums(sums[frame], bins[lo : lo + n], rows)
 
 
 @stages

@@ -16,7 +16,8 @@ from particlerb.compiled.jit import flag
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.piston import Pistons
-from particlerb.forces import Terms, force_of_loads, is_constant, terms_on, works_of
+from particlerb.forces import Terms, force_of_loads, has_work, is_constant, terms_on, works_of
+from particlerb.integrators.external_work import NOT_STEADY, Steady
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import EXTERNAL
 from particlerb.model.bodies import Bodies, taken
@@ -244,6 +245,22 @@ class ForceAccount:
         self.is_kept = True
 
     @cached_property
+    def steady(self) -> Steady:
+        """What a kernel takes that sums, where all forces are constant, what they have given."""
+        if self.sums_external is not None or self.group.terms.is_coupled:
+            return NOT_STEADY
+        works = works_of(self.group.terms, self.first.com, self.first.q, np.zeros(1))
+        work = works[0] if works else np.zeros((1, self.group.members.size))
+        force = np.ascontiguousarray(force_of_loads(self.group.terms, self.group.members.size))
+        return Steady(force, np.vstack((work, self.first.L)))
+
+    @cached_property
+    def looks_at_states(self) -> bool:
+        """Whether what was given is known by states alone, and not by what kernels add."""
+        terms, steady = self.group.terms, self.sums_external is None
+        return has_work(terms) or (steady and not terms.is_coupled)
+
+    @cached_property
     def constant(self) -> _ConstantForce:
         """What a constant force gives."""
         return constant_force(self.group, self.first)
@@ -267,16 +284,22 @@ class ForceAccount:
         """
         if not self.is_kept:
             return np.zeros_like(sums)
-        potential = self.work(com, q, elapsed) - self.work_before
-        if self.sums_external is None:
-            external = self.constant.external(elapsed)
-            external[..., 0] = potential
-            if not self.group.terms.is_coupled:
-                turned = L.reshape(3, elapsed.size, -1) - self.first.L[:, None]
-                external[..., 4:] += np.moveaxis(over_bodies(turned, self.group.worlds), -1, 0)
-            return external
         external = sums.copy()
-        external[..., 0] += potential
+        external[..., 0] += self.work(com, q, elapsed) - self.work_before
+        if self.sums_external is not None:
+            return external
+        if not self.group.terms.is_coupled:
+            turned = L.reshape(3, elapsed.size, -1) - self.first.L[:, None]
+            external[..., 4:] = np.moveaxis(over_bodies(turned, self.group.worlds), -1, 0)
+        return self.of_steady(elapsed, external)
+
+    def of_steady(self, elapsed: Floats, given: Floats) -> Floats:
+        """The same of constant forces, by the work and the change of L that (T, ..., 7) have."""
+        if not self.is_kept:
+            return np.zeros_like(given)
+        external = self.constant.external(elapsed)
+        external[..., 0] = given[..., 0]
+        external[..., 4:] += given[..., 4:]
         return external
 
     def at_end(self, values: Floats, elapsed: float) -> tuple[State, Floats]:
@@ -292,6 +315,9 @@ class ForceAccount:
         """The same until rows of the frames, of few bodies in many of them at once."""
         if not self.is_kept:
             return np.zeros((rows.size, *sums.shape[1:]))
+        if not self.looks_at_states:
+            given = sums[rows]
+            return given if self.sums_external is not None else self.of_steady(elapsed, given)
         members, bodies, external = self.group.members, self.group.bodies, [sums[:0]]
         for few in few_at_once(rows.size, members.size):
             x, q, _, L = states_in(frames, rows[few], members, bodies)

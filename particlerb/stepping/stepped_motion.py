@@ -8,6 +8,7 @@ import numpy as np
 
 from particlerb.compiled.jit import for_types_of
 from particlerb.compiled.threads import THREADS
+from particlerb.integrators.external_work import NOT_STEADY
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Floats, Ints, differences
 from particlerb.model.block import CHANGING, changing
@@ -75,6 +76,8 @@ class SteppedMotion(JointedMotion):
         """Write the states at these times into rows of the frames; external work, (T, 7)."""
         elapsed = times - self.start
         sums = self.advance(*grid_position(elapsed, self.dt, self.start), rows, frames)
+        if self.account.steady is not NOT_STEADY:
+            return self.account.of_steady(elapsed, sums[rows])
         return self.account.of_frames(elapsed, rows, frames, sums)
 
     def pose(self, time: float, frames: Frames) -> None:
@@ -126,7 +129,7 @@ class SteppedMotion(JointedMotion):
         sums = np.zeros((n_frames, self.n_bins, 7))
         self.coordinates = np.zeros((n_frames, *self.turned.shape))
         where = shown.bodies.rotor_frame, shown.members, frames, sums, self.bins
-        return Recording(*where, self.coordinates)
+        return Recording(*where, self.coordinates, self.account.steady)
 
     def run(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule."""

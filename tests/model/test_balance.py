@@ -16,6 +16,7 @@ from particlerb.record.trajectory import Trajectory
 from particlerb.simulation.checks import results
 from particlerb.simulation.run import prepare, run_prepared
 from particlerb.simulation.whole_run import Run
+from particlerb.stepping import motion
 from particlerb.stepping.free_motion import FreeMotion
 
 START = {
@@ -224,6 +225,30 @@ def test_bodies_in_closed_form_are_summed_while_they_are_written(make):
         assert np.abs(getattr(entries, name) - wanted).max() < 1e-14 * np.abs(wanted).max(), name
     largest = np.maximum(again, totals_at_start(run)).max(axis=0)
     assert run.balance.scales[1:, 0] == pytest.approx(largest[8:], rel=1e-14)
+
+
+@pytest.mark.plain
+def test_what_steady_pushes_give_is_summed_while_frames_are_written(make, monkeypatch):
+    """The work F·Δ(x + R r) and the change of L, before a frame and after it, of mixed rotors."""
+    monkeypatch.setattr(motion, "states_in", None)  # no frame is read again
+    at = {"flat": -AT, "slender": AT}
+    bodies = [
+        make.body("flat", inertia=(2.0, 2.0, 1.0), **START),
+        make.body("slender", **START),
+    ]
+    force = [make.push(FORCE, arm, body=name) for name, arm in at.items()]
+    case = make.case(*bodies, force=force, gravity={"acceleration": G}, method="strang", dt=0.01)
+    run = Run(prepare(to_system(case)))
+    frames, entries, _ = run.frames_at(np.array([0.0, 0.02, 0.033]), np.ones(3, dtype=bool))
+    ends = [
+        frames.position[:, b] + make.rotation(frames.orientation[:, b]).apply(at[name])
+        for b, name in enumerate(at)
+    ]
+    wanted = sum((end - end[0]) @ FORCE for end in ends)
+    assert entries.work[0] == 0.0
+    assert entries.work == pytest.approx(wanted, rel=1e-12)
+    assert np.abs(entries.angular_momentum_error).max() < 1e-14
+    assert np.abs(entries.energy_error).max() < 1e-4 * np.abs(wanted).max()
 
 
 @pytest.mark.plain
