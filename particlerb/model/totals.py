@@ -77,27 +77,45 @@ def _add_turning(m: Vec3, w: Vec3, kinetic: Floats, b: int) -> None:
 
 
 @inline
-def _add_up(p: Rows3, out: Floats, sums: Floats) -> None:
-    """Add a block to its sums, body after body; in registers, as ten chains side by side."""
-    kinetic = potential = p1 = p2 = p3 = H1 = H2 = H3 = size = spin = 0.0
-    for b in range(p[0].size):
+def _add_up(p: Rows3, out: Floats, first: int, end: int, sums: Floats) -> None:
+    """Add neighbours to their sums, body after body; in registers, as ten chains side by side."""
+    kinetic, potential, p1, p2, p3 = sums[0], sums[1], sums[2], sums[3], sums[4]
+    H1, H2, H3, size, spin = sums[5], sums[6], sums[7], sums[8], sums[9]
+    for b in range(first, end):
         kinetic, potential = kinetic + out[0, b], potential + out[1, b]
         p1, p2, p3 = p1 + p[0][b], p2 + p[1][b], p3 + p[2][b]
         H1, H2, H3 = H1 + out[5, b], H2 + out[6, b], H3 + out[7, b]
         size, spin = size + out[8, b], spin + out[9, b]
     for c, value in enumerate((kinetic, potential, p1, p2, p3, H1, H2, H3, size, spin)):
-        sums[c] += value
+        sums[c] = value
 
 
 @inline
-def _add_to_bins(p: Rows3, out: Floats, bins: Ints, sums: Floats) -> None:
-    """Add a block to the sums (bins, 10) of the bins of its bodies."""
-    for b in range(bins.size):
-        bin_sums = sums[bins[b]]
-        for c in range(3):
-            out[2 + c, b] = p[c][b]
-        for c in range(N_TOTALS):
-            bin_sums[c] += out[c, b]
+def _add_to_bins(p: Rows3, out: Floats, bins: Ints | None, k: int, sums: Floats) -> None:
+    """Add block k to the sums (bins, 10) of the bins of its bodies; without bins it is one."""
+    if bins is None:
+        _add_up(p, out, 0, p[0].size, sums[k])
+    else:
+        first = 0
+        while first < bins.size:
+            end = first + 1
+            while end < bins.size and bins[end] == bins[first]:
+                end += 1
+            _add_up(p, out, first, end, sums[bins[first]])
+            first = end
+
+
+class FrameTotals(NamedTuple):
+    """Sums over the bodies of frames, for those who write them."""
+
+    sums: Floats  # (T, bins, 10), see `totals`; (0, bins, 10): nobody asks for them
+    mass: Floats  # (n,)
+    gravity: Floats  # (3,) [m/s²]
+
+
+def no_totals(bodies: Bodies) -> FrameTotals:
+    """Where nobody asks for them."""
+    return FrameTotals(np.zeros((0, 0, N_TOTALS)), bodies.mass, np.zeros(3))
 
 
 class BlockRows(NamedTuple):
@@ -114,15 +132,12 @@ class BlockRows(NamedTuple):
 
 @inline
 def sum_block(of: BlockRows, g: Vec3, bins: Ints | None, k: int, sums: Floats, out: Floats) -> None:
-    """Add block k to sums (bins, 10); without bins each block is one. `out` (10, BLOCK) is room."""
+    """Add block k to sums (bins, 10) of the bins of its bodies, or to its own; `out` is room."""
     _momenta_rows(of.x, of.p, of.L, of.mass, of.inv_mass, g, out)
     for b in range(of.mass.size):
         m = to_body(column4(of.q, b), column3(of.L, b))
         _add_turning(m, column3(of.inv_inertia, b), out[0], b)
-    if bins is None:
-        _add_up(of.p, out, sums[k])
-    else:
-        _add_to_bins(of.p, out, bins[k * BLOCK : k * BLOCK + of.mass.size], sums)
+    _add_to_bins(of.p, out, bins, k, sums)
 
 
 @unfused_kernel
@@ -154,10 +169,7 @@ def sum_blocks(
             for b in range(n):
                 m = to_body(column4(frame, b), to_body(column4(q, b), column3(L, b)))
                 _add_turning(m, column3(inverse, b), out[0], b)
-            if bins is None:
-                _add_up(p, out, sums[f, k])
-            else:
-                _add_to_bins(p, out, bins[lo:hi], sums[f])
+            _add_to_bins(p, out, None if bins is None else bins[lo:hi], k, sums[f])
 
 
 def sums_over(

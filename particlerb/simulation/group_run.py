@@ -130,7 +130,8 @@ class GroupRun:
     @property
     def sums_itself(self) -> bool:
         """Whether its motion sums over the bodies, in all segments alike."""
-        return self.plan.is_closed and 0.0 not in self.plan.bodies.mass
+        is_adaptive = any(METHODS[segment.method].is_adaptive for segment in self.plan.segments)
+        return not (is_adaptive or self.plan.touches or 0.0 in self.plan.bodies.mass)
 
     @property
     def is_bound(self) -> bool:
@@ -169,8 +170,7 @@ class GroupRun:
         energy = np.zeros((rows.size, *shape_of(self.plan.worlds)))
         if self.pairs is not None or self.segment.terms.joints is not None:
             energy += [self.between_bodies(*self.state_in(frames, r)[:2]) for r in rows.tolist()]
-        n_states = rows.size if has_energy(self.segment.terms) else 0
-        for few in few_at_once(n_states, self.plan.members.size):
+        for few in few_at_once(rows.size * has_energy(self.segment.terms), self.plan.members.size):
             com, q, _, _ = states_in(frames, rows[few], self.plan.members, self.plan.bodies)
             energy[few] += self.of_loads(com, q, rows[few].size)
         return energy

@@ -30,6 +30,7 @@ from particlerb.model.block import (
 )
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import Frames, State, room_for
+from particlerb.model.totals import no_totals
 from particlerb.plan.segments import GroupPlan
 from particlerb.plan.time_step import Stepping
 from particlerb.rotors.rotor_class import ASYMMETRIC
@@ -133,7 +134,8 @@ class Rehearsal:
         schedule = Schedule(stepping.dt, further, partial_steps, np.arange(times.size))
         changing(self.blocks)[:] = self.first
         sums = np.zeros((times.size, len(self.blocks), 7))
-        places = self.bodies.rotor_frame, columns, frames, sums, self.block, _NO_JOINTS, NOT_STEADY
-        arguments = schedule, Recording(*places), Copies(self.saved), Position(0, 0, 0)
+        places = self.bodies.rotor_frame, columns, frames, sums, self.block, _NO_JOINTS
+        asked = NOT_STEADY, no_totals(self.bodies)
+        arguments = schedule, Recording(*places, *asked), Copies(self.saved), Position(0, 0, 0)
         through = partial(self.loop(stepping.method), *arguments, 1)
         THREADS.share(through, len(self.blocks), columns.size * int(steps[-1] + times.size))

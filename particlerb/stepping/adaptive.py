@@ -34,6 +34,7 @@ from particlerb.model.block import (
 )
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, room_for
+from particlerb.model.totals import no_totals
 from particlerb.stepping.adaptive_loop import Leg, advance_steps
 from particlerb.stepping.jointed_motion import JointedMotion, jointed_in
 from particlerb.stepping.loop import Recording
@@ -157,7 +158,9 @@ class AdaptiveMotion(JointedMotion):
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
         where, nobody = (group.bodies.rotor_frame, group.members), np.zeros(0, dtype=np.int64)
         self.coordinates = np.zeros((len(frames.position), *self.turned.shape))
-        recording = Recording(*where, frames, sums, nobody, self.coordinates, NOT_STEADY)
+        recording = Recording(
+            *where, frames, sums, nobody, self.coordinates, NOT_STEADY, no_totals(group.bodies)
+        )
         for lo, hi, until in self.calls(times, stop):
             cut = stop if until == stop else np.inf
             self.advance_some(Leg(times[lo:hi], rows[lo:hi], until, cut), recording)

@@ -210,7 +210,7 @@ def _fly_blocks(
             show(q, frame, last, frames.is_frame[rows[f]], shown)
             store_rows(frames, rows[f], place[:n], com, shown, p, spin)
             if f < sums.shape[0]:
-                sum_block(summed, g, bins, k, sums[f], room)
+                sum_block(summed, g, None if bins is None else bins[lo : lo + n], k, sums[f], room)
         store_last(frames, place[:n], last)
 
 

@@ -33,8 +33,9 @@ from particlerb.integrators.stages import (
 )
 from particlerb.maths.rows import rows3, rows4
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import COM, STRIDE, L, P, Q, copy_changing
+from particlerb.model.block import COM, INV_INERTIA, INV_MASS, STRIDE, L, P, Q, copy_changing
 from particlerb.model.state import Frames, store_frame
+from particlerb.model.totals import N_TOTALS, BlockRows, FrameTotals, sum_block
 from particlerb.stepping.pair_forces import PairForces
 
 PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
@@ -80,6 +81,7 @@ class Recording(NamedTuple):
     bins: Ints  # (n,) where each body is summed: see model/worlds.py
     turned: Floats  # (T, c, 3) of joints
     steady: Steady
+    totals: FrameTotals
 
 
 @kernel
@@ -100,7 +102,7 @@ def store_blocks(
     end: int,
 ) -> None:
     """Write the bodies of some blocks into a frame."""
-    rotor_frame, members, frames, sums, bins, _, steady = recording
+    rotor_frame, members, frames, sums, bins, _, steady, (totals, mass, g) = recording
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         local = rows.reshape(rows.size // STRIDE, STRIDE)
@@ -108,6 +110,11 @@ def store_blocks(
         p, spin = rows3(local[P : P + 3], 0, n), rows3(local[L : L + 3], 0, n)
         turn = rows4(rotor_frame, lo, lo + n)
         store_frame(frames, frame, members[lo : lo + n], turn, com, q, p, spin)
+        if totals.shape[0] > 0:
+            inverse = rows3(local[INV_INERTIA : INV_INERTIA + 3], 0, n)
+            summed = BlockRows(com, q, p, spin, mass[lo : lo + n], local[INV_MASS, :n], inverse)
+            room = np.empty((N_TOTALS, n))
+            sum_block(summed, (g[0], g[1], g[2]), bins[lo : lo + n], k, totals[frame], room)
         looks = steady.force.shape[1] > 0
         if looks:
             put_gained(steady, rows, lo, n)

@@ -124,7 +124,7 @@ class Motion(Protocol):
     flown: tuple[int, int] = 0, 0  # body-steps that closed forms saved between contacts, and all
     initial_energies: Energies = Energies(np.zeros(1), np.zeros(1))  # of contacts and pistons
     contacts: Mapping[int, ContactOutput] = {}  # in rows of the last `record`, where asked for
-    sums: Floats | None = None  # (T, ..., 10) of model/totals.py: free bodies add to them
+    sums: Floats | None = None  # (T, ..., 10) of model/totals.py: who can adds to them
     coordinates: Floats = np.zeros((0, 0, 3))  # (T, c, 3) of joints in these rows, where asked for
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
@@ -350,7 +350,12 @@ class CompositeMotion(Motion):
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:
         """Write the states at these times into rows of the frames; external work, (T, 7)."""
-        return sum_of(motion.record(times, rows, frames) for _, motion in self.parts)
+        external = []
+        for _, motion in self.parts:
+            motion.sums = self.sums
+            external.append(motion.record(times, rows, frames))
+            motion.sums = None
+        return sum_of(external)
 
     def pose(self, time: float, frames: Frames) -> None:
         """Write the states at a time [s] into the first row of the frames, and add no work."""

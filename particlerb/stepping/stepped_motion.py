@@ -13,6 +13,7 @@ from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Floats, Ints, differences
 from particlerb.model.block import CHANGING, changing
 from particlerb.model.state import Frames, State, room_for
+from particlerb.model.totals import N_TOTALS, no_totals
 from particlerb.model.worlds import over_bins
 from particlerb.stepping.jointed_motion import JointedMotion
 from particlerb.stepping.loop import (
@@ -117,6 +118,8 @@ class SteppedMotion(JointedMotion):
         counts = differences(steps, self.steps_done)
         for schedule in self.schedules(counts, partial, rows):
             self.run(schedule, recording)
+        if self.sums is not None:
+            self.sums += over_bins(recording.totals.sums[rows], self.group.worlds)
         return self.total(recording.sums)
 
     def total(self, sums: Floats) -> Floats:
@@ -129,7 +132,12 @@ class SteppedMotion(JointedMotion):
         sums = np.zeros((n_frames, self.n_bins, 7))
         self.coordinates = np.zeros((n_frames, *self.turned.shape))
         where = shown.bodies.rotor_frame, shown.members, frames, sums, self.bins
-        return Recording(*where, self.coordinates, self.account.steady)
+        totals, gravity = no_totals(shown.bodies), shown.terms.gravity
+        if self.sums is not None:
+            totals = totals._replace(sums=np.zeros((n_frames, self.n_bins, N_TOTALS)))
+        if gravity is not None:
+            totals = totals._replace(gravity=gravity.acceleration)
+        return Recording(*where, self.coordinates, self.account.steady, totals)
 
     def run(self, schedule: Schedule, recording: Recording) -> None:
         """Go through a schedule."""

@@ -217,19 +217,13 @@ def test_bodies_in_closed_form_are_summed_while_they_are_written(make):
     run = Run(prepare(to_system(case)))
     assert run.sums_itself == [True]
     frames, entries, _ = run.frames_at(np.linspace(0.1, 3.0, 4), np.ones(4, dtype=bool))
-    again = totals(frames, run.counted, run.gravity)
-    columns = {"kinetic_energy": 0, "potential_energy": 1}
-    columns |= {"linear_momentum": slice(2, 5), "angular_momentum": slice(5, 8)}
-    for name, at in columns.items():
-        wanted = again[:, at]
-        assert np.abs(getattr(entries, name) - wanted).max() < 1e-14 * np.abs(wanted).max(), name
-    largest = np.maximum(again, totals_at_start(run)).max(axis=0)
-    assert run.balance.scales[1:, 0] == pytest.approx(largest[8:], rel=1e-14)
+    assert_sums_of(run, frames, entries)
 
 
 @pytest.mark.plain
-def test_what_steady_pushes_give_is_summed_while_frames_are_written(make, monkeypatch):
-    """The work F·Δ(x + R r) and the change of L, before a frame and after it, of mixed rotors."""
+@pytest.mark.parametrize("method", ["strang", "rkn6"])
+def test_stepped_bodies_are_summed_while_they_are_written(make, monkeypatch, method):
+    """As their frames are, of mixed rotors; and so are the work F·Δ(x + R r) and change of L."""
     monkeypatch.setattr(motion, "states_in", None)  # no frame is read again
     at = {"flat": -AT, "slender": AT}
     bodies = [
@@ -237,14 +231,16 @@ def test_what_steady_pushes_give_is_summed_while_frames_are_written(make, monkey
         make.body("slender", **START),
     ]
     force = [make.push(FORCE, arm, body=name) for name, arm in at.items()]
-    case = make.case(*bodies, force=force, gravity={"acceleration": G}, method="strang", dt=0.01)
+    case = make.case(*bodies, force=force, gravity={"acceleration": G}, method=method, dt=0.01)
     run = Run(prepare(to_system(case)))
+    assert run.sums_itself == [True]
     frames, entries, _ = run.frames_at(np.array([0.0, 0.02, 0.033]), np.ones(3, dtype=bool))
     ends = [
         frames.position[:, b] + make.rotation(frames.orientation[:, b]).apply(at[name])
         for b, name in enumerate(at)
     ]
     wanted = sum((end - end[0]) @ FORCE for end in ends)
+    assert_sums_of(run, frames, entries)
     assert entries.work[0] == 0.0
     assert entries.work == pytest.approx(wanted, rel=1e-12)
     assert np.abs(entries.angular_momentum_error).max() < 1e-14
@@ -270,6 +266,18 @@ def test_free_bodies_are_moved_superblock_by_superblock_where_they_lie(make, mon
             assert np.shares_memory(part, whole)
     for one, other in zip(together[:4], apart[:4], strict=True):
         assert np.array_equal(one, other)
+
+
+def assert_sums_of(run, frames, entries):
+    """Entries are those of the frames, to rounding."""
+    again = totals(frames, run.counted, run.gravity)
+    columns = {"kinetic_energy": 0, "potential_energy": 1}
+    columns |= {"linear_momentum": slice(2, 5), "angular_momentum": slice(5, 8)}
+    for name, at in columns.items():
+        wanted = again[:, at]
+        assert np.abs(getattr(entries, name) - wanted).max() < 1e-14 * np.abs(wanted).max(), name
+    largest = np.maximum(again, totals_at_start(run)).max(axis=0)
+    assert run.balance.scales[1:, 0] == pytest.approx(largest[8:], rel=1e-14)
 
 
 def totals_at_start(run):
