@@ -170,8 +170,8 @@ def curve_of(
     for n, particles in _sets(solid, arrangement, most):
         rows.append((n, len(particles.mass), *fill.errors(particles, solid.analytic)))
         progress(0)
-    n, number, tensor, com = zip(*rows, strict=True)
-    counts = np.array(n, dtype=np.int64), np.array(number, dtype=np.int64)
+    cells, number, tensor, com = zip(*rows, strict=True)
+    counts = np.array(cells, dtype=np.int64), np.array(number, dtype=np.int64)
     return Curve(name, arrangement, *counts, np.array(tensor), np.array(com))
 
 
