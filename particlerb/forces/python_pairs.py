@@ -20,7 +20,7 @@ from particlerb.forces.user_pairs import (
     user_pairs,
 )
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.bodies import Bodies, taken
+from particlerb.model.bodies import Bodies, index_in, taken
 from particlerb.model.state import State, lengths
 from particlerb.rotors.rotor_class import POINT
 from particlerb.user_force import UserForce, place_of
@@ -55,8 +55,7 @@ def numbers_of_pairs(table: "PythonTable", first: Ints, second: Ints, system: "S
         python.refuse_length(name, values, bodies.size)
         if np.array_equal(bodies, end):
             return values
-        order = np.argsort(bodies, kind="stable")
-        return values[order[np.searchsorted(bodies, end, sorter=order)]]
+        return values[index_in(bodies, end)]
 
     return python.in_rows(python.parameters_of(table, per_body), first.size).T
 

@@ -120,6 +120,12 @@ def taken(record: Record, index: Ints, is_view: bool = False) -> Record:
     return type(record)(*(placed(array[..., first : first + index.size]) for array in record))
 
 
+def index_in(listed: Ints, bodies: Ints) -> Ints:
+    """Where in a list (n,) each of some bodies (...,) is first, all of which are in it, (...,)."""
+    order = np.argsort(listed, kind="stable")
+    return order[np.searchsorted(listed, bodies, sorter=order)]
+
+
 def held(bodies: Bodies, fixed: Bools) -> Bodies:
     """Bodies of which some, (n,), do not move, whatever acts on them."""
     if not fixed.any():

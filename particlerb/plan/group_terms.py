@@ -22,7 +22,7 @@ from particlerb.forces.links import WORLD, Links
 from particlerb.forces.python import lengths_of
 from particlerb.forces.user_pairs import UserPairs, functions_of, user_pairs
 from particlerb.maths.vec3 import Bools, Ints
-from particlerb.model.bodies import Bodies
+from particlerb.model.bodies import Bodies, index_in
 from particlerb.model.state import rotate_back
 from particlerb.model.system import System
 from particlerb.plan.contact_rules import events_of, refuse_too_many, rules_of
@@ -69,9 +69,8 @@ def terms_between(
 
 def _user_pairs_among(members: Ints, bodies: Bodies, links: list[UserLink]) -> UserPairs:
     """Pairs of a group between which functions of users act, with its own numbers."""
-    place = np.argsort(members)
     ends = (np.concatenate([link[k] for link in links]) for k in (2, 3))
-    first, second = (place[np.searchsorted(members[place], end)] for end in ends)
+    first, second = (index_in(members, end) for end in ends)
     kinds = [(link.force.function, lengths_of(link.force)) for link in links]
     distinct = list(dict.fromkeys(kinds))
     rows = np.zeros((max(len(link.numbers) for link in links), first.size))
@@ -178,9 +177,7 @@ def _apart_among(members: Ints, apart: Ints) -> Ints:
     """Pairs of bodies that do not touch, with numbers of a group."""
     a, b = bodies_of_keys(apart)
     inside = np.isin(a, members) & np.isin(b, members)
-    order = np.argsort(members)
-    numbers = order[np.searchsorted(members[order], np.stack([a[inside], b[inside]]))]
-    return np.unique(pair_keys(*numbers))
+    return np.unique(pair_keys(*index_in(members, np.stack([a[inside], b[inside]]))))
 
 
 def _reachable(system: System, members: Ints, touching: SystemContact) -> Bools:

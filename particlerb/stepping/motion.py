@@ -20,7 +20,7 @@ from particlerb.forces import Terms, force_of_loads, has_work, is_constant, term
 from particlerb.integrators.external_work import NOT_STEADY, Steady
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.block import EXTERNAL
-from particlerb.model.bodies import Bodies, taken
+from particlerb.model.bodies import Bodies, index_in, taken
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, cross_columns, state_of, states_in
 from particlerb.model.superblocks import Range, sum_by_number, summed, superblock_of
@@ -93,8 +93,7 @@ class Shared(NamedTuple):
 
     def places(self, members: Ints) -> Ints:
         """Where among all bodies some are that are shown here."""
-        order = np.argsort(self.group.members)
-        return order[np.searchsorted(self.group.members, self.first + members, sorter=order)]
+        return index_in(self.group.members, self.first + members)
 
 
 class Energies(NamedTuple):
