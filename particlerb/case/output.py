@@ -46,6 +46,8 @@ class Output(Table):
     """Precision of the file. [-]"""
     durable: Yes = True
     """Whether committed frames outlive a power cut, not kills only. [-]"""
+    log: Name | None = None
+    """File for a line each second of the command `run`; `--log` takes its place. [-]"""
 
 
 _EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {

@@ -131,7 +131,11 @@ _PLAN: Final = _flag(
     "--plan", help="print the whole plan: all groups and segments, and why others do not act"
 )
 _REPORT: Final = (
-    _option("--log", metavar="FILE", help="write a line each second: time, energy, error"),
+    _option(
+        "--log",
+        metavar="FILE",
+        help="write a line each second: time, steps, energy, error, contacts, speed",
+    ),
     _flag("-q", "--quiet", help="print only the checks"),
 )
 _METHODS: Final = _list("--methods", "default: all")

@@ -6,6 +6,7 @@ Lines are for long runs: the first comes ten seconds after the first frames, com
 import math
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final, TextIO
 
@@ -13,14 +14,24 @@ from tqdm import tqdm
 
 from particlerb.cli.exit_codes import Ending, code_of
 from particlerb.files import Closing
+from particlerb.plan.segments import Plan, is_adaptive
 from particlerb.simulation.outcome import Reached
 
 _LOG_HEAD: Final = (
-    f"{'time [s]':>14} {'frames':>14} {'energy [J]':>18} {'error [J]':>11}"
-    f" {'elapsed [s]':>12} {'left [s]':>10}"
+    f"{'time [s]':>10} {'frames':>9} {'steps':>9} {'energy [J]':>12} {'error [J]':>9}"
+    f" {'contacts':>8} {'steps/s':>8} {'left [s]':>8}"
 )
 _UNTIMED_REPORTS: Final = 2  # of the start, and of a first frame, before which kernels compile
 _SECONDS_BETWEEN: Final = {"lines": 10.0, "log": 1.0}  # lines
+
+
+def steps_until(plan: Plan, time: float) -> int:
+    """Most steps that a group takes until a time [s], of those that are known in advance."""
+    steps = [0]
+    for group in plan.groups:
+        known = (s for s in group.stepped if s.start < time and not is_adaptive(s.method))
+        steps.append(sum(round((min(s.stop, time) - s.start) / s.dt) for s in known))
+    return max(steps)
 
 
 def _new_log(path: Path) -> TextIO:
@@ -52,6 +63,8 @@ class Report(Closing):
         Whether the terminal gets nothing.
     log : str, optional
         File for lines; it is written anew.
+    steps_until : callable
+        Number of steps until a time [s]; 0 where it is not known.
 
     Raises
     ------
@@ -59,8 +72,12 @@ class Report(Closing):
         If the log cannot be written, or is another kind of file.
     """
 
-    def __init__(self, total: int, done: int, is_quiet: bool, log: str | None) -> None:
+    def __init__(
+        self, total: int, done: int, is_quiet: bool, log: str | None,
+        steps_until: Callable[[float], int] = lambda time: 0,
+    ) -> None:  # fmt: skip
         self.total, self.first, self.done = total, done, done
+        self.steps_until, self.first_time = steps_until, 0.0  # [s] as `start`
         has_terminal = sys.stderr.isatty() and not is_quiet
         self.bar = tqdm(
             total=total, initial=done, unit="frame", disable=not has_terminal, delay=0.5
@@ -79,11 +96,12 @@ class Report(Closing):
     def add(self, reached: Reached) -> None:
         """Take note of what was reached."""
         self.done += reached.frames
-        self.bar.set_postfix_str(f"t = {reached.time:.6g} s", refresh=False)
+        told = f"t = {reached.time:.6g} s, energy {reached.energy:.6g} J"
+        self.bar.set_postfix_str(f"{told}, error {reached.energy_error:.1e} J", refresh=False)
         self.bar.update(reached.frames)
         now = time.monotonic()
         if self.taken < _UNTIMED_REPORTS:
-            self.start, self.first = now, self.done
+            self.start, self.first, self.first_time = now, self.done, reached.time
             if "lines" in self.said:
                 self.said["lines"] = now
         self.taken += 1
@@ -99,10 +117,15 @@ class Report(Closing):
         head = f"{_LOG_HEAD}\n" if name == "lines" and not self.lines else ""
         self.lines += name == "lines"
         elapsed, done = time.monotonic() - self.start, self.done - self.first
-        left = f"{elapsed * (self.total - self.done) / done:10.0f}" if done else f"{'':>10}"
+        steps = self.steps_until(self.last.time)
+        taken = steps - self.steps_until(self.first_time)
+        speed = f"{taken / elapsed:.3g}" if taken and elapsed else "-"
+        left = f"{elapsed * (self.total - self.done) / done:.0f}" if done else "-"
+        contacts = "-" if self.last.contacts is None else self.last.contacts
         line = (
-            f"{self.last.time:14.6g} {self.done:>7}/{self.total:<6} {self.last.energy:18.10g}"
-            f" {self.last.energy_error:11.2e} {elapsed:12.1f} {left}"
+            f"{self.last.time:10.6g} {f'{self.done}/{self.total}':>9} {steps or '-':>9}"
+            f" {self.last.energy:12.7g} {self.last.energy_error:9.1e} {contacts:>8} {speed:>8}"
+            f" {left:>8}"
         )
         try:
             print(f"{head}{line}", file=output, flush=True)

@@ -23,13 +23,14 @@ from particlerb.cli.common import amount, fitted, output_of, read_case
 from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, MISSED, Ending, ending, tamed
 from particlerb.cli.guard import probe
 from particlerb.cli.ranks import ranks_of
-from particlerb.cli.report import Report
+from particlerb.cli.report import Report, steps_until
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.gravity_tree.opening_angle import other_angle
 from particlerb.impulses import records
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
+from particlerb.plan.segments import Plan
 from particlerb.plan.time_step import STEPS_PER_CONTACT, stable_turn
 from particlerb.ranks import ALONE, Ranks
 from particlerb.record import schema
@@ -101,7 +102,8 @@ def run_command(options: argparse.Namespace) -> int:
 
         run = partial(run_prepared, prepared, path, options.overwrite, ranks=ranks)
         before, total = _number_of(path), frame_count(system.run)
-        outcome = _execute(run, path, options, total, before=before, ranks=ranks)
+        options.log = options.log or system.output.log
+        outcome = _execute(run, path, prepared.plan, options, total, before=before, ranks=ranks)
         return _conclude(prepared, outcome, path, options, ranks)
 
 
@@ -124,7 +126,7 @@ def resume_command(options: argparse.Namespace) -> int:
 
         run = partial(resume_pending, pending, ranks=ranks)
         with ending(ResumeError):
-            outcome = _execute(run, path, options, total, start, ranks=ranks)
+            outcome = _execute(run, path, pending.prepared.plan, options, total, start, ranks=ranks)
         return _conclude(pending.prepared, outcome, path, options, ranks)
 
 
@@ -195,6 +197,7 @@ def size_text(system: System) -> str:
 def _execute(
     run: Callable[[Progress], Outcome],
     path: Path,
+    plan: Plan,
     options: argparse.Namespace,
     total: int,
     done: int = 0,
@@ -205,8 +208,8 @@ def _execute(
 
     `before` is the number of a file that is there and is to be replaced.
     """
-    log = None if ranks.number else options.log
-    report = ranks.together(lambda: Report(total, done, options.quiet, log))
+    log, steps = None if ranks.number else options.log, partial(steps_until, plan)
+    report = ranks.together(lambda: Report(total, done, options.quiet, log, steps))
     try:
         with report, stoppable():
             return run(report.add)

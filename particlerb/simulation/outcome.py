@@ -19,6 +19,7 @@ class Reached(NamedTuple):
     time: float  # [s] of the last of them, as the next two
     energy: float  # [J]
     energy_error: float  # [J]
+    contacts: int | None = None  # that act; None where they are not known
 
 
 Progress = Callable[[Reached], object]

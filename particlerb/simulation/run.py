@@ -7,7 +7,7 @@ nothing in the motion, so a run can be prolonged, or recorded more finely, witho
 
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from particlerb.simulation.joint_values import at_row, broken_joints, labels_of,
 from particlerb.simulation.outcome import Outcome, Probe, Progress, Reached
 from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, Run, RunError
+
+_NOT_OF_MOTION: Final = {"run": {"t_end", "threads"}, "output": {"log"}}
 
 
 def made_ready(system: System) -> System:
@@ -199,19 +201,19 @@ def _one_batch(run: "Run", recorder: Any, batch: Batch) -> tuple[Reached, RunErr
         run.probes.append(Probe(float(batch.times[row]), *probed))
     run.n_frames += rows.size
     told = (batch.times[:sound], *entries[2:5:2])  # of several worlds, the largest
-    last = (np.max(values[-1]) if sound else np.nan for values in told)
-    return Reached(rows.size, *map(float, last)), error
+    time, energy, lost = (float(np.max(values[-1])) if sound else np.nan for values in told)
+    counts = [one.motion.count_contacts() for one in run.group_runs if run.ranks is ALONE]
+    known = [n for n in counts if n is not None]
+    return Reached(rows.size, time, energy, lost, sum(known) if known else None), error
 
 
 def identity(prepared: Prepared, ranks: Ranks = ALONE) -> str:
-    """Hash of what decides the motion: the records without its end and threads, bodies, plan.
+    """Hash of what decides the motion: the records without its end, threads and log, bodies, plan.
 
     Ranks that have set up their own bodies find it together.
     """
     system = prepared.system
-    hasher = hashlib.sha256(
-        to_case(system).model_dump_json(exclude={"run": {"t_end", "threads"}}).encode()
-    )
+    hasher = hashlib.sha256(to_case(system).model_dump_json(exclude=_NOT_OF_MOTION).encode())
     for values in system.particles:
         hasher.update(np.ascontiguousarray(values).tobytes())
     own = [_digest(prepared, of) for of in superblocks(system.n_bodies)]

@@ -314,6 +314,10 @@ class ContactMotion(SteppedMotion):
         kinetic = np.zeros_like(elastic) + kinetic
         return Energies((elastic + potential).reshape(each), kinetic.reshape(each))
 
+    def count_contacts(self) -> int | None:
+        """How many act at the last evaluation."""
+        return sum(int(each.active.sum()) for each in self.contact.lists[:2])
+
     def gross_work(self) -> Floats | float:
         """Gross work of contacts without potential, and of walls, since the start [J]."""
         work, worlds = self.contact.workspace.gross_work, self.group.worlds

@@ -159,6 +159,10 @@ class Motion(Protocol):
         """Of contacts and pistons, in rows of the frames of the last `record`."""
         return Energies(np.zeros(rows.size), np.zeros(rows.size))
 
+    def count_contacts(self) -> int | None:
+        """How many act at the last evaluation; None where none can, or they act at instants."""
+        return None
+
     def gross_work(self) -> Floats | float:
         """Gross work of contacts without potential, and of walls, since the start [J]."""
         return 0.0

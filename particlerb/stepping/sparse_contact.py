@@ -297,6 +297,11 @@ class DiluteMotion(Motion):
         """Of contacts, in rows of the frames of the last `record`."""
         return Energies(self.elastic[rows], np.zeros(rows.size))
 
+    def count_contacts(self) -> int | None:
+        """As of `ContactMotion`; none where all bodies fly."""
+        contact = None if self.shown is None else self.shown.contact
+        return 0 if contact is None else contact.count_contacts()
+
     def gross_work(self) -> float:
         """As of `ContactMotion`."""
         return self.previous_work + (0.0 if self.shown is None else self.shown.gross_work())

@@ -114,7 +114,8 @@ def _hash_start(case: Case, sweep: SweepTable, paths: Sequence[Path]) -> Any:
 
     With the values of the axes it is that of a variant.
     """
-    dump = case.model_dump(mode="json", exclude={"title": True, "sweep": True, "run": {"threads"}})
+    exclude: Any = {"title": True, "sweep": True, "run": {"threads"}, "output": {"log"}}
+    dump = case.model_dump(mode="json", exclude=exclude)
     for path in paths:
         _forget(dump, path)
     files = {

@@ -1,6 +1,7 @@
 """What a run says on its way, where there is no terminal, and in a log."""
 
 import os
+import re
 import sys
 import time
 from functools import partial
@@ -16,6 +17,7 @@ from particlerb.cli.exit_codes import Ending
 from particlerb.cli.run import ask_to_stop
 from particlerb.compiled.threads import THREADS
 from particlerb.simulation.outcome import Reached
+from particlerb.tables import Ball, ContactTable, Output, PlaneWall, RunTable
 
 
 @pytest.fixture
@@ -35,14 +37,49 @@ def test_lines_come_every_ten_seconds_after_the_first_frames(clock, capsys, tmp_
             clock[0] += 1.0
             one.add(Reached(2, 0.1 * k, 5.0, 1e-9 * k))
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0].split()[:4] == ["time", "[s]", "frames", "energy"]
+    assert lines[0].split()[:4] == ["time", "[s]", "frames", "steps"]
     rows = [line.split() for line in lines[1:]]
     assert [row[0] for row in rows] == ["1.1", "2.1"]
     assert [row[1] for row in rows] == ["23/100", "43/100"]
-    assert rows[0][3:] == ["1.10e-08", "10.0", "38"]  # 77 frames left at 2 a second
+    assert rows[0][2:] == ["-", "5", "1.1e-08", "-", "-", "38"]  # 77 frames left at 2 a second
     logged = (tmp_path / "a.log").read_text().splitlines()
     assert len(logged) == 1 + 25 + 1
     assert logged[-1].split()[:2] == ["2.4", "49/100"]
+
+
+def test_a_line_has_steps_contacts_and_speed(clock, capsys):
+    """Of a run with 1000 steps a second of the scene, which takes 20 s for its 2 s."""
+    with report.Report(21, 0, False, None, lambda time: round(1000 * time)) as one:
+        for k in range(21):
+            one.add(Reached(1, 0.1 * k, 5.0, 0.0, 7))
+            clock[0] += 1.0
+    head, row = capsys.readouterr().err.splitlines()
+    assert re.sub(r" \[.*?\]", "", head).split()[5:7] == ["contacts", "steps/s"]
+    assert row.split() == ["1.1", "12/21", "1100", "5", "0.0e+00", "7", "100", "9"]
+
+
+@pytest.mark.plain
+def test_the_log_of_a_run_counts_its_steps_and_contacts(tmp_path, monkeypatch):
+    """Of `[output] log`: of three balls two touch a floor."""
+    monkeypatch.chdir(tmp_path)
+    scene = particlerb.Scene(RunTable(t_end=0.01, every=0.005, dt=1e-3), gravity=(0, 0, -9.81))
+    at = [[0, 0, 0.0999], [1, 0, 0.0999], [2, 0, 5]]
+    scene.add_body(name="ball", count=3, shape=Ball(radius=0.1), mass=1.0, position=at)
+    scene.add_wall(PlaneWall(name="floor", normal=(0, 0, 1)))
+    scene.contact = ContactTable(stiffness=1e4, restitution=0.5, friction=0.5, overlap=1e-3)
+    scene.output = Output(fields=("position", "contact_number"), log=str(tmp_path / "run.log"))
+    (tmp_path / "a.toml").write_text(scene.to_toml())
+    for words in (["-o", str(tmp_path / "a.h5")], ["-o", "b.h5", "--log", "b.log"]):
+        assert main(["run", str(tmp_path / "a.toml"), "-q", *words]) == 0
+    assert Path("b.log").exists()
+    row = (tmp_path / "run.log").read_text().splitlines()[-1].split()
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        assert int(row[5]) == trajectory.contact_number[-1].sum() == 2
+        known = trajectory.parameter("identity")
+    assert row[2] == "10"
+    scene.output = Output(fields=scene.output.fields)
+    with particlerb.run(scene, tmp_path / "c.h5") as trajectory:
+        assert trajectory.parameter("identity") == known  # it has no say in what moves
 
 
 def test_a_quiet_or_short_run_says_nothing(clock, capsys):
