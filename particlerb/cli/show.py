@@ -13,7 +13,7 @@ from particlerb.model.state import STATE_FIELDS
 from particlerb.record.output_path import appearing
 from particlerb.record.parts import part_paths
 from particlerb.record.provenance import changes_in, this_machine
-from particlerb.record.schema import CONTACTS
+from particlerb.record.schema import CONTACTS, LEDGER, OBSERVABLES, SUMS
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.verify import verify
 
@@ -66,6 +66,11 @@ def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
         "frames": trajectory.n_frames,
         "time": [float(t) for t in trajectory.time[[0, -1]]] if trajectory.n_frames else [],
         "fields": trajectory.fields + trajectory.other_fields,
+        "sums": [
+            name
+            for name, of in zip(SUMS, LEDGER, strict=True)
+            if f"{OBSERVABLES}/{of}" in trajectory.file
+        ],
         **({"contacts": trajectory.n_contacts} if has_contacts else {}),
         "changed": list(dict.fromkeys(changes_in(trajectory.file).values())),
         "files": trajectory.file_names,

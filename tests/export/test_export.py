@@ -432,4 +432,6 @@ def test_info_and_export_agree_on_what_is_there(path, tmp_path, capsys):
     main(["export", str(path), "--to", "npz", "-o", str(tmp_path / "a.npz")])
     found = np.load(tmp_path / "a.npz")
     assert set(facts["fields"]) < set(found)
+    with h5py.File(path) as file:
+        assert {name.removeprefix("total_") for name in facts["sums"]} == set(file["observables"])
     assert found["position"].shape[:2] == (facts["frames"], facts["bodies"])
