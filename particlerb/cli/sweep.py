@@ -55,7 +55,7 @@ def _sweep(options: argparse.Namespace, workers: Workers | None) -> int:
             run = partial(sweep, executor=executor, workers=n, progress=bar.update)
             table = run(case, path, axes=axes, overwrite=options.overwrite)
         except KeyboardInterrupt:
-            again = f"particlerb {shlex.join(sys.argv[1:])}"
+            again = f"python -m particlerb {shlex.join(sys.argv[1:])}"
             rest = f"{path} has the rows so far; the same command continues: {again}"
             raise Ending(f"interrupted: {rest}", INTERRUPTED) from None
     print(tamed(summary(table)))
