@@ -32,6 +32,7 @@ class _ThreadState(threading.local):
     """What is a matter of one Python thread."""
 
     count: int | None = None  # threads that it uses; None: all cores
+    heeds = False  # whether it ends where the main thread is asked to
     busy = 0.0  # [s] in kernels so far, by
     clock: Clock = time.perf_counter  # this: what studies compare
 
@@ -61,9 +62,12 @@ class _Threads:
         """Time [s] in kernels that this thread has called."""
         return self.local.busy
 
-    def use(self, count: int | None) -> None:
-        """Let calls from this thread use so many from now on; None for all cores."""
-        self.local.count = count
+    def use(self, count: int | None, heeds: bool = False) -> None:
+        """Let calls from this thread use so many from now on; None for all cores.
+
+        Where it `heeds`, they raise KeyboardInterrupt as those from the main thread do.
+        """
+        self.local.count, self.local.heeds = count, heeds
 
     @contextmanager
     def using(self, count: int | None, clock: Clock = time.perf_counter) -> Iterator[None]:
@@ -112,8 +116,9 @@ class _Threads:
 
     def heed(self) -> None:
         """Raise KeyboardInterrupt if a signal has asked for the end: they reach the main thread."""
-        if self.is_stopping and threading.current_thread() is threading.main_thread():
-            self.is_stopping = False
+        is_main = threading.current_thread() is threading.main_thread()
+        if self.is_stopping and (is_main or self.local.heeds):
+            self.is_stopping = not is_main
             raise KeyboardInterrupt
 
     def alone(self, kernel: Callable[..., object], *arguments: object) -> None:

@@ -266,16 +266,21 @@ def n_tasks(methods: Sequence[str] = ()) -> int:
 def _in_parallel(
     tasks: Sequence[Callable[[], Any]], progress: Callable[[int], object]
 ) -> list[Any]:
-    """Results of all tasks, in their order; kernels run without the interpreter's lock."""
-    with ThreadPoolExecutor(THREADS.count, initializer=THREADS.use, initargs=(1,)) as pool:
+    """Results of all tasks, in their order; kernels run without the interpreter's lock.
+
+    After an interrupt, or an error, those under way end behind the kernel that each has called.
+    """
+    with ThreadPoolExecutor(THREADS.count, initializer=THREADS.use, initargs=(1, True)) as pool:
         futures = [pool.submit(task) for task in tasks]
         try:
             for future in as_completed(futures):
                 future.result()
                 progress(1)
-        finally:
-            for future in futures:
-                future.cancel()
+        except BaseException:
+            THREADS.is_stopping = True
+            pool.shutdown(cancel_futures=True)
+            THREADS.is_stopping = False
+            raise
     return [future.result() for future in futures]
 
 

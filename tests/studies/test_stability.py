@@ -4,11 +4,14 @@ import csv
 import functools
 import io
 import math
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from particlerb.compiled.threads import THREADS
 from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.model.state import kinetic_energy
@@ -64,6 +67,28 @@ def study():
         patch.setattr(studied, "PACES", np.geomspace(0.05, 4.0, 6))
         patch.setattr(studied, "limits_of", measured)
         yield stability(["strang", "explicit_euler", "exact"], budget=1.0, turns=30.0)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_tasks_under_way_end_with_the_study(error):
+    """Ctrl-C waited for all kernels of two tasks, of which each may take a minute."""
+    calls, begun = [], threading.Event()
+
+    def long():
+        begun.set()
+        for k in range(1000):
+            THREADS.alone(calls.append, k)
+            time.sleep(0.002)
+
+    def progress(_):
+        begun.wait()
+        raise error
+
+    with THREADS.using(2), pytest.raises(error):
+        studied._in_parallel([lambda: None, long, long], progress)
+    assert len(calls) < 1000
+    THREADS.alone(calls.append, 0)  # this thread may go on
 
 
 # Theory, by spectral radii of update matrices that are written here
