@@ -5,6 +5,7 @@ import contextlib
 import math
 import signal
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -18,6 +19,7 @@ from particlerb.cli.guard import TRAJECTORY_SUFFIXES
 if TYPE_CHECKING:
     import viser
 
+    from particlerb.model.system import System
     from particlerb.view.access import Access
     from particlerb.view.live import Live
 
@@ -27,6 +29,7 @@ SCENES: Final = {
 }  # fmt: skip
 """Examples that may be chosen on the page, by what they are called there."""
 _LONGEST_CALL: Final = 0.02  # [s] of a kernel in Python: what has taken longer is compiled
+_UPDATES_ON_THE_WAY: Final = 0.2  # [s]: a browser misses a field that is gone
 _VISER_HINT: Final = 'the browser scene needs viser: pip install "particlerb[view]"'
 
 
@@ -52,49 +55,89 @@ def view_command(options: argparse.Namespace) -> int:
     if text:
         print(f"particlerb: warning: {text}", file=sys.stderr)
     is_file = Path(options.case).suffix.lower() in TRAJECTORY_SUFFIXES
-    with (
-        ending(AccessError, code=FAILED),
-        listening(access, options.port) as server,
-        time_in_python(math.inf, _LONGEST_CALL),  # a page that compiles stands still
-    ):
-        return _play(options, server, access) if is_file else push(options, server, access)
+    with time_in_python(math.inf, _LONGEST_CALL):  # a page that compiles stands still
+        # before there are threads of a server, beside which no copy of a process compiles
+        system = None if is_file else _rehearsed(_read(options))
+        with ending(AccessError, code=FAILED), listening(access, options.port) as server:
+            if system is None:
+                return _play(options, server, access)
+            return push(options, server, access, system)
 
 
-def push(options: argparse.Namespace, server: "viser.ViserServer", access: "Access") -> int:
+def push(
+    options: argparse.Namespace, server: "viser.ViserServer", access: "Access", system: "System"
+) -> int:
     """Serve a case, and the scenes that are chosen on its page after it."""
-    live = _live(options, server)
+    live = _live(options, server, system)
     with open_to(access, options.no_browser):
         while True:
             live.go()
             _save(live)
             if live.chosen is None:
                 break
-            live.say(f"preparing {live.chosen}: the first start compiles, for a minute or more")
+            live.say(f"preparing {live.chosen}")
             live.write_status("")
             options.case, options.overrides = SCENES[live.chosen], []
-            live = _live(options, server)
+            system = _rehearsed(_read(options), server, live.chosen)
+            _clear(server)
+            live = _live(options, server, system)
     if not live.is_over:  # a signal has ended it
         live.stop()
         _save(live)
     return DONE
 
 
-def _live(options: argparse.Namespace, server: "viser.ViserServer") -> "Live":
-    """The page of a case, made ready."""
-    from particlerb.view.live import Live, rehearse
-
-    case = read_case(options)
-    stem = case.path.stem if case.path else "case"
-    name = next((key for key, value in SCENES.items() if value == stem), stem)
-    path = Path(options.output) if options.output else Path("output") / f"{stem}_session.toml"
-    to_write(path, overwrite=True)  # where it exists, a number is added
+def _read(options: argparse.Namespace) -> "System":
+    """The system of a case."""
     with ending(CaseError):
-        system = to_system(case)
-        print("preparing ...", file=sys.stderr)
+        system = to_system(read_case(options))
+    to_write(_path(options, system), overwrite=True)  # where it exists, a number is added
+    return system
+
+
+def _rehearsed(
+    system: "System", server: "viser.ViserServer | None" = None, name: str = ""
+) -> "System":
+    """A system whose kernels are there; meanwhile its bodies stand on the page of a server."""
+    from particlerb.view.live import rehearse
+    from particlerb.view.page import Preparing
+
+    print("preparing ...", file=sys.stderr)
+    if server is not None:
+        _clear(server)
+        Preparing(server, system, name)
+    with ending(CaseError):
         rehearse(system)
-        server.gui.reset()  # long after its last update: a browser misses a field that is gone
-        server.scene.reset()
-        return Live(system, server, path, list(dict.fromkeys((name, *SCENES))))
+    return system
+
+
+def _clear(server: "viser.ViserServer") -> None:
+    """Take everything off a page."""
+    time.sleep(_UPDATES_ON_THE_WAY)
+    server.gui.reset()
+    server.scene.reset()
+
+
+def _live(options: argparse.Namespace, server: "viser.ViserServer", system: "System") -> "Live":
+    """The page of a case, which is ready."""
+    from particlerb.view.live import Live
+
+    stem = _stem(system)
+    name = next((key for key, value in SCENES.items() if value == stem), stem)
+    names = list(dict.fromkeys((name, *SCENES)))
+    with ending(CaseError):
+        return Live(system, server, _path(options, system), names)
+
+
+def _stem(system: "System") -> str:
+    """Name of the file of a case."""
+    path = system.source.path
+    return path.stem if path else "case"
+
+
+def _path(options: argparse.Namespace, system: "System") -> Path:
+    """Where a session is saved."""
+    return Path(options.output or Path("output") / f"{_stem(system)}_session.toml")
 
 
 def _save(live: "Live") -> None:

@@ -28,6 +28,8 @@ _MAX_COMMANDS_WAITING: Final = 1000  # clicks and changes that wait to be dealt 
 _MAX_BODIES_LISTED: Final = 60  # among which one chooses from a list
 _MAX_SPEED: Final = 1e15  # simulated seconds per second, not reached
 
+_WAIT: Final = "5 to 20 s, with contact a minute or more. Then a push costs milliseconds."
+
 _Action = Callable[[Any], object]
 
 
@@ -203,6 +205,18 @@ class Page:
         status += note(self.message, self.is_refusal) if self.message else ""
         status += "".join(note(warning, True) for warning in warnings)
         tell(self.status, content=f'<div id="clock" style="{style}">{status}</div>')
+
+
+class Preparing(Page):
+    """A scene that is chosen, while its kernels are compiled."""
+
+    def __init__(self, server: viser.ViserServer, system: System, name: str) -> None:
+        super().__init__(server, system, Path())
+        gui: Any = server.gui
+        gui.set_panel_label(f"preparing {name}")
+        gui.add_html(note(f"The first {name} on this machine compiles its kernels: {_WAIT}"))
+        gui.add_progress_bar(100.0, animated=True)
+        self.stage.show(system.state.com.T, system.state.q.T)
 
 
 def note(text: str, is_wrong: bool = False) -> str:

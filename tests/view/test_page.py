@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import os
+import threading
 import time
 from pathlib import Path
 
@@ -10,12 +11,15 @@ import numpy as np
 import pytest
 
 import particlerb
+from particlerb.case.reader import load
+from particlerb.case.to_system import to_system
 from particlerb.cli import view
 from particlerb.view import live
 from particlerb.view.session import Session
 
 OF_THE_RENDERER = ("THREE.Clock", "WebGL")  # which has no card here, nor is it ours
 PICTURES = os.environ.get("PARTICLERB_PICTURES")  # folder for the screenshots of docs/
+PATIENCE = 120.0  # [s]
 pytestmark = pytest.mark.slow
 BRICKS = {
     "run": {"t_end": 4.0, "every": 0.1},
@@ -240,7 +244,8 @@ class Scenes:
     def go(self) -> None:
         """Serve them until `stop`."""
         options = {"case": "cube_at_rest", "overrides": [], "commands": (), "output": None}
-        view.push(argparse.Namespace(**options, no_browser=True), self.server, None)
+        cube = to_system(load("cube_at_rest"))
+        view.push(argparse.Namespace(**options, no_browser=True), self.server, None, cube)
 
     def stop(self) -> None:
         """End the one that is served."""
@@ -250,6 +255,23 @@ class Scenes:
     def message(self) -> str:
         """What it says."""
         return self.pages[-1].message
+
+
+def test_bodies_of_a_scene_are_seen_while_its_kernels_are_compiled(serve, tmp_path, monkeypatch):
+    """For a minute the scene before stood there, with fields that did nothing."""
+    monkeypatch.chdir(tmp_path)
+    are_there = threading.Event()
+    monkeypatch.setattr(live, "rehearse", lambda system: are_there.wait(PATIENCE))
+    with serve(lambda server: Scenes(server, monkeypatch)) as served:
+        served.pages = served.serving.pages
+        served.choose("scene", "linkage")
+        served.page.get_by_text("The first linkage on this machine compiles").wait_for()
+        served.page.get_by_text("push at this point").wait_for(state="detached")
+        assert len(served.pages) == 1
+        picture(served, "view_preparing")
+        are_there.set()
+        served.page.get_by_text("push at this point").wait_for()
+        assert served.field("scene").input_value() == "linkage"
 
 
 def test_no_scene_of_the_page_says_anything_on_the_console(serve, tmp_path, monkeypatch):
