@@ -693,3 +693,31 @@ def test_a_box_around_particles_ends_where_they_do(make):
         ((vertices, _),) = [mesh[:2] for mesh in bodies.shapes_of(trajectory)]
     assert vertices.min(axis=0) == pytest.approx([-0.1, -0.2, -0.2], abs=1e-12)
     assert vertices.max(axis=0) == pytest.approx([0.1, 0.2, 0.5], abs=1e-12)
+
+
+@pytest.mark.parametrize("length", [0.5, 4.0, 400.0])
+def test_a_body_on_its_way_is_seen_where_it_comes(make, monkeypatch, length):
+    """A line in an empty cube showed no body; of a path of 400 edges it is a dot, and left out."""
+    cube = {"type": "box", "size": [1.0, 1.0, 1.0], "arrangement": "exact"}
+    body = {"name": "cube", "shape": cube, "mass": 1.0, "velocity": [0, 0, length]}
+    figure, trajectory = drawn(make.case(body, t_end=1.0, every=0.25), monkeypatch)
+    axes = figure.axes[0]
+    assert hasattr(axes, "get_zlim") == (length == 400.0)
+    if length < 400.0:
+        (path,) = [line for line in axes.lines if len(line.get_xdata()) == trajectory.n_frames]
+        assert np.ptp(path.get_xdata()) < 1e-12
+        assert 0.8 * length < np.ptp(path.get_ydata()) <= length
+        times = "t = 1 s" if length < 1.0 else "t = 0, 0.25, 0.5, 0.75, 1 s"
+        assert axes.get_title(loc="left").startswith(times)
+
+
+def test_values_of_short_axes_stand_beside_each_other(make, monkeypatch):
+    """Those of a path along z lay on each other."""
+    point = {"name": "point", "shape": {"type": "points", "position": [[0, 0, 0]], "mass": [1.0]}}
+    two = [point | {"name": name, "position": [x, 0, 0], "velocity": [0, 0, 5.0]}
+           for name, x in (("a", 0.0), ("b", 0.1))]  # fmt: skip
+    figure, _ = drawn(make.case(*two, t_end=1.0), monkeypatch)
+    figure.draw_without_rendering()
+    for axis in (figure.axes[0].xaxis, figure.axes[0].yaxis):
+        low, high = axis.get_view_interval()
+        assert sum(low <= place <= high for place in axis.get_majorticklocs()) <= 2

@@ -7,6 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d import Axes3D
 
@@ -19,6 +21,7 @@ from particlerb.studies.charts import solids
 from particlerb.studies.charts.style import COLOURS, INK, finish_view, in_powers, line_style, plain
 
 _ATTITUDES: Final = 7
+_INSTANTS, _LONG_PATH = 5, 30.0  # of one body on its way at most; lengths of it that are seen
 _APART: Final = 1.25  # of orientations, in diagonals of the body
 _FLAT_RATIO: Final = 0.05  # height over width of what is seen from above
 _LINE_RATIO: Final = 3.0  # motion along an axis over that along the other
@@ -168,6 +171,29 @@ def draw_at_rest(axes: Axes, trajectory: Trajectory, shown: list[int]) -> None:
     finish_view(axes, title, solids.ANGLED, f"upwards: {up} [m]")
 
 
+def draw_instants(figure: Figure, place: SubplotSpec, trajectory: Trajectory) -> bool:
+    """The only body at instants along its path, seen at an angle; False where that is too long."""
+    x = trajectory.read("position", bodies=0)
+    mesh = solids.small_solid_of(trajectory, 0, _INSTANTS)
+    size = 0.0 if mesh is None else float(np.ptp(mesh.vertices, axis=0).max())
+    length = float(np.ptp(x, axis=0).max())
+    if mesh is None or length > _LONG_PATH * size:
+        return False
+    count = int(min(_INSTANTS, 1.0 + length / size))
+    frames = np.linspace(len(x) - 1, 0, count).astype(int)[::-1].tolist()
+    up = upright(trajectory)
+    view, q = solids.view_at_angle(up), trajectory.read("orientation", bodies=0)
+    *before, last = solids.placed([mesh] * count, view, q[frames], x[frames])
+    axes = figure.add_subplot(place)
+    solids.draw_solids(axes, before, None, 1.0, "#8f99a3")
+    solids.draw_solids(axes, [last], "#a9cce3", 2.0)
+    axes.plot(*(x @ view.T)[:, :2].T, color=COLOURS[1], lw=1.2, zorder=3.0)
+    times = ", ".join(f"{t:.4g}" for t in trajectory.time[frames])
+    title = f"t = {times} s (blue)" + "; orange: path of the centre" * (length > 0.0)
+    finish_view(axes, title, solids.ANGLED, f"upwards: {'xyz'[up]} [m]")
+    return True
+
+
 def draw_paths(axes: Axes3D, trajectory: Trajectory, shown: list[int], body: int) -> None:
     """Trajectories of some bodies: of a few in the colours of their lines, else one in another."""
     position = trajectory.read("position", bodies=shown)
@@ -233,7 +259,7 @@ def set_equal_scale(axes: Axes3D, points: Floats, unit: str = " [m]") -> None:
     shares, largest = half / half.max(), [float(np.abs([x, y, z]).max())]
     by_axis = (axes.xaxis, axes.yaxis, axes.zaxis)
     for letter, axis, share in zip("xyz", by_axis, shares.tolist(), strict=True):
-        axis.get_major_locator().set_params(nbins=max(2, round(4.0 * share)))
+        axis.get_major_locator().set_params(nbins=max(1, round(4.0 * share)), min_n_ticks=1)
         axis.set_major_formatter(lambda value, _: f"{value:.6g}")
         axis.set_label_text(in_powers(axis, largest, f"{letter}{unit}"))
         axis.labelpad = 6.0  # beside the values, not over them

@@ -182,6 +182,9 @@ def _draw_bodies(
     if is_scene and not bodies.motion_of_bodies(trajectory).any() and not _is_top(trajectory, body):
         bodies.draw_at_rest(figure.add_subplot(place), trajectory, shown)
         return
+    is_alone = is_scene and trajectory.n_bodies == 1 and not _is_top(trajectory, body)
+    if is_alone and bodies.draw_instants(figure, place, trajectory):
+        return
     axes = figure.add_subplot(place, projection="3d")
     if _is_top(trajectory, body):
         bodies.draw_trace(axes, trajectory, body, _symmetry_axis(trajectory, body))
