@@ -167,8 +167,8 @@ def curve_of(
 ) -> Curve:
     """Errors of one solid filled in one way, of sets with at most this many particles."""
     solid, rows = SOLIDS[name], []
-    for n, particles in _sets(solid, arrangement, most):
-        rows.append((n, len(particles.mass), *fill.errors(particles, solid.analytic)))
+    for edge, particles in _sets(solid, arrangement, most):
+        rows.append((edge, len(particles.mass), *fill.errors(particles, solid.analytic)))
         progress(0)
     cells, number, tensor, com = zip(*rows, strict=True)
     counts = np.array(cells, dtype=np.int64), np.array(number, dtype=np.int64)
