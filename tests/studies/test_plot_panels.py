@@ -204,6 +204,13 @@ def test_long_names_take_no_width_from_the_panels(make, monkeypatch):
     assert widths[1] > 0.95 * widths[0]
 
 
+def test_a_legend_takes_no_width_from_a_narrow_panel(make, monkeypatch):
+    """Of three panels in a row the last was half as wide as its legend."""
+    figure, _ = drawn(flip(make), monkeypatch)
+    figure.draw_without_rendering()
+    assert panel(figure, ERRORS).get_window_extent().x1 > 0.95 * figure.bbox.x1
+
+
 def test_solids_of_a_side_view_are_the_bluer_the_faster(make, monkeypatch):
     """The title says so, though of bodies without radii nothing was seen but dots."""
     corners = (np.indices((2, 2, 2)).reshape(3, 8).T / 5).tolist()

@@ -34,7 +34,7 @@ METHOD_COLOURS: Final = {
 INK: Final = "#333333"
 GRID: Final = "#dddddd"
 _TIMES: Final = 6  # steps between times at most: values of short runs are long
-_HANDLE, _ROW = 6, 84  # letters beside a name, and of a row, of a legend as wide as a panel
+_HANDLE, _ROW = 6, 238  # letters beside a name, and of a legend as wide as the figure
 
 
 class Picture(Figure):
@@ -83,7 +83,8 @@ def finish_panel(axes: Axes, title: str = "", pad: float | None = None, **settin
 def finish_over_time(axes: Axes, title: str, label: str) -> None:
     """What all panels over time have in common: a legend below the title, values that differ."""
     names = axes.get_legend_handles_labels()[1]
-    rows = max(1, math.ceil((sum(map(len, names)) + _HANDLE * len(names)) / _ROW))
+    letters = sum(map(len, names)) + _HANDLE * len(names)
+    rows = max(1, math.ceil(letters / (_ROW * axes.get_position().width)))
     low, high = axes.get_ylim()
     if axes.get_yscale() == "linear":
         if high - low < 1e-6 * max(abs(low), abs(high)):
