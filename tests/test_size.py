@@ -32,7 +32,7 @@ BUDGETS = {
     "one scene over ranks": 2607,
     "reports, pictures, the page": 2014,
     "scenes for other programs": 541,
-    "speed of compiling and of whole calls": 1544,
+    "speed of compiling and of whole calls": 1541,
     "watches": 252,
     "beside all these": 424,
 }

@@ -14,7 +14,7 @@ from particlerb.forces.kernels import Entry
 from particlerb.forces.push import LEVER_KICK, lever_trace
 from particlerb.forces.registry import FIRST
 from particlerb.maths.quaternion import Matrix, matrix, turn_back
-from particlerb.maths.rows import column3, row3, rows3
+from particlerb.maths.rows import column3_at, row3
 from particlerb.maths.vec3 import (
     Floats,
     Ints,
@@ -91,13 +91,11 @@ NOT_STEADY: Final = Steady(np.zeros((3, 0)), np.zeros((4, 0)))
 @unfused_inline
 def put_gained(of: Steady, rows: Floats, lo: int, n: int) -> None:
     """Write what n bodies from `lo` on were given into their rows: work, and change of L."""
-    force, work = rows3(of.force, lo, lo + n), of.first[0, lo : lo + n]
-    spin = rows3(of.first[1:], lo, lo + n)
     for b in range(n):
         turned = lever_trace(rows, LEVER, b, matrix(get4(rows, Q, b)))
-        along = dot(column3(force, b), get3(rows, COM, b))
-        put(rows, EXTERNAL, b, turned + along - work[b])
-        put3(rows, EXTERNAL + 4, b, subtract(get3(rows, L, b), column3(spin, b)))
+        along = dot(column3_at(of.force, lo + b), get3(rows, COM, b))
+        put(rows, EXTERNAL, b, turned + along - of.first[0, lo + b])
+        put3(rows, EXTERNAL + 4, b, subtract(get3(rows, L, b), column3_at(of.first, lo + b, 1)))
 
 
 @inline

@@ -16,7 +16,6 @@ from particlerb.forces.registry import MANY
 from particlerb.integrators.dop853 import PACK
 from particlerb.integrators.dop853_stages import CommonSteps, room_for_vectors
 from particlerb.integrators.dop853_step import Equations
-from particlerb.integrators.external_work import NOT_STEADY
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, pair_loads
 from particlerb.integrators.stages import over_threads
@@ -34,7 +33,6 @@ from particlerb.model.block import (
 )
 from particlerb.model.load import STATE_ROWS
 from particlerb.model.state import Frames, State, room_for
-from particlerb.model.totals import no_totals
 from particlerb.stepping.adaptive_loop import Leg, advance_steps
 from particlerb.stepping.jointed_motion import JointedMotion, jointed_in
 from particlerb.stepping.loop import Recording
@@ -158,9 +156,7 @@ class AdaptiveMotion(JointedMotion):
         sums = np.zeros((frames.position.shape[0], len(self.blocks), 7))
         where, nobody = (group.bodies.rotor_frame, group.members), np.zeros(0, dtype=np.int64)
         self.coordinates = np.zeros((len(frames.position), *self.turned.shape))
-        recording = Recording(
-            *where, frames, sums, nobody, self.coordinates, NOT_STEADY, no_totals(group.bodies)
-        )
+        recording = Recording(*where, frames, sums, nobody, self.coordinates, None, None)
         for lo, hi, until in self.calls(times, stop):
             cut = stop if until == stop else np.inf
             self.advance_some(Leg(times[lo:hi], rows[lo:hi], until, cut), recording)

@@ -80,8 +80,8 @@ class Recording(NamedTuple):
     sums: Floats  # (T, bins, 7) external work
     bins: Ints  # (n,) where each body is summed: see model/worlds.py
     turned: Floats  # (T, c, 3) of joints
-    steady: Steady
-    totals: FrameTotals
+    steady: Steady | None  # None, and so below, for all motions of a kind: of these nobody asks
+    totals: FrameTotals | None
 
 
 @kernel
@@ -102,7 +102,7 @@ def store_blocks(
     end: int,
 ) -> None:
     """Write the bodies of some blocks into a frame."""
-    rotor_frame, members, frames, sums, bins, _, steady, (totals, mass, g) = recording
+    rotor_frame, members, frames, sums, bins, _, steady, totals = recording
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         local = rows.reshape(rows.size // STRIDE, STRIDE)
@@ -110,15 +110,17 @@ def store_blocks(
         p, spin = rows3(local[P : P + 3], 0, n), rows3(local[L : L + 3], 0, n)
         turn = rows4(rotor_frame, lo, lo + n)
         store_frame(frames, frame, members[lo : lo + n], turn, com, q, p, spin)
-        if totals.shape[0] > 0:
+        if totals is not None and totals.sums.shape[0] > 0:
+            g, mass = totals.gravity, totals.mass[lo : lo + n]
             inverse = rows3(local[INV_INERTIA : INV_INERTIA + 3], 0, n)
-            summed = BlockRows(com, q, p, spin, mass[lo : lo + n], local[INV_MASS, :n], inverse)
+            summed = BlockRows(com, q, p, spin, mass, local[INV_MASS, :n], inverse)
             room = np.empty((N_TOTALS, n))
-            sum_block(summed, (g[0], g[1], g[2]), bins[lo : lo + n], k, totals[frame], room)
-        looks = steady.force.shape[1] > 0
-        if looks:
+            sum_block(summed, (g[0], g[1], g[2]), bins[lo : lo + n], k, totals.sums[frame], room)
+        is_asked = sums_external is not None
+        if steady is not None and steady.force.shape[1] > 0:
             put_gained(steady, rows, lo, n)
-        if sums_external is not None or looks:
+            is_asked = True
+        if is_asked:
             store_sums(sums[frame], bins[lo : lo + n], rows)
 
 

@@ -118,7 +118,7 @@ class SteppedMotion(JointedMotion):
         counts = differences(steps, self.steps_done)
         for schedule in self.schedules(counts, partial, rows):
             self.run(schedule, recording)
-        if self.sums is not None:
+        if self.sums is not None and recording.totals is not None:
             self.sums += over_bins(recording.totals.sums[rows], self.group.worlds)
         return self.total(recording.sums)
 
@@ -132,6 +132,8 @@ class SteppedMotion(JointedMotion):
         sums = np.zeros((n_frames, self.n_bins, 7))
         self.coordinates = np.zeros((n_frames, *self.turned.shape))
         where = shown.bodies.rotor_frame, shown.members, frames, sums, self.bins
+        if shown.terms.contact is not None:
+            return Recording(*where, self.coordinates, None, None)
         totals, gravity = no_totals(shown.bodies), shown.terms.gravity
         if self.sums is not None:
             totals = totals._replace(sums=np.zeros((n_frames, self.n_bins, N_TOTALS)))
