@@ -22,13 +22,16 @@ class _Elimination(NamedTuple):
     coupled: list[list[int]]
 
 
-def _eliminated(near: list[set[int]]) -> _Elimination:
-    """Elimination of joints of which these are near each other, fewest neighbours first."""
-    heap = [(len(neighbours), k) for k, neighbours in enumerate(near)]
+def _eliminated(near: list[set[int]], is_tree: bool) -> _Elimination:
+    """Elimination of joints of which these are near each other, fewest neighbours first.
+
+    Of a tree the branches take turns: no joint then waits for numbers of the one just before it.
+    """
+    heap = [(len(neighbours), 0, k) for k, neighbours in enumerate(near)]
     heapq.heapify(heap)
     remaining, elimination = set(range(len(near))), _Elimination([], [])
     while heap:
-        degree, k = heapq.heappop(heap)
+        degree, _, k = heapq.heappop(heap)
         if k not in remaining or degree != len(near[k]):
             continue
         remaining.remove(k)
@@ -37,7 +40,7 @@ def _eliminated(near: list[set[int]]) -> _Elimination:
         for i in near[k]:
             near[i] |= near[k]
             near[i] -= {i, k}
-            heapq.heappush(heap, (len(near[i]), i))
+            heapq.heappush(heap, (len(near[i]), is_tree * len(elimination.order), i))
     return elimination
 
 
@@ -57,7 +60,7 @@ def _neighbours(a: Ints, b: Ints, moves: Bools) -> list[set[int]]:
     return near
 
 
-def _closing(order: list[int], a: Ints, b: Ints, inv_mass: Floats, holds: Bools) -> Bools:
+def _closing(order: Sequence[int], a: Ints, b: Ints, inv_mass: Floats, holds: Bools) -> Bools:
     """Which joints that hold close a loop with others before them in an order.
 
     All that stands still is one body, the last.
@@ -91,7 +94,8 @@ def program_of(a: Ints, b: Ints, start: Ints, inv_mass: Floats, holds: Bools) ->
         Whether any row of a joint is a constraint.
     """
     moves = inv_mass > 0.0
-    elimination = _eliminated(_neighbours(a, b, moves))
+    is_tree = not _closing(range(a.size), a, b, inv_mass, holds).any()
+    elimination = _eliminated(_neighbours(a, b, moves), is_tree)
     place = np.empty(a.size, dtype=np.int64)
     place[elimination.order] = np.arange(a.size)
     pairs = [(j, j) for j in range(a.size)]

@@ -18,6 +18,7 @@ from particlerb.joints.rows import add_impulses, orientation, rate, residuals
 from particlerb.joints.wheels import nearest
 from particlerb.maths.quaternion import to_body
 from particlerb.maths.rows import row3
+from particlerb.maths.vec3 import Floats
 from particlerb.rotors.symmetric_split import symmetric_split, symmetric_top
 
 _MOST_ITERATIONS: Final = 60
@@ -53,6 +54,19 @@ def add_gains(joints: Joints, data: JointData, lo: int, hi: int) -> None:
 
 
 @inline
+def _foreseen(past: Floats, r: int) -> float:
+    """Impulse of row r over its kick that a polynomial through those of the last steps foresees."""
+    all_known, known = 0.0, 0.0
+    for i in range(0, col.PAST, 4):  # summed in pairs: fewer of them wait for each other
+        all_known += (past[r, i] + past[r, i + 1]) + (past[r, i + 2] + past[r, i + 3])
+    is_known = abs(all_known) < inf
+    if any_of(opposite(is_known)):
+        for i in range(col.PAST):
+            known += choose(abs(past[r, i]) < inf, past[r, i], 0.0)
+    return choose(is_known, all_known, known)
+
+
+@inline
 def warm_start(joints: Joints, data: JointData, c: int, kick_dt: float) -> None:
     """Begin with the impulses that a polynomial through those of the last steps foresees.
 
@@ -63,12 +77,8 @@ def warm_start(joints: Joints, data: JointData, c: int, kick_dt: float) -> None:
     for j in range(first, last):
         d = joints.clusters.block[c] + j - first
         for r in range(start[j], start[j + 1]):
-            force = 0.0
-            for i in range(data.past.shape[1]):
-                past = data.past[r, i]
-                force += choose(abs(past) < inf, past, 0.0)
             is_in = data.factor[d, r - start[j], r - start[j]] != 0.0
-            data.z[r] = choose(is_in, kick_dt * force, 0.0)
+            data.z[r] = choose(is_in, kick_dt * _foreseen(data.past, r), 0.0)
     add_gains(joints, data, start[first], start[last])
 
 
@@ -77,7 +87,7 @@ def remember(data: JointData, lo: int, hi: int, kick_dt: float, is_lost: bool) -
     """Keep the impulses of rows lo to hi for the guess of the next step, if they are none lost."""
     for r in range(lo, hi):
         force = data.impulse[r] / kick_dt
-        for i in range(data.past.shape[1]):
+        for i in range(col.PAST):
             before = data.past[r, i]
             data.past[r, i] = choose(is_lost, before, force)
             force -= before

@@ -290,18 +290,38 @@ def rates(joints: Joints, data: JointData, lo: int, hi: int) -> float:
     return worst
 
 
+@inline
+def _two_at(y: Floats, k: int, at: int) -> tuple[Vec3, Vec3]:
+    """Momenta, or loads, of body k that stand in y from `at` on."""
+    return row3(y, k, at), row3(y, k, at + 3)
+
+
+@inline
+def _put_two(inv_mass: Floats, y: Floats, k: int, of: tuple[Vec3, Vec3], at: int) -> None:
+    """Write them, if it moves."""
+    if lane(inv_mass[k], 0) > 0.0:
+        put_row3(y, k, of[0], at)
+        put_row3(y, k, of[1], at + 3)
+
+
 @kernel
 def add_impulses(
     rows: ConstraintRows, inv_mass: Floats, gradient: Floats, z: Floats, lo: int, hi: int,
     y: Floats, at: int,
 ) -> None:  # fmt: skip
     """(P, L) += Gᵀ z of rows lo to hi, on momenta or loads that stand in y from `at` on."""
+    if lo == hi:
+        return
+    a, b = rows.a[lo], rows.b[lo]
+    of_a, of_b = _two_at(y, a, at), _two_at(y, b, at)
     for r in range(lo, hi):
-        a, b = rows.a[r], rows.b[r]
-        by_x = row3(gradient, r)
-        if lane(inv_mass[a], 0) > 0.0:
-            put_row3(y, a, add_scaled(z[r], by_x, row3(y, a, at)), at)
-            put_row3(y, a, add_scaled(z[r], row3(gradient, r, 3), row3(y, a, at + 3)), at + 3)
-        if lane(inv_mass[b], 0) > 0.0:
-            put_row3(y, b, add_scaled(-z[r], by_x, row3(y, b, at)), at)
-            put_row3(y, b, add_scaled(z[r], row3(gradient, r, 6), row3(y, b, at + 3)), at + 3)
+        if rows.a[r] != a or rows.b[r] != b:
+            _put_two(inv_mass, y, a, of_a, at)
+            _put_two(inv_mass, y, b, of_b, at)
+            a, b = rows.a[r], rows.b[r]
+            of_a, of_b = _two_at(y, a, at), _two_at(y, b, at)
+        by_x, f = row3(gradient, r), z[r]
+        of_a = add_scaled(f, by_x, of_a[0]), add_scaled(f, row3(gradient, r, 3), of_a[1])
+        of_b = add_scaled(-f, by_x, of_b[0]), add_scaled(f, row3(gradient, r, 6), of_b[1])
+    _put_two(inv_mass, y, a, of_a, at)
+    _put_two(inv_mass, y, b, of_b, at)
