@@ -49,7 +49,7 @@ class _Near(NamedTuple):
     slow: float  # [m/s]
     changes: Vec3  # [m/s²] of the velocity in it, without forces, as if no ω changed
     normal: Vec3  # from the second to the first
-    point: Vec3  # [m] in the middle of the gap
+    point: Vec3  # [m] across the gap, the nearer to what is lighter: on what meets a wall
 
 
 @inline
@@ -185,7 +185,8 @@ def _sphere_contact(
         _mark(contacts, c, impulses.rows.rolling, is_near)
         return
     normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
-    point = add_scaled(-(xyzr[i, 3] + 0.5 * gap), normal, row3(xyzr, i))
+    share = model.inv_mass[b] / (model.inv_mass[a] + model.inv_mass[b])
+    point = add_scaled(-(xyzr[i, 3] + share * gap), normal, row3(xyzr, i))
     pair = model.pair_of[model.spheres.material[i], model.spheres.material_column[j]]
     smaller, effective = min(xyzr[i, 3], xyzr[j, 3]), xyzr[i, 3] * xyzr[j, 3] / touching
     spheres = row3(xyzr, i), xyzr[i, 3], row3(xyzr, j), xyzr[j, 3]
@@ -219,7 +220,7 @@ def _wall_contact(
         _mark(contacts, c, impulses.rows.rolling, False)
         return
     normal = to_world(q, away)
-    point = add_scaled(-(radius + 0.5 * gap), normal, x)
+    point = add_scaled(-radius, normal, x)
     velocity, arm = impulses.partners.velocity, subtract(point, row3(poses.position, w))
     moving = add_scaled(1.0, cross(row3(velocity, b, 3), arm), row3(velocity, b))
     between = subtract(row3(velocity, a), moving)
@@ -266,10 +267,8 @@ def _list_near(
             k, j = count[0], contacts.other[c]
             count[0], rows.partner_a[k] = k + 1, spheres.body[contacts.sphere[c]]
             if are_walls:
-                rows.partner_b[k], rows.entry[k] = (
-                    setup.max_arm.size + setup.model.walls.wall[j],
-                    ~c,
-                )
+                wall = setup.max_arm.size + setup.model.walls.wall[j]
+                rows.partner_b[k], rows.entry[k] = wall, ~c
             else:
                 rows.partner_b[k], rows.entry[k] = spheres.body[j], c
 

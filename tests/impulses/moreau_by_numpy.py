@@ -200,7 +200,7 @@ class Scene:
                 for j, (point, normal) in enumerate(self.planes):
                     gap = (x - point) @ normal - body.radius
                     if gap < reach:
-                        at = x - (body.radius + 0.5 * gap) * normal
+                        at = x - body.radius * normal
                         changes = self._changes(body, x, None, normal)
                         found.append(
                             self._touch(a, None, gap, normal, at, (a, i, "plane", j), changes)
@@ -212,7 +212,8 @@ class Scene:
                 gap = away - one.radius - two.radius
                 if gap < reach:
                     normal = (x - y) / away
-                    at = x - (one.radius + 0.5 * gap) * normal
+                    share = one.mass / (one.mass + two.mass)
+                    at = x - (one.radius + share * gap) * normal
                     changes = self._changes(one, x, two, y)
                     found.append(self._touch(a, b, gap, normal, at, (a, i, b, j), changes))
         return found

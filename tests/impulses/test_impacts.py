@@ -42,6 +42,19 @@ def test_newtons_cradle_hands_on_as_many_balls_as_come_in(k):
 
 
 @plain
+@pytest.mark.parametrize("e", [0.7, 0.0])
+@pytest.mark.parametrize(("v", "mu"), [(3.0, 0.2), (0.5, 0.6)])
+def test_an_oblique_bounce_is_that_of_a_rigid_ball_wherever_its_step_ends(v, mu, e):
+    """Friction is μ m (1 + e) or ends slip, with the arm R: Δv = J/m, Δω = -J R/I."""
+    ball = sphere(position=[0, 0, R + 0.05], velocity=[v, 0, -1.0], angular_velocity=[0, 2.0, 0])
+    t = go(ball, contact=impulse(e, mu, tolerance=1e-13, iterations=200), wall=[plane()], dt=8e-3,
+           t_end=0.08, every=0.08)  # fmt: skip
+    change = max(-mu * (1.0 + e), -2.0 / 7.0 * (v - 2.0 * R))
+    assert t.velocity[-1, 0] == pytest.approx([v + change, 0.0, e], abs=1e-11)
+    assert t.angular_velocity[-1, 0] == pytest.approx([0.0, 2.0 - 2.5 * change / R, 0.0], abs=1e-10)
+
+
+@plain
 def test_a_row_of_halved_masses_speeds_up_by_its_closed_form():
     balls = [
         sphere(f"b{i}", mass=0.5**i, position=[2 * R * i - 0.05 * (i < 1), 0, 0],

@@ -50,7 +50,7 @@ def on_the_slope(kind, v, omega):
 # bodies, normals of planes, restitution, friction; impacts, contacts that slide, moves at least
 SCENES = {
     "tumbling": (tumbling(0, ["cube", "pair", "ball"], 0.4), [[0, 0, 1]], 0.0, 0.5, 0, 15, 0),
-    "rough": (tumbling(2, ["pair"] * 3, 0.35, 0.2), [[0, 0, 1]], 0.0, 2.0, 0, 15, 0),
+    "rough": (tumbling(2, ["pair"] * 3, 0.35, 0.2), [[0, 0, 1]], 0.0, 2.0, 0, 10, 0),
     "bouncing": (tumbling(2, ["ball"] * 4, 0.3, 0.15), [[0, 0, 1]], 0.6, 0.3, 6, 0, 0),
     "slow bounces": (tumbling(5, ["ball"] * 3, 0.2, 0.15), [[0, 0, 1]], 0.1, 0.4, 3, 0, 50),
     "sliding": ([on_the_slope("cube", [0.5, -0.2, 0], [0, 0, 0])], [SLOPE], 0.0, 0.1, 0, 99, 0),
