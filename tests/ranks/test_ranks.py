@@ -25,6 +25,7 @@ from particlerb.cli.report import Report
 from particlerb.model import superblocks
 from particlerb.model.names import BodyNames
 from particlerb.model.superblocks import SUPERBLOCK, own_parts, parts_of
+from particlerb.plan.segments import Plan
 from particlerb.ranks import Ranks, as_agreed, end_all, launched
 from particlerb.record import atomic
 from particlerb.record.checkpoint import put, read_checkpoint, slots_in
@@ -246,7 +247,8 @@ def test_a_log_is_one_for_all_ranks(tmp_path):
     second, options = Ranks(), argparse.Namespace(quiet=True, log=str(tmp_path / "c.log"))
     for second.number in (1, 0):
         assert not (tmp_path / "c.log").exists()
-        of_runs._execute(lambda _: None, tmp_path / "c.h5", options, 1, ranks=second)
+        none = Plan((), "", ())
+        of_runs._execute(lambda _: None, tmp_path / "c.h5", none, options, 1, ranks=second)
     assert (tmp_path / "c.log").exists()
     done = run(tmp_path / "a.h5", "-q", "--log", str(tmp_path / "a.log"), ranks=2)
     assert done.returncode == 0, done.stderr
