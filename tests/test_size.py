@@ -26,7 +26,7 @@ BUDGETS = {
     "contact with every method": 702,
     "contact by impulses": 4205,
     "collisions by events": 1739,
-    "forces: tables, gradients, written by users": 2149,
+    "forces: tables, gradients, written by users": 2157,
     "scenes and simulations in Python": 1124,
     "sweeps": 1654,
     "one scene over ranks": 2607,

@@ -108,6 +108,14 @@ def _parts_of(terms: Terms) -> list[tuple[kinds.Kick, Floats]]:
     return parts
 
 
+def _kicks_of(terms: Terms) -> list[kinds.Kick]:
+    """Kicks of all loads and gravity; of each load its own, one after the other."""
+    kicks = [] if terms.gravity is None else [kick for kick, _ in parts_of_gravity(terms.gravity)]
+    for load in terms.loads:
+        kicks += term_of(load).kicks(load)
+    return kicks
+
+
 def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
     """Parameters of the terms, and the rows of a block where they go."""
     parts: dict[int, Floats] = {}
@@ -127,8 +135,8 @@ def rows_of_terms(terms: Terms) -> list[tuple[int, Floats]]:
 
 def acting_of(terms: Terms) -> Acting:
     """What a kernel is to be compiled for."""
-    parts = [kick for kick, _ in _parts_of(terms)]
-    names, users = [kick.name for kick in parts], tuple(kick for kick in parts if kick not in KICKS)
+    kicks = _kicks_of(terms)
+    names, users = [kick.name for kick in kicks], tuple(kick for kick in kicks if kick not in KICKS)
     acting = [*(kick for kick in KICKS if kick.name in names), *users]
 
     def tag(kick: kinds.Kick) -> int | tuple[int, ...] | None:
@@ -163,14 +171,14 @@ def terms_on(terms: Terms, indices: Ints) -> Terms:
 
 def row_count(terms: Terms) -> int:
     """Rows of a block with these terms: with room for stages where bodies act on each other."""
-    many = sum(kick.rows for kick, _ in _parts_of(terms) if kick.is_many)
+    many = sum(kick.rows for kick in _kicks_of(terms) if kick.is_many)
     return MANY + many if many or terms.is_coupled or terms.contact is not None else STAGE
 
 
 def has_potential(terms: Terms) -> bool:
     """Whether every force has one: then energy needs no sums on the way."""
     damped = terms.links is not None and terms.links.damping is not None
-    others = all(kick.has_potential for kick, _ in _parts_of(terms))
+    others = all(kick.has_potential for kick in _kicks_of(terms))
     others &= pairs_have_potential(terms)
     has_joints = terms.joints is not None and not terms.joints.has_potential
     return others and not damped and not has_joints and terms.contact is None
@@ -187,7 +195,7 @@ def is_constant(terms: Terms) -> bool:
     Forces between bodies do not change the sums of external work, as long as those from outside are
     uniform gravity alone.
     """
-    if not has_potential(terms) or not all(kick.is_steady for kick, _ in _parts_of(terms)):
+    if not has_potential(terms) or not all(kick.is_steady for kick in _kicks_of(terms)):
         return False
     reaches_out = terms.links is not None and bool((terms.links.body_b == WORLD).any())
     reaches_out |= terms.joints is not None and terms.joints.reach_out
@@ -208,7 +216,7 @@ def needs_of(terms: Terms) -> dict[str, frozenset[str]]:
     needs: dict[str, frozenset[str]] = {}
     for load in terms.loads:
         term = term_of(load)
-        kicks = [kick for kick, _ in term.parts(load)]
+        kicks = term.kicks(load)
         needs[term.name] = frozenset().union(*(kick.needs for kick in kicks))
         flows = any(kick.load is not None and kick.damp is None for kick in kicks)
         if terms.joints is not None and flows:
@@ -274,9 +282,9 @@ def works_of(terms: Terms, com: Floats, q: Floats, t: Floats) -> list[Floats]:
     t : ndarray, shape (T,) [s]
         Since the segment began.
     """
-    of = [(term_of(load).work, load) for load in _in_states(terms.loads, com, t.size)]
+    of = [(work, load) for load in terms.loads if (work := term_of(load).work) is not None]
     each = np.repeat(t, com.shape[1] // t.size)
-    works = [work(load, com, q, each) for work, load in of if work is not None]
+    works = [work(_in_states(load, com, t.size), com, q, each) for work, load in of]
     return [work.reshape(t.size, -1) for work in works]
 
 
@@ -285,10 +293,9 @@ def has_work(terms: Terms) -> bool:
     return any(term_of(load).work is not None for load in terms.loads)
 
 
-def _in_states(loads: tuple[Any, ...], com: Floats, n_states: int) -> list[Any]:
-    """Loads on the bodies of several states, one after the other."""
-    columns = np.tile(np.arange(com.shape[1] // n_states), n_states)
-    return [taken(load, columns) for load in loads]
+def _in_states(load: Any, com: Floats, n_states: int) -> Any:
+    """A load on the bodies of several states, one after the other."""
+    return taken(load, np.tile(np.arange(com.shape[1] // n_states), n_states))
 
 
 def energies_of(load: Any, com: Floats, q: Floats) -> Floats | None:
@@ -307,5 +314,6 @@ def energies_of_loads(terms: Terms, com: Floats, q: Floats, n_states: int) -> li
 
     In states one after the other, as `works_of`.
     """
-    energies = [energies_of(load, com, q) for load in _in_states(terms.loads, com, n_states)]
-    return [one.reshape(n_states, -1) for one in energies if one is not None]
+    of = [(energy, load) for load in terms.loads if (energy := term_of(load).energy) is not None]
+    energies = [energy(_in_states(load, com, n_states), com, q) for energy, load in of]
+    return [one.reshape(n_states, -1) for one in energies]

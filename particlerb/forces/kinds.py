@@ -119,6 +119,10 @@ class Term(NamedTuple):
             return self.split(parameters)
         return [(self.kick, np.vstack(parameters))]
 
+    def kicks(self, parameters: Any) -> list[Kick]:
+        """Which kicks those are."""
+        return [self.kick] if self.split is None else [kick for kick, _ in self.split(parameters)]
+
     @property
     def name(self) -> str:
         """What messages call it."""

@@ -123,7 +123,9 @@ def course_of(table: Any, numbers: Floats, start: float) -> Course:
     half, acts = 0.5 * (times[k + 1] - times[k]), numbers[3]
     clock = np.array([[times[k] - start + half], [1.0 / half]])
     parts = 0.5 * before + 0.5 * after, 0.5 * after - 0.5 * before, clock
-    wide = [np.broadcast_to(part, (len(part), acts.size)) for part in parts]  # views, for each knot
+    wide: Any = parts
+    if acts.size > 1:
+        wide = [np.broadcast_to(part, (len(part), acts.size)) for part in parts]  # views
     if acts.all():
         return Course(*wide)
     return Course(wide[0] * acts, wide[1] * acts, wide[2])  # zero on some bodies of a group

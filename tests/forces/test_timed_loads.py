@@ -14,7 +14,7 @@ from particlerb.case.problems import CaseError
 from particlerb.case.reader import load, parse
 from particlerb.case.to_system import to_system
 from particlerb.compiled.jit import config
-from particlerb.forces.kinds import TIME
+from particlerb.forces.kinds import TIME, Term
 from particlerb.forces.push import Push
 from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.plan.make_plan import make_plan
@@ -404,3 +404,17 @@ def test_parse_reads_the_file_once(tmp_path):
     (tmp_path / "load.csv").unlink()
     assert list(case.source.files.contents) == ["load.csv"]
     make_plan(to_system(case))
+
+
+@pytest.mark.once
+def test_a_plan_stacks_no_numbers_for_kernels(make, monkeypatch):
+    """With a segment for each knot that took a fifth of its time; who moves them does it."""
+
+    def parts(term, parameters):
+        raise AssertionError("numbers were stacked")
+
+    system = to_system(
+        load(make.case(make.body(**START), force=[push(make)], **stepped("rk4", 0.1)))
+    )
+    monkeypatch.setattr(Term, "parts", parts)
+    assert [s.start for s in make_plan(system).groups[0].segments] == [0.0, *TIMES]
