@@ -143,6 +143,7 @@ class Live(Page):
         elif name == "reset":
             self.session.reset()
             self.reset()
+            self.explain()
             self.controls.gravity.value = self.session.has_gravity
 
     def change_scene(self, _: Any) -> None:

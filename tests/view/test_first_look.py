@@ -77,6 +77,14 @@ def test_a_push_outside_its_body_is_told(live, point, is_outside):
     assert ("at a point outside the body" in live.controls.outcome.content) == is_outside
 
 
+def test_after_a_reset_no_push_is_told(live):
+    live.controls.direction.value = "+z"
+    live.push_at_point(None)
+    assert "pushed at t = 0.0 s" in live.controls.outcome.content
+    live.press("reset")
+    assert "pushed" not in live.controls.outcome.content
+
+
 def test_a_scene_whose_updates_cost_the_same_however_short_goes_on(live, monkeypatch):
     """Time per simulated second grew as updates became shorter, until nothing moved."""
     clock = [0.0]
