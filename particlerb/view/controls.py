@@ -72,7 +72,9 @@ class Controls:
         charts = gui.add_panel()
         with charts.add_tab("charts"):
             self.rates = chart(gui, "ω of the body, world axes  rad/s", ("x", "y", "z"))
-            self.energy = chart(gui, "energy of the scene  J", ("kinetic", "total"))
+            self.energy = chart(
+                gui, "energy of the scene  J", ("kinetic", "total, potential 0 at first")
+            )
         with charts.add_tab("show"):
             gui.add_html(legend())
             self.shown = {key: gui.add_checkbox(label, True) for key, label in _LABELS.items()}

@@ -100,6 +100,7 @@ class Live(Page):
         self.history: deque[tuple[float, ...]] = deque(maxlen=_MAX_CHART_POINTS)
         self.reference: Floats | None = None  # (4,) errors of energy and angular momentum then
         self.next_numbers = self.next_charts = self.speed_so_far = 0.0
+        self.zero = self.session.entries.potential_energy[0]  # [J] in the chart of energies
 
     def corner(self) -> Floats:
         """A point of the surface of the body that is looked at, far from its centre [m]."""
@@ -336,7 +337,7 @@ class Live(Page):
             self.stage.show(position[0], q[0], follow)
             frame = session.system.bodies.rotor_frame[:, self.body]
             self.arrows.draw(session, seen, frame, self.arm)
-        kinetic, total = session.entries.kinetic_energy[0], session.entries.energy[0]
+        kinetic, total = session.entries.kinetic_energy[0], session.entries.energy[0] - self.zero
         if not self.history or self.history[-1][0] != session.time:
             rates = tuple(seen.angular_velocity.tolist())
             self.history.append((session.time, *rates, float(kinetic), float(total)))

@@ -77,6 +77,16 @@ def test_a_push_outside_its_body_is_told(live, point, is_outside):
     assert ("at a point outside the body" in live.controls.outcome.content) == is_outside
 
 
+def test_energies_of_what_hangs_have_one_scale(tmp_path):
+    """A cradle hangs 1 m below the zero of heights: beside -4.9 J none of its 0.05 J were seen."""
+    with listening(Access(), 8603) as server:
+        live = Live(to_system(load("newtons_cradle")), server, tmp_path / "session.toml")
+        live.show(0.0)
+        *_, kinetic, total = live.history[-1]
+    assert total == kinetic
+    assert abs(live.session.entries.energy[0]) > 4.0
+
+
 def test_after_a_reset_no_push_is_told(live):
     live.controls.direction.value = "+z"
     live.push_at_point(None)
