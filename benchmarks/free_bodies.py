@@ -8,15 +8,17 @@ tests/reference/free_rotation.npz; a run of ten_thousand_clumps against h5py alo
 Goals: brick 1e-12; 5 ns, 7 times, 200 ns, 400 bytes; 3e-13 rad and 6 half-ulp effects; 1.5 times.
 
 `--calls` prints whole calls alone: motions of prepared scenes, `run(dict)` in memory and with a
-file, a body-frame before the file, the search of run.accuracy, each beside its goal, with SciPy's
-whole loop where it is installed: its least time without set-up over our least one with set-up, the
-frame and the energy balance of both ends. Times by the clock, the median and the least of rounds.
+file, a body-frame before the file, free or stepped, the search of run.accuracy, each beside its
+goal, with SciPy's whole loop where it is installed: its least time without set-up over our least
+one with set-up, the frame and the energy balance of both ends. Times by the clock, the median and
+the least of rounds.
 """
 
 import argparse
 import tempfile
 import time
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -157,6 +159,16 @@ def body_frame(n: int = 1000, frames: int = 300) -> Callable[[], object]:
     return lambda: going.frames_at(times, is_frame)
 
 
+def stepped_frame(n: int = 1000, frames: int = 300, dt: float = 0.01) -> Callable[[], object]:
+    """The same under a push, a frame at each step; every call goes on."""
+    push = {"type": "push", "body": "body", "at": [0.0, 0.0, 1.0], "force": [0.0, 0.0, -1.0]}
+    run = {"t_end": 10.0, "every": dt, "dt": dt, "method": "strang"}
+    going = Run(prepare_system(to_system(free_bodies(n) | {"run": run, "force": [push]})))
+    times, is_frame = dt * np.arange(frames), np.ones(frames, dtype=bool)
+    calls = count()
+    return lambda: going.frames_at(times + dt * frames * next(calls), is_frame)
+
+
 def search(rounds: int) -> tuple[float, float]:
     """Time that a search takes beyond a plan, and that of the run it is for [s]."""
     system = to_system(load(CASES / "spring_pendulum.toml", ["run.accuracy=1e-6"]))
@@ -201,6 +213,8 @@ def calls() -> list[tuple[str, float]]:
     many = call_times(one_state(free_bodies(100_000)), 9)
     row("100 000 free bodies, one frame [ms]", 1e3, "25", many)
     row("a body-frame before the file [ns]", 1e9 / 3e5, "15", call_times(body_frame(), 15))
+    found = call_times(stepped_frame(), 15)
+    row("a stepped body-frame, a frame a step [ns]", 1e9 / 3e5, "60", found)
     taken, allowed = search(30)
     row(
         "search of run.accuracy, spring_pendulum [ms]",
