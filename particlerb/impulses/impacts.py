@@ -59,10 +59,10 @@ def _find_impacts(impulses: Impulses, bounded: Bounded | None) -> int:
 
     Contacts have their numbers, stops ~k.
     """
-    _, partners, rows, count, _, _ = impulses
+    rules, partners, rows, count, _, _ = impulses
     limits, order, n = rows.limits, rows.order, 0
     for k in range(count[0]):
-        if limits[k, col.GAP] > 0.0 or limits[k, col.RESTITUTION] == 0.0:
+        if limits[k, col.GAP] > rules.slop or limits[k, col.RESTITUTION] == 0.0:
             continue
         speed = -approach(partners, rows, k)[0]
         if speed > limits[k, col.SLOW]:

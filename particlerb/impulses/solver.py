@@ -71,12 +71,12 @@ class Scales(NamedTuple):
 @kernel
 def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None, team: Team) -> None:
     """Leave out contacts that have not closed yet and will bounce when they have."""
-    _, partners, rows, _, _, _ = impulses
+    rules, partners, rows, _, _, _ = impulses
     for i in range(rows.colours.counts[0]):
         first, end = rows_of(team, rows.colours, i)
         for k in range(first, end):
             limits = rows.limits
-            will_bounce = limits[k, col.RESTITUTION] > 0.0 and limits[k, col.GAP] > 0.0
+            will_bounce = limits[k, col.RESTITUTION] > 0.0 and limits[k, col.GAP] > rules.slop
             if will_bounce and approach(partners, rows, k)[0] < -limits[k, col.SLOW]:
                 rows.frame[k, col.LEAST] = col.NEVER
     if bounded is not None:

@@ -148,19 +148,21 @@ class Scene:
         self._lean(touch, frame, changes)
         return touch
 
+    def _is_open(self, gap):
+        return gap > self.slop * min(b.radius for b in self.bodies)
+
     def _lean(self, touch, frame, changes):
         """What the solve asks for: velocities at the end of the step; `changes` (3,) m/s²."""
         half = 0.5 * self.dt * frame @ changes
         came = touch.jacobian @ self.twists()
-        radius = min(b.radius for b in self.bodies)
-        is_open = touch.gap > self.slop * radius
+        is_open = self._is_open(touch.gap)
         touch.least = -touch.gap / self.dt if is_open else 0.0
         touch.closing, touch.across = max(-2.0 * half[0] / self.dt, 0.0), np.zeros(2)
         n, *t = frame @ self.bore.get(touch.key, np.zeros(3))
         if not is_open or n > 0.0:
             touch.ahead = np.clip(came[0], min(half[0], 0.0), max(half[0], 0.0))
             gap = touch.gap - 0.25 * self.dt * max(touch.ahead, 0.0)
-            touch.least = -touch.ahead - (gap / self.dt if gap > self.slop * radius else 0.0)
+            touch.least = -touch.ahead - (gap / self.dt if self._is_open(gap) else 0.0)
             size, slip = np.hypot(*half[1:]), np.hypot(*(came - half)[1:])
             within = np.hypot(*t) < (1.0 - 1e-6) * self.friction * n
             if n > 0.0 and (within or slip <= 0.1 * size):
@@ -251,7 +253,7 @@ class Scene:
 
     def _will_bounce(self, touch, slow):
         u = touch.jacobian[0] @ self.twists()
-        return self.restitution > 0.0 and touch.gap > 0.0 and u < -self._slow(touch, slow)
+        return self.restitution > 0.0 and self._is_open(touch.gap) and u < -self._slow(touch, slow)
 
     def _slow(self, touch, slow):
         """What approaches no faster than forces and turns give in two steps does not bounce."""
@@ -265,7 +267,9 @@ class Scene:
             hits = [
                 k
                 for k, t in enumerate(touches)
-                if t.gap <= 0.0 and self.restitution > 0.0 and u[k][0] < -self._slow(t, slow)
+                if not self._is_open(t.gap)
+                and self.restitution > 0.0
+                and u[k][0] < -self._slow(t, slow)
             ]
             if not hits:
                 return given

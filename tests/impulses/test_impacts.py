@@ -55,6 +55,19 @@ def test_an_oblique_bounce_is_that_of_a_rigid_ball_wherever_its_step_ends(v, mu,
 
 
 @plain
+def test_a_ball_bounces_to_rest_alike_on_a_floor_that_moves_evenly():
+    """A last hit that one step lets land is at rest in the next, whatever its gap is rounded to."""
+    ways = []
+    for speed in (0.0, 0.9):
+        ball = sphere(position=[0, 0, 0.3], velocity=[0.4, 0, speed])
+        floor = plane(motion={"velocity": [0, 0, speed]}) if speed else plane()
+        t = go(ball, contact=impulse(0.8, 0.3, tolerance=1e-12), wall=[floor], gravity=DOWN,
+               dt=4e-3, t_end=1.8, every=0.02)  # fmt: skip
+        ways.append(t.position[:, 0] - np.outer(t.time, [0, 0, speed]))
+    assert np.abs(ways[0] - ways[1]).max() < 1e-12
+
+
+@plain
 def test_a_row_of_halved_masses_speeds_up_by_its_closed_form():
     balls = [
         sphere(f"b{i}", mass=0.5**i, position=[2 * R * i - 0.05 * (i < 1), 0, 0],
