@@ -2,6 +2,7 @@
 
     python benchmarks/ranks_touching.py gas [--ranks 4] [--bodies 1000] [--steps 100000] [--record]
     python benchmarks/ranks_touching.py weak [--ranks 2] [--bodies 20000] [--steps 300] [--rounds 3]
+        [--record]
 
 `gas`: clumps that collide far from everything: how far their momentum drifts, how many are left,
 what is sent for each copy in a step, and how often ranks wait for all others. `weak`: so many

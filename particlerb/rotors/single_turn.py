@@ -76,7 +76,7 @@ def set_turn(
     Parameters
     ----------
     turn, b
-        Rows, (n, STEADY_COLUMNS) or (n, COLUMNS), and which.
+        Rows, (n, STEADY_COLUMNS) or (n, TURN_COLUMNS), and which.
     inertia, inverse : tuple of 3 floats [kg m², 1/(kg m²)]
         Principal moments, and their inverses as `Bodies.inv_inertia`.
     is_asymmetric : bool

@@ -6,7 +6,6 @@ from typing import Any, Final
 from particlerb.case.overrides import with_value
 from particlerb.case.problems import CaseError, Path, Problem, key_of, problem_at
 from particlerb.case.reader import build
-from particlerb.case.schema import Case
 from particlerb.case.to_system import with_records
 from particlerb.case.values import plain
 from particlerb.model.system import System
@@ -27,7 +26,7 @@ def changed_at(system: System, path: Path, value: Any) -> System | None:
     """
     key, is_motion = key_of(path), path[:1] + path[2:3] == ("body", "motion")
     if not is_motion and (not path or path[0] not in _CHANGEABLE_TABLES):
-        reason = STAYS if path and path[0] in Case.model_fields else "unknown key"
+        reason = STAYS if path and path[0] in System._fields else "unknown key"
         hint = f"what may: {', '.join(_CHANGEABLE_TABLES)}; of a body its motion"
         raise CaseError([problem_at(system, key, reason, hint)])
     if system.run.accuracy is not None:

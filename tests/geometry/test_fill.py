@@ -273,7 +273,7 @@ def test_stop_rule_takes_the_first_that_is_good_enough():
 
 
 def test_stop_rule_that_is_not_met_shows_what_was_tried(monkeypatch):
-    monkeypatch.setattr("particlerb.geometry.fill.MOST_PARTICLES", 500)
+    monkeypatch.setattr("particlerb.geometry.fill.MAX_PARTICLES", 500)
     with pytest.raises(
         ValueError, match=r"inertia_error = 1e-09 is not met; the best .*\n +n"
     ) as e:
