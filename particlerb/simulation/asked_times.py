@@ -16,11 +16,13 @@ def time_ahead(until: float, now: float, t_end: float) -> float:
     return until
 
 
-def time_between(every: float, t_end: float) -> float:
-    """Time between two frames [s] as a number; raise TypeError or ValueError where it is none."""
+def times_between(every: float, until: float, t_end: float) -> tuple[float, float]:
+    """Time between two frames, and the last [s]; raise TypeError or ValueError where it is none."""
     least = float(np.spacing(t_end))
-    every = number_of(every, "frames: every")
+    every, until = number_of(every, "frames: every"), number_of(until, "frames: until")
     if not least <= every < np.inf:
         told = f"must be above 0 s, and finite: at least {least:.3g} s, to which t_end rounds"
         raise ValueError(f"frames(every={every!r}): {told}")
-    return every
+    if np.isnan(until):
+        raise ValueError("frames(until=nan): must be a time [s]")
+    return every, min(until, t_end)

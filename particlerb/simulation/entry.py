@@ -26,9 +26,16 @@ def prepared_from(
 ) -> Prepared:
     """A case made ready to run; warnings of its plan are logged. Raises as `run`."""
     prepared = prepare_accurately(to_system(load(case, overrides, allow_code)))
-    for warning in prepared.plan.warnings:
-        _LOG.warning(warning)
+    log_warnings(prepared.plan.warnings)
     return prepared
+
+
+def log_warnings(warnings: Sequence[str], known: frozenset[str] = frozenset()) -> frozenset[str]:
+    """Let `logging` have warnings that are not known, which it shows by itself; all of them."""
+    for warning in warnings:
+        if warning not in known:
+            _LOG.warning(warning)
+    return known.union(warnings)
 
 
 def run(
@@ -109,5 +116,7 @@ def resume(path: str | Path, t_end: float | None = None, *, allow_code: bool = F
     """
     file = path_of(path, "what is resumed")
     until = None if t_end is None else number_of(t_end, "t_end")
-    resume_pending(look_at(file, until, allow_code=allow_code))
+    pending = look_at(file, until, allow_code=allow_code)
+    log_warnings(pending.warnings)
+    resume_pending(pending)
     return open_trajectory(file)

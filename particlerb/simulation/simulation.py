@@ -29,9 +29,9 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.record.frame_values import FrameError
 from particlerb.record.provenance import STATE
 from particlerb.record.writer import Recorder
-from particlerb.simulation.asked_times import time_ahead, time_between
+from particlerb.simulation.asked_times import time_ahead, times_between
 from particlerb.simulation.body_states import BodyStates
-from particlerb.simulation.entry import prepared_from
+from particlerb.simulation.entry import log_warnings, prepared_from
 from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples, whole_frames
 from particlerb.simulation.restarts import saved_restart
 from particlerb.simulation.run import content_of
@@ -76,6 +76,7 @@ class Simulation(Closing):
         prepared = prepared_from(scene, overrides, allow_code)
         system = prepared.system
         self._unmoved: Prepared | None = prepared
+        self._warned = frozenset(prepared.plan.warnings)
         self._cut_off = ""  # what was raised while bodies moved
         self._run, self._due = Run(prepared), 0  # frame that comes next
         self._n_whole = whole_frames(system.run)
@@ -100,19 +101,23 @@ class Simulation(Closing):
         Raises
         ------
         RunError
-            If bodies have moved, anything has changed, or there is a file.
+            If bodies have moved, anything has changed, or a file has been begun.
+        FileExistsError, OSError
+            Of the file.
         """
         if self._unmoved is None or self._recorder is not None:
-            raise RunError("record: a file begins at t = 0: name one before anything changes")
+            raise RunError("record: one file, begun at t = 0: name it before anything changes")
         path, system = file_path_of(output, "output"), self.system
-        self._recorder = Recorder(path, system, content_of(self._unmoved)[0], overwrite)
+        recorder = Recorder(path, system, content_of(self._unmoved)[0], overwrite)
+        self._recorder = recorder
         try:
-            self._recorder.save_checkpoint(self._run.checkpoint)
+            recorder.save_checkpoint(self._run.checkpoint)
             self._moved(system.run.threads, self._go_to, 0.0)
         except BaseException:  # nothing takes the place of a file from before
-            self._recorder.output.abandon()
+            self._recorder = None
+            recorder.output.abandon()
             raise
-        self._finish = finalize(self, self._recorder.finish)  # at the end of the program
+        self._unmoved, self._finish = None, finalize(self, recorder.finish)  # or the program's end
 
     @property
     def system(self) -> System:
@@ -163,10 +168,8 @@ class Simulation(Closing):
 
         Raises
         ------
-        TypeError
-            If it is no number.
-        ValueError
-            If it lies before now, or beyond `run.t_end`.
+        TypeError, ValueError
+            If it is no number, or lies before now or beyond `run.t_end`.
         RunError
             If the motion fails; the frames until then are in the file. Also afterwards, or where an
             interrupt has cut an `advance` off: bodies then have no time in common.
@@ -184,8 +187,6 @@ class Simulation(Closing):
     def frames(self, every: float, until: float = np.inf) -> Iterator[BodyStates]:
         """States at the multiples of `every` [s] that lie ahead, until `run.t_end`; now first.
 
-        What is changed between two of them acts from the first on.
-
         Parameters
         ----------
         every : float
@@ -196,17 +197,17 @@ class Simulation(Closing):
         Yields
         ------
         BodyStates
-            As `advance` returns them.
+            As `advance` returns them; what is changed between two acts from the first on.
 
         Raises
         ------
         TypeError, ValueError
-            If `every` is no number, not above 0, or less than rounding of `run.t_end`.
+            If one is no number, or `every` not above rounding of `run.t_end`.
         """
-        every = time_between(every, self.system.run.t_end)
+        every, until = times_between(every, until, self.system.run.t_end)
         yield self.state
         k = int(self.time / every)
-        while (time := float(multiples(every, k, k + 1)[0])) <= min(until, self.system.run.t_end):
+        while (time := float(multiples(every, k, k + 1)[0])) <= until:
             if time > self.time:
                 yield self.advance(time)
             k += 1
@@ -270,9 +271,8 @@ class Simulation(Closing):
 
     def __repr__(self) -> str:
         """What it moves and how far it has come, in a line."""
-        title, t_end = self.system.title, self.system.run.t_end
-        what = f"{title!r}, bodies: {self.system.n_bodies}".removeprefix("'', ")
-        return f"<Simulation {what}; t = {self.time:g} s of {t_end:g} s>"
+        what = f"{self.system.title!r}, bodies: {self.system.n_bodies}".removeprefix("'', ")
+        return f"<Simulation {what}; t = {self.time:g} s of {self.system.run.t_end:g} s>"
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be pickled or copied: motions hold compiled code."""
@@ -280,7 +280,7 @@ class Simulation(Closing):
 
     def close(self) -> None:
         """End the file, if there is one."""
-        if self._recorder is not None:
+        if self._recorder is not None and self._unmoved is None:  # it has its frame of t = 0
             self._save()
             self._recorder = None
             self._finish()
@@ -300,6 +300,7 @@ class Simulation(Closing):
         """Go on as another system, from the state of now or another one; a key has changed."""
         planned = state or self._state_now()
         plan, entries = make_plan(system, now=(self.time, planned), moved=moved), self._entries
+        self._warned = log_warnings(plan.warnings, self._warned)
         self._unmoved = None
 
         def restarted() -> BodyStates:
@@ -317,10 +318,9 @@ class Simulation(Closing):
 
     def _state_now(self) -> State:
         """State of now, as a system has it at its start."""
-        _, position, orientation, _, _, _ = now = self.state
-        return initial_state(
-            self.system.bodies, position, orientation, now.velocity, now.angular_velocity
-        )
+        bodies, now = self.system.bodies, self.state
+        place, turn = now.position, now.orientation
+        return initial_state(bodies, place, turn, now.velocity, now.angular_velocity)
 
     def _refuse_if_cut_off(self) -> None:
         """Raise RunError where bodies have no time in common."""

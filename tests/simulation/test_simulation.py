@@ -9,6 +9,7 @@ import pytest
 
 import particlerb
 from particlerb import CaseError, RunError, Scene, Simulation
+from particlerb.record.writer import Recorder
 from particlerb.simulation import frame_times
 from particlerb.simulation.run import identity, prepare
 from particlerb.stepping import stepped_motion
@@ -577,7 +578,7 @@ def test_a_file_that_is_named_later_is_that_of_the_run(tmp_path):
     scene = turned_box(method="strang", dt=0.01)
     simulation = Simulation(scene)
     simulation.record(tmp_path / "later.h5")
-    with pytest.raises(RunError, match=r"record: a file begins at t = 0: name one before"):
+    with pytest.raises(RunError, match=r"record: one file, begun at t = 0: name it before"):
         simulation.record(tmp_path / "second.h5")
     simulation.advance(3.25)
     simulation.close()
@@ -611,3 +612,53 @@ def test_a_callback_is_called_at_frames_and_may_change_what_acts():
     assert [time for time, _ in seen] == [1.0, 2.0, 3.0]
     np.testing.assert_allclose([L for _, L in seen], [0.1, 0.3, 0.7], rtol=1e-13)
     assert state.time == simulation.time == 3.0
+
+
+def test_a_file_that_fails_at_its_first_frame_says_so_and_leaves_nothing(make, tmp_path):
+    """Another file may be begun then: nothing has moved."""
+    case = make.case(make.body(position=[1e39, 0, 0]), output={"dtype": "float32"})
+    with pytest.raises(RunError, match="float32"):
+        Simulation(case, tmp_path / "a.h5")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_second_file_is_not_begun_behind_the_first(make, tmp_path):
+    simulation = Simulation(make.case(make.body()), tmp_path / "a.h5")
+    simulation.close()
+    with pytest.raises(RunError, match="one file, begun at t = 0"):
+        simulation.record(tmp_path / "b.h5")
+
+
+def test_a_disk_that_fails_leaves_a_simulation_without_a_file(make, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    simulation = Simulation(make.case(make.body()))
+    with monkeypatch.context() as patch:
+        patch.setattr(Recorder, "save_checkpoint", full)
+        with pytest.raises(OSError, match="No space"):
+            simulation.record(tmp_path / "a.h5")
+    simulation.record(tmp_path / "b.h5")
+    simulation.advance(0.1)
+    simulation.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["b.h5"]
+
+
+def test_frames_end_at_a_time(make):
+    simulation = Simulation(make.case(make.body()))
+    with pytest.raises(ValueError, match=r"frames\(until=nan\)"):
+        next(simulation.frames(0.1, float("nan")))
+    with pytest.raises(TypeError, match="frames: until"):
+        next(simulation.frames(0.1, "2"))
+
+
+def test_a_change_says_the_new_warnings_of_its_plan(make, caplog):
+    case = make.case(make.body(position=[1, 0, 0]), method="strang", dt=0.01)
+    spring = {"type": "spring", "body": case["body"][0]["name"], "anchor": [0, 0, 0]}
+    simulation = Simulation(case | {"force": [spring | {"stiffness": 100.0}]})
+    assert not caplog.records
+    for _ in range(2):
+        simulation.change("run.dt", 0.09)
+        simulation.change("run.dt", 0.01)
+    (record,) = caplog.records
+    assert "step" in record.message
