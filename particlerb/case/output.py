@@ -47,7 +47,7 @@ class Output(Table):
     durable: Yes = True
     """Whether committed frames outlive a power cut, not kills only. [-]"""
     log: Name | None = None
-    """File for a line each second of the command `run`; `--log` takes its place. [-]"""
+    """File for a line each second of `run`, where that is called; `--log` takes its place. [-]"""
 
 
 _EXPECTED_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {

@@ -22,7 +22,10 @@ def check_command(options: argparse.Namespace) -> int:
     with ending(RunError, code=FAILED, about=f"{options.case} can be run, but fails soon"):
         seconds = until_now + estimated_seconds(prepared)
     if options.json:
-        told: dict[str, object] = {"plan": prepared.text, "warnings": prepared.plan.warnings}
+        told: dict[str, object] = {
+            "plan": plan_text(options, prepared),
+            "warnings": prepared.plan.warnings,
+        }
         told |= {"bytes": expected_size(prepared.system), "seconds": seconds}
         told |= {"ranks": shares._asdict()} if shares is not None else {}
         print(json.dumps(told))

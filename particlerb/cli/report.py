@@ -39,7 +39,7 @@ def _new_log(path: Path) -> TextIO:
     try:
         data, head = path.read_bytes() if path.is_file() else b"", _LOG_HEAD.encode()
         if not (data.startswith(head) or head.startswith(data)):
-            raise Ending(f"--log {path} exists and is not a log: give another name")
+            raise Ending(f"log: {path} exists and is not a log, give another name")
         file = path.open("w", encoding="utf-8")
         try:
             print(_LOG_HEAD, file=file, flush=True)
@@ -47,7 +47,7 @@ def _new_log(path: Path) -> TextIO:
             file.close()
             raise
     except OSError as error:
-        told = f"--log {path} cannot be written: {error.strerror}"
+        told = f"log: {path} cannot be written: {error.strerror}"
         raise Ending(told, code_of(error)) from None
     return file
 

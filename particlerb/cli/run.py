@@ -92,6 +92,9 @@ def run_command(options: argparse.Namespace) -> int:
         if ranks is not ALONE:
             ranks.together(lambda: part_of(prepared, ranks))
         path = ranks.together(partial(_output_path, options, system))
+        options.log = options.log or system.output.log
+        if options.log and Path(options.log).resolve() == path.resolve():
+            raise Ending(f"{path} would be both the file and the log: give one another name")
         plan = plan_text(options, prepared, ranks)
         ranks.together(lambda: _warn(options, _disk_warnings(system, path)))
         if not (options.quiet or options.json):
@@ -102,7 +105,6 @@ def run_command(options: argparse.Namespace) -> int:
 
         run = partial(run_prepared, prepared, path, options.overwrite, ranks=ranks)
         before, total = _number_of(path), frame_count(system.run)
-        options.log = options.log or system.output.log
         outcome = _execute(run, path, prepared.plan, options, total, before=before, ranks=ranks)
         return _conclude(prepared, outcome, path, options, ranks)
 

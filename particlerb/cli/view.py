@@ -40,7 +40,7 @@ def view_command(options: argparse.Namespace) -> int:
 
         from particlerb.compiled.plain import time_in_python
         from particlerb.view.access import Access, AccessError
-        from particlerb.view.server import listening
+        from particlerb.view.server import listening, refuse_foreign
     except ImportError:
         raise Ending(_VISER_HINT, FAILED) from None
     with ending(ValueError, about="--allow-host"):
@@ -55,6 +55,7 @@ def view_command(options: argparse.Namespace) -> int:
     if text:
         print(f"particlerb: warning: {text}", file=sys.stderr)
     is_file = Path(options.case).suffix.lower() in TRAJECTORY_SUFFIXES
+    refuse_foreign(access.host)
     with time_in_python(math.inf, _LONGEST_CALL):  # a page that compiles stands still
         # before there are threads of a server, beside which no copy of a process compiles
         system = None if is_file else _rehearsed(_read(options))

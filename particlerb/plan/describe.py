@@ -153,9 +153,10 @@ def _origin_of_points(system: System, kind: str) -> str:
 
 def _left_out(system: System, plan: Plan) -> dict[str, str]:
     """What does not act, and why."""
+    still = "no [gravity]" if system.gravity is None else "its acceleration is 0"
     touches = "no [contact]" if system.particles.radius.any() else "no particle has a radius"
     out = {
-        "gravity": ("no [gravity]", not system.acceleration.any()),
+        "gravity": (still, not system.acceleration.any()),
         "attraction": ("no [attraction]", system.attraction is None),
         "joints": ("no [[joint]]", not system.joint),
         "forces": ("no [[force]]", not system.force),

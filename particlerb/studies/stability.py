@@ -278,8 +278,10 @@ def _in_parallel(
                 progress(1)
         except BaseException:
             THREADS.is_stopping = True
-            pool.shutdown(cancel_futures=True)
-            THREADS.is_stopping = False
+            try:
+                pool.shutdown(cancel_futures=True)
+            finally:
+                THREADS.is_stopping = False
             raise
     return [future.result() for future in futures]
 

@@ -25,7 +25,7 @@ def listening(access: Access, port: int) -> Iterator[viser.ViserServer]:
     AccessError
         If it lets in whom `access` does not.
     """
-    _refuse_foreign(access.host)
+    refuse_foreign(access.host)
     sieve = Sieve()
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a broken message ends its sender
     with (
@@ -45,7 +45,7 @@ def listening(access: Access, port: int) -> Iterator[viser.ViserServer]:
             server.stop()
 
 
-def _refuse_foreign(host: str) -> None:
+def refuse_foreign(host: str) -> None:
     """Raise OSError where this machine has no such address: a thread of viser would not say so."""
     try:
         family, kind, _, _, place = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]

@@ -270,6 +270,8 @@ def test_the_whole_plan_is_printed_where_it_is_asked_for(here, capsys):
     for words in (["run", "cube.toml", "--plan"], ["check", "cube.toml", "--plan"]):
         assert main(words) == 0
         assert re.search(r"^  attraction +off: no \[attraction\]$", capsys.readouterr().out, re.M)
+    assert main(["check", "cube.toml", "--plan", "--json"]) == 0
+    assert "off: no [attraction]" in json.loads(capsys.readouterr().out)["plan"]
     with particlerb.open("output/cube.h5") as trajectory:
         assert "left out" in trajectory.parameter("plan")
 

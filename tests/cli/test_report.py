@@ -212,3 +212,10 @@ def test_all_lines_of_a_plan_fit(monkeypatch, capsys, tmp_path, words):
     plan = capsys.readouterr().out.split("\nplan\n")[1].split("\n\n")[0]
     assert "frames, about" in " ".join(plan.split())
     assert max(map(len, plan.split("\n"))) <= 50
+
+
+def test_a_log_is_not_the_file(tmp_path, capsys):
+    path = str(tmp_path / "a.h5")
+    assert main(["run", "paper_cube", "-q", "-o", path, "--log", path]) == 2
+    assert "both the file and the log" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -205,6 +205,9 @@ def test_the_whole_plan_leaves_nothing_out(make):
         assert words in short
     whole = describe(*prepared[:2], is_whole=True)
     assert not re.search(r" more |left out", whole)
+    assert re.search(r"^  gravity +off: no \[gravity\]$", whole, re.MULTILINE)
+    still = prepare(to_system(make.case(make.body(), gravity={"acceleration": [0, 0, 0]})))
+    assert "off: its acceleration is 0\n" in describe(*still[:2], is_whole=True)
     assert re.search(r"^  attraction +off: no \[attraction\]$", whole, re.MULTILINE)
     assert re.search(r"^  contact +off: no particle has a radius$", whole, re.MULTILINE)
     named = set(re.findall(r"^  (b\d+) ", whole, re.MULTILINE))
