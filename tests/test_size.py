@@ -28,7 +28,7 @@ BUDGETS = {
     "collisions by events": 1739,
     "forces: tables, gradients, written by users": 2157,
     "scenes and simulations in Python": 1124,
-    "sweeps": 1654,
+    "sweeps": 1749,
     "one scene over ranks": 2607,
     "reports, pictures, the page": 2019,
     "scenes for other programs": 541,

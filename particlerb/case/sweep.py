@@ -8,7 +8,7 @@ from pydantic import Field, Strict, model_validator
 
 from particlerb.case.output import SweepValue
 from particlerb.case.problems import path_of
-from particlerb.case.values import Count, Forms, Name, Real, Table, Yes, broken
+from particlerb.case.values import Count, Forms, Name, Positive, Real, Table, Yes, broken
 
 _RANDOM_DESIGNS = ("latin", "random")
 SEED = "run.seed"
@@ -68,6 +68,8 @@ class SweepTable(Table):
     """Of each run, with seeds from run.seed on. [-]"""
     value: tuple[SweepValue, ...] = ()
     """Columns, [[sweep.value]]. [-]"""
+    valid_within: Positive | None = None
+    """Share of a value's largest change: adds until when it outlasts rounding, valid_until. [-]"""
 
     @model_validator(mode="after")
     def says_what_changes(self) -> Self:
@@ -78,6 +80,8 @@ class SweepTable(Table):
             raise broken(f"a {self.design} design is one of axes", "design")
         if not self.axes and self.file is None and self.replicates == 1:
             raise broken("missing: what changes", "axes", "give axes, a file or replicates")
+        if self.valid_within is not None and not self.value:
+            raise broken("missing: whose validity is asked for", "value", "give [[sweep.value]]")
         keys = [*self.axes, *((SEED,) if self.replicates > 1 else ())]
         paths = sorted((tuple(map(str, path_of(key))), key) for key in keys)
         for (path, key), (other, inner) in pairwise(paths):

@@ -29,8 +29,7 @@ def written_out(case: Case, sweep: SweepTable) -> SweepTable:
     """
     if sweep.file is not None:
         columns = _columns(case, sweep.file)
-        more = {"value": sweep.value, "replicates": sweep.replicates}
-        sweep = SweepTable(axes=columns, design="zip", **more)
+        sweep = SweepTable(axes=columns, design="zip", **asked_of(sweep))
     if sweep.replicates == 1:
         return sweep
     first = case.run.seed
@@ -39,6 +38,11 @@ def written_out(case: Case, sweep: SweepTable) -> SweepTable:
     ]
     axes = dict(zip((*sweep.axes, SEED), zip(*rows, strict=True), strict=True))
     return sweep.model_copy(update={"axes": axes, "design": "zip", "runs": None})
+
+
+def asked_of(sweep: SweepTable) -> dict[str, Any]:
+    """What a sweep asks of each variant, whichever there are."""
+    return sweep.model_dump(include={"value", "replicates", "valid_within"})
 
 
 def _columns(case: Case, name: str) -> dict[str, list[Any]]:

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from particlerb.case.problems import CaseError, Path, file_problem, path_of, problem_at
 from particlerb.case.reader import load
+from particlerb.case.run import frame_count
 from particlerb.case.schema import Case
 from particlerb.case.sweep import SweepTable
 from particlerb.case.to_system import to_system
@@ -22,10 +23,10 @@ from particlerb.case.values import plain
 from particlerb.model.system import System
 from particlerb.plan.case_forces import loads_of
 from particlerb.simulation.joint_values import refuse_checks
-from particlerb.sweeping.designs import written_out
+from particlerb.sweeping.designs import asked_of, written_out
 from particlerb.sweeping.executors import processes
 from particlerb.sweeping.rows import Row, asking, columns, failed
-from particlerb.sweeping.table import SweepRows, TableFile
+from particlerb.sweeping.table import VALID_UNTIL, SweepRows, TableFile
 from particlerb.sweeping.together import may_share
 from particlerb.sweeping.variants import Variant, built, label, variants
 from particlerb.sweeping.worker import Task, work
@@ -38,6 +39,7 @@ _END: Final = ("run", "t_end")
 _DIED: Final = "the worker died"
 _MAX_VARIANTS_IN_TASK: Final = 16  # that run one after the other
 _MAX_VARIANTS_IN_BATCH: Final = 1024  # that run together
+_MAX_BYTES_IN_BATCH: Final = 256_000_000  # of frames that are kept
 _SECONDS_PER_VARIANT: Final = 1e-4  # beside its motion, about
 _SECONDS_PER_BODY_STEP: Final = 2e-8
 _SECONDS_PER_CONTACT_STEP: Final = 4e-7  # of a body that may touch
@@ -115,7 +117,7 @@ def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:
             wrong = file_problem(base.path, "does not say what to vary", _AXIS_HINT)
             raise CaseError([wrong])
         return base.sweep
-    kept = {} if base.sweep is None else base.sweep.model_dump(include={"value", "replicates"})
+    kept = {} if base.sweep is None else asked_of(base.sweep)
     return SweepTable(axes=plain(axes), **kept)
 
 
@@ -149,7 +151,8 @@ def _first_system(
                 reason += f" another: the first that differs is {name}"
                 hint = "name one body, which all runs have"
                 raise CaseError([problem_at(base, f"sweep.value[{k}]", reason, hint)])
-    return system, [name for names in first for name in names]
+    told = [] if asked.valid_within is None else [VALID_UNTIL]
+    return system, [name for names in first for name in names] + told
 
 
 def _first_of(base: Case, paths: list[Path], variants: list[Variant]) -> System:
@@ -204,12 +207,15 @@ def _tasks(
         each = _SECONDS_PER_BODY_STEP if system.contact is None else _SECONDS_PER_CONTACT_STEP
         seconds = _SECONDS_PER_VARIANT + each * steps * system.n_bodies
         most = _MAX_VARIANTS_IN_BATCH
+        if asked.valid_within is not None:  # of each, and of its twin, all frames are kept
+            held = 2 * 13 * 8 * system.n_bodies * frame_count(system.run)
+            most = min(most, _MAX_BYTES_IN_BATCH // held + 1)
         fewest = min(most, int(1.0 / seconds) + 1)
     for group in ([left[0]], *alike.values()):
         size = min(most, max(fewest, len(group) // (8 * n)))
         for lo in range(0, len(group), size):
             numbers, values, *_ = zip(*group[lo : lo + size], strict=True)
-            yield Task(numbers, values, paths, source, asked.value, share)
+            yield Task(numbers, values, paths, source, asked.value, share, 0, asked.valid_within)
 
 
 def _drive(

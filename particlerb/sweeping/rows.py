@@ -7,6 +7,7 @@ from typing import NamedTuple
 from particlerb.case.output import CheckValue, SweepValue
 from particlerb.model.system import System
 from particlerb.plan.joints import joints_of
+from particlerb.simulation.frame_times import frame_times
 
 _COMPONENT_NAMES: dict[int, Iterable[str | int]] = {3: "xyz", 4: "wxyz"}
 
@@ -26,9 +27,14 @@ def failed(number: int, reason: str) -> Row:
     return Row(number, f"failed: {reason}", math.nan, 0, ())
 
 
-def asking(system: System, asked: Sequence[SweepValue]) -> System:
-    """A system with what is asked for as checks that always hold, so that a run looks at it."""
-    checks = (CheckValue.model_construct(**dict(v), value=0.0, tolerance=math.inf) for v in asked)
+def asking(system: System, asked: Sequence[SweepValue], at_frames: bool = False) -> System:
+    """A system with what is asked for as checks that always hold, so that a run looks at it.
+
+    On demand it looks at each frame as well.
+    """
+    times = frame_times(system.run).tolist() if at_frames else []
+    looks = [*map(dict, asked), *(dict(asked[0]) | {"time": time} for time in times)]
+    checks = (CheckValue.model_construct(**v, value=0.0, tolerance=math.inf) for v in looks)
     return system._replace(check=system.check.model_copy(update={"value": tuple(checks)}))
 
 

@@ -21,6 +21,7 @@ from particlerb.sweeping.variants import Variant
 
 _Table = str | PathLike[str] | None
 _FIRST_COLUMNS = ("run", "hash", "status", "energy_drift", "checks_missed")
+VALID_UNTIL = "valid_until"
 
 
 class SweepRows(NamedTuple):
@@ -55,11 +56,12 @@ class SweepRows(NamedTuple):
         axes = self.axes if n == 1 else self.axes[:-1]
         first = [self.column(name)[::n] for name in axes]
         is_done = np.reshape([status == "done" for status in self.column("status")], (-1, n))
-        columns = [
-            np.where(is_done, np.reshape(self.column(name), (-1, n)), np.nan) for name in names
-        ]
-        parts = [column for values in columns for column in _mean_and_error(values.astype(float))]
-        heads = [head for name in names for head in (name, f"{name}.error")]
+        heads, parts = list[str](), list[list[float]]()
+        for name in names:
+            is_end = name == VALID_UNTIL  # of which a mean says little: few runs end early
+            values = np.where(is_done, np.reshape(self.column(name), (-1, n)), np.nan)
+            heads += [name, f"{name}.{'least' if is_end else 'error'}"]
+            parts += (_median_and_least if is_end else _mean_and_error)(values.astype(float))
         rows = zip(*first, is_done.sum(axis=1).tolist(), *parts, strict=True)
         return Means((*axes, "done", *heads), tuple(rows))
 
@@ -68,7 +70,10 @@ class Means(NamedTuple):
     """Means over replicates: of runs that are done, with their standard errors."""
 
     columns: tuple[str, ...]
-    """The axes, done, then energy_drift and each value, each followed by its standard error."""
+    """The axes, done, then energy_drift and each value, each followed by its standard error.
+
+    Of valid_until the median, followed by the least.
+    """
     rows: tuple[tuple[Any, ...], ...]
     """One for each variant; NaN where too few runs are done."""
 
@@ -87,6 +92,13 @@ def _mean_and_error(values: Floats) -> tuple[list[float], list[float]]:
         away = np.where(is_known, values - mean[:, None], 0.0)
         error = np.sqrt((away**2).sum(axis=1) / (n * (n - 1)))
     return mean.tolist(), error.tolist()
+
+
+def _median_and_least(values: Floats) -> tuple[list[float], list[float]]:
+    """Median and least of the finite entries of each row; NaN where there is none."""
+    known = [row[np.isfinite(row)] for row in values]
+    kept = [row if row.size else np.array([np.nan]) for row in known]
+    return [float(np.median(row)) for row in kept], [float(row.min()) for row in kept]
 
 
 def means_beside(table: Path) -> Path:

@@ -14,15 +14,18 @@ from particlerb.integrators import METHODS
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.model.worlds import WorldsDifferError
-from particlerb.plan.joints import assembled, joints_of
+from particlerb.plan.joints import assembled
 from particlerb.plan.make_plan import make_plan
-from particlerb.plan.segments import GroupPlan, has_step, is_adaptive
-from particlerb.simulation.checks import bodiless_quantity, quantities
+from particlerb.plan.segments import GroupPlan, Plan, has_step, is_adaptive
 from particlerb.simulation.outcome import Outcome
 from particlerb.simulation.run import run_unrecorded
 from particlerb.simulation.whole_run import Prepared
 from particlerb.stepping.sparse_contact import can_fly
 from particlerb.sweeping.rows import Row, asking
+from particlerb.sweeping.validity import courses, displaced, found, valid_until
+
+_Asked = Sequence[SweepValue]
+_Ends = Floats | None  # until when each row is valid, if that is asked for
 
 
 def may_share(system: System) -> bool:
@@ -35,8 +38,10 @@ def may_share(system: System) -> bool:
     return not any(body.is_drawn or body.motion is not None for body in system.body)
 
 
-def rows_together(numbers: Sequence[int], system: System, asked: Sequence[SweepValue]) -> list[Row]:
-    """Rows of variants that are the worlds of a system.
+def rows_together(
+    numbers: Sequence[int], system: System, asked: _Asked, valid_within: float | None = None
+) -> list[Row]:
+    """Rows of variants that are the worlds of a system, or its first half: others become twins.
 
     Raises
     ------
@@ -45,29 +50,45 @@ def rows_together(numbers: Sequence[int], system: System, asked: Sequence[SweepV
     CaseError, RunError
         If one of them is wrong, or fails: each alone says which.
     """
-    system = asking(system, asked).with_run(threads=1)
-    if not may_share(system):
+    start = asking(system, asked, valid_within is not None).with_run(threads=1)
+    if not may_share(start):
         raise WorldsDifferError("bodies act on each other as they cannot in worlds")
-    system = assembled(system)
+    system, plan = _planned(start)
+    if valid_within is not None:
+        system, plan = _planned(displaced(start, plan, len(numbers)))
+    outcome = run_unrecorded(Prepared(system, plan, ""))
+    until = None
+    if valid_within is not None:
+        both = courses(asked, system, outcome)
+        until = valid_until(outcome, [np.hsplit(one, 2) for one in both], valid_within)
+    return rows_of(numbers, system, asked, outcome, until)
+
+
+def _planned(start: System) -> tuple[System, Plan]:
+    """Worlds with their joints assembled, and their plan; WorldsDifferError where it differs."""
+    system = assembled(start)
     plan = make_plan(system)
     for group in plan.groups:
         _refuse_different(system, group)
-    return rows_of(numbers, system, asked, run_unrecorded(Prepared(system, plan, "")))
+    return system, plan
 
 
 def rows_of(
-    numbers: Sequence[int], system: System, asked: Sequence[SweepValue], outcome: Outcome
+    numbers: Sequence[int], system: System, asked: _Asked, outcome: Outcome, until: _Ends = None
 ) -> list[Row]:
-    """Rows of the worlds of a system that has run; a variant alone is one."""
-    values = [_found(one, system, outcome) for one in asked]
-    results = np.hstack([np.zeros((len(numbers), 0)), *values]).tolist()
-    missed = np.zeros(len(numbers), dtype=np.int64)
+    """Rows of the first worlds of a system that has run; a variant alone is one."""
+    n, end, probes = len(numbers), system.run.t_end, {p.time: p for p in outcome.probes}
+    times = [end if one.time is None else one.time for one in asked]
+    values = [found(one, system, probes[time])[:n] for one, time in zip(asked, times, strict=True)]
+    values += [] if until is None else [until[:, None]]
+    results = np.hstack([np.zeros((n, 0)), *values]).tolist()
+    missed = np.zeros(n, dtype=np.int64)
     for name, each in outcome.drift._asdict().items():
         limit = getattr(system.check, f"{name}_drift")
-        missed += 0 if limit is None else ~(np.asarray(each) <= limit)
-    energy = np.atleast_1d(outcome.drift.energy).tolist()
+        missed += 0 if limit is None else ~(np.atleast_1d(each)[:n] <= limit)
+    energy = np.atleast_1d(outcome.drift.energy)[:n].tolist()
     rows = zip(numbers, energy, missed.tolist(), results, strict=True)
-    return [Row(number, "done", drift, n, tuple(row)) for number, drift, n, row in rows]
+    return [Row(number, "done", drift, k, tuple(row)) for number, drift, k, row in rows]
 
 
 def _refuse_different(system: System, group: GroupPlan) -> None:
@@ -89,13 +110,3 @@ def _refuse_different(system: System, group: GroupPlan) -> None:
             raise WorldsDifferError("two bodies alone may have a closed form")
         if can_fly(METHODS[segment.method], segment.terms, bodies.shape[1]):
             raise WorldsDifferError("bodies fly in closed form between their contacts")
-
-
-def _found(asked: SweepValue, system: System, outcome: Outcome) -> Floats:
-    """Numbers of a value that is asked for, a row for each world."""
-    time = system.run.t_end if asked.time is None else asked.time
-    probe = next(probe for probe in outcome.probes if probe.time == time)
-    if asked.body is None:
-        return bodiless_quantity(asked, system, joints_of(system), probe)
-    values = quantities(asked, system, system.names.find(asked.body), probe.frame)
-    return values.reshape(system.n_worlds, -1)

@@ -121,7 +121,8 @@ def _hash_start(case: Case, sweep: SweepTable, paths: Sequence[Path]) -> Any:
     files = {
         name: hashlib.sha256(data).hexdigest() for name, data in case.source.files.contents.items()
     }
-    asked = [value.model_dump(mode="json") for value in sweep.value]
+    asked: list[Any] = [value.model_dump(mode="json") for value in sweep.value]
+    asked += [] if sweep.valid_within is None else [sweep.valid_within]
     text = json.dumps([dump, list(sweep.axes), files, asked, source_hash()], sort_keys=True)
     return hashlib.sha256(text.encode())
 

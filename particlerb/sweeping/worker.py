@@ -3,7 +3,6 @@
 import os
 import signal
 import threading
-from collections.abc import Sequence
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
@@ -19,11 +18,14 @@ from particlerb.compiled.helper import no_collection
 from particlerb.compiled.threads import THREADS
 from particlerb.model.system import System
 from particlerb.model.worlds import WorldsDifferError
-from particlerb.simulation.accuracy import prepare_accurately
+from particlerb.plan.remove_overlaps import remove_overlaps
+from particlerb.simulation.accuracy import prepare_accurately, prepare_again
+from particlerb.simulation.outcome import Outcome
 from particlerb.simulation.run import prepare, run_unrecorded
-from particlerb.simulation.whole_run import RunError
+from particlerb.simulation.whole_run import Prepared, RunError
 from particlerb.sweeping.rows import Row, asking, failed
 from particlerb.sweeping.together import rows_of, rows_together
+from particlerb.sweeping.validity import courses, displaced, valid_until
 
 
 class Task(NamedTuple):
@@ -36,6 +38,7 @@ class Task(NamedTuple):
     asked: tuple[SweepValue, ...]
     is_batch: bool = False
     attempt: int = 0
+    valid_within: float | None = None  # share of a change, see [sweep]
 
 
 def start_worker(driver: Connection) -> None:
@@ -57,14 +60,14 @@ def work(task: Task) -> list[Row]:
     if task.is_batch and len(task.numbers) > 1:
         try:
             with no_collection():  # it would look at the records of all variants again and again
-                return rows_together(task.numbers, batch_of(task), task.asked)
+                return rows_together(task.numbers, batch_of(task), task.asked, task.valid_within)
         except (CaseError, RunError, WorldsDifferError, ArithmeticError, ValueError):
             pass  # each alone says what is wrong
     rows = []
     for number, values in zip(task.numbers, task.values, strict=True):
         try:
             raw = with_values(task.source.raw, task.paths, values)
-            rows.append(_row(number, task.source._replace(raw=raw), task.asked))
+            rows.append(_row(number, task.source._replace(raw=raw), task))
         except (CaseError, RunError, ArithmeticError, ValueError) as error:
             lines = str(error).splitlines() or [type(error).__name__]
             rows.append(failed(number, lines[0]))
@@ -72,15 +75,30 @@ def work(task: Task) -> list[Row]:
 
 
 def batch_of(task: Task) -> System:
-    """All variants of a task as worlds of one system; raises as `side_by_side`."""
-    return side_by_side(task.source, task.paths, task.values)
+    """All variants of a task as worlds of one system, twice where each has a twin.
+
+    Raises as `side_by_side`.
+    """
+    times = 1 if task.valid_within is None else 2
+    return side_by_side(task.source, task.paths, task.values * times)
 
 
-def _row(number: int, source: Source, asked: Sequence[SweepValue]) -> Row:
-    """Run a variant."""
-    system = asking(to_system(build(source, ())), asked)
-    is_free = system.run.accuracy is None
-    prepared = prepare(system, describes=False) if is_free else prepare_accurately(system)
+def _row(number: int, source: Source, task: Task) -> Row:
+    """Run a variant, and its twin if one is asked for."""
+    asked, share = task.asked, task.valid_within
+    start = asking(to_system(build(source, ())), asked, share is not None)
+    is_free = start.run.accuracy is None
+    prepared = prepare(start, describes=False) if is_free else prepare_accurately(start)
+    run, until = _ran(prepared), None
+    if share is not None:
+        twin = displaced(remove_overlaps(start), prepared.plan)
+        other = _ran(prepare_again(twin, prepared.parameters.get("stepping")))
+        pairs = zip(courses(asked, *run), courses(asked, *other), strict=True)
+        until = valid_until(run[1], pairs, share)
+    return rows_of((number,), run[0], asked, run[1], until)[0]
+
+
+def _ran(prepared: Prepared) -> tuple[System, Outcome]:
+    """Run on one thread; the system, and what its run left."""
     system = prepared.system.with_run(threads=1)
-    outcome = run_unrecorded(prepared._replace(system=system))
-    return rows_of((number,), system, asked, outcome)[0]
+    return system, run_unrecorded(prepared._replace(system=system))
