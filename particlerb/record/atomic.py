@@ -49,7 +49,7 @@ class AtomicFile:
     Parameters
     ----------
     source : file or WriterLock
-        What is open; locked if it is to be written.
+        What is open; locked if it is to be written: only a writer goes on after an error.
     path : Path
         Its name, for errors.
     is_durable : bool
@@ -58,7 +58,7 @@ class AtomicFile:
     Attributes
     ----------
     on_disk : int
-        Bytes of the file behind the last access: another program may cut it.
+        Bytes of the file behind the last access of a writer: another program may cut it.
     changed : dict of int to bytearray
         Pages that are not yet in their places; at first those of a commit that was cut off.
     failure : tuple or None
@@ -69,7 +69,7 @@ class AtomicFile:
 
     def __init__(self, source: BinaryIO | WriterLock, path: Path, is_durable: bool = True) -> None:
         self.source, self.path, self.is_durable = source, path, is_durable
-        self.descriptor = source.fileno()
+        self.descriptor, self.is_writer = source.fileno(), isinstance(source, WriterLock)
         self.on_disk = os.fstat(self.descriptor).st_size
         self.size = self.on_disk  # as HDF5 sees it
         self.place = 0  # of the next read or write
@@ -171,20 +171,25 @@ class AtomicFile:
             put(self.descriptor, place, data)
 
     def take(self, place: int, view: memoryview) -> None:
-        """Read what is in the file; of a failure HDF5 sees zeros: it crashes where a read fails."""
+        """Read what is in the file; a writer reads zeros where that fails: HDF5 would crash."""
         try:
             with self.blaming():
                 fill(self.descriptor, place, view)
         except OSError:
+            if not self.is_writer:
+                raise
             view[:] = bytes(len(view))
 
     @contextlib.contextmanager
     def blaming(self) -> Iterator[None]:
-        """Name the file in an error, and write no more after it; a file that was cut is one."""
+        """Name the file in an error; a writer writes no more after it, nor where the file was cut.
+
+        Of a reader the writer may cut it, which has settled its commit.
+        """
         try:
-            if self.failure is not None:
+            if self.is_writer and self.failure is not None:
                 raise OSError(*self.failure)
-            if os.fstat(self.descriptor).st_size < self.on_disk:
+            if self.is_writer and os.fstat(self.descriptor).st_size < self.on_disk:
                 raise OSError(errno.EIO, "was cut by another program meanwhile")
             yield
             self.on_disk = os.fstat(self.descriptor).st_size

@@ -106,6 +106,39 @@ def test_a_reader_leaves_a_file_alone_that_another_process_writes(path, monkeypa
         assert to_read(path) == path
 
 
+def test_a_reader_that_may_not_write_reads_on_when_the_writer_settles(path, monkeypatch):
+    """The record is cut off then: the file is shorter than when it was opened."""
+    disk = claimed(path)
+    grown(disk, 20_000)
+
+    def refuse(path):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(AtomicFile, "settle", lambda file: None)
+        patch.setattr(atomic, "finish", refuse)
+        disk.commit()
+        source = to_read(path)
+    size = path.stat().st_size
+    disk.settle()
+    assert path.stat().st_size < size
+    with h5py.File(source, "r", locking=False) as file:
+        assert file["x"][:].tolist() == list(range(20_000))
+
+
+def test_a_read_that_fails_is_told_to_a_reader_and_no_longer_than_it_fails(path, monkeypatch):
+    with h5py.File(AtomicFile(path.open("rb"), path), "r") as file:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "preadv", failing)
+            with pytest.raises(OSError, match=f"Input/output error: '{path}'"):
+                file["x"][:]
+        assert file["x"][:].tolist() == [0.0, 1.0, 2.0]
+
+
+def failing(*arguments):
+    raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+
 def test_a_record_that_is_not_whole_counts_for_nothing(path, monkeypatch):
     stopped_in_the_third_step(path, monkeypatch)
     whole = path.read_bytes()
