@@ -118,12 +118,15 @@ class Trajectory(LabelledReader):
         m = rotate_back(bodies.rotor_frame, rotate_back(q, L))
         return rotate(bodies.rotor_frame, bodies.inv_inertia * m).T
 
-    def momentum_sizes(self) -> tuple[float, float]:
-        """Scales of the drifts: Σ|p| [kg m/s], and Σ|L| + Σ|x × p| [kg m²/s], largest of all."""
+    def momentum_sizes(self, chosen: Bools | slice = slice(None)) -> tuple[float, float]:
+        """Scales of the drifts: Σ|p| [kg m/s], and Σ|L| + Σ|x × p| [kg m²/s], largest of all.
+
+        Of chosen bodies, (N,): those that are held do not count in the energy balance.
+        """
         linear = angular = 0.0
         for span in self.portions():
             x, p, L = (
-                self.read(name, span)
+                self.read(name, span)[:, chosen]
                 for name in ("position", "linear_momentum", "angular_momentum")
             )
             spin = np.linalg.norm(L, axis=2) + np.linalg.norm(np.cross(x, p), axis=2)

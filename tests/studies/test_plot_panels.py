@@ -530,6 +530,22 @@ def test_errors_of_a_scene_at_rest_are_those_of_the_report(make, monkeypatch):
     assert momenta == pytest.approx(list(drift[1:]), rel=1e-9, abs=0.0)
 
 
+@pytest.mark.parametrize("hold", [{"fixed": True}, {"motion": {"velocity": [1.0, 0, 0]}}])
+def test_errors_beside_a_heavy_body_that_is_held_are_those_of_the_report(make, monkeypatch, hold):
+    """Its mass and momenta do not count: errors were up to 1e8 times too small."""
+    ball = {"name": "ball", "shape": BALL, "mass": 1.1, "velocity": [0.3, 0.7, 0.0]}
+    two = [ball | {"name": n, "position": [x, 0, 2.0]} for n, x in (("a", 0.0), ("b", 1.0))]
+    anvil = {"name": "anvil", "shape": BALL, "mass": 1e9, "position": [5.0, 0, 0]} | hold
+    spring = {"type": "spring", "body": "a", "at": [0.1, 0, 0], "to": "b", "to_at": [0, 0.1, 0],
+              "stiffness": 50.0, "rest_length": 0.5}  # fmt: skip
+    case = make.case(*two, anvil, gravity=GRAVITY, t_end=0.2, every=0.02, dt=5e-3)
+    case |= {"force": [spring], "contact": CONTACT}
+    figure, _ = drawn(case, monkeypatch)
+    drift = run_unrecorded(prepare(to_system(load(case)))).drift
+    shown = [line.get_ydata()[-1] for line in panel(figure, ERRORS).get_lines()[:3]]
+    assert np.nan_to_num(shown) == pytest.approx(list(drift), rel=1e-5, abs=0.0)
+
+
 def test_small_values_have_their_power_of_ten_in_the_unit(make, monkeypatch):
     """It stood over the other end of the panel."""
     ball = {"name": "ball", "shape": BALL, "mass": 1e-9, "velocity": [1.0, 0, 0]}

@@ -19,6 +19,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import scales_seen
 from particlerb.model.state import derived, rotate
 from particlerb.record.trajectory import Trajectory, check_trajectory
+from particlerb.record.verify import counted
 from particlerb.rotors.rotor_class import SYMMETRIC
 from particlerb.studies.charts import bodies
 from particlerb.studies.charts.linkage import draw_linkage, jointed, mechanism_of
@@ -137,9 +138,9 @@ def _titled_figure(trajectory: Trajectory, case: dict[str, Any]) -> Figure:
     """Nothing but the title of a case, else name of its file; how many bodies and frames."""
     figure = Picture(figsize=(11, 7.2), layout="constrained")
     title = case["title"] or Path(trajectory.file.filename).name
-    counted = count_of(trajectory.n_bodies, "body", "bodies")
+    n_bodies = count_of(trajectory.n_bodies, "body", "bodies")
     frames = count_of(trajectory.n_frames, "frame")
-    figure.suptitle(f"{plain(title)}   ({counted}, {frames})", color=INK)
+    figure.suptitle(f"{plain(title)}   ({n_bodies}, {frames})", color=INK)
     return figure
 
 
@@ -368,10 +369,12 @@ def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
     """Largest errors of integration so far, relative to the scales of the report of a run."""
     ledger, case = trajectory.ledger, trajectory.parameter("case_resolved")
     turned_over = max(ledger.kinetic_energy.max(), np.abs(ledger.work).max())
-    sizes = np.array([[turned_over], *([size] for size in trajectory.momentum_sizes())])
+    balanced = counted(trajectory)
+    momenta = trajectory.momentum_sizes(balanced.mass > 0.0)
+    sizes = np.array([[turned_over], *([size] for size in momenta)])
     g = float(np.linalg.norm(case["gravity"]["acceleration"])) if case["gravity"] else 0.0
     start, duration = trajectory.read("position", 0).T, case["run"]["t_end"]
-    scales = scales_seen(sizes, ledger.energy[:1], trajectory.bodies, start, duration, g=g)
+    scales = scales_seen(sizes, ledger.energy[:1], balanced, start, duration, g=g)
     errors = {
         "energy": np.abs(ledger.energy_error),
         "momentum": np.linalg.norm(ledger.linear_momentum_error, axis=1),
