@@ -129,6 +129,7 @@ def points_apart(make):
 
 
 ERRORS = "conservation errors: largest so far"
+SLIPS = "speeds, and slip on the wall"
 SCENES = {
     heap: ["energies", "height of bodies"],
     column: ["energies", "change of height of bodies"],
@@ -497,7 +498,7 @@ def test_what_slides_is_seen_beside_its_way(make, monkeypatch):
     case |= {"contact": heap(make)["contact"], "wall": [FLOOR]}
     figure, _ = drawn(case, monkeypatch)
     assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("x [m]", "z [m]")
-    lines = {line.get_label(): line for line in panel(figure, "speeds, and slip on the wall").lines}
+    lines = {line.get_label(): line for line in panel(figure, SLIPS).lines}
     slip = lines["slip of at 1.0"]  # friction is 0: it stays the speed
     assert slip.get_ydata() == pytest.approx(10.0, rel=1e-12)
 
@@ -512,10 +513,43 @@ def test_a_ball_that_rolls_has_no_slip(make, monkeypatch):
     ]
     case = make.case(*two, gravity=GRAVITY, t_end=0.03, every=0.01, dt=1e-3)
     figure, _ = drawn(case | {"contact": CONTACT, "wall": [FLOOR]}, monkeypatch)
-    lines = panel(figure, "speeds, and slip on the wall").lines
+    lines = panel(figure, SLIPS).lines
     slip = {line.get_label(): line.get_ydata() for line in lines}
     assert np.abs(slip["slip of rolls"]).max() < 1e-12
     assert slip["slip of slides"] == pytest.approx(10.0, rel=1e-12)
+
+
+def two_on_a_floor(make, height=0.1):
+    """Balls a metre apart that move at 1 m/s; one is this high above a floor at z = 7 m."""
+    ball = {"shape": BALL, "mass": 1.0, "velocity": [1.0, 0, 0]}
+    two = [ball | {"name": f"at {y}", "position": [0, y, 7.0 + z]}
+           for y, z in ((0.0, 0.1), (1.0, height))]  # fmt: skip
+    floor = FLOOR | {"point": [0, 0, 7.0], "normal": [0, 0, 3.0]}
+    case = make.case(*two, t_end=0.02, every=0.01, dt=1e-3)
+    return case | {"contact": CONTACT, "wall": [floor]}
+
+
+@pytest.mark.parametrize("height", [0.1, 0.102, 5.0])
+def test_a_ball_above_the_floor_has_no_slip_that_is_drawn(make, height):
+    """It is on it up to 1e-3 of its radius above it."""
+    figure = particlerb.plot(particlerb.run(two_on_a_floor(make, height)))
+    panel(figure, SLIPS if height == 0.1 else "speeds")
+
+
+@pytest.mark.parametrize("how", ["moves", "slides", "is changed"])
+def test_no_slip_is_drawn_on_a_wall_that_moves(make, tmp_path, how):
+    """A ball that moves with a belt, at 1 m/s, has none."""
+    case, motion = two_on_a_floor(make), {"velocity": [1.0, 0, 0]}
+    given = {"moves": {"motion": motion}, "slides": {"piston": {"mass": 1.0, "axis": [1, 0, 0]}}}
+    case["wall"][0] |= given.get(how, {})
+    scene = particlerb.Simulation(case, tmp_path / "a.h5")
+    scene.advance(0.01)
+    if how == "is changed":
+        scene.change("wall.0.motion", motion)
+    scene.advance(0.02)
+    scene.close()
+    with particlerb.open(tmp_path / "a.h5") as trajectory:
+        panel(particlerb.plot(trajectory), "speeds")
 
 
 def test_errors_of_a_scene_at_rest_are_those_of_the_report(make, monkeypatch):

@@ -16,6 +16,7 @@ from particlerb.export.surfaces import SurfaceMesh, box
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import axes_across, rotate, rotation_matrix
 from particlerb.record import schema
+from particlerb.record.provenance import changes_in
 from particlerb.record.trajectory import Trajectory
 from particlerb.studies.charts import solids
 from particlerb.studies.charts.style import COLOURS, INK, finish_view, in_powers, line_style, plain
@@ -32,6 +33,7 @@ FEW: Final = 12  # bodies at most whose paths are drawn
 KEYED: Final = 6  # bodies at most that have a colour each
 _LINES, _LETTERS = 9, 40  # that one row of names has at most
 _LINE_WIDTH: Final = 1.3
+_GAP_SHARE: Final = 1e-3  # of its radius that a ball on a plane is above it at most
 _SAME_SHARE: Final = 2e-3  # of the range of all values, by which lines of these do not differ
 
 
@@ -140,17 +142,24 @@ def draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -
 
 
 def draw_slips(axes: Axes, trajectory: Trajectory) -> bool:
-    """Speeds of the lowest points of a few balls on a plane, dashed; False where it is no such."""
+    """Speeds of the lowest points of a few balls on a plane, dashed; False where it is no such.
+
+    The plane is at rest, and in all frames each ball is on it.
+    """
     walls = trajectory.parameter("case_resolved")["wall"]
     edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))
     body, particle = trajectory.constituents
     radius = np.zeros(trajectory.n_bodies)
     np.maximum.at(radius, body, trajectory.particles.radius[particle])
     are_round = np.allclose(edges, 2.0 * radius[:, None], rtol=1e-6) and radius.all()
-    kinds = [wall["type"] for wall in walls]
-    if kinds != ["plane"] or not are_round or trajectory.n_bodies > len(COLOURS):
+    kinds = [(wall["type"], wall["motion"], wall["piston"]) for wall in walls]
+    is_plane = kinds == [("plane", None, None)] and "wall" not in changes_in(trajectory.file)
+    if not (is_plane and are_round) or trajectory.n_bodies > len(COLOURS):
         return False
     down = -np.array(walls[0]["normal"]) / np.linalg.norm(walls[0]["normal"])
+    heights = (walls[0]["point"] - trajectory.position) @ down
+    if (heights > (1.0 + _GAP_SHARE) * radius).any():
+        return False
     rim = np.cross(trajectory.angular_velocity, radius[:, None] * down)
     slip = np.linalg.norm(np.cross(trajectory.velocity + rim, down), axis=2)
     for k in range(trajectory.n_bodies):
