@@ -30,7 +30,7 @@ BUDGETS = {
     "scenes and simulations in Python": 1124,
     "sweeps": 1749,
     "one scene over ranks": 2607,
-    "reports, pictures, the page": 2024,
+    "reports, pictures, the page": 2025,
     "scenes for other programs": 541,
     "speed of compiling and of whole calls": 1541,
     "watches": 252,

@@ -18,6 +18,7 @@ from particlerb.simulation.run import prepare, run_unrecorded
 from particlerb.studies.charts import bodies, solids
 from particlerb.studies.charts import trajectory as chart
 from particlerb.studies.charts.bodies import side_axes
+from particlerb.studies.charts.style import Picture, finish_over_time
 from particlerb.tables import MeshWall
 
 BALL = {"type": "sphere", "radius": 0.1}
@@ -588,6 +589,17 @@ def test_small_values_have_their_power_of_ten_in_the_unit(make, monkeypatch):
     assert axes.get_ylabel() == "E [1e-9 J]"
     figure.draw_without_rendering()
     assert not axes.yaxis.get_offset_text().get_text()
+
+
+def test_values_that_differ_little_are_written_whole():
+    """What they had in common stood over the legend."""
+    axes = Picture().add_subplot()
+    axes.plot([0.0, 1.0], [7499.95, 7500.05], label="body")
+    finish_over_time(axes, "speeds", "|v| [m/s]")
+    axes.figure.draw_without_rendering()
+    assert not axes.yaxis.get_offset_text().get_text()
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    assert [float(label) for label in labels] == pytest.approx(axes.get_yticks(), rel=1e-9)
 
 
 def test_a_wall_that_moves_is_drawn_where_it_is(make, monkeypatch):

@@ -89,6 +89,7 @@ def finish_over_time(axes: Axes, title: str, label: str) -> None:
     if axes.get_yscale() == "linear":
         if high - low < 1e-6 * max(abs(low), abs(high)):
             axes.set_ylim(*sorted((0.0, 2.0 * low)))
+        axes.ticklabel_format(axis="y", useOffset=False)  # it would stand over the legend
         label = in_powers(axes.yaxis, axes.get_ylim(), label)
     finish_panel(axes, title, 7 + 11 * rows, xlabel="t [s]", ylabel=label)
     axes.legend(
