@@ -73,7 +73,7 @@ def contact_rows(
     members: Ints,
     numbers: Ints,
     are_walls: bool,
-    with_gaps: bool = False,
+    by_impulses: bool = False,
 ) -> tuple[Ints, Floats]:
     """Contacts that were found active by the last evaluation.
 
@@ -85,8 +85,8 @@ def contact_rows(
         Bodies of the scene, and numbers of the spheres that say where a contact comes in the list.
     are_walls : bool
         Whether these are contacts with walls.
-    with_gaps : bool
-        Whether what presses counts where it does not overlap yet: an impulse ends a gap.
+    by_impulses : bool
+        Whether these act by impulses: one may end a gap, and acts nearer to the lighter body.
 
     Returns
     -------
@@ -99,7 +99,10 @@ def contact_rows(
     i, j = contacts.sphere[active], contacts.other[active]
     forces: Any = contacts.forces[active]  # records
     xyzr = workspace.xyzr[i]
-    overlap = 2.0 * (xyzr[:, 3] - np.sqrt(((forces.point - xyzr[:, :3]) ** 2).sum(axis=1)))
+    if by_impulses:
+        overlap = forces.overlap
+    else:  # springs act in the middle of it
+        overlap = 2.0 * (xyzr[:, 3] - np.sqrt(((forces.point - xyzr[:, :3]) ** 2).sum(axis=1)))
     first, nobody = members[model.spheres.body[i]], np.full(i.size, _NOBODY)
     force = forces.elastic + forces.other
     torque = np.zeros((i.size, 3)) if model.law.rolling is None else forces.rolling_torque
@@ -113,7 +116,7 @@ def contact_rows(
         sign = np.where(swap, -1.0, 1.0)[:, None]
         force, torque = sign * force, sign * torque
     counts = overlap > 0.0  # the force is that of a step around the instant: it may begin before
-    if with_gaps:
+    if by_impulses:
         counts = (force != 0.0).any(axis=1)
     what = np.hstack([forces.point, force, torque, overlap[:, None]])
     return who[counts], what[counts]

@@ -352,6 +352,7 @@ def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) 
     put_row3(forces.other, c, in_world(rows.frame, k, (0.0, total[1], total[2])))
     arm, position = row3(rows.frame, k, col.ARM), impulses.partners.position
     put_row3(forces.point, c, add(arm, row3(position, rows.partner_a[k])))
+    forces.overlap[c] = -rows.limits[k, col.GAP]
     _keep_rolling(rows.rolling, contacts, c, impulses, k, dt)
 
 

@@ -131,9 +131,13 @@ def history_record(with_rolling: bool, with_impulses: bool = False) -> np.dtype[
     return record(_HISTORY, rolling_spring=3) if with_rolling else _HISTORY
 
 
-def forces_record(with_rolling: bool, with_wall: bool) -> np.dtype[Any]:
+def forces_record(
+    with_rolling: bool, with_wall: bool, with_impulses: bool = False
+) -> np.dtype[Any]:
     """Record of the forces of a contact between spheres, or with a wall."""
     forces = ROLLING_FORCES if with_rolling else FORCES
+    if with_impulses:
+        forces = record(forces, overlap=1)  # [m] springs act in its middle, impulses do not
     return record(forces, **_WALL_POINT) if with_wall else forces
 
 

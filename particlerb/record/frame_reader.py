@@ -49,7 +49,7 @@ class Contacts(NamedTuple):
 
     body: Ints  # (m, 2) the two bodies, the first the lower; the second is -1 where it is a wall
     wall: Ints  # (m,) number of the wall; -1 where the second is a body
-    point: Floats  # (m, 3) [m] where the force acts, world frame
+    point: Floats  # (m, 3) [m] where the force acts, world frame: see docs/case.md, [output]
     force: Floats  # (m, 3) [N] on the first body, world frame; the second feels the opposite
     overlap: Floats  # (m,) [m]
 

@@ -39,9 +39,9 @@ def output_of(
         Returns contacts that are shown here, where it is given those that were found here.
     """
     setup, workspace, lists, *_ = contact
-    with_gaps = setup.rules is not None
+    by_impulses = setup.rules is not None
     rows = [
-        shown(contact_rows(pairs, setup.model, workspace, members, numbers, are_walls, with_gaps))
+        shown(contact_rows(pairs, setup.model, workspace, members, numbers, are_walls, by_impulses))
         for pairs, are_walls in ((lists.spheres, False), (lists.walls, True))
     ]
     centre, velocity = wall_centres(motions, workspace.poses)

@@ -261,7 +261,7 @@ class ContactLists:
     ) -> ContactList:
         """Contacts of spheres, or of walls, with rows of their history."""
         m, with_rolling = first.size, self.contact.model.law.rolling is not None
-        record = records.forces_record(with_rolling, kind == 1)
+        record = records.forces_record(with_rolling, kind == 1, self.contact.rules is not None)
         rows_of_forces = self._buffer(f"forces {kind}", m, records.columns_of(record))
         rows_of_forces[:] = 0.0  # a checkpoint has it, and none of the leftovers of other lists
         forces = records.from_floats(rows_of_forces, record)

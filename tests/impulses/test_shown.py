@@ -2,7 +2,18 @@
 
 import numpy as np
 import pytest
-from impulse_scenes import DOWN, G, R, assert_goes_on_alike, case, clump, impulse, plane, sphere
+from impulse_scenes import (
+    DOWN,
+    G,
+    R,
+    assert_goes_on_alike,
+    case,
+    clump,
+    exact,
+    impulse,
+    plane,
+    sphere,
+)
 
 import particlerb
 from particlerb import Simulation
@@ -124,3 +135,24 @@ def test_the_summary_says_what_lowers_a_residual_that_is_too_large(unmet):
     tally[[STEPS, UNMET]] = 8.0, unmet
     advice = 'tolerance in 3 of 8 steps (contact.iterations or solver = "newton" lower it);'
     assert (advice in impulse_text(tally)) == (unmet > 0.0)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(("masses", "held"), [((1.0, 10.0), False), ((10.0, 1.0), False),
+                                              ((1.0, 1.0), True), ((1.0,), False)])  # fmt: skip
+def test_contacts_show_how_deep_two_overlap_wherever_the_impulse_acts(masses, held):
+    """On a floor, at the lighter of two, on what lies on a held one: the overlap is 2 mm."""
+    deep, names = 2e-3, ("a", "b")
+    balls = [
+        sphere(names[i], mass=m, position=[0, 0, (2 * i + 1) * R - (i + 1) * deep])
+        for i, m in enumerate(masses)
+    ]
+    if held:
+        balls[0] |= {"fixed": True}
+    contact = exact(0.0, 0.0, overlap=0.01, push_out=0.0)
+    output = {"fields": ["contacts", "contact_overlap"]}
+    t = particlerb.run(case(*balls, contact=contact, wall=[plane()], gravity=DOWN, output=output,
+                            dt=1e-3, t_end=2e-3, every=1e-3))  # fmt: skip
+    assert t.contact_overlap[-1] == pytest.approx(deep, rel=1e-9)
+    n = len(masses) - held
+    assert t.contacts(2).overlap == pytest.approx(np.full(n, deep), rel=1e-9)
