@@ -66,6 +66,15 @@ def contact_output(
     )
 
 
+def acting(contacts: ContactList, by_impulses: bool) -> Ints:
+    """Contacts with a force at the last evaluation: by impulses all that are near are active."""
+    active = np.flatnonzero(contacts.active)
+    if not by_impulses:
+        return active
+    forces: Any = contacts.forces[active]  # records
+    return active[((forces.elastic + forces.other) != 0.0).any(axis=1)]
+
+
 def contact_rows(
     contacts: ContactList,
     model: ContactModel,
@@ -75,7 +84,7 @@ def contact_rows(
     are_walls: bool,
     by_impulses: bool = False,
 ) -> tuple[Ints, Floats]:
-    """Contacts that were found active by the last evaluation.
+    """Contacts that act by the last evaluation.
 
     Parameters
     ----------
@@ -95,7 +104,7 @@ def contact_rows(
     what : ndarray, shape (m, 10)
         Point [m], force [N] and torque [N m] on the first, overlap [m].
     """
-    active = np.flatnonzero(contacts.active)
+    active = acting(contacts, by_impulses)
     i, j = contacts.sphere[active], contacts.other[active]
     forces: Any = contacts.forces[active]  # records
     xyzr = workspace.xyzr[i]
@@ -115,9 +124,7 @@ def contact_rows(
         who[swap] = who[swap][:, [1, 0, 2, 4, 3]]
         sign = np.where(swap, -1.0, 1.0)[:, None]
         force, torque = sign * force, sign * torque
-    counts = overlap > 0.0  # the force is that of a step around the instant: it may begin before
-    if by_impulses:
-        counts = (force != 0.0).any(axis=1)
+    counts = by_impulses | (overlap > 0.0)  # a spring's force is of a step around the instant
     what = np.hstack([forces.point, force, torque, overlap[:, None]])
     return who[counts], what[counts]
 

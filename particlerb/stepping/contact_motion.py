@@ -11,7 +11,7 @@ import numpy as np
 from particlerb.compiled.barrier import ONE_THREAD, Team, together
 from particlerb.compiled.threads import BLOCK
 from particlerb.contact import records
-from particlerb.contact.contact_output import ContactOutput
+from particlerb.contact.contact_output import ContactOutput, acting
 from particlerb.contact.missed_pairs import Watch
 from particlerb.contact.piston import piston_energies
 from particlerb.impulses import records as col
@@ -316,7 +316,8 @@ class ContactMotion(SteppedMotion):
 
     def count_contacts(self) -> int | None:
         """How many act at the last evaluation."""
-        return sum(int(each.active.sum()) for each in self.contact.lists[:2])
+        by_impulses = self.contact.setup.rules is not None
+        return sum(acting(each, by_impulses).size for each in self.contact.lists[:2])
 
     def gross_work(self) -> Floats | float:
         """Gross work of contacts without potential, and of walls, since the start [J]."""

@@ -82,6 +82,21 @@ def test_the_log_of_a_run_counts_its_steps_and_contacts(tmp_path, monkeypatch):
         assert trajectory.parameter("identity") == known  # it has no say in what moves
 
 
+@pytest.mark.plain
+def test_the_log_counts_what_presses_by_impulses_and_not_what_is_near(tmp_path):
+    """Four balls on a floor, beside each other with gaps of 0.5 mm that a step could close."""
+    scene = particlerb.Scene(RunTable(t_end=0.1, every=0.05, dt=0.01), gravity=(0, 0, -9.81))
+    at = [[0.2005 * i, 0, 0.1] for i in range(4)]
+    scene.add_body(name="ball", count=4, shape=Ball(radius=0.1), mass=1.0, position=at)
+    scene.add_wall(PlaneWall(name="floor", normal=(0, 0, 1)))
+    scene.contact = ContactTable(law="impulse", restitution=0.0, friction=0.5)
+    (tmp_path / "a.toml").write_text(scene.to_toml())
+    log = tmp_path / "a.log"
+    words = ["-q", "-o", str(tmp_path / "a.h5"), "--log", str(log)]
+    assert main(["run", str(tmp_path / "a.toml"), *words]) == 0
+    assert log.read_text().splitlines()[-1].split()[5] == "4"
+
+
 def test_a_quiet_or_short_run_says_nothing(clock, capsys):
     for is_quiet, seconds in ((True, 100.0), (False, 9.0)):
         with report.Report(10, 0, is_quiet, None) as one:
