@@ -23,6 +23,7 @@ from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, Vec3, dot
 
 _REST_RATE_SHARE: Final = 1e-12  # of the rate
+_CLOSED_SHARE: Final = 1e-6  # of the distance of a step: a gap that is 0 but for rounding
 
 
 @inline
@@ -171,6 +172,9 @@ def write_bounds(
         # bodies go straight from step to step, and lie beyond the stop in the middle
         values[k, col.B_GAP] -= 0.25 * dt * lean if force > 0.0 else 0.0
         values[k, col.B_GAP + 1] += 0.25 * dt * lean if force < 0.0 else 0.0
+        for side in (col.B_GAP, col.B_GAP + 1):
+            if 0.0 < values[k, side] <= _CLOSED_SHARE * dt * abs(after):
+                values[k, side] = 0.0
         lower, upper = values[k, col.B_GAP], values[k, col.B_GAP + 1]
         at_lower, at_upper = lower <= 0.0 or force > 0.0, upper <= 0.0 or force < 0.0
         values[k, col.B_LEAST] = -max(lower, 0.0) / dt - (lean if at_lower else 0.0)
