@@ -10,6 +10,7 @@ import importlib
 import os
 import pickle
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Final, TypeAlias, TypeVar
@@ -22,6 +23,8 @@ Rows: TypeAlias = NDArray[Any]
 Floats: TypeAlias = NDArray[np.float64]
 
 _SIZES: Final = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "MV2_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS")
+
+_SECONDS_TO_PASS_ON: Final = 0.1  # what a rank says, for a launcher that is then to end all
 
 _AGREED_ATTRIBUTE: Final = "is_raised_by_all_ranks"
 
@@ -271,5 +274,6 @@ def end_all(ranks: Ranks, error: BaseException, code: int = 0) -> None:
             what, code = "interrupted", 130
         print(ranks.named(ranks.number, f"particlerb: {what}"), file=sys.__stderr__, flush=True)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # MPI adds words of its own
+        time.sleep(_SECONDS_TO_PASS_ON)
         ranks.communicator.Abort(code)
         os._exit(code)  # MPICH may return, and what follows would send others what is not expected
