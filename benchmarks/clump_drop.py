@@ -13,8 +13,9 @@ set-up, of the whole, of the first second, of the first two, and of the heap tha
 
 Two threads (or those of `--on`) are compared with one in the same manner, by the clock on the wall,
 the least of many short slices of each: without so many free cores it says nothing. The cost of a
-clump and step as their number grows is that of a heap as the first slices leave it. The gas has a
-volume fraction of 0.001 and lossless walls. `--record` adds the figures to results/clump_drop.csv.
+clump and step as their number grows is that of a heap as the first slices leave it; with it set-up
+and memory of each, lists included. The gas has a volume fraction of 0.001 and lossless walls.
+`--record` adds the figures to results/clump_drop.csv.
 
 Goals: at most half of LAMMPS' time with the same overlaps or smaller ones; two threads 1.7 times as
 fast as one; a clump of 100 000 costs at most 1.5 times one of 1 000.
@@ -22,7 +23,9 @@ fast as one; a clump of 100 000 costs at most 1.5 times one of 1 000.
 
 import argparse
 import math
+import resource
 import time
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -281,20 +284,37 @@ def with_threads(
     return [(f"{n} clumps, {name}", ratio), (f"{n} clumps, processor of {name}", processor)]
 
 
+def resident() -> int:
+    """Bytes of this process in memory; 0 where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return 0
+    return pages * resource.getpagesize()
+
+
 def growth(counts: list[int], seconds: float, steps: int) -> list[tuple[str, float]]:
     """Cost of a clump and step in a low heap that is the wider the more there are."""
     print("\ncost of a clump and step in a heap, one thread")
-    rows = []
+    rows, more = [], list[tuple[str, float]]()
     for n in counts:
+        before, start = resident(), time.process_time()
         ours = Ours(drop(n, seconds + steps * STEP, 5, 3.0))
+        set_up = time.process_time() - start
         ours.advance(seconds)
+        memory = (resident() - before) / len(ours.x)
         least = min(ours.advance(steps * STEP / 4).processor for _ in range(4)) * 4
         each = least / steps / len(ours.x)
         found = depths(ours.points())
-        print(f"  {n:7d} clumps: {each * 1e9:6.0f} ns, {found.contacts / n:.2f} contacts of each")
+        print(
+            f"  {n:7d} clumps: {each * 1e9:6.0f} ns, {found.contacts / n:.2f} contacts of each;"
+            f" set-up {1e6 * set_up / n:.0f} µs and {memory / 1e3:.1f} kB each"
+        )
         rows.append((f"{n} clumps, each step of each [ns]", each * 1e9))
+        more += [(f"{n} clumps, set-up of each [µs]", 1e6 * set_up / n)]
+        more += [(f"{n} clumps, memory of each [kB]", memory / 1e3)]
     print(f"  {rows[-1][1] / rows[0][1]:.2f} times from the first to the last")
-    return rows
+    return rows + more
 
 
 def dilute(n: int, seconds: float) -> list[tuple[str, float]]:
