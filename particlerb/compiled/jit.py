@@ -302,8 +302,15 @@ def unfused_kernel(function: Function) -> Function:
     return _kernel(UnfusedKernel, function)
 
 
-def kernel_from(template: Function, name: str, **names: Any) -> Function:
-    """Compile a kernel from a function whose globals of these names are to be others.
+def kernel_from(
+    template: Function,
+    name: str,
+    *instead: tuple[Callable[..., Any], Callable[..., Any]],
+    **constants: Any,
+) -> Function:
+    """Compile a kernel from a function that calls the second of each pair in place of the first.
+
+    Its globals of the names of constants are to be these.
 
     A method brings its step, the loop around it is the same for all. Handed over as an argument,
     the step would be compiled and optimised once more on each level that it passes; as a closure
@@ -312,9 +319,9 @@ def kernel_from(template: Function, name: str, **names: Any) -> Function:
     Raises
     ------
     NameError
-        If the function has no global of such a name.
+        If the function never calls what is to be replaced, or has no such global.
     """
-    function: Any = in_python(template, **names)
+    function: Any = in_python(template, *instead, **constants)
     function.__name__, function.__qualname__ = name, f"{template.__qualname__}_{name}"
     return kernel(cast(Function, function))
 

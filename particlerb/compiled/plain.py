@@ -58,15 +58,24 @@ all_compiled: Final = partial(time_in_python, 0.0)
 # Functions in Python
 
 
-def in_python(function: Function, **names: Any) -> Function:
-    """A function, compiled or not, as Python whose globals of these names are to be others.
+def in_python(
+    function: Function, *instead: tuple[Callable[..., Any], Callable[..., Any]], **names: Any
+) -> Function:
+    """A function, compiled or not, as Python that calls others in place of some.
+
+    The second of each pair in place of the first; its globals of these names are to be others too.
 
     Raises
     ------
     NameError
-        If the function has no global of such a name.
+        If it never calls what is to be replaced, or has no global of such a name.
     """
     plain: Any = getattr(function, "py_func", function)
+    for old, new in instead:
+        found = [name for name in plain.__code__.co_names if plain.__globals__.get(name) is old]
+        if not found:
+            raise NameError(f"{plain.__qualname__} never calls {old.__name__}")
+        names |= dict.fromkeys(found, new)
     if unknown := names.keys() - set(plain.__code__.co_names):
         raise NameError(f"{plain.__qualname__} has no {', '.join(sorted(unknown))}")
     values = plain.__globals__ | names

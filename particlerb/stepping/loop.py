@@ -290,8 +290,8 @@ def compiled_loop(
     """The loop with the step of a method, compiled."""
     name = f"{method.name}_coupled" if is_coupled else method.name
     name += "_touching" if touches else ""
-    names = {old.__name__: new for old, new in _parts_of(method, is_coupled, touches)}
-    return kernel_from(advance, name, **names, **_constants_of(method))
+    parts = _parts_of(method, is_coupled, touches)
+    return kernel_from(advance, name, *parts, **_constants_of(method))
 
 
 def loop_over_threads(
@@ -335,7 +335,7 @@ def loop_over_ranks(
     """
     name = f"{method.name}_touching"
     (_, chosen), *_ = _parts_of(method, True, True)
-    one_step = partial(enter_kick, kernel_from(_one_step, name, step=chosen))
+    one_step = partial(enter_kick, kernel_from(_one_step, name, (step, chosen)))
     part = over_threads(_part_with_contacts, (store_contacts, show_contacts))
     copy = over_threads(_save)
 

@@ -92,15 +92,24 @@ def test_a_users_function_may_make_arrays_where_its_caller_makes_none():
     assert caller(1.0) == 3.0
 
 
-def _sum_of_one(value):
-    return step(value) + 1.0  # noqa: F821  # a global that each kernel brings
+def step(value):
+    raise NotImplementedError
 
 
-def test_a_kernel_from_a_template_takes_its_globals_alone():
-    made = _jit.kernel_from(_sum_of_one, "half", step=_jit.inline(_half))
-    assert made(3.0) == 2.5
-    with pytest.raises(NameError, match="_sum_of_one has no stop"):
-        _jit.kernel_from(_sum_of_one, "half", step=_half, stop=_half)
+ADDED = 1.0
+
+
+def _step_and_add(value):
+    return step(value) + ADDED
+
+
+def test_a_kernel_from_a_template_calls_what_stands_for_a_function():
+    made = _jit.kernel_from(_step_and_add, "half", (step, _jit.inline(_half)), ADDED=2.0)
+    assert made(3.0) == 3.5
+    with pytest.raises(NameError, match="_step_and_add never calls _half"):
+        _jit.kernel_from(_step_and_add, "half", (step, _half), (_half, step))
+    with pytest.raises(NameError, match="_step_and_add has no STOP"):
+        _jit.kernel_from(_step_and_add, "half", (step, _half), STOP=2.0)
 
 
 def _half(value):
