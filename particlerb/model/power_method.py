@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.state import rotate, rotate_back
+from particlerb.model.state import cross_columns, rotate, rotate_back
 
 
 class Oscillating:
@@ -18,7 +18,7 @@ class Oscillating:
         Sum of values of bodies, (n,).
     """
 
-    own: Bools | slice = slice(None)  # bodies all of whose springs are known here
+    own: Bools | None = None  # bodies all of whose springs are known here; None: each
 
     def __init__(self, total: Callable[[Floats], float] = np.sum) -> None:
         self.total = total
@@ -36,6 +36,13 @@ class Oscillating:
 
 
 _ALL_HERE = Oscillating()
+
+
+def _tied(n: int, first: Ints, second: Ints) -> tuple[Ints, Ints]:
+    """Bodies, of n, at springs, and the world behind them; and which of these each one is."""
+    is_tied = np.zeros(n + 1, dtype=np.bool_)
+    is_tied[first] = is_tied[second] = is_tied[n] = True
+    return np.flatnonzero(is_tied), np.cumsum(is_tied) - 1
 
 
 def fastest_frequency(
@@ -67,32 +74,34 @@ def fastest_frequency(
         Who has which of the bodies.
     """
     (inv_mass, inv_inertia), (normal, stiffness, shear) = inverse, springs
-    n, (first, second) = inv_mass.size, ends
-    signed = (*first, -1.0), (*second, 1.0)
-    moves = np.append(inv_mass > 0.0, False)  # what is held, and the world, stand still
+    n, (first, arm), (second, other_arm) = inv_mass.size, *ends
+    tied, number = _tied(n, first, second)
+    bodies, m = tied[:-1], tied.size
+    signed = (number[first], arm, -1.0), (number[second], other_arm, 1.0)
+    moves = np.append(inv_mass > 0.0, False)  # what is fixed, and the world, stand still
     motion = among.random(n) * moves
-    (v, w), own = motion, among.own
-    power = stored = np.zeros(n)
+    inv_mass, inv_inertia, q = inv_mass[bodies], inv_inertia[:, bodies], q[:, bodies]
+    own = slice(None) if among.own is None else np.flatnonzero(among.own[bodies])
+    power, stored = np.zeros(n), np.zeros(n)
     for _ in range(iterations):
-        u = sum(
-            sign * (v[:, body] + np.cross(w[:, body], arm, axis=0)) for body, arm, sign in signed
-        )
+        v, w = motion[..., tied]
+        u = sum(sign * (v[:, at] + cross_columns(w[:, at], arm)) for at, arm, sign in signed)
         along = normal * (normal * u).sum(axis=0)
         f = stiffness * along + shear * (u - along)
         F, tau = np.zeros_like(v), np.zeros_like(w)
-        for body, arm, sign in signed:
-            turning = np.cross(arm, f, axis=0)
+        for at, arm, sign in signed:
+            turning = cross_columns(arm, f)
             for c in range(3):
-                F[c] += sign * np.bincount(body, f[c], n + 1)
-                tau[c] += sign * np.bincount(body, turning[c], n + 1)
+                F[c] += sign * np.bincount(at, f[c], m)
+                tau[c] += sign * np.bincount(at, turning[c], m)
         moved = inv_mass * F[:, :-1]
         spun = rotate(q, inv_inertia * rotate_back(q, tau[:, :-1]))
-        power = (F[:, :-1] * moved + tau[:, :-1] * spun).sum(axis=0)
-        stored = (v * F + w * tau).sum(axis=0)[:-1]
+        power[bodies] = (F[:, :-1] * moved + tau[:, :-1] * spun).sum(axis=0)
+        stored[bodies] = (v * F + w * tau).sum(axis=0)[:-1]
         size = among.largest(float(np.abs([moved[:, own], spun[:, own]]).max(initial=0.0)))
         if not 0.0 < size < np.inf:
             break
-        v[:, :-1], w[:, :-1] = moved / size, spun / size
+        motion[0][:, bodies], motion[1][:, bodies] = moved / size, spun / size
         among.complete(motion)
     all_power, all_stored = among.total(power), among.total(stored)
     return math.sqrt(all_power / all_stored) if all_stored > 0.0 else 0.0

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from particlerb.model import power_method
 from particlerb.model.power_method import fastest_frequency
+from particlerb.model.state import rotate
 
 MASS = np.array([2.0, 0.5, 3.0])
 X = np.array([[1.0], [0.0], [0.0]])
@@ -52,3 +54,17 @@ def test_without_springs_nothing_oscillates():
     ends, springs = [(none, np.zeros((3, 0)))] * 2, (np.zeros((3, 0)), np.zeros(0), np.zeros(0))
     q = np.array([[1.0], [0.0], [0.0], [0.0]])
     assert fastest_frequency((np.ones(1), np.ones((3, 1))), q, ends, springs, 20) == 0.0
+
+
+@pytest.mark.plain
+def test_bodies_without_springs_are_left_out(monkeypatch):
+    """Of three, one spring ties two: rows of two are turned."""
+    widths = []
+
+    def noted(q, v):
+        widths.append(v.shape[1])
+        return rotate(q, v)
+
+    monkeypatch.setattr(power_method, "rotate", noted)
+    frequency(0, 1, 1.0 / MASS)
+    assert set(widths) == {2}
