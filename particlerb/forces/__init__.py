@@ -153,6 +153,7 @@ def acting_of(terms: Terms) -> Acting:
         1 if any(kick.at_time is not None for kick in acting) else None,
         user_functions(users) if users else None,
         1 if any(kick.load is not None for kick in users) else None,
+        None if all(kick.has_potential for kick in acting) else 1,
     )
 
 
@@ -260,6 +261,7 @@ def without_gradient(terms: Terms) -> set[str]:
         name
         for name, kicks in parts.items()
         if any(kick.change is None and not kick.is_steady for kick, _ in kicks)
+        or (terms.links is not None and not all(kick.has_potential for kick, _ in kicks))
     }
     if terms.user_pairs is not None:
         unknown |= {force.name for force in terms.user_pairs.functions.forces}

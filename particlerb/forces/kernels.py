@@ -37,6 +37,7 @@ class Acting(NamedTuple):
     clock: int | None  # whether something depends on time
     user_functions: FunctionSet | None = None  # of forces that users wrote
     user_flow: int | None = None  # whether one of these depends on velocities
+    others: int | None = None  # whether a load of a body by itself has no potential
 
 
 @inline
@@ -203,10 +204,15 @@ damp: Callable[..., Momenta] = made(_Family("damp", "damp", "b, R, p_old, L_old,
 change_of: Callable[..., Momenta] = made(
     _Family(
         "change_of", "change", "b, x, R, motion, F, tau", "F, tau",
-        "F, tau = add_pair_load(acting.pair, rows, CHANGE, b, 1.0, F, tau)",
+        "F, tau = add_pair_load(acting.pair, rows, CHANGE, b, 1.0, F, tau)", has_potential=True,
     )
 )  # fmt: skip
-"""(acting, rows, b, x, R, motion, F, tau): F and τ with the rates at which all loads change."""
+"""(acting, rows, b, x, R, motion, F, tau): F and τ with the rates at which loads change that have
+a potential."""
+change_of_others: Callable[..., Momenta] = made(
+    _Family("change_of_others", "change", "b, x, R, motion, F, tau", "F, tau", has_potential=False)
+)
+"""(acting, rows, b, x, R, motion, F, tau): the same of those without."""
 prepare_kick: Callable[..., None] = made(_Family("prepare_kick", "prepare", "n, dt"))
 """(acting, rows, n, dt): before a block is kicked over dt."""
 at_time: Callable[..., None] = made(_Family("at_time", "at_time", "b, t"))

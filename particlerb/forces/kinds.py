@@ -77,7 +77,7 @@ class Kick(NamedTuple):
     """(rows, at, b, t): set what its `push` reads to the time t [s] since the segment began."""
     change: Callable[..., Momenta] | None = None
     """(rows, at, b, x, R, (v, ω), F, τ): F and τ with the rates added at which its own change while
-    the body moves at v [m/s] and ω [rad/s], world axes; of forces with a potential, if known."""
+    the body moves at v [m/s] and ω [rad/s], world axes, and time stands still; if known."""
     power: Callable[..., float] | None = None
     """(rows, at, b, x, R, power): the power with ∂V/∂t [W] at that time added."""
     is_kept: bool = True  # whether the cache on disk may keep kernels with it

@@ -22,6 +22,7 @@ from particlerb.forces.ramp import (
     RAMP_TERMS,
     FollowerRamp,
     Ramp,
+    add_turning,
     course_of,
     load_numbers,
     vectors_of,
@@ -97,13 +98,21 @@ def _kick_follower(
     return add_scaled(dt, force, p), add_scaled(dt, torque, L)
 
 
+@inline
+def _change_follower(
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, motion: Momenta, F: Vec3, tau: Vec3
+) -> Momenta:
+    """F + ω × R F,  τ + ω × R τ."""
+    return add_turning(motion[1], R, get3(rows, at, b), get3(rows, at + 3, b), F, tau)
+
+
 FORCE_KICK: Final = Kick(
     "force", 3, _kick_force, has_potential=True, is_steady=True, is_uniform=True
 )
 LEVER_KICK: Final = Kick(
     "lever", 9, _kick_lever, has_potential=True, is_steady=True, change=_change_lever
 )
-_FOLLOWER_KICK: Final = Kick("follower", 6, _kick_follower)
+_FOLLOWER_KICK: Final = Kick("follower", 6, _kick_follower, change=_change_follower)
 
 
 def _parts_of_push(push: Push) -> list[tuple[Kick, Floats]]:

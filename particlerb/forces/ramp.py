@@ -74,10 +74,38 @@ def _kick_follower_ramp(
     return add_scaled(dt, force, p), add_scaled(dt, torque, L)
 
 
-_RAMP_KICK: Final = Kick("ramp", _ROWS, _kick_ramp, is_many=True, at_time=_set_load)
-_FOLLOWER_KICK: Final = Kick(
-    "follower_ramp", _ROWS, _kick_follower_ramp, is_many=True, at_time=_set_load
+@inline
+def _change_ramp(
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, motion: Momenta, F: Vec3, tau: Vec3
+) -> Momenta:
+    """τ + (ω × R r) × F."""
+    arm = cross(motion[1], turn(R, get3(rows, at + _ARM_ROW, b)))
+    return F, add_scaled(1.0, cross(arm, get3(rows, at + _NOW_ROW, b)), tau)
+
+
+@inline
+def add_turning(omega: Vec3, R: Matrix, force: Vec3, torque: Vec3, F: Vec3, tau: Vec3) -> Momenta:
+    """F and τ with ω × R of both added, given in the body: the rates of loads that follow it."""
+    dF, dtau = cross(omega, turn(R, force)), cross(omega, turn(R, torque))
+    return add_scaled(1.0, dF, F), add_scaled(1.0, dtau, tau)
+
+
+@inline
+def _change_follower_ramp(
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, motion: Momenta, F: Vec3, tau: Vec3
+) -> Momenta:
+    """F + ω × R F,  τ + ω × R τ."""
+    force, torque = get3(rows, at + _NOW_ROW, b), get3(rows, at + _NOW_ROW + 3, b)
+    return add_turning(motion[1], R, force, torque, F, tau)
+
+
+_RAMP_KICK: Final = Kick(
+    "ramp", _ROWS, _kick_ramp, is_many=True, at_time=_set_load, change=_change_ramp
 )
+_FOLLOWER_KICK: Final = Kick(
+    "follower_ramp", _ROWS, _kick_follower_ramp, is_many=True, at_time=_set_load,
+    change=_change_follower_ramp,
+)  # fmt: skip
 
 
 def _ramp_rates(ramp: Ramp | FollowerRamp, bodies: Bodies, state: State) -> Rates:

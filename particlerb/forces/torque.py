@@ -35,7 +35,15 @@ def _kick_torque(
     return p, add_scaled(dt, get3(rows, at, b), L)
 
 
-KICK: Final = Kick("torque", 3, _kick_torque)
+@inline
+def _change_torque(
+    rows: Floats, at: int, b: int, x: Vec3, R: Matrix, motion: Momenta, F: Vec3, tau: Vec3
+) -> Momenta:
+    """Nothing: it is the same for all poses."""
+    return F, tau
+
+
+KICK: Final = Kick("torque", 3, _kick_torque, change=_change_torque)
 
 
 def _term_of(

@@ -1,7 +1,7 @@
 """Order 4 with the gradient of the forces: four kicks between three positive drifts.
 
-A symmetric, symplectic splitting for forces that have a potential V whose second derivative is
-known. Two of its kicks are those of V - κh² [V,[T,V]]: with the acceleration a = (F/M, I⁻¹τ) that
+A symmetric splitting for forces of the pose and the time whose rates of change are known, and
+symplectic where they have a potential V. Two of its kicks are those of V - κh² [V,[T,V]]: with the acceleration a = (F/M, I⁻¹τ) that
 the loads give a body, they are F + 2κh² Ḟ and τ + 2κh² τ̇, the rates of change along a motion with
 the velocities a (`Kick.change`; docs/theory.md, section 9). So all drifts are positive, and errors
 are a tenth of those of methods of this order without gradients. Asymmetric bodies drift by the
@@ -16,12 +16,13 @@ from typing import Final
 from particlerb.compiled.jit import kernel
 from particlerb.contact.contact_model import NOW
 from particlerb.forces.kernels import Acting, kick_potential
-from particlerb.forces.kinds import BODIES, POSE
+from particlerb.forces.kinds import BODIES, POSE, TIME
 from particlerb.forces.links import change_links
 from particlerb.forces.registry import CHANGE
+from particlerb.integrators.kick import KickAndDrift
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import Layout, PairTerms, clear, gather_states, scatter
-from particlerb.integrators.rotor_drift import KickAndDrift, kick_and_rotor_drift
+from particlerb.integrators.rotor_drift import kick_and_rotor_drift
 from particlerb.integrators.stages import MovingBodies, loads, stages
 from particlerb.maths.quaternion import matrix
 from particlerb.maths.vec3 import ZERO, Floats
@@ -82,9 +83,9 @@ def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float
 
 
 METHOD: Final = Method(
-    summary="order 4, symplectic; gradients of forces that have a potential",
+    summary="order 4, symplectic where forces have a potential; takes their gradients",
     order=4,
-    accepts=frozenset({POSE, BODIES}),
+    accepts=frozenset({POSE, BODIES, TIME}),
     cost=20.0,
     evaluations=len(KICKS),
     takes_gradients=True,

@@ -13,6 +13,7 @@ from particlerb.forces.kernels import (
     Acting,
     Entry,
     change_of,
+    change_of_others,
     damp,
     flow_in,
     flow_out,
@@ -21,6 +22,7 @@ from particlerb.forces.kernels import (
     less_internal,
     load_of_users,
     prepare_kick,
+    shift_time,
     with_power,
 )
 from particlerb.forces.kinds import Momenta
@@ -256,34 +258,90 @@ def _less_change(
     return work, add_scaled(-weight, F, impulse), add_scaled(-weight, turning, angular)
 
 
+class KickAndDrift(NamedTuple):
+    """A kick, and the drift after it."""
+
+    kick: float  # [s]
+    weight: float  # [s³] of the gradient, where the kick is bent by it: see `force_gradient`
+    before: float  # [s] since the step began, when it is made
+    drift: float  # [s]
+    share: float  # of the step that the drift takes, by which maps are cut; 0: they are not
+    is_first: bool  # of the step
+
+
+@inline
+def _velocities(rows: Floats, b: int, R: Matrix, p: Vec3, L: Vec3) -> Momenta:
+    """p/M and R I⁻¹ Rᵀ L of body b; of loads, accelerations of a body at rest."""
+    omega = turn(R, component_product(get3(rows, INV_INERTIA, b), turn_back(R, L)))
+    return scale(get(rows, INV_MASS, b), p), omega
+
+
+@inline
+def _mixed_work(
+    acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, mean: Momenta,
+    torques: Momenta, moved: tuple[Momenta, Momenta],
+) -> float:  # fmt: skip
+    """What a bent kick adds to the work of loads without potential, beside those that have one.
+
+    With the work as one more variable that kicks change, it is the rest of the commutator of
+    (9.2) once the momenta have their part; both kinds of loads have torques, and accelerations.
+    """
+    (v, w), (tau, sigma), (own, other) = _velocities(rows, b, R, *mean), torques, moved
+    dF, dtau = change_of(acting, rows, b, x, R, (v, w), ZERO, ZERO)
+    dG, dsigma = change_of_others(acting, rows, b, x, R, (v, w), ZERO, ZERO)
+    work = dot(dG, own[0]) + dot(dsigma, own[1]) - dot(dF, other[0]) - dot(dtau, other[1])
+    work -= 2.0 * dot(other[1], cross(own[1], mean[1]))
+    return work - dot(other[1], cross(w, tau)) + dot(sigma, cross(own[1], w))
+
+
+@inline
+def _hastened_work(
+    acting: Acting, rows: Floats, b: int, x: Vec3, R: Matrix, move: KickAndDrift, now: Momenta,
+    own: Momenta,
+) -> float:  # fmt: skip
+    """The same of loads, now and at the end of a kick, that are linear in time."""
+    if acting.clock is None:
+        return 0.0
+    shift_time(acting, rows, b, move.before + move.kick)
+    F, tau = kick_others(acting, rows, b, x, R, 1.0, ZERO, ZERO)
+    return (dot(subtract(F, now[0]), own[0]) + dot(subtract(tau, now[1]), own[1])) / move.kick
+
+
 @inline
 def kick_with_gradient(
-    gradient: Flag,
-    acting: Acting,
-    sums_external: Flag,
-    rows: Floats,
-    b: int,
-    dt: float,
-    weight: float,
+    gradient: Flag, acting: Acting, sums_external: Flag, rows: Floats, b: int, move: KickAndDrift
 ) -> tuple[Vec3, Matrix]:
-    """Kick body b over dt, bent by the gradient or not; L, which is stored with p, and R.
-
-    `weight` [s³] is that of the rates at which force and torque change: see `force_gradient`.
-    """
+    """Kick body b, bent by the gradient or not; L, which is stored with p, and R."""
+    dt, weight = move.kick, move.weight
+    shift_time(acting, rows, b, move.before)
     if gradient is None:
         _, spin, R = kick_body(acting, sums_external, rows, b, dt)
         return spin, R
     x, R = get3(rows, COM, b), matrix(get4(rows, Q, b))
     old = get3(rows, P, b), get3(rows, L, b)
     F, tau = kick_potential(acting, rows, b, x, R, 1.0, ZERO, ZERO)
-    v = scale(get(rows, INV_MASS, b), F)
-    w = turn(R, component_product(get3(rows, INV_INERTIA, b), turn_back(R, tau)))
+    own, G, sigma = _velocities(rows, b, R, F, tau), ZERO, ZERO
+    v, w = own
+    if acting.others is not None:
+        G, sigma = kick_others(acting, rows, b, x, R, 1.0, ZERO, ZERO)
+        other = _velocities(rows, b, R, G, sigma)
+        v, w = add_scaled(1.0, other[0], v), add_scaled(1.0, other[1], w)
     dF, dtau = change_of(acting, rows, b, x, R, (v, w), ZERO, ZERO)
     p = add_scaled(weight, dF, add_scaled(dt, F, old[0]))
     spin = add_scaled(weight, dtau, add_scaled(dt, tau, old[1]))
+    middle = p, spin
+    if acting.others is not None:
+        dF, dtau = change_of_others(acting, rows, b, x, R, (v, w), ZERO, ZERO)
+        p = add_scaled(weight, dF, add_scaled(dt, G, p))
+        spin = add_scaled(weight, dtau, add_scaled(dt, sigma, spin))
     put3(rows, P, b, p)
     put3(rows, L, b, spin)
-    entry = entry_of_kick(rows, b, x, R, old, (p, spin), (p, spin))
-    entry = less_internal(acting, rows, b, x, dt, entry)
+    work, impulse, angular = entry_of_kick(rows, b, x, R, old, middle, (p, spin))
+    if acting.others is not None and sums_external is not None:
+        mean = scale(0.5, add_scaled(1.0, old[0], p)), scale(0.5, add_scaled(1.0, old[1], spin))
+        rate = _mixed_work(acting, rows, b, x, R, mean, (tau, sigma), (own, other))
+        rate += _hastened_work(acting, rows, b, x, R, move, (G, sigma), own)
+        work += 0.5 * weight * rate
+    entry = less_internal(acting, rows, b, x, dt, (work, impulse, angular))
     add_entry(sums_external, rows, b, 1.0, _less_change(acting, rows, b, x, v, weight, entry))
     return spin, R

@@ -15,8 +15,9 @@ from typing import Final
 
 from particlerb.contact.contact_model import NOW
 from particlerb.forces.kinds import BODIES, POSE, TIME
+from particlerb.integrators.kick import KickAndDrift
 from particlerb.integrators.method import Method
-from particlerb.integrators.rotor_drift import KickAndDrift, kick_and_rotor_drift
+from particlerb.integrators.rotor_drift import kick_and_rotor_drift
 from particlerb.integrators.stages import MovingBodies, loads, shift_pairs, stages
 from particlerb.rotors.moser_veselov import LARGEST_SHARE, cost_of_maps, modified_inertia
 

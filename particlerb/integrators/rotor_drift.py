@@ -6,13 +6,11 @@ others in closed form.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import Flag, inline
-from particlerb.forces.kernels import shift_time
-from particlerb.integrators.kick import kick_with_gradient
+from particlerb.integrators.kick import KickAndDrift, kick_with_gradient
 from particlerb.integrators.stages import MovingBodies, stage
 from particlerb.maths.quaternion import Matrix, matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, dot, scale
@@ -127,17 +125,6 @@ def fly_and_split(rows: Floats, b: int, dt: float) -> None:
     put4(rows, Q, b, symmetric_split(q, m, get3(rows, INV_INERTIA, b), dt))
 
 
-class KickAndDrift(NamedTuple):
-    """A kick, and the drift after it."""
-
-    kick: float  # [s]
-    weight: float  # [s³] of the gradient, where the kick is bent by it
-    before: float  # [s] since the step began, when it is made
-    drift: float  # [s]
-    share: float  # of the step that the drift takes, by which maps are cut; 0: they are not
-    is_first: bool  # of the step
-
-
 @inline
 def _drift_asymmetric(
     kind: Flag, gradient: Flag, moving: MovingBodies, first: int, end: int, move: KickAndDrift
@@ -152,10 +139,7 @@ def _drift_asymmetric(
         pieces = pieces_of(turned, move.share)
         iterations = iterations_of(turned / pieces)
         for b in range(n):
-            shift_time(acting, rows, b, move.before)
-            spin, R = kick_with_gradient(
-                gradient, acting, sums_external, rows, b, move.kick, move.weight
-            )
+            spin, R = kick_with_gradient(gradient, acting, sums_external, rows, b, move)
             _start_drift(rows, b, spin, R, move.drift, pieces)
         _finish_drift(rows, n, move.drift, pieces, iterations)
 
@@ -171,8 +155,7 @@ def _drift_symmetric(
     for block in range(max(first, moving.layout.asymmetric), end):
         rows = moving.blocks[block]
         for b in range(moving.layout.size[block]):
-            shift_time(acting, rows, b, move.before)
-            kick_with_gradient(gradient, acting, sums_external, rows, b, move.kick, move.weight)
+            kick_with_gradient(gradient, acting, sums_external, rows, b, move)
             fly_and_split(rows, b, move.drift)
 
 

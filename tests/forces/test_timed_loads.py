@@ -32,7 +32,7 @@ VALUES = np.array([[0.0, 0.0, 0.0], [3.0, -4.0, 6.0], [-2.0, 1.0, 0.5], [1.0, 0.
 INTEGRAL = 0.5 * ((VALUES[1:] + VALUES[:-1]) * np.diff(TIMES)[:, None]).sum(axis=0)
 ARM = [0.4, -0.3, 0.2]
 END = 1.0
-STEPS = {"strang": (2, 0.05), "rkn6": (6, 0.2), "rk4": (4, 0.1)}
+STEPS = {"strang": (2, 0.05), "force_gradient": (4, 0.2), "rkn6": (6, 0.2), "rk4": (4, 0.1)}
 FIRST_ORDER = ["semi_implicit_euler", "explicit_euler", "momentum_euler"]
 ALL = [*STEPS, "dop853", *FIRST_ORDER]
 HERE = ALL if config.DISABLE_JIT else ["strang"]

@@ -189,14 +189,9 @@ def test_bodies_on_springs_are_met_with_order_four_and_their_momenta_are_kept(ma
 
 REFUSED = {
     "drag": (lambda make: make.drag(1.0, 0.0), "drag (it depends on velocities)"),
-    "torque": (lambda make: make.torque([0, 0, 1.0]), "torque (its gradient is not known)"),
-    "follower": (
-        lambda make: make.push([0, 0, 1.0], frame="body"),
-        "follower (its gradient is not known)",
-    ),
     "field": (
         lambda make: make.field([1.0, 0, 0], 1.0, angular_velocity=[0, 0, 1.0]),
-        "rotatingfield (it depends on time)",
+        "rotatingfield (its gradient is not known)",
     ),
 }
 
@@ -208,6 +203,54 @@ def test_what_has_no_known_gradient_is_refused_with_the_reason(make, name):
     with pytest.raises(CaseError) as caught:
         particlerb.run(scene)
     assert f"force_gradient does not accept what acts here: {words}" in str(caught.value)
+
+
+def test_a_torque_beside_springs_between_bodies_is_refused(make):
+    """Its work would be of order 2."""
+    bodies = [make.body("a"), make.body("b", position=[3.0, 0, 0])]
+    force = [make.tie("a", 2.0, "b"), make.torque([0, 0, 1.0], "a")]
+    scene = make.case(*bodies, force=force, method="force_gradient", dt=0.1)
+    with pytest.raises(CaseError, match=r"torque \(its gradient is not known\)"):
+        particlerb.run(scene)
+
+
+def timed(values):
+    """Knots at the ends of a run of 1 s, and one within it."""
+    return {"times": [0.0, 0.37, 1.0], "values": values}
+
+
+WITHOUT_POTENTIAL = {
+    "torque": lambda make: [make.torque([1.0, 2.0, -1.0])],
+    "follower": lambda make: [make.push([1.0, -2.0, 3.0], [0.4, -0.3, 0.2], frame="body")],
+    "tables": lambda make: [
+        make.push([0, 0, 0], [0.4, -0.3, 0.2])
+        | {"force": timed([[3, -4, 6], [-2, 1, 0.5], [1, 3, -8]])},
+        make.torque([0, 0, 0])
+        | {"torque": timed([[1, 0, 2], [-2, 1, 0.5], [1, 3, 0]]), "frame": "body"},
+    ],
+}
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("name", WITHOUT_POTENTIAL)
+def test_loads_without_potential_are_met_with_order_four_beside_those_that_have_one(make, name):
+    """And so is their work, to which both kinds of loads together add a term of their own."""
+    held = [make.push([2.0, 1.0, 3.0], [0.4, -0.3, 0.2]), make.spring([0, 0, 2.0], 8.0, 0.7)]
+    held[1]["at"] = [0.2, 0.1, 0.3]
+    case = make.case(make.body(**start("asymmetric")), force=held + WITHOUT_POTENTIAL[name](make))
+    case["run"] |= {"t_end": 1.0, "every": 1.0}
+    case["gravity"] = {"acceleration": [0.5, -1.0, -3.0]}
+    true = make.arrays(case, "run.method=dop853", "run.tolerance=1e-14")
+    steps, errors, balance = 0.05 / 2.0 ** np.arange(3), [], []
+    for dt in steps:
+        found = make.arrays(case, "run.method=force_gradient", f"run.dt={dt}")
+        apart = make.angle(found.orientation[-1, 0], true.orientation[-1, 0])
+        errors.append(max(apart, np.abs(found.position[-1] - true.position[-1]).max()))
+        balance.append(abs(found.ledger.energy_error[-1]))
+    assert errors[0] < 1e-6
+    assert balance[0] < 1e-6
+    for found in (errors, balance):
+        assert np.polyfit(np.log(steps), np.log(found), 1)[0] == pytest.approx(4, abs=0.3)
 
 
 def test_bodies_that_attract_each_other_are_refused(make):
