@@ -121,7 +121,7 @@ class UserForce:
         found, known = list[Any](), list(filter(None, map(python_of, self._functions)))
         for function in known:
             found += [function.__code__, function.__defaults__, function.__kwdefaults__]
-            for name, value in reached(function):
+            for name, value in _reached_anywhere(function):
                 plain = python_of(value)
                 if plain is None:
                     found.append((name, value))
@@ -263,6 +263,16 @@ def reached(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
             yield name, around[name]
         elif name in function.__globals__:
             yield name, function.__globals__[name]
+
+
+def _reached_anywhere(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
+    """The same, with what it names of modules of users, and of modules in these."""
+    named, names = list(reached(function)), _names_in(function.__code__)
+    for name, value in named:  # which grows
+        yield name, value
+        if isinstance(value, ModuleType) and not _is_library(value.__name__):
+            inside = [(key, vars(value)[key]) for key in sorted(names & vars(value).keys())]
+            named += [one for one in inside if not any(one[1] is value for _, value in named)]
 
 
 def _names_in(code: CodeType) -> set[str]:

@@ -26,7 +26,7 @@ BUDGETS = {
     "contact with every method": 702,
     "contact by impulses": 4216,
     "collisions by events": 1739,
-    "forces: tables, gradients, written by users": 2226,
+    "forces: tables, gradients, written by users": 2233,
     "scenes and simulations in Python": 1138,
     "sweeps": 1749,
     "one scene over ranks": 2616,

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -580,6 +580,22 @@ def test_constants_of_numpy_and_without_bound_are_in_the_text():
     assert names["COARSE"] == COARSE
     assert names["COARSE"][0].dtype == np.float32
     assert names["NO_PLACES"].shape == (0, 3)
+
+
+@pytest.mark.filterwarnings("ignore::particlerb.compiled.jit.CacheWarning")
+def test_a_constant_of_a_module_that_changes_makes_another_force():
+    module = ModuleType("lab")
+    module.inner, module.strength = module, 1.0
+
+    @particlerb.force
+    def by_module(x):
+        return scale(module.inner.strength, x), NO_TORQUE
+
+    assert by_module.text() is None
+    before, again = class_of(by_module, ()), class_of(by_module, ())
+    module.strength = 2.0
+    assert before is again
+    assert class_of(by_module, ()) is not before
 
 
 STRENGTH, SHARES = 2.0, np.array([0.5, 0.25])
