@@ -77,6 +77,8 @@ class Watch:
                 self.n_bytes += sum(rows.nbytes for rows in given[1].values())
                 self.copies += sum(rows.shape[-1] for rows in given[1].values())
             found = work(*given)
+            if name == "swapped":  # what is returned waits for it
+                found = self.watched("waited", found)
             if name == "sent":
                 self.n_moved += sum(rows.nbytes for rows in found)
             self.waited += time.process_time() - start

@@ -75,8 +75,14 @@ class Ranks:
         """Rows from each rank, where each has given some for each: all of one type and width."""
         return list(rows)
 
-    def swapped(self, outgoing: Mapping[int, Rows], incoming: Mapping[int, Rows]) -> None:
-        """Send rows to some ranks, and receive into `incoming` those that these send here."""
+    def swapped(
+        self, outgoing: Mapping[int, Rows], incoming: Mapping[int, Rows]
+    ) -> Callable[[], None]:
+        """Begin to send rows to some ranks, and to receive into `incoming` what these send here.
+
+        What is returned waits for all of it.
+        """
+        return lambda: None
 
 
 ALONE: Final = Ranks()
@@ -162,11 +168,13 @@ class _RanksOfMPI(Ranks):
         each = zip(starts.tolist(), ends.tolist(), strict=True)
         return [buffer[first:end].view(outgoing.dtype).reshape(form) for first, end in each]
 
-    def swapped(self, outgoing: Mapping[int, Rows], incoming: Mapping[int, Rows]) -> None:
-        """Send rows to some ranks, and receive into `incoming` those that these send here."""
+    def swapped(
+        self, outgoing: Mapping[int, Rows], incoming: Mapping[int, Rows]
+    ) -> Callable[[], None]:
+        """Begin to send rows to some ranks, and to receive into `incoming` what these send here."""
         requests = [self.communicator.Irecv(rows, k) for k, rows in incoming.items()]
         requests += [self.communicator.Isend(rows, k) for k, rows in outgoing.items()]
-        self.mpi.Request.Waitall(requests)
+        return partial(self.mpi.Request.Waitall, requests)
 
 
 def _comparable(values: Floats) -> Floats:

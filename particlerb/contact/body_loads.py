@@ -195,7 +195,7 @@ def _load_of(
 
     `among` are its entries of contacts with other spheres that are active.
     """
-    spheres, walls, _, (wall_offset, wall_entry), _ = lists
+    spheres, walls, _, (wall_offset, wall_entry), _, _ = lists
     body, inv_mass, rolling = model.spheres.body, model.inv_mass, model.law.rolling
     entry, first, end = among
     touches = end > first
@@ -250,7 +250,7 @@ def find_stored_energy(model: ContactModel, lists: NeighbourLists, stored: Float
 
     A spring between two bodies is of the first of them, or, where that is held, of the second.
     """
-    spheres, walls, (offset, entry), (wall_offset, wall_entry), _ = lists
+    spheres, walls, (offset, entry), (wall_offset, wall_entry), _, _ = lists
     inv_mass, body = model.inv_mass, model.spheres.body
     for b in range(stored.size):
         energy = 0.0

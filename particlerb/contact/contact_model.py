@@ -81,6 +81,7 @@ class NeighbourLists(NamedTuple):
     sphere_incidence: Incidence
     wall_incidence: Incidence
     max_contact_arm: float  # [m] from a centre of mass to the farthest point that may touch
+    inner: Ints | None = None  # (N_SHELLS,) ends of shells without ghosts, before all with; or None
 
 
 class Slope(NamedTuple):

@@ -114,12 +114,13 @@ def order_contacts(
     wall : ndarray
         Wall of each primitive; empty for pairs of spheres.
     shell : ndarray, shape (m,)
-        Of each pair, from 0; written here where a contact has a history.
+        Of each pair, from 0, or from N_SHELLS of those that come behind all these; written here
+        where a contact has a history.
     old, new : ContactHistory
         Before; and what is written.
     first, second : ndarray, shape (m,)
         The list.
-    ends : ndarray, shape (N_SHELLS,)
+    ends : ndarray, shape (N_SHELLS,) or (2 N_SHELLS,)
         Written: where each shell ends in it.
     """
     firsts, seconds = pairs
@@ -134,7 +135,7 @@ def order_contacts(
             row = old.rows[before]
             for c in range(columns):
                 if old.values[row, c] != 0.0:
-                    shell[k] = 0
+                    shell[k] -= shell[k] % N_SHELLS
         new.keys[k], new.rows[k] = key, row
     if wall.size > 0:
         _keep_together(firsts, seconds, wall, shell)
@@ -158,7 +159,7 @@ def _sort_into_shells(
     for k in range(firsts.size):
         ends[shell[k]] += 1
     at = 0
-    for s in range(N_SHELLS):
+    for s in range(ends.size):
         ends[s], at = at, at + ends[s]
     for k in range(firsts.size):
         was, row = new.rows[k], ends[shell[k]]

@@ -26,6 +26,7 @@ from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.rows import column3_at, put_row3, put_row4, row3, row4
 from particlerb.maths.vec3 import (
     ZERO,
+    Bools,
     Floats,
     Vec3,
     add_scaled,
@@ -66,6 +67,7 @@ def body_kinematics(
     ahead: float,
     lo: int,
     n: int,
+    which: Bools | None,
 ) -> None:
     """Find where the spheres of a block of bodies are, and velocities at the instant of the kick.
 
@@ -80,12 +82,16 @@ def body_kinematics(
         By how much of their change the momenta are to be carried on.
     lo, n : int
         First body of the block, and how many there are.
+    which : ndarray, shape (n_bodies,), optional
+        Whether to look at a body; None: at each.
     """
     spheres, inv_mass, inertia = model.spheres, model.inv_mass, model.inv_inertia
     arm, radius, offset = spheres.arm, spheres.radius, spheres.offset
     xyzr, bodies = workspace.xyzr, workspace.bodies
     for k in range(n):
         b = lo + k
+        if which is not None and not which[b]:
+            continue
         x, q = get3(rows, COM, k), get4(rows, Q, k)
         R = matrix(q)
         if inv_mass[b] > 0.0:  # others rest, or move as prescribed: see `prescribed_motion`
@@ -112,10 +118,12 @@ def put_velocity(bodies: Records, b: int, v: Vec3, omega: Vec3) -> None:
 
 
 @inline
-def max_speeds(bodies: Records, first: int, end: int) -> tuple[float, float]:
-    """Largest speed [m/s] and angular speed [rad/s] of bodies first to end."""
+def max_speeds(bodies: Records, first: int, end: int, which: Bools | None) -> tuple[float, float]:
+    """Largest speed [m/s] and angular speed [rad/s] of bodies first to end, or some of them."""
     v, w = 0.0, 0.0
     for b in range(first, end):
+        if which is not None and not which[b]:
+            continue
         v, w = max(v, bodies.speed[b]), max(w, bodies.angular_speed[b])
     return v, w
 

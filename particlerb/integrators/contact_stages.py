@@ -43,7 +43,7 @@ from particlerb.contact.wall_motion import put_poses
 from particlerb.forces.registry import PAIR, STEADY
 from particlerb.integrators.pair_stages import BlockShare, PairTerms
 from particlerb.maths.rows import column3_at
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.block import (
     COM,
     L,
@@ -87,7 +87,7 @@ def contact_kinematics(
     if contact is None or team is None:
         return True
     note_step_start(contact, instant)
-    reached = kinematics_at(contact, team, pairs, share, instant)
+    reached = kinematics_at(contact, team, pairs, share, instant, None)
     return keep_extremes(contact, instant, *reached)
 
 
@@ -137,15 +137,16 @@ def contact_kinematics_later(
         return
     time = contact.workspace.step_start.time[0] + later
     instant = Instant(0.0, 0.0, time, 0.0)
-    path, v, w = kinematics_at(contact, team, pairs, share, instant)
+    path, v, w = kinematics_at(contact, team, pairs, share, instant, None)
     keep_extremes(contact, instant, path, v, w)
 
 
 @kernel
 def kinematics_at(
-    contact: MovingContact, team: Team, pairs: PairTerms | None, share: BlockShare, instant: Instant
-) -> tuple[float, float, float]:
-    """Find where spheres and walls are at an instant, and how fast.
+    contact: MovingContact, team: Team, pairs: PairTerms | None, share: BlockShare,
+    instant: Instant, which: Bools | None,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Find where spheres and walls are at an instant, and how fast; of some bodies, or of all.
 
     Returns
     -------
@@ -160,10 +161,10 @@ def kinematics_at(
     for k in range(first, end):
         rows, lo, n = blocks[k], layout.first[k], layout.size[k]
         _put_prescribed(model.prescribed, t, rows, workspace.bodies, lo, n)
-        path = max(path, farthest(memory.listed_pose, rows, setup.max_arm, lo, n))
-        body_kinematics(model, workspace, rows, memory.momenta, ahead, lo, n)
+        path = max(path, farthest(memory.listed_pose, rows, setup.max_arm, lo, n, which))
+        body_kinematics(model, workspace, rows, memory.momenta, ahead, lo, n, which)
         if setup.rules is None:
-            speeds = max_speeds(workspace.bodies, lo, lo + n)
+            speeds = max_speeds(workspace.bodies, lo, lo + n, which)
             v, w = max(v, speeds[0]), max(w, speeds[1])
         else:
             v = max(v, max_point_speed(workspace.bodies, lists.max_contact_arm, lo, lo + n))
@@ -206,11 +207,15 @@ def _put_prescribed(
 
 
 @inline
-def farthest(listed_pose: Floats, rows: Floats, reach: Floats, lo: int, n: int) -> float:
+def farthest(
+    listed_pose: Floats, rows: Floats, reach: Floats, lo: int, n: int, which: Bools | None
+) -> float:
     """How far a body of a block has moved since the lists were made [m]: see `has_moved`."""
     path, then = 0.0, listed_pose
     for k in range(n):
         b = lo + k
+        if which is not None and not which[b]:
+            continue
         x, q = column3_at(then, b), (then[3, b], then[4, b], then[5, b], then[6, b])
         moved = max_displacement(x, q, get3(rows, COM, k), get4(rows, Q, k), reach[b])
         path = max(path, moved if moved < np.inf else np.inf)  # what is not a number has moved too
@@ -229,14 +234,37 @@ def close_prescribed(contact: MovingContact | None, share: BlockShare, time: flo
         _put_prescribed(prescribed, t, blocks[k], contact.workspace.bodies, lo, n)
 
 
+@kernel
+def place_bodies(contact: MovingContact, share: BlockShare, instant: Instant, which: Bools) -> None:
+    """Find where the spheres of some bodies are, and how fast: those that come late."""
+    setup, workspace, _, memory, _ = contact
+    blocks, layout, first, end = share
+    for k in range(first, end):
+        lo, n, ahead = layout.first[k], layout.size[k], instant.ahead
+        body_kinematics(setup.model, workspace, blocks[k], memory.momenta, ahead, lo, n, which)
+
+
 # Loads
+
+
+@inline
+def forces_over(contact: MovingContact, times: LoadTimes, team: Team) -> None:
+    """Find forces of contacts that stand for the times of a method."""
+    since = contact.workspace.step_start.before[0]
+    shares = times.shares
+    before, after = shares.mean * since, shares.mean * times.dt
+    growth = Growth(shares.before * since, shares.after * times.dt, since, times.slope)
+    find_contact_forces(contact, before, after, growth, team)
 
 
 @kernel
 def find_contact_forces(
     contact: MovingContact, before: float, after: float, growth: Growth, team: Team
 ) -> None:
-    """Find the forces of contacts in shells that have come into reach, each shared out equally."""
+    """Find the forces of contacts in shells that have come into reach, each shared out equally.
+
+    Where shells without ghosts stand before the others, those and walls have been evaluated.
+    """
     setup, workspace, lists, memory, _ = contact
     spheres, walls, skin, thread = lists.spheres, lists.walls, setup.skin, team.thread
     between = Evaluation(setup.model, workspace, spheres, before, after, growth, thread)
@@ -244,15 +272,31 @@ def find_contact_forces(
     extremes = memory.extremes
     reached, w = extremes.displacement[0], extremes.angular_speed[0]
     v = extremes.speed[0] + w * lists.max_contact_arm
-    end_spheres, end_walls = 0, 0
+    end_spheres, end_walls = 0 if lists.inner is None else lists.inner[N_SHELLS - 1], 0
     for s in range(N_SHELLS):
         if SHELL_GAPS[s] * skin <= 2.0 * reached:  # both may come
             first, end = share_of(team, end_spheres, spheres.shell_ends[s])
             sphere_contact_forces(between, v, w, first, end)
-        if SHELL_GAPS[s] * skin <= reached:
+        if lists.inner is None and SHELL_GAPS[s] * skin <= reached:
             first, end = share_of(team, end_walls, walls.shell_ends[s])
             wall_contact_forces(outside, (s, first, end))
         end_spheres, end_walls = spheres.shell_ends[s], walls.shell_ends[s]
+
+
+def without_ghosts(contact: MovingContact) -> MovingContact:
+    """All contacts but those of ghosts, which are on other ranks."""
+    spheres, inner = contact.lists.spheres, contact.lists.inner
+    assert inner is not None
+    lists = contact.lists._replace(spheres=spheres._replace(shell_ends=inner), inner=None)
+    return contact._replace(lists=lists)
+
+
+def find_all_forces(
+    contact: MovingContact, before: float, after: float, growth: Growth, team: Team
+) -> None:
+    """Find the forces of all contacts, those of ghosts too."""
+    for part in (without_ghosts(contact), contact):
+        find_contact_forces(part, before, after, growth, team)
 
 
 @kernel
@@ -270,12 +314,9 @@ def contact_loads(
     if contact is None or team is None:
         return
     setup, workspace, lists, memory, _ = contact
-    since = workspace.step_start.before[0]
-    shares = times.shares
-    before, after = shares.mean * since, shares.mean * times.dt
-    growth = Growth(shares.before * since, shares.after * times.dt, since, times.slope)
-    model, later, span = setup.model, after - before, times.span
-    find_contact_forces(contact, before, after, growth, team)
+    mean, model, span = times.shares.mean, setup.model, times.span
+    later = mean * times.dt - mean * workspace.step_start.before[0]
+    forces_over(contact, times, team)
     meet(team)
     blocks, layout, first, end = share
     for k in range(first, end):

@@ -19,7 +19,9 @@ from particlerb.integrators.contact_stages import (
     contact_kinematics,
     contact_kinematics_later,
     contact_loads,
+    forces_over,
     kick_walls,
+    kinematics_at,
     put_loads_of_pairs,
 )
 from particlerb.integrators.joint_stages import (
@@ -40,7 +42,7 @@ from particlerb.integrators.pair_stages import (
 )
 from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import matrix
-from particlerb.maths.vec3 import Floats
+from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.block import COM, L, P, Q, get3, get4
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -148,6 +150,17 @@ def _spread_stage(
 # Loads
 
 
+@kernel
+def kinematics_of(
+    moving: MovingBodies, first: int, end: int, instant: Instant, which: Bools
+) -> tuple[float, float, float]:
+    """Bring some bodies to where contacts are evaluated; what `kinematics_at` returns of these."""
+    if moving.contact is None or moving.team is None:
+        return 0.0, 0.0, 0.0
+    share = BlockShare(moving.blocks, moving.layout, first, end)
+    return kinematics_at(moving.contact, moving.team, None, share, instant, which)
+
+
 @stages
 def kinematics(moving: MovingBodies, first: int, end: int, instant: Instant) -> bool:
     """Bring bodies to where contacts are evaluated; False where new lists have to be made first."""
@@ -161,6 +174,13 @@ def loads(moving: MovingBodies, first: int, end: int, times: LoadTimes) -> None:
     share = BlockShare(moving.blocks, moving.layout, first, end)
     put_pair_loads(moving.team, moving.pairs, moving.blocks, moving.layout)
     contact_loads(moving.contact, moving.team, moving.pairs, share, times)
+
+
+@kernel
+def inner_forces(moving: MovingBodies, first: int, end: int, dt: float) -> None:
+    """Find forces of contacts for a kick of `LEAPFROG`, and a step of dt [s] or none behind it."""
+    if moving.contact is not None and moving.team is not None:
+        forces_over(moving.contact, LoadTimes(dt, 0.0, LEAPFROG, None), moving.team)
 
 
 @stages

@@ -93,6 +93,7 @@ class ContactLists:
         self.skin = self.least_skin = contact.skin
         self.count, self.n_pairs = 0, 0  # lists so far; pairs in the last of them
         self.is_own = is_own
+        self.is_ghost = None if is_own is None else ~is_own & (contact.model.inv_mass > 0.0)
         self.count_cost(n_spheres)
         self.motions = [motion_in(contact.motions, w) for w in range(len(contact.motions))]
         self.numbers = np.arange(n_spheres) if numbers is None else numbers
@@ -128,7 +129,8 @@ class ContactLists:
             for kind, history in enumerate(self.histories)
         )
         alone = incidence(none.astype(np.int64), none.astype(np.int64), n)
-        return NeighbourLists(spheres, walls, alone, alone, self._max_contact_arm)
+        inner = None if self.is_ghost is None else ends
+        return NeighbourLists(spheres, walls, alone, alone, self._max_contact_arm, inner)
 
     def look_ahead(
         self, corners: Floats, poses: records.Records, now: float, lasted: ListLifetime
@@ -165,11 +167,18 @@ class ContactLists:
         spheres, walls = self.contact.model.spheres, self.contact.model.walls
         shell = np.empty(first.size, dtype=np.int64)
         find_shells((first, second), workspace.xyzr, self.skin, shell)
-        between = self._contacts(0, (first, second), (self.numbers, self.numbers), shell)
+        if self.is_ghost is not None:
+            body = self.contact.model.spheres.body
+            shell += N_SHELLS * (self.is_ghost[body[first]] | self.is_ghost[body[second]])
+        n_ends = N_SHELLS if self.is_ghost is None else 2 * N_SHELLS
+        ends = np.empty(n_ends, dtype=np.int64)
+        between = self._contacts(0, (first, second), (self.numbers, self.numbers), shell, ends)
+        inner = None if self.is_ghost is None else ends[:N_SHELLS]
         shell = np.zeros(near.sphere.size, dtype=np.int64)
         if displacement == 0.0:  # walls that move may come at once
             find_wall_shells(walls, workspace.poses, points, spheres.radius, self.skin, near, shell)
-        outside = self._contacts(1, near[:2], (self.numbers, self._primitives), shell)
+        ends = np.empty(N_SHELLS, dtype=np.int64)
+        outside = self._contacts(1, near[:2], (self.numbers, self._primitives), shell, ends)
         body, n = spheres.body, memory.listed_pose.shape[1]
         by_number = [history.rows for history in self.histories]  # the same from list to list
         lists = NeighbourLists(
@@ -178,6 +187,7 @@ class ContactLists:
             incidence(body[between.sphere], body[between.other], n, by_number[0]),
             incidence(body[outside.sphere], np.full(outside.sphere.size, -1), n, by_number[1]),
             self._max_contact_arm,
+            inner,
         )
         return lists, time + duration
 
@@ -240,21 +250,22 @@ class ContactLists:
         return WallsAhead(steps * self.dt, ahead + sliding)
 
     def _contacts(
-        self, kind: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], shell: Ints
-    ) -> ContactList:
+        self, kind: int, pairs: tuple[Ints, Ints], numbers: tuple[Ints, Ints], shell: Ints,
+        ends: Ints,
+    ) -> ContactList:  # fmt: skip
         """New contacts of spheres, or of walls, with the history of those of the old list."""
         m, old = pairs[0].size, self.histories[kind]
         if 2 * m > LARGEST_NUMBER:  # each is in the rows of two bodies
             raise MotionError(f"{m} pairs are near: lists number {LARGEST_NUMBER // 2}")
         keys, rows = np.empty((2, m), dtype=np.int64)
         values = self._buffer(f"history {kind}, {self.count % 2}", m, old.values.shape[1])
-        new, ends = ContactHistory(keys, rows, values), np.empty(N_SHELLS, dtype=np.int64)
+        new = ContactHistory(keys, rows, values)
         first, second = np.empty((2, m), dtype=np.int32)
         wall = self.contact.model.walls.wall if kind == 1 else self.numbers[:0]
         order_contacts(pairs, numbers, wall, shell, old, new, first, second, ends)
         spheres, walls = self.histories
         self.histories = (new, walls) if kind == 0 else (spheres, new)
-        return self._list_of(kind, first, second, values, ends)
+        return self._list_of(kind, first, second, values, ends[-N_SHELLS:])
 
     def _list_of(
         self, kind: int, first: Indices, second: Indices, values: Floats, ends: Ints

@@ -23,12 +23,13 @@ from particlerb.contact.piston import place_pistons, step_pistons
 from particlerb.integrators.contact_stages import (
     SKIN_SHARE,
     keep_extremes,
-    kinematics_at,
     note_step_start,
+    place_bodies,
+    without_ghosts,
 )
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare, Layout
-from particlerb.integrators.stages import MovingBodies
+from particlerb.integrators.stages import MovingBodies, inner_forces, kinematics_of
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.block import CHANGING, STRIDE, in_blocks, into_blocks
 from particlerb.model.load import STATE_ROWS
@@ -41,7 +42,14 @@ from particlerb.stepping.contact_frames import ContactRows
 from particlerb.stepping.contact_lists import ContactLists, Histories
 from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.contact_room import without_pistons
-from particlerb.stepping.exchange import Domains, Exchange, Swap, histories_of, kept_of
+from particlerb.stepping.exchange import (
+    Domains,
+    Exchange,
+    OscillatingHere,
+    Swap,
+    histories_of,
+    kept_of,
+)
 from particlerb.stepping.loop import Position, Recording, loop_over_ranks, store_blocks
 from particlerb.stepping.motion import MotionError, SegmentGroup
 from particlerb.stepping.stepped_bodies import SteppedBodies
@@ -153,6 +161,7 @@ class Subdomain(Domain):
     """
 
     piston_step: tuple[Any, ...] | None = None  # which all ranks are still to make together
+    awaited: Instant | None = None  # for which states of ghosts are on their way
 
     def __init__(self, method: Method, shown: SegmentGroup) -> None:
         super().__init__(shown)
@@ -193,6 +202,7 @@ class Subdomain(Domain):
         for indices, new_rows in (held, (ghosts, ghost_rows), (bodies, rows)):
             values[np.searchsorted(local, indices)] = new_rows
         self.local, self.is_own = local, np.isin(local, bodies)
+        self.is_ghost = ~self.is_own & self.is_free[local]
         group, numbers = contact_part(self.exchange.group, local)
         state = state_of(values[:, :STATE_ROWS].T)
         return Here(group, state, numbers, histories, self.is_own, values)
@@ -268,13 +278,19 @@ class Subdomain(Domain):
     ) -> None:  # fmt: skip
         """Enter a kernel that kicks, and makes a step of dt [s] if there is one.
 
+        Forces of contacts without ghosts are found before, while states of these travel.
         Walls that slide, of which each rank has all, follow what all ranks have found: in a frame
         now, and else before they are looked at again.
         """
         contact, step = moving.contact, (dt,) if dt > 0.0 else ()
         assert contact is not None
         setup, workspace, lists, memory, _ = contact
-        self.enter(kernel, without_pistons(moving), first, end, open_kick, *step)
+        moving = without_pistons(moving)
+        assert moving.contact is not None
+        inner = moving._replace(contact=without_ghosts(moving.contact))
+        self.enter(inner_forces, inner, first, end, dt)
+        self.meet_ghosts(moving)
+        self.enter(kernel, moving, first, end, open_kick, *step)
         if setup.pistons is None:
             return
         sum_piston_loads(setup.pistons, workspace.piston_loads, lists.walls, setup.model)
@@ -295,25 +311,34 @@ class Subdomain(Domain):
         return reached
 
     def kinematics(self, moving: MovingBodies, first: int, end: int, instant: Instant) -> bool:
-        """As `stages.kinematics`, after states of ghosts have come: whether the lists hold."""
-        self.swap.bring(moving.blocks)
+        """As `stages.kinematics`: whether the lists hold; if so, states of ghosts are awaited."""
+        self.swap.begin(moving.blocks)
         contact = moving.contact
         assert contact is not None
         note_step_start(contact, instant)
         pistons = contact.setup.pistons
-
-        def here(moving: MovingBodies, lo: int, hi: int) -> tuple[float, float, float]:
-            own_blocks = BlockShare(moving.blocks, moving.layout, lo, hi)
-            assert moving.team is not None
-            assert moving.contact is not None
-            return kinematics_at(moving.contact, moving.team, None, own_blocks, instant)
-
-        reached = np.array(self.enter(here, without_pistons(moving), first, end))
+        self.awaited = instant
+        at = without_pistons(moving), first, end, instant, ~self.is_ghost
+        reached = np.array(self.enter(kinematics_of, *at))
         path, v, w = self.settle_pistons(reached).tolist()
         if pistons is not None:
-            at = pistons, contact.memory.pistons, instant.ahead, contact.workspace.poses
-            path = math.inf if place_pistons(*at, SKIN_SHARE * contact.setup.skin) else path
-        return bool(keep_extremes(contact, instant, path, v, w))
+            state, poses = contact.memory.pistons, contact.workspace.poses
+            share = SKIN_SHARE * contact.setup.skin
+            path = math.inf if place_pistons(pistons, state, instant.ahead, poses, share) else path
+        holds = bool(keep_extremes(contact, instant, path, v, w))
+        if not holds:  # what comes next looks at all bodies
+            self.meet_ghosts(moving)
+        return holds
+
+    def meet_ghosts(self, moving: MovingBodies) -> None:
+        """Wait for states of ghosts, if they are on their way, and find where their spheres are."""
+        if self.awaited is None:
+            return
+        self.swap.end(moving.blocks)
+        share = BlockShare(moving.blocks, moving.layout, 0, len(moving.blocks))
+        assert moving.contact is not None
+        place_bodies(moving.contact, share, self.awaited, self.is_ghost)
+        self.awaited = None
 
     def store(
         self, moving: MovingBodies, first: int, end: int, recording: Recording, frame: int
@@ -371,27 +396,4 @@ class Subdomain(Domain):
 
     def oscillating(self) -> Oscillating:
         """As of `Domain`."""
-        return _Oscillating(self)
-
-
-class _Oscillating(Oscillating):
-    """Bodies of this rank that oscillate, and ghosts."""
-
-    def __init__(self, domain: Subdomain) -> None:
-        super().__init__(domain.sum_of)
-        self.own, self.domain = domain.is_own, domain
-        rows = (domain.local.size + 1) * np.arange(6)[:, None]
-        self.swap = Swap(domain.domains, lambda of: np.searchsorted(domain.local, of) + rows)
-
-    def random(self, n: int) -> Floats:
-        """Velocities and spins of bodies and of the world to begin with: those of one process."""
-        n = self.domain.is_free.size
-        return np.ascontiguousarray(super().random(n)[..., np.append(self.domain.local, n)])
-
-    def complete(self, motion: Floats) -> None:
-        """Bring velocities and spins of ghosts."""
-        self.swap.bring(motion)
-
-    def largest(self, size: float) -> float:
-        """The largest of what is the largest of own bodies."""
-        return float(self.domain.ranks.largest(np.array([size]))[0])
+        return OscillatingHere(self.domains, self.local, self.is_own, self.sum_of)

@@ -14,6 +14,7 @@ from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.sphere_search import KEY_BITS
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bricks import SPARE, Bricks
+from particlerb.model.power_method import Oscillating
 from particlerb.model.state import State, state_of
 from particlerb.model.superblocks import parts_of, writers
 from particlerb.ranks import Rows
@@ -182,15 +183,50 @@ class Swap:
 
     def bring(self, values: Floats) -> None:
         """Send numbers to ranks that have ghosts, and get those of the ghosts here."""
+        self.begin(values)
+        self.end(values)
+
+    def begin(self, values: Floats) -> None:
+        """Begin to send and to receive."""
         numbers = values.reshape(-1)
         for cells, out in self.border.values():
             np.take(numbers, cells, out=out, mode="clip")  # which is faster than to look
-        self.ranks.swapped(
+        self.wait = self.ranks.swapped(
             {k: out for k, (_, out) in self.border.items()},
             {k: into for k, (_, into) in self.ghosts.items()},
         )
+
+    def end(self, values: Floats) -> None:
+        """Wait for the numbers of the ghosts here, and write them."""
+        self.wait()
+        numbers = values.reshape(-1)
         for cells, received in self.ghosts.values():
             numbers[cells] = received
+
+
+class OscillatingHere(Oscillating):
+    """Bodies of this rank that oscillate, and ghosts."""
+
+    def __init__(
+        self, domains: Domains, local: Ints, own: Bools, total: Callable[[Floats], float]
+    ) -> None:
+        super().__init__(total)
+        self.own, self.local, self.exchange = own, local, domains.exchange
+        rows = (local.size + 1) * np.arange(6)[:, None]
+        self.swap = Swap(domains, lambda of: np.searchsorted(local, of) + rows)
+
+    def random(self, n: int) -> Floats:
+        """Velocities and spins of bodies and of the world to begin with: those of one process."""
+        n = self.exchange.is_free.size
+        return np.ascontiguousarray(super().random(n)[..., np.append(self.local, n)])
+
+    def complete(self, motion: Floats) -> None:
+        """Bring velocities and spins of ghosts."""
+        self.swap.bring(motion)
+
+    def largest(self, size: float) -> float:
+        """The largest of what is the largest of own bodies."""
+        return float(self.exchange.ranks.largest(np.array([size]))[0])
 
 
 def kept_of(history: ContactHistory) -> tuple[Ints, Floats]:

@@ -18,7 +18,11 @@ import numpy as np
 from particlerb.compiled.jit import Flag, inline, kernel, kernel_from
 from particlerb.contact.contact_model import NO_GROWTH, ContactChanges, Growth, Instant, Slope
 from particlerb.integrators.contact_copies import restore_contacts, save_contacts, store_contacts
-from particlerb.integrators.contact_stages import close_prescribed, find_contact_forces
+from particlerb.integrators.contact_stages import (
+    close_prescribed,
+    find_all_forces,
+    find_contact_forces,
+)
 from particlerb.integrators.external_work import Steady, put_gained, store_sums
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare, Layout, put_pair_loads
@@ -336,7 +340,8 @@ def loop_over_ranks(
     name = f"{method.name}_touching"
     (_, chosen), *_ = _parts_of(method, True, True)
     one_step = partial(enter_kick, kernel_from(_one_step, name, (step, chosen)))
-    part = over_threads(_part_with_contacts, (store_contacts, show_contacts))
+    shown = store_contacts, show_contacts
+    part = over_threads(_part_with_contacts, (find_contact_forces, find_all_forces), shown)
     copy = over_threads(_save)
 
     def save(moving: MovingBodies, first: int, end: int, saved: Copies) -> None:

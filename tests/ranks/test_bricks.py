@@ -2,11 +2,13 @@
 
 import json
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+import threads_as_ranks
 from stops import HERE, command, digests, needs_mpi, whole
 from threads_as_ranks import over_ranks
 
@@ -15,6 +17,7 @@ from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.cli import main
 from particlerb.cli import ranks as of_commands
+from particlerb.integrators import contact_stages
 from particlerb.model import superblocks
 from particlerb.model.bricks import Bricks
 from particlerb.plan import contact_rules
@@ -162,6 +165,27 @@ def test_a_piston_takes_no_reduction_of_its_own(monkeypatch, tmp_path):
     for of in ranks:
         assert of.calls["reduced"] >= 20
         assert of.calls["added"] < 20  # of bodies and bricks, at new lists and frames
+
+
+@pytest.mark.plain
+def test_contacts_inside_are_evaluated_while_ghosts_travel(monkeypatch, tmp_path):
+    """The others when the ghosts are there: in steps, and at frames."""
+    evaluate, found = contact_stages.sphere_contact_forces, Counter()
+
+    def counted(on, v, w, first, end):
+        ranks = threads_as_ranks.HERE.ranks
+        found[ranks.number, ranks.is_swapping] += end - first
+        evaluate(on, v, w, first, end)
+
+    monkeypatch.setattr(contact_stages, "sphere_contact_forces", counted)
+    prepared = prepare(to_system(load(HERE / "gas.toml", ["run.t_end=0.1", "run.every=0.05"])))
+
+    def work(ranks):
+        return run_prepared(prepared, tmp_path / "2.h5", ranks=ranks)
+
+    over_ranks(2, work)
+    for rank in (0, 1):
+        assert found[rank, True] > found[rank, False] > 1000
 
 
 @pytest.mark.plain

@@ -9,6 +9,7 @@ import numpy as np
 from particlerb import ranks as of_package
 from particlerb.ranks import Ranks
 
+HERE = threading.local()  # its `ranks` are those of this thread
 SECONDS = 120.0  # that a rank waits for others
 
 
@@ -21,6 +22,7 @@ class ThreadRanks(Ranks):
         self.number, self.count = number, len(room)
         self.room, self.barrier = room, barrier
         self.calls = Counter()  # of what brings numbers of all ranks together
+        self.is_swapping = False
 
     def gathered(self, value):
         self.room[self.number] = pickle.dumps(value)
@@ -47,8 +49,14 @@ class ThreadRanks(Ranks):
 
     def swapped(self, outgoing, incoming):
         each = self.gathered(dict(outgoing))
-        for k, into in incoming.items():
-            into[...] = each[k][self.number]
+        self.is_swapping = True
+
+        def wait():
+            self.is_swapping = False
+            for k, into in incoming.items():
+                into[...] = each[k][self.number]
+
+        return wait
 
 
 def over_ranks(n, work):
@@ -57,6 +65,7 @@ def over_ranks(n, work):
     ranks = [ThreadRanks(k, room, barrier) for k in range(n)]
 
     def does(k):
+        HERE.ranks = ranks[k]
         try:
             found[k] = work(ranks[k])
         except BaseException as error:
