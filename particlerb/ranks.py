@@ -157,6 +157,8 @@ class _RanksOfMPI(Ranks):
 
     def sent(self, rows: Sequence[Rows]) -> list[Rows]:
         """Rows from each rank, where each has given some for each: all of one type and width."""
+        own = rows[self.number]  # which need not travel
+        rows = [own[:0] if k == self.number else part for k, part in enumerate(rows)]
         sizes = np.array([part.nbytes for part in rows])
         received = np.empty_like(sizes)
         self.communicator.Alltoall(sizes, received)
@@ -166,7 +168,9 @@ class _RanksOfMPI(Ranks):
         self.communicator.Alltoallv(out, (buffer, (received, starts), self.mpi.BYTE))
         form = -1, *outgoing.shape[1:]
         each = zip(starts.tolist(), ends.tolist(), strict=True)
-        return [buffer[first:end].view(outgoing.dtype).reshape(form) for first, end in each]
+        found = [buffer[first:end].view(outgoing.dtype).reshape(form) for first, end in each]
+        found[self.number] = own
+        return found
 
     def swapped(
         self, outgoing: Mapping[int, Rows], incoming: Mapping[int, Rows]

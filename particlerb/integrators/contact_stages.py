@@ -104,17 +104,12 @@ def keep_extremes(
 ) -> bool:
     """Keep the largest displacement and speeds; whether the lists hold for the step that follows.
 
-    The second half of `contact_kinematics`; ranks tell each other in between. All threads write the
-    same.
+    The second half of `contact_kinematics`. All threads write the same.
     """
     setup, _, lists, memory, _ = contact
-    before, after, time, _ = instant
-    reached, allowance = path, SKIN_SHARE * setup.skin
-    if setup.rules is None:
-        reached += max(before, after) * (v + 4.0 * w * lists.max_contact_arm)
-    extremes = memory.extremes
-    extremes.displacement[0] = max(extremes.displacement[0], reached)
-    extremes.speed[0], extremes.angular_speed[0] = v, w
+    _, after, time, _ = instant
+    allowance, arm = SKIN_SHARE * setup.skin, lists.max_contact_arm if setup.rules is None else 0.0
+    reached = note_extremes(memory.extremes, instant, path, v, w, arm)
     used, is_too_far = path, False
     if lists.spheres.stages is not None and path > 0.0:  # contacts are found within the step too
         used = reached
@@ -122,6 +117,21 @@ def keep_extremes(
         ahead = after * (v + 4.0 * w * lists.max_contact_arm)
         is_too_far = path + 1.5 * ahead > _IMPULSE_SKIN_SHARE * setup.skin
     return not (is_too_far or used > allowance or time >= memory.valid_until)
+
+
+@kernel
+def note_extremes(
+    extremes: Records, instant: Instant, path: float, v: float, w: float, arm: float
+) -> float:
+    """Write them, and return how far a point gets until the next instant [m].
+
+    Points that touch are within an arm [m]; 0: what bodies have moved counts alone.
+    """
+    if arm > 0.0:
+        path += max(instant.before, instant.after) * (v + 4.0 * w * arm)
+    extremes.displacement[0] = max(extremes.displacement[0], path)
+    extremes.speed[0], extremes.angular_speed[0] = v, w
+    return path
 
 
 @kernel

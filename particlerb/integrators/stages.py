@@ -22,6 +22,7 @@ from particlerb.integrators.contact_stages import (
     forces_over,
     kick_walls,
     kinematics_at,
+    note_step_start,
     put_loads_of_pairs,
 )
 from particlerb.integrators.joint_stages import (
@@ -157,6 +158,7 @@ def kinematics_of(
     """Bring some bodies to where contacts are evaluated; what `kinematics_at` returns of these."""
     if moving.contact is None or moving.team is None:
         return 0.0, 0.0, 0.0
+    note_step_start(moving.contact, instant)
     share = BlockShare(moving.blocks, moving.layout, first, end)
     return kinematics_at(moving.contact, moving.team, None, share, instant, which)
 

@@ -120,6 +120,7 @@ class ContactLists:
         """Go on from lists of other bodies of the same scene."""
         self.skin, self.count, self.n_pairs = before.skin, before.count, before.n_pairs
         self._walls.go_on(before._walls)
+        self._buffers = before._buffers  # of lists that are over
 
     def empty(self, n: int) -> NeighbourLists:
         """Lists without a pair, of n bodies."""

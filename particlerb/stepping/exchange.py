@@ -53,13 +53,15 @@ class Exchange:
 
     def sent(self, to: Ints, rows: Rows) -> Rows:
         """Rows that come here, where each is sent to a rank."""
-        return np.concatenate(self.ranks.sent([rows[to == k] for k in range(self.ranks.count)]))
+        received = self.ranks.sent([rows[to == k] for k in range(self.ranks.count)])
+        some = [part for part in received if len(part)]
+        return some[0] if len(some) == 1 else np.concatenate(received)
 
     def bodies_sent(self, to: Ints, bodies: Ints, rows: Floats) -> tuple[Ints, Floats]:
         """Bodies that come here, ascending, and their rows, where each is sent to a rank."""
-        received = self.sent(to, np.column_stack([bodies, rows]))
-        received = received[np.argsort(received[:, 0])]
-        return received[:, 0].astype(np.int64), received[:, 1:]
+        bodies, rows = self.sent(to, bodies), self.sent(to, rows)
+        order = np.argsort(bodies)
+        return bodies[order], rows[order]
 
     def everyone(self, shown: State) -> State:
         """State of all bodies, on each rank, from those that are shown on each."""
