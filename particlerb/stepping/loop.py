@@ -311,8 +311,22 @@ def loop_over_threads(
 
 
 def _one_step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float) -> None:
-    """The step of a method by itself."""
+    """The step of a method by itself, and its times."""
+    if moving.contact is not None:
+        set_times(moving, first, end, moving.contact.workspace.step_start.time[0])
     step(moving, first, end, open_kick, dt)
+
+
+@kernel
+def _one_close(moving: MovingBodies, first: int, end: int, open_kick: float) -> None:
+    """The open kick by itself, and its times."""
+    if moving.contact is not None:
+        set_times(moving, first, end, moving.contact.workspace.step_start.time[0])
+    close(moving, first, end, open_kick)
+
+
+def _no_times(moving: MovingBodies, first: int, end: int, t: float) -> None:
+    """Stands for `set_times` where what kicks begins with it: to enter a kernel takes time."""
 
 
 def loop_over_ranks(
@@ -348,7 +362,8 @@ def loop_over_ranks(
         settle()
         copy(moving, first, end, saved)
 
-    kicks = (step, one_step), (finish, _close_at), (close, partial(enter_kick, close))
+    one_close = close, partial(enter_kick, _one_close)
+    kicks = (step, one_step), (finish, _close_at), one_close, (set_times, _no_times)
     frames = (_save, save), (_store, write_frame)
     others = (kinematics, find_kinematics), (part_of_step, part)
     return over_threads(advance, *kicks, *frames, *others, **_constants_of(method))

@@ -108,7 +108,13 @@ def balls(places: list[list[float]], speed: float) -> dict:
     return {"run": run, "body": bodies, "contact": contact, "output": {"fields": ["contacts"]}}
 
 
+PUSHED = balls([[0.25 * k, 0, 0] for k in range(6)], 4.0)
+LOAD = {"times": [0.0, 7e-3, 0.03], "values": [[0.0, 0, 0], [300.0, 50, 0], [0, 0, 300.0]]}
+PUSHED["force"] = [{"type": "push", "body": ["b0", "b3"], "force": LOAD, "at": [0.0, 0.05, 0.0]}]
+PUSHED["run"]["every"] = 0.00307
+
 BALLS = {
+    "a push that changes with time, and frames between steps": PUSHED,
     "a row, in which one is hit after the other": balls([[0.25 * k, 0, 0] for k in range(6)], 40.0),
     "bricks of 1 mm, of which one crosses four in a step": balls(
         [[0, 0, 0], *([0.3 + 0.001 * k, 0.25 * k, 0] for k in range(1, 5))], 20.0
