@@ -29,7 +29,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2233,
     "scenes and simulations in Python": 1138,
     "sweeps": 1749,
-    "one scene over ranks": 2740,
+    "one scene over ranks": 2784,
     "reports, pictures, the page": 2025,
     "scenes for other programs": 541,
     "speed of compiling and of whole calls": 1541,

@@ -16,7 +16,7 @@ from particlerb.contact.wall_search import WallSearch
 from particlerb.contact.walls import gaps
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.power_method import Oscillating, fastest_frequency
-from particlerb.model.state import rotate
+from particlerb.model.state import over_columns, rotate
 
 _ITERATIONS: Final = 20  # of the power method: within a few per cent
 _TOUCH_GAP: Final = 1e-6  # of two that touch, share of the smallest radius
@@ -83,7 +83,11 @@ def initial_contact_frequency(
     """
     model = contact.model
     spheres, near = model.spheres, _TOUCH_GAP * float(model.spheres.radius.min(initial=np.inf))
-    x = np.ascontiguousarray(com[:, spheres.body] + rotate(q[:, spheres.body], spheres.arm))
+
+    def placed(of: Ints, arm: Floats) -> Floats:
+        return com[:, of] + rotate(q[:, of], arm)
+
+    x = np.ascontiguousarray(over_columns(placed, spheres.body, spheres.arm))
     first, second, _ = neighbours(
         x, spheres.radius, spheres.body, near, spheres.excluded, spheres.world
     )

@@ -28,6 +28,8 @@ from particlerb.maths.vec3 import Floats, Ints
 COST: Final = 15  # body-steps that finding the neighbours of a sphere takes
 _MAX_CELLS_PER_SPHERE: Final = 4  # beyond, cells are numbered modulo a prime
 _MIN_CELLS: Final = 64
+_AT_ONCE = 65536  # spheres that `neighbours` looks at
+_LAYER_MARGIN: Final = 1e-9  # by which its layers overlap, of their places and reach: they round
 _INITIAL_CAPACITY: Final = 8  # neighbours per sphere that fit at first
 _MAX_LEVELS: Final = 40  # anything smaller than the largest sphere by 2^40 is as good as a point
 KEY_BITS: Final = 32  # bits of a number of a body in a key of a pair
@@ -208,8 +210,31 @@ def neighbours(
     apart: Ints = _NO_PAIRS,
     world: Ints | None = None,
 ) -> PairList:
-    """Pairs of spheres of different bodies nearer than `skin`: see `SphereSearch.pairs`."""
-    return SphereSearch(radius, body, apart, world).pairs(points, skin)
+    """Pairs of spheres of different bodies nearer than `skin`: see `SphereSearch.pairs`.
+
+    Of many it looks at a layer of space at a time, with what may be near from the next ones, so
+    that the search takes little memory.
+    """
+    n, reach = radius.size, 2.0 * float(radius.max(initial=0.0)) + skin
+    first = np.arange(0, n, _AT_ONCE)
+    axis = int(np.argmax(np.ptp(points, axis=1))) if n else 0
+    order = np.argsort(points[axis])
+    along = points[axis, order]
+    highest = along[np.minimum(first + _AT_ONCE, n) - 1]
+    last = np.searchsorted(along, highest + _LAYER_MARGIN * (reach + np.abs(highest)) + reach)
+    if first.size < 2 or (last - first).sum() > 2 * n or not np.isfinite(along).all():
+        return SphereSearch(radius, body, apart, world).pairs(points, skin)
+    found = []
+    for lo, hi in zip(first.tolist(), last.tolist(), strict=True):
+        some, is_here = np.sort(order[lo:hi]), np.zeros(n, dtype=np.bool_)
+        is_here[order[lo : lo + _AT_ONCE]] = True
+        search = SphereSearch(radius[some], body[some], apart, world)
+        near = search.pairs(np.ascontiguousarray(points[:, some]), skin)
+        pairs = some[np.stack(near[:2])]
+        found.append(pairs[:, is_here[pairs].any(axis=0)])
+    pairs = np.concatenate(found, axis=1)
+    sphere, other = pairs[:, np.lexsort(pairs[::-1])]
+    return PairList(sphere, other, np.searchsorted(sphere, np.arange(n + 1)))
 
 
 def levels_of(radius: Floats) -> Ints:

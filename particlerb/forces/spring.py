@@ -14,7 +14,14 @@ from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import get, get3
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, body_orientation, lengths, rotate, rotate_back
+from particlerb.model.state import (
+    State,
+    body_orientation,
+    lengths,
+    over_columns,
+    rotate,
+    rotate_back,
+)
 
 if TYPE_CHECKING:
     from particlerb.case.forces import SpringTable
@@ -112,8 +119,12 @@ def places(system: "System", bodies: Ints, at: Floats | tuple[float, float, floa
     """
     points = np.array(at, dtype=np.float64)
     points = np.tile(points[:, None], bodies.size) if points.ndim == 1 else points
-    q = body_orientation(system.state.q[:, bodies], system.bodies.rotor_frame[:, bodies])
-    return system.state.com[:, bodies] + rotate(q, points)
+
+    def placed(of: Ints, points: Floats) -> Floats:
+        q = body_orientation(system.state.q[:, of], system.bodies.rotor_frame[:, of])
+        return system.state.com[:, of] + rotate(q, points)
+
+    return over_columns(placed, bodies, points)
 
 
 def _term_of(table: "SpringTable", numbers: Floats, bodies: Bodies, start: float) -> Spring:

@@ -5,9 +5,11 @@ fill SIMD lanes. Outside (`Frames`, files, the API): (frame, body, component), o
 user's body frame, sign of q continuous in time.
 """
 
-from typing import Final, NamedTuple
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from particlerb.compiled.jit import inline, unfused_inline, unfused_kernel, unsigned
 from particlerb.maths.double_double import exact_difference
@@ -56,6 +58,7 @@ class Frames(NamedTuple):
         return Frames(x, q, p, L, self.last, self.is_frame[k][None])
 
 
+_COLUMNS_AT_ONCE: Final = 65536
 STATE_FIELDS: Final = Frames._fields[:4]  # what the state of a body is, in a file and elsewhere
 _SPIN_ROUNDING: Final = 1e-15  # share of an angular velocity that is its rounding
 CONJUGATE: Final = np.array([[1.0], [-1.0], [-1.0], [-1.0]])  # quaternions (4, n) times it
@@ -185,6 +188,17 @@ def quaternion_product(a: Floats, b: Floats) -> Floats:
             a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
         ]
     )
+
+
+def over_columns(compute: Callable[..., Floats], *columns: NDArray[Any]) -> Floats:
+    """What is computed of the columns of arrays (.., n), of some at a time.
+
+    So what is computed on the way takes little memory.
+    """
+    n = columns[0].shape[-1]
+    parts = (slice(k, k + _COLUMNS_AT_ONCE) for k in range(0, n, _COLUMNS_AT_ONCE))
+    found = [compute(*(values[..., at] for values in columns)) for at in parts]
+    return found[0] if len(found) == 1 else np.concatenate(found or [compute(*columns)], axis=-1)
 
 
 def cross_columns(a: Floats, b: Floats) -> Floats:

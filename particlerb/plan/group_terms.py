@@ -21,9 +21,9 @@ from particlerb.forces.gravity_tree.tree import BREAK_EVEN
 from particlerb.forces.links import WORLD, Links
 from particlerb.forces.python import lengths_of
 from particlerb.forces.user_pairs import UserPairs, functions_of, user_pairs
-from particlerb.maths.vec3 import Bools, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies, index_in
-from particlerb.model.state import rotate_back
+from particlerb.model.state import over_columns, rotate_back
 from particlerb.model.system import System
 from particlerb.plan.contact_rules import events_of, refuse_too_many, rules_of
 from particlerb.plan.contact_setup import SystemContact
@@ -142,8 +142,12 @@ def _contact_among(
     np.maximum.at(reach, owner, np.sqrt((place * place).sum(axis=0)))
     code, k = touching.material[members][owner], len(touching.materials)
     rows, world = len(touching.pairs.friction), system.world[members]
+
+    def arm_of(of: Ints, at: Floats) -> Floats:
+        return rotate_back(bodies.rotor_frame[:, of], at)
+
     spheres = ContactSpheres(
-        np.ascontiguousarray(rotate_back(bodies.rotor_frame[:, owner], place)),
+        np.ascontiguousarray(over_columns(arm_of, owner, place)),
         radius,
         owner,
         code if rows == k else code + k * world[owner],

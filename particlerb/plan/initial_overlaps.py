@@ -21,7 +21,7 @@ from particlerb.contact.walls import gaps
 from particlerb.forces.spring import places
 from particlerb.maths.quaternion import conjugate
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.state import as_frame, lengths, rotate, store_all
+from particlerb.model.state import as_frame, lengths, over_columns, rotate, store_all
 from particlerb.model.system import System
 from particlerb.model.totals import sum_blocks, totals
 from particlerb.plan.links import and_more, is_among, particles_of
@@ -103,6 +103,8 @@ def _hint(contact: "SystemContact", is_deep: bool = False) -> str:
 
 def _with_images(spheres: _SetupSpheres, contact: "SystemContact") -> _SetupSpheres:
     """Spheres within the box that repeats, and again beyond its upper sides what is near lower."""
+    if not any(contact.record.periodic or ()):
+        return spheres  # they stand by bodies
     place, radius, body = spheres
     for k, side in enumerate(contact.record.periodic or ()):
         if side > 0.0:
@@ -181,7 +183,7 @@ def _beyond_walls(
         if outside.any() and not (later and table.piston):
             yield _outside_problem(system, number, np.flatnonzero(outside), later or 0.0)
         if not may_overlap:
-            room = _room_in(table, pose, spheres.place[:, moving])
+            room = over_columns(partial(_room_in, table, pose), spheres.place[:, moving])
             beyond = moving[room <= 0.0]
             further = spheres.radius[beyond] - room[room <= 0.0]
             np.maximum.at(depth[number], spheres.body[beyond], further)

@@ -3,6 +3,8 @@
 Units are of 1024 spheres; in plain Python of 16, so that a few spheres cover several.
 """
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -24,7 +26,13 @@ from particlerb.contact.neighbour_list import (
     incidence,
     order_contacts,
 )
-from particlerb.contact.sphere_search import SphereSearch, levels_of, modular_strides, neighbours
+from particlerb.contact.sphere_search import (
+    PairList,
+    SphereSearch,
+    levels_of,
+    modular_strides,
+    neighbours,
+)
 from particlerb.plan import contact_rules
 from particlerb.simulation.whole_run import RunError
 from particlerb.stepping import contact_lists
@@ -470,3 +478,42 @@ def test_numbers_that_lists_cannot_hold_are_refused(make, monkeypatch, module, m
     contact = make.hooke(1e3) | {"overlap": 0.5}
     with pytest.raises((CaseError, RunError), match="lists number"):
         particlerb.run(make.case(balls, contact=contact, dt=1e-3, t_end=2e-3, every=1e-3))
+
+
+@pytest.mark.parametrize("case", ["alone", "apart", "worlds", "one that is large", "in a plane"])
+def test_layers_find_the_pairs_of_all_space(monkeypatch, case):
+    """In the same order: of spheres of three sizes, seven in each body."""
+    rng = np.random.default_rng(3)
+    n = 700
+    points, radius = rng.uniform(-2.0, 2.0, (3, n)), rng.choice([0.05, 0.1, 0.2], n)
+    body, apart, world = np.repeat(np.arange(n // 7), 7), np.zeros(0, dtype=np.int64), None
+    if case == "apart":
+        apart = np.unique(sphere_search.pair_keys(rng.integers(0, 100, 400), np.arange(400) % 100))
+    if case == "worlds":
+        world = np.arange(n // 7) % 3
+    if case == "one that is large":
+        radius[5] = 3.0
+    if case == "in a plane":
+        points[0] = 1.0
+    expected = sphere_search.neighbours(points, radius, body, 0.07, apart, world)
+    assert expected.sphere.size > 100
+    monkeypatch.setattr(sphere_search, "_AT_ONCE", 64)
+    found = sphere_search.neighbours(points, radius, body, 0.07, apart, world)
+    for name in PairList._fields:
+        assert (getattr(found, name) == getattr(expected, name)).all(), name
+
+
+def test_a_search_takes_little_memory_of_many_spheres(monkeypatch):
+    """At most 100 bytes a sphere beside the pairs, where one of all at once takes 216."""
+    rng, n = np.random.default_rng(1), 80_000
+    points = np.ascontiguousarray(rng.uniform(0.0, 20.0, (3, n)))
+    radius, body = np.full(n, 0.1), np.repeat(np.arange(n // 4), 4)
+    sphere_search.neighbours(points[:, :64].copy(), radius[:64], body[:64], 0.0)  # compiles
+    monkeypatch.setattr(sphere_search, "_AT_ONCE", 8192)
+    tracemalloc.start()
+    try:
+        found = sphere_search.neighbours(points, radius, body, 0.0)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 100 * n + 3 * 16 * found.sphere.size

@@ -216,7 +216,7 @@ def test_check_says_how_bodies_that_touch_would_be_shared(capsys):
     found = json.loads(capsys.readouterr().out)["ranks"]
     names = "ranks_at_most", "bodies_of_rank", "copies_of_rank", "bytes_of_step", "sensible_ranks"
     assert [found[name] for name in names] == [27, 12, 15, 15 * 104, 1]
-    assert found["set_up_bytes"] == 27 * 400 + 108 * 260
+    assert found["set_up_bytes"] == 27 * 470 + 108 * 115
     assert main(["check", str(HERE / "gas.toml"), "--ranks", "28"]) == 2
     assert "28 ranks are too many for 27 bodies that touch and move" in capsys.readouterr().err
 
