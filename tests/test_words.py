@@ -6,11 +6,16 @@ in it (docstrings left out), and against the text of README.md and docs/*.md (co
 
 import ast
 import io
+import itertools
+import keyword
+import math
 import re
 import tokenize
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytestmark = pytest.mark.once
@@ -118,32 +123,72 @@ def test_a_class_has_a_name_of_its_own():
 
 
 OUTSIDE = {
-    "ARITH", "CODATA", "CONTRIBUTING", "DLMF", "HOOMD", "HTML", "IEEE", "LAPACK", "LLVM", "MPICH",
-    "NEON", "OEIS", "OVITO", "POSIX", "RATTLE", "SIAM", "SIGGRAPH", "SIMD",
-    "coeff_restitution", "ctrl", "inspect_types", "mjData", "mjModel", "position_x",
-    "use_attribute_docstrings",
+    "ARITH", "ASCII", "CODATA", "CONTRIBUTING", "DLMF", "HOOMD", "HTML", "IEEE", "JSON", "LAMMPS",
+    "LAPACK", "LLVM", "MJCF", "MPICH", "NEON", "OEIS", "OVITO", "POSIX", "RATTLE", "SIAM",
+    "SIGGRAPH", "SIMD", "TOML",
+    "coeff_restitution", "ctrl", "inspect_types", "mjData", "mjModel", "null", "position_x",
+    "solref", "use_attribute_docstrings",
+    "body.0.mass", "clump", "cube", "run.h5",
 }  # fmt: skip
-"""Acronyms, and names of other programs, in docstrings and comments."""
+"""Acronyms, names of other programs, and examples, in docstrings and comments."""
+MODULES_OUTSIDE = {"numpy": np, "np": np, "math": math}
+SOURCES = {path: path.read_text() for path in sorted((ROOT / "particlerb").rglob("*.py"))}
 
 
-def names_in(paths: list[Path]) -> set[str]:
-    """Names of modules and of all that they have, and words of short texts, as of keys."""
-    found = {path.stem for path in paths}
-    for path in paths:
-        for token in tokenize.generate_tokens(io.StringIO(path.read_text()).readline):
-            if token.type == tokenize.NAME:
-                found.add(token.string)
-            elif token.type == tokenize.STRING and not token.string.endswith('"""'):
-                found.update(re.findall(r"\w+", token.string))
-    return found | {name.lstrip("_") for name in found if not name.isupper()}
+def names_in(source: str, of_texts: bool = False) -> set[str]:
+    """Names in a module, and words of its short texts, as of keys; or these alone."""
+    found: set[str] = set()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.NAME and not of_texts:
+            found.add(token.string)
+        elif token.type == tokenize.STRING and not token.string.endswith('"""'):
+            found.update(re.findall(r"\w+", token.string))
+    return found
 
 
-def names_told(path: Path) -> Iterator[tuple[int, str]]:
+def stored_in(node: ast.AST) -> Iterator[str]:
+    """Names that statements give to something, but for variables of functions."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.FunctionDef | ast.ClassDef):
+            yield child.name
+        elif isinstance(child, ast.alias):
+            yield (child.asname or child.name).split(".")[0]
+        elif isinstance(child, ast.Name) and isinstance(child.ctx, ast.Store):
+            yield child.id
+        if not isinstance(child, ast.FunctionDef | ast.ClassDef | ast.Lambda):
+            yield from stored_in(child)
+
+
+def attributes_of(node: ast.ClassDef) -> set[str]:
+    """Names of fields and methods of a class, and of what its methods give to `self`."""
+    stores = (one for one in ast.walk(node) if isinstance(one, ast.Attribute))
+    return {*stored_in(node), *(one.attr for one in stores if isinstance(one.ctx, ast.Store))}
+
+
+@cache
+def scopes() -> dict[str, set[str]]:
+    """What is found behind the dot of each name of a folder, a module or a class."""
+    found: dict[str, set[str]] = {}
+    attributes: set[str] = set()
+    for path, source in SOURCES.items():
+        tree, name = ast.parse(source), path.parent.name if path.stem == "__init__" else path.stem
+        found.setdefault(path.parent.name, set()).add(name)
+        found.setdefault(name, set()).update(stored_in(tree))
+        found.setdefault(path.parent.parent.name, set()).add(path.parent.name)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                found.setdefault(node.name, set()).update(attributes_of(node))
+                attributes |= attributes_of(node)
+        if path.parent.name in ("case", "cli"):  # words of texts: choices of keys, and commands
+            attributes |= names_in(source, of_texts=True)
+    return found | {"attributes": attributes, "anywhere": set(found).union(*found.values())}
+
+
+def names_told(source: str) -> Iterator[tuple[int, str]]:
     """Line and name of what docstrings and comments call by a name: in capitals, or in backticks.
 
     A name of one letter and an index is one of a formula.
     """
-    source = path.read_text()
     texts = [
         (node.lineno, node.value.value)
         for node in ast.walk(ast.parse(source))
@@ -156,16 +201,51 @@ def names_told(path: Path) -> Iterator[tuple[int, str]]:
         for name in re.findall(r"\b_?[A-Z]{2,}(?:_[A-Z]+)+\b|\b_?[A-Z]{4,}\b", text):
             yield line, name
         for code in re.findall(r"`([A-Za-z_]\w+(?:\.\w+)*)`", text):
-            yield from ((line, name) for name in code.split("."))
+            yield line, code
+
+
+def resolves(name: str, here: set[str]) -> bool:
+    """Whether a name, with its dots, leads to something from a module that has these names.
+
+    Behind the dot of a value, or of a table of a case, stands an attribute of any class.
+    """
+    head, *rest = name.split(".")
+    if name in OUTSIDE or keyword.iskeyword(name):
+        return True
+    if head in MODULES_OUTSIDE:
+        return hasattr(MODULES_OUTSIDE[head], rest[0])
+    attributes = scopes()["attributes"]
+    known = here, scopes()["anywhere"], attributes
+    return any(head in names or head.rstrip("12") in names for names in known) and all(
+        after in scopes().get(before, ())
+        or ((before in here or before in attributes) and after in attributes)
+        for before, after in itertools.pairwise([head, *rest])
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "is_there"),
+    [
+        ("vec3.dot", True),
+        ("vec3.dott", False),
+        ("maths.vec3.dot", True),
+        ("Schedule.steps", True),
+        ("Schedule.stop", False),
+        ("numpy.diff", True),
+        ("numpy.dif", False),
+        ("last_kick", False),  # a variable of a function elsewhere
+    ],
+)
+def test_a_name_in_a_docstring_leads_to_what_it_names(name, is_there):
+    assert resolves(name, set()) == is_there
 
 
 def test_docstrings_and_comments_name_what_there_is():
-    paths = sorted((ROOT / "particlerb").rglob("*.py"))
-    known = names_in(paths) | OUTSIDE
     lost = [
         f"{path.relative_to(ROOT)}:{line}: {name}"
-        for path in paths
-        for line, name in names_told(path)
-        if name not in known and name.rstrip("12") not in known
+        for path, source in SOURCES.items()
+        for here in [names_in(source)]
+        for line, name in names_told(source)
+        if not resolves(name, here)
     ]
     assert not lost, "no such name:\n" + "\n".join(lost)

@@ -2,7 +2,7 @@
 
 Each class also says what its mass may be given by (`weighed_by`): `mass`, `density`, or neither.
 Solids are centred at the origin of their axes unless said otherwise; those with an axis have it
-along z. How a shape becomes particles is the business of `particlerb.bodies`.
+along z. How a shape becomes particles is the business of `geometry.shapes`.
 """
 
 from collections.abc import Mapping

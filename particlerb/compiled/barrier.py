@@ -1,6 +1,6 @@
 """Threads that run one compiled loop together, each on its share of it, and meet in between.
 
-`Threads.share` hands work over from Python, which takes some 50 µs: too long for a loop whose steps
+`THREADS.share` hands work over from Python, which takes some 50 µs: too long for a loop whose steps
 take not much longer. So every thread enters such a loop once, and they wait for each other inside
 it; a meeting of two takes 0.3 µs. Who waits asks again and again, and soon lets others run in
 between, so that with more threads than free cores the one that is waited for gets on.
@@ -144,7 +144,7 @@ def together(kernel: Callable[[Team], Result], most: int) -> Result:
     Raises
     ------
     KeyboardInterrupt
-        See `Threads.share`.
+        See `THREADS.share`.
     """
     THREADS.heed()
     size = 1 if config.DISABLE_JIT else min(THREADS.count, most)

@@ -12,7 +12,7 @@ import numpy as np
 from particlerb.compiled.jit import Flag
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
-# Columns of `Rows.frame`
+# Columns of `ImpulseRows.frame`
 NORMAL: Final = 0
 TANGENT: Final = 3  # and the other one at + 3
 ARM: Final = 9  # [m] from the first partner to the point, and from the second one at + 3
@@ -25,7 +25,7 @@ SHARE: Final = 22  # [kg] of velocities in a sweep: 1/W_nn,
 RUBBING: Final = 23  # 1/(max S + |W_nt|²/W_nn)
 N_COLUMNS: Final = 24  # three lines of a cache
 
-# Columns of `Rows.limits`
+# Columns of `ImpulseRows.limits`
 GAP: Final = 0  # [m] at the middle of the step; negative: an overlap
 RESTITUTION: Final = 1
 SLOW: Final = 2  # [m/s] what approaches no faster does not bounce

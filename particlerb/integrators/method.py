@@ -41,7 +41,7 @@ class Method(NamedTuple):
     step: Step | None = None
     """Stages of a step: `step(moving, first, end, open_kick, dt)` advances the blocks `first` to
     `end`, `end` excluded, of `stages.MovingBodies` by dt [s]. The closing kick is left open: the
-    next step makes it, `open_kick` [s] long, together with its own first one."""
+    next step makes it, open_kick [s] long, together with its own first one."""
     coupled_step: Step | None = None
     """The same for bodies that act on each other, where that takes other stages."""
     show: Callable[..., None] | None = None

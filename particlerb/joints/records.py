@@ -45,7 +45,7 @@ class ConstraintRows(NamedTuple):
 
 
 class Actions(NamedTuple):
-    """What acts along coordinates of joints, [N, m] or [N m, rad]; `actions.py` has the kernels."""
+    """What acts along coordinates of joints, [N, m] or [N m, rad]; kernels: `joints.actions`."""
 
     stiffness: Floats  # (k,) of springs
     rest: Floats  # (k,)

@@ -73,7 +73,7 @@ def bare(axes: Axes) -> None:
 
 
 def finish_panel(axes: Axes, title: str = "", pad: float | None = None, **settings: Any) -> None:
-    """Set the title, the grid and what `Axes.set` takes: labels, scales, limits, ticks."""
+    """Set the title, the grid and what matplotlib sets: labels, scales, limits, ticks."""
     axes.set(**{k: plain(v) if k in ("xlabel", "ylabel") else v for k, v in settings.items()})
     axes.set_title(plain(title), fontsize=10, loc="left", color=INK, pad=pad)
     axes.grid(color=GRID, lw=0.6)
