@@ -27,7 +27,7 @@ from particlerb.impulses.push_out import push_out
 from particlerb.impulses.records import (
     FRICTION,
     GAP,
-    LEAST,
+    LEAST_VELOCITY,
     SLOW,
     TALLY,
     ImpulseRows,
@@ -60,7 +60,7 @@ def contacts(n: int, m: int, least: int) -> Impulses:
     for k, normal in enumerate(rng.normal(size=(m, 3))):
         point = rng.normal(0.0, 0.2, 3)
         write_frame(partners, rows, k, tuple(normal / np.linalg.norm(normal)), tuple(point))
-    rows.frame[:, FRICTION], rows.frame[:, LEAST] = 0.5, 0.0
+    rows.frame[:, FRICTION], rows.frame[:, LEAST_VELOCITY] = 0.5, 0.0
     rows.limits[:, GAP], rows.limits[:, SLOW] = rng.normal(0.0, 1e-4, m), 0.04
     partners.velocity[:n] = rng.normal(0.0, 0.01, (n, 6))
     return impulses

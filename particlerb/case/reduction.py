@@ -1,9 +1,9 @@
 """Large sets of particles after they were summed: only what contact or attraction needs is kept.
 
-Motion needs mass, com and tensor. A kind of more than `MANY` particles keeps those with a radius
-if something can touch it, those with mass if something attracts it, all if charges are given for
-each. Six points of its mass and tensor stand for the matter that goes, so that what is kept has the
-mass properties of the whole. Smaller kinds stay as they are, to be looked at.
+Motion needs mass, com and tensor. A kind of more than `MIN_REDUCED` particles keeps those with a
+radius if something can touch it, those with mass if something attracts it, all if charges are given
+for each. Six points of its mass and tensor stand for the matter that goes, so that what is kept has
+the mass properties of the whole. Smaller kinds stay as they are, to be looked at.
 """
 
 from typing import Final
@@ -17,7 +17,7 @@ from particlerb.geometry.particles import Particles, concatenate, kind_of, with_
 from particlerb.geometry.solid import MOMENT_ROUNDING, UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Bools, Floats, Ints
 
-MANY: Final = 10_000
+MIN_REDUCED: Final = 10_000
 
 
 def reduced(
@@ -38,14 +38,14 @@ def reduced(
         Of all kinds.
     """
     count = np.diff(particles.offset)
-    if count.max() <= MANY:
+    if count.max() <= MIN_REDUCED:
         return particles
     touched, heavy = needs(case, placement, kind, len(count))
     sets = []
     for k in range(len(count)):
         own_particles = kind_of(particles, k)
         surface = (own_particles.radius > 0.0) & touched[k]
-        if count[k] <= MANY or heavy[k] or 2 * np.count_nonzero(surface) > count[k]:
+        if count[k] <= MIN_REDUCED or heavy[k] or 2 * np.count_nonzero(surface) > count[k]:
             sets.append(own_particles)
             continue
         matter = _points_for(properties, k)

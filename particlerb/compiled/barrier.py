@@ -38,8 +38,8 @@ class Team(NamedTuple):
 
     size: int
     thread: int  # number of this one, from 0
-    arrivals: NDArray[np.int64]  # (2 LINE,) see _ARRIVED and _OVER
-    values: NDArray[np.float64]  # (size, LINE) of which `largest` finds the largest
+    arrivals: NDArray[np.int64]  # (2 CACHE_LINE,) see _ARRIVED and _OVER
+    values: NDArray[np.float64]  # (size, CACHE_LINE) of which `largest` finds the largest
 
 
 # What Numba lacks

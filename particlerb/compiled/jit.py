@@ -36,7 +36,7 @@ from numba.core.runtime._nrt_python import c_helpers
 
 from particlerb.compiled.deferred import Dispatcher
 from particlerb.compiled.helper import AloneCompiler, Helper, KeptCode, KeptKernel, Kernel
-from particlerb.compiled.plain import UnfusedKernel, in_python
+from particlerb.compiled.plain import InPlaceOf, UnfusedKernel, in_python
 
 config: Any = numba.config
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -302,12 +302,7 @@ def unfused_kernel(function: Function) -> Function:
     return _kernel(UnfusedKernel, function)
 
 
-def kernel_from(
-    template: Function,
-    name: str,
-    *instead: tuple[Callable[..., Any], Callable[..., Any]],
-    **constants: Any,
-) -> Function:
+def kernel_from(template: Function, name: str, *instead: InPlaceOf, **constants: Any) -> Function:
     """Compile a kernel from a function that calls the second of each pair in place of the first.
 
     Its globals of the names of constants are to be these.

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from types import CodeType, FunctionType, ModuleType, SimpleNamespace
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from particlerb.compiled.function_set import FunctionSet
 from particlerb.compiled.helper import Kernel, UnfusedCompiler
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+InPlaceOf: TypeAlias = tuple[Callable[..., Any], Callable[..., Any]]  # what is called, and instead
 
 BUDGET: Final = 0.4  # [s] of a process in Python: each run of a scene spends them again
 _MAX_CALL_SECONDS: Final = 0.2
@@ -58,9 +59,7 @@ all_compiled: Final = partial(time_in_python, 0.0)
 # Functions in Python
 
 
-def in_python(
-    function: Function, *instead: tuple[Callable[..., Any], Callable[..., Any]], **names: Any
-) -> Function:
+def in_python(function: Function, *instead: InPlaceOf, **names: Any) -> Function:
     """A function, compiled or not, as Python that calls others in place of some.
 
     The second of each pair in place of the first; its globals of these names are to be others too.

@@ -111,7 +111,7 @@ def _write(
     """Write row k, of contact c, which begins with the force of the step before."""
     partners, rows, gap, pair = impulses.partners, impulses.rows, near.gap, near.pair
     write_frame(partners, rows, k, near.normal, near.point)
-    rows.frame[k, col.LEAST] = -gap / dt if gap > impulses.rules.slop else 0.0
+    rows.frame[k, col.LEAST_VELOCITY] = -gap / dt if gap > impulses.rules.slop else 0.0
     rows.frame[k, col.FRICTION] = setup.model.law.friction[pair]
     rows.limits[k, col.GAP], rows.limits[k, col.SLOW] = gap, near.slow
     rows.limits[k, col.RADIUS] = near.radius

@@ -56,7 +56,7 @@ _IMPULSE_HISTORY: Final = record(
 )
 
 # Forces of a contact on its first body, world axes
-FORCES: Final = record(
+CONTACT_FORCES: Final = record(
     elastic=3,  # [N] of the normal spring, which has a potential
     other=3,  # [N] all that has none: dashpots, friction
     point=3,  # [m] where they act
@@ -65,7 +65,7 @@ FORCES: Final = record(
     correction_time=1,  # [s] of the elastic force: see `law.correction_time`
     gross_power=1,  # [W] |that of the other forces| + |that on moving boundaries|
 )
-ROLLING_FORCES: Final = record(FORCES, rolling_torque=3)  # [N m]
+ROLLING_FORCES: Final = record(CONTACT_FORCES, rolling_torque=3)  # [N m]
 
 # Beside the forces of a contact with a wall
 _WALL_POINT: Final = {
@@ -135,7 +135,7 @@ def forces_record(
     with_rolling: bool, with_wall: bool, with_impulses: bool = False
 ) -> np.dtype[Any]:
     """Record of the forces of a contact between spheres, or with a wall."""
-    forces = ROLLING_FORCES if with_rolling else FORCES
+    forces = ROLLING_FORCES if with_rolling else CONTACT_FORCES
     if with_impulses:
         forces = record(forces, overlap=1)  # [m] springs act in its middle, impulses do not
     return record(forces, **_WALL_POINT) if with_wall else forces

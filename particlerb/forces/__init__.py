@@ -25,7 +25,7 @@ from particlerb.model.bodies import taken
 from particlerb.model.load import OTHER
 from particlerb.ranks import ALONE, Ranks
 
-LINE: Final = 3  # a fixed line in the world, in `Terms.axis`
+FIXED_LINE: Final = 3  # a fixed line in the world, in `Terms.axis`
 
 
 class Terms(NamedTuple):
@@ -43,7 +43,7 @@ class Terms(NamedTuple):
     prescribed: PrescribedBodies | None = None  # bodies that joints tie to others
     axis: Ints | None = None
     """Principal axis (0 to 2) about which alone a body turns, by its start and by all that acts,
-    or LINE of spheres and rods; -1: not known. Shape (n,); None: of none."""
+    or FIXED_LINE of spheres and rods; -1: not known. Shape (n,); None: of none."""
     is_straight: Bools | None = None
     """Whether a body moves on a line through the ends of its damped springs, (n,)."""
     ranks: Ranks = ALONE

@@ -27,7 +27,7 @@ from particlerb.compiled.threads import THREADS
 from particlerb.maths.quaternion import matrix, turn
 from particlerb.maths.rows import column3, column4, put_column3, rows3, rows4
 from particlerb.maths.vec3 import Floats, Ints, Rows3, Vec3, add_scaled, cross, scale, subtract
-from particlerb.model.block import LINE, aligned_zeros
+from particlerb.model.block import CACHE_LINE, aligned_zeros
 from particlerb.model.superblocks import Range
 from particlerb.model.worlds import Worlds
 from particlerb.ranks import ALONE, Ranks, ending_all
@@ -73,7 +73,8 @@ def fields_of(attraction: Attraction, worlds: Worlds | None = None) -> Fields:
         for first, end in pairwise(ends)
         for lo in range(first, end, TILE)
     ]
-    padded = (-(-n // LINE) | 1) * LINE  # an odd number: rows that a power of two parts collide
+    # An odd number: rows that a power of two parts collide.
+    padded = (-(-n // CACHE_LINE) | 1) * CACHE_LINE
     arm, point, field = (aligned_zeros(3 * padded).reshape(3, padded) for _ in range(3))
     body = np.full(padded, -1)
     body[:n] = np.repeat(np.arange(offset.size - 1), np.diff(offset))

@@ -31,7 +31,7 @@ _N_SUMS: Final = 11  # M, Σ m r (3), Σ m r rᵀ (xx yy zz xy xz yz), Σ (2/5) 
 _LOW: Final = _N_SUMS  # rows of rounding errors
 _EXTENT_ROW: Final = 2 * _N_SUMS  # largest coordinate or radius of what has mass
 _HEAVIEST_ROW: Final = _EXTENT_ROW + 1
-LEAST: Final = _EXTENT_ROW + 2  # smallest mass or radius: below 0 is an error
+SMALLEST: Final = _EXTENT_ROW + 2  # smallest mass or radius: below 0 is an error
 _BAD: Final = _EXTENT_ROW + 3  # 0, or NaN where a number is not finite
 _N_ROWS: Final = _EXTENT_ROW + 4
 X: Final = _N_ROWS  # rows of the group at hand: r, mass, radius
@@ -71,7 +71,8 @@ def sums_of(particles: Particles) -> _Sums:
 
         THREADS.share(work, len(chunks), int(count[kinds].sum()) // 16)
         has_mass = np.bincount(chunks[:, 0], rows[:, _HEAVIEST_ROW], n)[kinds] > 0.0
-        if not (has_mass.all() and (rows[:, LEAST] >= 0.0).all() and (rows[:, _BAD] == 0.0).all()):
+        is_right = (rows[:, SMALLEST] >= 0.0) & (rows[:, _BAD] == 0.0)
+        if not (has_mass.all() and is_right.all()):
             check(particles)
         again = np.zeros(n, dtype=np.bool_)
         join(chunks, rows, origin, exponent, moments, again)
@@ -178,7 +179,7 @@ def load(
 ) -> None:
     """Write one particle into its lane: scaled, from the origin; note its size and faults."""
     lanes[at(_BAD, lane)] += ((x - x) + (y - y)) + ((z - z) + (m - m)) + (r - r)
-    lanes[at(LEAST, lane)] = min(lanes[at(LEAST, lane)], m, r)
+    lanes[at(SMALLEST, lane)] = min(lanes[at(SMALLEST, lane)], m, r)
     lanes[at(_HEAVIEST_ROW, lane)] = max(lanes[at(_HEAVIEST_ROW, lane)], m)
     size = max(abs(x), abs(y), abs(z), r) if m > 0.0 else 0.0
     lanes[at(_EXTENT_ROW, lane)] = max(lanes[at(_EXTENT_ROW, lane)], size)
@@ -257,7 +258,7 @@ def _sum_chunks(
                 if row == _BAD:
                     value += of_lane
                 else:
-                    value = min(value, of_lane) if row == LEAST else max(value, of_lane)
+                    value = min(value, of_lane) if row == SMALLEST else max(value, of_lane)
             rows[c, row] = value
 
 

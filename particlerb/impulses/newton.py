@@ -118,7 +118,7 @@ def _linearise(
     frame, u, r = rows.frame, approach_at_end(partners, rows, k), row3(rows.impulse, k)
     mu, share = frame[k, col.FRICTION], frame[k, col.SHARE]
     speed = math.sqrt(u[1] * u[1] + u[2] * u[2])
-    n = r[0] - share * (u[0] - frame[k, col.LEAST] + mu * speed)
+    n = r[0] - share * (u[0] - frame[k, col.LEAST_VELOCITY] + mu * speed)
     x, y = r[1] - share * u[1], r[2] - share * u[2]
     f, t = subtract(r, nearest_in_cone(n, x, y, mu)), max(math.sqrt(x * x + y * y), _FRICTION_FLOOR)
     up = mu / speed if speed > 0.0 else 0.0

@@ -40,7 +40,7 @@ def _find_overlaps(impulses: Impulses, team: Team, dt: float) -> bool:
             if gap < -max(_MAX_OVERLAP_SHARE * rows.limits[k, col.RADIUS], rules.allowed):
                 deepest = float(k)
             parts = u[0] > rows.limits[k, col.SLOW] and rows.impulse[k, 0] == 0.0
-            if parts or rows.frame[k, col.LEAST] == col.NEVER:
+            if parts or rows.frame[k, col.LEAST_VELOCITY] == col.NEVER:
                 gap = math.inf
             rows.old[k, 0], rows.old[k, 1] = 0.0, gap
             overlap = max(overlap, -gap)

@@ -19,7 +19,7 @@ ARM: Final = 9  # [m] from the first partner to the point, and from the second o
 INVERSE: Final = 15  # [1/kg] W_nn,
 COUPLING: Final = 16  # W_n1, W_n2,
 SCHUR: Final = 18  # S_11, S_22
-LEAST: Final = 20  # [m/s] least normal velocity after the solve
+LEAST_VELOCITY: Final = 20  # [m/s] least normal velocity after the solve
 FRICTION: Final = 21  # [-] μ
 SHARE: Final = 22  # [kg] of velocities in a sweep: 1/W_nn,
 RUBBING: Final = 23  # 1/(max S + |W_nt|²/W_nn)
@@ -88,7 +88,7 @@ MOTOR_WORK: Final = 25  # [J] of motors with a largest torque or force
 WORST_TIME: Final = 26  # [s] of WORST_EVER
 TALLY: Final = 27
 
-MANY: Final = 10_000  # contacts of a step from which on they have colours
+MIN_COLOURED: Final = 10_000  # contacts of a step from which on they have colours
 _COLOURS: Final = 63  # at most: bits of a number
 CHUNK: Final = 32  # contacts of a colour that one thread takes at once
 LEAST_CELLS: Final = 4  # along a side of a periodic box: two bodies meet in one image alone
@@ -245,7 +245,7 @@ def _room_for_colours(n: int) -> Colours:
     size, chunk = np.zeros(_COLOURS, dtype=np.int64), np.zeros(_COLOURS + 1, dtype=np.int64)
     row, listed = np.zeros(n + 2, dtype=np.int64), np.zeros((n, 4), dtype=np.int64)
     chunk[1], row[1] = 1, n
-    return Colours(np.array([1, MANY]), size, chunk, row, np.zeros((n + 1, 4)), listed)
+    return Colours(np.array([1, MIN_COLOURED]), size, chunk, row, np.zeros((n + 1, 4)), listed)
 
 
 def room_for_rows(

@@ -212,13 +212,13 @@ def lean(
     came, u, v = in_frame(rows.frame, c, velocity_between(partners.before, rows.frame, c, a, b))
     limits[c, col.SLOW] += 4.0 * max(-n - n_by, 0.0)
     pressed, f, g = in_frame(rows.frame, c, force)
-    if rows.frame[c, col.LEAST] < 0.0 and pressed <= 0.0:
-        rows.frame[c, col.LEAST] -= n_by
+    if rows.frame[c, col.LEAST_VELOCITY] < 0.0 and pressed <= 0.0:
+        rows.frame[c, col.LEAST_VELOCITY] -= n_by
         put_row3(limits, c, (n_by, x_by, y_by), col.LEAN)
         return
     n = n_by + min(max(came - n_by, min(n, 0.0)), max(n, 0.0))
     gap = limits[c, col.GAP] - 0.25 * dt * max(n, 0.0)
-    rows.frame[c, col.LEAST] = (-gap / dt if gap > slop else 0.0) - n
+    rows.frame[c, col.LEAST_VELOCITY] = (-gap / dt if gap > slop else 0.0) - n
     is_within = math.hypot(f, g) < _STICKING_SHARE * rows.frame[c, col.FRICTION] * pressed
     slip, u, v = math.hypot(u - x_by - x, v - y_by - y), u - x_by, v - y_by
     sticks = is_within or slip <= _SLIP_SHARE * math.hypot(x + x_by, y + y_by)
@@ -285,7 +285,7 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
     )
     by_2, free = _moved_along(partners, frame, c, a, b, t2), frame[c, col.INVERSE]
     if by_n[0] <= col.LOCKED_SHARE * free:
-        frame[c, col.LEAST], rows.limits[c, col.RESTITUTION] = col.NEVER, 0.0
+        frame[c, col.LEAST_VELOCITY], rows.limits[c, col.RESTITUTION] = col.NEVER, 0.0
         return
     changes = in_world(frame, c, row3(rows.limits, c, col.LEAN))
     put_matrix(frame, c, (t1, t2), by_n, (by_1[1], by_1[2], by_2[2]))

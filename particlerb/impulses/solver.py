@@ -78,7 +78,7 @@ def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None, team
             limits = rows.limits
             will_bounce = limits[k, col.RESTITUTION] > 0.0 and limits[k, col.GAP] > rules.slop
             if will_bounce and approach(partners, rows, k)[0] < -limits[k, col.SLOW]:
-                rows.frame[k, col.LEAST] = col.NEVER
+                rows.frame[k, col.LEAST_VELOCITY] = col.NEVER
     if bounded is not None:
         leave_out_stops(bounded, partners.velocity)
 
@@ -97,7 +97,7 @@ def leave_out_what_leans(impulses: Impulses, team: Team, dt: float) -> None:
     first, end = share_of(team, 0, count[0])
     for k in range(first, end):
         bore = rows.impulse[k, 0] != 0.0 or rows.impulse[k, 1] != 0.0 or rows.impulse[k, 2] != 0.0
-        if not bore and approach(partners, rows, k)[0] < rows.frame[k, col.LEAST]:
+        if not bore and approach(partners, rows, k)[0] < rows.frame[k, col.LEAST_VELOCITY]:
             for b in (rows.partner_a[k], rows.partner_b[k]):
                 joins[b] = partners.inverse[b, 0] > 0.0
     meet(team)
@@ -116,7 +116,7 @@ def _warm_start(impulses: Impulses, bounded: Bounded | None, team: Team) -> None
         first, end = rows_of(team, rows.colours, i)
         for k in range(first, end):
             n, x, y = in_frame(rows.frame, k, row3(rows.impulse, k))
-            if n <= 0.0 or rows.frame[k, col.LEAST] == col.NEVER:
+            if n <= 0.0 or rows.frame[k, col.LEAST_VELOCITY] == col.NEVER:
                 put_row3(rows.impulse, k, (0.0, 0.0, 0.0))
                 continue
             x, y = on_disc(x, y, rows.frame[k, col.FRICTION] * n)
@@ -140,7 +140,7 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team:
                 u = approach_at_end(partners, rows, k)
                 old = row3(impulse, k)
                 put_row3(rows.old, k, old)
-                n = max(old[0] - frame[k, col.SHARE] * (u[0] - frame[k, col.LEAST]), 0.0)
+                n = max(old[0] - frame[k, col.SHARE] * (u[0] - frame[k, col.LEAST_VELOCITY]), 0.0)
                 dn, rubbing = n - old[0], frame[k, col.RUBBING]
                 x = old[1] - rubbing * (u[1] + frame[k, col.COUPLING] * dn)
                 y = old[2] - rubbing * (u[2] + frame[k, col.COUPLING + 1] * dn)
@@ -165,7 +165,7 @@ def _miss(partners: Partners, rows: ImpulseRows, k: int, r: Vec3) -> Vec3:
     """By how much contact k misses the law with an impulse r [N s], and the velocities of now."""
     frame, u = rows.frame, approach_at_end(partners, rows, k)
     mu, share = frame[k, col.FRICTION], frame[k, col.SHARE]
-    lifted = u[0] - frame[k, col.LEAST] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
+    lifted = u[0] - frame[k, col.LEAST_VELOCITY] + mu * math.sqrt(u[1] * u[1] + u[2] * u[2])
     x, y = r[1] - share * u[1], r[2] - share * u[2]
     return subtract(r, nearest_in_cone(r[0] - share * lifted, x, y, mu))
 

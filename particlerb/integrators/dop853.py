@@ -13,7 +13,7 @@ from particlerb.forces.kinds import FLOWS, JOINTS
 from particlerb.integrators.method import Method
 from particlerb.integrators.slopes import ACCEPTED
 
-PACK: Final = 16  # bodies that take the same steps; BLOCK is a multiple of it
+BODIES_PER_CLOCK: Final = 16  # bodies that take the same steps; BLOCK is a multiple of it
 
 METHOD: Final = Method(
     summary="order 8, adaptive by run.tolerance, dense output; the oracle; any force",

@@ -22,7 +22,7 @@ from particlerb.integrators.dop853_step import (
     normalise,
     take_slopes,
 )
-from particlerb.integrators.dop853_table import END, NODES, STAGES, A
+from particlerb.integrators.dop853_table import END, N_STAGES, NODES, A
 from particlerb.integrators.joint_slopes import add_reactions, bring_back, count_on
 from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter
 from particlerb.integrators.stages import caller_of_stages, inlined_caller
@@ -46,7 +46,7 @@ class CommonVectors(NamedTuple):
     out: Floats
     five: Floats
     three: Floats
-    K: Floats  # (STAGES, blocks * size * w)
+    K: Floats  # (N_STAGES, blocks * size * w)
     errors: Floats  # (blocks, w)
     width: int  # w
     broken: Floats  # (j,) [s] when joints break, since t = 0; inf: they hold
@@ -71,7 +71,7 @@ def room_for_vectors(n_blocks: int, size: int, width: int, broken: Floats) -> Co
     shape = (n_blocks, size * width)
     return CommonVectors(
         np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape),
-        np.zeros((STAGES, shape[0] * shape[1])), np.zeros((n_blocks, width)), width, broken,
+        np.zeros((N_STAGES, shape[0] * shape[1])), np.zeros((n_blocks, width)), width, broken,
         np.zeros(1),
     )  # fmt: skip
 
@@ -296,7 +296,7 @@ def find_step(bodies: CommonSteps, t: float, h: float, brings_back: bool) -> tup
 @caller_of_stages
 def take_last_stages(bodies: CommonSteps, t: float, h: float) -> None:
     """Slopes that dense output needs beside those of the step."""
-    _take_stages(bodies, bodies.vectors.out, t, h, END + 1, STAGES)
+    _take_stages(bodies, bodies.vectors.out, t, h, END + 1, N_STAGES)
 
 
 @caller_of_stages

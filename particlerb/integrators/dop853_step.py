@@ -15,7 +15,7 @@ import numpy as np
 from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.forces.kernels import Acting, set_time
 from particlerb.forces.registry import STAGE
-from particlerb.integrators.dop853_table import END, STAGES, D, E
+from particlerb.integrators.dop853_table import END, N_STAGES, D, E
 from particlerb.integrators.slopes import Pose, slopes
 from particlerb.maths.quaternion import matrix_along
 from particlerb.maths.vec3 import Floats
@@ -215,7 +215,7 @@ def interpolate(K: Floats, y: Floats, new: Floats, h: float, share: float, out: 
     rest = 1.0 - share
     out[:] = 0.0
     for i in range(4):
-        add_rows(h, D[3 - i], K, STAGES, out)
+        add_rows(h, D[3 - i], K, N_STAGES, out)
         for c in range(out.size):
             out[c] *= share if i % 2 == 0 else rest
     for c in range(out.size):

@@ -15,13 +15,13 @@ import numpy as np
 from particlerb.files import table_beside
 from particlerb.maths.vec3 import Floats
 
-STAGES: Final = 16
+N_STAGES: Final = 16
 END: Final = 12  # the stage at the end of a step, where the next one begins
 
 
 def _table(name: str, n_rows: int) -> Floats:
-    """Array (n_rows, STAGES) of one of the tables."""
-    values = np.zeros((n_rows, STAGES))
+    """Array (n_rows, N_STAGES) of one of the tables."""
+    values = np.zeros((n_rows, N_STAGES))
     for table, i, j, value in _TABLE_ROWS:
         if table == name:
             values[int(i), int(j)] = float(value)
@@ -29,7 +29,7 @@ def _table(name: str, n_rows: int) -> Floats:
 
 
 _TABLE_ROWS: Final = table_beside(__file__, "dop853.txt")
-A: Final = _table("A", STAGES)
+A: Final = _table("A", N_STAGES)
 NODES: Final = A.sum(axis=1)  # where in a step the slopes are taken
 E: Final = _table("E", 2)
 D: Final = _table("D", 4)

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple, TypeVar, cast
 
 from particlerb.compiled.barrier import Team
 from particlerb.compiled.jit import Flag, inline, kernel, splice, unfused_kernel
-from particlerb.compiled.plain import in_python
+from particlerb.compiled.plain import InPlaceOf, in_python
 from particlerb.compiled.threads import THREADS
 from particlerb.contact.contact_model import LEAPFROG, NOW, Instant, LoadTimes, MovingContact
 from particlerb.forces.kernels import Acting, load_at, prepare_kick, set_time
@@ -104,9 +104,7 @@ def stages_with(function: Callable[..., None], **names: Any) -> Callable[..., No
     return stages(in_python(function, **names))
 
 
-def over_threads(
-    function: Function, *instead: tuple[Callable[..., Any], Callable[..., Any]], **constants: Any
-) -> Function:
+def over_threads(function: Function, *instead: InPlaceOf, **constants: Any) -> Function:
     """A function made of stages, as Python that spreads each of them over threads.
 
     In it, and in the lists of stages that it calls, the second of each pair is called in place of
@@ -310,18 +308,18 @@ def gather_loads(moving: MovingBodies, t: float, out: Floats) -> None:
                 out[3 + i, lo + b] = tau[i]
 
 
-TIMES: Final = NOW  # stands for those of a method
+LOAD_TIMES: Final = NOW  # stands for those of a method
 
 
 def _show(moving: MovingBodies, first: int, end: int, open_kick: float, instant: Instant) -> None:
     """Contacts at a frame."""
     kinematics(moving, first, end, instant)
-    loads(moving, first, end, TIMES)
+    loads(moving, first, end, LOAD_TIMES)
 
 
 def shown_at(times: LoadTimes) -> Callable[..., None]:
     """What shows contacts at a frame, of a method that ends its steps with no kick."""
-    return stages_with(_show, TIMES=times)
+    return stages_with(_show, LOAD_TIMES=times)
 
 
 @caller_of_stages

@@ -20,7 +20,7 @@ from particlerb.model.bodies import Bodies
 from particlerb.model.state import State
 
 STRIDE: Final = BLOCK + 8  # from row to row: a power of two would meet the same lines of the cache
-LINE: Final = 8  # numbers of a line of the cache, and of the widest SIMD register
+CACHE_LINE: Final = 8  # numbers of a line of the cache, and of the widest SIMD register
 COM: Final = 0
 Q: Final = 3
 P: Final = 7
@@ -157,8 +157,8 @@ def changing(blocks: Floats) -> Floats:
 
 def aligned_zeros(size: int) -> Floats:
     """Zeros from the beginning of a line of the cache on: registers never straddle two lines."""
-    room = np.zeros(size + LINE)
-    first = -(room.ctypes.data // room.itemsize) % LINE
+    room = np.zeros(size + CACHE_LINE)
+    first = -(room.ctypes.data // room.itemsize) % CACHE_LINE
     return room[first : first + size]
 
 

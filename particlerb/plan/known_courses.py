@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.forces import LINE, Terms, force_of_loads
+from particlerb.forces import FIXED_LINE, Terms, force_of_loads
 from particlerb.forces.central import Central
 from particlerb.forces.impulse import Impulse
 from particlerb.forces.links import WORLD
@@ -173,7 +173,7 @@ class _Turning:
         )
         is_first = old == _AT_REST
         is_exact = self.is_exact & (across == 0.0) & (is_first | (old == k))
-        loose = np.where(code == SYMMETRIC, 2, LINE)
+        loose = np.where(code == SYMMETRIC, 2, FIXED_LINE)
         is_loose = is_along & (is_first | np.where(code == SYMMETRIC, old == 2, old >= 0))
         now = np.where(is_exact, k, np.where(is_loose, loose, _LOST))
         acts = v.any(axis=0) & (old != _LOST)
@@ -187,12 +187,12 @@ class _Turning:
             return
         T, b = lever.reshape(3, 3, -1), np.arange(self.axis.size)  # [world, rotor frame]
         self.meet(sum((cross_columns(self.R[:, k], T[:, k]) for k in range(3)), 0.0 * T[:, 0]))
-        k = np.maximum(self.axis, 0) % LINE
+        k = np.maximum(self.axis, 0) % FIXED_LINE
         n = self.R[:, k, b]
         along = np.einsum("in,ikn->kn", n, T)  # arms of the force along the axis
         along[k, b] = 0.0
         is_planar = _are_parallel(T[:, k, b], n) & ~along.any(axis=0)
-        is_planar &= self.is_exact & (self.axis >= 0) & (self.axis < LINE)
+        is_planar &= self.is_exact & (self.axis >= 0) & (self.axis < FIXED_LINE)
         self.axis[lever.any(axis=0) & ~is_planar] = _LOST
 
     def jump(self, jump: Impulse) -> None:

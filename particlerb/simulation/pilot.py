@@ -15,10 +15,10 @@ from particlerb.case.problems import CaseError, problem_at
 from particlerb.forces import Terms
 from particlerb.forces.registry import term_of
 from particlerb.integrators import METHODS
-from particlerb.integrators.dop853 import PACK
+from particlerb.integrators.dop853 import BODIES_PER_CLOCK
 from particlerb.joints.trees import tree_of
 from particlerb.maths.vec3 import Floats, Ints
-from particlerb.model.block import LINE
+from particlerb.model.block import CACHE_LINE
 from particlerb.model.bodies import taken
 from particlerb.model.comparison import misfits
 from particlerb.model.state import Frames
@@ -92,7 +92,7 @@ class Pilot:
             That of a run then [ns].
         """
         n = self.sampled.size
-        enough = min(_MAX_PILOT_BODIES, LINE * -(-n // (LINE * _BODIES_PER_PILOT)))
+        enough = min(_MAX_PILOT_BODIES, CACHE_LINE * -(-n // (CACHE_LINE * _BODIES_PER_PILOT)))
         saved = _TRIALS_PER_RUN * usual_cost * (1.0 - enough / n)
         if self.is_coupled or n <= enough or (n <= _MAX_PILOT_BODIES and saved < 3.0 * SET_UP):
             return
@@ -134,7 +134,7 @@ class Pilot:
         irregular = int((error > REGULAR).sum())
         if irregular >= count:
             most = min(_MAX_PILOT_BODIES, error.size)
-            count = min(LINE * -(-(irregular + count) // LINE), most)
+            count = min(CACHE_LINE * -(-(irregular + count) // CACHE_LINE), most)
             self.stands_for = error.size / most if irregular >= most else 1.0
         fastest = np.argsort(-self.rates, kind="stable")[: count // _BODIES_PER_FASTEST]
         error[fastest] = np.inf
@@ -195,9 +195,9 @@ class Pilot:
     def cost(self, stepping: Stepping, steps: float, n: int) -> float:
         """Time that n bodies of the group take for so many steps, by the table [ns]."""
         method = METHODS[stepping.method]
-        lanes = n + (_LANES_ALONE - 1) * (n % LINE)
+        lanes = n + (_LANES_ALONE - 1) * (n % CACHE_LINE)
         if method.is_adaptive:
-            lanes = 2 * lanes if self.is_coupled else LINE * -(-n // LINE)
+            lanes = 2 * lanes if self.is_coupled else CACHE_LINE * -(-n // CACHE_LINE)
         each = method.cost
         if self.held:
             lanes, each = n, self.held if method.is_adaptive else each
@@ -221,4 +221,4 @@ def _remembers(terms: Terms) -> bool:
 
 def _per_pack(rates: Floats) -> float:
     """Mean over packs of the largest rate."""
-    return float(np.mean(np.maximum.reduceat(rates, np.arange(0, rates.size, PACK))))
+    return float(np.mean(np.maximum.reduceat(rates, np.arange(0, rates.size, BODIES_PER_CLOCK))))

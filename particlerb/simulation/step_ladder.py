@@ -32,7 +32,7 @@ RATIO: Final = {
     "rattle": 2.0, "rattle4": 1.7, "rattle6": 1.5, "rattle8": 1.4,
 }  # of settings compared  # fmt: skip
 _MAX_COST_RATIO: Final = 1.25  # of a run to one whose error on the pilot is just what is wanted
-TIMES: Final = 8  # that are looked at; the largest error counts
+N_TIMES: Final = 8  # that are looked at; the largest error counts
 _LAST_TIMES: Final = 3  # that errors are compared at: at a single one it may pass through 0
 MORE_TIMES: Final = 32  # that are looked at where an accuracy is not met
 MIN_NS: Final = 1e6  # ns that may be spent on a search, whatever the run takes
@@ -91,7 +91,7 @@ class Ladder:
     @cached_property
     def times(self) -> Floats:
         """When it looks at the bodies [s]."""
-        return np.linspace(0.0, self.pilot.system.run.t_end, TIMES + 1)[1:]
+        return np.linspace(0.0, self.pilot.system.run.t_end, N_TIMES + 1)[1:]
 
     def hoped_cost(self) -> float:
         """What a run, and the trials before it, may take: who is dearer is not tried [ns].
@@ -181,7 +181,7 @@ class Ladder:
 
     def between(self, one: _Tried, other: _Tried) -> float:
         """Largest error of a run beside another, at the last times."""
-        key, last = (one.setting, other.setting), slice(TIMES - _LAST_TIMES, TIMES)
+        key, last = (one.setting, other.setting), slice(N_TIMES - _LAST_TIMES, N_TIMES)
         if key not in self.apart and self.hardly_moved(one, other):
             return self.apart[one.setting, self.tried[-2].setting]
         if key not in self.apart:
@@ -316,7 +316,7 @@ class Ladder:
         if not self.is_stepped:
             return 0.0
         turn = 1.01 * RATIO[self.name] * self.first_turn(0.0)
-        return min(self.pilot.longest(turn), sum(self.pilot.lengths) / TIMES)
+        return min(self.pilot.longest(turn), sum(self.pilot.lengths) / N_TIMES)
 
     def first_turn(self, share: float) -> float:
         """Turn in a step for the wanted accuracy by a share of the order [rad]."""

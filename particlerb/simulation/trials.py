@@ -14,7 +14,7 @@ from particlerb.compiled.plain import all_compiled
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.impulse import apply_impulse
 from particlerb.integrators import METHODS
-from particlerb.integrators.dop853 import PACK
+from particlerb.integrators.dop853 import BODIES_PER_CLOCK
 from particlerb.maths.vec3 import Floats, Ints, differences
 from particlerb.model.balance import EnergyBalance
 from particlerb.model.block import changing
@@ -68,8 +68,8 @@ def sample(system: System, plan: Plan, t_end: float, packs: int) -> Ints:
         if any(segment.terms.is_coupled for segment in group.segments):
             candidates.append((float(rate.max()), group.members))
             continue
-        for lo in range(0, group.members.size, PACK):
-            span = slice(lo, lo + PACK)
+        for lo in range(0, group.members.size, BODIES_PER_CLOCK):
+            span = slice(lo, lo + BODIES_PER_CLOCK)
             candidates.append((float(rate[span].max()), group.members[span]))
     fast = sorted(range(len(candidates)), key=lambda k: -candidates[k][0])[: -(-packs // 2)]
     spread = np.linspace(0, len(candidates) - 1, packs // 2).astype(int).tolist()

@@ -13,7 +13,7 @@ from particlerb.compiled.jit import kernel
 from particlerb.compiled.threads import BLOCK, THREADS
 from particlerb.forces import acting_of, row_count, rows_of_terms
 from particlerb.forces.registry import MANY
-from particlerb.integrators.dop853 import PACK
+from particlerb.integrators.dop853 import BODIES_PER_CLOCK
 from particlerb.integrators.dop853_stages import CommonSteps, room_for_vectors
 from particlerb.integrators.dop853_step import Equations
 from particlerb.integrators.method import Method
@@ -51,16 +51,16 @@ def _advance_packs(
     size, n = STATE_ROWS if equations.sums_external is None else CHANGING, recording.members.size
     rows = np.zeros((1, max(blocks.shape[1], MANY * STRIDE)))
     layout = Layout(np.zeros(1, np.int64), np.zeros(1, np.int64), 0)
-    width = min(n, PACK)  # a body that is alone pays for itself only
+    width = min(n, BODIES_PER_CLOCK)  # a body that is alone pays for itself only
     vectors = room_for_vectors(1, size, width, np.zeros(0))
     pack = CommonSteps(equations, rows, layout, None, None, None, vectors)
-    for lo in range(first * BLOCK, min(end * BLOCK, n), PACK):
-        layout.first[0], layout.size[0] = lo, min(n - lo, PACK)
+    for lo in range(first * BLOCK, min(end * BLOCK, n), BODIES_PER_CLOCK):
+        layout.first[0], layout.size[0] = lo, min(n - lo, BODIES_PER_CLOCK)
         block, at = blocks[lo // BLOCK], lo % BLOCK
         for r in range(block.size // STRIDE):
             for b in range(layout.size[0]):
                 put(rows[0], r, b, get(block, r, at + b))
-        advance_steps(pack, clock[lo // PACK], leg, recording)
+        advance_steps(pack, clock[lo // BODIES_PER_CLOCK], leg, recording)
         for r in range(size):
             for b in range(layout.size[0]):
                 put(block, r, at + b, get(rows[0], r, b))
@@ -93,7 +93,7 @@ class AdaptiveMotion(JointedMotion):
         size = STATE_ROWS if self.account.sums_external is None else CHANGING
         n_common, hold = len(first) if terms.is_coupled else 0, np.full_like(super().broken, np.inf)
         self.vectors = room_for_vectors(n_common, size, int(self.layout.size[0]), hold)
-        self.clock = np.zeros((1 if terms.is_coupled else -(-n // PACK), 3))
+        self.clock = np.zeros((1 if terms.is_coupled else -(-n // BODIES_PER_CLOCK), 3))
         self.clock[:, 1] = first_step  # [s], behind the time [s]; steps taken are last
         self.cost = method.cost * n  # [ns] of a step of all, roughly
         self.cost += 0.0 if self.forces is None else method.evaluations * self.forces.cost

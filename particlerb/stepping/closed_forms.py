@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.forces import LINE, Terms
+from particlerb.forces import FIXED_LINE, Terms
 from particlerb.forces.central import Central
 from particlerb.forces.drag import Drag
 from particlerb.forces.links import WORLD, Links
@@ -87,7 +87,7 @@ def _up_frames(axis: Floats) -> Floats:
 @np.errstate(over="ignore")
 def _are_pendulums(lever: Floats, axis: Ints) -> Bools:
     """Which bodies turn about a principal axis, under levers (9, n) whose squares are numbers."""
-    return np.asarray((axis >= 0) & (axis < LINE) & np.isfinite((lever * lever).sum(axis=0)))
+    return np.asarray((axis >= 0) & (axis < FIXED_LINE) & np.isfinite((lever * lever).sum(axis=0)))
 
 
 def turned_about(levers: Levers, bodies: Bodies, lever: Floats, axis: Ints, q: Floats) -> Levers:
@@ -105,7 +105,7 @@ def turned_about(levers: Levers, bodies: Bodies, lever: Floats, axis: Ints, q: F
     is_own = _are_pendulums(lever, axis) & ~levers.is_free & ~levers.is_top
     if not is_own.any():
         return levers
-    b, k = np.arange(axis.size), np.maximum(axis, 0) % LINE
+    b, k = np.arange(axis.size), np.maximum(axis, 0) % FIXED_LINE
     about, across = np.zeros((2, 3, axis.size))
     about[k, b], across[(k + 1) % 3, b] = 1.0, 1.0
     R = np.stack([rotate(q, np.tile(e[:, None], axis.size)) for e in np.eye(3)])  # [l, world]

@@ -34,7 +34,7 @@ from particlerb.stepping.contact_room import (
     with_room,
 )
 from particlerb.stepping.domain import GROSS, MOMENTA, Domain, Here, Subdomain
-from particlerb.stepping.loop import FORCES, FRAME, POSES, Position, Recording, Schedule
+from particlerb.stepping.loop import ALL_CONTACTS, FRAME, POSES, Position, Recording, Schedule
 from particlerb.stepping.motion import ContactStart, Energies, SegmentGroup
 from particlerb.stepping.saved_arrays import Saved, from_arrays, to_arrays, under, within
 from particlerb.stepping.stepped_bodies import SteppedBodies
@@ -269,7 +269,7 @@ class ContactMotion(SteppedMotion):
         histories = lists.spheres.history.copy(), lists.walls.history.copy()
         self.part_of_step(POSES)
         memory.extremes.displacement[:] = np.inf
-        self.part_of_step(FORCES)
+        self.part_of_step(ALL_CONTACTS)
         memory.extremes.displacement[:] = 0.0
         lists.spheres.history[:], lists.walls.history[:] = histories
         self.part_of_step(FRAME)

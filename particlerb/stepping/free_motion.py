@@ -14,7 +14,7 @@ import numpy as np
 
 from particlerb.compiled.jit import Flag, flag, inline, unfused_kernel
 from particlerb.compiled.threads import BLOCK, THREADS
-from particlerb.forces import LINE
+from particlerb.forces import FIXED_LINE
 from particlerb.forces.drag import Drag
 from particlerb.forces.torque import Torque
 from particlerb.maths.quaternion import Rows4
@@ -285,7 +285,7 @@ class FreeMotion(Motion):
         """Bodies that a torque or drag turns about a line."""
         bodies, axis = self.group.bodies, self.group.terms.axis
         k = np.zeros(index.size, dtype=np.int64) if axis is None else np.maximum(axis[index], 0)
-        inverse = bodies.inv_inertia[k % LINE, index]
+        inverse = bodies.inv_inertia[k % FIXED_LINE, index]
         columns = [np.ascontiguousarray(v[:, index]) for v in (self.state.q, self.state.L, torque)]
         spinning = Spinning(drag[index] * inverse, inverse, *columns)
         return index, self.part(index, bodies, spinning=spinning, changes_spin=flag(True)), None

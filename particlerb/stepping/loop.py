@@ -45,7 +45,7 @@ from particlerb.stepping.pair_forces import PairForces
 PAUSE: Final = -1  # a stop without a frame: the host asks for progress and interrupts
 CLOSE: Final = -2  # the end of the motion: make the open kick, behind the last partial step
 POSES: Final = -1  # in place of a stop: those of bodies and walls, as before a step
-FORCES: Final = -2  # all contacts
+ALL_CONTACTS: Final = -2  # all contacts
 FRAME: Final = -3  # what contacts have, in a row of the frames
 _TIME_ROUNDING: Final = 4.0 * float(np.finfo(np.float64).eps)  # of a time that is a sum of steps
 
@@ -62,7 +62,7 @@ class Schedule(NamedTuple):
 class Position(NamedTuple):
     """Where the loop is: before a step on the grid, or before a partial one."""
 
-    stop: int  # of the schedule; or POSES, FORCES, FRAME
+    stop: int  # of the schedule; or POSES, ALL_CONTACTS, FRAME
     step: int  # of those before that stop; a row for FRAME
     steps_done: int  # of the segment
 
@@ -186,7 +186,7 @@ def _part_with_contacts(
     team: Any = moving.team
     if asked.stop == POSES:
         kinematics(moving, first, end, Instant(0.0, 0.0, time, 0.0))
-    elif asked.stop == FORCES:
+    elif asked.stop == ALL_CONTACTS:
         find_contact_forces(contact, 0.0, 0.0, growth, team)
     else:
         store_contacts(contact, team, asked.step)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import particlerb
-from particlerb.case.reduction import MANY
+from particlerb.case.reduction import MIN_REDUCED
 from particlerb.case.to_system import to_system
 from particlerb.geometry.mass_properties import mass_properties
 from particlerb.plan.describe import describe
@@ -85,7 +85,7 @@ def test_attraction_and_charges_keep_all():
 
 
 def test_small_kinds_stay_as_they_are():
-    n = round(MANY ** (1 / 3)) - 1
+    n = round(MIN_REDUCED ** (1 / 3)) - 1
     body = BOX | {"shape": BOX["shape"] | {"n": n}}
     assert kept(system_of([body])) == [n**3]
 

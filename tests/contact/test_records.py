@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from particlerb.contact.records import (
-    FORCES,
+    CONTACT_FORCES,
     PISTON,
     ROLLING_FORCES,
     forces_record,
@@ -37,12 +37,12 @@ def test_copies_and_parts_have_fields_of_their_own():
 
 
 def test_vectors_of_records_without_rows():
-    none = from_floats(np.zeros((0, 13)), FORCES)
+    none = from_floats(np.zeros((0, 13)), CONTACT_FORCES)
     assert none.elastic.shape == (0, 3)
 
 
 def test_wall_and_rolling_fields_come_behind_those_of_every_contact():
-    n = len(FORCES.names)
-    assert ROLLING_FORCES.names[:n] == forces_record(True, True).names[:n] == FORCES.names
-    assert forces_record(False, False) == FORCES
+    n = len(CONTACT_FORCES.names)
+    assert ROLLING_FORCES.names[:n] == forces_record(True, True).names[:n] == CONTACT_FORCES.names
+    assert forces_record(False, False) == CONTACT_FORCES
     assert "rolling_torque" not in forces_record(False, True).names

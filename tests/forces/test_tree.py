@@ -10,7 +10,7 @@ import pytest
 from particlerb.compiled.threads import THREADS
 from particlerb.forces.attraction import Attraction
 from particlerb.forces.gravity_tree.cells import grow, room_for_nodes
-from particlerb.forces.gravity_tree.lanes import LANES
+from particlerb.forces.gravity_tree.lanes import BUCKET
 from particlerb.forces.gravity_tree.multipole import MOMENT, ORDER, indices
 from particlerb.forces.gravity_tree.opening_angle import (
     SAMPLE,
@@ -250,7 +250,7 @@ def test_any_number_of_threads_finds_the_same_bits(counts):
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86-64 code")
 def test_particles_of_a_bucket_fill_lanes(make):
     """Beside the loop in lanes stands the same one for what is left over."""
-    ranges, near = np.zeros(2 * RANGES, dtype=np.int64), np.zeros(MOMENT * LANES)
+    ranges, near = np.zeros(2 * RANGES, dtype=np.int64), np.zeros(MOMENT * BUCKET)
     arguments = np.zeros((3, 2)), np.zeros(2), ranges, 1, 0.0, near
     code = make.assembly(_pull_by, tuple(map(numba.typeof, arguments)))
     packed, single = make.arithmetic(code)
@@ -309,7 +309,7 @@ def test_buckets_are_full_and_each_body_is_in_one(n):
     stack, none = np.zeros((5, 256), dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
     count = grow(items, room_for_nodes(0), none, nodes, stack)
     ends = [k for k in range(count) if nodes.second[k] == 0]
-    assert len(ends) == -(-n // LANES)
+    assert len(ends) == -(-n // BUCKET)
     assert sorted(order) == list(range(n))
     assert (items[0] == place[:, order]).all()
     assert [nodes.first[k] for k in ends[1:]] == [nodes.stop[k] for k in ends[:-1]]

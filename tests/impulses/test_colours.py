@@ -29,14 +29,14 @@ plain = pytest.mark.plain
 @pytest.fixture
 def few(monkeypatch):
     """Colours from one contact on."""
-    monkeypatch.setattr(records, "MANY", 1)
+    monkeypatch.setattr(records, "MIN_COLOURED", 1)
 
 
 @plain
 @pytest.mark.parametrize(("least", "hub"), [(1, 0), (300, 0), (1, 300), (10_000, 0)])
 def test_contacts_of_a_colour_share_no_body_that_moves(monkeypatch, least, hub):
     """600 contacts of 100 bodies and one that is held; some of one body more than colours."""
-    monkeypatch.setattr(records, "MANY", least)
+    monkeypatch.setattr(records, "MIN_COLOURED", least)
     n, m, rng = 100, 600, np.random.default_rng(2)
     partners, rows = room_for_partners(n + 1), room_for_rows(m)
     partners.inverse[:n, 0] = 1.0
@@ -83,7 +83,7 @@ def test_any_number_of_threads_has_the_same_bits(monkeypatch):
     heap = clump("c", count=1000, place=place, orientation="random", velocity=[0, 0, -4.0])
     scene, keys = (heap, MOVED), KEYS | {"t_end": 0.5, "every": 0.25}
     in_order = go(*scene, threads=1, **keys)
-    monkeypatch.setattr(records, "MANY", 500)
+    monkeypatch.setattr(records, "MIN_COLOURED", 500)
     one, *others = (go(*scene, threads=n, **keys) for n in (1, 2, 3, 4))
     for other in others:
         assert_alike(one, other)
@@ -95,7 +95,7 @@ def test_any_number_of_threads_has_the_same_bits(monkeypatch):
 @pytest.mark.compiled
 def test_threads_share_contacts_of_one_colour(monkeypatch):
     """Balls that slide until they roll, and do not touch each other."""
-    monkeypatch.setattr(records, "MANY", 500)
+    monkeypatch.setattr(records, "MIN_COLOURED", 500)
     place = {"type": "grid", "spacing": 3 * R, "n": [30, 20, 1], "origin": [0, 0, R]}
     balls = sphere("b", count=600, place=place, velocity={"random": 1.0})
     scene = balls, MOVED | {"position": [99, 0, 0.6]}
@@ -137,7 +137,7 @@ def test_sweeps_by_colours_come_as_near_as_by_the_order_of_the_list(monkeypatch)
         return t.observable("impulse_residual")[-1]
 
     in_order = left(20), left(60)
-    monkeypatch.setattr(records, "MANY", 1)
+    monkeypatch.setattr(records, "MIN_COLOURED", 1)
     by_colours = left(20), left(60)
     assert by_colours[0] < 1.5 * in_order[0]
     assert by_colours[1] < 1.5 * in_order[1] < 0.1 * in_order[0]

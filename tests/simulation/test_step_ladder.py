@@ -147,7 +147,7 @@ def test_the_first_run_is_not_coarser_than_the_times_that_are_looked_at(monkeypa
     monkeypatch.setitem(ladder.FIRST_TURNS, "second", (6.0, 6.0))
     pilot = FakePilot(1e-3, {"second": law(1e-3, 2)})
     choice(pilot, "second")
-    assert pilot.steps[0].dt == T_END / ladder.TIMES
+    assert pilot.steps[0].dt == T_END / ladder.N_TIMES
 
 
 def test_a_long_run_of_few_bodies_is_not_made_again_and_again(monkeypatch):

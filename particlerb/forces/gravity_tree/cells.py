@@ -1,7 +1,7 @@
 """Cells of a tree: how they are grown around bodies, and what their particles amount to.
 
 Cells are split along the longest side of the box round the centres of their bodies, into halves by
-number, down to buckets of at most LANES particles or of one body; a body of more particles has a
+number, down to buckets of at most BUCKET particles or of one body; a body of more particles has a
 tree of its own, grown once in its rotor frame, which is grafted on there.
 """
 
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.forces.gravity_tree.lanes import LANES, at
+from particlerb.forces.gravity_tree.lanes import BUCKET, at
 from particlerb.forces.gravity_tree.multipole import (
     MASS,
     PLACE,
@@ -134,7 +134,7 @@ def _longest_side(place: Floats, lo: int, hi: int) -> int:
 @inline
 def _middle_of(lo: int, hi: int, points: int) -> int:
     """Where to split: nearly in halves, so that buckets become full if bodies are alike."""
-    full = max(1, LANES * (hi - lo) // points)
+    full = max(1, BUCKET * (hi - lo) // points)
     buckets = -(-(hi - lo) // full)
     return lo + full * ((buckets + 1) // 2)
 
@@ -162,7 +162,7 @@ def grow(
     items : tuple of ndarrays
         Places, (3, n) [m], numbers and weights, (n,); all are brought into the order of the tree.
     kinds, node_offset : Nodes, ndarray
-        Trees of the items of more than LANES particles, that of item b from node_offset[b] on.
+        Trees of the items of more than BUCKET particles, that of item b from node_offset[b] on.
     nodes : Nodes
         Room.
     stack : ndarray, shape (4, ...)
@@ -183,14 +183,14 @@ def grow(
         second[k], first[k], stop[k] = 0, placed, placed + points
         body[k] = order[lo] if hi - lo == 1 else -1
         count += 1
-        if points > LANES and hi - lo > 1:
+        if points > BUCKET and hi - lo > 1:
             middle = _middle_of(lo, hi, points)
             select(items, _longest_side(place, lo, hi), lo, hi, middle)
             stack[0, top], stack[1, top], stack[2, top] = middle, hi, k
             stack[0, top + 1], stack[1, top + 1], stack[2, top + 1] = lo, middle, -1
             top += 2
             continue
-        if points > LANES:
+        if points > BUCKET:
             b = order[lo]
             count = _graft(kinds, node_offset[b], node_offset[b + 1], b, k, placed, nodes)
         placed += points
@@ -275,7 +275,7 @@ def reach(X: Vec3, points: TreePoints, lo: int, hi: int) -> float:
 @inline
 def load_lanes(rows: Floats, points: TreePoints, X: Vec3, lo: int, hi: int) -> None:
     """Put particles into lanes, from X; the lanes without one have no mass and the first place."""
-    for i in range(LANES):
+    for i in range(BUCKET):
         j = lo + i if lo + i < hi else lo
         for k in range(3):
             rows[at(PLACE + k, i)] = points.place[k, j] - X[k]

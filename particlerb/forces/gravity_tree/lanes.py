@@ -1,6 +1,6 @@
 """Sums of products of rows of numbers in SIMD lanes, compiled without a loop over the products.
 
-A buffer is flat: row r has the numbers r LANES to (r + 1) LANES. What `multipole` sums has some
+A buffer is flat: row r has the numbers r BUCKET to (r + 1) BUCKET. What `multipole` sums has some
 seven hundred products, known while compiling; as a loop over a table each would be read, added to
 and written in turn, so `sums_of` writes the instructions one after another instead, which keeps
 sums in registers. Where the compiler is switched off the same list is gone through in Python.
@@ -18,7 +18,7 @@ from particlerb.compiled.jit import config, inline, unsigned
 from particlerb.compiled.lanes import in_all_lanes
 from particlerb.maths.vec3 import Floats
 
-LANES: Final = 16  # particles of a bucket, and cells that are summed over at a time
+BUCKET: Final = 16  # particles of a bucket, and cells that are summed over at a time
 _REGISTER: Final = 8  # numbers of a SIMD register; LLVM takes several where they are smaller
 _FMA: Final = ("contract",)  # a b + c in one rounding
 
@@ -39,20 +39,20 @@ class Product(NamedTuple):
 @inline
 def at(row: int, lane: int) -> int:
     """Place in the buffer: unsigned, so that Numba asks not whether it is negative."""
-    return unsigned(row * LANES + lane)
+    return unsigned(row * BUCKET + lane)
 
 
 @inline
 def clear(rows: Floats, first: int, end: int) -> None:
     """Write zeros into rows."""
-    for i in range(first * LANES, end * LANES):
+    for i in range(first * BUCKET, end * BUCKET):
         rows[unsigned(i)] = 0.0
 
 
 @inline
 def lane_sum(rows: Floats, row: int) -> float:
     """Sum of a row, which is overwritten."""
-    half = LANES // 2
+    half = BUCKET // 2
     while half > 0:
         for i in range(half):
             rows[at(row, i)] += rows[at(row, i + half)]
@@ -80,7 +80,7 @@ def sums_of(products: Sequence[Product], kept: range) -> _Summing:
                 context.make_array(kind)(context, builder, value).data
                 for kind, value in zip(signature.args, arguments, strict=True)
             ]
-            groups = ir.Constant(context.get_value_type(types.intp), LANES // _REGISTER)
+            groups = ir.Constant(context.get_value_type(types.intp), BUCKET // _REGISTER)
             with cgutils.for_range(builder, groups) as loop:
                 _Lanes(builder, arrays, loop.index).take(products, kept)
             return context.get_dummy_value()
@@ -123,7 +123,7 @@ class _Lanes:
     def address(self, row: int) -> Any:
         """Where the lanes of a row are."""
         place = self.builder.mul(self.group, self.group.type(_REGISTER))
-        place = self.builder.add(place, self.group.type(row * LANES))
+        place = self.builder.add(place, self.group.type(row * BUCKET))
         pointer = self.builder.gep(self.arrays[0], [place])
         return self.builder.bitcast(pointer, self.vector.as_pointer())
 
@@ -145,7 +145,7 @@ def _in_python(products: Sequence[Product]) -> _Summing:
     """The same, for plain Python."""
 
     def sums(rows: Floats, numbers: Floats) -> None:
-        row = rows.reshape(-1, LANES)
+        row = rows.reshape(-1, BUCKET)
         for out, b, a, number, factor, adds in products:
             value = factor * row[b]
             value = value * row[a] if a >= 0 else value

@@ -26,7 +26,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.attraction import inverse_root
-from particlerb.forces.gravity_tree.lanes import LANES, Product, at, lane_sum, sums_of
+from particlerb.forces.gravity_tree.lanes import BUCKET, Product, at, lane_sum, sums_of
 from particlerb.maths.vec3 import Floats, Vec3
 
 ORDER: Final = 5  # p: the fastest for errors of 1e-3 to 1e-4; 7 is, by a fifth, for 1e-5
@@ -202,7 +202,7 @@ def add_shifted_field(s: Vec3, field: Floats, powers: Floats, total: Floats) -> 
 @inline
 def _first_derivatives(rows: Floats, softening: float) -> None:
     """Write g_n(R)."""
-    for i in range(LANES):
+    for i in range(BUCKET):
         x, y, z = rows[at(PLACE, i)], rows[at(PLACE + 1, i)], rows[at(PLACE + 2, i)]
         inverse = inverse_root(x * x + (y * y + (z * z + softening)))
         square, g = inverse * inverse, inverse
@@ -213,11 +213,11 @@ def _first_derivatives(rows: Floats, softening: float) -> None:
 
 @inline
 def add_far(rows: Floats, scaled: Floats, softening: float) -> None:
-    """Add fields of LANES cells, whose R and (-1)^{|β|} m_β are in the buffer, to the rows of L.
+    """Add fields of BUCKET cells, whose R and (-1)^{|β|} m_β are in the buffer, to the rows of L.
 
     Parameters
     ----------
-    rows : ndarray, shape (ROWS * LANES,)
+    rows : ndarray, shape (ROWS * BUCKET,)
         Buffer.
     scaled : ndarray, shape (TERMS,) [m^|α|]
         Moments of the cell in which the field is, over its mass.
@@ -241,7 +241,7 @@ def add_far_to_point(rows: Floats, scaled: Floats, softening: float) -> None:
 @inline
 def _first_powers(rows: Floats) -> None:
     """Write a^0."""
-    for i in range(LANES):
+    for i in range(BUCKET):
         rows[at(MOMENT, i)] = 1.0
 
 

@@ -33,7 +33,7 @@ from particlerb.forces.gravity_tree.cells import (
     place_points,
     room_for_nodes,
 )
-from particlerb.forces.gravity_tree.lanes import LANES
+from particlerb.forces.gravity_tree.lanes import BUCKET
 from particlerb.forces.gravity_tree.multipole import MOMENT, ROWS, TERMS
 from particlerb.forces.gravity_tree.walk import RANGES, Scratch, walk
 from particlerb.maths.vec3 import Floats, Ints
@@ -46,12 +46,12 @@ BREAK_EVEN: Final = 8_000  # particles from which on it is faster than a direct 
 
 
 def _tree_of_each(arm: Floats, offset: Ints) -> tuple[Ints, list[Nodes]]:
-    """Order of the particles, and the trees of bodies of more than LANES of them."""
+    """Order of the particles, and the trees of bodies of more than BUCKET of them."""
     order, trees = np.arange(arm.shape[1]), []
     none, stack = room_for_nodes(0), np.zeros((5, 2 * DEEPEST), dtype=np.int64)
     for b in range(offset.size - 1):
         lo, hi = int(offset[b]), int(offset[b + 1])
-        if hi - lo <= LANES:
+        if hi - lo <= BUCKET:
             trees.append(none)
             continue
         local, ones = np.arange(hi - lo), np.ones(hi - lo, dtype=np.int64)
@@ -173,12 +173,12 @@ class Tree:
         most = int(self.weight.max())
         levels = self.order.size.bit_length() + most.bit_length() + 4
         return Scratch(
-            aligned_zeros(ROWS * LANES),
-            aligned_zeros(MOMENT * LANES),
+            aligned_zeros(ROWS * BUCKET),
+            aligned_zeros(MOMENT * BUCKET),
             np.zeros(TERMS),
             np.zeros(TERMS),
             np.zeros((DEEPEST + 2, TERMS)),
-            np.zeros(LANES, dtype=np.int64),
+            np.zeros(BUCKET, dtype=np.int64),
             np.zeros(2 * RANGES, dtype=np.int64),
             np.zeros((5, 4 * DEEPEST), dtype=np.int64),
             np.empty(levels * (self.points.mass.size + self.count), dtype=np.int64),

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, TypeAlias
 from particlerb.compiled.jit import inline, kernel
 from particlerb.forces.attraction import inverse_cube, squared
 from particlerb.forces.gravity_tree.cells import Cells, Nodes, TreePoints, load_lanes
-from particlerb.forces.gravity_tree.lanes import LANES, at, clear, lane_sum
+from particlerb.forces.gravity_tree.lanes import BUCKET, at, clear, lane_sum
 from particlerb.forces.gravity_tree.multipole import (
     FIELD,
     LOCAL,
@@ -42,12 +42,12 @@ _SPLIT_B: Final = 3
 class Scratch(NamedTuple):
     """Room of one thread."""
 
-    rows: Floats  # (ROWS * LANES,) buffer of multipole.py
-    near: Floats  # (MOMENT * LANES,) particles of a bucket, and what attracts them
+    rows: Floats  # (ROWS * BUCKET,) buffer of multipole.py
+    near: Floats  # (MOMENT * BUCKET,) particles of a bucket, and what attracts them
     powers: Floats  # (TERMS,)
     scaled: Floats  # (TERMS,) [m^|α|] moments over mass
     local: Floats  # (DEEPEST, TERMS) field in the cells on the way from the root
-    far: Ints  # (LANES,) cells to be met as a whole
+    far: Ints  # (BUCKET,) cells to be met as a whole
     ranges: Ints  # (2 * RANGES,) particles to be met one by one
     stack: Ints  # (5, 4 * DEEPEST)
     meets: Ints  # (levels * n,) cells that those of a level have to meet
@@ -83,7 +83,7 @@ def _ball_of(cells: Cells, A: int) -> _Ball:
 def _load_far(cells: Cells, X: Vec3, far: Ints, count: int, rows: Floats) -> None:
     """Put cells into lanes, seen from X; lanes without one have no mass."""
     ball, moment, _ = cells
-    for i in range(LANES):
+    for i in range(BUCKET):
         B = far[i if i < count else 0]
         for k in range(3):
             rows[at(PLACE + k, i)] = X[k] - ball[B, k]
@@ -138,7 +138,7 @@ def _pull_by(
 ) -> None:
     """Add the field of ranges of particles to that of a bucket, and their potential's depth.
 
-    A loop over LANES, which the compiler knows, would be written out before it could be put into
+    A loop over BUCKET, which the compiler knows, would be written out before it could be put into
     vectors: it asks the array.
     """
     for k in range(count):
@@ -154,7 +154,7 @@ def _pull_each_other(points: TreePoints, lo: int, hi: int, eps2: float, near: Fl
     for j in range(lo, hi):
         x = column3_at(points.place, j)
         owner, m = points.owner[j], points.mass[j]
-        for i in range(LANES):
+        for i in range(BUCKET):
             _pull(near, i, x, m, eps2, near[at(OWNER, i)] == owner)
 
 
@@ -212,7 +212,7 @@ def meet(
             if how == _TAKE_WHOLE:
                 far[n_far] = B
                 n_far += 1
-                if n_far == LANES:
+                if n_far == BUCKET:
                     _meet_far(cells, X, far, n_far, eps2, rows, scaled)
                     n_far = 0
             elif how == _TAKE_EACH:
@@ -277,7 +277,7 @@ def _meet_point(
             if how == _TAKE_WHOLE:
                 far[n_far] = B
                 n_far += 1
-                if n_far == LANES:
+                if n_far == BUCKET:
                     _meet_far_point(cells, X, far, n_far, eps2, rows, scaled)
                     n_far = 0
             elif how == _TAKE_EACH:
@@ -299,7 +299,7 @@ def _meet_point(
 def _load_bucket(points: TreePoints, lo: int, hi: int, near: Floats) -> None:
     """Put the particles of a bucket into lanes, without a field."""
     load_lanes(near, points, (0.0, 0.0, 0.0), lo, hi)
-    for i in range(LANES):
+    for i in range(BUCKET):
         near[at(OWNER, i)] = points.owner[lo + i] if lo + i < hi else points.owner[lo]
     clear(near, MASS, FIELD + 3)
 
