@@ -32,7 +32,7 @@ BUDGETS = {
     "one scene over ranks": 2784,
     "reports, pictures, the page": 2025,
     "scenes for other programs": 541,
-    "speed of compiling and of whole calls": 1541,
+    "speed of compiling and of whole calls": 1546,
     "watches": 258,
     "beside all these": 434,
 }
