@@ -144,6 +144,8 @@ def dataset_at(
         dataset = object_at(file, path)
         if not isinstance(dataset, h5py.Dataset):
             raise ValueError(f"{path} is not a dataset")
+        if dataset.is_virtual:
+            _require_sources(file, dataset)
         dtype, extent = dataset.dtype, dataset.shape
         is_short = dtype.kind == "f" and dtype.itemsize < 4
         if dtype.kind not in kinds or dtype.hasobject or is_short:
@@ -193,6 +195,15 @@ def require_own_storage(file: h5py.File, dataset: h5py.Dataset, path: str) -> No
     room = file.id.get_filesize() * (_MAX_DEFLATE_RATIO if filters else 1)
     if dataset.size * dataset.dtype.itemsize > room:
         raise ValueError(f"{path} is larger than the file")
+
+
+def _require_sources(file: h5py.File, dataset: h5py.Dataset) -> None:
+    """Raise ValueError unless parts have what a dataset shows of them: HDF5 crashes on groups."""
+    for path, source in zip(part_paths(file), dataset.virtual_sources(), strict=False):
+        if path.is_file():
+            with open_file(path) as part, trajectory_errors(part):
+                if not isinstance(object_at(part, source.dset_name), h5py.Dataset):
+                    raise ValueError(f"{source.dset_name} is not a dataset")
 
 
 def require_self_contained(file: h5py.File) -> None:

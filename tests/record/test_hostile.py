@@ -20,9 +20,11 @@ from hypothesis import strategies as st
 import particlerb
 from particlerb.case.output import FIELDS_OF_CONTACT
 from particlerb.cli import main
+from particlerb.model.superblocks import Range
 from particlerb.record import checked_reading as checked
 from particlerb.record import provenance
 from particlerb.record.checksums import list_checksums
+from particlerb.record.parts import Parts, note_master
 from particlerb.record.schema import FIELDS, PARAMETERS
 from particlerb.record.trajectory import TrajectoryError
 from particlerb.record.verify import verify
@@ -606,3 +608,25 @@ def test_a_reader_of_a_growing_file_reads_no_wrong_number(tmp_path):
             process.kill()
     assert opened > wanted // 200
     assert longest > 100
+
+
+@pytest.mark.parametrize("shown", ["group", "link", "nothing"])
+def test_a_view_of_what_is_no_dataset_is_refused(tmp_path, shown):
+    """HDF5 crashes where it looks for the extent of a group: number 312 299 of the fuzz."""
+    master, part = tmp_path / "a.h5", tmp_path / "a.parts" / "0000.h5"
+    part.parent.mkdir()
+    with h5py.File(part, "w") as file:
+        if shown == "link":
+            file["here/values"] = h5py.ExternalLink("0000.h5", "/elsewhere")
+        file.create_group("elsewhere" if shown == "link" else "here/values")
+        if shown == "nothing":
+            del file["here/values"]
+    unlimited = h5s.UNLIMITED
+    layout = h5py.VirtualLayout((1, 3), float, (None, 3))
+    source = h5py.VirtualSource("a.parts/0000.h5", "here/values", (1, 3), float, (None, 3))
+    layout[:unlimited, :] = source[:unlimited, :]
+    with h5py.File(master, "w") as file:
+        note_master(file, Parts("a.parts", (Range(0, 3),), ""))
+        file.create_virtual_dataset("values", layout)
+    with h5py.File(master) as file, pytest.raises(TrajectoryError, match=r"0000\.h5"):
+        checked.dataset_at(file, "values", "f", (None, 3))
