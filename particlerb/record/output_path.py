@@ -2,10 +2,13 @@
 
 import contextlib
 import errno
+import glob
 import hashlib
 import os
+import platform
 import stat
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -70,17 +73,19 @@ def appearing(*paths: Path, is_new: bool = False) -> Iterator[list[Path]]:
     """Give files to write, which become those at the paths when all are whole, on the disk.
 
     Until they are what was there stays. They lie beside it, behind links, and have the endings of
-    the paths; errors as of `output_path`, and FileExistsError where the first is there although it
-    `is_new`. Of several the first takes its name last, and what had it goes first: where it is, the
-    others are those that belong to it.
+    the paths; what a killed process had begun is taken away. Errors as of `output_path`, and
+    FileExistsError where the first is there although it `is_new`. Of several the first takes its
+    name last, and what had it goes first: where it is, the others are those that belong to it.
     """
     places = [output_path(path, overwrite=True) for path in paths]
-    pairs = list(zip(paths, places, strict=True))
-    unfinished = [place.with_name(f".{os.getpid()}.{short_name(path)}") for path, place in pairs]
+    names = [f".{_processes()}.{short_name(path)}" for path in paths]
+    folders = [place.parent for place in places]
+    unfinished = [at / f".{os.getpid()}{name}" for at, name in zip(folders, names, strict=True)]
     removed = list(unfinished)  # where something fails
     try:
-        for place in places:
-            place.parent.mkdir(parents=True, exist_ok=True)
+        for folder, name in zip(folders, names, strict=True):
+            folder.mkdir(parents=True, exist_ok=True)
+            _remove_left(folder, name)
         yield unfinished
         for new in unfinished:
             sync(new)
@@ -100,6 +105,26 @@ def appearing(*paths: Path, is_new: bool = False) -> Iterator[list[Path]]:
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
         raise
+
+
+@cache
+def _processes() -> str:
+    """Digest of the machine, and of the container: elsewhere the same number is another process."""
+    space = Path("/proc/self/ns/pid")
+    told = f"{platform.node()} {os.readlink(space) if space.is_symlink() else ''}"
+    return hashlib.sha256(told.encode()).hexdigest()[:4]
+
+
+def _remove_left(folder: Path, name: str) -> None:
+    """Take away what processes of here have begun under a name, and are no more."""
+    for left in folder.glob(f".*{glob.escape(name)}"):
+        number = left.name.removesuffix(name)[1:]
+        with contextlib.suppress(PermissionError, OverflowError):
+            try:
+                if os.name == "posix" and number.isdecimal():
+                    os.kill(int(number), 0)  # asks whether it is there
+            except ProcessLookupError:
+                left.unlink(missing_ok=True)
 
 
 def remove(path: Path) -> None:

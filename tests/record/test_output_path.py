@@ -3,8 +3,10 @@
 import errno
 import os
 import shutil
+import signal
 import socket
 import stat
+import subprocess
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -371,3 +373,25 @@ def test_a_name_that_is_no_text_is_as_any_other(place, capsys):
     with h5py.File("master.h5", "w") as file:
         note_master(file, parts)
         assert parts_in(file) == parts
+
+
+def test_what_a_killed_process_had_begun_is_taken_away(tmp_path):
+    """Not what one that lives writes, nor one of another machine, nor what begins a longer name."""
+    here = Path(tmp_path / "a.csv")
+    code = (
+        "import os, sys, pathlib; from particlerb.record.output_path import appearing\n"
+        "with appearing(pathlib.Path(sys.argv[1])) as (new,):\n"
+        "    new.write_text('half'); print(new.name, flush=True); os.kill(os.getpid(), 9)\n"
+    )
+    command = [sys.executable, "-c", code, str(here)]
+    killed = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    left = killed.stdout.strip()
+    _, number, machine, *_ = left.split(".")
+    others = [f".1.{machine}.a.csv", f".{number}.zz.a.csv", f".{number}.{machine}.ba.csv"]
+    for name in others:
+        (tmp_path / name).write_text("half")
+    assert sorted(os.listdir(tmp_path)) == sorted([left, *others])
+    with appearing(here) as (new,):
+        new.write_text("whole")
+    assert sorted(os.listdir(tmp_path)) == sorted([*others, "a.csv"])
