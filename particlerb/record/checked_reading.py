@@ -202,7 +202,7 @@ def _require_sources(file: h5py.File, dataset: h5py.Dataset) -> None:
     for path, source in zip(part_paths(file), dataset.virtual_sources(), strict=False):
         if path.is_file():
             with open_file(path) as part, trajectory_errors(part):
-                if not isinstance(object_at(part, source.dset_name), h5py.Dataset):
+                if not isinstance(object_at(part, source.dset_name.strip("/")), h5py.Dataset):
                     raise ValueError(f"{source.dset_name} is not a dataset")
 
 
