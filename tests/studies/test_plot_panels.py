@@ -399,6 +399,22 @@ def test_a_linkage_is_drawn_by_its_joints(make, monkeypatch, at):
     assert np.ptp(ends[:, 1], axis=0).max() > 0.1
 
 
+def test_a_solid_has_its_joints_but_no_bars_to_them(make, monkeypatch):
+    """A bar stood in the air where a block slides along a wedge."""
+    wedge = {"name": "wedge", "shape": BAR, "mass": 2.0}
+    block = {"name": "block", "shape": BAR, "mass": 1.0, "position": [0.0, 0.0, 1.0]}
+    slider = {"type": "slider", "axis": [1, 0, 0]}
+    joint = [slider | {"body": "wedge"}, slider | {"body": "block", "to": "wedge"}]
+    case = make.case(wedge, block, t_end=0.2, dt=0.05, joint=joint)
+    case["body"][1]["velocity"] = [1.0, 0.0, 0.0]
+    figure, trajectory = drawn(case, monkeypatch)
+    lines = [line.get_xydata() for line in figure.axes[0].lines]
+    places = [line for line in lines if 0 < len(line) < trajectory.n_frames]
+    assert all(np.ptp(line, axis=0).max() == 0.0 for line in places)
+    last = np.unique([line[0] for line in places[-4:]], axis=0)  # of both, at the last instant
+    assert np.allclose(last, trajectory.position[-1, :, ::2], rtol=0, atol=1e-12)
+
+
 def test_of_many_mechanisms_one_is_drawn(make, monkeypatch):
     """Of 20 rods in pairs the fastest one and what it hangs on, each on its joints."""
     rod = {"shape": {"type": "moments", "inertia": [1 / 12, 1 / 12, 1e-3]}, "mass": 1.0,

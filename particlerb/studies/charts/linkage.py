@@ -54,8 +54,9 @@ def draw_linkage(axes: Axes, trajectory: Trajectory, scene: Linkage, bodies: lis
     """Bodies at some instants, the last in colour, with their joints and the paths of centres.
 
     A body that is only its moments is drawn as lines from its centre to its joints, or as the ring
-    that its hinges make of it, any other as its solid, else as a box around its particles. What
-    keeps a distance all the time is a line between its ends.
+    that its hinges make of it, any other as its solid, else as a box around its particles, with
+    its joints; what slides along a solid is no point of it. What keeps a distance all the time is
+    a line between its ends.
     """
     x = trajectory.read("position")[:, bodies]
     frames = np.unique(np.linspace(0, trajectory.n_frames - 1, 4).astype(int)).tolist()
@@ -93,9 +94,10 @@ def draw_linkage(axes: Axes, trajectory: Trajectory, scene: Linkage, bodies: lis
         }
         for circle in circles[k]:
             axes.plot(*(circle @ view.T).T[:2], lw=2.2 if is_last else 0.8, **line)
-        for com, joints in zip(x[frames[k]] @ view.T, hinges[k], strict=True):
+        for com, joints, mesh in zip(x[frames[k]] @ view.T, hinges[k], shapes, strict=True):
             for end in joints @ view.T:
-                axes.plot(*zip(com[:2], end[:2], strict=True), lw=2.2 if is_last else 1.2, **line)
+                bar = np.array([end if len(mesh.faces) else com, end])[:, :2]
+                axes.plot(*bar.T, lw=2.2 if is_last else 1.2, **line)
                 axes.plot(*end[:2], "o", ms=4, mfc="white", **line)
         for ends in distances:
             places = [place if b == WORLD else hinges[k][b][n] for b, n, place in ends]
@@ -143,9 +145,10 @@ def _joint_points(
 ) -> tuple[list[Floats], list[list[_End]], list[list[Floats]]]:
     """Points of joints in each of some bodies, ends of distances, axes of hinges in each body.
 
-    In the frame of the body, from its centre of mass.
+    In the frame of the body, from its centre of mass; without those of what slides along solids.
     """
     system, setup = scene
+    is_bar = _without_shape(system)
     row = {b: k for k, b in enumerate(bodies)} | {WORLD: WORLD}
     points: dict[int, list[Floats]] = {b: [] for b in row}
     hinged: dict[int, list[Floats]] = {b: [] for b in row}
@@ -155,6 +158,8 @@ def _joint_points(
         if not row.keys() >= {*tied}:
             continue
         for k, b in enumerate(tied):
+            if joint.type == "slider" and b == tied[1] != WORLD and not is_bar[b]:
+                continue
             frame = np.eye(3) if b == WORLD else rotation_matrix(system.bodies.rotor_frame[:, b])
             place, axis = setup.places[j, [k, k + 2]] @ frame.T
             points[b].append(place)
