@@ -284,18 +284,21 @@ def _rises(trajectory: Trajectory) -> bool:
 
 
 def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
-    """Angle of the axis of the least moment of each body with the line to what attracts it."""
-    shown, centre = _shown(trajectory.n_bodies, bodies.KEYED, 0), _centre(trajectory, case)
+    """Angles of the axis of the least moment with the line to the centre, in the orbit and out."""
+    centre, names, angles = _centre(trajectory, case), [], []
     assert centre is not None
-    angles = []
-    for b in shown:
+    for b in _shown(trajectory.n_bodies, bodies.KEYED // 2, 0):
         least = _body_axis(trajectory, b, int(np.argmin(trajectory.bodies.inertia[:, b])))
-        axis, r = bodies.direction(trajectory, b, least), trajectory.read("position", bodies=b)
-        r = r.reshape(-1, 3) - centre
-        across = np.linalg.norm(np.cross(axis, r), axis=1)
-        angles.append(np.degrees(np.arctan2(across, np.abs((axis * r).sum(axis=1)))))
-    names = [trajectory.names[b] for b in shown]
-    bodies.draw_lines(axes, trajectory.time, np.array(angles).T, names)
+        r = trajectory.read("position", bodies=b) - centre
+        normal = np.cross(r, trajectory.read("linear_momentum", bodies=b))
+        frame = np.stack([r, np.cross(normal, r), normal])
+        with np.errstate(invalid="ignore"):  # no plane where a body falls towards the centre
+            frame /= np.linalg.norm(frame, axis=2)[:, :, None]
+        along = np.einsum("kti,ti->kt", frame, bodies.direction(trajectory, b, least))
+        along *= np.where(along[0] < 0.0, -1.0, 1.0)  # an axis has two ends
+        angles += [np.arctan2(along[1], along[0]), np.arcsin(np.clip(along[2], -1.0, 1.0))]
+        names += [f"{trajectory.names[b]}, in the orbit", "out of it"]
+    bodies.draw_lines(axes, trajectory.time, np.degrees(angles).T, names)
     finish_over_time(axes, "longest axis to the line to the centre", "angle [°]")
 
 
