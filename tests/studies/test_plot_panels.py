@@ -284,6 +284,27 @@ def test_a_side_view_has_the_floor_and_the_walls(make, monkeypatch):
     assert np.array_equal(below, [[-1, -1], [3, -1]])
 
 
+def test_a_plane_that_is_not_seen_edge_on_is_named(make, monkeypatch):
+    """A ball on it seemed to float."""
+    case = heap(make)
+    case["wall"].append({"name": "slope", "type": "plane", "normal": [0.0, 1.0, 1.0],
+                         "point": [0.0, -5.0, 0.0]})  # fmt: skip
+    figure, _ = drawn(case, monkeypatch)
+    assert figure.axes[0].get_title(loc="left").endswith("; not edge on: slope")
+
+
+def test_there_is_room_for_the_values_of_a_view(make, monkeypatch):
+    """An equal scale changed them after room was made for others: a label was cut."""
+    cube = {"type": "box", "size": [1.0, 1.0, 1.0], "arrangement": "exact"}
+    body = {"name": "cube", "shape": cube, "mass": 1.0}
+    figure, _ = drawn(make.case(body, t_end=1.0, every=0.25), monkeypatch)
+    places = []
+    for _ in range(2):
+        figure.draw_without_rendering()
+        places.append([axes.get_position().bounds for axes in figure.axes])
+    assert np.allclose(*places, rtol=0, atol=1e-3)
+
+
 def test_a_side_view_is_of_the_bodies_though_a_wall_is_far_larger(make, monkeypatch):
     """A hall around a heap would make it as small as a dot."""
     hall = {"name": "hall", "type": "box", "lower": [-30, -30, -1], "upper": [30, 30, 30]}
@@ -813,6 +834,8 @@ def test_values_of_short_axes_stand_beside_each_other(make, monkeypatch):
            for name, x in (("a", 0.0), ("b", 0.1))]  # fmt: skip
     figure, _ = drawn(make.case(*two, t_end=1.0), monkeypatch)
     figure.draw_without_rendering()
+    label = figure.axes[0].xaxis.label.get_window_extent()
+    assert label.y0 > figure.axes[2].title.get_window_extent().y1  # of the panel below
     for axis in (figure.axes[0].xaxis, figure.axes[0].yaxis):
         low, high = axis.get_view_interval()
         assert sum(low <= place <= high for place in axis.get_majorticklocs()) <= 2

@@ -106,7 +106,7 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     sizes = np.maximum(radii, 0.003 * reach)
     draw_particles(axes, centres[order][:, shown], sizes, tints[body][order])
     near = axes.dataLim.padded(_AROUND * max(axes.dataLim.width, axes.dataLim.height))
-    solids.draw_walls(axes, trajectory, frame, shown)
+    left_out = solids.draw_walls(axes, trajectory, frame, shown)
     if trajectory.n_bodies > FEW:
         axes.dataLim.set(Bbox.intersection(axes.dataLim, near) or near)
     are_few_boxes = 12 * trajectory.n_bodies <= solids.MAX_TRIANGLES
@@ -119,7 +119,7 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     rest = "at rest" if frame else "all begin at rest"
     words = rest if is_still else f"blue: up to {speed.max():.3g} m/s"
     has_paths = trajectory.n_bodies <= FEW and np.ptp(paths, axis=1).max() > _STILL_SHARE * reach
-    words += "; orange: paths" if has_paths else ""
+    words += ("; orange: paths" if has_paths else "") + left_out
     title = f"t = {trajectory.time[frame]:.4g} s; {words}"
     finish_view(axes, title, f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]")
 
@@ -271,8 +271,9 @@ def set_equal_scale(axes: Axes3D, points: Floats, unit: str = " [m]") -> None:
         axis.get_major_locator().set_params(nbins=max(1, round(4.0 * share)), min_n_ticks=1)
         axis.set_major_formatter(lambda value, _: f"{value:.6g}")
         axis.set_label_text(in_powers(axis, largest, f"{letter}{unit}"))
-        axis.labelpad = 6.0  # beside the values, not over them
-    axes.set_box_aspect(shares)
+        axis.labelpad = 6.0 + 6.0 * (letter == "z")  # beside the values, not over them
+    is_tall = shares[2] == 1.0 > shares[:2].max()
+    axes.set_box_aspect(shares, zoom=0.8 if is_tall else 1.0)  # labels stay above the next panel
 
 
 def direction(trajectory: Trajectory, body: int, axis: int) -> Floats:

@@ -176,14 +176,16 @@ def _sharp_edges(mesh: SurfaceMesh, normal: Floats, is_front: Bools) -> tuple[In
     return ends[shown], np.stack([face, np.where(same, partner, face)], axis=1)[shown]
 
 
-def draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int]) -> None:
+def draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int]) -> str:
     """Walls where they are in a frame: planes and boxes seen edge on, others by their outlines.
 
-    `shown` are the axes to the right and upwards. A wall that slides is left out where its place
-    was not recorded, and so are all where a simulation has changed walls: they may be others.
+    `shown` are the axes to the right and upwards. A plane at an angle is left out: the result says
+    so to the title. So is a wall that slides where its place was not recorded, and so are all
+    where a simulation has changed walls: they may be others.
     """
     if "wall" in changes_in(trajectory.file):
-        return
+        return ""
+    leaning: list[str] = []
     middle_of_scene = trajectory.read("position", frame).mean(axis=0)[shown]
     style: dict[str, Any] = {"color": INK, "lw": 1.2, "zorder": 0.4, "marker": "None"}
     for k, wall in enumerate(trajectory.case.wall):
@@ -200,6 +202,8 @@ def draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int])
             if n @ n > 1.0 - 1e-9:
                 foot = middle_of_scene + ((point - middle_of_scene) @ n) * n
                 axes.axline(foot, foot + 1e-3 * np.array([-n[1], n[0]]), **style)
+            elif n @ n > 1e-9:
+                leaning.append(wall.name)
         elif wall.type == "box" and np.allclose(turn, np.eye(3), atol=1e-9):
             ends = (np.array([wall.lower, wall.upper]) + shift)[:, shown]
             for across, side in product((0, 1), (0, 1)):
@@ -209,6 +213,7 @@ def draw_walls(axes: Axes, trajectory: Trajectory, frame: int, shown: list[int])
                     axes.plot(*line.T, **style)
         else:
             _draw_outline(axes, trajectory, wall, turn, shift, shown)
+    return f"; not edge on: {', '.join(leaning)}" if leaning else ""
 
 
 def _draw_outline(

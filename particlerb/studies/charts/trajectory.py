@@ -72,6 +72,7 @@ def plot(
     marker = "o" if trajectory.n_frames == 1 else "None"  # no line of one
     with rc_context({"lines.marker": marker}):
         _draw_panels(figure, trajectory, case, body)
+    figure.draw_without_rendering()  # the values of an equal scale ask for room
     if path is not None:
         figure.savefig(path_of(path, "the picture"), dpi=130)
     return figure
