@@ -1,7 +1,8 @@
 """Bodies as types: what they are made of, how many there are, where, and how they move at first."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from particlerb.case.contact import Prescribed
@@ -12,8 +13,11 @@ from particlerb.case.values import (
     Array4,
     Count,
     Counts,
+    EachPositive,
     Euler,
+    FloatArray,
     Forms,
+    IntArray,
     Name,
     NonNegative,
     OneOrientation,
@@ -86,6 +90,8 @@ AnyPlace = GridPlacement | RandomBox
 _Place = Annotated[AnyPlace, Field(discriminator="type")]
 
 
+_Matter = Annotated[Positive | EachPositive, Forms("number", "list")]
+
 _WITHOUT_BRACKETS = require(
     lambda name: name.isprintable() and not {"[", "]"} & set(name),
     "must be printable and without brackets",
@@ -116,10 +122,10 @@ class Body(Table):
     """Table with `type`; this or [[body.part]]. [-]"""
     part: tuple[ShapePart, ...] = ()
     """Parts of the body; these or shape. [-]"""
-    mass: Positive | None = None
-    """Mass of each body; this or density. [kg]"""
-    density: Positive | None = None
-    """Density; this or mass. [kg/m³]"""
+    mass: _Matter | None = None
+    """Mass of each body, or one per body; this or density. [kg]"""
+    density: _Matter | None = None
+    """Density, or one per body; this or mass. [kg/m³]"""
     count: Count = 1
     """Number of bodies. [-]"""
     place: _Place | None = None
@@ -152,3 +158,35 @@ class Body(Table):
         """Whether its particles are drawn at random: then they are like no others."""
         shapes = self.shape, *(part.shape for part in self.part)
         return any(isinstance(shape, Cloud) for shape in shapes)
+
+    @property
+    def matter(self) -> tuple[Any, Any]:
+        """Mass [kg] and density [kg/m³], one of them for all bodies, or for each."""
+        return self.mass, self.density
+
+    @property
+    def is_varied(self) -> bool:
+        """Whether its bodies are not copies of one."""
+        return self.is_drawn or self.weights is not None
+
+    @property
+    def weights(self) -> FloatArray | None:
+        """Mass [kg] or density [kg/m³] of each body, if they are given one by one."""
+        return next((value for value in self.matter if isinstance(value, np.ndarray)), None)
+
+    @property
+    def kinds(self) -> IntArray:
+        """Kind of each body, counted from the first of the record; others are copies of it."""
+        if self.is_drawn:
+            return np.arange(self.count)
+        if self.weights is None:
+            return np.zeros(self.count, dtype=np.int64)
+        return np.unique(self.weights, return_inverse=True)[1]
+
+    def of_kinds(self) -> "list[Body]":
+        """The record with the mass of each kind."""
+        n, key = int(self.kinds.max()) + 1, "density" if self.mass is None else "mass"
+        if self.weights is None:
+            return [self] * n
+        of_kind = self.weights if self.is_drawn else np.unique(self.weights)
+        return [self.model_copy(update={key: value}) for value in of_kind.tolist()]

@@ -13,16 +13,22 @@ from particlerb.case.values import (
     ORIGIN,
     Array3,
     ArrayPerBody,
+    EachNonNegative,
+    EachNumber,
+    FloatArray,
     Forms,
     Frame,
+    IntArray,
     Knots,
     Name,
     Names,
     NonNegative,
     Positive,
     Real,
+    RowPerBody,
     Table,
     Vector,
+    Vectors,
     broken,
     by_type,
     entries,
@@ -49,6 +55,15 @@ class ForceTable(Table):
     def timed(self) -> "TimedLoad | None":
         """The load, if it changes with time."""
         return None
+
+    @property
+    def entries(self) -> dict[str, FloatArray]:
+        """By their keys, values that have an entry for each body, in the order of `body`."""
+        return {key: value for key, value in self if isinstance(value, np.ndarray)}
+
+    def of_bodies(self, rows: IntArray) -> Self:
+        """The same force with these of the entries."""
+        return self.model_copy(update={key: value[rows] for key, value in self.entries.items()})
 
     @property
     def needs_particles(self) -> bool:
@@ -136,7 +151,7 @@ def read_load(file: File) -> TimedLoad:
     return TimedLoad(times=tuple(t), values=table.vectors)
 
 
-_Load = Annotated[Vector | TimedLoad, Forms("list", "table")]
+_Load = Annotated[Vector | TimedLoad | Array3, Forms("list", "table", "rows")]
 
 
 class LoadTable(LastingForceTable):
@@ -158,10 +173,10 @@ class PushTable(LoadTable):
     """A force at a point of the body that stays on that point while the body turns."""
 
     type: Literal["push"] = Field(init=False)
-    at: Vector = ORIGIN
-    """Point, body frame, from the centre of mass. [m]"""
+    at: Vectors = ORIGIN
+    """Point, body frame, from the centre of mass; or a row per body. [m]"""
     force: _Load
-    """Force, constant or by knots. [N]"""
+    """Force, constant or by knots; or a row per body. [N]"""
     frame: Frame = "world"
     """Axes of the vector: world or body. [-]"""
 
@@ -173,7 +188,7 @@ class TorqueTable(LoadTable):
 
     type: Literal["torque"] = Field(init=False)
     torque: _Load
-    """Torque, constant or by knots. [N m]"""
+    """Torque, constant or by knots; or a row per body. [N m]"""
     frame: Frame = "world"
     """Axes of the vector: world or body. [-]"""
 
@@ -184,10 +199,10 @@ class ImpulseTable(ForceTable):
     """A jump of the momenta at one instant: P += J, L += r × J."""
 
     type: Literal["impulse"] = Field(init=False)
-    at: Vector = ORIGIN
-    """Point, body frame, from the centre of mass. [m]"""
-    impulse: Vector
-    """Impulse. [N s]"""
+    at: Vectors = ORIGIN
+    """Point, body frame, from the centre of mass; or a row per body. [m]"""
+    impulse: Vectors
+    """Impulse; or a row per body. [N s]"""
     frame: Frame = "world"
     """Axes of the vector: world or body. [-]"""
     time: NonNegative
@@ -199,14 +214,17 @@ class ImpulseTable(ForceTable):
         return (self.time,)
 
 
+_Coefficient = Annotated[NonNegative | EachNonNegative, Forms("number", "list")]
+
+
 class DragTable(LastingForceTable):
     """Linear drag: F = -c v and τ = -c_r ω."""
 
     type: Literal["drag"] = Field(init=False)
-    translation: NonNegative = 0.0
-    """Coefficient c. [N s/m]"""
-    rotation: NonNegative = 0.0
-    """Coefficient c_r. [N m s/rad]"""
+    translation: _Coefficient = 0.0
+    """Coefficient c; or one per body. [N s/m]"""
+    rotation: _Coefficient = 0.0
+    """Coefficient c_r; or one per body. [N m s/rad]"""
 
 
 _RestLength = Annotated[NonNegative | Literal["initial"], Forms("number", "word")]
@@ -238,25 +256,28 @@ class SpringTable(LastingForceTable):
     names_bodies: ClassVar[tuple[str, ...]] = ("body", "to")
 
 
+_Charge = Annotated[Real | _List | RowPerBody, Forms("number", "list", "rows")]
+
+
 class UniformField(LastingForceTable):
     """A uniform field that acts on charges and on a dipole of the body: Σ q E and d × E."""
 
     type: Literal["field"] = Field(init=False)
     field: Vector
     """Field E, world frame. [V/m; T for a magnetic dipole]"""
-    charge: _NumberOrList = 0.0
-    """Charge q of the body, or a list with one per particle. [C]"""
-    at: Vector = ORIGIN
-    """Where a single charge sits, body frame. [m]"""
-    dipole: Vector = ORIGIN
-    """Dipole d, body frame. [C m; A m²]"""
+    charge: _Charge = 0.0
+    """Charge q of the body, or a list with one per particle; or a row of these per body. [C]"""
+    at: Vectors = ORIGIN
+    """Where a single charge sits, body frame; or a row per body. [m]"""
+    dipole: Vectors = ORIGIN
+    """Dipole d, body frame; or a row per body. [C m; A m²]"""
     angular_velocity: Vector = ORIGIN
     """Rate at which E turns from t = 0 on, world frame. [rad/s]"""
 
     @property
     def needs_particles(self) -> bool:
         """Whether each particle has a charge of its own."""
-        return isinstance(self.charge, tuple)
+        return len(np.atleast_1d(self.charge).T) > 1 or isinstance(self.charge, tuple)
 
 
 class CentralTable(LastingForceTable):
@@ -273,8 +294,8 @@ class MagnusTable(LastingForceTable):
     """Magnus lift of a spinning body: F = c ω × v."""
 
     type: Literal["magnus"] = Field(init=False)
-    coefficient: Real
-    """Coefficient c. [kg/rad]"""
+    coefficient: Annotated[Real | EachNumber, Forms("number", "list")]
+    """Coefficient c; or one per body. [kg/rad]"""
 
 
 def _is_function(value: Any) -> "str | UserForce":
@@ -319,6 +340,17 @@ class PythonTable(LastingForceTable):
     def is_pairwise(self) -> bool:
         """Whether it acts between two bodies."""
         return self.to is not None or self.reach is not None
+
+    @property
+    def entries(self) -> dict[str, FloatArray]:
+        """Parameters that have an entry for each body; of pairs both ends have some."""
+        each = {} if self.is_pairwise else self.per_body
+        return {f"per_body.{name}": value for name, value in each.items()}
+
+    def of_bodies(self, rows: IntArray) -> Self:
+        """The same force with these of the entries."""
+        each = {name: value[rows] for name, value in self.per_body.items()}
+        return self.model_copy(update={"per_body": each})
 
     @property
     def likeness(self) -> tuple[object, ...]:

@@ -95,10 +95,11 @@ def _kinds(case: Case, changes: _Changes, first: System, n_worlds: int) -> dict[
         return {"kind": kind.ravel(), "properties": first.properties}
     all_records = case.model_copy(update={"body": tuple(records)})
     particles, properties, of_record = kinds(all_records, [])
-    for i, kinds_of_record in zip(owners, of_record[n:].reshape(-1, n_worlds), strict=True):
-        kind[:, first.block == i] = kinds_of_record[:, None]
-    for i in set(range(n)) - set(owners):
-        kind[:, first.block == i] = of_record[i]
+    for i in range(n):
+        own = range(i, i + 1)
+        if i in owners:
+            own = range(n + n_worlds * owners.index(i), n + n_worlds * (owners.index(i) + 1))
+        kind[:, first.block == i] = [of_record[k] + records[k].kinds for k in own]
     centred = centred_at_com(particles, properties)
     return {
         "kind": kind.ravel(),

@@ -165,7 +165,8 @@ def kinds(case: Case, notes: list[tuple[str, str]]) -> tuple[Particles, MassProp
         problems.append(problem_at(case, key, f"{case.body[i].name}: {why}"))
 
     for i, body in enumerate(case.body):
-        matter = (i if body.is_drawn else -1, body.shape, body.part, body.mass, body.density)
+        weights = (None if one is None else np.array(one).tobytes() for one in body.matter)
+        matter = (i if body.is_drawn else -1, body.shape, body.part, *weights)
         if matter not in kinds_of_matter:
             try:
                 particles, lines = _particle_sets(case, i, body)
@@ -205,18 +206,18 @@ def _refuse_underflow(properties: MassProperties) -> None:
 
 
 def _particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tuple[str, str]]]:
-    """Particles of a block: one set, or one for each body where they have random clouds.
+    """Particles of a block: one set, or one for each mass, or body where they are random clouds.
 
     Also what is to be said of them: which part of the body, empty for the whole, and a line.
     """
     files, stream = case.source.files, random_stream(case.run.seed, i, "shape")
 
-    def drawn() -> list[FilledShape]:
-        if body.shape is not None:
-            return [_shape_particles(files, body.shape, body.mass, body.density, stream)]
-        return [part_particles(files, part, stream) for part in body.part]
+    def drawn(one: Body) -> list[FilledShape]:
+        if one.shape is not None:
+            return [_shape_particles(files, one.shape, *one.matter, stream)]
+        return [part_particles(files, part, stream) for part in one.part]
 
-    each = [drawn() for _ in range(body.count if body.is_drawn else 1)]
+    each = [drawn(one) for one in body.of_kinds()]
     sets = [united(concatenate([part.particles for part in parts])) for parts in each]
     names = [f", part {j}" for j in range(len(body.part))] or [""]
     named = zip(names, each[0], strict=True)
@@ -271,8 +272,8 @@ def _kinds_of_bodies(case: Case, placement: Placement, first_kind: Ints) -> Ints
     """Kind of each body."""
     kind = first_kind[placement.block]
     for i, body in enumerate(case.body):
-        if body.is_drawn:
-            kind[placement.block == i] += np.arange(body.count)
+        if body.is_varied:
+            kind[placement.block == i] += body.kinds
     return np.asarray(kind, dtype=np.int64)
 
 

@@ -178,14 +178,13 @@ def rows(width: int) -> PlainValidator:
             raise broken(f"must be rows of {width} numbers each")
         if isinstance(value, list) and bool in map(type, chain.from_iterable(value)):
             raise broken("must be numbers, true and false are none")
-        array = np.array(array, dtype=np.float64, order="C")
+        array = _read_only(array)
         if not np.isfinite(array).all():
             row = int(np.argmin(np.isfinite(array).all(axis=1)))
             raise broken(f"must be finite, row {row} is not")
         if width == 4 and not array.any(axis=1).all():
             row = int(np.argmin(array.any(axis=1)))
             raise broken(f"must not be zero: row {row} is not an orientation")
-        array.setflags(write=False)
         return array
 
     return PlainValidator(check, json_schema_input_type=list[list[float]])
@@ -194,11 +193,17 @@ def rows(width: int) -> PlainValidator:
 def _entry_per_body(value: Any) -> FloatArray:
     """Read-only array with an entry per body, each a number or a list of the same length."""
     try:
-        array = np.asarray(_nested_numbers(value), dtype=np.float64)
+        array = _read_only(_nested_numbers(value))
     except ValueError:
         array = np.zeros(())
     if array.ndim not in (1, 2) or not array.size:
         raise broken("must be a list with an entry per body: numbers, or lists of one length")
+    return array
+
+
+def _read_only(values: Any) -> FloatArray:
+    """Numbers in an array of their own."""
+    array = np.array(values, dtype=np.float64, order="C")
     array.setflags(write=False)
     return array
 
@@ -264,6 +269,53 @@ def plain(value: Any, keeps_rows: bool = False, keeps_tables: bool = False) -> A
     return value
 
 
+class Forms:
+    """Tells the types of a union apart by the form of a value, which is named for each of them.
+
+    Forms are `table`, `random` (a table with such a key), `word`, `rows`, `list` and `number`;
+    a value of another form is judged as the first.
+    """
+
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+    def __get_pydantic_core_schema__(self, union: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Union of which pydantic tries the one type that a value has the form of."""
+        named = zip(self.names, get_args(union), strict=True)
+        choices = {name: handler.generate_schema(one) for name, one in named}
+        return core_schema.tagged_union_schema(choices, self.form)
+
+    def form(self, value: Any) -> str:
+        """Form of a value among those that there are."""
+        if not isinstance(value, (list, tuple)) and isinstance(value, (dict, Mapping, BaseModel)):
+            keys = type(value).model_fields if isinstance(value, BaseModel) else value
+            form = "random" if "random" in keys and "random" in self.names else "table"
+        elif isinstance(value, str):
+            form = "word"
+        elif "rows" in self.names and is_rows(value):
+            form = "rows"
+        else:
+            form = "list" if isinstance(value, (list, tuple, np.ndarray)) else "number"
+        return form if form in self.names else self.names[0]
+
+
+class _Each:
+    """A list of numbers of a kind, one per body, as a read-only array."""
+
+    def __init__(self, number: Any) -> None:
+        self.number = number
+
+    def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Tuple of such numbers, of which an array is made."""
+        numbers = handler.generate_schema(
+            Annotated[tuple[self.number, ...], Field(min_length=1)]  # type: ignore[name-defined]
+        )
+        as_list = core_schema.plain_serializer_function_ser_schema(np.ndarray.tolist)
+        return core_schema.no_info_after_validator_function(
+            _read_only, numbers, serialization=as_list
+        )
+
+
 Real = Annotated[float, Strict()]
 Positive = Annotated[float, Strict(), Field(gt=0)]
 NonNegative = Annotated[float, Strict(), Field(ge=0)]
@@ -299,6 +351,15 @@ ArrayPerBody = Annotated[
     PlainValidator(_entry_per_body, json_schema_input_type=list[float] | list[list[float]]),
     _AS_LISTS,
 ]
+RowPerBody = Annotated[
+    FloatArray,
+    PlainValidator(_entry_per_body, json_schema_input_type=list[list[float]]),
+    _AS_LISTS,
+]
+EachNumber = Annotated[FloatArray, _Each(Real)]
+EachNonNegative = Annotated[FloatArray, _Each(NonNegative)]
+EachPositive = Annotated[FloatArray, _Each(Positive)]
+Vectors = Annotated[Vector | Array3, Forms("list", "rows")]
 Frame = Literal["world", "body"]
 
 
@@ -307,36 +368,6 @@ class Euler(Table):
 
     euler_deg: Vector
     """Roll, pitch, yaw; intrinsic z-y-x. [°]"""
-
-
-class Forms:
-    """Tells the types of a union apart by the form of a value, which is named for each of them.
-
-    Forms are `table`, `random` (a table with such a key), `word`, `rows`, `list` and `number`;
-    a value of another form is judged as the first.
-    """
-
-    def __init__(self, *names: str) -> None:
-        self.names = names
-
-    def __get_pydantic_core_schema__(self, union: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Union of which pydantic tries the one type that a value has the form of."""
-        named = zip(self.names, get_args(union), strict=True)
-        choices = {name: handler.generate_schema(one) for name, one in named}
-        return core_schema.tagged_union_schema(choices, self.form)
-
-    def form(self, value: Any) -> str:
-        """Form of a value among those that there are."""
-        if not isinstance(value, (list, tuple)) and isinstance(value, (dict, Mapping, BaseModel)):
-            keys = type(value).model_fields if isinstance(value, BaseModel) else value
-            form = "random" if "random" in keys and "random" in self.names else "table"
-        elif isinstance(value, str):
-            form = "word"
-        elif "rows" in self.names and is_rows(value):
-            form = "rows"
-        else:
-            form = "list" if isinstance(value, (list, tuple)) else "number"
-        return form if form in self.names else self.names[0]
 
 
 OneOrientation = Annotated[Quaternion | Euler, Forms("list", "table")]

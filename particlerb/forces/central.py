@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.forces.kinds import Force, ForceError, Kick, Momenta, Rates, Term, same_for_all
+from particlerb.forces.kinds import Force, ForceError, Kick, Momenta, Rates, Term, numbers_of
 from particlerb.maths.quaternion import Matrix, turn, turn_back
 from particlerb.maths.vec3 import (
     Floats,
@@ -122,7 +122,7 @@ def _refuse_centre(table: "CentralTable", numbers: Floats, com: Floats) -> None:
 
 
 FORCE: Final = Force(
-    same_for_all(lambda table: (*table.centre, table.mu)),
+    numbers_of(lambda table: (table.centre, table.mu)),
     lambda _, numbers, bodies, start: Central(numbers[:3], numbers[3], bodies.mass, bodies.inertia),
     nowhere=_CENTRE_FAR_AWAY, check=_refuse_centre,
 )  # fmt: skip

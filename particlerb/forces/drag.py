@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, same_for_all
+from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, numbers_of
 from particlerb.maths.quaternion import Matrix, turn, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, subtract
 from particlerb.model.block import INV_INERTIA, get, get3, put
@@ -85,7 +85,7 @@ def _drag_rates(drag: Drag, bodies: Bodies, state: State) -> Rates:
 
 
 FORCE: Final = Force(
-    same_for_all(lambda table: (table.translation, table.rotation)),
+    numbers_of(lambda table: (table.translation, table.rotation)),
     lambda _, numbers, bodies, start: Drag(numbers[0] * bodies.inv_mass, numbers[1]),
 )
 TERMS: Final = (Term(Drag, "drag", KICK, _drag_rates),)

@@ -16,8 +16,10 @@ from particlerb.forces.kinds import (
     Kick,
     Momenta,
     Rates,
+    Resolved,
     Term,
     by_its_arm,
+    in_columns,
     refuse_overflow,
 )
 from particlerb.forces.push import Push
@@ -97,41 +99,40 @@ def _field_rates(field: RotatingField, bodies: Bodies, state: State) -> Rates:
 
 
 @np.errstate(over="ignore")  # `_refuse_large` finds what is
-def resolve(
-    table: "UniformField", members: Ints, system: "System"
-) -> list[tuple[Ints, tuple[float, ...]]]:
+def resolve(table: "UniformField", members: Ints, system: "System") -> Resolved:
     """Moment of charges, field and total charge; for each kind where particles have charges.
 
     The charges q_i at r_i and a dipole d turn the body like Σ q_i r_i + d, by whatever it is more
     than the rounding of this sum: charges in proportion to the masses have none.
     """
-    if not isinstance(table.charge, tuple):
-        moment = table.charge * np.array(table.at) + table.dipole
-        return [(members, (*moment.tolist(), *table.field, table.charge, *table.angular_velocity))]
-    _refuse_count(table.charge, members, system)
-    resolved: list[tuple[Ints, tuple[float, ...]]] = []
-    kinds = system.kind[members]
-    q = np.array(table.charge)
+    if not table.needs_particles:
+        q = in_columns(table.charge)
+        moment = q * in_columns(table.at) + in_columns(table.dipole)
+        return [(members, in_columns(moment.T, table.field, q[0], table.angular_velocity))]
+    charges, kinds = np.atleast_2d(table.charge), system.kind[members]
+    _refuse_count(charges.shape[1], members, system)
+    resolved: Resolved = []
     for kind in np.unique(kinds).tolist():
         rows = slice(system.particles.offset[kind], system.particles.offset[kind + 1])
         r = system.particles.position[rows]  # with the rounding of places in the axes of the shape
-        size = np.abs(q) @ (lengths(r.T) + lengths(system.properties.com[kind]))
-        moment = q @ r
-        if lengths(moment) <= _MOMENT_ROUNDING * size:
-            moment = np.zeros(3)
-        moment = moment + table.dipole
-        numbers = (*moment.tolist(), *table.field, float(q.sum()), *table.angular_velocity)
+        size = lengths(r.T) + lengths(system.properties.com[kind])
+        of_kind = table.of_bodies(kinds == kind)
+        own = charges if isinstance(table.charge, tuple) else charges[kinds == kind]
+        moment = np.array([q @ r for q in own])
+        moment[lengths(moment.T) <= _MOMENT_ROUNDING * (np.abs(own) @ size)] = 0.0
+        moment = (moment.T + in_columns(of_kind.dipole)).T
+        numbers = in_columns(moment, table.field, own.sum(axis=1), table.angular_velocity)
         resolved.append((members[kinds == kind], numbers))
     return resolved
 
 
-def _refuse_count(charges: tuple[float, ...], members: Ints, system: "System") -> None:
-    """Raise ForceError where a list of charges does not have one for each particle."""
+def _refuse_count(charges: int, members: Ints, system: "System") -> None:
+    """Raise ForceError where there is not a charge for each particle."""
     count = np.diff(system.particles.offset)[system.kind[members]]
-    if (count == len(charges)).all():
+    if (count == charges).all():
         return
-    b = int(np.argmax(count != len(charges)))
-    reason = f"{{name}} has {count[b]} particles, the list {len(charges)} charges"
+    b = int(np.argmax(count != charges))
+    reason = f"{{name}} has {count[b]} particles, the list {charges} charges"
     hint = "give one for each in its order (`particlerb mass` counts them), or one number"
     raise ForceError("charge", reason, hint, b)
 
@@ -164,9 +165,9 @@ def _refuse_large(table: "UniformField", numbers: Floats, com: Floats) -> None:
 
 def turning(table: "UniformField", is_point: bool) -> tuple[str, str]:
     """Key and hint where it turns a point, or a rod about its axis."""
-    if any(table.dipole):
+    if np.any(table.dipole):
         return "dipole", "leave it out" if is_point else "give a dipole along the rod's axis"
-    if isinstance(table.charge, tuple):
+    if table.needs_particles:
         return "charge", "give one number, the charge of the body"
     return by_its_arm(table, is_point)
 

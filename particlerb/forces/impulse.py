@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.forces.kinds import Force, same_for_all
+from particlerb.forces.kinds import Force, numbers_of
 from particlerb.forces.push import refuse_large
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import Bodies
@@ -49,6 +49,6 @@ def _impulse_of(table: "ImpulseTable", numbers: Floats, bodies: Bodies) -> Impul
 
 
 FORCE: Final = Force(
-    same_for_all(lambda table: (*table.at, *table.impulse)), jump=_impulse_of, has_arm=True,
+    numbers_of(lambda table: (table.at, table.impulse)), jump=_impulse_of, has_arm=True,
     check=refuse_large,
 )  # fmt: skip

@@ -31,6 +31,7 @@ FLOWS: Final = "flows among joints"  # and slows, or turns, what they hold
 _MAX_FLOAT: Final = float(np.finfo(np.float64).max)
 _NO_TORQUE: Final = np.zeros(())
 Momenta: TypeAlias = tuple[Vec3, Vec3]
+Resolved: TypeAlias = list[tuple[Ints, Floats]]
 
 
 class ForceError(ValueError):
@@ -137,11 +138,12 @@ def by_its_arm(table: Any, is_point: bool) -> tuple[str, str]:
 class Force(NamedTuple):
     """How a type of [[force]], given by its table of the case, acts on bodies.
 
-    The numbers of one body, N_NUMBERS at most, stand in a column: those that `resolve` returns.
+    Its numbers, as `resolve` returns them, stand in a column for all bodies, or in one for each.
     """
 
-    resolve: Callable[[Any, Ints, "System"], list[tuple[Ints, tuple[float, ...]]]]
-    """(table, members, system): which of these bodies have which numbers.
+    resolve: Callable[[Any, Ints, "System"], Resolved]
+    """(table, members, system): which of these bodies have which numbers; of what the table has for
+    each body there is one for each of the members.
 
     Raises ForceError."""
     term: Callable[[Any, Floats, Bodies, float], Any] | None = None
@@ -157,13 +159,34 @@ class Force(NamedTuple):
     """(table, is_point): key and hint where it turns a point, or a rod about its axis."""
 
 
-def same_for_all(numbers: Callable[[Any], tuple[float, ...]]) -> Callable[..., Any]:
-    """`resolve` of a force whose numbers are those of its table."""
+def numbers_of(values: Callable[[Any], tuple[Any, ...]]) -> Callable[..., Resolved]:
+    """`resolve` of a force whose numbers are values of its table."""
 
-    def resolve(table: Any, members: Ints, system: "System") -> list[tuple[Ints, Any]]:
-        return [(members, numbers(table))]
+    def resolve(table: Any, members: Ints, system: "System") -> Resolved:
+        return [(members, in_columns(*values(table)))]
 
     return resolve
+
+
+def in_columns(*values: Any) -> Floats:
+    """Numbers and vectors one below the other, (k, 1); with an entry for each of n bodies, (k, n).
+
+    What has an entry for each body is an array, of numbers (n,) or of rows (n, width).
+    """
+    columns = [
+        np.atleast_2d(value.T) if isinstance(value, np.ndarray) else np.reshape(value, (-1, 1))
+        for value in values
+    ]
+    n = max(column.shape[1] for column in columns)
+    wide = [np.broadcast_to(column, (len(column), n)) for column in columns]
+    return np.concatenate(wide, dtype=np.float64)
+
+
+def refuse_length(key: str, values: Floats, n: int) -> None:
+    """Raise ForceError where there is not an entry for each body."""
+    if len(values) != n:
+        reason = f"has {len(values)} entries, and acts on {n} bodies"
+        raise ForceError(key, reason, "give an entry for each")
 
 
 def refuse_overflow(what: str, key: str, arm: float, size: float, load: str = "torque") -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline
 from particlerb.forces.drag import angular_velocity
-from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, same_for_all
+from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, numbers_of
 from particlerb.maths.quaternion import Matrix, to_world
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, scale
 from particlerb.model.block import get
@@ -51,7 +51,7 @@ def _magnus_rates(magnus: Magnus, bodies: Bodies, state: State) -> Rates:
 
 
 FORCE: Final = Force(
-    same_for_all(lambda table: (table.coefficient,)),
+    numbers_of(lambda table: (table.coefficient,)),
     lambda _, numbers, bodies, start: Magnus(numbers[0] * bodies.inv_mass),
 )
 TERMS: Final = (Term(Magnus, "Magnus lift", KICK, _magnus_rates),)

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, refuse_overflow, same_for_all
+from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, numbers_of, refuse_overflow
 from particlerb.forces.ramp import (
     RAMP_TERMS,
     FollowerRamp,
     Ramp,
     add_turning,
     course_of,
-    load_numbers,
+    load_values,
     vectors_of,
 )
 from particlerb.maths.quaternion import Matrix, turn
@@ -180,7 +180,7 @@ def refuse_large(table: "PushTable | ImpulseTable", numbers: Floats, com: Floats
 
 
 FORCE: Final = Force(
-    same_for_all(lambda table: load_numbers(table, table.at)), _term_of, has_arm=True,
+    numbers_of(lambda table: load_values(table, table.at)), _term_of, has_arm=True,
     check=refuse_large,
 )  # fmt: skip
 TERMS: Final = (

@@ -14,7 +14,7 @@ import numpy as np
 from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
 from particlerb.forces import user_kicks
-from particlerb.forces.kinds import Force, ForceError
+from particlerb.forces.kinds import Force, ForceError, Resolved
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import State, lengths, omega_world, quaternion_product, rotation_matrix
@@ -102,13 +102,6 @@ def parameters_of(
     return numbers
 
 
-def refuse_length(name: str, values: Floats, n: int) -> None:
-    """Raise ForceError where there is not an entry for each body."""
-    if len(values) != n:
-        reason = f"has {len(values)} entries, and acts on {n} bodies"
-        raise ForceError(f"per_body.{name}", reason, "give an entry for each")
-
-
 def lengths_of(table: "PythonTable") -> user_kicks.Lengths:
     """Lengths of the parameters, 0 for numbers."""
     values = parameters_of(table).items()
@@ -122,26 +115,16 @@ def in_rows(values: dict[str, Floats], n: int) -> Floats:
     return np.concatenate([np.zeros((n, 0)), *wide], axis=1)
 
 
-def resolve(
-    table: "PythonTable", members: Ints, system: "System"
-) -> list[tuple[Ints, tuple[float, ...]]]:
+def resolve(table: "PythonTable", members: Ints, system: "System") -> Resolved:
     """Whether it acts, and the parameters; for each body where they differ."""
     force: UserForce = table.function
     if force.is_pairwise:
         reason = f"{force.name} ({place_of(force.function)}) acts between two bodies"
         raise ForceError("to", reason, "name others in `to`, or give `reach`")
-
-    def per_body(name: str, values: Floats) -> Floats:
-        refuse_length(name, values, members.size)
-        named = dict.fromkeys(system.names.find_in_order(table.body).tolist())
-        return values[np.argsort([*named][: members.size])]
-
     n = members.size if table.per_body else 1
-    rows = np.hstack([np.ones((n, 1)), in_rows(parameters_of(table, per_body), n)])
+    rows = np.hstack([np.ones((n, 1)), in_rows(parameters_of(table), n)])
     _try(table, rows, members, system)
-    if n == 1:
-        return [(members, tuple(rows[0].tolist()))]
-    return [(members[i : i + 1], tuple(row)) for i, row in enumerate(rows.tolist())]
+    return [(members, rows.T)]
 
 
 def _term_of(

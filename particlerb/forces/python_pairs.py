@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from particlerb.forces import python
-from particlerb.forces.kinds import ForceError, Rates
+from particlerb.forces.kinds import ForceError, Rates, refuse_length
 from particlerb.forces.links import combined_rates
 from particlerb.forces.user_kicks import rates_by
 from particlerb.forces.user_pairs import (
@@ -52,7 +52,7 @@ def numbers_of_pairs(table: "PythonTable", first: Ints, second: Ints, system: "S
             raise ForceError(f"per_body.{name}", "says not of which body of a pair it is", hint)
         end, named = (first, table.body) if name[-1] == "1" else (second, table.to or table.body)
         bodies = system.names.find_in_order(named)
-        python.refuse_length(name, values, bodies.size)
+        refuse_length(f"per_body.{name}", values, bodies.size)
         if np.array_equal(bodies, end):
             return values
         return values[index_in(bodies, end)]

@@ -142,7 +142,7 @@ class Course(NamedTuple):
 
 
 def course_of(table: Any, numbers: Floats, start: float) -> Course:
-    """The load of a [[force]] from the time `start` [s] on, its numbers made by `load_numbers`."""
+    """The load of a [[force]] from the time `start` [s] on, its numbers made by `load_values`."""
     if table.timed is None:
         return Course(numbers[3:6], np.zeros_like(numbers[3:6]), np.zeros_like(numbers[:2]))
     times, values = table.timed.times, table.timed.values
@@ -159,10 +159,9 @@ def course_of(table: Any, numbers: Floats, start: float) -> Course:
     return Course(wide[0] * acts, wide[1] * acts, wide[2])  # zero on some bodies of a group
 
 
-def load_numbers(table: Any, arm: tuple[float, ...] = (0.0, 0.0, 0.0)) -> tuple[float, ...]:
-    """Numbers of a load with its arm: the vector, or 1 where knots have it."""
-    load = getattr(table, table.load_key)
-    return (*arm, 1.0) if table.timed is not None else (*arm, *load)
+def load_values(table: Any, arm: Any = (0.0, 0.0, 0.0)) -> tuple[Any, Any]:
+    """Values of a load with its arm: the vector, or 1 where knots have it."""
+    return arm, getattr(table, table.load_key) if table.timed is None else 1.0
 
 
 def vectors_of(table: Any, numbers: Floats) -> Floats:

@@ -4,12 +4,12 @@ With d from the body point to the anchor and l = |d|: F = k (l - l₀) d/l at th
 potential k (l - l₀)²/2. A spring of no length has no direction and gives no force.
 """
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term
+from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Resolved, Term, in_columns
 from particlerb.maths.quaternion import Matrix, turn
 from particlerb.maths.vec3 import Floats, Ints, Vec3, add_scaled, cross, dot, scale, subtract
 from particlerb.model.block import get, get3
@@ -92,17 +92,12 @@ def _spring_rates(spring: Spring, bodies: Bodies, state: State) -> Rates:
     return Rates(squared=spring.stiffness * softness)
 
 
-def resolve(
-    table: "SpringTable", members: Ints, system: "System"
-) -> list[tuple[Ints, tuple[float, ...]]]:
-    """Point, anchor, stiffness and rest length; one body at a time where it is that of t = 0."""
-    fixed = (*table.at, *(table.anchor or ()), table.stiffness)
-    if table.rest_length != "initial":
-        return [(members, (*fixed, table.rest_length))]
-    spans = places(system, members, table.at) - np.array(table.anchor)[:, None]
-    return [
-        (members[k : k + 1], (*fixed, length)) for k, length in enumerate(lengths(spans).tolist())
-    ]
+def resolve(table: "SpringTable", members: Ints, system: "System") -> Resolved:
+    """Point, anchor, stiffness and rest length; of each body where it is that of t = 0."""
+    length: Any = table.rest_length
+    if length == "initial":
+        length = lengths(places(system, members, table.at) - np.array(table.anchor)[:, None])
+    return [(members, in_columns(table.at, table.anchor or (), table.stiffness, length))]
 
 
 def places(system: "System", bodies: Ints, at: Floats | tuple[float, float, float]) -> Floats:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, same_for_all
+from particlerb.forces.kinds import Force, Kick, Momenta, Rates, Term, numbers_of
 from particlerb.forces.push import Follower
-from particlerb.forces.ramp import FollowerRamp, Ramp, course_of, load_numbers
+from particlerb.forces.ramp import FollowerRamp, Ramp, course_of, load_values
 from particlerb.maths.quaternion import Matrix
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled
 from particlerb.model.block import get3
@@ -68,7 +68,7 @@ def turning(table: "TorqueTable", is_point: bool) -> tuple[str, str]:
 
 
 FORCE: Final = Force(
-    same_for_all(load_numbers), _term_of, is_torque=True,
+    numbers_of(load_values), _term_of, is_torque=True,
     turning=turning,
 )  # fmt: skip
 TERMS: Final = (

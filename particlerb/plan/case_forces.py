@@ -14,13 +14,14 @@ from particlerb.case.problems import Problem, refuse
 from particlerb.forces import Terms, summed
 from particlerb.forces.gravity import UniformGravity
 from particlerb.forces.impulse import Impulse
-from particlerb.forces.kinds import ForceError
+from particlerb.forces.kinds import ForceError, refuse_length
 from particlerb.forces.python import with_code
 from particlerb.forces.ramp import vectors_of
 from particlerb.forces.registry import force_of
-from particlerb.maths.vec3 import Floats, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.merging import Merging
+from particlerb.model.names import BodyNames
 from particlerb.model.state import lengths, rotate_back
 from particlerb.model.system import System
 from particlerb.plan.links import AXIAL_ROUNDING, force_problem, is_link, turned_problem
@@ -35,7 +36,7 @@ class ResolvedForce(NamedTuple):
     number: int  # index of [[force]]
     force: AnyForce
     members: Ints  # bodies on which it acts, ascending
-    numbers: tuple[float, ...]  # N_NUMBERS at most; `forces.kinds.Force.resolve` made them
+    numbers: Floats  # (k, 1), or for each of them (k, n); `forces.kinds.Force.resolve` made them
 
     @property
     def form(self) -> tuple[object, ...]:
@@ -44,8 +45,13 @@ class ResolvedForce(NamedTuple):
         when: tuple[object, ...] = force.edges
         if knots is not None:  # as bytes, whose hash is found once
             when = np.array(knots.times).tobytes(), np.asarray(knots.values).tobytes()
-        has_arm = force_of(force).has_arm and any(self.numbers[:3])
+        has_arm = force_of(force).has_arm and bool(self.numbers[:3].any())
         return force.type, getattr(force, "frame", None), when, has_arm, *force.likeness
+
+    def on(self, index: Ints | Bools) -> "ResolvedForce":
+        """The same on some of the members."""
+        own = self.numbers if self.numbers.shape[1] == 1 else self.numbers[:, index]
+        return self._replace(members=self.members[index], numbers=own)
 
 
 class Forces(NamedTuple):
@@ -68,12 +74,12 @@ def loads_of(system: System) -> list[ResolvedForce]:
     unmerged = system if system.merging is None else system.merging.unmerged
     for number, table, members in _acting_forces(system):
         try:
-            force = with_code(with_knots(table, system), system)
+            force = _of_members(with_code(with_knots(table, system), system), members, system)
             acting = force_of(force).resolve(force, members, unmerged)
         except ForceError as error:
             problems.append(force_problem(system, number, error, members))
             continue
-        resolved = [ResolvedForce(number, force, *one) for one in acting]
+        resolved = [part for one in acting for part in _by_arm(ResolvedForce(number, force, *one))]
         if system.merging is not None:
             resolved = [one for load in resolved for one in _on_hosts(load, system.merging)]
         loads += resolved
@@ -81,17 +87,43 @@ def loads_of(system: System) -> list[ResolvedForce]:
     return loads
 
 
+def _of_members(force: AnyForce, members: Ints, system: System) -> AnyForce:
+    """A force with the entries of these bodies, if it has one for each that it names.
+
+    Raises
+    ------
+    ForceError
+        If it has more, or fewer.
+    """
+    if not force.entries:
+        return force
+    named = BodyNames(system.names.records).find_in_order(force.body)
+    named = np.array([*dict.fromkeys(named.tolist())])
+    for key, values in force.entries.items():
+        refuse_length(key, values, named.size)
+    order, own = np.argsort(named), members % system.in_each + system.names.part.start
+    return force.of_bodies(order[np.searchsorted(named, own, sorter=order)])
+
+
+def _by_arm(load: ResolvedForce) -> list[ResolvedForce]:
+    """A force on those bodies that it turns about an arm, and on those that it does not."""
+    has_arm: Bools = np.asarray(load.numbers[:3].any(axis=0))
+    if not force_of(load.force).has_arm or has_arm.all() or not has_arm.any():
+        return [load]
+    return [load.on(has_arm), load.on(~has_arm)]
+
+
 def _on_hosts(load: ResolvedForce, merging: Merging) -> list[ResolvedForce]:
     """The same force on the bodies that carry those on which it acts; none on what is held."""
-    load = load._replace(members=load.members[~merging.is_held[load.members]])
+    load = load.on(~merging.is_held[load.members])
     is_merged = merging.is_merged[load.members]
-    carried = [load._replace(members=load.members[~is_merged])] if not is_merged.all() else []
+    carried = [load.on(~is_merged)] if not is_merged.all() else []
     in_body = getattr(load.force, "frame", "world") == "body"
-    for b in load.members[is_merged].tolist():
-        body, values = np.array([b]), np.array(load.numbers)[:, None]
+    for k in np.flatnonzero(is_merged)[:, None]:
+        body, values = load.on(k).members, load.on(k).numbers
         arm = merging.placed(body, values[:3]) if force_of(load.force).has_arm else values[:3]
         vectors = merging.turned(body, values[3:6]) if in_body else values[3:]
-        numbers = (*arm[:, 0].tolist(), *vectors[:, 0].tolist())
+        numbers = np.concatenate([arm, vectors])
         carried.append(load._replace(members=merging.host[body], numbers=numbers))
     return carried
 
@@ -104,7 +136,7 @@ def _acting_forces(system: System) -> Iterator[tuple[int, AnyForce, Ints]]:
         members = system.names.find(table.body)
         if not members.size:  # all of them are on other ranks
             continue
-        if number not in system.others and not getattr(table, "per_body", None):
+        if number not in system.others and not table.entries:
             yield number, table, members
             continue
         by_world = members.reshape(system.n_worlds, -1)
@@ -148,7 +180,7 @@ def refused(system: System, load: ResolvedForce) -> list[Problem]:
     if check is None:
         return []
     try:
-        check(load.force, np.array(load.numbers)[:, None], system.state.com[:, load.members])
+        check(load.force, load.numbers, system.state.com[:, load.members])
     except ForceError as error:
         return [force_problem(system, load.number, error, load.members)]
     return []
@@ -174,7 +206,8 @@ def jumps_of(forces: list[Forces], bodies: Bodies) -> tuple[Impulse, ...]:
 def _impossible_torques(system: System, load: ResolvedForce) -> list[Problem]:
     """What is wrong with a force that turns a point, or a rod about its own axis."""
     kind, rotor_class = force_of(load.force), system.bodies.rotor_class[load.members]
-    index = load.members[(rotor_class == POINT) | (rotor_class == ROD)]
+    load = load.on((rotor_class == POINT) | (rotor_class == ROD))
+    index = load.members
     if not index.size or not (kind.has_arm or kind.is_torque):
         return []
     bodies, state = taken(system.bodies, index), taken(system.state, index)
@@ -194,12 +227,14 @@ def _turning_part(load: ResolvedForce, bodies: Bodies, q: Floats) -> tuple[Float
     For a force at a point it is the lever arm and not the torque: an arm along a rod never turns
     it about its axis, any other arm does so but by chance. Points can follow nothing.
     """
-    is_torque, numbers = force_of(load.force).is_torque, np.array(load.numbers)[:, None]
-    vectors = vectors_of(load.force, numbers) if is_torque else numbers[:3]
+    is_torque, n = force_of(load.force).is_torque, bodies.mass.size
+    vectors = vectors_of(load.force, load.numbers) if is_torque else load.numbers[:3]
     in_world = is_torque and getattr(load.force, "frame", "body") == "world"
-    n, k = bodies.mass.size, vectors.shape[1]
+    if load.numbers.shape[1] == 1:
+        vectors = np.tile(vectors, n)
+    k = vectors.shape[1] // n
     axes = np.repeat(q if in_world else bodies.rotor_frame, k, axis=1)
-    turn = rotate_back(axes, np.tile(vectors, n)).reshape(3, n, k)
+    turn = rotate_back(axes, vectors).reshape(3, n, k)
     axial = np.abs(turn[2]) if is_torque else np.hypot(turn[0], turn[1])
     size, axial = lengths(turn).max(axis=1), axial.max(axis=1)
     return size, np.where(bodies.rotor_class == POINT, size, axial)

@@ -140,7 +140,7 @@ def _acting_lines(system: System, plan: Plan, ranks: Ranks) -> Iterator[tuple[st
 def _origin_of_points(system: System, kind: str) -> str:
     """Where the centre of mass of a body is, from which `at` counts, if not at the origin."""
     for force in system.force:
-        if force.type == kind and any(getattr(force, "at", ())):
+        if force.type == kind and np.any(getattr(force, "at", ())):
             b = system.names.find_in_order(force.body)
             com, reach = system.properties.com[system.kind[b]], system.reach[system.kind[b]]
             for k in np.flatnonzero(np.linalg.norm(com, axis=1) > _PLAIN * reach).tolist():

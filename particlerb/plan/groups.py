@@ -110,9 +110,11 @@ def _groups_alone(
     like = apart.copy()  # number of the sequence of forms on each body
     number = itertools.count(len(like))
     sequences: defaultdict[tuple[object, ...], int] = defaultdict(number.__next__)
-    numbers = np.zeros((len(loads), max([N_NUMBERS, *(len(load.numbers) for load in loads)])))
+    widths = np.array([load.numbers.shape[1] for load in loads], dtype=np.int64)
+    starts = np.cumsum([0, *widths])
+    numbers = np.zeros((starts[-1], max([N_NUMBERS, *(len(load.numbers) for load in loads)])))
     for k, load in enumerate(loads):
-        numbers[k, : len(load.numbers)] = load.numbers
+        numbers[starts[k] : starts[k + 1], : len(load.numbers)] = load.numbers.T
         form, before = load.form, like[load.members]
         for previous in np.unique(before).tolist():
             like[load.members[before == previous]] = sequences[previous, form]
@@ -120,15 +122,19 @@ def _groups_alone(
     bodies = np.concatenate([none, *(load.members for load in loads)])
     order = np.argsort(bodies, kind="stable")
     sizes = np.array([load.members.size for load in loads], dtype=np.int64)
-    acting = np.repeat(np.arange(len(loads)), sizes)[order]
+    acting = np.repeat(np.arange(len(loads)), sizes)
+    row = starts[acting] + (np.arange(acting.size) - (np.cumsum(sizes) - sizes)[acting]) * (
+        widths[acting] > 1
+    )
+    acting, row = acting[order], row[order]
     bodies, free = bodies[order], np.flatnonzero(alone)
     free = free[np.argsort(like[free], kind="stable")]
     groups = []
     for members in np.split(free, np.flatnonzero(np.diff(like[free])) + 1) if free.size else []:
         first = np.searchsorted(bodies, members)
         length = np.searchsorted(bodies, members[0], side="right") - first[0]
-        load_index = acting[first[:, None] + np.arange(length)]
-        forces = [Forces(loads[k[0]].force, numbers[k].T) for k in load_index.T]
+        at = first + np.arange(length)[:, None]
+        forces = [Forces(loads[acting[k[0]]].force, numbers[row[k]].T) for k in at]
         groups.append((members, forces))
     return groups
 
@@ -207,9 +213,11 @@ def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
     place = {b: i for i, b in enumerate(members.tolist())}
     rooms_of: dict[tuple[object, ...], list[tuple[Forces, Bools]]] = {}
     for load in loads:
-        columns = np.array([place[b] for b in load.members.tolist() if b in place], dtype=np.int64)
-        if not columns.size:
+        inside = np.array([b in place for b in load.members.tolist()])
+        if not inside.any():
             continue
+        own = load.on(inside)
+        columns = np.array([place[b] for b in own.members.tolist()])
         rooms = rooms_of.setdefault(load.form, [])
         free = next((room for room in rooms if not room[1][columns].any()), None)
         if free is None:
@@ -220,6 +228,6 @@ def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
             free[0].numbers[:3] = force_of(load.force).nowhere
             rooms.append(free)
         numbers, taken_ = free[0].numbers, free[1]
-        numbers[: len(load.numbers), columns] = np.array(load.numbers)[:, None]
+        numbers[: len(own.numbers), columns] = own.numbers
         taken_[columns] = True
     return [forces for rooms in rooms_of.values() for forces, _ in rooms]

@@ -126,12 +126,9 @@ def can_be_apart(scene: Any) -> bool:
     Of a case, or of the system that was made of it.
     """
     couples = scene.contact or scene.attraction or scene.joint
-    is_drawn = any(body.is_drawn for body in scene.body)
-    is_of_several = any(
-        is_link(force) or force.needs_particles or getattr(force, "per_body", None)
-        for force in scene.force
-    )
-    return not (couples or is_drawn or is_of_several or scene.run.accuracy is not None)
+    is_varied = any(body.is_varied for body in scene.body)
+    is_of_several = any(is_link(force) or force.needs_particles for force in scene.force)
+    return not (couples or is_varied or is_of_several or scene.run.accuracy is not None)
 
 
 def is_planned_together(system: System) -> bool:

@@ -146,6 +146,8 @@ def peer_scene(system: System) -> PeerScene:
             raise ValueError(_FORCES)
         if force.timed is not None or force.during is not None:
             raise ValueError(_FORCES)
+        if force.entries:
+            raise ValueError("other engines are given pushes that are the same for all bodies")
         for b in system.names.find(force.body).tolist():
             at = rotate_back(bodies.rotor_frame[:, b], np.array(force.at))
             pushes.append(types.Push(b, at, np.array(force.force)))

@@ -121,10 +121,12 @@ def count_rules(path: Path, body: dict[str, Any]) -> Iterator[Finding]:
     count = body.get("count", 1)
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
         return
-    for key in ("position", "orientation", "velocity", "angular_velocity"):
-        if is_rows(body.get(key)) and len(body[key]) != count:
-            reason = f"must have count = {count} rows, has {len(body[key])}"
-            yield (*path, key), reason, "give a row for each body, or another `count`"
+    for key in ("position", "orientation", "velocity", "angular_velocity", "mass", "density"):
+        is_list = key in ("mass", "density") and isinstance(body.get(key), list)
+        if (is_list or is_rows(body.get(key))) and len(body[key]) != count:
+            what, one = ("entries", "one") if is_list else ("rows", "a row")
+            reason = f"must have count = {count} {what}, has {len(body[key])}"
+            yield (*path, key), reason, f"give {one} for each body, or another `count`"
     if has(body, "place"):
         if has(body, "position") and not is_origin(body["position"]):
             yield (*path, "position"), "given beside place", "give one of them"

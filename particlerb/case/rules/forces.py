@@ -7,6 +7,7 @@ from particlerb.case.forces import FORCE_TABLES, ForceTable, SpringTable, Unifor
 from particlerb.case.problems import Path
 from particlerb.case.raw import Finding, entry_at, has, out_of_place, pair_rules, tables
 from particlerb.case.rules.bodies import file_rules
+from particlerb.case.values import is_rows
 from particlerb.files import Files
 from particlerb.model.names import BodyNames
 from particlerb.user_force import UserForce
@@ -30,7 +31,7 @@ def force_rules(
             reason = f"given beside the knots of {key}"
             yield (*path, "during"), reason, "it acts from the first to the last: leave it out"
         yield from file_rules((*path, key, "table"), raw[key].get("table"), files)
-    if table is UniformField and isinstance(raw.get("charge"), list):
+    if table is UniformField and isinstance(raw.get("charge"), list) and not is_rows(raw["charge"]):
         yield from out_of_place(path, raw, "at", "a charge for each particle")
     if table is SpringTable:
         yield from _end_rules(path, raw)
