@@ -115,23 +115,25 @@ def _twin_of(value: Any, names: set[str]) -> Any:
     return twin(value) if hasattr(value, "py_func") else value
 
 
-def _leaves(value: Any) -> Iterator[Any]:
+def _leaves(args: tuple[Any, ...]) -> list[Any]:
     """All that stands in tuples of arguments."""
-    if isinstance(value, tuple):
-        for one in value:
-            yield from _leaves(one)
-    else:
-        yield value
+    found = []
+    for one in args:
+        if isinstance(one, tuple):
+            found += _leaves(one)
+        else:
+            found.append(one)
+    return found
 
 
-def _arrays(value: Any) -> Iterator[Any]:
+def _arrays(leaves: list[Any]) -> list[Any]:
     """All arrays of arguments."""
-    return (one for one in _leaves(value) if isinstance(one, np.ndarray))
+    return [one for one in leaves if isinstance(one, np.ndarray)]
 
 
-def _numbers(args: Any) -> int:
-    """How many numbers a call with these arguments takes as long as."""
-    return sum(array.size for array in _arrays(args)) + _NUMBERS_PER_CALL
+def _numbers(arrays: list[Any]) -> int:
+    """How many numbers a call with these arrays takes as long as."""
+    return sum([array.size for array in arrays]) + _NUMBERS_PER_CALL
 
 
 class UnfusedKernel(Kernel):
@@ -152,10 +154,11 @@ class UnfusedKernel(Kernel):
 
     def is_quick(self, args: tuple[Any, ...]) -> bool:
         """Whether Python may do this call."""
-        if any(isinstance(one, FunctionSet) for one in _leaves(args)):
+        leaves = _leaves(args)
+        if any(isinstance(one, FunctionSet) for one in leaves):
             return False
         rate = self.spent / self.numbers if self.numbers else _SECONDS_PER_NUMBER
-        expected = rate * _numbers(args)
+        expected = rate * _numbers(_arrays(leaves))
         if expected > min(_Time.left, _MAX_CALL_SECONDS) or self.latest > _Time.longest:
             return False
         if self.spent + expected < self.looks_after:
@@ -166,7 +169,8 @@ class UnfusedKernel(Kernel):
     def run_in_python(self, *args: Any) -> Any:
         """Do a call in Python."""
         start = time.thread_time()
-        before = [(array, array.copy()) for array in _arrays(args) if array.flags.writeable]
+        arrays = _arrays(_leaves(args))
+        before = [(array, array.copy()) for array in arrays if array.flags.writeable]
         try:
             with np.errstate(all="ignore"):
                 return twin(self)(*args)
@@ -176,6 +180,6 @@ class UnfusedKernel(Kernel):
         finally:
             self.latest = time.thread_time() - start
             self.spent += self.latest
-            self.numbers += _numbers(args)
+            self.numbers += _numbers(arrays)
             _Time.left -= self.latest
         return self.compile(tuple(map(cast(Any, self).typeof_pyval, args)))(*args)
