@@ -155,7 +155,7 @@ class AtomicFile:
             page = pages.get(number)
             if page is None:
                 page = pages[number] = bytearray(PAGE)
-                if stop - start < PAGE:
+                if stop - start < PAGE and number * PAGE < self.on_disk:
                     self.take(number * PAGE, memoryview(page))
             page[offset : offset + stop - start] = view[start:stop]
 
@@ -302,14 +302,17 @@ def _pages_in(size: int) -> int:
     return -(-size // PAGE)
 
 
-def pieces(place: int, size: int) -> Iterator[tuple[int, int, int, int]]:
+def pieces(place: int, size: int) -> list[tuple[int, int, int, int]]:
     """Of each page that bytes at a place lie in: its number, where in it, and which bytes."""
-    start = 0
-    while start < size:
-        number, offset = divmod(place + start, PAGE)
-        stop = min(start + PAGE - offset, size)
-        yield number, offset, start, stop
-        start = stop
+    first, offset = divmod(place, PAGE)
+    if offset + size <= PAGE:  # most are so
+        return [(first, offset, 0, size)] if size else []
+    starts = range(PAGE - offset, size, PAGE)
+    later = [
+        (number, 0, start, min(start + PAGE, size))
+        for number, start in enumerate(starts, first + 1)
+    ]
+    return [(first, offset, 0, PAGE - offset), *later]
 
 
 def runs(pages: Mapping[int, _Buffer]) -> Iterator[tuple[int, bytes]]:
