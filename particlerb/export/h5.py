@@ -65,7 +65,7 @@ def write(selection: Selection, path: Path) -> None:
 
 def _copy(trajectory: Trajectory, made: h5py.File, path: str) -> None:
     """Copy rows of all frames, as many at a time as fit into memory."""
-    target, n = opened(made, path), trajectory.n_frames
+    target, n = made[path], trajectory.n_frames
     target.resize(n, axis=0)
     source = dataset_at(trajectory.file, path, "fiu", (None, *target.shape[1:]))
     with trajectory_errors(trajectory.file):
@@ -75,13 +75,13 @@ def _copy(trajectory: Trajectory, made: h5py.File, path: str) -> None:
 
 def _copy_contacts(trajectory: Trajectory, made: h5py.File) -> None:
     """Copy the contacts of all frames."""
-    starts, ends = opened(made, schema.OFFSET), trajectory.n_frames + 1
+    starts, ends = made[schema.OFFSET], trajectory.n_frames + 1
     starts.resize(ends, axis=0)
     with trajectory_errors(trajectory.file):
         starts[:] = offset = dataset_at(trajectory.file, schema.OFFSET, "i", (None,))[:ends]
         for name in schema.COLUMNS:
             path = f"{schema.CONTACTS}/{name}"
-            target = opened(made, path)
+            target = made[path]
             target.resize(int(offset[-1]), axis=0)
             source = dataset_at(trajectory.file, path, "fiu", (None, *target.shape[1:]))
             for frames in trajectory.portions():

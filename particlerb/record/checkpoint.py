@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-from h5py import h5s
+from h5py import h5d, h5s
 
 from particlerb.record import schema
 from particlerb.record.checked_reading import (
@@ -63,12 +63,12 @@ def _make_slots(file: h5py.File, size: int) -> None:
         note(growing(file, f"{schema.CHECKPOINT}/{name}", "u1", rows=rows), **empty)
 
 
-def put(slot: h5py.Dataset, n_frames: int, content: bytes) -> None:
+def put(slot: h5d.DatasetID, n_frames: int, content: bytes) -> None:
     """Write a slot."""
-    slot.id.set_extent((len(content),))
-    slot.id.write(h5s.ALL, h5s.ALL, np.frombuffer(content, dtype=np.uint8))
-    change(slot.id, schema.SLOT_FRAMES, np.int64(n_frames))
-    change(slot.id, schema.SLOT_DIGEST, np.bytes_(_digest_of(content)))
+    slot.set_extent((len(content),))
+    slot.write(h5s.ALL, h5s.ALL, np.frombuffer(content, dtype=np.uint8))
+    change(slot, schema.SLOT_FRAMES, np.int64(n_frames))
+    change(slot, schema.SLOT_DIGEST, np.bytes_(_digest_of(content)))
 
 
 def _digest_of(content: bytes) -> str:

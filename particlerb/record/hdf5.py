@@ -117,9 +117,9 @@ def growing(
     return h5d.create(file.id, path.encode(), kind, space, plan, WITH_GROUPS)
 
 
-def opened(file: h5py.File, path: str) -> h5py.Dataset:
+def opened(file: h5py.File, path: str) -> h5d.DatasetID:
     """Dataset of a file of our own."""
-    return h5py.Dataset(h5d.open(file.id, path.encode()))
+    return h5d.open(file.id, path.encode())
 
 
 def link(file: h5py.File, path: str, target: h5d.DatasetID) -> None:

@@ -104,7 +104,7 @@ def _place_of(name: str) -> str:
 
 
 def resize_vtkhdf(
-    file: h5py.File, fields: Mapping[str, h5py.Dataset], n_frames: int, parts: Parts | None = None
+    file: h5py.File, fields: Mapping[str, h5d.DatasetID], n_frames: int, parts: Parts | None = None
 ) -> None:
     """Let /VTKHDF, where there is one, have room for so many frames; those in it stay.
 
@@ -117,7 +117,7 @@ def resize_vtkhdf(
         dataset.resize(n_frames, axis=0)
     for name, values in fields.items():
         del file[_place_of(name)]
-        _show(file, name, values.id, n_frames, parts)
+        _show(file, name, values, n_frames, parts)
 
 
 def _show(

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import h5py
 import numpy as np
-from h5py import h5s
+from h5py import h5d, h5s
 
 from particlerb.case.run import frame_count
 from particlerb.maths.vec3 import Floats, Ints
@@ -162,7 +162,7 @@ class Recorder:
         change(self.file.id, schema.COMMITTED, np.int64(n))
         vtkhdf.count_steps(self.file, n)
         for path, dataset in self.series.items():
-            dataset.resize(n + (path == schema.OFFSET), axis=0)
+            dataset.set_extent((n + (path == schema.OFFSET), *dataset.shape[1:]))
         if self.contacts is not None:
             self.contacts.cut(n)
         self.resize_views(n if self.parts else frame_count(self.system.run))
@@ -238,7 +238,8 @@ class Recorder:
             If one is another.
         """
         n_known = min(self.n_before - first, len(sums))
-        stored: Words = self.series[schema.CHECKSUMS][first : first + n_known]
+        checksums = h5py.Dataset(self.series[schema.CHECKSUMS])
+        stored: Words = checksums[first : first + n_known]
         other = np.flatnonzero(sums[:n_known] != stored)
         if other.size:
             raise frame_values.FrameError(
@@ -306,7 +307,7 @@ class Recorder:
             self.output.close()
 
 
-def _append_rows(dataset: h5py.Dataset, first: int, values: _Rows) -> None:
+def _append_rows(dataset: h5d.DatasetID, first: int, values: _Rows) -> None:
     """Append values from row `first` on; chunks that are whole and large go straight to the file.
 
     By HDF5's own calls: h5py takes longer to find out what a slice means, or what a dataset is,
@@ -314,14 +315,15 @@ def _append_rows(dataset: h5py.Dataset, first: int, values: _Rows) -> None:
     gives back each time, which leaves holes of that size in the heap of the process.
     """
     shape, origin = values.shape, (0,) * (values.ndim - 1)
-    dataset.id.set_extent((first + shape[0], *shape[1:]))
-    data: Any = np.ascontiguousarray(values)
-    rows = dataset.chunks[0] if data.nbytes >= PAGE else shape[0] + 1
-    fits = shape[0] >= rows and first % rows == 0 and values.dtype == dataset.dtype
-    n_whole = shape[0] // rows * rows if fits and dataset.chunks[1:] == shape[1:] else 0
-    for k in range(0, n_whole, rows):
-        dataset.id.write_direct_chunk((first + k, *origin), data[k : k + rows])
+    dataset.set_extent((first + shape[0], *shape[1:]))
+    data, n_whole = np.ascontiguousarray(values), 0
+    if data.nbytes >= PAGE:
+        rows, *width = dataset.get_create_plist().get_chunk()
+        fits = first % rows == 0 and (*width,) == shape[1:] and values.dtype == dataset.dtype
+        n_whole = shape[0] // rows * rows if fits else 0
+        for k in range(0, n_whole, rows):
+            dataset.write_direct_chunk((first + k, *origin), data[k : k + rows])
     if n_whole < shape[0]:
-        rest, place = data[n_whole:], dataset.id.get_space()
+        rest, place = data[n_whole:], dataset.get_space()
         place.select_hyperslab((first + n_whole, *origin), rest.shape)
-        dataset.id.write(h5s.create_simple(rest.shape), place, rest)
+        dataset.write(h5s.create_simple(rest.shape), place, rest)
