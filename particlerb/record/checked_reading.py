@@ -19,7 +19,7 @@ import numpy as np
 from h5py import h5d, h5g, h5l, h5o, h5z
 
 from particlerb.record.atomic import to_read
-from particlerb.record.hdf5 import header_attribute
+from particlerb.record.hdf5 import header_attribute, open_unlocked
 from particlerb.record.memory import Memory
 from particlerb.record.parts import part_paths, parts_in, range_in
 from particlerb.record.schema import CHECKPOINT, COMMITTED, TIME
@@ -78,7 +78,8 @@ def open_file(path: str | Path) -> h5py.File:
         If HDF5 cannot read it.
     """
     try:
-        return h5py.File(to_read(Path(path)), "r", locking=False)
+        source = to_read(Path(path))
+        return open_unlocked(source) if isinstance(source, Path) else h5py.File(source, "r")
     except FAULTS as error:
         reason = reason_of(error)
         if "signature not found" in reason:

@@ -4,16 +4,19 @@ Paths are from the root; groups on the way are made.
 """
 
 import math
+import os
 from collections.abc import Callable, Iterator
 from functools import cache, lru_cache
 from typing import Any, Final, TypeAlias
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5ds, h5o, h5p, h5s, h5t
+from h5py import h5a, h5d, h5ds, h5f, h5o, h5p, h5s, h5t
 
 WITH_GROUPS: Final = h5p.create(h5p.LINK_CREATE)
 WITH_GROUPS.set_create_intermediate_group(True)
+_UNLOCKED: Final = h5p.create(h5p.FILE_ACCESS)
+_UNLOCKED.set_file_locking(False, True)
 Form: TypeAlias = tuple["np.dtype[Any]", tuple[int, ...]]  # type of the numbers, and shape
 _MIN_LARGE_BYTES: Final = 2**20
 _ROWS_AT_ONCE: Final = 65_536
@@ -50,6 +53,11 @@ class InPieces:
         for first in range(0, max(len(self), 1), _ROWS_AT_ONCE):
             last = min(first + _ROWS_AT_ONCE, len(self))
             yield np.ascontiguousarray(self.rows(first, last))
+
+
+def open_unlocked(path: os.PathLike[str]) -> h5py.File:
+    """File open for reading, with no lock; errors as of h5py."""
+    return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDONLY, fapl=_UNLOCKED))
 
 
 def put(file: h5py.File, path: str, values: Any) -> h5d.DatasetID:

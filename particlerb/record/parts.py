@@ -19,7 +19,7 @@ import numpy as np
 from h5py import h5a, h5d, h5p, h5s, is_hdf5
 
 from particlerb.model.superblocks import Range
-from particlerb.record.hdf5 import WITH_GROUPS, header_attribute, note
+from particlerb.record.hdf5 import WITH_GROUPS, header_attribute, note, open_unlocked
 
 Found = TypeVar("Found")
 
@@ -93,7 +93,7 @@ def parts_used_by(path: Path) -> list[Path]:
 def _looked_up(path: Path, what: Callable[[h5py.File], Found | None]) -> Found | None:
     """What a file says; None where it says nothing, or makes no sense."""
     try:
-        with h5py.File(path, "r", locking=False) as file:
+        with open_unlocked(path) as file:
             return what(file)
     except (OSError, RuntimeError, KeyError, ValueError):
         return None
