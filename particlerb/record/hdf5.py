@@ -19,6 +19,7 @@ _UNLOCKED: Final = h5p.create(h5p.FILE_ACCESS)
 _UNLOCKED.set_file_locking(False, True)
 Form: TypeAlias = tuple["np.dtype[Any]", tuple[int, ...]]  # type of the numbers, and shape
 _MIN_LARGE_BYTES: Final = 2**20
+_TEXT_STEP: Final = 256  # bytes, to a multiple of which short texts are filled up
 _ROWS_AT_ONCE: Final = 65_536
 _MAX_ATTRIBUTE_BYTES: Final = 65536
 _ANY_TEXT: Final = h5t.py_create(h5py.string_dtype(), logical=True)
@@ -67,7 +68,7 @@ def put(file: h5py.File, path: str, values: Any) -> h5d.DatasetID:
     how many they are.
     """
     if isinstance(values, bytes):
-        kind = h5t.py_create(h5py.string_dtype("utf-8", max(len(values), 1)), logical=True)
+        kind = _text_of(max(len(values), 1))
         values = np.array(values, dtype=f"S{max(len(values), 1)}")
     else:
         kind = _type_of(np.asarray(values).dtype)
@@ -78,9 +79,11 @@ def put(file: h5py.File, path: str, values: Any) -> h5d.DatasetID:
 
 
 def form_of(values: Any) -> Form:
-    """What `reserve` has to know of an array."""
+    """What `reserve` has to know of an array, or of a text: of many lengths it is the same."""
     if isinstance(values, InPieces):
         return values.dtype, values.shape
+    if isinstance(values, bytes):
+        return np.dtype(f"S{max(-(-len(values) // _TEXT_STEP), 1) * _TEXT_STEP}"), ()
     return np.asarray(values).dtype, np.shape(values)
 
 
@@ -90,8 +93,10 @@ def is_large(form: Form) -> bool:
 
 
 def reserve(file: h5py.File, path: str, form: Form) -> h5d.DatasetID:
-    """An array that does not change, still without numbers."""
-    kind, space, plan = _type_of(form[0]), _space(form[1]), _plan(is_early=not is_large(form))
+    """An array that does not change, still without numbers, or a text."""
+    is_text = form[0].kind == "S" and not form[1]
+    kind = _text_of(form[0].itemsize) if is_text else _type_of(form[0])
+    space, plan = _space(form[1]), _plan(is_early=not is_large(form))
     return h5d.create(file.id, path.encode(), kind, space, plan, WITH_GROUPS)
 
 
@@ -199,6 +204,11 @@ def _space(shape: tuple[int, ...], most: tuple[int, ...] | None = None) -> Any:
 def _type_of(dtype: "np.dtype[Any]") -> Any:
     """HDF5's name of a type of numbers."""
     return h5t.py_create(dtype)
+
+
+def _text_of(size: int) -> Any:
+    """HDF5's name of UTF-8 of so many bytes."""
+    return h5t.py_create(h5py.string_dtype("utf-8", size), logical=True)
 
 
 @lru_cache(maxsize=256)

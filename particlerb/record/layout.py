@@ -67,16 +67,21 @@ def laid_out(
         Files where the numbers of bodies lie.
     """
     fields, dtype, n_frames = output.fields, output.dtype, frame_count(run)
-    tables = tuple((p, hdf5.form_of(v)) for p, v in content.items() if not isinstance(v, bytes))
+    tables = tuple((p, hdf5.form_of(v)) for p, v in content.items() if not _is_long_text(v))
     empty, places = _empty_file(
         _FileLayout(tuple(fields), dtype, n_frames, len(content[schema.BODY]), tables, parts)
     )
     image = bytearray(empty)
     for path, place in places.items():
         value = digest_of(content).encode() if path == _DIGEST else content[path]
-        data = np.ascontiguousarray(value).tobytes()
+        data = value if isinstance(value, bytes) else np.ascontiguousarray(value).tobytes()
         image[place : place + len(data)] = data
     return image
+
+
+def _is_long_text(value: Any) -> bool:
+    """Whether it is a text that is written by itself."""
+    return isinstance(value, bytes) and hdf5.is_large(hdf5.form_of(value))
 
 
 @lru_cache(maxsize=8)
@@ -125,9 +130,9 @@ def part_laid_out(system: System, of: Range, run: str) -> bytearray:
 
 
 def write_rest(file: h5py.File, content: Content) -> None:
-    """Write texts and large arrays among what does not change."""
+    """Write large texts and arrays among what does not change."""
     for path, value in content.items():
-        if isinstance(value, bytes):
+        if _is_long_text(value):
             hdf5.put(file, path, value)
         elif hdf5.is_large(hdf5.form_of(value)):
             hdf5.fill(file, path, value)

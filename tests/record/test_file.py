@@ -51,6 +51,19 @@ def written(make, tmp_path):
 # Layout
 
 
+def test_texts_of_other_lengths_go_into_the_same_empty_file(make, tmp_path, monkeypatch):
+    """HDF5 makes neither the file nor the texts anew; nothing is left of a longer text."""
+    titles, cases = ("a title of many words, and of \u00e4", "b"), []
+    layout._empty_file.cache_clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(layout.hdf5, "put", lambda file, path, values: pytest.fail(path))
+        for k, title in enumerate(titles):
+            with particlerb.run(scene(make) | {"title": title}, tmp_path / f"{k}.h5") as t:
+                cases.append(t.parameter("case_resolved"))
+    assert [case["title"] for case in cases] == list(titles)
+    assert layout._empty_file.cache_info().misses == 1
+
+
 def test_files_are_begun_in_several_threads_at_once(make, tmp_path, monkeypatch):
     """Each is laid out in memory, under a name that HDF5 wants for itself."""
     both_are_here, lay_out = Barrier(2, timeout=10.0), layout._lay_out
