@@ -1,10 +1,11 @@
 """Order 4 with the gradient of the forces: four kicks between three positive drifts.
 
 A symmetric splitting for forces of the pose and the time whose rates of change are known, and
-symplectic where they have a potential V. Two of its kicks are those of V - κh² [V,[T,V]]: with the acceleration a = (F/M, I⁻¹τ) that
-the loads give a body, they are F + 2κh² Ḟ and τ + 2κh² τ̇, the rates of change along a motion with
-the velocities a (`Kick.change`; docs/theory.md, section 9). So all drifts are positive, and errors
-are a tenth of those of methods of this order without gradients. Asymmetric bodies drift by the
+symplectic where they have a potential V. Two of its kicks are those of V - κh² [V,[T,V]]: with
+the acceleration a = (F/M, I⁻¹τ) that the loads give a body, they are F + 2κh² Ḟ and τ + 2κh² τ̇,
+the rates of change along a motion with the velocities a (`Kick.change`; docs/theory.md, section 9).
+So all drifts are positive, and errors are a tenth of those of methods of this order without
+gradients. Asymmetric bodies drift by the
 preprocessed Moser-Veselov map of order 8, all others in closed form.
 
 Source: Suzuki, Phys. Lett. A 201, 425 (1995), and Omelyan, Mryglod, Folk, Comput. Phys. Commun.
