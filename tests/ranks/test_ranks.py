@@ -221,7 +221,7 @@ def test_checkpoints_of_parts_that_do_not_fit_are_refused_on_all_ranks(monkeypat
             content = io.BytesIO()
             np.savez(content, **state | {"last": state["last"][:, :3]})
             slots = part["checkpoint"].values()
-            put(next(s for s in slots if s.attrs["frames"] == n), n, content.getvalue())
+            put(next(s.id for s in slots if s.attrs["frames"] == n), n, content.getvalue())
     for n in (1, 2):
         for told in over_ranks(n, lambda ranks: look_at(path, 0.4, ranks=ranks))[1]:
             assert isinstance(told, ResumeError), told
