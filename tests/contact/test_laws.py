@@ -372,6 +372,28 @@ def test_oblique_collisions_are_of_order_two(kind, mu, velocity):
     assert np.log2(error[0] / error[3]) / 3.0 == pytest.approx(2.0, abs=0.35)
 
 
+@pytest.mark.parametrize("velocity", [0.3, 0.68, 0.72, 1.2, 1.6])
+def test_an_elastic_oblique_bounce_with_two_sevenths_of_the_stiffness(velocity):
+    """Both springs swing alike, so F_t/F_n is constant: u' = -u up to 7/2 μ v, else u - 7 μ v."""
+    mu = 0.2
+    wanted = -velocity if velocity < 3.5 * mu * SPEED else velocity - 7.0 * mu * SPEED
+    off = [hit(hooke_law(1.0, mu), n, velocity=velocity).slide[-1] - wanted for n in (50, 100)]
+    assert abs(off[0]) < 2e-7
+    assert abs(off[1]) < abs(off[0]) / 12.0
+
+
+@pytest.mark.parametrize("velocity", [0.2, 0.4, 0.8, 1.2])
+@pytest.mark.parametrize("e", [1.0, 0.5])
+def test_an_oblique_bounce_is_that_of_impulses_where_the_tangential_spring_is_stiff(e, velocity):
+    """max(u - 7/2 μ (1 + e) v, 0), but for what the spring holds as F_n ends: μ v k/k_t."""
+    mu = 0.2
+    rigid = max(velocity - 3.5 * mu * (1.0 + e) * SPEED, 0.0)
+    for ratio in (10.0, 100.0):
+        stiff = law_of(K, ratio * K, e, mu)
+        u = hit(stiff, int(40 * math.sqrt(3.5 * ratio)), velocity=velocity).slide[-1]
+        assert abs(u - rigid) < 2.5 * mu * SPEED / ratio
+
+
 @pytest.mark.parametrize(("mu", "velocity"), OBLIQUE)
 @pytest.mark.parametrize("kind", LAWS)
 def test_energy_closes_to_order_two(kind, mu, velocity):
