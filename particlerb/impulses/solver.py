@@ -45,6 +45,7 @@ from particlerb.impulses.rolling import (
     warm_start_rolling,
 )
 from particlerb.impulses.rows import approach, approach_at_end, change_by, driven_by, give, in_frame
+from particlerb.impulses.sliding import let_slide_on
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Vec3, add, dot, norm, subtract
 
@@ -349,6 +350,8 @@ def solve(
     scales = _scales(impulses, bounded, team, moved)
     meet(team)
     _warm_start(impulses, bounded, team)
+    let_slide_on(impulses, team)
+    meet(team)
     most, is_done = rules.iterations, newton.change.size == 0
     defect, enough, size = _sweeps(impulses, bounded, team, most, scales)
     small, best = _REGULARISATION, math.inf

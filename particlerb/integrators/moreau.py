@@ -3,9 +3,9 @@
 Half a drift; in the middle half a kick, impacts with restitution, half a kick, one solve for the
 impulses of all that touches or would within the step, and what overlaps is pushed apart; half a
 drift. What damps on mechanisms, and dashpots between bodies, act for half a step before the kicks,
-and for the other half after them. Order 2 where bodies roll, stick or fly, 1 where contacts begin
-and end. What forces have a potential do no work that is not theirs: half kick, flip, half kick
-retraces the path of an elastic bounce.
+and for the other half after them. Order 2 where bodies roll, stick, slide or fly, 1 where contacts
+begin and end. What forces have a potential do no work that is not theirs: half kick, flip, half
+kick retraces the path of an elastic bounce.
 
 Source: Moreau, Unilateral contact and dry friction in finite freedom dynamics (1988), section 14;
 docs/impulses.md.

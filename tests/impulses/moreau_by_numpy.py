@@ -245,7 +245,7 @@ class Scene:
         given += self._bounce(touches, inverse, slow)
         self.kick(0.5 * h)
         active = [t for t in touches if not self._will_bounce(t, slow)]
-        given += self._press(active, inverse)
+        given += self._press(active, before, inverse)
         self.work += given @ (0.5 * (before + self.twists()))
         self._push_out(active, inverse, slow)
         for body in self.bodies:
@@ -285,7 +285,7 @@ class Scene:
             self.impacts += 1
         raise AssertionError("impacts without end")
 
-    def _press(self, active, inverse):
+    def _press(self, active, before, inverse):
         if not active:
             self.bore = {}
             return np.zeros(6 * len(self.bodies))
@@ -293,8 +293,9 @@ class Scene:
         for t in active:
             if t.key not in self.bore and t.jacobian[0] @ twists < t.least:
                 joins |= {t.a, t.b} - {None}
-        across = [np.zeros(2) if {t.a, t.b} & joins else t.across for t in active]
         J = np.vstack([t.jacobian for t in active])
+        self._slide_on(active, before, twists, inverse)
+        across = [np.zeros(2) if {t.a, t.b} & joins else t.across for t in active]
         least = np.array([t.least for t in active])
         ahead = np.ravel([[0.0, *lean] for lean in across])
         W, b = J @ inverse @ J.T, J @ twists + ahead
@@ -310,6 +311,24 @@ class Scene:
             if r[3 * k] > 1e-9 * np.abs(r).max()
         }
         return J.T @ r
+
+    def _slide_on(self, active, before, twists, inverse):
+        """Take half a turn of the slip back where it goes on, if impulses are those of before."""
+        change, presses = np.zeros_like(twists), []
+        for t in active:
+            r = t.jacobian[:, 6 * t.a : 6 * t.a + 3] @ self.bore.get(t.key, np.zeros(3))
+            if r[0] > 0.0:
+                size, most = np.hypot(*r[1:]), self.friction * r[0]
+                r[1:] *= most / size if size > most else 1.0
+                change += inverse @ t.jacobian.T @ r
+                presses += [t] if size > 0.5 * most else []
+        for t in presses:
+            came = (t.jacobian @ before)[1:]
+            by = (t.jacobian @ (twists + change))[1:] - came
+            slow = 2.0 * self.dt * np.linalg.norm(self.gravity)
+            least = max(2.0 * np.hypot(*by), 0.01 * self._slow(t, slow))
+            if np.hypot(*came) > least:
+                t.across = 0.5 * (by @ came / (came @ came) * came - by)
 
     def _push_out(self, active, inverse, slow):
         """Moves of bodies that overlap at one contact each."""

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from impulse_scenes import DOWN, G, R, case, clump, errors, exact, go, impulse, plane, sphere
+from scipy.integrate import solve_ivp
 
 import particlerb
 
@@ -42,6 +43,35 @@ def test_a_ball_rolls_round_a_cup_to_second_order():
     slope = np.log2(errors[0] / errors[2]) / 2.0
     assert 1.8 < slope < 3.2
     assert errors[1] < 2e-3 * PATH
+
+
+@plain
+def test_a_ball_slides_in_a_tube_to_second_order():
+    """m v̇ = N n + m g - μ N u/|u|, N = m v_φ²/ρ - m g·n: normal and slip turn; beside SciPy."""
+    mu, rho, t_end, m, spin = 0.2, 0.4, 0.1, 2.0, [0.0, 0.0, 20.0]
+
+    def rates(_, y):
+        v, omega, n = y[3:6], y[6:], np.array([0.0, -y[1], -y[2]]) / np.hypot(y[1], y[2])
+        g = np.array([0.0, 0.0, -G])
+        around = v - np.array([v[0], 0.0, 0.0]) - (v @ n) * n
+        press = m * (around @ around) / rho - m * g @ n
+        u = v - R * np.cross(omega, n)
+        rubs = -mu * press * u / np.sqrt(u @ u)
+        turns = -R * np.cross(n, rubs) / (0.4 * m * R * R)
+        return np.concatenate([v, (press * n + rubs) / m + g, turns])
+
+    begin = [0, 0, -rho, 2.0, 3.0, 0.0, *spin]
+    y = solve_ivp(rates, (0.0, t_end), begin, rtol=1e-12, atol=1e-13).y[:, -1]
+    ball = sphere(position=begin[:3], velocity=begin[3:6], angular_velocity=spin)
+    tube = {"type": "cylinder", "name": "tube", "centre": [0, 0, 0], "axis": [1, 0, 0],
+            "radius": rho + R, "length": 9.0, "inside": True}  # fmt: skip
+    off = []
+    for h in (2e-3, 1e-3):
+        t = go(ball, contact=exact(0.0, mu), wall=[tube], gravity=DOWN, dt=h, t_end=t_end,
+               every=t_end)  # fmt: skip
+        off.append(np.abs(t.position[-1, 0] - y[:3]).max())
+    assert off[0] < 2e-5
+    assert off[1] < off[0] / 3.5
 
 
 @plain

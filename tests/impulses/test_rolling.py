@@ -19,6 +19,7 @@ from impulse_scenes import (
     sphere,
     tilted,
 )
+from scipy.integrate import solve_ivp
 from test_newton import wedged
 
 import particlerb
@@ -55,6 +56,25 @@ def test_a_ball_rolls_from_the_angle_of_rolling_friction_on(share):
     speed = 5.0 / 7.0 * G * max(0.0, math.sin(angle) - 0.1 * math.cos(angle))
     assert t.velocity[-1, 0] == pytest.approx([speed, 0.0, 0.0], abs=1e-11)
     assert max(errors(t)) < 1e-12
+
+
+def test_a_ball_thrown_across_a_slope_is_resisted_along_its_path_to_second_order():
+    """(m + I/R²) v̇ = m g sin α - μ_r m g cos α v/|v|: opposite to the last ω it was of order 1."""
+    angle, resistance, t_end, off = 0.2, 0.1, 0.48, []
+
+    def rates(_, v):
+        along = resistance * math.cos(angle) * v / np.hypot(*v)
+        return 5.0 / 7.0 * G * (np.array([math.sin(angle), 0.0]) - along)
+
+    v = solve_ivp(rates, (0.0, t_end), [0.0, 1.0], rtol=1e-11, atol=1e-12).y[:, -1]
+    ball = sphere(position=[0, 0, R], velocity=[0, 1.0, 0], angular_velocity=[-1.0 / R, 0, 0])
+    for h in (8e-3, 4e-3):
+        t = go(ball, contact=exact(0.0, 1.0, rolling_friction=resistance), wall=[plane()],
+               gravity=tilted(angle), dt=h, t_end=t_end, every=t_end)  # fmt: skip
+        off.append(np.abs(t.velocity[-1, 0, :2] - v).max())
+        assert errors(t)[0] < 1e-13
+    assert off[0] < 4e-5
+    assert off[1] < off[0] / 3.5
 
 
 def test_a_ball_that_spins_in_place_stops_at_the_known_time():
