@@ -24,7 +24,7 @@ BUDGETS = {
     "closed forms under force": 1582,
     "joints": 5943,
     "contact with every method": 702,
-    "contact by impulses": 4264,
+    "contact by impulses": 4294,
     "collisions by events": 1739,
     "forces: tables, gradients, written by users": 2233,
     "scenes and simulations in Python": 1236,

@@ -134,9 +134,9 @@ class Workspace(NamedTuple):
     xyzr: Floats  # (n_spheres, 4) [m] centre and radius
     poses: Records  # (n_walls,) POSE
     bodies: Records  # (n_bodies,) BODY
-    deepest: (
-        Floats  # (threads, 5) a contact too deep: overlap, radius [m], body, partner; [s]; or 0
-    )
+    # (threads, 5) a contact too deep: overlap, radius [m], body, partner; [s]; or 0. By impulses
+    # beyond all bounds: inf, [N s], body, partner; [s]
+    deepest: Floats
     gross_work: Floats  # (n_bodies,) [J] gross work of contacts so far: see `collect_loads`
     step_start: Records  # (1,) STEP_START: all threads write the same
     piston_loads: Floats  # (k, 4, 3): see `body_loads.sum_piston_loads`

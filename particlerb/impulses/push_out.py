@@ -46,7 +46,8 @@ def _find_overlaps(impulses: Impulses, team: Team, dt: float) -> bool:
             overlap = max(overlap, -gap)
     overlap, deepest, _ = largest(team, overlap, deepest, 0.0)
     # none where a thread has failed
-    count[1] = int(deepest) if deepest < rows.partner_a.size else -1
+    if count[1] >= -1:
+        count[1] = int(deepest) if deepest < rows.partner_a.size else -1
     return overlap > rules.slop
 
 

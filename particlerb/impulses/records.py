@@ -224,7 +224,8 @@ class Impulses(NamedTuple):
     rules: ImpulseRules
     partners: Partners
     rows: ImpulseRows
-    counts: Ints  # (2,) contacts of this step; one that is going to be too deep, or -1
+    # (2,) contacts of this step; k that is going to be too deep, -2 - k that bears too much, or -1
+    counts: Ints
     tally: Floats  # (TALLY,) sums since the segment began
     newton: Newton
 

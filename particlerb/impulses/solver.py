@@ -57,6 +57,8 @@ _REGULARISATION_RATIO: Final = 0.01  # from round to round
 _NEWTON_TOLERANCE_SHARE: Final = 0.1  # of the tolerance
 _FLOOR_SHARE: Final = 1e-6  # of all impulses of the kick: contacts that carry less carry nothing
 _ROUNDING: Final = 2.0**-51  # of the terms of a velocity
+_UNBOUNDED: Final = 1e9  # of all momenta of before: larger impulses grow without an end
+_UNSOLVED: Final = 0.3  # residual of no solution: bodies that wedge each other end far below
 
 
 class Scales(NamedTuple):
@@ -302,6 +304,20 @@ def _keep_best(impulses: Impulses, bounded: Bounded | None, goes_back: bool) -> 
 
 
 @inline
+def _note_unbounded(impulses: Impulses, scales: Scales, moved: float) -> None:
+    """Note the largest impulse where none are enough: bodies are pressed from sides that hold."""
+    _, partners, rows, count, _, _ = impulses
+    most = moved
+    for b in range(partners.free.shape[0]):
+        if partners.inverse[b, 0] > 0.0:
+            most += (scales.speed + norm(row3(partners.free, b))) / partners.inverse[b, 0]
+    most *= _UNBOUNDED
+    for k in range(count[0]):
+        if rows.impulse[k, 0] > most:
+            count[1], most = -2 - k, rows.impulse[k, 0]
+
+
+@inline
 def _finish(
     impulses: Impulses, bounded: Bounded | None, defect: float, enough: float, time: float
 ) -> None:
@@ -378,4 +394,7 @@ def solve(
         give_rolling(rows.rolling, partners, rows, first, end)
         meet(team)
     if team.thread == 0:
+        count[1] = -1
+        if defect > _UNSOLVED:
+            _note_unbounded(impulses, scales, moved)
         _finish(impulses, bounded, defect, enough, time)

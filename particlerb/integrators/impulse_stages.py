@@ -4,6 +4,7 @@ All happens in the middle of a step. Threads move their own blocks of bodies, sh
 and, where there are many, solving them (`impulses.colours`); the rest is done by the first one.
 """
 
+import math
 from typing import Final
 
 from particlerb.compiled.barrier import Team, meet
@@ -311,14 +312,22 @@ def _move_bodies(
 
 @inline
 def _note_overlap(contact: MovingContact, impulses: Impulses, dt: float) -> None:
-    """Note the first contact that is going to be too deep, for the host to say."""
+    """Note the first contact that is going to be too deep, for the host to say.
+
+    Or that bears too much: how deep is inf then, and its impulse is in the place of the radius.
+    """
     workspace, rows, k = contact.workspace, impulses.rows, impulses.counts[1]
-    if k < 0 or workspace.deepest[0, 0] > 0.0:
+    if k == -1 or workspace.deepest[0, 0] > 0.0:
         return
     deepest, limits = workspace.deepest[0], rows.limits
-    deepest[0] = -limits[k, col.GAP] - dt * approach(impulses.partners, rows, k)[0]
-    deepest[1], deepest[2], deepest[3] = limits[k, col.RADIUS], rows.partner_a[k], rows.partner_b[k]
-    deepest[4] = workspace.step_start.time[0] + 1.5 * dt
+    if k >= 0:
+        deepest[0] = -limits[k, col.GAP] - dt * approach(impulses.partners, rows, k)[0]
+        deepest[1], ahead = limits[k, col.RADIUS], 1.5 * dt
+    else:
+        k, ahead = -2 - k, 0.5 * dt
+        deepest[0], deepest[1] = math.inf, rows.impulse[k, 0]
+    deepest[2], deepest[3] = rows.partner_a[k], rows.partner_b[k]
+    deepest[4] = workspace.step_start.time[0] + ahead
 
 
 @kernel

@@ -3,6 +3,7 @@
 A run that is wrong says so: each check raises MotionError with what, where, why and what to do.
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -165,7 +166,15 @@ class ContactChecks:
             k >= 0 and wall_displacement(self._motions[k : k + 1], self.dt, [1.0]) > 0.0
         ):
             why += "; one of them moves as prescribed: let it leave space for what it presses"
+        between = f"body {int(self.members[int(body)])} and {partner}"
+        if impulses is not None and depth == math.inf:
+            raise MotionError(
+                f"by t = {when} no impulses keep bodies apart, as where one is pressed from sides"
+                f" that do not yield: that of {between} grew to {radius:.2g} N s (residual"
+                f" {impulses.tally[col.WORST_EVER]:.2g} at worst); let what moves as prescribed"
+                " leave space for what it presses"
+            )
         raise MotionError(
-            f"at t = {when} body {int(self.members[int(body)])} and {partner} overlap by"
-            f" {depth:.3g} m, {depth / radius:.2g} of the smaller radius: {why}"
+            f"at t = {when} {between} overlap by {depth:.3g} m, {depth / radius:.2g} of the smaller"
+            f" radius: {why}"
         )

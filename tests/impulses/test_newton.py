@@ -1,5 +1,8 @@
 """Newton's method goes on where sweeps stay away from a solution; the plan says who solves."""
 
+import math
+import re
+
 import numba
 import numpy as np
 import pytest
@@ -123,6 +126,22 @@ def test_what_overlaps_by_half_a_radius_ends_the_run_with_the_pair_and_the_time(
     else:
         keys["contact"] |= {"overlap": 0.8 * R}
         assert go(ball, **keys).position[-1, 0, 2] == pytest.approx(R, abs=0.1 * R)
+
+
+@plain
+def test_what_is_pressed_into_a_wedge_ends_the_run_at_once_and_says_so():
+    """Impulses grew to 1e14 N s, their rounding threw the ball about, and that was called fast."""
+    half = 0.3
+    walls = [plane((math.cos(half), 0, math.sin(half)), "left"),
+             plane((-math.cos(half), 0, math.sin(half)), "right"),
+             plane((0, 0, -1), "press", point=[0, 0, R / math.sin(half) + R],
+                   motion={"velocity": [0, 0, -0.1]})]  # fmt: skip
+    ball = sphere(position=[0, 0, R / math.sin(half)])
+    with pytest.raises(RunError, match="one is pressed from sides that do not yield") as error:
+        go(ball, contact=impulse(0.0, 0.5), wall=walls, gravity=DOWN, dt=5e-3, t_end=0.05,
+           every=5e-3)  # fmt: skip
+    assert re.search(r"by t = 0.0025 s .* grew to .* N s \(residual 0", str(error.value))
+    assert "let what moves as prescribed leave space for what it presses" in str(error.value)
 
 
 @plain
