@@ -183,10 +183,10 @@ class Body(Table):
             return np.zeros(self.count, dtype=np.int64)
         return np.unique(self.weights, return_inverse=True)[1]
 
-    def of_kinds(self) -> "list[Body]":
-        """The record with the mass of each kind."""
-        n, key = int(self.kinds.max()) + 1, "density" if self.mass is None else "mass"
+    @property
+    def matter_of_kinds(self) -> list[tuple[Any, Any]]:
+        """The same of each draw; of what is not drawn once, with a column (k, 1) for k kinds."""
         if self.weights is None:
-            return [self] * n
-        of_kind = self.weights if self.is_drawn else np.unique(self.weights)
-        return [self.model_copy(update={key: value}) for value in of_kind.tolist()]
+            return [self.matter] * (self.count if self.is_drawn else 1)
+        of_kinds = list(self.weights) if self.is_drawn else [np.unique(self.weights)[:, None]]
+        return [(None, one) if self.mass is None else (one, None) for one in of_kinds]

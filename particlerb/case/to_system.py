@@ -212,16 +212,15 @@ def _particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tupl
     """
     files, stream = case.source.files, random_stream(case.run.seed, i, "shape")
 
-    def drawn(one: Body) -> list[FilledShape]:
-        if one.shape is not None:
-            return [_shape_particles(files, one.shape, *one.matter, stream)]
-        return [part_particles(files, part, stream) for part in one.part]
-
-    each = [drawn(one) for one in body.of_kinds()]
-    sets = [united(concatenate([part.particles for part in parts])) for parts in each]
-    names = [f", part {j}" for j in range(len(body.part))] or [""]
-    named = zip(names, each[0], strict=True)
-    return concatenate(sets), [(name, line) for name, part in named for line in part.lines]
+    if body.shape is not None:
+        each = [_shape_particles(files, body.shape, *one, stream) for one in body.matter_of_kinds]
+        return concatenate([one.particles for one in each]), [("", line) for line in each[0].lines]
+    sets = list[Particles]()
+    for _ in body.matter_of_kinds:
+        parts = [part_particles(files, part, stream) for part in body.part]
+        sets.append(united(concatenate([part.particles for part in parts])))
+    lines = [(f", part {j}", line) for j, part in enumerate(parts) for line in part.lines]
+    return concatenate(sets), lines
 
 
 def part_particles(files: Files, part: ShapePart, stream: np.random.Generator) -> FilledShape:
@@ -239,11 +238,14 @@ def turn_of(part: ShapePart) -> Floats:
 def _shape_particles(
     files: Files,
     shape: AnyShape,
-    mass: float | None,
-    density: float | None,
+    mass: Any,
+    density: Any,
     stream: np.random.Generator,
 ) -> FilledShape:
-    """Particles of a shape in its own axes, and what is to be said of them."""
+    """Particles of a shape in its own axes, and what is to be said of them.
+
+    Mass [kg] or density [kg/m³] is a number, or a column (k, 1) for as many kinds.
+    """
     if isinstance(shape, Cloud):
         return FilledShape(shapes.cloud(shape.n, shape.radius, mass or 0.0, stream))
     if isinstance(shape, PointsShape):
@@ -260,7 +262,7 @@ def _shape_particles(
         return mesh_particles(mesh, mass, density, *how)
     parameters = shape.model_dump(exclude={"type", "inertia_error"})
     if mass is None:
-        mass = (density or 0.0) * solid_of(shape).volume
+        mass = density * solid_of(shape).volume
     particles_of = partial(getattr(shapes, shape.type), **parameters, mass=mass)
     wanted = getattr(shape, "inertia_error", None)
     if wanted is None:

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
-from particlerb.geometry.particles import Particles, one_kind
+from particlerb.geometry.particles import Mass, Particles, one_kind
 from particlerb.geometry.solid import symmetric
 from particlerb.maths.vec3 import Floats, Ints
 
@@ -264,7 +264,7 @@ def pieces(layers: Iterable[Layer], grid: Lattice) -> Pieces:
     return Pieces(np.concatenate(cells), share, np.concatenate(centroids), inner)
 
 
-def cell_particles(layers: Iterable[Layer], grid: Lattice, mass: float) -> Particles:
+def cell_particles(layers: Iterable[Layer], grid: Lattice, mass: Mass) -> Particles:
     """One particle for each cell that holds matter, with the com and tensor of all of it.
 
     A particle in place of a piece lacks the piece's moments about its own centroid. All particles
@@ -277,7 +277,7 @@ def cell_particles(layers: Iterable[Layer], grid: Lattice, mass: float) -> Parti
     layers : iterable of (i, ndarray of shape (n_y, n_z, 10))
         Cell sums.
     grid : Lattice
-    mass : float [kg]
+    mass : float, or ndarray of shape (k, 1) [kg]
 
     Raises
     ------

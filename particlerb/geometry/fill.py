@@ -21,7 +21,7 @@ from particlerb.geometry.mass_properties import mass_properties
 from particlerb.geometry.mesh import TriangleMesh, mesh_solid
 from particlerb.geometry.overlapping_spheres import union_solid
 from particlerb.geometry.packing import packing
-from particlerb.geometry.particles import Particles, checked_mass, with_surface
+from particlerb.geometry.particles import Mass, Particles, checked_mass, kind_of, with_surface
 from particlerb.geometry.solid import UniformSolid, equimomental_points
 from particlerb.maths.vec3 import Floats
 
@@ -121,7 +121,8 @@ def coarsest_within(
     while True:
         try:
             particles = make(n)
-            made = _Trial(n, len(particles.mass), *errors(particles, analytic))
+            one = kind_of(particles, 0)  # others differ in their mass alone
+            made = _Trial(n, len(one.mass), *errors(one, analytic))
         except ValueError:  # none of the cells is inside, or all lie in a plane
             if trials or n > _CELLS_RATIO**20:
                 raise
@@ -151,8 +152,8 @@ def per_mass(solid: UniformSolid) -> Analytic:
 
 def mesh_particles(
     mesh: TriangleMesh,
-    mass: float | None = None,
-    density: float | None = None,
+    mass: Mass | None = None,
+    density: Mass | None = None,
     arrangement: str = "exact",
     n: int = 10,
     inertia_error: float | None = None,
@@ -163,7 +164,7 @@ def mesh_particles(
     ----------
     mesh : TriangleMesh
         As `geometry.mesh.checked` leaves it.
-    mass, density : float [kg, kg/m³]
+    mass, density : float, or ndarray of shape (k, 1) [kg, kg/m³]
         One of them.
     arrangement : {"exact", "cells", "spheres"}
         Six particles with exactly the com and tensor of the mesh; cells, each weighted by its share
@@ -180,7 +181,8 @@ def mesh_particles(
         If the mass is not positive and finite, n is too small, or the error is not met.
     """
     solid = mesh_solid(mesh)
-    total = checked_mass((density or 0.0) * solid.volume if mass is None else mass)
+    of_density = 0.0 if density is None else density * solid.volume
+    total = checked_mass(of_density if mass is None else mass)
     if arrangement == "exact":
         return FilledShape(equimomental_points(solid, total), (), mesh.notes)
     if arrangement == "cells":
@@ -193,14 +195,14 @@ def mesh_particles(
     return filled._replace(notes=mesh.notes)
 
 
-def _mesh_cells(mesh: TriangleMesh, mass: float, n: int) -> Particles:
+def _mesh_cells(mesh: TriangleMesh, mass: Mass, n: int) -> Particles:
     """Particles of cells of a mesh, n along its largest extent."""
     grid = grid_over(mesh.vertices.min(axis=0), mesh.vertices.max(axis=0), n)
     return cell_particles(cut_mesh(mesh.vertices, mesh.faces, grid), grid, mass)
 
 
 def _spheres_in(
-    mesh: TriangleMesh, solid: UniformSolid, mass: float, n: int, inertia_error: float | None
+    mesh: TriangleMesh, solid: UniformSolid, mass: Mass, n: int, inertia_error: float | None
 ) -> FilledShape:
     """Inscribed spheres without mass, and six particles with all of it."""
     analytic = per_mass(solid)

@@ -12,7 +12,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from particlerb.geometry.particles import Particles, one_kind, with_surface
+from particlerb.geometry.particles import Mass, Particles, one_kind, with_surface
 from particlerb.geometry.solid import UniformSolid, equimomental_points, symmetric
 from particlerb.geometry.union import neighbours, union
 from particlerb.maths.vec3 import Floats, Ints
@@ -35,8 +35,8 @@ class _Overlaps(NamedTuple):
 def spheres(
     position: ArrayLike,
     radius: ArrayLike,
-    mass: float | None = None,
-    density: float | None = None,
+    mass: Mass | None = None,
+    density: Mass | None = None,
     overlap: _Overlap = "exact",
 ) -> Particles:
     """Particles of a body of uniform spheres.
@@ -46,9 +46,9 @@ def spheres(
     position : array_like, shape (n, 3) [m]
     radius : array_like, shape (n,) or () [m]
         Positive.
-    mass : float [kg]
+    mass : float, or ndarray of shape (k, 1) [kg]
         Of the body, 0 for surface without matter; or
-    density : float [kg/m³]
+    density : float, or ndarray of shape (k, 1) [kg/m³]
         Of its matter.
     overlap : {"exact", "sum", "error"}
         Matter in several spheres counts once; counts in each of them; is refused.
@@ -65,11 +65,11 @@ def spheres(
         and must not.
     """
     centre, R = _checked(position, radius)
-    amount = (mass if density is None else density) or 0.0
+    amount = mass if density is None else density
     overlapping = overlaps(centre, R)
     if overlapping.pairs and overlap == "error":
         raise ValueError(refusal(centre, R, overlapping))
-    if amount == 0.0:
+    if amount is None or not np.any(amount):
         return one_kind(centre, 0.0, R)
     if not overlapping.pairs or overlap == "sum":
         volumes = 4.0 / 3.0 * math.pi * R**3

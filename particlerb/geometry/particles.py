@@ -9,12 +9,15 @@ Why it is so: docs/decisions/0001.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from particlerb.maths.vec3 import Bools, Floats, Ints
+
+Mass: TypeAlias = float | Floats
+"""Of a body, or a column (k, 1) of those of k kinds [kg]."""
 
 
 class Particles(NamedTuple):
@@ -31,13 +34,13 @@ class Particles(NamedTuple):
 
 
 def one_kind(position: ArrayLike, mass: ArrayLike, radius: ArrayLike | None = None) -> Particles:
-    """Particles of a single kind.
+    """Particles of a single kind; of k kinds of as many particles where a row is given for each.
 
     Parameters
     ----------
-    position : array_like, shape (n, 3) [m]
-    mass : array_like, shape (n,) [kg]
-        One number stands for equal masses.
+    position : array_like, shape (n, 3) or (k, n, 3) [m]
+    mass : array_like, shape (n,) or (k, n) [kg]
+        One number stands for equal masses, a column (k, 1) for those of each kind.
     radius : array_like, shape (n,) [m], optional
         Left out: point masses. One number stands for equal radii.
 
@@ -52,22 +55,24 @@ def one_kind(position: ArrayLike, mass: ArrayLike, radius: ArrayLike | None = No
         If shapes disagree, nothing is given, or a value is negative or not finite; the message
         names the first such particle.
     """
-    p = np.array(position, dtype=np.float64, order="C")
-    if p.ndim != 2 or p.shape[1] != 3 or len(p) == 0:
+    p, masses = np.asarray(position, dtype=np.float64), np.asarray(mass, dtype=np.float64)
+    if p.ndim not in {2, 3} or p.shape[-1] != 3 or p.size == 0:
         raise ValueError(f"position has shape {p.shape}, not (n, 3) with n of 1 or more")
-    m = _per_particle("mass", mass, len(p))
-    r = _per_particle("radius", 0.0 if radius is None else radius, len(p))
+    k, n = max(len(masses) if masses.ndim == 2 else 1, len(p) if p.ndim == 3 else 1), p.shape[-2]
+    m = _per_particle("mass", masses, k, n)
+    r = _per_particle("radius", 0.0 if radius is None else radius, k, n)
     if not np.isfinite(p).all():
         raise ValueError(f"position of particle {np.argmin(np.isfinite(p).all(axis=1))} not finite")
-    return Particles(p, m, r, np.array([0, len(p)], dtype=np.int64))
+    p = np.array(np.broadcast_to(p, (k, n, 3)), order="C").reshape(-1, 3)
+    return Particles(p, m, r, n * np.arange(k + 1))
 
 
-def _per_particle(name: str, value: ArrayLike, n: int) -> Floats:
-    """Array of n finite values of 0 or more, from n values or one; ValueError names the first."""
+def _per_particle(name: str, value: ArrayLike, k: int, n: int) -> Floats:
+    """Array of k n finite values of 0 or more, from n or one; ValueError names the first."""
     values = np.asarray(value, dtype=np.float64)
-    if values.shape not in {(), (n,)}:
+    if values.shape not in {(), (n,), (k, 1), (k, n)}:
         raise ValueError(f"{name} has shape {values.shape}, position has {n} particles")
-    array = np.array(np.broadcast_to(values, (n,)), order="C")
+    array = np.array(np.broadcast_to(values, (k, n)), order="C").reshape(-1)
     valid = np.isfinite(array) & (array >= 0.0)
     if not valid.all():
         i = int(np.argmin(valid))
@@ -75,10 +80,11 @@ def _per_particle(name: str, value: ArrayLike, n: int) -> Floats:
     return array
 
 
-def checked_mass(mass: float) -> float:
-    """The mass; ValueError unless it is positive and finite."""
-    if not 0.0 < mass < math.inf:
-        raise ValueError(f"mass is {mass}: positive and finite is needed")
+def checked_mass(mass: Mass) -> Mass:
+    """The mass, or those of kinds; ValueError unless each is positive and finite."""
+    masses = np.ravel(mass)
+    if not (is_right := (masses > 0.0) & (masses < math.inf)).all():
+        raise ValueError(f"mass is {masses[np.argmin(is_right)]}: positive and finite is needed")
     return mass
 
 
@@ -151,8 +157,15 @@ def united(particles: Particles) -> Particles:
 
 
 def with_surface(matter: Particles, position: Floats, radius: Floats) -> Particles:
-    """Spheres (n, 3), (n,) [m] without mass, which only touch, and the particles with the mass."""
-    return united(concatenate([one_kind(position, 0.0, radius), matter]))
+    """Spheres (n, 3), (n,) [m] without mass, which only touch, and the particles with the mass.
+
+    Kinds of matter have equally many particles, and each kind has all the spheres.
+    """
+    k, n = len(matter.offset) - 1, len(radius)
+    places = [np.broadcast_to(position, (k, n, 3)), matter.position.reshape(k, -1, 3)]
+    masses = [np.zeros((k, n)), matter.mass.reshape(k, -1)]
+    radii = np.concatenate([radius, matter.radius[: matter.offset[1]]])
+    return one_kind(np.concatenate(places, axis=1), np.concatenate(masses, axis=1), radii)
 
 
 def transformed(particles: Particles, rotation: Floats, translation: ArrayLike) -> Particles:
@@ -169,8 +182,10 @@ def transformed(particles: Particles, rotation: Floats, translation: ArrayLike) 
     return particles._replace(position=particles.position @ rotation.T + np.asarray(translation))
 
 
-def scaled_to_mass(particles: Particles, mass: float) -> Particles:
+def scaled_to_mass(particles: Particles, mass: Mass) -> Particles:
     """Particles of one kind, their masses times one factor, so that it has a mass [kg].
+
+    A column of masses (k, 1) gives as many kinds.
 
     Raises
     ------
@@ -180,4 +195,4 @@ def scaled_to_mass(particles: Particles, mass: float) -> Particles:
     total = math.fsum(particles.mass)
     if total == 0.0:
         raise ValueError("it has no mass to scale")
-    return particles._replace(mass=particles.mass / total * mass)
+    return one_kind(particles.position, particles.mass / total * mass, particles.radius)

@@ -14,7 +14,7 @@ import numpy as np
 
 from particlerb.compiled.jit import inline, kernel
 from particlerb.geometry.cells import Layer, cell_particles, grid_over
-from particlerb.geometry.particles import Particles
+from particlerb.geometry.particles import Mass, Particles
 from particlerb.maths.vec3 import Bools, Floats
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
@@ -70,7 +70,7 @@ def ring(slenderness: float) -> Profile:
     return Profile(np.array([c, a, 0.0]), np.array([c, -a, 0.0]), 0.0, True)
 
 
-def section_particles(profile: Profile, half_size: Floats, mass: float, n: int) -> Particles:
+def section_particles(profile: Profile, half_size: Floats, mass: Mass, n: int) -> Particles:
     """Particles of cells, n along the largest extent, of a solid about the origin.
 
     Parameters
@@ -79,7 +79,7 @@ def section_particles(profile: Profile, half_size: Floats, mass: float, n: int) 
         The solid in its bounding box.
     half_size : ndarray, shape (3,) [m]
         Of that box.
-    mass : float [kg]
+    mass : float, or ndarray of shape (k, 1) [kg]
     n : int
 
     Raises

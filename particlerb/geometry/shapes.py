@@ -1,7 +1,8 @@
 """Shapes filled with mass particles: one function per shape, numbers in, one kind out.
 
 Common to all: positions in the shape's own axes, centred unless the function says otherwise; SI
-units; `mass` [kg] is the total, shared equally unless said otherwise. Sizes, numbers of particles
+units; `mass` [kg] is the total, shared equally unless said otherwise; a column (k, 1) of masses
+gives a kind of each. Sizes, numbers of particles
 and arrangements are those that the tables of `particlerb.case.shapes` allow; ValueError for a mass
 that is not positive and finite, as one from a density may be, and for what shows here alone.
 
@@ -21,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from particlerb.geometry.particles import Particles, checked_mass, one_kind
+from particlerb.geometry.particles import Mass, Particles, checked_mass, one_kind
 from particlerb.geometry.sections import BALL, CONE, Profile, hollow, ring, section_particles, tube
 from particlerb.maths.vec3 import Floats
 
@@ -38,12 +39,12 @@ def _cell_centres(n: int) -> Floats:
     return (2.0 * np.arange(n) + (1.0 - n)) / n
 
 
-def equal(position: Floats, mass: float) -> Particles:
-    """Point particles at positions (n, 3) [m] of equal mass M / n."""
-    return one_kind(position, checked_mass(mass) / len(position))
+def equal(position: Floats, mass: Mass) -> Particles:
+    """Point particles at positions (n, 3) or (k, n, 3) [m] of equal mass M / n."""
+    return one_kind(position, checked_mass(mass) / position.shape[-2])
 
 
-def filled(half_size: Floats, mass: float, n: int, arrangement: str, profile: Profile) -> Particles:
+def filled(half_size: Floats, mass: Mass, n: int, arrangement: str, profile: Profile) -> Particles:
     """Particles of cells, or equal ones in the cell centres inside a shape.
 
     Parameters
@@ -77,7 +78,7 @@ def filled(half_size: Floats, mass: float, n: int, arrangement: str, profile: Pr
 
 
 def box(
-    size: ArrayLike, mass: float, n: int | Sequence[int] = 10, arrangement: str = "lattice"
+    size: ArrayLike, mass: Mass, n: int | Sequence[int] = 10, arrangement: str = "lattice"
 ) -> Particles:
     """Box of edges `size` (3,) [m]: n cells per edge (or three numbers), exact: 8 particles.
 
@@ -92,18 +93,18 @@ def box(
     return equal(np.stack(grid, axis=-1).reshape(-1, 3) * half_size, mass)
 
 
-def ball(radius: float, mass: float, n: int = 10, arrangement: str = "lattice") -> Particles:
+def ball(radius: float, mass: Mass, n: int = 10, arrangement: str = "lattice") -> Particles:
     """Ball: n cells per diameter; exact: one solid particle of this radius, I = 2/5 M R².
 
     The one particle may have mass 0: then it is surface without matter.
     """
     if arrangement == "exact":
-        return one_kind(np.zeros((1, 3)), checked_mass(mass) if mass else 0.0, radius)
+        return one_kind(np.zeros((1, 3)), checked_mass(mass) if np.any(mass) else 0.0, radius)
     return ellipsoid(np.full(3, radius), mass, n, arrangement)
 
 
 def ellipsoid(
-    semi_axes: ArrayLike, mass: float, n: int = 10, arrangement: str = "lattice"
+    semi_axes: ArrayLike, mass: Mass, n: int = 10, arrangement: str = "lattice"
 ) -> Particles:
     """Ellipsoid of half axes (3,) [m]; exact: 6 particles at a √(3/5), Σ m x² = M a²/5."""
     half_size = np.asarray(semi_axes, dtype=np.float64)
@@ -114,7 +115,7 @@ def ellipsoid(
 
 def shell(
     radius: float,
-    mass: float,
+    mass: Mass,
     inner_radius: float | None = None,
     n: int = 10,
     arrangement: str = "lattice",
@@ -139,7 +140,7 @@ def shell(
 def cylinder(
     radius: float,
     height: float,
-    mass: float,
+    mass: Mass,
     inner_radius: float = 0.0,
     n: int = 10,
     arrangement: str = "lattice",
@@ -153,7 +154,7 @@ def cylinder(
 
 
 def cone(
-    radius: float, height: float, mass: float, n: int = 10, arrangement: str = "lattice"
+    radius: float, height: float, mass: Mass, n: int = 10, arrangement: str = "lattice"
 ) -> Particles:
     """Cone along z, base at z = 0, apex at z = h.
 
@@ -165,7 +166,7 @@ def cone(
 
 
 def torus(
-    major_radius: float, minor_radius: float, mass: float, n: int = 10, arrangement: str = "lattice"
+    major_radius: float, minor_radius: float, mass: Mass, n: int = 10, arrangement: str = "lattice"
 ) -> Particles:
     """Ring about z: circle of the minor radius a led round the circle of the major radius c.
 
@@ -175,7 +176,7 @@ def torus(
     return filled(np.array([c + a, c + a, a]), mass, n, arrangement, ring(a / c))
 
 
-def rod(length: float, mass: float, n: int = 10, arrangement: str = "lattice") -> Particles:
+def rod(length: float, mass: Mass, n: int = 10, arrangement: str = "lattice") -> Particles:
     """Thin rod along z: n equal particles, I = (M L²/12)(1 − 1/n²).
 
     Exact: masses M/6, 2M/3, M/6 at −L/2, 0, L/2 (Simpson's rule), I = M L²/12.
@@ -189,7 +190,7 @@ def rod(length: float, mass: float, n: int = 10, arrangement: str = "lattice") -
 
 
 def tetrahedron(
-    vertices: ArrayLike, mass: float, n: int = 10, arrangement: str = "lattice"
+    vertices: ArrayLike, mass: Mass, n: int = 10, arrangement: str = "lattice"
 ) -> Particles:
     """Solid tetrahedron with vertices (4, 3) [m], in their frame (not centred).
 
@@ -217,7 +218,7 @@ def tetrahedron(
 # Sets without a solid
 
 
-def moments(inertia: ArrayLike, mass: float) -> Particles:
+def moments(inertia: ArrayLike, mass: Mass) -> Particles:
     """Six equal particles with exactly these moments (3,) [kg m²] about the axes x, y, z.
 
     At ±p_k on axis k with p_1² = (I_2 + I_3 − I_1)/(4m), m = M/6, and cyclic.
@@ -237,13 +238,14 @@ def moments(inertia: ArrayLike, mass: float) -> Particles:
             f" other two, {float(others[k])!r}, by {-float(excess[k])!r} kg m²: no body has these"
         )
     with np.errstate(over="ignore", invalid="ignore"):
-        arms = SIX_DIRECTIONS * (0.5 * np.sqrt(np.maximum(excess, 0.0) / m))
+        arms = SIX_DIRECTIONS * (0.5 * np.sqrt(np.maximum(excess, 0.0) / m))[..., None, :]
     if not np.isfinite(arms).all():
-        raise ValueError(f"inertia {array.tolist()} is too large for a mass of {mass!r} kg")
+        least = float(np.min(mass))
+        raise ValueError(f"inertia {array.tolist()} is too large for a mass of {least!r} kg")
     return equal(arms, mass)
 
 
-def cloud(n: int, radius: float, mass: float, rng: np.random.Generator) -> Particles:
+def cloud(n: int, radius: float, mass: Mass, rng: np.random.Generator) -> Particles:
     """n equal particles, independent and uniform in a ball: r = R u^(1/3), direction at random."""
     direction = rng.standard_normal((n, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

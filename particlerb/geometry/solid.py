@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from particlerb.geometry.particles import Particles, one_kind
+from particlerb.geometry.particles import Mass, Particles, one_kind
 from particlerb.maths.vec3 import Floats
 
 MOMENT_ROUNDING: Final = 64 * float(np.finfo(np.float64).eps)
@@ -35,7 +35,7 @@ def symmetric(second: Floats) -> Floats:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def equimomental_points(solid: UniformSolid, mass: float) -> Particles:
+def equimomental_points(solid: UniformSolid, mass: Mass) -> Particles:
     """Six equal point masses with the com of a solid and, for this mass, its tensor.
 
     At com ± p_k along principal axis k, with p_1² = 3 (λ_2 + λ_3 − λ_1) / (2 V) and cyclic: six
@@ -44,7 +44,7 @@ def equimomental_points(solid: UniformSolid, mass: float) -> Particles:
     Parameters
     ----------
     solid : UniformSolid
-    mass : float [kg]
+    mass : float, or ndarray of shape (k, 1) [kg]
 
     Raises
     ------

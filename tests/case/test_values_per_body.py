@@ -11,6 +11,7 @@ from particlerb import CaseError, Scene
 from particlerb.case.problems import path_of
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
+from particlerb.geometry.particles import kind_of
 from particlerb.plan.make_plan import make_plan
 from particlerb.simulation.shares import can_be_apart
 from particlerb.sweeping.together import may_share, rows_together
@@ -21,12 +22,17 @@ from particlerb.tables import (
     Ball,
     Box,
     Cloud,
+    Cylinder,
     DragTable,
     ImpulseTable,
     MagnusTable,
+    Moments,
+    PointsShape,
     PushTable,
     PythonTable,
+    Rod,
     RunTable,
+    SpheresShape,
     SpringTable,
     SweepTable,
     SweepValue,
@@ -103,6 +109,45 @@ def test_masses_are_kinds_and_equal_ones_share_theirs():
     np.testing.assert_allclose(system.bodies.mass, MASSES, rtol=1e-15)
     assert system.properties.mass.size == 4
     assert system.kind[0] == system.kind[2]
+
+
+CORNERS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+SHAPES = {
+    "box": Box(size=(1, 2, 3), n=3),
+    "ball": Ball(radius=0.1),
+    "cells": Cylinder(radius=1.0, height=2.0, arrangement="cells", n=5),
+    "chosen by its error": Ball(radius=1.0, arrangement="lattice", inertia_error=0.05),
+    "points": PointsShape(position=CORNERS, mass=(1.0, 2.0, 3.0, 0.7)),
+    "moments": Moments(inertia=(1.0, 2.0, 2.5)),
+    "exact rod": Rod(length=1.0, arrangement="exact"),
+    "overlapping spheres": SpheresShape(position=CORNERS, radius=0.7),
+    "spheres apart": SpheresShape(position=CORNERS, radius=(0.1, 0.2, 0.3, 0.4)),
+}
+
+
+NO_VOLUME = {"points", "moments", "exact rod"}
+WEIGHED = [(name, "mass") for name in SHAPES]
+WEIGHED += [(name, "density") for name in SHAPES if name not in NO_VOLUME]
+
+
+@pytest.mark.parametrize(("name", "key"), WEIGHED)
+def test_kinds_of_a_table_have_the_bits_of_a_table_for_each(name, key):
+    weights = np.array([0.3, 1.7, 0.9])
+    tables = [{"count": 3, key: weights}, *({key: weight} for weight in weights)]
+    systems = []
+    for table in tables:
+        scene = Scene(RunTable(t_end=1.0, every=1.0))
+        place = {"position": PLACES[:3]} if "count" in table else {}
+        scene.add_body(name="b", shape=SHAPES[name], **table, **place)
+        systems.append(to_system(scene))
+    whole, *alone = systems
+    order = whole.kind  # kinds stand by their mass
+    for k, one in enumerate(alone):
+        own = kind_of(whole.particles, int(order[k]))
+        for array, other in zip(own, one.particles, strict=True):
+            np.testing.assert_array_equal(array, other)
+        for array, other in zip(whole.properties, one.properties, strict=True):
+            np.testing.assert_array_equal(array[order[k]], other[0])
 
 
 def test_densities_are_given_one_by_one_too():
