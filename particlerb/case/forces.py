@@ -15,6 +15,7 @@ from particlerb.case.values import (
     ArrayPerBody,
     EachNonNegative,
     EachNumber,
+    EachPositive,
     FloatArray,
     Forms,
     Frame,
@@ -284,10 +285,10 @@ class CentralTable(LastingForceTable):
     """Attraction by a fixed centre, inverse-square, with its gravity-gradient torque."""
 
     type: Literal["central"] = Field(init=False)
-    centre: Vector = ORIGIN
-    """Where the centre is, world frame. [m]"""
-    mu: Positive
-    """G times the mass of the centre. [m³/s²]"""
+    centre: Vectors = ORIGIN
+    """Where the centre is, world frame; or a row per body. [m]"""
+    mu: Annotated[Positive | EachPositive, Forms("number", "list")]
+    """G times the mass of the centre; or one per body. [m³/s²]"""
 
 
 class MagnusTable(LastingForceTable):

@@ -10,9 +10,10 @@ from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from particlerb.case.forces import ForceTable
 from particlerb.case.problems import CaseError, Locator, Path, Source, is_meant, nearest, shown
 from particlerb.case.schema import Case
-from particlerb.case.values import Table, plain
+from particlerb.case.values import Table, is_rows, plain
 
 _WORDS_OF_KINDS = {
     "bool_type": "must be true or false",
@@ -100,6 +101,9 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     """One error of pydantic."""
     path = _path_in(raw, error["loc"], root)
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
+    is_each = path[0] == "force" or issubclass(root, ForceTable)
+    is_each &= is_rows(value) or (kind == "float_type" and isinstance(value, (list, tuple)))
+    alike = "bodies of a [[force]] share it: give one for each that differs" if is_each else ""
     if kind == "extra_forbidden":
         keys = _table_keys(raw, path[:-1], root)
         hint, where = nearest(str(path[-1]), keys, "keys here"), _elsewhere(path, root)
@@ -117,7 +121,7 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
         return Message(path, "missing", _header_of(raw, path, root) if is_header else listed)
     if kind == "rule":
         path = (*path, context["key"]) if context["key"] else path
-        return Message(path, error["msg"], context["hint"] or forms(path))
+        return Message(path, error["msg"], context["hint"] or forms(path) or alike)
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
         return _type_message(path, context, _table_keys(raw, path, root))
     if kind in {"literal_error", "choice"}:
@@ -127,7 +131,7 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     reason = _reason_of(kind, context, value) or error["msg"]
     if kind == "float_type" and _tables(_types_at(raw, path, root), None):
         reason = reason.replace("a number", "a number or a table", 1)
-    hint = f"write [[{path[0]}]]" if kind == "tuple_type" and len(path) == 1 else ""
+    hint = f"write [[{path[0]}]]" if kind == "tuple_type" and len(path) == 1 else alike
     if kind in {"float_type", "int_type"} and isinstance(value, str) and re.match(r"\W*\d", value):
         hint = "numbers stand without quotes and without a unit, in SI units"
     if kind in {"model_type", "model_attributes_type"}:

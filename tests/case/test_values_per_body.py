@@ -21,6 +21,7 @@ from particlerb.tables import (
     AttractionTable,
     Ball,
     Box,
+    CentralTable,
     Cloud,
     Cylinder,
     DragTable,
@@ -64,6 +65,7 @@ LOADS = {
     "impulses": (ImpulseTable, {"impulse": VECTORS, "at": ARMS}, {"time": 0.02}),
     "drag": (DragTable, {"translation": SIZES}, {"rotation": 0.1}),
     "drag of turning": (DragTable, {"translation": SIZES, "rotation": SIZES[::-1]}, {}),
+    "centres": (CentralTable, {"centre": PLACES + 9.0, "mu": MASSES}, {}),
     "lift": (MagnusTable, {"coefficient": VECTORS[:, 0]}, {}),
     "charges": (UniformField, {"charge": VECTORS[:, :1], "at": ARMS}, {"field": (0, 1, 2)}),
     "dipoles": (UniformField, {"dipole": VECTORS}, {"field": (0, 1, 2)}),
@@ -267,3 +269,17 @@ def test_springs_at_first_lengths_and_functions_act_on_each_body():
     lengths = [load.rest_length for load in terms.loads if hasattr(load, "rest_length")]
     assert lengths[0].shape == (N,)
     np.testing.assert_array_equal(next(x for x in terms.loads if hasattr(x, "rows")).rows[1], SIZES)
+
+
+@pytest.mark.parametrize(
+    ("table", "keys"),
+    [
+        (SpringTable, {"anchor": VECTORS, "stiffness": 1.0}),
+        (SpringTable, {"anchor": (0, 0, 1), "stiffness": SIZES}),
+        (UniformField, {"field": VECTORS[:3]}),
+        (TorqueTable, {"torque": {"times": [0.0, 1.0], "values": np.zeros((2, N, 3))}}),
+    ],
+)
+def test_what_is_the_same_for_all_says_what_to_do_instead(table, keys):
+    with pytest.raises(CaseError, match="share it: give one for each that differs"):
+        table(body="b", **keys)
