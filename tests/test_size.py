@@ -29,7 +29,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2233,
     "scenes and simulations in Python": 1252,
     "sweeps": 1749,
-    "one scene over ranks": 2784,
+    "one scene over ranks": 2791,
     "reports, pictures, the page": 2038,
     "scenes for other programs": 541,
     "speed of compiling and of whole calls": 1570,

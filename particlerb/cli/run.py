@@ -216,16 +216,16 @@ def _execute(
         with report, stoppable():
             return run(report.add)
     except (RunError, DamagedError) as error:
-        raise Ending(f"the run failed: {error}; {kept(path, before, False)}", FAILED) from None
+        raise Ending(f"the run failed: {error}; {kept(path, before, None)}", FAILED) from None
     except KeyboardInterrupt:
-        raise Ending(f"interrupted; {kept(path, before)}", INTERRUPTED) from None
+        raise Ending(f"interrupted; {kept(path, before, ranks)}", INTERRUPTED) from None
     except InUseError:
         raise Ending(f"{path} is being written by another run: give another name with -o") from None
     except FileExistsError as error:
         raise Ending(str(error)) from None
     except OSError as error:
         why = f"cannot write {error.filename}: {error.strerror}" if error.strerror else str(error)
-        told = kept(Path(error.filename2 or path), before)
+        told = kept(Path(error.filename2 or path), before, ranks)
         if error.filename2 == "":  # moved, the system does not say where
             told = "all frames are kept under another name"
         raise Ending(f"the run failed: {why}; {told}", FAILED) from None
@@ -266,16 +266,18 @@ def _number_of(path: Path) -> int | None:
     return path.stat().st_ino if path.exists() else None
 
 
-def kept(path: Path, before: int | None, can_go_on: bool = True) -> str:
-    """What is left in a file after a run that did not end, and how to go on with it."""
+def kept(path: Path, before: int | None, ranks: Ranks | None) -> str:
+    """What is left in a file after a run that did not end, and how ranks, if any can, go on."""
     if _number_of(path) in (None, before):
         return "no file was written"
     try:
         with open_trajectory(path) as trajectory:
             n = trajectory.n_frames
             text = f"{count_of(n, 'frame is', 'frames are')} kept in {path}"
-            if can_go_on and (can_be_continued(trajectory.file) or not n):
-                text += f"\ncontinue with: python -m particlerb resume {shlex.quote(str(path))}"
+            if ranks is not None and (can_be_continued(trajectory.file) or not n):
+                how = f"python -m particlerb resume {shlex.quote(str(path))}"
+                how = how if ranks is ALONE else f"mpiexec -n {ranks.count} {how} --mpi"
+                text += f"\ncontinue with: {how}"
             return text
     except (OSError, TrajectoryError) as error:
         return f"what is in {path} cannot be read now: {error}"

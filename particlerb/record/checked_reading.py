@@ -23,6 +23,7 @@ from particlerb.record.hdf5 import header_attribute, open_unlocked
 from particlerb.record.memory import Memory
 from particlerb.record.parts import part_paths, parts_in, range_in
 from particlerb.record.schema import CHECKPOINT, COMMITTED, TIME
+from particlerb.words import count_of
 
 _FILTERS: Final = (h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
 _LAYOUTS: Final = (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED)
@@ -265,7 +266,8 @@ def require_parts(file: h5py.File, n_frames: int) -> None:
             n = min(integer_attribute(part, COMMITTED), len(part[TIME]))
         if n < n_frames:
             raise TrajectoryError(
-                f"{file.filename}: its part {path} has {n} frames, and {n_frames} were committed"
+                f"{file.filename}: its part {path} has {count_of(n, 'frame')}, and"
+                f" {n_frames} were committed"
             )
 
 

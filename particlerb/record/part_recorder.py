@@ -213,7 +213,10 @@ class PartRecorder:
         for _, recorder in self.in_parts if each[0][1] else ():  # the master has committed nothing
             with suppress(OSError):
                 recorder.output.path.unlink(missing_ok=True)
-                recorder.output.path.parent.rmdir()  # if it is empty
+        self.ranks.gathered(None)  # all have left the folder
+        if self.master is not None:
+            with suppress(OSError):  # it is not empty
+                (folder_beside(self.master.output.path) / self.parts.folder).rmdir()
 
     def in_order(self, action: Callable[[Recorder], None]) -> None:
         """Do something with all parts, and with the master when all ranks are done."""

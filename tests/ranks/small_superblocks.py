@@ -3,10 +3,12 @@
 Particles that attract each other come in tiles of 8.
 
 OFTEN=1: a commit with a checkpoint behind every frame. LIMITED=N: on rank 1 no file may grow above
-N bytes, which is there as if the disk were full. MARK=...: for who looks for these processes.
+N bytes, which is there as if the disk were full, and rank 0 leaves its files last. MARK=...: for
+who looks for these processes.
 """
 
 import os
+import time
 
 from particlerb.forces import attraction
 from particlerb.model import superblocks
@@ -33,13 +35,20 @@ def limit_second_rank() -> None:
     limit = int(os.environ["LIMITED"])
 
     from particlerb.cli import ranks as of_commands
+    from particlerb.record.output_file import OutputFile
 
-    started = of_commands.ranks_of_mpi
+    started, abandon = of_commands.ranks_of_mpi, OutputFile.abandon
+
+    def abandon_late(self: OutputFile) -> None:
+        time.sleep(0.3)
+        abandon(self)
 
     def started_and_limited() -> Ranks:
         found = started()
         if found.number == 1:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+        else:
+            OutputFile.abandon = abandon_late
         return found
 
     of_commands.ranks_of_mpi = started_and_limited

@@ -200,8 +200,9 @@ def test_a_part_that_does_not_fit_is_named(two, tmp_path, fault):
         shutil.copy(part.with_name("0001.h5"), part)
     else:
         with h5py.File(part, "r+") as file:
-            file.attrs["n_frames"] = np.int64(2)
-    with pytest.raises(TrajectoryError, match=r"run\.parts/0002\.h5"):
+            file.attrs["n_frames"] = np.int64(1)
+    short = r" has 1 frame, and \d+ were committed" if fault == "short" else ""
+    with pytest.raises(TrajectoryError, match=rf"run\.parts/0002\.h5{short}"):
         particlerb.open(tmp_path / "run.h5")
     done = command("info", tmp_path / "run.h5", "--verify")
     assert done.returncode == 2

@@ -31,6 +31,7 @@ def test_a_run_goes_on_on_another_number_of_ranks(tmp_path):
     code, err = stopped(begin, 2, signal.SIGTERM, False, dice.uniform(0.3, 0.6), path)
     assert code == 130, err
     assert err.count("interrupted") == 1, err
+    assert f"continue with: mpiexec -n 2 python -m particlerb resume {path} --mpi\n" in err
     frames = [frames_in(path)]
     assert 0 < frames[0] < 17
     stopped(next_words(path), 3, signal.SIGKILL, True, dice.uniform(0.0, 1.0), path)
@@ -83,12 +84,18 @@ def test_a_command_that_ends_on_one_rank_ends_all():
     assert done.stderr == "particlerb: interrupted; 3 frames are kept (rank 1)\n"
 
 
-def test_a_full_disk_of_one_rank_ends_all(tmp_path):
-    path = tmp_path / "run.h5"
-    done = command(*run_words(path, *LONG, "-q"), ranks=2, LIMITED="100000", OFTEN="1")
+@pytest.mark.parametrize("scene", ["mix.toml", "heap.toml"])
+def test_a_disk_that_is_full_from_the_start_keeps_nothing(tmp_path, scene):
+    """Not the folder of the parts either, whichever rank leaves it last."""
+    words = run_words(tmp_path / "run.h5", *LONG, "-q", scene=scene)
+    done = command(*words, ranks=2, LIMITED="50000", OFTEN="1")
     assert done.returncode == 1, done.stderr
     assert "no file was written" in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_of_one_rank_ends_all(tmp_path):
+    path = tmp_path / "run.h5"
     done = command(*run_words(path, *LONG, "-q"), ranks=2, LIMITED="1150000", OFTEN="1")
     assert done.returncode == 1, done.stderr
     assert done.stderr.count("the run failed") == 1, done.stderr
