@@ -1,6 +1,7 @@
 """Sweeps: which variants there are, the rows that they leave, and what outlives a kill."""
 
 import csv
+import gc
 import math
 import os
 import signal
@@ -625,3 +626,15 @@ def test_a_map_has_the_mean_of_each_place_in_a_cell_around_it(tmp_path, monkeypa
     edges = cells.get_coordinates()
     assert np.allclose(np.log10(edges[0, :, 0]), [-3.5, -2.5, -1.5, -0.5], rtol=0, atol=1e-12)
     assert np.allclose(edges[:, 0, 1], [0.0, 2.0, 4.0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.plain
+def test_the_driver_looks_for_no_garbage_while_others_run_the_variants(monkeypatch):
+    """Rows are many and live on; what runs in this process leaves garbage, which is collected."""
+    seen: list[bool] = []
+    monkeypatch.setattr(driver, "processes", ThreadPoolExecutor)
+    for run in (particlerb.sweep, in_threads):
+        run(fallen(), progress=lambda _: seen.append(gc.isenabled()))
+    n = len(seen) // 2
+    assert seen == [True, *[False] * (n - 1), *[True] * n]
+    assert gc.isenabled()
