@@ -35,6 +35,7 @@ BYTES_UNPUSHED: Final = 250  # of those of the set-up that a body which touches 
 BYTES_SAVED: Final = 200  # of a checkpoint for each body, likewise
 BYTES_TOUCHING: Final = 2600  # in the run, for each body of a rank that touches, and each copy
 BYTES_SPHERE: Final = 850  # in the run, for each of their spheres
+BYTES_WRITTEN: Final = 1400  # in the run, for each body that a rank writes and another may move
 SENSIBLE_BODIES: Final = 2000  # that touch, of a rank at least: see docs/scale.md
 MOST_ATTRACTED: Final = 1_000_000  # particles: 1e12 pairs are some minutes of one core
 _COUPLING_WORDS: Final = {
@@ -302,6 +303,7 @@ def shares_of(prepared: Prepared, n_ranks: int) -> Shares:
         others = _most_of_rank(other, system.n_bodies, n_ranks)
         run_bytes = BYTES_TOUCHING * here + int(BYTES_SPHERE * n_spheres)
         run_bytes += BYTES_MOVED * others + of_ties
+        run_bytes += BYTES_WRITTEN * _most_of_rank(group.members, system.n_bodies, n_ranks)
         most, bodies = int(is_free.sum()), bodies + others
         sensible = max(1, most // SENSIBLE_BODIES)
         exchanged: tuple[int, ...] = copies, 8 * STATE_ROWS * copies, sensible

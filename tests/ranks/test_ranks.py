@@ -372,6 +372,17 @@ def test_check_says_how_ranks_would_share_a_case(monkeypatch, capsys):
 
 
 @pytest.mark.plain
+def test_check_counts_the_bodies_that_a_rank_writes_and_others_move(monkeypatch, capsys):
+    """The rank with the only part has all of them in memory, however few it moves."""
+    found = []
+    for n_bytes in (shares.BYTES_WRITTEN, 0):
+        monkeypatch.setattr(shares, "BYTES_WRITTEN", n_bytes)
+        assert main(["check", str(HERE / "heap.toml"), "--ranks", "4", "--json"]) == 0
+        found.append(json.loads(capsys.readouterr().out)["ranks"]["run_bytes"])
+    assert found[0] - found[1] >= 35 * 1400  # count = 20 and 15, and obstacles
+
+
+@pytest.mark.plain
 def test_old_parts_stay_until_new_ones_are_committed(monkeypatch, tmp_path):
     monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
     monkeypatch.setattr(of_commands, "ranks_of_mpi", Ranks)
