@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from particlerb.compiled.jit import inline, unfused_inline, unfused_kernel, unsigned
+from particlerb.compiled.threads import BLOCK
 from particlerb.maths.double_double import exact_difference
 from particlerb.maths.quaternion import Rows4, conjugate, multiply
 from particlerb.maths.rows import (
@@ -173,9 +174,11 @@ def store_frame(
 @unfused_kernel
 def store_all(frames: Frames, f: int, index: Ints, rotor_frame: Floats, state: State) -> None:
     """Write bodies `index` of the scene into frame f."""
-    n, (com, q, p, L) = index.size, state
-    x, spin = rows3(com, 0, n), rows3(L, 0, n)
-    store_frame(frames, f, index, rows4(rotor_frame, 0, n), x, rows4(q, 0, n), rows3(p, 0, n), spin)
+    com, q, p, L = state
+    for lo in range(0, index.size, BLOCK):  # which stay in the cache on the way
+        hi = min(lo + BLOCK, index.size)
+        x, turn, frame = rows3(com, lo, hi), rows4(q, lo, hi), rows4(rotor_frame, lo, hi)
+        store_frame(frames, f, index[lo:hi], frame, x, turn, rows3(p, lo, hi), rows3(L, lo, hi))
 
 
 def quaternion_product(a: Floats, b: Floats) -> Floats:
