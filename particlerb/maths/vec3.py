@@ -33,7 +33,7 @@ def differences(values: Array, before: Any) -> Array:
 def rows_of(array: Floats) -> Any:
     """All rows of a (3, n) or (4, n) array, which may be a view, for a kernel: each contiguous."""
     array = np.asarray(array, np.float64)
-    return tuple(array if array[0].flags.c_contiguous else np.ascontiguousarray(array))
+    return tuple(array if array.strides[1] == array.itemsize else np.ascontiguousarray(array))
 
 
 @inline

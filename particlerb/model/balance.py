@@ -134,7 +134,8 @@ class EnergyBalance:
         single, vectors = np.empty((5, n)), np.empty((4, n, 3))
         sums, gains = now.reshape(n, N_TOTALS), external.reshape(n, 7)
         _enter(sums, gains, self.initial, self.errors, self.scales, single, vectors)
-        np.maximum(self.scales[0], gross, out=self.scales[0])
+        if not isinstance(gross, float) or gross:
+            np.maximum(self.scales[0], gross, out=self.scales[0])
         if self.shape:
             by_frame = -1, *self.shape
             single, vectors = single.reshape(5, *by_frame), vectors.reshape(4, *by_frame, 3)

@@ -126,6 +126,11 @@ def index_in(listed: Ints, bodies: Ints) -> Ints:
     return order[np.searchsorted(listed, bodies, sorter=order)]
 
 
+def has_held(bodies: Bodies) -> bool:
+    """Whether some do not move, whatever acts on them: they have no mass here."""
+    return bool(np.count_nonzero(bodies.mass) < bodies.mass.size)
+
+
 def held(bodies: Bodies, fixed: Bools) -> Bodies:
     """Bodies of which some, (n,), do not move, whatever acts on them."""
     if not fixed.any():

@@ -6,6 +6,7 @@ next to the separatrix. `turn_block` evaluates one kind for a block of bodies.
 The theory and its errors stand in docs/free_rotation.md.
 """
 
+from collections.abc import Callable
 from itertools import accumulate, pairwise
 from typing import NamedTuple, TypeAlias
 
@@ -235,19 +236,19 @@ def turns_of(
         n_turning, n_theta = THREADS.timed(moduli, bodies, spin, asymmetric, CROSSOVER, modulus)
     groups: list[tuple[Ints, Turn]] = []
     if n_theta:
-        indices = _those(modulus >= CROSSOVER, n_theta)
+        indices = _those(n_theta, n, lambda: modulus >= CROSSOVER)
         table, right = np.empty((THETA_ROWS, n_theta)), np.empty((4, n_theta), np.int8)
         THREADS.alone(theta_table, bodies, indices, table, right)
         clock, left, series = split(table, 3, 4, 3)
         groups.append((indices, ThetaTurn(clock, left, right, series)))
     if n_near := n_turning - n_theta:
-        indices = _those(~((modulus < 0.0) | (modulus >= CROSSOVER)), n_near)
+        indices = _those(n_near, n, lambda: ~((modulus < 0.0) | (modulus >= CROSSOVER)))
         table, right = np.empty((NEAR_ROWS, n_near)), np.empty((4, n_near), np.int8)
         THREADS.alone(near_table, bodies, indices, table, right)
         clock, left, *rest = split(table, 3, 4, 5, 6, 6)
         groups.append((indices, HyperbolicTurn(clock, left, right, *rest)))
     if n_steady := n - n_turning:
-        indices = _those(modulus < 0.0, n_steady)
+        indices = _those(n_steady, n, lambda: modulus < 0.0)
         table = np.empty((STEADY_ROWS, n_steady))
         inverse = _steady_inverse(inertia[:, indices], rotor_class[indices], modulus[indices])
         THREADS.alone(steady_table, inverse, turned, spin, indices, table)
@@ -255,9 +256,9 @@ def turns_of(
     return groups
 
 
-def _those(is_one: Bools, count: int) -> Ints:
-    """Numbers of the bodies that are; they are so many."""
-    return np.arange(count) if count == is_one.size else is_one.nonzero()[0]
+def _those(count: int, n: int, are: Callable[[], Bools]) -> Ints:
+    """Numbers of the bodies, of n, that are; they are so many."""
+    return np.arange(n) if count == n else are().nonzero()[0]
 
 
 def split(table: Floats, *counts: int) -> list[Floats]:

@@ -18,6 +18,7 @@ from particlerb.forces.user_kicks import Written
 from particlerb.integrators import METHODS
 from particlerb.joints.reactions import energy_of_joints
 from particlerb.maths.vec3 import Floats, Ints
+from particlerb.model.bodies import has_held
 from particlerb.model.state import Frames, State, state_in, state_of, states_in
 from particlerb.model.superblocks import Range
 from particlerb.model.system import System
@@ -131,7 +132,7 @@ class GroupRun:
     def sums_itself(self) -> bool:
         """Whether its motion sums over the bodies, in all segments alike."""
         is_adaptive = any(METHODS[segment.method].is_adaptive for segment in self.plan.segments)
-        return not (is_adaptive or self.plan.touches or 0.0 in self.plan.bodies.mass)
+        return not (is_adaptive or self.plan.touches or has_held(self.plan.bodies))
 
     @property
     def is_bound(self) -> bool:
@@ -186,8 +187,7 @@ class GroupRun:
     def segment_motion(self, before: Motion | None = None) -> Motion:
         """Motion of this segment from its first state."""
         segment = self.segment
-        method = METHODS[segment.method]
-        group = self.plan.group(segment)
+        method, group = METHODS[segment.method], self.plan.group(segment)
         if segment.terms.tree_accuracy:
             group = group._replace(terms=self.terms)
         motion = make_motion(
@@ -246,17 +246,17 @@ class GroupRun:
         self.contacts, self.tallies = {}, {}
         done = 0
         while done < times.size:
-            until = int(times.searchsorted(self.segment.stop))
+            segment = self.segment
+            until = int(times.searchsorted(segment.stop))
             if until > done:
                 rows, span = np.arange(done, until), slice(done, until)
                 self.motion.sums = None if self.sums is None else self.sums[span]
-                external[span] = self.external_before + self.motion.record(
-                    times[span], rows, frames
-                )
+                given = self.motion.record(times[span], rows, frames)
+                external[span] = self.external_before + given
                 self.motion.sums = None
                 if self.is_bound:
                     potential[span] = self.potentials(frames, rows)
-                if self.segment.terms.contact is not None:
+                if segment.terms.contact is not None:
                     contacts = self.motion.contact_energies(rows)
                     potential[span] += contacts.potential
                     kinetic[span] += contacts.kinetic

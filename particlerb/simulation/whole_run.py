@@ -10,7 +10,7 @@ import numpy as np
 
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.balance import EnergyBalance, Entries
-from particlerb.model.bodies import Bodies, taken
+from particlerb.model.bodies import Bodies, has_held, taken
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.superblocks import Range, summed
 from particlerb.model.system import System
@@ -372,10 +372,8 @@ class Run:
 
 def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
     """Bodies as the energy balance counts them: those that are held have no mass."""
-    has_held = 0.0 in bodies.mass
-    for group in groups:
-        has_held = has_held or 0.0 in group.bodies.mass
-    if not has_held:
+    each = [group.bodies for group in groups if group.bodies is not bodies]
+    if not any(map(has_held, [bodies, *each])):
         return bodies
     mass, inv_mass = bodies.mass.copy(), bodies.inv_mass.copy()
     for group in groups:
