@@ -268,7 +268,7 @@ def _runs(index: Ints) -> list[tuple[int, int]]:
     """First and last of bodies that follow each other, not of more than can be shown."""
     index = np.sort(index)
     breaks = np.flatnonzero(np.diff(index) > 1)[: _MAX_RUNS_SHOWN + 1]
-    first, last = index[np.r_[0, breaks + 1]], index[np.r_[breaks, index.size - 1]]
+    first, last = index[[0, *(breaks + 1).tolist()]], index[[*breaks.tolist(), -1]]
     return list(zip(first.tolist(), last.tolist(), strict=True))
 
 

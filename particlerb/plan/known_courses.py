@@ -11,6 +11,7 @@ and its continuation have the same plan.
 
 import copy
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -23,13 +24,14 @@ from particlerb.forces.spring import Spring
 from particlerb.maths.double_double import exact_difference
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies
-from particlerb.model.state import State, cross_columns, exact_matrix, lengths
+from particlerb.model.state import State, cross_columns, exact_matrix, lengths, rotate_back
 from particlerb.model.worlds import WorldsDifferError
 from particlerb.rotors.rotor_class import ROD, SPHERE, SYMMETRIC
 from particlerb.stepping.closed_forms import has_closed_form, lever_of, torques_on
 
 _AT_REST, _LOST = -2, -1
 _VECTOR_ROUNDING: Final = 4e-15  # share of a vector that is its rounding, where it cannot grow
+_FAR_ASIDE: Final = 1e-10  # share of a vector that no rounding is
 
 
 class Stretch(NamedTuple):
@@ -153,22 +155,37 @@ class _Turning:
 
     def __init__(self, bodies: Bodies, state: State) -> None:
         n = bodies.mass.size
-        self.bodies, self.R = bodies, exact_matrix(state.q)
+        self.bodies, self.q = bodies, state.q
         self.axis, self.line = np.full(n, _AT_REST), np.zeros((3, n))
         self.is_exact = np.ones(n, dtype=bool)
         self.meet(state.L)
 
+    @cached_property
+    def matrix(self) -> Floats:
+        """|q|² R, zero only where it is; (3, 3, n)."""
+        return exact_matrix(self.q)
+
+    def is_astray(self, v: Floats) -> bool:
+        """Whether each that vectors (3, n) turn is far from turning about a principal axis."""
+        code = self.bodies.rotor_class
+        across = np.sort(np.abs(rotate_back(self.q, v)), axis=0)[1]
+        may_turn = (across <= _FAR_ASIDE * np.abs(v).max(axis=0)) | (code == SPHERE) | (code == ROD)
+        return not (may_turn & v.any(axis=0)).any()
+
     def meet(self, v: Floats) -> None:
         """Something turns bodies about vectors (3, n) in the world; zero: nothing does."""
-        if (self.axis == _LOST).all():
+        if (self.axis == _LOST).all() or not v.any():
             return
-        turned, old = np.abs(np.einsum("ijn,in->jn", self.R, v)), self.axis
+        if self.is_astray(v):
+            self.axis = np.where(v.any(axis=0), _LOST, self.axis)
+            return
+        turned, old = np.abs(np.einsum("ijn,in->jn", self.matrix, v)), self.axis
         k = turned.argmax(axis=0)
         size, across = turned.max(axis=0), np.sort(turned, axis=0)[1]
         code = self.bodies.rotor_class
         is_along = (code == SYMMETRIC) & (k == 2) & (across <= _VECTOR_ROUNDING * size)
         aside = lengths(cross_columns(v, self.line))
-        is_along |= np.isin(code, (SPHERE, ROD)) & (
+        is_along |= ((code == SPHERE) | (code == ROD)) & (
             aside <= _VECTOR_ROUNDING * lengths(v) * lengths(self.line)
         )
         is_first = old == _AT_REST
@@ -186,9 +203,9 @@ class _Turning:
         if (self.axis == _LOST).all():
             return
         T, b = lever.reshape(3, 3, -1), np.arange(self.axis.size)  # [world, rotor frame]
-        self.meet(sum((cross_columns(self.R[:, k], T[:, k]) for k in range(3)), 0.0 * T[:, 0]))
+        self.meet(sum((cross_columns(self.matrix[:, k], T[:, k]) for k in range(3)), 0.0 * T[:, 0]))
         k = np.maximum(self.axis, 0) % FIXED_LINE
-        n = self.R[:, k, b]
+        n = self.matrix[:, k, b]
         along = np.einsum("in,ikn->kn", n, T)  # arms of the force along the axis
         along[k, b] = 0.0
         is_planar = _are_parallel(T[:, k, b], n) & ~along.any(axis=0)
@@ -227,10 +244,12 @@ class _Straight:
 
     def meet(self, v: Floats) -> None:
         """Vectors (3, n) that must be along the line."""
-        if not self.holds.any():
+        if not (self.holds.any() and v.any()):
             return
-        self.holds &= _are_parallel(v, self.line)
-        self.line = np.where(self.line.any(axis=0), self.line, v)
+        known = self.line.any(axis=0)
+        if known.any():
+            self.holds &= _are_parallel(v, self.line)
+        self.line = np.where(known, self.line, v)
 
     def jump(self, jump: Impulse) -> None:
         """An impulse acts."""

@@ -32,7 +32,7 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
     up to `t_end`. Any torque makes a body at rest turn or oscillate at a rate of √(|τ| / I).
     """
     bodies, state = group.bodies, taken(system.state, group.members)
-    spin = np.linalg.norm(omega_world(bodies, state), axis=0)
+    spin = lengths(omega_world(bodies, state))
     inv_inertia = bodies.inv_inertia.max(axis=0)
     fastest = np.zeros_like(spin)  # of what oscillates
     for segment in group.segments:
@@ -136,8 +136,8 @@ def _contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: fl
 
 def _impact_speed(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> float:
     """Speed [m/s] with which two may meet, by those at t = 0 and by falling."""
-    speed = np.linalg.norm(state.p * bodies.inv_mass, axis=0)
-    spin = np.linalg.norm(omega_world(bodies, state), axis=0)
+    speed = lengths(state.p * bodies.inv_mass)
+    spin = lengths(omega_world(bodies, state))
     return 2.0 * float((speed + spin * contact.max_arm).max()) + fall
 
 

@@ -226,11 +226,11 @@ def _on_springs(bodies: Bodies, terms: Terms) -> Bools:
 
 def has_closed_form(bodies: Bodies, terms: Terms) -> Bools:
     """Which bodies of a group move in closed form, (n,)."""
-    n = bodies.mass.size
+    n, code = bodies.mass.size, bodies.rotor_class
     kinds = {type(load) for load in terms.loads}
     if kinds == {Central} and not terms.is_coupled and terms.gravity is None:
         centres = np.sum([load.mu > 0.0 for load in terms.loads], axis=0)
-        return np.asarray((centres == 1) & np.isin(bodies.rotor_class, (POINT, SPHERE)))
+        return np.asarray((centres == 1) & ((code == POINT) | (code == SPHERE)))
     if terms.collides_by_events:
         return np.full(n, not terms.loads)
     if _is_pair(bodies, terms):
@@ -247,7 +247,7 @@ def has_closed_form(bodies: Bodies, terms: Terms) -> Bools:
         is_free = levers.is_free
         is_pendulum = _are_pendulums(lever, axis)
         is_closed = is_free | ((levers.is_top | is_pendulum) & ~is_turned & (drag == 0.0))
-    is_round = np.isin(bodies.rotor_class, (POINT, ROD, SPHERE))
+    is_round = (code == POINT) | (code == ROD) | (code == SPHERE)
     is_closed = is_closed & ((axis >= 0) | ~is_turned & ((drag == 0.0) | is_round))
     for load in terms.loads:
         if isinstance(load, Spring):

@@ -11,8 +11,12 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
+from particlerb.model.bodies import made_of, taken
+from particlerb.model.state import State, rotate
+from particlerb.plan import known_courses
 from particlerb.plan.describe import describe
 from particlerb.plan.time_step import RADIANS_PER_STEP
+from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
 from particlerb.simulation.run import prepare
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7]}
@@ -346,3 +350,34 @@ def test_the_step_of_a_scene_does_not_depend_on_where_it_stands(make, law):
         ((segment,),) = (group.segments for group in plan_of(case).groups)
         steps.append(segment.dt)
     assert steps[1] == pytest.approx(steps[0], rel=1e-9)
+
+
+def test_bodies_far_from_turning_about_an_axis_are_told_by_rounded_numbers(monkeypatch):
+    """One at rest, exactly about an axis, nearly so by a little, and anyhow; of each kind."""
+    random = np.random.default_rng(5)
+    code = np.repeat([POINT, ROD, SPHERE, SYMMETRIC, ASYMMETRIC], 40)
+    q = random.normal(size=(4, code.size))
+    q[:, ::2] = np.round(3.0 * q[:, ::2])  # of which the matrices are integers
+    q[0] += ~q.any(axis=0)
+    axis = np.eye(3)[:, random.integers(0, 3, code.size)]
+    L = rotate(q, axis) * 10.0 ** random.integers(-300, 100, code.size)
+    L += (
+        np.abs(L).max(axis=0) * random.choice([0.0, 1e-17, 1e-13, 0.1], code.size) * axis[[1, 2, 0]]
+    )
+    L[:, ::7] = 0.0
+    nothing = np.zeros((3, code.size))
+    bodies, state = made_of(1.0 + 0.0 * q[0], 1.0 + nothing, q, code), State(nothing, q, nothing, L)
+    each = [(taken(bodies, b), taken(state, b)) for b in np.arange(code.size)[:, None]]
+
+    def axes():
+        return [known_courses.Courses(*one).turning.axis[0] for one in each]
+
+    with monkeypatch.context() as plain:
+        plain.setattr(known_courses._Turning, "is_astray", lambda turning, v: False)
+        expected = axes()
+    looked_at = []
+    exact = known_courses.exact_matrix
+    monkeypatch.setattr(known_courses, "exact_matrix", lambda q: looked_at.append(1) or exact(q))
+    assert axes() == expected
+    assert len(set(expected)) > 3
+    assert len(looked_at) < 0.7 * code.size
