@@ -33,7 +33,7 @@ BUDGETS = {
     "reports, pictures, the page": 2038,
     "scenes for other programs": 541,
     "speed of compiling and of whole calls": 1590,
-    "watches": 285,
+    "watches": 286,
     "beside all these": 434,
 }
 """Lines of code that an ability took: see «Where things go» in docs/architecture.md."""

@@ -327,7 +327,10 @@ def step_warnings(system: System, groups: tuple[GroupPlan, ...], ranks: Ranks = 
 def _worst_steps(
     system: System, groups: tuple[GroupPlan, ...]
 ) -> dict[str, tuple[float, str, float]]:
-    """Turn in a step that is too long, in each way that it may be: the largest, why, better."""
+    """Turn in a step that is too long, in each way that it may be: the largest, why, better.
+
+    No step is longer than its segment, and one that was chosen for an accuracy has been tried.
+    """
     worst: dict[str, tuple[float, str, float]] = {}
     for group in groups:
         stepped = [segment for segment in group.stepped if not is_adaptive(segment.method)]
@@ -337,21 +340,22 @@ def _worst_steps(
         rate, fastest = float(turning.max()), system.names[int(group.members[turning.argmax()])]
         name = system.names[int(group.members[0])]
         for segment in stepped:
-            method, turn = METHODS[segment.method], segment.dt * rate
+            dt = min(segment.dt, min(segment.stop, system.run.t_end) - segment.start)
+            method, turn = METHODS[segment.method], dt * rate
             limit = stable_step(system, group, segment) if turn > method.stability_limit else np.inf
             touches = segment.terms.contact is not None
             contact = fastest_contact(system, group, segment) if touches else 0.0
             advised = RADIANS_PER_STEP / rate if rate else math.inf
-            reason = f"the step of {segment.dt:.6g} s"
-            if segment.dt * contact > math.pi / STEPS_PER_CONTACT:
+            reason = f"the step of {dt:.6g} s"
+            if dt * contact > math.pi / STEPS_PER_CONTACT:
                 kind, advised = "contact", math.pi / (contact * STEPS_PER_CONTACT)
-                reason += f" is taken {math.pi / (segment.dt * contact):.2g} times in a contact of"
+                reason += f" is taken {math.pi / (dt * contact):.2g} times in a contact of"
                 reason += f" bodies like {name}, and {STEPS_PER_CONTACT} make it accurate"
-            elif segment.dt > limit:
+            elif dt > limit:
                 kind = "limit"
                 reason += f" is above the limit of {segment.method}: on the springs of bodies like"
                 reason += f" {name} it grows without bound above {limit:.6g} s"
-            elif turn > method.max_turn:
+            elif turn > method.max_turn and system.run.accuracy is None:
                 kind = "turn"
                 reason += f" turns bodies like {fastest} by up to {turn:.3g} rad"
             else:

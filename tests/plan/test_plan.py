@@ -17,6 +17,7 @@ from particlerb.plan import known_courses
 from particlerb.plan.describe import describe
 from particlerb.plan.time_step import RADIANS_PER_STEP
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
+from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.run import prepare
 
 SPIN = {"angular_velocity": [1.0, 0.4, -0.7]}
@@ -169,6 +170,19 @@ def test_a_step_that_is_too_long_warns(make):
     limit = make.case(body, method="strang", dt=METHODS["strang"].max_turn / 10.0)
     assert plan_of(limit).warnings == ()
     assert plan_of(make.case(body, dt=1.0)).warnings == ()  # free: nothing is stepped
+
+
+def test_no_warning_about_steps_that_are_cut_or_were_tried(make):
+    """A step ends where its segment does, and `accuracy` takes steps whose error it has seen."""
+    body, turn = make.body(angular_velocity=[0, 0, 10.0]), METHODS["strang"].max_turn
+    short = make.case(body, method="strang", dt=5.0, t_end=0.09 * turn, every=0.01 * turn)
+    assert plan_of(short).warnings == ()
+    (warning,) = plan_of(short | {"run": short["run"] | {"t_end": 0.2 * turn}}).warnings
+    assert f"the step of {0.2 * turn:.6g} s turns" in warning
+    load = make.push(FORCE, AT, frame="body", during=[0.55, 7.0])
+    force_free = make.body(angular_velocity=[1.0, 0.4, -0.7])
+    tried = prepare_accurately(to_system(make.case(force_free, force=[load], accuracy=1e-8)))
+    assert tried.plan.warnings == ()
 
 
 # The words
