@@ -27,7 +27,7 @@ BUDGETS = {
     "contact by impulses": 4294,
     "collisions by events": 1739,
     "forces: tables, gradients, written by users": 2233,
-    "scenes and simulations in Python": 1252,
+    "scenes and simulations in Python": 1256,
     "sweeps": 1751,
     "one scene over ranks": 2793,
     "reports, pictures, the page": 2038,

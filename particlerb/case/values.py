@@ -252,12 +252,14 @@ def plain(value: Any, keeps_rows: bool = False, keeps_tables: bool = False) -> A
     """Plain dicts, lists and numbers of what Python callers pass.
 
     Two-dimensional arrays stay where they may be rows for many bodies, and nowhere else: rules read
-    plain data. What can be gone through once, as a generator, is gone through here.
+    plain data. What can be gone through once, as a generator, is gone through here. Keys that
+    `model_copy` gave a table stay, right or wrong: who reads it says so.
     """
     if type(value) in _PLAIN_TYPES:
         return value
     if isinstance(value, BaseModel):
-        return value if keeps_tables else plain(value.model_dump(exclude_unset=True))
+        given = {key: v for key, v in vars(value).items() if key in value.model_fields_set}
+        return value if keeps_tables else plain(given)
     if isinstance(value, Mapping):
         rows_at = () if "type" in value else _KEYS_WITH_ROWS
         return {str(k): plain(entry, k in rows_at, keeps_tables) for k, entry in value.items()}

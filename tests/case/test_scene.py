@@ -279,6 +279,20 @@ def test_half_a_character_is_no_title():
         load(scene)
 
 
+def test_a_misspelt_key_of_a_copied_table_is_no_silence():
+    """`model_copy` takes any key: who reads the table says which is wrong, in a table in it too."""
+    scene = pushed_cubes()
+    scene.run = scene.run.model_copy(update={"tend": 9.0})
+    with pytest.raises(CaseError, match=r"run\.tend: unknown key"):
+        load(scene)
+    scene = pushed_cubes()
+    box = Box(size=(1, 1, 1)).model_copy(update={"sice": 2})
+    scene.body[0] = scene.body[0].model_copy(update={"shape": box})
+    with pytest.raises(CaseError, match=r"body\[0\]\.shape\.sice: unknown key"):
+        load(scene)
+    assert "sice = 2" in scene.to_toml()
+
+
 @pytest.mark.parametrize("name", ["run", "body", "wall", "contact", "title", "files", "chart"])
 @pytest.mark.parametrize("value", [3, b"a", [1, 2], np.zeros(3), Path("a")])
 def test_what_is_no_table_is_set_nowhere(name, value):
