@@ -60,14 +60,17 @@ def new_state(system: System, old: Mapping[str, Floats], given: Mapping[str, Any
 
 def _array_of(name: str, old: Floats, given: Any) -> Floats:
     """An array of the shape of the old one."""
+    rows = f"set_state: {name} must be {old.shape} numbers, a row per body"
     try:
         array = np.array(old if given is None else given)
         with np.errstate(over="ignore"):
             array = array.astype(np.float64, casting="same_kind")
     except (TypeError, ValueError):  # no real numbers, or rows of several lengths
-        array = np.zeros(())
-    if array.shape != old.shape or not np.isfinite(array).all() or np.ma.is_masked(given):
-        raise ValueError(f"set_state: {name} must be finite, of shape {old.shape}, nothing masked")
+        raise ValueError(rows) from None
+    if array.shape != old.shape:
+        raise ValueError(f"{rows}, got {array.shape}")
+    if not np.isfinite(array).all() or np.ma.is_masked(given):
+        raise ValueError(f"set_state: {name} must be finite, nothing masked")
     return array
 
 

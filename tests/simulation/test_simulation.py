@@ -207,8 +207,13 @@ def test_what_cannot_be_is_refused_and_nothing_has_changed(tmp_path):
     for every in (-1, 1e-320, 1e-17):  # multiples of the last two are not told apart
         with pytest.raises(ValueError, match=r"frames\(every=.*\): must be above 0 s"):
             next(simulation.frames(every=every))
-    for position in ([1, 2, 3], "abc", [[1, 2], [3]], np.array([[1j, 0, 0]]), MASKED, [[HUGE] * 3]):
-        with pytest.raises(ValueError, match="position must be finite, of shape"):
+    for position in ("abc", [[1, 2], [3]], np.array([[1j, 0, 0]])):
+        with pytest.raises(ValueError, match=r"position must be \(1, 3\) numbers, a row per body$"):
+            simulation.set_state(position=position)
+    with pytest.raises(ValueError, match=r"position must be \(1, 3\) numbers, .*, got \(3,\)$"):
+        simulation.set_state(position=[1, 2, 3])
+    for position in (MASKED, [[HUGE] * 3], [[0, np.nan, 0]]):
+        with pytest.raises(ValueError, match=r"position must be finite, nothing masked$"):
             simulation.set_state(position=position)
     with pytest.raises(ValueError, match="until must be a number of float64, got a larger one"):
         simulation.advance(10**400)
