@@ -32,7 +32,7 @@ BUDGETS = {
     "one scene over ranks": 2793,
     "reports, pictures, the page": 2038,
     "scenes for other programs": 541,
-    "speed of compiling and of whole calls": 1590,
+    "speed of compiling and of whole calls": 1625,
     "watches": 286,
     "beside all these": 434,
 }

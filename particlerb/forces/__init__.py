@@ -285,6 +285,8 @@ def works_of(terms: Terms, com: Floats, q: Floats, t: Floats) -> list[Floats]:
         Since the segment began.
     """
     of = [(work, load) for load in terms.loads if (work := term_of(load).work) is not None]
+    if not of:
+        return []
     each = np.repeat(t, com.shape[1] // t.size)
     works = [work(_in_states(load, com, t.size), com, q, each) for work, load in of]
     return [work.reshape(t.size, -1) for work in works]

@@ -88,7 +88,8 @@ def as_frame(bodies: Bodies, state: State) -> Frames:
 
 def state_of(rows: Floats) -> State:
     """A state from its rows (13, n)."""
-    return State(*np.split(np.ascontiguousarray(rows), (3, 7, 10)))
+    rows = np.ascontiguousarray(rows)
+    return State(rows[:3], rows[3:7], rows[7:10], rows[10:])
 
 
 def state_in(frames: Frames, row: int, index: Ints, bodies: Bodies) -> State:

@@ -190,9 +190,8 @@ class GroupRun:
         method, group = METHODS[segment.method], self.plan.group(segment)
         if segment.terms.tree_accuracy:
             group = group._replace(terms=self.terms)
-        motion = make_motion(
-            method, group, self.first_state, segment.start, segment.dt, segment.tolerance, before
-        )
+        times = segment.start, segment.dt, segment.tolerance
+        motion = make_motion(method, group, self.first_state, *times, before, self.number > 0)
         if before is not None:
             motion.continue_joints(before)
         return motion

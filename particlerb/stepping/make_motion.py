@@ -26,6 +26,7 @@ def make_motion(
     dt: float,
     tolerance: float,
     before: Motion | None = None,
+    is_own: bool = False,
 ) -> Motion:
     """Make the motion of a group from a state at a time [s].
 
@@ -42,13 +43,18 @@ def make_motion(
         Of an adaptive method, relative.
     before : Motion, optional
         Of the segment before: what contacts keep, and pistons, go on from there.
+    is_own : bool
+        Whether nobody else needs that one: where what acts is alike, it continues itself.
     """
+    begin = method, group, state, start, dt
+    if is_own and isinstance(before, SteppedMotion) and before.continues(*begin):
+        return before
     if method.order == 0 and group.terms.collides_by_events:
         return EventMotion(group, state, start, before)
     if method.order == 0:
         return FreeMotion(group, state, start)
     if method.is_adaptive:
-        return AdaptiveMotion(method, group, state, start, dt, tolerance)
+        return AdaptiveMotion(*begin, tolerance)
     if group.terms.contact is not None:
         return _contact_motion(method, group, state, start, dt, before)
     parts: list[tuple[Ints, Motion]] = []

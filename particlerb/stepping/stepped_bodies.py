@@ -86,6 +86,13 @@ class SteppedBodies:
             self.jointed,
         )
 
+    def begin(self, group: SegmentGroup, state: State) -> None:
+        """Begin once more in the same blocks, with terms of the same kinds, and of these bodies."""
+        self.group = group
+        changing(self.blocks)[:] = 0.0
+        for at, values in state_rows(state, group.bodies) + rows_of_terms(group.terms):
+            self.put(at, values)
+
     @property
     def is_spread(self) -> bool:
         """Whether forces between bodies are so large that they spread themselves over threads."""

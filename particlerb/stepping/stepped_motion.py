@@ -8,6 +8,7 @@ import numpy as np
 
 from particlerb.compiled.jit import for_types_of
 from particlerb.compiled.threads import THREADS
+from particlerb.forces import acting_of
 from particlerb.integrators.external_work import NOT_STEADY
 from particlerb.integrators.method import Method
 from particlerb.maths.vec3 import Floats, Ints, differences
@@ -33,6 +34,7 @@ from particlerb.stepping.saved_arrays import Saved
 from particlerb.stepping.stepped_bodies import SteppedBodies
 
 NANOSECONDS_PER_CALL: Final = 1e9  # about a second: progress and Ctrl-C in between
+_NO_FRAMES: Final = room_for(0, 0, np.empty((0, 4)))
 
 
 class SteppedMotion(JointedMotion):
@@ -50,8 +52,8 @@ class SteppedMotion(JointedMotion):
         self.bodies = SteppedBodies(method, *(here or (group, state)), start, dt, sums_external)
         self.jointed, self.bins = self.bodies.jointed, self.bodies.bins
         self.n_bins = int(self.bins.max(initial=-1)) + 1
-        self.single: tuple[Frames, Schedule, Recording] | None = None  # of `pose`,
-        self.pose_loop: Callable[..., Position] | None = None  # and for it
+        self.single: tuple[Frames, Schedule, Recording] | None = None  # of single stops,
+        self.single_loop: Callable[..., Position] | None = None  # and for them
         self.cost = method.cost * group.members.size + self.bodies.cost  # [ns] of a step, roughly
 
     def reset(self, first: Floats, dt: float) -> None:
@@ -61,6 +63,24 @@ class SteppedMotion(JointedMotion):
         """
         assert self.jointed is None
         changing(self.bodies.blocks)[:], self.dt, self.steps_done = first, dt, 0
+
+    def continues(
+        self, method: Method, group: SegmentGroup, state: State, start: float, dt: float
+    ) -> bool:
+        """Continue in the next segment, in the same blocks, where loads of the same kinds act."""
+        account = ForceAccount(group, state, method.keeps_angular_momentum)
+        kinds = method, acting_of(group.terms), account.sums_external
+        is_coupled, now = group.terms.is_coupled or self.group.terms.is_coupled, self.bodies.moving
+        if is_coupled or kinds != (self.method, now.acting, now.sums_external):
+            return False
+        self.group, self.account, self.start, self.dt = group, account, start, dt
+        self.steps_done = 0
+        self.bodies.begin(group, state)
+        if self.single is not None:
+            frames, schedule, recording = self.single
+            is_summed = account.sums_external is not None  # else recordings have steady forces
+            self.single = (frames, schedule._replace(dt=dt), recording) if is_summed else None
+        return True
 
     def checkpoint(self) -> Saved:
         """States on the grid with external work, and the steps until there."""
@@ -83,23 +103,30 @@ class SteppedMotion(JointedMotion):
 
     def pose(self, time: float, frames: Frames) -> None:
         """Write the states at a time [s] into the first row of the frames, and add no work."""
+        if not self._stops_once(time, 0, frames):
+            super().pose(time, frames)
+
+    def _stops_once(self, time: float, row: int, frames: Frames) -> bool:
+        """Go to a time [s], for a row of the frames or CLOSE, where one call of the loop does."""
         steps, partial = grid_stop(time - self.start, self.dt, self.start)
         count = steps - self.steps_done
         touches, turns = self.group.terms.contact is not None, self.jointed is not None
         if touches or count * self.cost > NANOSECONDS_PER_CALL or (turns and self.turned.size):
-            super().pose(time, frames)
-            return
-        if self.single is None or self.single[0] is not frames:
+            return False
+        single, loop = self.single, self.single_loop
+        if single is None or single[0] is not frames:
             schedule = Schedule(self.dt, np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.int64))
-            self.single = frames, schedule, self.recording(frames)
-        _, schedule, recording = self.single
-        schedule.steps[0], schedule.partial[0] = count, partial
+            single = self.single = frames, schedule, self.recording(frames)
+            loop, self.single_loop = self.loop_over_steps(), None
+        _, schedule, recording = single
+        schedule.steps[0], schedule.partial[0], schedule.frame[0] = count, partial, row
         recording.sums.fill(0.0)
-        if self.pose_loop is None:
+        if loop is None:
             arguments = self._arguments(schedule, recording)
-            self.pose_loop = for_types_of(self.loop_over_steps(), *arguments, 1, 0, 1)
-        self._run_through_loop(self.pose_loop, schedule, recording)
+            loop = self.single_loop = for_types_of(self.loop_over_steps(), *arguments, 1, 0, 1)
+        self._run_through_loop(loop, schedule, recording)
         self.steps_done = steps
+        return True
 
     def finish(self, stop: float) -> tuple[State, Floats]:
         """State at the end of the segment, and (7,) of external work until then."""
@@ -108,9 +135,10 @@ class SteppedMotion(JointedMotion):
 
     def close(self, stop: float) -> None:
         """Go to the end of the segment, where the last kick is closed."""
-        elapsed = np.array([stop - self.start])
-        none = room_for(0, 0, np.empty((0, 4)))
-        self.advance(*grid_position(elapsed, self.dt, self.start), np.array([CLOSE]), none)
+        if not self._stops_once(stop, CLOSE, _NO_FRAMES):
+            elapsed = np.array([stop - self.start])
+            where = grid_position(elapsed, self.dt, self.start)
+            self.advance(*where, np.array([CLOSE]), _NO_FRAMES)
 
     def advance(self, steps: Ints, partial: Floats, rows: Ints, frames: Frames) -> Floats:
         """Go through stops given by their distance from the start; sums of external work."""

@@ -18,6 +18,7 @@ from particlerb.forces.kinds import TIME, Term
 from particlerb.forces.push import Push
 from particlerb.integrators import METHODS, UNJOINTED
 from particlerb.plan.make_plan import make_plan
+from particlerb.stepping.stepped_motion import SteppedMotion
 
 MASS = 2.0
 INERTIA = np.array([1.0, 2.0, 2.5])
@@ -418,3 +419,32 @@ def test_a_plan_stacks_no_numbers_for_kernels(make, monkeypatch):
     )
     monkeypatch.setattr(Term, "parts", parts)
     assert [s.start for s in make_plan(system).groups[0].segments] == [0.0, *TIMES]
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("method", ["strang", "rkn6", "rk4"])
+def test_pieces_of_the_same_kinds_keep_the_blocks(make, monkeypatch, method):
+    """Before, within and after the knots blocks are made: what is moved is the same, to the bit."""
+    times = np.linspace(0.0, 0.9, 10) ** 1.5 + 0.05
+    values = np.column_stack([np.cos(9.0 * times), np.sin(7.0 * times), times])
+    bodies = [make.body(name, INERTIA, **START) for name in "ab"]
+    loads = [push(make, times=times, values=values), torque(make, torque=knots(values, times))]
+    kick = make.impulse([1, 0, 0], time=0.3, body=["a", "b"])
+    case = make.case(
+        *bodies, force=[one | {"body": ["a", "b"]} for one in loads] + [kick],
+        every=0.04, method=method, dt=0.03,
+    )  # fmt: skip
+    made, kind = [], particlerb.stepping.stepped_motion.SteppedBodies
+    counted = "particlerb.stepping.stepped_motion.SteppedBodies"
+    monkeypatch.setattr(counted, lambda *args: made.append(args) or kind(*args))
+    runs = [particlerb.run(case)]
+    assert len(made) == 3
+    monkeypatch.setattr(SteppedMotion, "continues", lambda *_: False)
+    runs.append(particlerb.run(case))
+    assert len(made) == 3 + times.size + 2
+    one, other = (
+        [run.position, run.orientation, run.linear_momentum, run.angular_momentum, *run.ledger]
+        for run in runs
+    )
+    for values, others in zip(one, other, strict=True):
+        np.testing.assert_array_equal(values, others)
