@@ -104,7 +104,7 @@ def _matter(command: _Parser) -> None:
 
 def _format(command: _Parser) -> None:
     """Add the format of an export."""
-    either = command.add_mutually_exclusive_group(required=True)
+    either = command.add_mutually_exclusive_group()
     text = "a trajectory: gsd, csv, particles, contacts, lammps, npz, h5; bodies: lammps, mjcf,"
     either.add_argument("--to", metavar="FORMAT", help=f"{text} yade, gsd")
     text = "one plain file of a run over ranks: --to h5"

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from particlerb.case.matter import Matter, matter_of, matter_of_mesh, matter_of_spheres
-from particlerb.case.problems import CaseError
+from particlerb.case.problems import CaseError, nearest
 from particlerb.case.schema import Case
 from particlerb.case.to_system import to_system
 from particlerb.cli.common import find_case, read_case
@@ -68,8 +68,8 @@ def _bodies_of_case(case: Case, wanted: str | None) -> list[NamedBody]:
     try:
         bodies = np.arange(system.n_bodies) if wanted is None else system.names.find(wanted)
     except KeyError:
-        names = ", ".join(body.name for body in case.body)
-        raise Ending(f"{wanted}: no such body; bodies here: {names}") from None
+        hint = nearest(str(wanted), [body.name for body in case.body])
+        raise Ending(f"{wanted}: no such body; {hint}") from None
     speed = np.linalg.norm(omega_world(system.bodies, system.state), axis=0)
     named = []
     alike = np.stack([system.block[bodies], system.kind[bodies]])

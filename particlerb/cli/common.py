@@ -98,7 +98,9 @@ def opened(path: str, visits_parts: bool = False) -> Iterator[Trajectory]:
     What its values lead to is their fault only where the file is not whole.
     """
     if (case := case_path(path)) is not None and case.suffix == ".toml":
-        raise Ending(f"{path} is a case, not a trajectory: run it, and give output/{case.stem}.h5")
+        result = Path("output") / f"{case.stem}.h5"
+        missing = "" if result.is_file() else "run it, and "
+        raise Ending(f"{path} is a case, not a trajectory: {missing}give {result}")
     probe(Path(path), visits_parts)
     with ending(TrajectoryError, FileNotFoundError, IsADirectoryError):
         trajectory = open_trajectory(path)

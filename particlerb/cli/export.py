@@ -33,11 +33,16 @@ def export_command(options: argparse.Namespace) -> int:
     return _export_trajectory(options)
 
 
+def _asked(options: argparse.Namespace) -> str:
+    """The format that was asked for, or the request for one."""
+    return f"--to {options.to}" if options.to else "give --to FORMAT"
+
+
 def _export_of_bodies(options: argparse.Namespace) -> int:
     """Export bodies of a case, or the body of a file."""
     if options.to not in BODY_FORMATS:
         raise Ending(
-            f"--to {options.to}: bodies become {', '.join(BODY_FORMATS)}; for other formats `run`"
+            f"{_asked(options)}: bodies become {', '.join(BODY_FORMATS)}; for other formats `run`"
             " the case and export its trajectory"
         )
     if options.frames != slice(None) or options.fields:
@@ -91,7 +96,7 @@ def _export_trajectory(options: argparse.Namespace) -> int:
     """Export what was chosen of a trajectory file."""
     if options.to not in FORMATS:
         known = f"trajectories become {', '.join(FORMATS)}; ParaView opens them as they are"
-        raise Ending(f"--to {options.to}: {known}")
+        raise Ending(f"{_asked(options)}: {known}")
     source = Path(options.file)
     added = {"particles": "_particles", "h5": "_whole"}.get(options.to, "")
     named = source.with_name(f"{source.stem}{added}{source.suffix}")

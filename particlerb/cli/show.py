@@ -1,12 +1,12 @@
 """Commands that show what is there: files and pictures of them."""
 
 import argparse
-import difflib
 import json
 from pathlib import Path
 from typing import Any, Final
 
 import particlerb
+from particlerb.case.problems import nearest
 from particlerb.cli.common import PICTURES, amount, fitted, opened, output_of, writing
 from particlerb.cli.exit_codes import DONE, FAILED, Ending, tamed
 from particlerb.model.state import STATE_FIELDS
@@ -115,8 +115,7 @@ def plot_command(options: argparse.Namespace) -> int:
         if path.suffix not in PICTURES:
             raise Ending(f"{path}: a picture ends with {', '.join(PICTURES)}")
         if options.body is not None and options.body not in names:
-            near = difflib.get_close_matches(options.body, names, 3)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"the first is {names[0]}"
+            hint = nearest(options.body, names)
             raise Ending(f"{options.body}: no such body in {options.file}; {hint}")
         with writing(path), appearing(path) as (new,):
             if options.contacts:

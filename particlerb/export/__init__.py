@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from particlerb.case.problems import nearest
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import taken
 from particlerb.model.state import derived
@@ -175,7 +176,7 @@ def _chosen_fields(
     for name in asked:
         if name not in allowed:
             reason = f"{to} cannot hold it" if name in known else "no such field here"
-            raise ExportError(f"{name}: {reason}; there are {', '.join(allowed)}")
+            raise ExportError(f"{name}: {reason}; {nearest(name, allowed)}")
     return [name for name in allowed if name in (asked or recorded)]
 
 
@@ -205,6 +206,5 @@ def _chosen_bodies(trajectory: Trajectory, asked: Sequence[str]) -> Ints:
             numbers.setdefault(label, []).append(number)
     for name in asked:
         if name not in numbers:
-            first = ", ".join(trajectory.names[:3])
-            raise ExportError(f"{name}: no such body; the first are {first}")
+            raise ExportError(f"{name}: no such body; {nearest(name, list(numbers))}")
     return np.unique(np.concatenate([numbers[name] for name in asked]))

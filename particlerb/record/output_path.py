@@ -15,6 +15,14 @@ from typing import Final
 _MOST_BYTES: Final = 128  # of a name to which others are added; disks take 143 to 255
 
 
+def nearest_result(path: Path) -> str:
+    """Hint with the file that a run of this name wrote, if there is one."""
+    folder = Path("output")
+    places = (Path(f"{path}.h5"), folder / path.name, folder / f"{path.name}.h5")
+    found = next((place for place in places if place.is_file()), None)
+    return f"; did you mean {found}?" if found else ""
+
+
 def output_path(path: Path, overwrite: bool) -> Path:
     """Where a file is to be written; what is made on the way to it lies in the same folder.
 

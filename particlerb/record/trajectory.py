@@ -26,6 +26,7 @@ from particlerb.record.checked_reading import (
 )
 from particlerb.record.frame_reader import Contacts
 from particlerb.record.labelled import LabelledReader
+from particlerb.record.output_path import nearest_result
 from particlerb.record.provenance import stored_case, stored_names
 
 __all__ = ["Contacts", "Trajectory", "TrajectoryError", "open_trajectory"]
@@ -383,7 +384,7 @@ def open_trajectory(path: str | Path) -> Trajectory:
         If it is no path.
     """
     if not path_of(path, "what is opened").exists():
-        raise FileNotFoundError(f"{path}: no such file")
+        raise FileNotFoundError(f"{path}: no such file{nearest_result(Path(path))}")
     if not Path(path).is_file():
         raise TrajectoryError(f"{path} is not a regular file")  # a pipe would wait for ever
     return patiently(path, lambda: _trajectory_in(path))

@@ -287,7 +287,7 @@ def test_mass_reports_tensor_class_and_digits(here, capsys):
     assert record["rotor_class"] == "sphere"
     assert record["mass"] == 2.0
     assert main(["mass", "cube.toml", "ball"]) == 2
-    assert "bodies here: cube" in capsys.readouterr().err
+    assert "known: cube" in capsys.readouterr().err
 
 
 def test_mass_of_tables(here, capsys):
@@ -498,6 +498,11 @@ def test_help_needs_no_heavy_library():
         (["chart", "tumbling_brik"], "no such file or case; did you mean tumbling_brick?"),
         (["info", "cube.toml"], "cube.toml is a case, not a trajectory: run it, and give output/"),
         (["plot", "heavy_top"], "heavy_top is a case, not a trajectory: run it, and give output/"),
+        (["info", "slab"], "slab: no such file; did you mean output/slab.h5?"),
+        (["plot", "slab.h5"], "slab.h5: no such file; did you mean output/slab.h5?"),
+        (["resume", "output/slab"], "output/slab: no such file; did you mean output/slab.h5?"),
+        (["info", "press"], "press is a case, not a trajectory: give output/press.h5"),
+        (["export", "cube.toml"], "give --to FORMAT: bodies become lammps, mjcf, yade, gsd"),
         (["--hlep"], "there is no --hlep; did you mean --help?"),
         (["-"], "a case is read from a file, not from standard input: give its path"),
         (["sweep", "cube.toml"], "hint: give it a table [sweep], or --axis 'run.t_end=[1, 2]'"),
@@ -506,6 +511,9 @@ def test_help_needs_no_heavy_library():
     ],
 )
 def test_common_mistakes_are_told_what_would_be_right(here, capsys, words, message):
+    Path("output").mkdir()
+    for name in ("slab.h5", "press.h5"):
+        Path("output", name).touch()
     assert main(words) == 2
     assert message in capsys.readouterr().err
     assert not Path("a.png").exists()

@@ -343,8 +343,8 @@ def test_the_umask_alone_says_who_may_read_an_export(trajectory, pile, tmp_path,
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"bodies": ["brik"]}, "brik: no such body; the first are odd, brick"),
-        ({"fields": ["colour"]}, "colour: no such field here; there are position"),
+        ({"bodies": ["brik"]}, 'brik: no such body; did you mean "brick"?'),
+        ({"fields": ["colour"]}, "colour: no such field here; known: position"),
         ({"frames": slice(20, 30)}, "no frame is left: there are 11"),
         ({"frames": slice(None, None, -1)}, "frames must go forward"),
         ({"to": "xyz"}, "xyz: no such format; there are gsd, csv"),
@@ -398,7 +398,7 @@ def test_command_exports_beside_the_input(path, tmp_path, capsys):
     assert (tmp_path / "run_whole.h5").read_bytes() == (tmp_path / "asked.h5").read_bytes()
     capsys.readouterr()
     assert main(["export", str(source)]) == 2
-    assert "one of the arguments --to --merge is required" in capsys.readouterr().err
+    assert "give --to FORMAT: trajectories become gsd, csv" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -210,7 +210,7 @@ def test_an_end_that_is_no_float_is_a_value_error(case_file, tmp_path):
 
 def test_a_picture_of_no_body_or_at_no_path_is_refused(case_file):
     with particlerb.run(case_file) as trajectory:
-        with pytest.raises(ValueError, match="'cub': no such body; the first is cube"):
+        with pytest.raises(ValueError, match=r"'cub': no such body; did you mean .cube"):
             particlerb.plot(trajectory, body="cub")
         with pytest.raises(TypeError, match="the picture must be a path, got int"):
             particlerb.plot(trajectory, 3)

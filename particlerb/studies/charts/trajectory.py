@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
+from particlerb.case.problems import nearest
 from particlerb.files import path_of
 from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import scales_seen
@@ -66,7 +67,7 @@ def plot(
     """
     check_trajectory(trajectory)
     if body is not None and body not in trajectory.names:
-        raise ValueError(f"{body!r:.60}: no such body; the first is {trajectory.names[0]}")
+        raise ValueError(f"{body!r:.60}: no such body; {nearest(str(body), trajectory.names)}")
     case = trajectory.parameter("case_resolved")
     figure = _titled_figure(trajectory, case)
     marker = "o" if trajectory.n_frames == 1 else "None"  # no line of one
