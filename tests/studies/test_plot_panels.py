@@ -325,6 +325,36 @@ def test_nutation_starts_at_the_tilt_of_the_top(make, monkeypatch):
     assert panel(figure, "axis of body").lines[0].get_ydata()[0] == pytest.approx(30.0, rel=1e-14)
 
 
+def test_of_two_tops_both_are_drawn_in_their_colours(make, monkeypatch):
+    """Only the faster one was, without a word of the other."""
+    case = top(make)
+    other = case["body"][0] | {"name": "other", "orientation": {"euler_deg": [0.0, 20.0, 0.0]}}
+    case["body"].append(other)
+    case["force"] += [one | {"body": "other"} for one in case["force"]]
+    figure, _ = drawn(case, monkeypatch)
+    first, second, _ = panel(figure, "axes of the tops").lines
+    tilts = [line.get_ydata()[0] for line in (first, second)]
+    assert tilts == pytest.approx([30.0, 20.0], rel=1e-14)
+    paths = [line.get_color() for line in figure.axes[0].lines[::2]]
+    assert paths == [first.get_color(), second.get_color()]
+    assert paths == [line.get_color() for line in panel(figure, "angular velocities").lines]
+    figure, _ = drawn(case, monkeypatch, body="other")
+    assert panel(figure, "axis of other").lines[0].get_ydata()[0] == pytest.approx(20.0, rel=1e-14)
+
+
+def test_librations_of_a_body_have_its_colour(make, monkeypatch):
+    """Those of the second were green, and blue as the first."""
+    case = libration(make)
+    case["body"].append(case["body"][0] | {"name": "other", "position": [0, -1, 0],
+                                           "velocity": [1, 0, 0]})  # fmt: skip
+    case["force"][0]["body"] = ["dumbbell", "other"]
+    figure, _ = drawn(case, monkeypatch)
+    colours = [line.get_color() for line in panel(figure, "angular velocities").lines]
+    lines = panel(figure, "longest axis to the line to the centre").lines
+    assert [line.get_color() for line in lines] == [c for c in colours for _ in range(2)]
+    assert [line.get_linestyle() for line in lines] == ["-", "--"] * 2
+
+
 def test_librations_in_the_orbit_and_out_of_it_have_the_periods_of_theory(make, monkeypatch):
     """Angles without a sign showed twice the frequency: it is √3 and 2 of that of the orbit."""
     case = libration(make)
@@ -428,6 +458,17 @@ def test_a_linkage_is_drawn_by_its_joints(make, monkeypatch, at):
     assert np.allclose(ends[:, 0], 0.0, rtol=0, atol=1e-6)
     assert np.allclose(ends[:, 1], ends[:, 2], rtol=0, atol=1e-6)
     assert np.ptp(ends[:, 1], axis=0).max() > 0.1
+
+
+def test_bodies_of_a_linkage_have_the_colours_of_their_rates(make, monkeypatch):
+    """All were blue, while orange was their path here and the second body beside it."""
+    figure, trajectory = drawn(rods(make, {"body": [0, 0, 0.5]}), monkeypatch)
+    colours = [line.get_color() for line in panel(figure, "angular velocities").lines]
+    lines = figure.axes[0].lines
+    paths = [line for line in lines if len(line.get_xydata()) == trajectory.n_frames]
+    assert [line.get_color() for line in paths] == colours
+    bars = [line.get_color() for line in lines if len(line.get_xydata()) == 2]
+    assert bars[-3:] == [colours[0]] * 2 + [colours[1]]
 
 
 def test_a_solid_has_its_joints_but_no_bars_to_them(make, monkeypatch):

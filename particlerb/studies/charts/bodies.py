@@ -1,7 +1,7 @@
 """Bodies as a picture shows them: paths, a side view, a linkage at instants, one as it turns."""
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -124,7 +124,13 @@ def draw_side(axes: Axes, trajectory: Trajectory, frame: int) -> None:
     finish_view(axes, title, f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]")
 
 
-def draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -> None:
+def draw_lines(
+    axes: Axes,
+    time: Floats,
+    values: Floats,
+    names: Sequence[str],
+    style: Callable[[int], dict[str, Any]] = line_style,
+) -> None:
     """A line for each of a few values (T, n), else the median and the range of 80 % of them.
 
     What lies below others looks out on both sides.
@@ -134,7 +140,7 @@ def draw_lines(axes: Axes, time: Floats, values: Floats, names: Sequence[str]) -
         for k, name in enumerate(names):
             apart = np.abs(values[:, k + 1 :] - values[:, [k]]).max(axis=0)
             width = _LINE_WIDTH * (1 + np.count_nonzero(apart <= _SAME_SHARE * np.ptp(values)))
-            axes.plot(time, values[:, k], lw=width, label=plain(name), **line_style(k))
+            axes.plot(time, values[:, k], lw=width, label=plain(name), **style(k))
         return
     low, middle, high = np.percentile(values, (10.0, 50.0, 90.0), axis=1)
     axes.fill_between(time, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="10 to 90 %")
@@ -245,16 +251,6 @@ def shapes_of(trajectory: Trajectory) -> list[SurfaceMesh]:
     made = zip(solids.solids_of(trajectory), low, high, strict=True)
     return [box(b - a).moved(np.eye(3), 0.5 * (a + b)) if mesh is None else mesh
             for mesh, a, b in made]  # fmt: skip
-
-
-def draw_trace(axes: Axes3D, trajectory: Trajectory, body: int, axis: int) -> None:
-    """Path of the end of an axis of a body on the unit sphere."""
-    points = direction(trajectory, body, axis)
-    axes.plot(*points.T, lw=0.9, color=COLOURS[1])
-    axes.plot(*points[-1:].T, "o", ms=3.5, color=COLOURS[1])
-    title = f"path of the {'xyz'[axis]} axis of {trajectory.names[body]} on the unit sphere"
-    axes.set_title(plain(title), fontsize=10, color=INK)
-    set_equal_scale(axes, points, "")
 
 
 def set_equal_scale(axes: Axes3D, points: Floats, unit: str = " [m]") -> None:

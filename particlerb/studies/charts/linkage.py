@@ -1,5 +1,6 @@
 """A linkage at some instants: its bodies, its joints, the rings of gimbals and wheels."""
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -16,7 +17,7 @@ from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.studies.charts import solids
 from particlerb.studies.charts.bodies import shapes_of, side_axes
 from particlerb.studies.charts.solids import ANGLED, view_along, view_at_angle
-from particlerb.studies.charts.style import COLOURS, INK, finish_view
+from particlerb.studies.charts.style import COLOURS, INK, finish_view, tints
 
 _NO_POINTS: Final = np.zeros((0, 3))
 _MAX_ALIGNED_SINE: Final = 0.05  # of the angle of axes that make no plane
@@ -50,8 +51,16 @@ def mechanism_of(scene: Linkage, body: int, most: int) -> list[int]:
     return [int(b) for b in members]
 
 
-def draw_linkage(axes: Axes, trajectory: Trajectory, scene: Linkage, bodies: list[int]) -> None:
+def draw_linkage(
+    axes: Axes,
+    trajectory: Trajectory,
+    scene: Linkage,
+    bodies: list[int],
+    colours: Sequence[str] = (),
+) -> None:
     """Bodies at some instants, the last in colour, with their joints and the paths of centres.
+
+    Each body, and its path, has its own colour where these are given.
 
     A body that is only its moments is drawn as lines from its centre to its joints, or as the ring
     that its hinges make of it, any other as its solid, else as a box around its particles, with
@@ -81,31 +90,31 @@ def draw_linkage(axes: Axes, trajectory: Trajectory, scene: Linkage, bodies: lis
     view, names, shown = _view(trajectory, everywhere)
     if shown:
         solids.draw_walls(axes, trajectory, frames[-1], shown)
-    for path in np.moveaxis(x @ view.T, 1, 0):
-        axes.plot(*path[:, :2].T, color=COLOURS[1], lw=0.9, alpha=0.7, zorder=1.0)
+    own, along = (colours or [colour] * len(bodies) for colour in COLOURS[:2])
+    for path, colour in zip(np.moveaxis(x @ view.T, 1, 0), along, strict=True):
+        axes.plot(*path[:, :2].T, color=colour, lw=0.9, alpha=0.7, zorder=1.0)
     for k in range(len(frames)):
         is_last = k == len(frames) - 1
-        fill, edge = ("#a9cce3", INK) if is_last else (None, "#b8c0c8")
+        fill, edge = (tints(own), INK) if is_last else (None, "#b8c0c8")
         placed = solids.placed(shapes, view, q[k], x[frames[k]])
         solids.draw_solids(axes, placed, fill, 2.0 + 0.1 * k, edge)
-        line: dict[str, Any] = {
-            "color": COLOURS[0] if is_last else "#9aa5b1",
-            "zorder": 2.05 + 0.1 * k,
-        }
-        for circle in circles[k]:
-            axes.plot(*(circle @ view.T).T[:2], lw=2.2 if is_last else 0.8, **line)
-        for com, joints, mesh in zip(x[frames[k]] @ view.T, hinges[k], shapes, strict=True):
-            for end in joints @ view.T:
+        zorder = 2.05 + 0.1 * k
+        for b, (com, mesh) in enumerate(zip(x[frames[k]] @ view.T, shapes, strict=True)):
+            line: dict[str, Any] = {"color": own[b] if is_last else "#9aa5b1", "zorder": zorder}
+            axes.plot(*(circles[k][b] @ view.T).T[:2], lw=2.2 if is_last else 0.8, **line)
+            for end in hinges[k][b] @ view.T:
                 bar = np.array([end if len(mesh.faces) else com, end])[:, :2]
                 axes.plot(*bar.T, lw=2.2 if is_last else 1.2, **line)
                 axes.plot(*end[:2], "o", ms=4, mfc="white", **line)
+        line["color"] = (INK if colours else COLOURS[0]) if is_last else line["color"]
         for ends in distances:
             places = [place if b == WORLD else hinges[k][b][n] for b, n, place in ends]
             seen = np.array(places) @ view.T
             axes.plot(*seen.T[:2], "-o", ms=4, mfc="white", lw=2.2 if is_last else 1.2, **line)
     axes.update_datalim((everywhere @ view.T)[:, :2])
     times = ", ".join(f"{trajectory.time[frame]:.3g}" for frame in frames)
-    title = f"t = {times} s (blue); orange: paths of centres"
+    words = "in colour); thin" if colours else "blue); orange"
+    title = f"t = {times} s ({words}: paths of centres"
     if len(bodies) < trajectory.n_bodies:
         title = f"one of the mechanisms, that of {trajectory.names[bodies[0]]}\n{title}"
     finish_view(axes, title, *names)

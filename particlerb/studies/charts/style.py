@@ -52,6 +52,11 @@ def line_style(k: int) -> dict[str, Any]:
     return {"color": COLOURS[k % len(COLOURS)], "ls": ("-", "--", ":")[k // len(COLOURS) % 3]}
 
 
+def tints(colours: Sequence[str]) -> Floats:
+    """Pale colours (n, 3) of solids, one for each colour of a line."""
+    return np.array([0.66 + 0.34 * np.array(mpl.colors.to_rgb(colour)) for colour in colours])
+
+
 CurveEnd = tuple[float, float, str, str]
 """x and y of the last point of a curve, its name, its colour."""
 

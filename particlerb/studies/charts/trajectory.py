@@ -4,6 +4,7 @@ The panels depend on the scene: for many bodies that touch a side view, for orbi
 joints their coordinates or forces, for a top nutation and precession, for one body its rates.
 """
 
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -18,13 +19,20 @@ from particlerb.case.problems import nearest
 from particlerb.files import path_of
 from particlerb.maths.vec3 import Floats
 from particlerb.model.balance import scales_seen
-from particlerb.model.state import derived, rotate
+from particlerb.model.state import derived
 from particlerb.record.trajectory import Trajectory, check_trajectory
 from particlerb.record.verify import counted
-from particlerb.rotors.rotor_class import SYMMETRIC
 from particlerb.studies.charts import bodies
 from particlerb.studies.charts.linkage import draw_linkage, jointed, mechanism_of
-from particlerb.studies.charts.style import COLOURS, INK, Picture, finish_over_time, plain
+from particlerb.studies.charts.style import (
+    COLOURS,
+    INK,
+    Picture,
+    finish_over_time,
+    line_style,
+    plain,
+)
+from particlerb.studies.charts.tops import body_axis, draw_nutation, draw_trace, is_top, tops_of
 from particlerb.words import count_of
 
 _MIN_TURN: Final = 1e-6  # rad in the whole time
@@ -87,7 +95,7 @@ def _draw_panels(
     shown = _shown(trajectory.n_bodies, bodies.FEW, b)
     moved = np.ptp(trajectory.read("position", bodies=shown), axis=0)
     is_still = trajectory.n_frames > 1 and not moved.any()
-    if is_still and not _is_top(trajectory, b) and trajectory.omega_body(b)[0].any():
+    if is_still and not is_top(trajectory, b) and trajectory.omega_body(b)[0].any():
         grid = figure.add_gridspec(2, 3, height_ratios=(0.6, 1.0), width_ratios=(1.0, 1.0, 1.3))
         bodies.draw_orientations(figure.add_subplot(grid[0, :]), trajectory, b)
         places = [grid[1, 0], grid[1, 1], grid[1, 2]]
@@ -96,7 +104,8 @@ def _draw_panels(
         _draw_bodies(figure, grid[0, 0], trajectory, case, b, shown, body is None)
         places = [grid[0, 1], grid[1, 0], grid[1, 1]]
     above, below, last = (figure.add_subplot(place) for place in places)
-    _draw_motion(above, below, trajectory, case, b, body is not None or is_still)
+    tops = tops_of(trajectory, b, body is None)
+    _draw_motion(above, below, trajectory, case, b, body is not None or is_still, tops)
     _draw_conservation_errors(last, trajectory)
 
 
@@ -107,8 +116,9 @@ def _draw_motion(
     case: dict[str, Any],
     b: int,
     is_of_one: bool,
+    tops: dict[int, int],
 ) -> None:
-    """Two panels over time: of one body, or what moves the scene on."""
+    """Two panels over time: of one body, of tops, or what moves the scene on."""
     if case["joint"] and not is_of_one:
         _draw_joints(above, trajectory, case)
         _draw_energies(below, trajectory)
@@ -119,9 +129,12 @@ def _draw_motion(
         _draw_energies(above, trajectory)
         is_coupled = trajectory.n_bodies > bodies.FEW or _couples(case)
         (_draw_heights if is_coupled else _draw_rates)(below, trajectory, case)
-    elif _is_top(trajectory, b):
-        _draw_angular_velocity(above, trajectory, b)
-        _draw_nutation(below, trajectory, b)
+    elif tops:
+        if len(tops) > 1:
+            _draw_rates(above, trajectory, case)
+        else:
+            _draw_angular_velocity(above, trajectory, b)
+        draw_nutation(below, trajectory, tops)
     elif trajectory.ledger.potential_energy.any() and not is_of_one:
         _draw_energies(above, trajectory)
         _draw_angular_velocity(below, trajectory, b)
@@ -177,42 +190,24 @@ def _draw_bodies(
     if scene is not None:
         members = shown if is_few else mechanism_of(scene, body, bodies.FEW)
         if is_few or (case["contact"] is None and 1 < len(members) <= bodies.FEW):
-            draw_linkage(figure.add_subplot(place), trajectory, scene, members)
+            are_keyed = trajectory.n_bodies <= len(COLOURS) and _joint_values(trajectory) is None
+            colours = [line_style(b)["color"] for b in members] if are_keyed else []
+            draw_linkage(figure.add_subplot(place), trajectory, scene, members, colours)
             return
     if is_scene and not (is_few and case["contact"] is None):
         bodies.draw_side(figure.add_subplot(place), trajectory, trajectory.n_frames - 1)
         return
-    if is_scene and not bodies.motion_of_bodies(trajectory).any() and not _is_top(trajectory, body):
+    if is_scene and not bodies.motion_of_bodies(trajectory).any() and not is_top(trajectory, body):
         bodies.draw_at_rest(figure.add_subplot(place), trajectory, shown)
         return
-    is_alone = is_scene and trajectory.n_bodies == 1 and not _is_top(trajectory, body)
+    is_alone = is_scene and trajectory.n_bodies == 1 and not is_top(trajectory, body)
     if is_alone and bodies.draw_instants(figure, place, trajectory):
         return
     axes = figure.add_subplot(place, projection="3d")
-    if _is_top(trajectory, body):
-        bodies.draw_trace(axes, trajectory, body, _symmetry_axis(trajectory, body))
+    if tops := tops_of(trajectory, body, is_scene):
+        draw_trace(axes, trajectory, tops)
     else:
         bodies.draw_paths(axes, trajectory, shown, body)
-
-
-def _is_top(trajectory: Trajectory, body: int) -> bool:
-    """Whether a body with two equal moments is moved by forces while its centre rests."""
-    has_forces = bool(trajectory.parameter("case_resolved")["force"])
-    is_symmetric = int(trajectory.bodies.rotor_class[body]) == SYMMETRIC
-    way = trajectory.read("position", bodies=body)
-    return has_forces and is_symmetric and not np.ptp(way, axis=0).any()
-
-
-def _symmetry_axis(trajectory: Trajectory, body: int) -> int:
-    """Axis of the body frame nearest to that of the moment that differs from the other two."""
-    moments = trajectory.bodies.inertia[:, body]
-    return _body_axis(trajectory, body, int(np.argmax(np.abs(moments - np.median(moments)))))
-
-
-def _body_axis(trajectory: Trajectory, body: int, principal: int) -> int:
-    """Axis of the body frame nearest to a principal one."""
-    frame = trajectory.bodies.rotor_frame[:, body : body + 1]
-    return int(np.argmax(np.abs(rotate(frame, np.eye(3)[:, principal : principal + 1]))))
 
 
 def _centre(trajectory: Trajectory, case: dict[str, Any]) -> Floats | None:
@@ -290,7 +285,7 @@ def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) ->
     centre, names, angles = _centre(trajectory, case), [], []
     assert centre is not None
     for b in _shown(trajectory.n_bodies, bodies.KEYED // 2, 0):
-        least = _body_axis(trajectory, b, int(np.argmin(trajectory.bodies.inertia[:, b])))
+        least = body_axis(trajectory, b, int(np.argmin(trajectory.bodies.inertia[:, b])))
         r = trajectory.read("position", bodies=b) - centre
         normal = np.cross(r, trajectory.read("linear_momentum", bodies=b))
         frame = np.stack([r, np.cross(normal, r), normal])
@@ -300,22 +295,34 @@ def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) ->
         along *= np.where(along[0] < 0.0, -1.0, 1.0)  # an axis has two ends
         angles += [np.arctan2(along[1], along[0]), np.arcsin(np.clip(along[2], -1.0, 1.0))]
         names += [f"{trajectory.names[b]}, in the orbit", "out of it"]
-    bodies.draw_lines(axes, trajectory.time, np.degrees(angles).T, names)
+
+    def style(k: int) -> dict[str, Any]:
+        return {"color": COLOURS[k // 2], "ls": ("-", "--")[k % 2]}
+
+    bodies.draw_lines(axes, trajectory.time, np.degrees(angles).T, names, style)
     finish_over_time(axes, "longest axis to the line to the centre", "angle [°]")
+
+
+def _joint_values(trajectory: Trajectory) -> tuple[Floats, Sequence[str], str, str] | None:
+    """Joint coordinates or forces, if recorded: (T, n), their names, a title, what they are."""
+    fields = trajectory.other_fields
+    if "joint_coordinate" in fields and trajectory.joint_coordinate.size:
+        label = "angle [rad] or length [m]"
+        names = trajectory.coordinate_names
+        return trajectory.joint_coordinate, names, "joint coordinates", label
+    if "joint_force" in fields and np.isfinite(trajectory.joint_force).any():
+        forces = np.linalg.norm(trajectory.joint_force, axis=2)
+        return forces, trajectory.joint_names, "forces in joints", "|F| [N]"
+    return None
 
 
 def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
     """Joint coordinates or forces, if they were recorded, else angular velocities."""
-    time, fields = trajectory.time, trajectory.other_fields
-    if "joint_coordinate" in fields and trajectory.joint_coordinate.size:
-        bodies.draw_lines(axes, time, trajectory.joint_coordinate, trajectory.coordinate_names)
-        finish_over_time(axes, "joint coordinates", "angle [rad] or length [m]")
-    elif "joint_force" in fields and np.isfinite(trajectory.joint_force).any():
-        forces = np.linalg.norm(trajectory.joint_force, axis=2)
-        bodies.draw_lines(axes, time, forces, trajectory.joint_names)
-        finish_over_time(axes, "forces in joints", "|F| [N]")
-    else:
+    if (found := _joint_values(trajectory)) is None:
         _draw_rates(axes, trajectory, case)
+        return
+    bodies.draw_lines(axes, trajectory.time, *found[:2])
+    finish_over_time(axes, *found[2:])
 
 
 def _draw_rates(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
@@ -353,21 +360,6 @@ def _draw_axis(axes: Axes, trajectory: Trajectory, body: int, is_free: bool) -> 
     finish_over_time(
         axes, f"angle of the {'xyz'[spun]} axis of {trajectory.names[body]}", "angle [°]"
     )
-
-
-def _draw_nutation(axes: Axes, trajectory: Trajectory, body: int) -> None:
-    """How far the axis of a top leans, and about the vertical how far it has come."""
-    axis = bodies.direction(trajectory, body, _symmetry_axis(trajectory, body))
-    up = bodies.upright(trajectory)
-    across = [(up + 1) % 3, (up + 2) % 3]
-    nutation = np.degrees(np.arccos(np.clip(axis[:, up], -1.0, 1.0)))
-    precession = np.degrees(np.unwrap(np.arctan2(axis[:, across[1]], axis[:, across[0]])))
-    axes.plot(trajectory.time, nutation, color=COLOURS[0], lw=1.3, label="nutation")
-    other = axes.twinx()
-    line = other.plot(trajectory.time, precession, color=COLOURS[1], lw=1.3)
-    axes.plot([], [], color=line[0].get_color(), label="precession (right)")
-    other.set_ylabel("precession [°]", color=COLOURS[1])
-    finish_over_time(axes, f"axis of {trajectory.names[body]}", f"angle with {'xyz'[up]} [°]")
 
 
 def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
