@@ -287,7 +287,7 @@ def _notes(outcome: Outcome) -> list[str]:
     """What contacts, trees and joints did, a line each, and the conservation errors."""
     energy, linear, angular = outcome.drift
     lines = []
-    if outcome.flown is not None:
+    if outcome.flown:
         share = f"{100.0 * outcome.flown:.3g} % of the body-steps"
         lines.append(f"{share} were taken in closed form: no contact in reach")
     if outcome.broken:
@@ -324,8 +324,9 @@ def impulse_text(tally: Floats) -> str:
     text = (
         f"impulses: residual {tally[records.RESIDUAL]:.2g} in the last step,"
         f" {tally[records.WORST_EVER]:.2g} at worst, above the tolerance in {unmet:.0f} of"
-        f" {steps:.0f} steps{advice}; per step {each[0]:.3g} contacts, {each[1]:.3g} sweeps and"
-        f" {each[2]:.3g} Newton iterations; largest overlap {tally[records.DEEPEST]:.3g} m\n"
+        f" {steps:.0f} steps{advice}\n"
+        f"per step: {each[0]:.3g} contacts, {each[1]:.3g} sweeps and {each[2]:.3g} Newton"
+        f" iterations; largest overlap {tally[records.DEEPEST]:.3g} m\n"
         f"work: {done}"
     )
     if unended > 0.0:
@@ -338,8 +339,8 @@ def event_text(tally: Floats) -> str:
     impacts, walls = tally[records.IMPACTS], tally[records.WALL_IMPACTS]
     least, largest = tally[records.SMALLEST_GAP], tally[records.LARGEST_GAP]
     return (
-        f"{impacts:.0f} impacts, {impacts - walls:.0f} between bodies and {walls:.0f} with walls;"
-        f" {tally[records.GRAZING]:.0f} grazed, {tally[records.ELASTIC]:.0f} hit again within the"
+        f"{impacts:.0f} impacts, {impacts - walls:.0f} between bodies and {walls:.0f} with walls\n"
+        f"{tally[records.GRAZING]:.0f} grazed, {tally[records.ELASTIC]:.0f} hit again within the"
         f" contact time and bounced elastically; gaps at impacts {least:.2g} to {largest:.2g} of a"
         f" radius\nwork: impacts {tally[records.IMPACT_WORK]:.3g} J, friction"
         f" {tally[records.FRICTION_WORK]:.3g} J"

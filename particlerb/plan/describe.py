@@ -135,6 +135,8 @@ def _acting_lines(system: System, plan: Plan, ranks: Ranks) -> Iterator[tuple[st
         yield "joints", joint_line(merged(system), plan)
     if plan.contacts:
         yield "contact", _contact_line(system, plan)
+        if words := _overlap_words(system, plan):
+            yield "overlap", words
 
 
 def _origin_of_points(system: System, kind: str) -> str:
@@ -208,18 +210,20 @@ def _contact_line(system: System, plan: Plan) -> str:
     if contact.events is not None:
         again = f"what hits again within {contact.events.contact_time:.3g} s bounces elastically"
         return f"{line}, at the instants of impacts, one after the other; {again}"
-    line += f", pairs kept within {contact.skin:.3g} m{_flying(plan)}"
-    return line + _overlap_words(system, plan)
+    return f"{line}, pairs kept within {contact.skin:.3g} m{_flying(plan)}"
 
 
 def _overlap_words(system: System, plan: Plan) -> str:
     """What overlap is to be expected, and what the other law would take for it."""
+    contact = plan.contacts[0]
+    if contact.events is not None or not contact.model.spheres.radius.size:
+        return ""
     touching = [each for each in plan.segments if each[1].terms.contact is not None]
     overlap, k = max((expected_overlap(system, *each), -k) for k, each in enumerate(touching))
     if not 0.0 < overlap < np.inf or touching[-k][1].dt == 0.0:
         return ""
     words = cheaper_law(system, *touching[-k], overlap)
-    return f"; the fastest impact may overlap by about {overlap:.3g} m, {words}"
+    return f"about {overlap:.3g} m in the fastest impact, {words}"
 
 
 def _solved(plan: Plan, table: ContactTable) -> str:

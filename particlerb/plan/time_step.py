@@ -279,7 +279,7 @@ def step_reason(
         packs = "packs of sixteen bodies, and those that act on each other,"
         return f"{packs} take their own, error {system.run.tolerance!r} in each"
     if system.run.dt is not None:
-        return f"{system.run.dt!r} s, as the case says"
+        return f"{system.run.dt:.9g} s, as the case says"
     rule = f"the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
     if len(distinct) > 1:
         return f"{min(distinct):.6g} s to {max(distinct):.6g} s, for each group {rule}"

@@ -14,7 +14,7 @@ import particlerb
 from particlerb.cli import main, report
 from particlerb.cli.common import fitted
 from particlerb.cli.exit_codes import Ending
-from particlerb.cli.run import ask_to_stop
+from particlerb.cli.run import _notes, ask_to_stop
 from particlerb.compiled.threads import THREADS
 from particlerb.simulation.outcome import Reached
 from particlerb.tables import Ball, ContactTable, Output, PlaneWall, RunTable
@@ -26,6 +26,13 @@ def clock(monkeypatch):
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     return now
+
+
+def test_no_share_is_told_where_no_step_was_saved():
+    """«0 % of the body-steps were taken in closed form» told nobody anything."""
+    few = {"drift": (0.0, 0.0, 0.0), "broken": (), "tree": None, "tally": None, "contact_turn": 0.0}
+    for flown, n in ((None, 1), (0.0, 1), (0.25, 2)):
+        assert len(_notes(SimpleNamespace(flown=flown, **few))) == n
 
 
 def test_lines_come_every_ten_seconds_after_the_first_frames(clock, capsys, tmp_path):

@@ -261,6 +261,11 @@ def test_plan_gives_a_reason_for_what_is_done(make):
     assert "(gravity and push through the centre of mass: a parabola)" in text["third"]
 
 
+def test_a_step_of_the_case_is_told_with_nine_digits(make):
+    pushed = make.case(make.body(), force=[make.push(FORCE, AT)], dt=0.3 / 7.0)
+    assert lines(pushed)["step"] == "0.0428571429 s, as the case says\n"
+
+
 def test_forces_of_one_form_share_a_group_and_keep_their_own_size(make):
     """One group for many bodies with a push each; a push at the com is of another form."""
     block = make.body("c", count=40, place={"type": "grid", "spacing": 1.0})
