@@ -212,11 +212,9 @@ class BoxWall(WallTable):
     @model_validator(mode="after")
     def is_box(self) -> Self:
         """Require lower < upper on each axis, and a face."""
-        for axis, (a, b) in enumerate(zip(self.lower, self.upper, strict=True)):
-            if a >= b:
-                raise broken(
-                    f"must be above lower on each axis, is {b!r} on {'xyz'[axis]}", "upper"
-                )
+        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
+            if low >= high:
+                raise broken(f"must be above lower on each axis, is {high!r} on {axis}", "upper")
         if len(self.open) == 6:
             raise broken("leaves no face of the box", "open")
         return self

@@ -10,7 +10,6 @@ from particlerb.case.forces import During
 from particlerb.case.values import (
     LARGEST_COUNT,
     Array2,
-    FloatArray,
     Forms,
     Label,
     Name,
@@ -21,9 +20,9 @@ from particlerb.case.values import (
     Table,
     Vector,
     Yes,
+    ascending,
     broken,
     entries,
-    first_out_of_order,
     nonzero,
     require,
 )
@@ -154,20 +153,12 @@ class JointDrive(Table):
             raise broken("takes one of position, speed and amplitude")
         if (self.amplitude is None) != (self.frequency is None):
             raise broken("goes with amplitude: give both", "frequency")
-        knots = getattr(self, given_ways[0])
+        way = given_ways[0]
+        knots = getattr(self, way)
         if isinstance(knots, np.ndarray):
-            _check_knots(knots, given_ways[0])
+            hint = "a jump of speed takes an infinite force: let it rise" if way == "speed" else ""
+            ascending(knots[:, 0].tolist(), way, hint)
         return self
-
-
-def _check_knots(knots: FloatArray, key: str) -> None:
-    """Require knots of a drive that ascend: `courses_of` asks where they begin."""
-    if len(knots) < 2:
-        raise broken(f"needs two knots at least, has {len(knots)}", key)
-    k = first_out_of_order(knots[:, 0].tolist())
-    if k is not None:
-        hint = "a jump of speed takes an infinite force: let it rise" if key == "speed" else ""
-        raise broken(f"must ascend in time, knot {k} is at {knots[k, 0]} s", key, hint)
 
 
 class JointTable(Table):

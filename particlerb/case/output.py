@@ -23,10 +23,8 @@ _BODY_FIELDS = names_of("body")
 DEFAULT_FIELDS = _BODY_FIELDS[:4]  # a state, which is recorded unasked
 FIELDS_OF_WALLS = names_of("wall")
 FIELDS_OF_JOINTS = names_of("joint", "coordinate")
-FIELDS_OF_LAWS = {  # what contacts without stiffness show, by their law
-    "impulse": names_of("impulse"),
-    "events": names_of("event"),
-}
+# What contacts without stiffness show, by their law
+FIELDS_OF_LAWS = {"impulse": names_of("impulse"), "events": names_of("event")}
 FIELDS_OF_IMPULSES = names_of("impulse", "event")
 FIELDS_OF_CONTACT = ("contacts", *names_of("touching body"), *FIELDS_OF_WALLS)
 _FIELD_NAMES = (*_BODY_FIELDS, *FIELDS_OF_CONTACT, *FIELDS_OF_JOINTS, *FIELDS_OF_IMPULSES)

@@ -34,9 +34,8 @@ def overridden(source: Source, overrides: Sequence[str]) -> Source:
                 raise LookupError("must have the form key=value, such as run.dt=1e-4")
             raw = with_value(raw, path, toml_value(text.strip()))
         except LookupError as error:
-            problems.append(
-                Problem(f"--set {key}", None, None, key_of(path), text, str(error.args[0]))
-            )
+            place = f"--set {key}", None, None, key_of(path)
+            problems.append(Problem(*place, text, str(error.args[0])))
         paths.append(path)
     refuse(problems)
     return source._replace(raw=raw, overridden=tuple(paths))
@@ -79,7 +78,6 @@ def with_value(node: Any, path: Path, value: Any) -> Any:
             inner = [] if rest and isinstance(rest[0], int) else {}
         return {**node, str(head): with_value(inner, rest, value)}
     if not isinstance(head, int) or not 0 <= head < len(node):
-        raise LookupError(
-            f"there is no entry {shown(head)} of {len(node)}, counted from 0 as in body.0"
-        )
+        n = len(node)
+        raise LookupError(f"there is no entry {shown(head)} of {n}, counted from 0 as in body.0")
     return [*node[:head], with_value(node[head], rest, value), *node[head + 1 :]]

@@ -160,21 +160,15 @@ def quaternion_of_euler(euler_deg: Sequence[float]) -> FloatArray:
     roll, pitch, yaw = np.deg2rad(np.fmod(euler_deg, 720.0)) / 2
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     cy, sy = np.cos(yaw), np.sin(yaw)
-    return np.array(
-        (
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        )
-    )
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    return np.array((w, x, y, z))
 
 
 def quaternion_of(value: Euler | Sequence[float]) -> FloatArray:
     """Unit quaternion (4,) of an orientation as a case gives it."""
-    return unit_vectors(
-        quaternion_of_euler(value.euler_deg) if isinstance(value, Euler) else np.array(value)
-    )
+    q = quaternion_of_euler(value.euler_deg) if isinstance(value, Euler) else np.array(value)
+    return unit_vectors(q)
 
 
 def vectors(

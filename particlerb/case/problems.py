@@ -79,9 +79,8 @@ class CaseError(Exception):
     """A case that cannot be run; `problems` has all that is wrong with it, by line."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
-        self.problems = tuple(
-            sorted(problems, key=lambda p: (p.line or sys.maxsize, p.column or 0))
-        )
+        in_order = sorted(problems, key=lambda p: (p.line or sys.maxsize, p.column or 0))
+        self.problems = tuple(in_order)
         super().__init__(self.problems)
 
     def __str__(self) -> str:
@@ -115,9 +114,7 @@ def _named(problem: Problem) -> str:
 def _printable(text: str) -> str:
     """Text that a terminal can show as it is: control characters and the like escaped, and cut."""
     cut = text if len(text) <= _MAX_MESSAGE_LENGTH else f"{text[:_MAX_MESSAGE_LENGTH]}..."
-    return "".join(
-        c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in cut
-    )
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in cut)
 
 
 def key_of(path: Path) -> str:

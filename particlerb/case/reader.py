@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, TypeAlias
 
 from pydantic import ValidationError
 
@@ -32,6 +32,8 @@ from particlerb.files import Files, is_file
 
 __all__ = ["CaseError", "Problem", "load", "parse"]
 
+CaseSource: TypeAlias = str | PathLike[str] | Mapping[str, Any] | Case
+"""What `load` makes a case of."""
 _MAX_FILE_BYTES = 64 * 2**20
 _MAX_PROBLEMS_LISTED = 100
 _PLAIN_WORDS = {
@@ -56,11 +58,7 @@ _PLAIN_WORDS = {
 }
 
 
-def load(
-    source: str | PathLike[str] | Mapping[str, Any] | Case,
-    overrides: Sequence[str] = (),
-    allow_code: bool = False,
-) -> Case:
+def load(source: CaseSource, overrides: Sequence[str] = (), allow_code: bool = False) -> Case:
     """Case from a file, from a dict with the same keys, or from another case.
 
     Parameters
@@ -95,9 +93,7 @@ def load(
     return case
 
 
-def _loaded(
-    source: str | PathLike[str] | Mapping[str, Any] | Case, overrides: Sequence[str]
-) -> Case:
+def _loaded(source: CaseSource, overrides: Sequence[str]) -> Case:
     """Do the work of `load`."""
     if isinstance(source, Case):
         origin = source.source

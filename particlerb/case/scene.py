@@ -5,7 +5,6 @@ A scene is a mapping with the keys of a case file, so whatever takes a case take
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from inspect import Parameter, Signature, signature
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 
@@ -14,7 +13,7 @@ from particlerb.case.contact import AnyWall, ContactTable, Material
 from particlerb.case.forces import AnyForce
 from particlerb.case.joints import JointTable
 from particlerb.case.output import ChartTable, Check, Output
-from particlerb.case.reader import load
+from particlerb.case.reader import CaseSource, load
 from particlerb.case.run import AttractionTable, Gravity, RunTable
 from particlerb.case.schema import Case
 from particlerb.case.sweep import SweepTable
@@ -164,9 +163,7 @@ class Scene(Mapping[str, Any]):
         return wall
 
     @classmethod
-    def from_case(
-        cls, source: str | PathLike[str] | Mapping[str, Any] | Case, overrides: Sequence[str] = ()
-    ) -> Self:
+    def from_case(cls, source: CaseSource, overrides: Sequence[str] = ()) -> Self:
         """Scene of a case.
 
         Parameters

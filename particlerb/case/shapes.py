@@ -164,10 +164,8 @@ class Torus(CurvedTable):
     def does_not_overlap(self) -> Self:
         """Require a tube that does not cross the axis."""
         if self.minor_radius > self.major_radius:
-            raise broken(
-                f"must be <= major_radius = {self.major_radius!r}, got {self.minor_radius!r}",
-                "minor_radius",
-            )
+            reason = f"must be <= major_radius = {self.major_radius!r}, got {self.minor_radius!r}"
+            raise broken(reason, "minor_radius")
         return self
 
 

@@ -6,9 +6,7 @@ clouds are a kind each. Spin that a body cannot have (of a point, about a rod's 
 where the case gives it, and left out where it was drawn at random.
 """
 
-from collections.abc import Mapping
 from functools import partial
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,7 @@ from particlerb.case.matter import solid_of, spheres_of
 from particlerb.case.output import FIELDS_OF_LAWS
 from particlerb.case.placement import Placement, placement_of, quaternion_of, random_stream
 from particlerb.case.problems import Problem, problem_at, refuse
-from particlerb.case.reader import load
+from particlerb.case.reader import CaseSource, load
 from particlerb.case.reduction import reduced
 from particlerb.case.schema import Case
 from particlerb.case.shapes import AnyShape, Cloud, MeshShape, PointsShape, SpheresShape
@@ -49,11 +47,7 @@ _OUT_OF_MEMORY = "its particles do not fit into the memory: take a smaller n"
 _SPIN_ROUNDING = 1e-12  # share of an angular velocity about a rod that is its rounding
 
 
-def to_system(
-    source: str | PathLike[str] | Mapping[str, Any] | Case,
-    keeps_all: bool = False,
-    part: range | None = None,
-) -> System:
+def to_system(source: CaseSource, keeps_all: bool = False, part: range | None = None) -> System:
     """System of a case, or of a part of its bodies.
 
     Parameters
@@ -139,9 +133,8 @@ def with_records(system: System, case: Case) -> System:
 
 def to_case(system: System) -> Case:
     """Case that states all records of a system, defaults included."""
-    case = Case.model_construct(
-        **{key: getattr(system, key) for key in Case.model_fields.keys() & System._fields}
-    )
+    keys = Case.model_fields.keys() & System._fields
+    case = Case.model_construct(**{key: getattr(system, key) for key in keys})
     case._source = system.source
     return case
 
@@ -199,10 +192,8 @@ def _refuse_underflow(properties: MassProperties) -> None:
     sizes = np.append(properties.mass, properties.moments)
     sizes = sizes[sizes > 0.0]
     if sizes.min(initial=1.0) < _MIN_INERTIA:
-        raise ValueError(
-            f"mass or moment of inertia {float(sizes.min())!r} is too small: its inverse is too"
-            " large for float64"
-        )
+        told = f"mass or moment of inertia {float(sizes.min())!r} is too small"
+        raise ValueError(f"{told}: its inverse is too large for float64")
 
 
 def _particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tuple[str, str]]]:
@@ -225,7 +216,7 @@ def _particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tupl
 
 def part_particles(files: Files, part: ShapePart, stream: np.random.Generator) -> FilledShape:
     """Particles of one part of a record, where it stands in its body."""
-    filled = _shape_particles(files, part.shape, part.mass, part.density, stream)
+    filled = _shape_particles(files, part.shape, (part.mass, part.density), stream)
     placed = transformed(filled.particles, turn_of(part), part.position)
     return filled._replace(particles=placed)
 
@@ -290,11 +281,8 @@ def _possible_spin(case: Case, placement: Placement, bodies: Bodies) -> Floats:
     possible, size, rounding = spins_of(placement, bodies)
     problems: list[Problem] = []
     for i, body in enumerate(case.body):
-        is_member = placement.block == i
-        if isinstance(body.angular_velocity, NormalDistribution):
-            continue
-        wrong = np.flatnonzero(is_member & (size > rounding))
-        if len(wrong):
+        wrong = np.flatnonzero((placement.block == i) & (size > rounding))
+        if wrong.size and not isinstance(body.angular_velocity, NormalDistribution):
             problems.append(_spin_problem(case, i, int(wrong[0]), placement, bodies))
     refuse(problems)
     return possible

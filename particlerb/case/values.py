@@ -50,10 +50,8 @@ class Table(BaseModel):
         def __setattr__(self, name: str, value: object) -> None:
             """Refuse to change what is public."""
             if not name.startswith("_"):
-                name = f"{type(self).__name__}.{name}"
-                raise AttributeError(
-                    f"{name} cannot be set: take a model_copy(update={{..}}) in its place"
-                )
+                told = f"{type(self).__name__}.{name} cannot be set"
+                raise AttributeError(f"{told}: take a model_copy(update={{..}}) in its place")
             super().__setattr__(name, value)
 
         def __delattr__(self, name: str) -> None:
@@ -215,14 +213,14 @@ def is_rows(value: Any) -> bool:
     return isinstance(value, list) and bool(value) and isinstance(value[0], (list, tuple))
 
 
-def _ascending(value: tuple[float, ...]) -> tuple[float, ...]:
-    """Two times or more, each later than the one before."""
-    if len(value) < 2:
-        raise broken(f"needs two knots at least, has {len(value)}")
-    k = first_out_of_order(value)
+def ascending(times: Sequence[float], key: str = "", hint: str = "") -> Sequence[float]:
+    """Two times or more, each later than the one before; what to do about others."""
+    if len(times) < 2:
+        raise broken(f"needs two knots at least, has {len(times)}", key)
+    k = first_out_of_order(times)
     if k is not None:
-        raise broken(f"must ascend, entry {k} is {value[k]!r} after {value[k - 1]!r}")
-    return value
+        raise broken(f"must ascend, entry {k} is {times[k]!r} after {times[k - 1]!r}", key, hint)
+    return times
 
 
 def first_out_of_order(times: Sequence[float]) -> int | None:
@@ -309,13 +307,11 @@ class _Each:
 
     def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Tuple of such numbers, of which an array is made."""
-        numbers = handler.generate_schema(
+        each = handler.generate_schema(
             Annotated[tuple[self.number, ...], Field(min_length=1)]  # type: ignore[name-defined]
         )
         as_list = core_schema.plain_serializer_function_ser_schema(np.ndarray.tolist)
-        return core_schema.no_info_after_validator_function(
-            _read_only, numbers, serialization=as_list
-        )
+        return core_schema.no_info_after_validator_function(_read_only, each, serialization=as_list)
 
 
 Real = Annotated[float, Strict()]
@@ -327,7 +323,7 @@ Name = Annotated[str, Strict(), Field(min_length=1)]
 Label = Annotated[Name, require(str.isprintable, "must be printable")]
 Names = Annotated[tuple[Name, ...], Field(min_length=1), BeforeValidator(alone, Name | list[Name])]
 
-Knots = Annotated[tuple[NonNegative, ...], AfterValidator(_ascending)]
+Knots = Annotated[tuple[NonNegative, ...], AfterValidator(ascending)]
 Vector = Annotated[tuple[Real, Real, Real], entries(3)]
 ORIGIN = (0.0, 0.0, 0.0)
 Direction = Annotated[Vector, nonzero("a direction")]
@@ -336,9 +332,7 @@ Spacing = Annotated[Lengths, BeforeValidator(_repeated, Positive | Lengths)]
 Counts = Annotated[tuple[Count, Count, Count], entries(3)]
 Resolution = Annotated[Counts, BeforeValidator(_repeated, Count | Counts)]
 Quaternion = Annotated[
-    tuple[Real, Real, Real, Real],
-    entries(4),
-    nonzero("an orientation", "no turn is [1, 0, 0, 0]"),
+    tuple[Real, Real, Real, Real], entries(4), nonzero("an orientation", "no turn is [1, 0, 0, 0]")
 ]
 Numbers = Annotated[
     Any,
@@ -348,16 +342,10 @@ _AS_LISTS = PlainSerializer(lambda array: array.tolist(), return_type=list, when
 Array2 = Annotated[FloatArray, rows(2), _AS_LISTS]
 Array3 = Annotated[FloatArray, rows(3), _AS_LISTS]
 Array4 = Annotated[FloatArray, rows(4), _AS_LISTS]
-ArrayPerBody = Annotated[
-    FloatArray,
-    PlainValidator(_entry_per_body, json_schema_input_type=list[float] | list[list[float]]),
-    _AS_LISTS,
-]
-RowPerBody = Annotated[
-    FloatArray,
-    PlainValidator(_entry_per_body, json_schema_input_type=list[list[float]]),
-    _AS_LISTS,
-]
+_ENTRIES = PlainValidator(_entry_per_body, json_schema_input_type=list[float] | list[list[float]])
+_ROWS = PlainValidator(_entry_per_body, json_schema_input_type=list[list[float]])
+ArrayPerBody = Annotated[FloatArray, _ENTRIES, _AS_LISTS]
+RowPerBody = Annotated[FloatArray, _ROWS, _AS_LISTS]
 EachNumber = Annotated[FloatArray, _Each(Real)]
 EachNonNegative = Annotated[FloatArray, _Each(NonNegative)]
 EachPositive = Annotated[FloatArray, _Each(Positive)]

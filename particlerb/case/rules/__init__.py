@@ -91,11 +91,8 @@ def _name_rules(raw: dict[str, Any]) -> Iterator[Finding]:
             for i, table in tables(raw, kind):
                 name, place = table.get("name"), f"{kind}[{i}]"
                 if isinstance(name, str) and first.setdefault(name, place) != place:
-                    yield (
-                        (kind, i, "name"),
-                        f'"{name}" is the name of {first[name]} already',
-                        "rename one",
-                    )
+                    reason = f'"{name}" is the name of {first[name]} already'
+                    yield (kind, i, "name"), reason, "rename one"
 
 
 def _reference_rules(raw: dict[str, Any]) -> Iterator[Finding]:

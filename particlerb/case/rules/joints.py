@@ -77,11 +77,8 @@ def _bound_rules(path: Path, raw: dict[str, Any], law: str) -> Iterator[Finding]
             reason = "the bodies stand at 0 at the start, beyond a hard stop"
             yield (*path, "limit", "range"), reason, "let the range hold 0"
         if limit.get("damping"):
-            yield (
-                (*path, "limit", "damping"),
-                "a stop without stiffness has none",
-                "give `restitution`",
-            )
+            reason = "a stop without stiffness has none"
+            yield (*path, "limit", "damping"), reason, "give `restitution`"
     elif isinstance(limit, dict) and limit.get("restitution"):
         yield (*path, "limit", "restitution"), "a stop with a stiffness has none", "give `damping`"
     for key, (what, other) in within_bounds(raw).items():
