@@ -19,13 +19,10 @@ CONTACT_SHARE: Final = 1e-4  # default contact time, over that to come by a radi
 
 def rules_of(touching: SystemContact, radius: float, n: int) -> ImpulseRules | None:
     """How contacts of n bodies are solved that have no stiffness; `radius` [m] is the smallest."""
-    record = touching.record
+    record, pairs = touching.record, touching.pairs
     if record.law != "impulse":
         return None
-    restitution, torsion = (
-        numbers.ravel()
-        for numbers in (touching.pairs.restitution, touching.pairs.torsional_friction)
-    )
+    restitution, torsion = pairs.restitution.ravel(), pairs.torsional_friction.ravel()
     newton = record.solver == "newton" or (record.solver == "auto" and n <= MOST_BODIES)
     return ImpulseRules(
         restitution, torsion, record.tolerance, record.iterations, record.push_out,

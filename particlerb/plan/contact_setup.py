@@ -75,10 +75,8 @@ def contact_of(system: System, is_start: bool = True) -> SystemContact | None:
     names = [material.name for material in system.material] or [""]
     problems = [*_without_radius(system), *_without_material(system, names)]
     codes = {name: k for k, name in enumerate(names)}
-    code = np.array([codes.get(body.material or names[0], 0) for body in system.body])
-    touches = np.array([body.contact for body in system.body])
-    block = system.block
-    material = np.where(touches[block], code[block], NOTHING)
+    code = [codes.get(b.material or names[0], 0) if b.contact else NOTHING for b in system.body]
+    material = np.array(code)[system.block]
     fixed = system.is_held
     parts: list[Walls] = []
     for number, table in enumerate(system.wall):
@@ -86,9 +84,8 @@ def contact_of(system: System, is_start: bool = True) -> SystemContact | None:
             parts.append(wall_of(system, number, table))
         except CaseError as error:
             problems += error.problems
-    wall_material = np.array(
-        [codes.get(w.material or names[0], 0) for w in system.wall], dtype=np.int64
-    )
+    wall_codes = [codes.get(wall.material or names[0], 0) for wall in system.wall]
+    wall_material = np.array(wall_codes, dtype=np.int64)
     first_world = slice(system.in_each)
     slides = np.array([wall.piston is not None for wall in system.wall], dtype=np.bool_)
     ends = material[first_world], fixed[first_world], wall_material, slides
@@ -123,11 +120,8 @@ def contact_of(system: System, is_start: bool = True) -> SystemContact | None:
 def _without_radius(system: System) -> list[Problem]:
     """What is wrong with bodies of which no particle has a radius."""
     largest = np.maximum.reduceat(system.particles.radius, system.particles.offset[:-1])
-    bare = [
-        i
-        for i, first in enumerate(system.names.first[:-1])
-        if system.body[i].contact and largest[system.kind[first]] == 0.0
-    ]
+    of_first = largest[system.kind[system.names.first[:-1]]]
+    bare = [i for i, body in enumerate(system.body) if body.contact and of_first[i] == 0.0]
     hint = (
         "take a `ball` without `n`, give `points` a radius, add a part of `points` with a radius"
         " and mass = 0, which only touch (see [contact] in docs/case.md), or say contact = false"
@@ -143,14 +137,11 @@ def _without_material(system: System, names: Sequence[str]) -> list[Problem]:
     """What is wrong with bodies and walls that do not say which of several materials they have."""
     if len(names) == 1:
         return []
-    keys = [
-        f"body[{i}]" for i, body in enumerate(system.body) if body.contact and not body.material
-    ]
+    keys = [f"body[{i}]" for i, b in enumerate(system.body) if b.contact and not b.material]
     keys += [f"wall[{i}]" for i, wall in enumerate(system.wall) if not wall.material]
     hint = nearest("", names)
-    return [
-        problem_at(system, f"{key}.material", "missing: there are several", hint) for key in keys
-    ]
+    reason = "missing: there are several"
+    return [problem_at(system, f"{key}.material", reason, hint) for key in keys]
 
 
 def _meetings(n_materials: int, material: Ints, fixed: Bools, walls: Ints, slides: Bools) -> Bools:
@@ -188,9 +179,8 @@ def pairs_of(
     system: System, table: ContactTable, names: Sequence[str], can_meet: Bools
 ) -> tuple[MaterialPairs, list[Problem]]:
     """Numbers of all pairs that can meet, (k, k), and what is wrong where some are missing."""
-    pairs = MaterialPairs._make(
-        [*np.zeros((len(MaterialPairs._fields) - 1, *can_meet.shape)), can_meet]
-    )
+    numbers = np.zeros((len(MaterialPairs._fields) - 1, *can_meet.shape))
+    pairs = MaterialPairs._make([*numbers, can_meet])
     by_names = {frozenset(pair.materials): (i, pair) for i, pair in enumerate(table.pair)}
     problems: list[Problem] = []
     is_hertz = table.law == "hertz"
@@ -227,10 +217,8 @@ def side_by_side(pairs: Sequence[MaterialPairs]) -> MaterialPairs:
 
 def _number_of(table: ContactTable, pair: Pair | None, key: str) -> float | None:
     """Number of a pair, its own or that of all pairs."""
-    value: float | None = None if pair is None else getattr(pair, key)
-    if value is None:
-        value = getattr(table, key)
-    return value
+    own: float | None = getattr(pair, key, None)
+    return getattr(table, key) if own is None else own
 
 
 def _both(array: Floats, a: int, b: int, value: float) -> None:

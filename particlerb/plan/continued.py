@@ -44,9 +44,8 @@ def with_continued(system: System, changed: System, time: float) -> System:
     """
     problems = list[Problem]()
     motions = wall_motions(changed._replace(continued=None))  # as the records say
-    walls = tuple(
-        _wall(system, changed, w, motion, time, problems) for w, motion in enumerate(motions)
-    )
+    numbered = enumerate(motions)
+    walls = tuple(_wall(system, changed, w, motion, time, problems) for w, motion in numbered)
     before, drives = prescribed_bodies(system), list(courses_of(system))
     bodies = before and _bodies(system, changed, before, time, problems)
     tables = [k for k, table in enumerate(system.joint) if table.drive is not None]
@@ -84,19 +83,14 @@ def _wall(
 
 def put_elsewhere(system: System, changed: System) -> Elsewhere:
     """What may come to touch by a change that moves no body: contact begins, or walls jump."""
-    before, after = (
-        [wall.model_dump_json(exclude=_NO_PLACE) for wall in of.wall] for of in (system, changed)
-    )
+    scenes = system, changed
+    before, after = ([w.model_dump_json(exclude=_NO_PLACE) for w in of.wall] for of in scenes)
     walls = [k >= len(before) or one != before[k] for k, one in enumerate(after)]
     return Elsewhere(np.full(system.n_bodies, system.contact is None), np.array(walls, dtype=bool))
 
 
 def _bodies(
-    system: System,
-    changed: System,
-    bodies: PrescribedBodies,
-    time: float,
-    problems: list[Problem],
+    system: System, changed: System, bodies: PrescribedBodies, time: float, problems: list[Problem]
 ) -> PrescribedBodies:
     """How driven bodies go on."""
     tied = np.concatenate([*sum((pairs_of(system, table) for table in system.joint), ()), []])

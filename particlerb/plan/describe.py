@@ -146,10 +146,8 @@ def _origin_of_points(system: System, kind: str) -> str:
             b = system.names.find_in_order(force.body)
             com, reach = system.properties.com[system.kind[b]], system.reach[system.kind[b]]
             for k in np.flatnonzero(np.linalg.norm(com, axis=1) > _PLAIN * reach).tolist():
-                where = (
-                    f"which of {system.names[b[k]]} is at {vector(com[k].tolist())} m of its axes"
-                )
-                return f"; `at` counts from the centre of mass, {where}"
+                where = f"{system.names[b[k]]} is at {vector(com[k].tolist())} m of its axes"
+                return f"; `at` counts from the centre of mass, which of {where}"
     return ""
 
 
@@ -244,10 +242,8 @@ def _after_sweeps(solver: str, n: int) -> str:
 
 def _flying(plan: Plan) -> str:
     """Whether bodies with nothing in reach fly in closed form."""
-    flies = any(
-        s.terms.contact is not None and can_fly(METHODS[s.method], s.terms, group.members.size)
-        for group, s in plan.segments
-    )
+    touching = ((group, s) for group, s in plan.segments if s.terms.contact is not None)
+    flies = any(can_fly(METHODS[s.method], s.terms, g.members.size) for g, s in touching)
     return ", closed form where none is in reach" if flies else ""
 
 

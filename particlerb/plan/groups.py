@@ -62,10 +62,8 @@ def groups_of(
     bound = np.unique(np.concatenate([heavy, solid, *ends]))
     absent = bound if system.merging is None else np.union1d(bound, system.merging.guests)
     is_held = system.is_held
-    groups = [
-        GroupForces(members, is_held[members], forces, [], False, False)
-        for members, forces in _groups_alone(system, loads, absent, apart)
-    ]
+    alone = _groups_alone(system, loads, absent, apart)
+    groups = [GroupForces(one, is_held[one], forces, [], False, False) for one, forces in alone]
     together = solid if joints is None else joints.solved_with(solid)
     label = components(len(system.kind), ties, heavy, together)
     found = clusters(system, loads, links, label, bound, apart, acting)
@@ -123,9 +121,8 @@ def _groups_alone(
     order = np.argsort(bodies, kind="stable")
     sizes = np.array([load.members.size for load in loads], dtype=np.int64)
     acting = np.repeat(np.arange(len(loads)), sizes)
-    row = starts[acting] + (np.arange(acting.size) - (np.cumsum(sizes) - sizes)[acting]) * (
-        widths[acting] > 1
-    )
+    place = np.arange(acting.size) - (np.cumsum(sizes) - sizes)[acting]
+    row = starts[acting] + place * (widths[acting] > 1)
     acting, row = acting[order], row[order]
     bodies, free = bodies[order], np.flatnonzero(alone)
     free = free[np.argsort(like[free], kind="stable")]
@@ -221,10 +218,8 @@ def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
         rooms = rooms_of.setdefault(load.form, [])
         free = next((room for room in rooms if not room[1][columns].any()), None)
         if free is None:
-            free = (
-                Forces(load.force, np.zeros((max(N_NUMBERS, len(load.numbers)), members.size))),
-                np.zeros(members.size, dtype=bool),
-            )
+            room = np.zeros((max(N_NUMBERS, len(load.numbers)), members.size))
+            free = Forces(load.force, room), np.zeros(members.size, dtype=bool)
             free[0].numbers[:3] = force_of(load.force).nowhere
             rooms.append(free)
         numbers, taken_ = free[0].numbers, free[1]

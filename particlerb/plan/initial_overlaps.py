@@ -130,14 +130,11 @@ def _overlapping(
     if contact.record.relax and later is None:
         return
     spheres = _with_images(spheres, contact)
-    pairs = neighbours(
-        spheres.place, spheres.radius, spheres.body, 0.0, contact.excluded, system.world
-    )
+    place, radius, body = spheres
+    pairs = neighbours(place, radius, body, 0.0, contact.excluded, system.world)
     i, j = pairs.sphere, pairs.other
-    distance = lengths(spheres.place[:, j] - spheres.place[:, i])
-    depth = spheres.radius[i] + spheres.radius[j] - distance
-    a, b = spheres.body[i], spheres.body[j]
-    most = np.minimum(spheres.radius[i], spheres.radius[j])
+    depth = radius[i] + radius[j] - lengths(place[:, j] - place[:, i])
+    a, b, most = body[i], body[j], np.minimum(radius[i], radius[j])
     wrong = depth > (most if later else np.minimum(_allowed(contact, spheres), most))
     wrong &= ~(contact.fixed[a] & contact.fixed[b]) & (moved.bodies[a] | moved.bodies[b])
     if not wrong.any():
@@ -149,10 +146,9 @@ def _overlapping(
     first = np.concatenate([[True], (np.diff(a) != 0) | (np.diff(b) != 0)])
     a, b, depth = a[first], b[first], depth[first]
     named = np.argsort(-depth, kind="stable")[:_MAX_OVERLAPS_NAMED]
-    listed = ", ".join(
-        f"{system.names[int(a[k])]} and {system.names[int(b[k])]} by {depth[k]:.3g} m"
-        for k in named
-    )
+    names = system.names
+    each = (f"{names[int(a[k])]} and {names[int(b[k])]} by {depth[k]:.3g} m" for k in named)
+    listed = ", ".join(each)
     reason = f"bodies overlap at t = {later or 0:g}: {listed}{and_more(a.size - named.size)}"
     key = f"body[{system.block[b[named[0]]]}]"
     yield problem_at(system, key, reason, _APART_HINT if later else _hint(contact, is_deep))
@@ -191,8 +187,7 @@ def _beyond_walls(
         if wrong.size:
             named = wrong[np.argsort(-depth[number, wrong], kind="stable")[:_MAX_OVERLAPS_NAMED]]
             listed = ", ".join(f"{system.names[int(b)]} by {depth[number, b]:.3g} m" for b in named)
-            more = and_more(wrong.size - named.size)
-            reason = f"overlaps bodies at t = 0: {listed}{more}"
+            reason = f"overlaps bodies at t = 0: {listed}{and_more(wrong.size - named.size)}"
             yield problem_at(system, f"wall[{number}]", reason, _hint(contact))
 
 

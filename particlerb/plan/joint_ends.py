@@ -144,10 +144,8 @@ def wrong_place(system: System, number: int, ends: Ends) -> Problem | None:
     name = joint_name(system, table, ends.a, ends.b, 0)
     if table.type == "distance" and not ends.length.all():
         return problem_at(system, key, f"{name} has no length", "give points apart")
-    if (
-        table.type in ("rack", "gear")
-        and (np.abs(ends.roll[:, 0]) < _MIN_ROLLING_RADIUS * ends.size).any()
-    ):
+    is_tiny = (np.abs(ends.roll[:, 0]) < _MIN_ROLLING_RADIUS * ends.size).any()
+    if table.type in ("rack", "gear") and is_tiny:
         hint = "give `at` and `at_to` apart, across the axis"
         return problem_at(system, key, f"{name} has no pitch radius", hint)
     if table.type == "rack":
@@ -178,12 +176,8 @@ def in_hosts(ends: Ends, merging: Merging) -> Ends:
         b=host(ends.b),
         at_a=carried(ends.a, "at", ends.at_a),
         at_b=carried(ends.b, "at", ends.at_b),
-        directions_a={
-            name: carried(ends.a, name, axis) for name, axis in ends.directions_a.items()
-        },
-        directions_b={
-            name: carried(ends.b, name, axis) for name, axis in ends.directions_b.items()
-        },
+        directions_a={name: carried(ends.a, name, v) for name, v in ends.directions_a.items()},
+        directions_b={name: carried(ends.b, name, v) for name, v in ends.directions_b.items()},
     )
 
 

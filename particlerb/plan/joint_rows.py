@@ -153,9 +153,8 @@ def _along(joints: Joints, y: Floats, r: int, way: Floats) -> float:
     rate = 0.0
     for k, gradient in ((joints.rows.a[r], way[:6]), (joints.rows.b[r], way[6:])):
         spin = by_inverse_inertia(joints.inv_inertia, orientation(y, k), k, row3(y, k, col.L))
-        rate += joints.inv_mass[k] * float(gradient[:3] @ y[k, col.P : col.L]) + float(
-            gradient[3:] @ spin
-        )
+        along = joints.inv_mass[k] * float(gradient[:3] @ y[k, col.P : col.L])
+        rate += along + float(gradient[3:] @ spin)
     return rate
 
 
@@ -185,9 +184,9 @@ def with_dashpots(
         np.full(m, col.AT_REST),
         np.zeros((m, col.WHEEL)),
     )
-    none = np.zeros((9, m))
-    damping = Actions(*none)._replace(
-        damping=links.damping, lower=none[3] - np.inf, upper=none[4] + np.inf
+    endless = np.full(m, np.inf)
+    damping = Actions(*np.zeros((9, m)))._replace(
+        damping=links.damping, lower=-endless, upper=endless
     )
     all_rows = ConstraintRows(*(np.concatenate(pair) for pair in zip(rows, dashpots, strict=True)))
     return all_rows, Actions(*map(np.concatenate, zip(actions, damping, strict=True)))

@@ -160,11 +160,10 @@ def joint_line(system: System, plan: Plan) -> str:
         line += f", {n_dependent} of them redundant among those of {names}{more}"
         line += " (only sums of their reactions are determined)"
     line = f"{line}; {count_of(free, 'degree')} of freedom" if bodies else counts
-    numbers = np.bincount(setup.bounds.kind, minlength=3)[
-        [impulses.STOP, impulses.MOTOR, impulses.RUBS]
-    ].tolist()
-    words = ("stops", "motors with a largest load", "joints with friction")
-    bounded = [f"{n} {word}" for n, word in zip(numbers, words, strict=True) if n]
+    counts_of = np.bincount(setup.bounds.kind, minlength=3).tolist()
+    words = {impulses.STOP: "stops", impulses.MOTOR: "motors with a largest load"}
+    words[impulses.RUBS] = "joints with friction"
+    bounded = [f"{counts_of[kind]} {word}" for kind, word in words.items() if counts_of[kind]]
     line += f"; by impulses: {', '.join(bounded)}" if bounded else ""
     reasons = why_rows(system)
     line += f"; fixed joints keep their rows because of {' and '.join(reasons)}" if reasons else ""

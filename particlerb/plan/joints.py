@@ -96,9 +96,8 @@ class SystemJoints(NamedTuple):
         joints = joints_among(acting, start, rows, bodies, actions, coordinates, drives, prescribed)
         limits = Breaks(*(np.append(limit, np.inf)[joints.number] for limit in self.breaks))
         breaks = limits if np.isfinite(limits).any() else None
-        return joints._replace(
-            breaks=breaks, bounds=joint_rows.bounds_among(self.bounds, joints.rows)
-        )
+        bounds = joint_rows.bounds_among(self.bounds, joints.rows)
+        return joints._replace(breaks=breaks, bounds=bounds)
 
     @property
     def acting(self) -> Ties:
@@ -217,9 +216,8 @@ def _wrong_ends(system: System, number: int, first: Ints, second: Ints) -> Probl
         carrier = next((end for end in (a, b) if end != WORLD and moves[end]), None)
         if carrier is not None and system.contact is None and table.until < math.inf:
             reason = f"{system.names[carrier]} is driven, and would stand still once it is released"
-            return problem_at(
-                system, f"joint[{number}].during", reason, "add [contact], or keep it"
-            )
+            key = f"joint[{number}].during"
+            return problem_at(system, key, reason, "add [contact], or keep it")
     return None
 
 
@@ -272,14 +270,11 @@ def _impossible(system: System, setup: SystemJoints) -> list[Problem]:
             joint = joint_of_row(joints, row)
             body = int(joints.order[end[row]])
             what = "has no extent" if is_point[row] else "has no inertia about its axis"
-            reason = (
-                f"{setup.names[joint]} would turn {system.names[body]}, a"
-                f" {NAMES[int(rotor_class[end[row]])]} that {what}"
-            )
+            kind = NAMES[int(rotor_class[end[row]])]
+            reason = f"{setup.names[joint]} would turn {system.names[body]}, a {kind} that {what}"
             hint = "give it a width, as a box has, or use a ball joint or a distance on its axis"
-            problems.setdefault(
-                joint, problem_at(system, f"joint[{int(setup.record[joint])}]", reason, hint)
-            )
+            key = f"joint[{int(setup.record[joint])}]"
+            problems.setdefault(joint, problem_at(system, key, reason, hint))
     return list(problems.values())
 
 

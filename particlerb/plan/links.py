@@ -55,6 +55,7 @@ class UserLink(NamedTuple):
 
 
 AnyLink: TypeAlias = Link | UserLink
+_PairTable: TypeAlias = SpringTable | PythonTable
 _Link = TypeVar("_Link", Link, UserLink)
 
 
@@ -206,9 +207,7 @@ def turned_problem(system: System, force: str, key: str, b: int, hint: str) -> P
     return problem_at(system, key, reason, hint)
 
 
-def _pairs_as_named(
-    system: System, number: int, force: SpringTable | PythonTable
-) -> tuple[Ints, Ints]:
+def _pairs_as_named(system: System, number: int, force: _PairTable) -> tuple[Ints, Ints]:
     """Body after body of `body` and `to`, or one with each of the others.
 
     Raises
@@ -217,9 +216,8 @@ def _pairs_as_named(
         If a body is its own other end, or a pair is there twice.
     """
     key = f"force[{number}].to"
-    first, second = np.broadcast_arrays(
-        system.names.find_in_order(force.body), system.names.find_in_order(force.to or ())
-    )
+    named = (system.names.find_in_order(names) for names in (force.body, force.to or ()))
+    first, second = np.broadcast_arrays(*named)
     itself = np.flatnonzero(first == second)
     if itself.size:
         reason = f"ties {system.names[int(first[itself[0]])]} to itself{and_more(itself.size - 1)}"
@@ -243,9 +241,7 @@ def and_more(count: int) -> str:
     return f", and {count} more" if count else ""
 
 
-def _pairs_in_reach(
-    system: System, number: int, force: SpringTable | PythonTable
-) -> tuple[Ints, Ints]:
+def _pairs_in_reach(system: System, number: int, force: _PairTable) -> tuple[Ints, Ints]:
     """Every pair of different bodies whose points are near each other at t = 0, sorted.
 
     Where both points are the same one of the body frame, a pair is taken once.
@@ -294,10 +290,8 @@ def is_among(bodies: Ints, system: System) -> Bools:
 def _misplaced_ends(system: System, link: Link) -> list[Problem]:
     """What is wrong with ends that would turn a point, or a rod about its own axis."""
     problems = []
-    for key, ends, at in (
-        ("at", link.body_a, link.force.at),
-        ("to_at", link.body_b, link.force.to_at),
-    ):
+    both = ("at", link.body_a, link.force.at), ("to_at", link.body_b, link.force.to_at)
+    for key, ends, at in both:
         if not any(at):  # as at an anchor
             continue
         index = np.unique(ends)

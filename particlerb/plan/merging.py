@@ -43,9 +43,8 @@ def merges(table: JointTable) -> bool:
 def unmerged(system: System) -> System:
     """The system in which each body moves by itself."""
     whole = system if system.merging is None else system.merging.unmerged
-    tables = (
-        t.model_copy(update={"merge": False}) if t.type == "fixed" else t for t in whole.joint
-    )
+    rows = {"merge": False}
+    tables = (t.model_copy(update=rows) if t.type == "fixed" else t for t in whole.joint)
     return whole._replace(joint=tuple(tables))
 
 
@@ -173,13 +172,11 @@ def _with_parts(system: System, host: Ints, is_merged: Bools, is_held: Bools) ->
         values[..., hosts] = of_hosts
     absent = is_merged & (host != np.arange(n))
     merging = Merging(system, held(bodies, absent | is_held), host, turn, shift, is_merged, is_held)
-    united_properties = (
-        np.concatenate(pair) for pair in zip(system.properties, properties, strict=True)
-    )
+    with_united = zip(system.properties, properties, strict=True)
     return system._replace(
         kind=kind,
         particles=concatenate([system.particles, particles]),
-        properties=MassProperties(*united_properties),
+        properties=MassProperties._make(map(np.concatenate, with_united)),
         summed=np.r_[system.summed, np.diff(particles.offset)],
         reach=np.r_[system.reach, farthest(particles)],
         bodies=held(bodies, absent),
@@ -190,12 +187,10 @@ def _with_parts(system: System, host: Ints, is_merged: Bools, is_held: Bools) ->
 
 def _united(system: System, members: Ints, turn: Floats, shift: Floats) -> Particles:
     """Particles of bodies as one set, body frame of their host."""
-    sets = [
-        transformed(
-            kind_of(system.particles, int(system.kind[b])), rotation_matrix(turn[:, b]), shift[:, b]
-        )
-        for b in members.tolist()
-    ]
+    sets = []
+    for b in members.tolist():
+        own = kind_of(system.particles, int(system.kind[b]))
+        sets.append(transformed(own, rotation_matrix(turn[:, b]), shift[:, b]))
     return united(concatenate(sets))
 
 

@@ -52,9 +52,8 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
         if terms.user_pairs is not None:
             found.append(pair_rates(terms.user_pairs, bodies, state, segment.start))
         if terms.joints is not None:
-            found.append(
-                joint_rates(terms.joints, bodies, state, force_of(group.group(segment))[1])
-            )
+            force = force_of(group.group(segment))[1]
+            found.append(joint_rates(terms.joints, bodies, state, force))
         if terms.attraction is not None:
             found.append(_attraction_rates(terms.attraction, state.com))
         if terms.contact is not None:

@@ -161,9 +161,8 @@ def cut_into_segments(
     named, stops = system.run.method, [*starts[1:], np.inf]
     at_begin = bodies, taken(system.state, members)
     known_terms = _with_closed_forms(named, *at_begin, stretches, scene, group.behind)
-    for start, stop, (_, jumps), (terms, is_closed) in zip(
-        starts, stops, stretches, known_terms, strict=True
-    ):
+    each = zip(starts, stops, stretches, known_terms, strict=True)
+    for start, stop, (_, jumps), (terms, is_closed) in each:
         method = _chosen_method(named, bodies, terms, is_closed)
         segments.append(Segment(start, stop, jumps, terms, method, 0.0, system.run.tolerance))
         closed.append(is_closed)
@@ -256,11 +255,10 @@ def is_adaptive(method: str) -> bool:
 def _may_be_closed(named: str, terms: Terms) -> bool:
     """Whether a segment is not stepped where it has a closed form: a named method steps."""
     method = METHODS.get(named)
-    is_idle = method is not None and (
-        (method.holds_joints and terms.joints is None)
-        or (method.takes_impulses and terms.contact is None)
-    )
-    return is_idle or named in ("auto", "exact")
+    if method is None or named == "exact":
+        return True
+    lacks_joints = method.holds_joints and terms.joints is None
+    return lacks_joints or (method.takes_impulses and terms.contact is None)
 
 
 def _with_closed_forms(
@@ -354,11 +352,8 @@ def inside(groups: Sequence[GroupPlan], of: Range, begin: int = 0) -> list[Group
 def chosen(group: GroupPlan, index: Ints, members: Ints) -> GroupPlan:
     """Some bodies of a group under new numbers."""
     segments = tuple(
-        segment._replace(
-            terms=terms_on(segment.terms, index),
-            jumps=jumps_on(segment.jumps, index),
-        )
-        for segment in group.segments
+        s._replace(terms=terms_on(s.terms, index), jumps=jumps_on(s.jumps, index))
+        for s in group.segments
     )
     return GroupPlan(members, taken(group.bodies, index, group.is_closed), segments)
 
@@ -366,9 +361,7 @@ def chosen(group: GroupPlan, index: Ints, members: Ints) -> GroupPlan:
 def jumps_on(jumps: tuple[Impulse, ...], k: Ints) -> tuple[Impulse, ...]:
     """Impulses on some of the bodies."""
     dense = np.ascontiguousarray
-    return tuple(
-        jump._replace(at=dense(jump.at[:, k]), impulse=dense(jump.impulse[:, k])) for jump in jumps
-    )
+    return tuple(j._replace(at=dense(j.at[:, k]), impulse=dense(j.impulse[:, k])) for j in jumps)
 
 
 def is_coupled(group: GroupPlan) -> bool:

@@ -6,7 +6,7 @@ Why it is so: docs/decisions/0004.
 import math
 from collections.abc import Collection, Sequence
 from operator import itemgetter
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -72,10 +72,8 @@ def _refuse_above(system: System, segment: Segment, rate: float, where: str) -> 
     if not segment.dt * rate > reach:
         return
     reason = f"the step of {segment.dt:.3g} s is above {reach / rate:.3g} s, {where}"
-    hint = (
-        f"dt = {math.pi / rate / STEPS_PER_CONTACT:.2g} s or less is accurate;"
-        " contact.allow_unstable = true takes it anyway"
-    )
+    accurate = f"dt = {math.pi / rate / STEPS_PER_CONTACT:.2g} s or less is accurate"
+    hint = f"{accurate}; contact.allow_unstable = true takes it anyway"
     raise CaseError([problem_at(system, step_key(system), reason, hint)])
 
 
@@ -116,13 +114,9 @@ def stable_turn(plan: Plan) -> float:
 
     Of a method without a stable step the plan has warned.
     """
-    limits = [
-        contact_limit(s.method, s.terms.contact)
-        for _, s in plan.segments
-        if s.terms.contact is not None
-        and s.terms.has_springy_contact
-        and METHODS[s.method].stability_limit > 0.0
-    ]
+    springy = (s for _, s in plan.segments if s.terms.has_springy_contact)
+    stable = (s for s in springy if METHODS[s.method].stability_limit > 0.0)
+    limits = (contact_limit(s.method, s.terms.known_contact) for s in stable)
     return min(limits, default=math.inf)
 
 
@@ -213,6 +207,7 @@ def cheaper_law(system: System, group: GroupPlan, segment: Segment, overlap: flo
 
 
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
+_Worst: TypeAlias = dict[str, tuple[float, str, float]]  # turn or share, why, better step [s]
 _MAX_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
 
 
@@ -316,7 +311,7 @@ def step_warnings(system: System, groups: tuple[GroupPlan, ...], ranks: Ranks = 
 
     Of ranks that have groups of their own, those about the worst of all.
     """
-    worst: dict[str, tuple[float, str, float]] = {}
+    worst: _Worst = {}
     for own in ranks.gathered(_worst_steps(system, groups)):
         for kind, found in own.items():
             worst[kind] = max(worst.get(kind, found), found, key=itemgetter(0))
@@ -324,14 +319,12 @@ def step_warnings(system: System, groups: tuple[GroupPlan, ...], ranks: Ranks = 
     return [as_warning(problem_at(system, step_key(system), *words)) for words in advice]
 
 
-def _worst_steps(
-    system: System, groups: tuple[GroupPlan, ...]
-) -> dict[str, tuple[float, str, float]]:
+def _worst_steps(system: System, groups: tuple[GroupPlan, ...]) -> _Worst:
     """Turn in a step that is too long, in each way that it may be: the largest, why, better.
 
     No step is longer than its segment, and one that was chosen for an accuracy has been tried.
     """
-    worst: dict[str, tuple[float, str, float]] = {}
+    worst: _Worst = {}
     for group in groups:
         stepped = [segment for segment in group.stepped if not is_adaptive(segment.method)]
         if not stepped:
