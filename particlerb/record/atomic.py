@@ -308,10 +308,8 @@ def pieces(place: int, size: int) -> list[tuple[int, int, int, int]]:
     if offset + size <= PAGE:  # most are so
         return [(first, offset, 0, size)] if size else []
     starts = range(PAGE - offset, size, PAGE)
-    later = [
-        (number, 0, start, min(start + PAGE, size))
-        for number, start in enumerate(starts, first + 1)
-    ]
+    numbered = enumerate(starts, first + 1)
+    later = [(number, 0, start, min(start + PAGE, size)) for number, start in numbered]
     return [(first, offset, 0, PAGE - offset), *later]
 
 

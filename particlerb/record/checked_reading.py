@@ -59,9 +59,8 @@ def trajectory_errors(file: h5py.File | Memory | str | Path) -> Iterator[None]:
     try:
         yield
     except FAULTS as error:
-        raise TrajectoryError(
-            f"{name} is not a trajectory of particlerb: {reason_of(error)}"
-        ) from None
+        told = f"{name} is not a trajectory of particlerb: {reason_of(error)}"
+        raise TrajectoryError(told) from None
 
 
 def require_open(file: h5py.File | Memory | str | Path) -> None:
@@ -265,10 +264,8 @@ def require_parts(file: h5py.File, n_frames: int) -> None:
                 raise TrajectoryError(f"{file.filename}: {path} belongs to another run, or place")
             n = min(integer_attribute(part, COMMITTED), len(part[TIME]))
         if n < n_frames:
-            raise TrajectoryError(
-                f"{file.filename}: its part {path} has {count_of(n, 'frame')}, and"
-                f" {n_frames} were committed"
-            )
+            told = f"its part {path} has {count_of(n, 'frame')}, and {n_frames} were committed"
+            raise TrajectoryError(f"{file.filename}: {told}")
 
 
 def can_be_continued(file: h5py.File) -> bool:

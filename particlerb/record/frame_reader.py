@@ -335,9 +335,8 @@ class FrameReader(Closing):
             with trajectory_errors(self.file):
                 offset: Ints = dataset_at(self.file, schema.OFFSET, "i", (None,))[first : stop + 1]
                 if len(offset) <= stop - first or (np.diff(offset) < 0).any() or offset[0] < 0:
-                    raise ValueError(
-                        f"{schema.OFFSET} does not ascend, or ends before frame {stop - 1}"
-                    )
+                    told = f"does not ascend, or ends before frame {stop - 1}"
+                    raise ValueError(f"{schema.OFFSET} {told}")
                 columns = []
                 for name, column in schema.COLUMNS.items():
                     kinds, path = "i" if column.is_count else "f", f"{schema.CONTACTS}/{name}"

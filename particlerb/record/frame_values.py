@@ -118,10 +118,6 @@ def _fields_of(
     pick = slice(rows[0], rows[-1] + 1) if contiguous else rows
     arrays = {name: getattr(frames, name)[pick] for name in Frames._fields if name in names}
     if {"velocity", "angular_velocity"} & set(names):
-        arrays["velocity"], arrays["angular_velocity"] = derived(
-            system.bodies,
-            frames.orientation[pick],
-            frames.linear_momentum[pick],
-            frames.angular_momentum[pick],
-        )
+        rows_of = (values[pick] for values in frames[1:4])
+        arrays["velocity"], arrays["angular_velocity"] = derived(system.bodies, *rows_of)
     return arrays

@@ -41,9 +41,8 @@ class LabelledReader(FrameReader):
 
     def _repr_html_(self) -> str:
         """The same as a table, for notebooks."""
-        rows = (
-            f"<tr><th>{word}</th><td>{escape(text)}</td></tr>" for word, text in self._summary()
-        )
+        facts = self._summary()
+        rows = (f"<tr><th>{word}</th><td>{escape(text)}</td></tr>" for word, text in facts)
         return f"<table><caption>Trajectory</caption>{''.join(rows)}</table>"
 
     def _summary(self) -> list[tuple[str, str]]:
@@ -124,9 +123,8 @@ class LabelledReader(FrameReader):
             if place == schema.OBSERVABLES and name in schema.FIELDS:
                 name = f"total_{name}"
             if element.per:
-                labels[element.per] = list(
-                    self.names if element.per == "body" else self.names_of(element.per)
-                )
+                names = self.names if element.per == "body" else self.names_of(element.per)
+                labels[element.per] = list(names)
             if element.components:
                 labels[element.components] = list(element.components)
             sizes = [one for one in (element.per, element.components) if one]

@@ -68,9 +68,9 @@ def laid_out(
     """
     fields, dtype, n_frames = output.fields, output.dtype, frame_count(run)
     tables = tuple((p, hdf5.form_of(v)) for p, v in content.items() if not _is_long_text(v))
-    empty, places = _empty_file(
-        _FileLayout(tuple(fields), dtype, n_frames, len(content[schema.BODY]), tables, parts)
-    )
+    n_bodies = len(content[schema.BODY])
+    form = _FileLayout(tuple(fields), dtype, n_frames, n_bodies, tables, parts)
+    empty, places = _empty_file(form)
     image = bytearray(empty)
     for path, place in places.items():
         value = digest_of(content).encode() if path == _DIGEST else content[path]
@@ -217,10 +217,8 @@ def _rows(scene: System, of: Callable[[System], Any], first: int, stop: int) -> 
 
 def _names_of(scene: System) -> Any:
     """Names of bodies as bytes, as long as the longest of the scene."""
-    longest = max(
-        len((name if count == 1 else f"{name}[{count - 1}]").encode())
-        for name, count in scene.names.records
-    )
+    last = (name if n == 1 else f"{name}[{n - 1}]" for name, n in scene.names.records)
+    longest = max(len(name.encode()) for name in last)
     return np.array([name.encode() for name in scene.names], dtype=f"S{longest}")
 
 

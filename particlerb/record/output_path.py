@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
+OVERWRITE_HINT: Final = "exists: give another name with -o, or --overwrite (overwrite=True)"
 _MOST_BYTES: Final = 128  # of a name to which others are added; disks take 143 to 255
 
 
@@ -66,9 +67,7 @@ def output_path(path: Path, overwrite: bool) -> Path:
         if not stat.S_ISREG(mode):
             raise FileExistsError(f"{path} is not a regular file, and stays: name a file with -o")
         if not overwrite:
-            raise FileExistsError(
-                f"{path} exists: give another name with -o, or --overwrite (overwrite=True)"
-            )
+            raise FileExistsError(f"{path} {OVERWRITE_HINT}")
     place = Path(os.path.realpath(path))
     folder = next(parent for parent in place.parents if parent.exists())
     if not os.access(folder, os.W_OK | os.X_OK):

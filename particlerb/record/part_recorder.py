@@ -20,7 +20,7 @@ from particlerb.record import schema
 from particlerb.record.checksums import Words, frame_checksums
 from particlerb.record.frame_values import NewFrames, values_of
 from particlerb.record.output_file import waiting_in
-from particlerb.record.output_path import output_path
+from particlerb.record.output_path import OVERWRITE_HINT, output_path
 from particlerb.record.parts import Parts, folder_beside, folder_of
 from particlerb.record.writer import SECONDS_BETWEEN_COMMITS, SHARE_OF_CHECKPOINTS, Recorder
 
@@ -98,9 +98,8 @@ class PartRecorder:
 
         def open_master() -> None:
             if ranks.number == 0:
-                self.master = Recorder.reopen(
-                    path, system, n_frames, n_before, is_prolonged=is_prolonged
-                )
+                counts = n_frames, n_before
+                self.master = Recorder.reopen(path, system, *counts, is_prolonged=is_prolonged)
                 self.master.commit_cut()
 
         def open_part(path: Path, system: System, of: Range) -> Recorder:
@@ -250,9 +249,7 @@ def _folder(path: Path, overwrite: bool, ranks: Ranks) -> str:
     folder = place.parent / name
     is_left_over = waiting_in(folder, place).exists()  # of a run that was killed
     if any(folder.glob(_PART_PATTERN)) and not (overwrite or is_left_over):
-        raise FileExistsError(
-            f"{folder} exists: give another name with -o, or --overwrite (overwrite=True)"
-        )
+        raise FileExistsError(f"{folder} {OVERWRITE_HINT}")
     return name
 
 

@@ -183,9 +183,8 @@ def rows_over(
         rows.select_hyperslab((first, *rest), (n_frames, *ones), (n, *width), block)
         part_space.select_all()
         plan.set_virtual(rows, os.fsencode(name), f"/{source}".encode(), part_space)
-    h5d.create(
-        file.id, path.encode(), h5py.h5t.py_create(np.dtype(dtype)), space, plan, WITH_GROUPS
-    )
+    kind = h5py.h5t.py_create(np.dtype(dtype))
+    h5d.create(file.id, path.encode(), kind, space, plan, WITH_GROUPS)
 
 
 def _plan(dtype: Any) -> Any:

@@ -62,13 +62,12 @@ class Element(NamedTuple):
 
 def _elements(of: str, per: str = "", is_asked: bool = False) -> dict[str, Element]:
     """What fields.txt lists of bodies, walls and so on, by name."""
-    return {
-        name: Element(
-            components, units, meaning, frame, "count" in flags, per, is_asked, "gaps" in flags
-        )
-        for owner, name, components, units, frame, flags, meaning in ROWS
-        if owner == of
-    }
+    elements = {}
+    for owner, name, components, units, frame, flags, meaning in ROWS:
+        if owner == of:
+            told = components, units, meaning, frame, "count" in flags
+            elements[name] = Element(*told, per, is_asked, "gaps" in flags)
+    return elements
 
 
 FIELDS: Final = _elements("body", "body")

@@ -126,10 +126,8 @@ class Trajectory(LabelledReader):
         """
         linear = angular = 0.0
         for span in self.portions():
-            x, p, L = (
-                self.read(name, span)[:, chosen]
-                for name in ("position", "linear_momentum", "angular_momentum")
-            )
+            names = "position", "linear_momentum", "angular_momentum"
+            x, p, L = (self.read(name, span)[:, chosen] for name in names)
             spin = np.linalg.norm(L, axis=2) + np.linalg.norm(np.cross(x, p), axis=2)
             linear = max(linear, float(np.linalg.norm(p, axis=2).sum(axis=1).max()))
             angular = max(angular, float(spin.sum(axis=1).max()))

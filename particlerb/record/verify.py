@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from particlerb.model.balance import Entries
 from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.model.totals import totals
@@ -87,7 +88,7 @@ def _verify_tables(trajectory: Trajectory) -> str:
 def _verify_times(trajectory: Trajectory) -> str:
     """Require steps 0, 1, 2, … at ascending times."""
     n, time = trajectory.n_frames, trajectory.time
-    step = checked_reading.dataset_at(trajectory.file, f"{schema.TRAJECTORY}/step", "i", (None,))
+    step = checked_reading.dataset_at(trajectory.file, schema.STEP, "i", (None,))
     with checked_reading.trajectory_errors(trajectory.file):
         if not np.array_equal(step[:n], np.arange(n)):
             raise _Flaw("steps do not count the frames")
@@ -99,9 +100,7 @@ def _verify_times(trajectory: Trajectory) -> str:
 def _verify_checksums(trajectory: Trajectory) -> str:
     """Compute the checksum of every frame again."""
     n = trajectory.n_frames
-    stored = checked_reading.dataset_at(
-        trajectory.file, f"{schema.INTEGRITY}/checksum", "u", (None,)
-    )
+    stored = checked_reading.dataset_at(trajectory.file, schema.CHECKSUMS, "u", (None,))
     wrong: list[int] = []
     recorded = {*trajectory.fields, *trajectory.other_fields}
     for span in trajectory.portions():
@@ -135,10 +134,7 @@ def _verify_balance(trajectory: Trajectory) -> str:
 
 def _balance(trajectory: Trajectory) -> None:
     """Require that energy is the sum of its parts, and energy - work - energy_error constant."""
-    kinetic, potential, energy, work, error = (
-        trajectory.observable(name)
-        for name in ("kinetic_energy", "potential_energy", "energy", "work", "energy_error")
-    )
+    kinetic, potential, energy, work, error = map(trajectory.observable, Entries._fields[:5])
     size = sum(float(np.abs(values).max(initial=0.0)) for values in (kinetic, potential, work))
     if (np.abs(energy - kinetic - potential) > _SUM_ROUNDING["f8"] * size).any():
         raise _Flaw("energy is not the sum of its parts")
@@ -208,9 +204,8 @@ def _verify_steps(trajectory: Trajectory) -> str:
     with checked_reading.trajectory_errors(trajectory.file):
         if schema.VTKHDF not in trajectory.file:
             return "none: positions were not recorded"
-        counted = checked_reading.integer_attribute(
-            checked_reading.object_at(trajectory.file, f"{schema.VTKHDF}/Steps"), "NSteps"
-        )
+        steps = checked_reading.object_at(trajectory.file, f"{schema.VTKHDF}/Steps")
+        counted = checked_reading.integer_attribute(steps, "NSteps")
         values: Any = checked_reading.dataset_at(trajectory.file, STEP_TIMES, "f", (None,))
         same = np.array_equal(values[: trajectory.n_frames], trajectory.time)
         first: Any = checked_reading.dataset_at(trajectory.file, STEP_STARTS, "i", (None,))
