@@ -9,10 +9,8 @@ def time_ahead(until: float, now: float, t_end: float) -> float:
     """A time [s] as a number; raise TypeError or ValueError where it is none to advance to."""
     until = number_of(until, "advance: until")
     if not now <= until <= t_end:
-        raise ValueError(
-            f"advance(until={until!r}): it is t = {now!r} s, and run.t_end = {t_end!r}"
-            " s; a time between them is right"
-        )
+        told = f"advance(until={until!r}): it is t = {now!r} s, and run.t_end = {t_end!r} s"
+        raise ValueError(f"{told}; a time between them is right")
     return until
 
 

@@ -1,13 +1,11 @@
 """The Python entry: run a case or go on with it, get its trajectory."""
 
 import logging
-from collections.abc import Mapping, Sequence
-from os import PathLike
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from particlerb.case.reader import load
-from particlerb.case.schema import Case
+from particlerb.case.reader import CaseSource, load
 from particlerb.case.to_system import to_system
 from particlerb.files import number_of, path_of
 from particlerb.record.trajectory import Trajectory, open_trajectory
@@ -19,11 +17,7 @@ from particlerb.simulation.whole_run import Prepared
 _LOG: Final = logging.getLogger(__name__)
 
 
-def prepared_from(
-    case: str | PathLike[str] | Mapping[str, Any] | Case,
-    overrides: Sequence[str],
-    allow_code: bool,
-) -> Prepared:
+def prepared_from(case: CaseSource, overrides: Sequence[str], allow_code: bool) -> Prepared:
     """A case made ready to run; warnings of its plan are logged. Raises as `run`."""
     prepared = prepare_accurately(to_system(load(case, overrides, allow_code)))
     log_warnings(prepared.plan.warnings)
@@ -39,7 +33,7 @@ def log_warnings(warnings: Sequence[str], known: frozenset[str] = frozenset()) -
 
 
 def run(
-    case: str | Path | Mapping[str, Any] | Case,
+    case: CaseSource,
     output: str | Path | None = None,
     *,
     overwrite: bool = False,

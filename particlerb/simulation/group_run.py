@@ -187,11 +187,11 @@ class GroupRun:
     def segment_motion(self, before: Motion | None = None) -> Motion:
         """Motion of this segment from its first state."""
         segment = self.segment
-        method, group = METHODS[segment.method], self.plan.group(segment)
+        group = self.plan.group(segment)
         if segment.terms.tree_accuracy:
             group = group._replace(terms=self.terms)
-        times = segment.start, segment.dt, segment.tolerance
-        motion = make_motion(method, group, self.first_state, *times, before, self.number > 0)
+        how = segment.start, segment.dt, segment.tolerance, before, self.number > 0
+        motion = make_motion(METHODS[segment.method], group, self.first_state, *how)
         if before is not None:
             motion.continue_joints(before)
         return motion
@@ -385,10 +385,8 @@ def lost(system: System, runs: Sequence[GroupRun]) -> str:
     if setup.types[min(joints)] in ROLLING:
         why = "in a step teeth, or turns, were passed: take a shorter run.dt"
         if kind == 1:
-            why = (
-                "its axes have left their place: hold them by hinges, parallel and at their"
-                " distance, or take a shorter run.dt"
-            )
+            hint = "hold them by hinges, parallel and at their distance, or take a shorter run.dt"
+            why = f"its axes have left their place: {hint}"
         return f"joint {setup.names[min(joints)]} no longer rolls: {why}"
     is_composed = METHODS[first.segment.method].evaluations > 1
     other = ', or run.method = "rattle", which passes such poses best' if is_composed else ""

@@ -109,9 +109,8 @@ class Rehearsal:
             first = np.arange(0, n, BLOCK)
             layout = Layout(first, np.minimum(n - first, BLOCK), asymmetric)
             sums_external = flag(not (self.is_constant and method.keeps_angular_momentum))
-            moving = MovingBodies(
-                self.blocks, layout, self.acting, sums_external, rotors, None, None
-            )
+            acting = self.acting, sums_external
+            moving = MovingBodies(self.blocks, layout, *acting, rotors, None, None)
             self.loops[name] = partial(compiled_loop(method, False), moving)
         return self.loops[name]
 

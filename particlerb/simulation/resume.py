@@ -130,10 +130,8 @@ def _looked_at(path: Path, prepared: Prepared, hashed: str, parts: Parts | None)
     with open_trajectory(path) as trajectory:
         file, n = trajectory.file, trajectory.n_frames
         if hashed != _text_in(file, "identity"):
-            raise ResumeError(
-                f"{path}: its case gives other bodies or another plan than the run had: it was"
-                " changed in the file; run it anew"
-            )
+            told = "its case gives other bodies or another plan than the run had"
+            raise ResumeError(f"{path}: {told}: it was changed in the file; run it anew")
         n_kept = _frames_that_stay(path, trajectory.time, system.run)
         with trajectory_errors(file):
             if n_kept == frame_count(system.run) and is_finished(file, n):
@@ -202,9 +200,8 @@ def resume_pending(
             recorder = Recorder.reopen(path, system, start, n_kept, is_prolonged=is_prolonged)
         else:
             prepared = ranks.together(lambda: part_of(pending.prepared, ranks))
-            recorder = PartRecorder.reopen(
-                path, prepared.system, pending.parts, ranks, start, n_kept, is_prolonged
-            )
+            how = ranks, start, n_kept, is_prolonged
+            recorder = PartRecorder.reopen(path, prepared.system, pending.parts, *how)
     except InUseError:
         raise ResumeError(f"{path} is being written by another run") from None
     except DamagedError as error:
@@ -238,10 +235,8 @@ def _refuse_other_version(path: Path, stored: str | None, revision: str | None) 
             other = f"other sources of particlerb {made.get('particlerb')}{at}"
         else:
             other = f"{name} {made.get(name)}, and this is {now.get(name)}"
-        raise ResumeError(
-            f"{path} was made with {other}: it would not continue bit for bit; install what it was"
-            " made with, or run the case anew"
-        )
+        told = f"{path} was made with {other}: it would not continue bit for bit"
+        raise ResumeError(f"{told}; install what it was made with, or run the case anew")
 
 
 def _case_of(source: Source, t_end: float | None, threads: int | None) -> Case:
@@ -263,9 +258,7 @@ def _frames_that_stay(path: Path, times: Floats, run: RunTable) -> int:
     """
     total = frame_count(run)
     if len(times) > total or times[-1:].max(initial=0.0) > run.t_end:
-        raise ResumeError(
-            f"{path} has frames until t = {float(times[-1])!r} s, and cannot end before them at"
-            f" t = {run.t_end!r} s"
-        )
+        told = f"{path} has frames until t = {float(times[-1])!r} s"
+        raise ResumeError(f"{told}, and cannot end before them at t = {run.t_end!r} s")
     is_same = times == frame_times(run, 0, total)[: len(times)]
     return len(times) if is_same.all() else int(np.argmin(is_same))

@@ -103,9 +103,8 @@ def run_prepared(
         recorder = Recorder(path, system, content, overwrite)
     else:
         parts, prepared = parts_of(system.n_of_scene), part_of(prepared, ranks)
-        recorder = PartRecorder.create(
-            path, prepared.system, content, parts, hashed, ranks, overwrite
-        )
+        how = parts, hashed, ranks, overwrite
+        recorder = PartRecorder.create(path, prepared.system, content, *how)
     with THREADS.using(system.run.threads):
         return advance(prepared, recorder, None, progress, ranks)
 

@@ -207,10 +207,8 @@ def refuse_contact(prepared: Prepared, ranks: Ranks) -> None:
     """Raise NoRanksError where ranks cannot share a scene in which bodies touch; it says why."""
     unshared = list(dict.fromkeys(_unshared(prepared)))
     if unshared:
-        raise NoRanksError(
-            f"--mpi shares clumps with springs in their contacts, and this case has"
-            f" {', '.join(unshared)}: run it without --mpi"
-        )
+        told = "--mpi shares clumps with springs in their contacts, and this case has"
+        raise NoRanksError(f"{told} {', '.join(unshared)}: run it without --mpi")
     refuse_coupled(prepared)
     n = int((touching_in(prepared.plan).bodies.inv_mass > 0.0).sum())
     if ranks.count > n:

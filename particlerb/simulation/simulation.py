@@ -4,8 +4,7 @@ What is asked for in between changes nothing: in any pieces, a simulation comes 
 run, bit for bit. A change is an edge: the last step ends there, and a new grid begins.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from os import PathLike
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 from weakref import finalize
@@ -14,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from particlerb.case.problems import key_of, path_of
+from particlerb.case.reader import CaseSource
 from particlerb.case.run import frame_count
-from particlerb.case.schema import Case
 from particlerb.compiled.threads import THREADS
 from particlerb.files import Closing
 from particlerb.files import path_of as file_path_of
@@ -66,7 +65,7 @@ class Simulation(Closing):
 
     def __init__(
         self,
-        scene: str | PathLike[str] | Mapping[str, Any] | Case,
+        scene: CaseSource,
         output: str | Path | None = None,
         *,
         overwrite: bool = False,

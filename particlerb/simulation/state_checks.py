@@ -75,10 +75,8 @@ class StateChecks:
 def _advice_for_rods(runs: Sequence[GroupRun]) -> str:
     """What to do where something turns rods about their own axes."""
     if any(run.segment.terms.contact is not None for run in runs):
-        return (
-            "friction acts on the surface of its spheres, beside the axis; take a shape with"
-            " matter around it, as a box, or friction = 0"
-        )
+        hint = "take a shape with matter around it, as a box, or friction = 0"
+        return f"friction acts on the surface of its spheres, beside the axis; {hint}"
     return "apply forces at points of the rod instead"
 
 

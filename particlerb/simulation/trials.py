@@ -127,8 +127,7 @@ def drifts(part: BodySubset, frames: Frames, gains: _Gains) -> tuple[float, floa
 @np.errstate(over="ignore", invalid="ignore")
 def energies(part: BodySubset, frames: Frames, gains: _Gains) -> tuple[Floats, Floats]:
     """Kinetic and potential energy of a run at its frames, (T,) [J]."""
-    bodies = counted(part.groups, part.bodies)
-    sums = totals(frames, bodies, part.gravity, *gains.later)
+    sums = totals(frames, counted(part.groups, part.bodies), part.gravity, *gains.later)
     return sums[..., 0], sums[..., 1]
 
 
@@ -138,16 +137,12 @@ def energies_at(part: BodySubset, frames: Frames, with_contacts: bool) -> Floats
     energy = np.empty(len(frames.position))
     for row in range(energy.size):
         frame = frames.rows(slice(row, row + 1))
-        runs = [
-            GroupRun(group, state_in(frames, row, group.members, group.bodies))
-            for group in part.groups
-        ]
+        runs = [GroupRun(g, state_in(frames, row, g.members, g.bodies)) for g in part.groups]
         beside = initial_energies(runs, frame)
         if not with_contacts:
             bound = sum(run.potential(*run.state_in(frame, 0)[:2]) for run in runs if run.is_bound)
             beside = Energies(np.zeros(1) + bound, np.zeros(1))
-        bodies = counted(part.groups, part.bodies)
-        sums = totals(frame, bodies, part.gravity, *beside)
+        sums = totals(frame, counted(part.groups, part.bodies), part.gravity, *beside)
         energy[row] = sums[0, 0] + sums[0, 1]
     return energy
 

@@ -102,9 +102,8 @@ class Run:
             self.firsts.append(first)
         self.group_runs = [run for runs in self.superblocks for run in runs]
         is_cut = min(self.firsts) >= 0 or self.system.n_worlds > 1
-        self.sums_itself = [
-            is_cut and all(run.sums_itself for run in runs) for runs in self.superblocks
-        ]
+        all_sum = [all(run.sums_itself for run in runs) for runs in self.superblocks]
+        self.sums_itself = [is_cut and one for one in all_sum]
         self.counted = counted(plan.groups, self.moving.bodies)
         reads_loads = self.setup is not None and self.moving.merging is not None
         self.loads = joint_values.LoadReader(self.moving) if reads_loads else None
@@ -378,6 +377,5 @@ def counted(groups: Sequence[GroupPlan], bodies: Bodies) -> Bodies:
     mass, inv_mass = bodies.mass.copy(), bodies.inv_mass.copy()
     for group in groups:
         mass[group.members], inv_mass[group.members] = group.bodies.mass, group.bodies.inv_mass
-    return bodies._replace(
-        mass=mass, inv_mass=inv_mass, inv_inertia=bodies.inv_inertia * (mass > 0)
-    )
+    inv_inertia = bodies.inv_inertia * (mass > 0)
+    return bodies._replace(mass=mass, inv_mass=inv_mass, inv_inertia=inv_inertia)

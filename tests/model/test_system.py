@@ -19,9 +19,8 @@ CASES = sorted((PACKAGE.parent / "cases").glob("*.toml"))
 GRID = {"place": {"type": "grid", "spacing": 9.0}}
 AUTHORS = {  # of cases: they read one, or write one
     "__init__.py", "cli/bodies.py", "cli/common.py", "cli/export.py", "record/provenance.py",
-    "record/trajectory.py", "simulation/entry.py", "simulation/resume.py",
-    "simulation/set_up_apart.py", "simulation/simulation.py", "sweeping/designs.py",
-    "sweeping/driver.py", "sweeping/variants.py",
+    "record/trajectory.py", "simulation/resume.py", "simulation/set_up_apart.py",
+    "sweeping/designs.py", "sweeping/driver.py", "sweeping/variants.py",
 }  # fmt: skip
 
 
