@@ -222,9 +222,8 @@ def yade(bodies: Sequence[NamedBody]) -> dict[str, str]:
 
     Mass and moments stand in comments, with the lines that set them.
     """
-    lines = [
-        f"# {COMMENT}; x y z r clump, for yade.ymport.textClumps: from the com, principal axes"
-    ]
+    what = "x y z r clump, for yade.ymport.textClumps: from the com, principal axes"
+    lines = [f"# {COMMENT}; {what}"]
     for k, body in enumerate(bodies):
         mass, com, _, moments, axes, _ = (array[0] for array in body.properties)
         carrying = _carriers_of(body)
@@ -248,9 +247,8 @@ def _write_gsd(bodies: Sequence[NamedBody], path: Path) -> None:
     hoomd = gsd_hoomd(path)
     frame = hoomd.Frame()
     particles = frame.particles
-    mass, com, tensor, moments, axes, _ = (
-        np.concatenate(column) for column in zip(*(b.properties for b in bodies), strict=True)
-    )
+    columns = zip(*(body.properties for body in bodies), strict=True)
+    mass, com, tensor, moments, axes, _ = map(np.concatenate, columns)
     particles.N, particles.typeid = len(bodies), np.arange(len(bodies))
     particles.types = [body.name.encode() for body in bodies]
     particles.type_shapes = [_shape_of(body) for body in bodies]

@@ -32,10 +32,8 @@ def write(selection: Selection, path: Path) -> None:
         of_frames.append(contacts)
         points.append(contacts.lines(trajectory.read("position", k)).reshape(-1, 3))
     counts = np.array([len(ends) // 2 for ends in points])
-    force, overlap, wall = (
-        np.concatenate([getattr(one, name) for one in of_frames])
-        for name in ("force", "overlap", "wall")
-    )
+    each = zip(*((one.force, one.overlap, one.wall) for one in of_frames), strict=True)
+    force, overlap, wall = map(np.concatenate, each)
     data = {"force": force, "size": np.linalg.norm(force, axis=1), "overlap": overlap, "wall": wall}
     with h5py.File(path, "w") as file:
         root = file.create_group(VTKHDF)

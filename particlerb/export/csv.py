@@ -45,9 +45,8 @@ def write(selection: Selection, path: Path) -> None:
     else:
         labels = [(int(b), trajectory.names[b]) for b in selection.bodies]
         header = ["body", "name", *columns(selection.fields)]
-        rows = _labelled(
-            trajectory, selection.portions(), labels, selection.fields, selection.values
-        )
+        portions = selection.portions()
+        rows = _labelled(trajectory, portions, labels, selection.fields, selection.values)
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(["frame", "time", *header])
@@ -61,11 +60,8 @@ def _sums(trajectory: Trajectory, name: str, frames: slice) -> Floats:
 
 def columns(names: tuple[str, ...]) -> list[str]:
     """Heads of the components of some fields."""
-    return [
-        f"{name}_{letter}" if letter else name
-        for name in names
-        for letter in _ELEMENTS[name].components or ("",)
-    ]
+    letters = {name: _ELEMENTS[name].components or ("",) for name in names}
+    return [f"{name}_{one}" if one else name for name in names for one in letters[name]]
 
 
 def _labelled(

@@ -68,9 +68,8 @@ def _per_body(selection: Selection, bodies: Bodies, frames: slice) -> dict[str, 
         columns["velocity"] = selection.values("velocity", frames)
     if "angular_momentum" in fields:
         L = selection.values("angular_momentum", frames)
-        columns["angmom"] = np.stack(
-            [_momentum_quaternion(a.T, b.T).T for a, b in zip(q, L, strict=True)]
-        )
+        pairs = zip(q, L, strict=True)
+        columns["angmom"] = np.stack([_momentum_quaternion(a.T, b.T).T for a, b in pairs])
     return columns
 
 

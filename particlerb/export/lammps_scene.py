@@ -92,16 +92,12 @@ class _Atoms:
     def __init__(self, system: System, contact: SystemContact | None) -> None:
         bodies, n = system.bodies, system.n_bodies
         q = body_orientation(system.state.q, bodies.rotor_frame)
-        per_kind = [
-            carriers(kind_of(system.particles, k), float(system.properties.mass[k]))
-            for k in range(len(system.reach))
-        ]
+        masses = system.properties.mass.tolist()
+        per_kind = [carriers(kind_of(system.particles, k), mass) for k, mass in enumerate(masses)]
         sizes = np.array([len(particles.mass) for particles in per_kind])[system.kind]
         body: Ints = np.repeat(np.arange(n), sizes)
-        local, mass, radius = (
-            np.concatenate([per_kind[k][column] for k in system.kind.tolist()])
-            for column in range(3)
-        )
+        columns = zip(*(per_kind[k][:3] for k in system.kind.tolist()), strict=True)
+        local, mass, radius = map(np.concatenate, columns)
         single = _are_single(system, sizes, radius[np.cumsum(sizes) - 1])
         self.is_held: Bools = system.is_held
         self.is_single: Bools = single & ~self.is_held
@@ -264,9 +260,8 @@ def _walls(system: System, contact: SystemContact | None) -> Iterable[str]:
         return
     for code in sorted(set(contact.material[contact.material != NOTHING].tolist())):
         yield f"group material{code + 1} type {code + 1}"
-    for k, (wall, material) in enumerate(
-        zip(system.wall, contact.wall_material.tolist(), strict=True), 1
-    ):
+    walls = zip(system.wall, contact.wall_material.tolist(), strict=True)
+    for k, (wall, material) in enumerate(walls, 1):
         yield f"region wall{k} {_region(wall)}  {_comment(wall.name)}"
         for code in np.flatnonzero(contact.pairs.can_meet[material]).tolist():
             law = f"granular {_law(contact, code, material)} region wall{k}"

@@ -111,9 +111,7 @@ class _Writer:
         self.bodies.append(_Body(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)))
         setup, self.contact = joints_of(system), contact_of(system)
         n_joints = 0 if setup is None else len(setup.names)
-        self.joints = [
-            joint_at_start(system, setup, j) for j in range(n_joints) if setup is not None
-        ]
+        self.joints = [joint_at_start(system, setup, j) for j in range(n_joints) if setup]
         self.speeds: dict[str, list[float]] = {}  # by the names of bodies
         self.coordinates: dict[tuple[str, str], str] = {}  # by those of joints, and kinds
         self.root = ET.Element("mujoco", model=system.title or "scene")
@@ -158,11 +156,8 @@ class _Writer:
         """What acts along joints of the tree, of records of the case that have no others."""
         used = {j for _, j in self.tree.values()}
         open_records = {one.record for j, one in enumerate(self.joints) if j not in used}
-        return {
-            j: laws_of(one.table, self.soft["solref"])
-            for j, one in enumerate(self.joints)
-            if one.record not in open_records
-        }
+        chosen = ((j, one) for j, one in enumerate(self.joints) if one.record not in open_records)
+        return {j: laws_of(one.table, self.soft["solref"]) for j, one in chosen}
 
     def qvel(self) -> Floats:
         """Speeds of all joints in the order of the bodies in the model."""
@@ -207,9 +202,8 @@ class _Writer:
         """Add a body to the one that it hangs from."""
         body, other = self.bodies[b], self.bodies[parent]
         place = numbers(other.local(body.position))
-        turned = numbers(
-            state.quaternion_product(other.orientation * state.CONJUGATE[:, 0], body.orientation)
-        )
+        back = other.orientation * state.CONJUGATE[:, 0]
+        turned = numbers(state.quaternion_product(back, body.orientation))
         name = self.system.names[b]
         element = ET.SubElement(self.elements[parent], "body", name=name, pos=place, quat=turned)
         self.elements[b] = element
@@ -299,9 +293,8 @@ class _Writer:
                 ET.SubElement(equality, "joint", soft | coordinates, name=joint.name, polycoef=text)
                 continue
             if joint.type in _TREE_ONLY_TYPES:
-                raise ExportError(
-                    f"{joint.name} closes a loop: MuJoCo has no {joint.type} for that"
-                )
+                told = f"closes a loop: MuJoCo has no {joint.type} for that"
+                raise ExportError(f"{joint.name} {told}")
             ends = {"body1": self.system.names[joint.first]}
             if joint.second != WORLD:
                 ends["body2"] = self.system.names[joint.second]
@@ -350,10 +343,7 @@ class _Writer:
         for link in springs_of(self.system):
             law = {key: numbers(getattr(link.force, key)) for key in ("stiffness", "damping")}
             for s, rest in enumerate(link.rest_length):
-                ends = [
-                    (link.body_a[s], link.at_a[:, s]),
-                    (link.body_b[s], link.at_b[:, s]),
-                ]
+                ends = [(link.body_a[s], link.at_a[:, s]), (link.body_b[s], link.at_b[:, s])]
                 name = f"force[{link.number}] {s}"
                 self.add_tendon(ends, name, springlength=numbers(rest), **law)
 

@@ -337,10 +337,8 @@ def _ellipsoid_surface(system: System, b: int) -> _Surface:
 def _balls_of(place: Floats, radius: Floats, copies: int) -> _Surface:
     """Balls as one surface."""
     unit = unit_ball(copies * len(place))
-    meshes = [
-        unit._replace(vertices=r * unit.vertices + x) for x, r in zip(place, radius, strict=True)
-    ]
-    mesh = _joined(meshes)
+    balls = zip(place, radius, strict=True)
+    mesh = _joined([unit._replace(vertices=r * unit.vertices + x) for x, r in balls])
     return _Surface(mesh, np.zeros((0, 3, 3)), place, np.tile(radius[:, None], 3))
 
 
