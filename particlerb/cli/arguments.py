@@ -116,9 +116,7 @@ _SET: Final = _option(
     help="change a key of the case, for example run.dt=1e-4 or body.0.mass=2; repeatable",
 )  # fmt: skip
 _THREADS: Final = _option("--threads", type=_number, metavar="N", help="default: all cores")
-_CODE: Final = _flag(
-    "--allow-code", help="allow the case to run Python code, with your permissions"
-)
+_CODE: Final = _flag("--allow-code", help="let the case run Python code, with your permissions")
 _MPI: Final = _flag(
     "--mpi", help="share the bodies among the ranks of mpiexec or srun: see docs/scale.md"
 )

@@ -22,11 +22,9 @@ def check_command(options: argparse.Namespace) -> int:
     with ending(RunError, code=FAILED, about=f"{options.case} can be run, but fails soon"):
         seconds = until_now + estimated_seconds(prepared)
     if options.json:
-        told: dict[str, object] = {
-            "plan": plan_text(options, prepared),
-            "warnings": prepared.plan.warnings,
-        }
-        told |= {"bytes": expected_size(prepared.system), "seconds": seconds}
+        told: dict[str, object] = {"plan": plan_text(options, prepared)}
+        told |= {"warnings": prepared.plan.warnings, "bytes": expected_size(prepared.system)}
+        told |= {"seconds": seconds}
         told |= {"ranks": shares._asdict()} if shares is not None else {}
         print(json.dumps(told))
     else:

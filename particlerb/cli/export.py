@@ -41,10 +41,8 @@ def _asked(options: argparse.Namespace) -> str:
 def _export_of_bodies(options: argparse.Namespace) -> int:
     """Export bodies of a case, or the body of a file."""
     if options.to not in BODY_FORMATS:
-        raise Ending(
-            f"{_asked(options)}: bodies become {', '.join(BODY_FORMATS)}; for other formats `run`"
-            " the case and export its trajectory"
-        )
+        told = f"{_asked(options)}: bodies become {', '.join(BODY_FORMATS)}"
+        raise Ending(f"{told}; for other formats `run` the case and export its trajectory")
     if options.frames != slice(None) or options.fields:
         raise Ending("--frames and --fields are for trajectories")
     if options.to in _SCENE_SUFFIXES and not options.bodies and is_case(options.file):

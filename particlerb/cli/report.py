@@ -79,9 +79,8 @@ class Report(Closing):
         self.total, self.first, self.done = total, done, done
         self.steps_until, self.first_time = steps_until, 0.0  # [s] as `start`
         has_terminal = sys.stderr.isatty() and not is_quiet
-        self.bar = tqdm(
-            total=total, initial=done, unit="frame", disable=not has_terminal, delay=0.5
-        )
+        is_hidden = not has_terminal
+        self.bar = tqdm(total=total, initial=done, unit="frame", disable=is_hidden, delay=0.5)
         self.outputs: dict[str, TextIO] = {}
         if not has_terminal and not is_quiet:
             self.outputs["lines"] = sys.stderr

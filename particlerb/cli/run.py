@@ -166,10 +166,9 @@ def _disk_warnings(system: System, path: Path, done: int = 0) -> list[str]:
     free = _free_bytes(path)
     if size <= free:
         return []
-    return [
-        f"particlerb: warning: {path} would take {amount(size)}, the disk has {amount(free)} free;"
-        " raise run.every, or give fewer [output] fields"
-    ]
+    told = f"{path} would take {amount(size)}, the disk has {amount(free)} free"
+    hint = "raise run.every, or give fewer [output] fields"
+    return [f"particlerb: warning: {told}; {hint}"]
 
 
 def _free_bytes(path: Path) -> int:
@@ -190,9 +189,8 @@ def size_text(system: System) -> str:
     if schema.CONTACTS in system.output.fields:
         columns, dtype = schema.COLUMNS.values(), np.dtype(system.output.dtype)
         each = sum(math.prod(c.width) * schema.dtype_of(c, dtype).itemsize for c in columns)
-        text += (
-            f" and {each} bytes for each contact in a frame, whose number is not known in advance"
-        )
+        text += f" and {each} bytes for each contact in a frame"
+        text += ", whose number is not known in advance"
     return text
 
 
@@ -253,9 +251,8 @@ def ask_to_stop(number: int, _: object) -> None:
     if not THREADS.is_ending:
         THREADS.is_ending = True
         with contextlib.suppress(OSError, RuntimeError):  # stderr is gone, or is just being written
-            print(
-                "\nfinishing this frame; interrupt again to stop now", file=sys.stderr, flush=True
-            )
+            told = "\nfinishing this frame; interrupt again to stop now"
+            print(told, file=sys.stderr, flush=True)
         return
     THREADS.is_stopping = True
     signal.signal(number, signal.default_int_handler)
@@ -304,11 +301,8 @@ def _notes(outcome: Outcome) -> list[str]:
         lines += text(outcome.tally).splitlines()
     if outcome.contact_turn > 0.0:
         lines.append(contact_text(outcome.contact_turn))
-    lines.append(
-        f"conservation error (external work removed): energy {energy:.2g}, momentum {linear:.2g},"
-        f" angular momentum {angular:.2g}"
-    )
-    return lines
+    told = f"energy {energy:.2g}, momentum {linear:.2g}, angular momentum {angular:.2g}"
+    return [*lines, f"conservation error (external work removed): {told}"]
 
 
 def impulse_text(tally: Floats) -> str:
@@ -349,34 +343,30 @@ def event_text(tally: Floats) -> str:
 
 def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
     """Warnings about what a run has seen: stiff contacts, a tree that errs, missing impulses."""
-    warnings, limit, tree, tally = [], stable_turn(prepared.plan), outcome.tree, outcome.tally
+    told, limit, tree, tally = [], stable_turn(prepared.plan), outcome.tree, outcome.tally
     times = [check.time for check in prepared.system.check.value if check.time is not None]
     if outcome.passed > 0.0 and min(times, default=math.inf) <= outcome.passed:
-        warnings.append(
-            f"particlerb: warning: checks until t = {outcome.passed:.6g} s were not made: a"
-            " Simulation has moved the bodies until then, and makes none"
-        )
+        why = "a Simulation has moved the bodies until then, and makes none"
+        told.append(f"checks until t = {outcome.passed:.6g} s were not made: {why}")
     if (turn := outcome.contact_turn) > limit:
-        warnings.append(
-            "particlerb: warning: all contacts of a body together reached"
-            f" ω dt = {turn:.3g}: above {limit:.3g} contacts with this damping do not"
-            f" come to rest; divide run.dt by {turn / limit:.2g}"
+        told.append(
+            f"all contacts of a body together reached ω dt = {turn:.3g}: above {limit:.3g} contacts"
+            f" with this damping do not come to rest; divide run.dt by {turn / limit:.2g}"
         )
     if tree is not None and tree.seen > tree.asked:
-        angle = other_angle(*tree)
-        warnings.append(
-            f"particlerb: warning: the error of the tree of the attraction reached {tree.seen:.2g},"
-            f" above the requested {tree.asked:.2g}: the scene has changed since its opening angle"
-            f" was chosen; set attraction.opening_angle = {angle:.2g}"
+        told.append(
+            f"the error of the tree of the attraction reached {tree.seen:.2g}, above the requested"
+            f" {tree.asked:.2g}: the scene has changed since its opening angle was chosen; set"
+            f" attraction.opening_angle = {other_angle(*tree):.2g}"
         )
     if tally is not None and tally[records.WORST_EVER] >= _UNSOLVED_RESIDUAL:
-        warnings.append(
-            "particlerb: warning: impulses of contacts were not found: the residual reached"
+        told.append(
+            "impulses of contacts were not found: the residual reached"
             f" {tally[records.WORST_EVER]:.2g} at t = {tally[records.WORST_TIME]:.6g} s, and where"
             " it is 1 they are no better than none; take more contact.iterations or"
             ' contact.solver = "newton"'
         )
-    return warnings
+    return [f"particlerb: warning: {text}" for text in told]
 
 
 def contact_text(frequency: float) -> str:

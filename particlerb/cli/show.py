@@ -57,7 +57,7 @@ def _lines_of(facts: dict[str, Any]) -> str:
 def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
     """What can be said in a line."""
     case = trajectory.parameter("case_resolved")
-    has_contacts = CONTACTS in trajectory.other_fields
+    has_contacts, sums = CONTACTS in trajectory.other_fields, zip(SUMS, LEDGER, strict=True)
     paths = Path(trajectory.file.filename), *part_paths(trajectory.file)
     return {
         "title": case.get("title", "") if isinstance(case, dict) else "",
@@ -66,11 +66,7 @@ def _facts_of(trajectory: Trajectory) -> dict[str, Any]:
         "frames": trajectory.n_frames,
         "time": [float(t) for t in trajectory.time[[0, -1]]] if trajectory.n_frames else [],
         "fields": trajectory.fields + trajectory.other_fields,
-        "sums": [
-            name
-            for name, of in zip(SUMS, LEDGER, strict=True)
-            if f"{OBSERVABLES}/{of}" in trajectory.file
-        ],
+        "sums": [name for name, of in sums if f"{OBSERVABLES}/{of}" in trajectory.file],
         **({"contacts": trajectory.n_contacts} if has_contacts else {}),
         "changed": list(dict.fromkeys(changes_in(trajectory.file).values())),
         "files": trajectory.file_names,
