@@ -144,9 +144,8 @@ def _step_text(record: dict[str, Any]) -> str:
     """Advice for a stepping method."""
     advice = "it does not spin: any"
     if record["advised_step"] is not None:
-        advice = (
-            f"{record['advised_step']:.3g} s for {record['spin']:.6g} rad/s where something acts"
-        )
+        step, spin = record["advised_step"], record["spin"]
+        advice = f"{step:.3g} s for {spin:.6g} rad/s where something acts"
     return f"{advice}; free rotation has a closed form and needs none"
 
 

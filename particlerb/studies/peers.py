@@ -277,10 +277,8 @@ def peer_errors(
     bodies = taken(scene.bodies, indices)
     orientation = body_orientation(result.orientation[indices].T, bodies.rotor_frame).T
 
-    position, turned = (
-        np.repeat(column[None], times.size, axis=0)
-        for column in (result.position[indices], orientation)
-    )
+    pose = result.position[indices], orientation
+    position, turned = (np.repeat(column[None], times.size, axis=0) for column in pose)
     final = reference._replace(position=position, orientation=turned)
     error = errors(judged, times, final, reference)[-1]
     is_free = scene.attraction is None and not scene.force

@@ -35,9 +35,8 @@ def resting(z: float, zeta: float) -> tuple[StabilityScene, float]:
     deep = weight / k
     moved = scene(np.full(3, 4e3), np.zeros((1, 3)), position=(0, 0, _RADIUS - (1 + _TOUCH) * deep))
     bodies, ones, none = moved.bodies, np.ones(1), np.zeros(1, dtype=np.int64)
-    spheres = ContactSpheres(
-        np.zeros((3, 1)), _RADIUS * ones, none, none, none, np.array([0, 1]), none[:0], none
-    )
+    body = none, none, none, np.array([0, 1])
+    spheres = ContactSpheres(np.zeros((3, 1)), _RADIUS * ones, *body, none[:0], none)
     damping = TANGENTIAL_DAMPING * ones
     law = Law(k * ones, 0.0 * ones, zeta * ones, damping, 0.0 * ones, None, None, None)
     floor = joined([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))])
@@ -54,10 +53,8 @@ def resting(z: float, zeta: float) -> tuple[StabilityScene, float]:
 def grows(method: str, z: float, zeta: float) -> bool:
     """Whether the ball oscillates more and more: at the end more than at half the time."""
     moved, deep = resting(z, zeta)
-    looked_at = np.arange(_STEPS_SAMPLED)
-    times = 1.0 + np.concatenate(
-        [_N_STEPS // 2 - _STEPS_SAMPLED + looked_at, _N_STEPS - _STEPS_SAMPLED + looked_at]
-    )
+    looked_at = np.arange(1 - _STEPS_SAMPLED, 1)
+    times = np.concatenate([_N_STEPS // 2 + looked_at, _N_STEPS + looked_at])
     try:
         frames = history(moved, method, 1.0, times.astype(np.float64))
     except MotionError:

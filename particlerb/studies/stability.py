@@ -244,11 +244,8 @@ def _tasks_of(
     }
     tasks |= {("limits", name): partial(limits_of, name) for name in stepped}
     tasks |= {("limits", name): partial(tension_limits, name) for name in for_joints}
-    tasks |= {
-        ("limits", name, "contact"): partial(contact_limits, name)
-        for name in stepped
-        if name in THEORY
-    }
+    at_rest = [name for name in stepped if name in THEORY]
+    tasks |= {("limits", name, "contact"): partial(contact_limits, name) for name in at_rest}
     return tasks | {
         ("row", name, repr(pace)): partial(
             stability_runs.row_of, name, pace, _columns_of(name, budget), turns

@@ -24,6 +24,7 @@ from particlerb.rotors.moser_veselov import modified_inertia
 from particlerb.studies import stability_runs
 
 _LINGERING_STEPS: Final = 100_000  # where growth sets in slowly beyond the limit
+_LONG_PACE: Final = 64.0  # h|ω| [rad] of a step that is cut
 
 
 # Measured
@@ -89,10 +90,8 @@ def tops(omega: Floats, stiffness: Floats) -> stability_runs.StabilityScene:
     """
     n = stiffness.size
     hook = np.tile([[0.0], [0.0], [-1.0]], (1, n))
-    body_hook = rotate_back(
-        stability_runs.bodies_of(np.tile(stability_runs.MOMENTS, (n, 1))).rotor_frame, hook
-    )
-    spring = Spring(body_hook, hook, stiffness, np.zeros(n))
+    bodies = stability_runs.bodies_of(np.tile(stability_runs.MOMENTS, (n, 1)))
+    spring = Spring(rotate_back(bodies.rotor_frame, hook), hook, stiffness, np.zeros(n))
     return stability_runs.scene(stability_runs.MOMENTS, omega, Terms(loads=(spring,)), mass=1e20)
 
 
@@ -141,9 +140,8 @@ def growth(
 
 def gain(method: str, z: float, steps: int = 20) -> float:
     """Factor of the energy of an oscillator with hω = z per step, less 1."""
-    return growth(
-        method, _oscillators(np.array([z])), lambda *one: stability_runs.energy(*one)[0], steps
-    )
+    moved = _oscillators(np.array([z]))
+    return growth(method, moved, lambda *one: stability_runs.energy(*one)[0], steps)
 
 
 def _top_gain(method: str, z: float) -> float:
@@ -265,10 +263,10 @@ def _tumbling_limit() -> float:
     return float(turn[missed.argmax()])
 
 
-def _cut_limit(pace: float = 64.0) -> float:
-    """Inf if `rkn6`, which cuts long turns, stays accurate at this step; else the step."""
-    rows = stability_runs.row_of("rkn6", pace, 5, stability_runs.TURNS)
-    return math.inf if (rows.verdict == stability_runs.ACCURATE).all() else pace
+def _cut_limit() -> float:
+    """Inf if `rkn6`, which cuts long turns, stays accurate at a very long step; else the step."""
+    rows = stability_runs.row_of("rkn6", _LONG_PACE, 5, stability_runs.TURNS)
+    return math.inf if (rows.verdict == stability_runs.ACCURATE).all() else _LONG_PACE
 
 
 # All of them
@@ -386,6 +384,5 @@ LIMITS: Final[dict[str, Callable[[], Iterator[_LimitCase]]]] = {
 
 def limits_of(method: str) -> tuple[Limit, ...]:
     """All limits of a method."""
-    return tuple(
-        Limit(method, one.name, one.theory, one.measure(method)) for one in LIMITS[method]()
-    )
+    cases = LIMITS[method]()
+    return tuple(Limit(method, one.name, one.theory, one.measure(method)) for one in cases)

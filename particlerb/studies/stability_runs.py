@@ -193,11 +193,8 @@ def outcome(times: Floats, errors: Floats) -> StabilityOutcome:
     worst = errors.max(axis=0)
     grows = (worst > _MIN_GROWTH_RATIO * first) & (worst > _MIN_ERROR)
     small = worst <= SMALL
-    verdict = np.select(
-        [np.isinf(worst), grows & small, grows, small],
-        [UNSOLVABLE, SO_FAR, GROWING, ACCURATE],
-        WRONG,
-    )
+    rules = [np.isinf(worst), grows & small, grows, small]
+    verdict = np.select(rules, [UNSOLVABLE, SO_FAR, GROWING, ACCURATE], WRONG)
     lost = errors > LARGE
     turns = np.where(lost.any(axis=0), times[lost.argmax(axis=0)] / (2.0 * math.pi), np.inf)
     return StabilityOutcome(worst, verdict, turns)
@@ -239,9 +236,8 @@ FAMILIES: Final[dict[str, _Family]] = {"shape": plates, "start": starts}
 
 def row_of(method: str, pace: float, columns: int, turns: float) -> StabilityOutcome:
     """Outcome of all families at one step, one after the other."""
-    _, inertia, omega = map(
-        np.concatenate, zip(*(f(columns) for f in FAMILIES.values()), strict=True)
-    )
+    families = zip(*(make(columns) for make in FAMILIES.values()), strict=True)
+    _, inertia, omega = map(np.concatenate, families)
     free = scene(inertia, omega)
     is_stepped = METHODS[method].order and not METHODS[method].is_adaptive
     dt = pace if is_stepped else _GRID_STEP

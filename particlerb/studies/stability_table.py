@@ -57,9 +57,8 @@ def _drift_row(drift: stability.EnergyDrift) -> tuple[str, ...]:
     if math.isnan(p):
         ended = drift.turns[np.isinf(drift.largest).argmax()]
         size_and_growth = f"inf after {ended:.2g} turns", "-"
-    spin = (
-        "-" if math.isnan(p) or drift.motion != stability.FREE else f"{drift.spin_error.max():.0e}"
-    )
+    is_told = drift.motion == stability.FREE and not math.isnan(p)
+    spin = f"{drift.spin_error.max():.0e}" if is_told else "-"
     return drift.method, drift.motion, f"{drift.pace:g}", *size_and_growth, spin
 
 

@@ -230,10 +230,9 @@ class Study:
         contenders = [(name, self.refusal(name), partial(self.curve, name)) for name in methods]
         for engine in rivals:
             reason = self.peer_refusal(engine)
-            contenders += [
-                (engine.NAME, reason, partial(self.peer_curve, engine, variant))
-                for variant in peers.variants_of(engine, self.system)
-            ]
+            variants = peers.variants_of(engine, self.system)
+            each = [partial(self.peer_curve, engine, variant) for variant in variants]
+            contenders += [(engine.NAME, reason, curve) for curve in each]
         curves = sum(not reason for _, reason, _ in contenders)
         share = (1.0 - _REFERENCE_SHARE) * budget / max(curves, 1)
         points: list[Point] = []

@@ -33,10 +33,8 @@ def cheapest(points: Sequence[Point], target: float) -> Point | None:
 def advice(chart: WorkPrecision) -> str:
     """The sentence that a user wants."""
     if chart.target < chart.floor:
-        return (
-            f"an error of {chart.target:.3g} cannot be judged: the reference is accurate to"
-            f" {chart.floor:.1g} only"
-        )
+        why = f"the reference is accurate to {chart.floor:.1g} only"
+        return f"an error of {chart.target:.3g} cannot be judged: {why}"
     best = cheapest(chart.points, chart.target)
     if best is not None:
         return f"for an error of {chart.target:.3g} take {setting(best)}: {duration(best.seconds)}"
@@ -44,9 +42,9 @@ def advice(chart: WorkPrecision) -> str:
     if not ours:
         return "every run failed: shorten run.t_end"
     least = min(ours, key=lambda p: p.size)
+    reached = f"{setting(least)}: {least.size:.2g} in {duration(least.seconds)}"
     return (
-        f"no run reached an error of {chart.target:.3g} within the budget; the best was"
-        f" {setting(least)}: {least.size:.2g} in {duration(least.seconds)}"
+        f"no run reached an error of {chart.target:.3g} within the budget; the best was {reached}"
     )
 
 

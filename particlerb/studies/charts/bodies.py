@@ -295,11 +295,8 @@ def draw_orientations(axes: Axes, trajectory: Trajectory, body: int) -> None:
     height = direction(trajectory, body, spun) @ up
     frames = _instants(trajectory, body, height * np.sign(height[0]))
     view = np.stack([*axes_across(up), up])
-    tilt = np.radians(25.0)  # looked at from above
-    view = (
-        np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
-        @ view
-    )
+    cos, sin = np.cos(np.radians(25.0)), np.sin(np.radians(25.0))  # looked at from above
+    view = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]]) @ view
     edges = trajectory.table(f"{schema.TRAJECTORY}/extent", "f", (trajectory.n_bodies, 3))[body]
     solid = solids.small_solid_of(trajectory, body, _ATTITUDES)
     mesh = box(edges) if solid is None else solid

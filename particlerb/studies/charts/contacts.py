@@ -111,7 +111,5 @@ def summary(contacts: Contacts) -> str:
         return "no contacts"
     force = np.linalg.norm(contacts.force, axis=1)
     walls = int((contacts.wall >= 0).sum())
-    return (
-        f"{count_of(force.size, 'contact')}, {walls} with walls; mean {force.mean():.3g} N,"
-        f" largest {force.max():.3g} N"
-    )
+    counts = f"{count_of(force.size, 'contact')}, {walls} with walls"
+    return f"{counts}; mean {force.mean():.3g} N, largest {force.max():.3g} N"

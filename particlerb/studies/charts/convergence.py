@@ -112,10 +112,9 @@ def _draw_settled(axes: Axes, curves: Sequence[Curve], colours: dict[str, str], 
 
 def _name_ends(axes: Axes, ends: Sequence[CurveEnd], most: int, gap: float) -> None:
     """Names at the right; those of curves that end early where these end."""
-    is_far = [end[0] > _SHORT_CURVE * most for end in ends]
-    name_curves(axes, [end for end, far in zip(ends, is_far, strict=True) if far],
-                _NAMES_AT * most, gap)  # fmt: skip
-    for x, y, name, colour in (end for end, far in zip(ends, is_far, strict=True) if not far):
+    far = [end for end in ends if end[0] > _SHORT_CURVE * most]
+    name_curves(axes, far, _NAMES_AT * most, gap)
+    for x, y, name, colour in (end for end in ends if end[0] <= _SHORT_CURVE * most):
         axes.annotate(name, (x, y), (6, 6), textcoords="offset points", color=colour)
 
 
@@ -165,10 +164,8 @@ def _draw_lattices(
                      family="monospace", color=INK, va="bottom", linespacing=1.25)  # fmt: skip
     for axes in panels.flat[len(curves) :]:
         axes.remove()
-    figure.suptitle(
-        "each lattice (dots), median and range of neighbouring n (line, band), 1/n² (dotted)",
-        fontsize=10,
-    )
+    title = "each lattice (dots), median and range of neighbouring n (line, band), 1/n² (dotted)"
+    figure.suptitle(title, fontsize=10)
     figure.supxlabel("particles per edge, n", fontsize=10)
 
 

@@ -15,7 +15,7 @@ from particlerb.plan.joints import SystemJoints, joints_of
 from particlerb.record.trajectory import Trajectory
 from particlerb.rotors.rotor_class import ASYMMETRIC
 from particlerb.studies.charts import solids
-from particlerb.studies.charts.bodies import shapes_of, side_axes
+from particlerb.studies.charts.bodies import FEW, shapes_of, side_axes
 from particlerb.studies.charts.solids import ANGLED, view_along, view_at_angle
 from particlerb.studies.charts.style import COLOURS, INK, finish_view, tints
 
@@ -40,11 +40,11 @@ def jointed(trajectory: Trajectory) -> Linkage | None:
     return None if system is None or setup is None else Linkage(system, setup)
 
 
-def mechanism_of(scene: Linkage, body: int, most: int) -> list[int]:
+def mechanism_of(scene: Linkage, body: int) -> list[int]:
     """Bodies that joints connect with a body, itself among them; where there are more, some."""
     pairs = np.stack([scene.setup.body_a, scene.setup.body_b], axis=1)
     members, n_before = np.array([body]), 0
-    while n_before < members.size <= most:
+    while n_before < members.size <= FEW:
         n_before = members.size
         joined = pairs[np.isin(pairs, members).any(axis=1)]
         members = np.union1d(members, joined[joined != WORLD])
@@ -79,9 +79,8 @@ def draw_linkage(
         turns = zip(local, orientations[k], x[frames[k]], strict=True)
         return [body_points @ R.T + com for body_points, R, com in turns]
 
-    corners = [
-        points_at([m.vertices[np.unique(m.faces)] for m in shapes], k) for k in range(len(frames))
-    ]
+    vertices = [mesh.vertices[np.unique(mesh.faces)] for mesh in shapes]
+    corners = [points_at(vertices, k) for k in range(len(frames))]
     circles = [points_at(rings, k) for k in range(len(frames))]
     hinges = [points_at(points, k) for k in range(len(frames))]
     fixed = [place[None] for ends in distances for b, _, place in ends if b == WORLD]

@@ -68,10 +68,8 @@ def solids_of(trajectory: Trajectory) -> list[SurfaceMesh | None]:
     if (system := system_of(trajectory)) is None:
         return none
     surfaces, has_surface = Surfaces(system), [_has_surface(body) for body in system.body]
-    meshes = [
-        surfaces.of_kind(kind).mesh if has_surface[block] else None
-        for kind, block in zip(system.kind, system.block, strict=True)
-    ]
+    bodies = zip(system.kind, system.block, strict=True)
+    meshes = [surfaces.of_kind(kind).mesh if has_surface[k] else None for kind, k in bodies]
     total = sum(len(mesh.faces) for mesh in meshes if mesh is not None)
     return meshes if total <= MAX_TRIANGLES else none
 

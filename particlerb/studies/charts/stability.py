@@ -76,9 +76,9 @@ def draw_maps(study: stability.Stability, path: Path) -> None:
             panels[0].set_ylabel("h |ω|  [rad per step]", fontsize=9)
         elif k % _METHODS_PER_ROW == _METHODS_PER_ROW - 1:
             _mark_steps_per_turn(panels[-1])
+    named = zip(_TINTS, MEANING.values(), strict=True)
     patches = [
-        Patch(facecolor=tint, edgecolor=style.INK, lw=0.5, label=text)
-        for tint, text in zip(_TINTS, MEANING.values(), strict=True)
+        Patch(facecolor=tint, edgecolor=style.INK, lw=0.5, label=text) for tint, text in named
     ]
     figure.legend(handles=patches, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     figure.savefig(path, dpi=_DPI)
@@ -288,9 +288,7 @@ def _draw_resting(axes: Axes, limits: Sequence[Limit]) -> None:
 def draw_drifts(study: stability.Stability, path: Path) -> None:
     """Energy error against time: one panel per motion."""
     drifts, figure = study.drifts, Figure(figsize=(_PAGE_WIDTH, 10.0), layout="constrained")
-    panels = figure.subplots(len(stability.MOTIONS), 1, sharex=True, sharey=True, squeeze=False)[
-        :, 0
-    ]
+    panels = figure.subplots(len(stability.MOTIONS), 1, sharex=True, sharey=True)
     for axes, motion in zip(panels, stability.MOTIONS, strict=True):
         of_motion = [one for one in drifts if one.motion == motion]
         longest = max(one.turns[-1] for one in of_motion)

@@ -86,10 +86,8 @@ def _draw_map(
     places, means = _means(np.stack([x, y], axis=1), values)
     columns, rows, scales = np.unique(x), np.unique(y), (_scale(x), _scale(y))
     if columns.size * rows.size == len(places) and min(columns.size, rows.size) > 1:
-        edges = (
-            cell_edges(ends, scale == "log")
-            for ends, scale in zip((columns, rows), scales, strict=True)
-        )
+        each = zip((columns, rows), scales, strict=True)
+        edges = (cell_edges(ends, scale == "log") for ends, scale in each)
         grid = means.reshape(columns.size, rows.size).T
         drawn: Any = panel.pcolormesh(*edges, grid, cmap="viridis")
     else:

@@ -120,18 +120,21 @@ def _draw_motion(
 ) -> None:
     """Two panels over time: of one body, of tops, or what moves the scene on."""
     if case["joint"] and not is_of_one:
-        _draw_joints(above, trajectory, case)
+        _draw_joints(above, trajectory)
         _draw_energies(below, trajectory)
     elif _centre(trajectory, case) is not None and not is_of_one:
-        _draw_rates(above, trajectory, case)
+        _draw_rates(above, trajectory)
         _draw_libration(below, trajectory, case)
     elif trajectory.n_bodies > 1 and not is_of_one:
         _draw_energies(above, trajectory)
         is_coupled = trajectory.n_bodies > bodies.FEW or _couples(case)
-        (_draw_heights if is_coupled else _draw_rates)(below, trajectory, case)
+        if is_coupled:
+            _draw_heights(below, trajectory, case)
+        else:
+            _draw_rates(below, trajectory)
     elif tops:
         if len(tops) > 1:
-            _draw_rates(above, trajectory, case)
+            _draw_rates(above, trajectory)
         else:
             _draw_angular_velocity(above, trajectory, b)
         draw_nutation(below, trajectory, tops)
@@ -188,7 +191,7 @@ def _draw_bodies(
     moves = case["joint"] and is_scene and trajectory.n_frames > 1
     scene = jointed(trajectory) if moves else None
     if scene is not None:
-        members = shown if is_few else mechanism_of(scene, body, bodies.FEW)
+        members = shown if is_few else mechanism_of(scene, body)
         if is_few or (case["contact"] is None and 1 < len(members) <= bodies.FEW):
             are_keyed = trajectory.n_bodies <= len(COLOURS) and _joint_values(trajectory) is None
             colours = [line_style(b)["color"] for b in members] if are_keyed else []
@@ -237,9 +240,8 @@ def _draw_energies(axes: Axes, trajectory: Trajectory) -> None:
     for name, (line, colour, dashes) in parts.items():
         shown = line - line[0] * is_small
         axes.plot(trajectory.time, shown, dashes, color=colour, lw=1.3, label=name)
-    finish_over_time(
-        axes, *(("change of energies", "E - E(0) [J]") if is_small else ("energies", "E [J]"))
-    )
+    title, label = ("change of energies", "E - E(0) [J]") if is_small else ("energies", "E [J]")
+    finish_over_time(axes, title, label)
 
 
 def _draw_heights(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
@@ -316,16 +318,16 @@ def _joint_values(trajectory: Trajectory) -> tuple[Floats, Sequence[str], str, s
     return None
 
 
-def _draw_joints(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
+def _draw_joints(axes: Axes, trajectory: Trajectory) -> None:
     """Joint coordinates or forces, if they were recorded, else angular velocities."""
     if (found := _joint_values(trajectory)) is None:
-        _draw_rates(axes, trajectory, case)
+        _draw_rates(axes, trajectory)
         return
     bodies.draw_lines(axes, trajectory.time, *found[:2])
     finish_over_time(axes, *found[2:])
 
 
-def _draw_rates(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) -> None:
+def _draw_rates(axes: Axes, trajectory: Trajectory) -> None:
     """Angular velocities of all bodies; speeds where nothing turns."""
     time, names = trajectory.time, trajectory.names
     rates = np.linalg.norm(trajectory.angular_velocity, axis=2)
@@ -357,9 +359,8 @@ def _draw_axis(axes: Axes, trajectory: Trajectory, body: int, is_free: bool) -> 
     angle = np.degrees(np.arctan2(across, axis @ towards))
     what = "the angular momentum" if is_free else "its start"
     axes.plot(trajectory.time, angle, color=COLOURS[0], lw=1.3, label=f"with {what}")
-    finish_over_time(
-        axes, f"angle of the {'xyz'[spun]} axis of {trajectory.names[body]}", "angle [°]"
-    )
+    title = f"angle of the {'xyz'[spun]} axis of {trajectory.names[body]}"
+    finish_over_time(axes, title, "angle [°]")
 
 
 def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
@@ -387,6 +388,5 @@ def _draw_conservation_errors(axes: Axes, trajectory: Trajectory) -> None:
     axes.set_ylim(_MIN_ERROR, max(axes.get_ylim()[1], 1e-14))
     axes.update_datalim([(t, epsilon) for t in time[[0, -1]]])  # where there is no error
     axes.autoscale_view(scaley=False)
-    finish_over_time(
-        axes, "conservation errors: largest so far", "relative, work of forces counted"
-    )
+    label = "relative, work of forces counted"
+    finish_over_time(axes, "conservation errors: largest so far", label)
