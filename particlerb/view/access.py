@@ -232,11 +232,8 @@ class Access:
 
     def has_token(self, request: Request, fields: list[str]) -> bool:
         """Whether the token is in the address or in a cookie."""
-        pairs = [
-            item.strip().partition("=")
-            for line in request.headers.get_all("Cookie")
-            for item in line.split(";")
-        ]
+        cookies = ";".join(request.headers.get_all("Cookie")).split(";")
+        pairs = [cookie.strip().partition("=") for cookie in cookies]
         tokens = fields or [value for name, _, value in pairs if name == self.cookie]
         same = [hmac.compare_digest(_coded(value), _coded(self.token)) for value in tokens]
         return any(same)

@@ -96,10 +96,8 @@ def legend() -> str:
 def chart(gui: Any, title: str, labels: tuple[str, ...]) -> Any:
     """A strip chart over time."""
     empty = (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in labels))
-    lines = [
-        {"label": label, "stroke": f"rgb{colour}", "width": 1.5}
-        for label, colour in zip(labels, AXIS_COLOURS, strict=False)
-    ]
+    named = zip(labels, AXIS_COLOURS, strict=False)
+    lines = [{"label": label, "stroke": f"rgb{colour}", "width": 1.5} for label, colour in named]
     return gui.add_uplot(
         empty,
         series=({"label": "t  s"}, *lines),

@@ -325,9 +325,8 @@ class Live(Page):
         session = self.session
         position, q, p, L, _, _ = session.frame
         motion = number_tables.motion_of(session.system, self.body, position[0], q[0], p[0], L[0])
-        self.speed_so_far = max(
-            self.speed_so_far, number_tables.fastest(session.system, p[0], L[0])
-        )
+        fastest = number_tables.fastest(session.system, p[0], L[0])
+        self.speed_so_far = max(self.speed_so_far, fastest)
         rim = float(np.linalg.norm(motion.angular_velocity)) * self.stage.surfaces.reach[self.body]
         turns = rim >= _NOISE * self.speed_so_far
         still = {} if turns else {"angular_velocity": np.zeros(3), "angular_momentum": np.zeros(3)}

@@ -95,10 +95,8 @@ def _texts(quantity: NumberRow, digits: int) -> list[str]:
     n_digits = _DIFFERENCE_DIGITS if quantity.key.startswith("difference_") else digits
     least = 0.0 if digits == MOST_DIGITS else quantity.scale * 10.0 ** -max(digits, _NOISE_DIGITS)
     is_noise = [0.0 < abs(value) < least for value in quantity.values]
-    return [
-        f"0{_ELLIPSIS}" if small else shown(value, n_digits)
-        for value, small in zip(quantity.values, is_noise, strict=True)
-    ]
+    pairs = zip(quantity.values, is_noise, strict=True)
+    return [f"0{_ELLIPSIS}" if small else shown(value, n_digits) for value, small in pairs]
 
 
 def euler_deg(q: Floats) -> Floats:

@@ -163,10 +163,10 @@ class Replay(Page):
         n = min(len(self.times), _MAX_PICTURES)
         frames = np.unique(np.linspace(0, len(self.times) - 1, n).astype(int))
         room = io.BytesIO()
-        how: dict[str, Any] = {"format": form}
-        how |= (
+        pace = (
             {"fps": _FILM_RATE} if form == "mp4" else {"duration": 1000.0 / _FILM_RATE, "loop": 0}
         )
+        how: dict[str, Any] = {"format": form, **pace}
         with imageio.get_writer(room, **how) as film:
             for k in frames.tolist():
                 self.look_at_frame(k)

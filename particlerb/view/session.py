@@ -255,9 +255,8 @@ class Session:
             If there can be no such case; nothing has changed then.
         """
         before = self.raw, self.lasting
-        forces, lasting = (
-            [*_ending(ended, self.time, forces), *new] for forces in (before[0]["force"], before[1])
-        )
+        tables = before[0]["force"], self.lasting
+        forces, lasting = ([*_ending(ended, self.time, those), *new] for those in tables)
         self.raw, self.lasting = {**self.raw, "force": forces}, lasting
         now, is_frame = np.array([self.time]), np.zeros(1, dtype=np.bool_)
         try:

@@ -72,6 +72,5 @@ def in_browser(address: str) -> Iterator[None]:
 
 def _has_display() -> bool:
     """Whether there is a screen for a browser."""
-    return sys.platform in ("darwin", "win32") or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    )
+    names = "DISPLAY", "WAYLAND_DISPLAY"
+    return sys.platform in ("darwin", "win32") or any(map(os.environ.get, names))
