@@ -244,9 +244,8 @@ def arguments_of(function: Callable[..., Any]) -> dict[str, Any]:
     arguments: dict[str, Any] = {}
     for name, parameter in inspect.signature(function).parameters.items():
         if parameter.kind is not inspect.Parameter.POSITIONAL_OR_KEYWORD:
-            raise TypeError(
-                f"{place_of(function)}: {parameter} cannot be an argument of a force: name each one"
-            )
+            told = f"{parameter} cannot be an argument of a force"
+            raise TypeError(f"{place_of(function)}: {told}: name each one")
         arguments[name] = ... if parameter.default is inspect.Parameter.empty else parameter.default
     return arguments
 

@@ -11,10 +11,8 @@ def count_of(number: int, noun: str, plural: str = "") -> str:
 def aligned(rows: Sequence[Sequence[str]]) -> str:
     """Columns of text, two blanks apart."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )
+    padded = ([c.ljust(width) for c, width in zip(row, widths, strict=True)] for row in rows)
+    return "\n".join("  ".join(cells).rstrip() for cells in padded)
 
 
 def encodable(text: str) -> str:

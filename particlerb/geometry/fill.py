@@ -215,10 +215,8 @@ def _spheres_in(
     balls = packing(mesh, n if inertia_error is None else 16)
     if inertia_error is None:
         if len(balls.radius) < n:
-            raise ValueError(
-                f"only {len(balls.radius)} of {n} spheres find space, as their centres are tried in"
-                " some 40 000 cells: lower n"
-            )
+            found = f"only {len(balls.radius)} of {n} spheres find space"
+            raise ValueError(f"{found}, as their centres are tried in some 40 000 cells: lower n")
         return filled(n, ())
     trials: list[_Trial] = []
     count = 1

@@ -238,10 +238,8 @@ def _polished(tensor: Floats) -> tuple[Floats, Floats]:
     vectors = vectors @ (1.5 * np.eye(3) - 0.5 * (transposed @ vectors))
     values = np.sum(vectors * (tensor @ vectors), axis=1)
     order = np.argsort(values, axis=1, kind="stable")
-    return (
-        np.take_along_axis(values, order, axis=1),
-        np.take_along_axis(vectors, order[:, None, :], axis=2),
-    )
+    vectors = np.take_along_axis(vectors, order[:, None, :], axis=2)
+    return np.take_along_axis(values, order, axis=1), vectors
 
 
 def _positive_direction(vector: Floats) -> tuple[Floats, Ints]:

@@ -85,10 +85,8 @@ def _checked(position: ArrayLike, radius: ArrayLike) -> tuple[Floats, Floats]:
     particles = one_kind(position, 1.0, radius)
     largest = float(particles.radius.max())
     if not 1.0 / _HUGE < largest < _HUGE:
-        raise ValueError(
-            f"the largest radius is {largest} m: {1.0 / _HUGE:.0e} to {_HUGE:.0e} is needed, as its"
-            " fifth power must be a number"
-        )
+        needed = f"{1.0 / _HUGE:.0e} to {_HUGE:.0e} is needed, as its fifth power must be a number"
+        raise ValueError(f"the largest radius is {largest} m: {needed}")
     return particles.position, particles.radius
 
 

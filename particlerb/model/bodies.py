@@ -43,12 +43,8 @@ def bodies_of_kind(properties: MassProperties, kind: Ints) -> Bodies:
     def each(values: Floats) -> Floats:
         return np.ascontiguousarray(values[kind].T)
 
-    return made_of(
-        each(properties.mass),
-        each(inertia),
-        each(quaternions(axes)),
-        np.ascontiguousarray(rotor_class[kind]),
-    )
+    mass, frame = each(properties.mass), each(quaternions(axes))
+    return made_of(mass, each(inertia), frame, np.ascontiguousarray(rotor_class[kind]))
 
 
 def made_of(mass: Floats, inertia: Floats, rotor_frame: Floats, rotor_class: Ints) -> Bodies:
@@ -78,10 +74,8 @@ def rotor_order(moments: Floats, axes: Floats) -> tuple[Floats, Floats]:
     gap_23 = np.divide(high - middle, high, out=np.zeros_like(low), where=first_pair)
     first_pair &= gap_12 <= gap_23
     order = np.where(first_pair[:, None], [0, 1, 2], [1, 2, 0])
-    return (
-        np.take_along_axis(moments, order, axis=1),
-        np.take_along_axis(axes, order[:, None, :], axis=2),
-    )
+    axes = np.take_along_axis(axes, order[:, None, :], axis=2)
+    return np.take_along_axis(moments, order, axis=1), axes
 
 
 def quaternions(matrices: Floats) -> Floats:

@@ -151,7 +151,5 @@ def shares_of_bricks(points: Floats, reach: Floats, skin: float, ranks: Ranks) -
     bricks = Bricks(points, ranks)
     near = reach + float(reach.max(initial=0.0))
     owner, far = bricks.owners(points), near + (1.0 + SPARE) * skin
-    copies = [
-        int(((bricks.distances(points, k) < far) & (owner != k)).sum()) for k in range(ranks.count)
-    ]
-    return int(np.bincount(owner).max(initial=0)), max(copies)
+    near_by = ((bricks.distances(points, k) < far) & (owner != k) for k in range(ranks.count))
+    return int(np.bincount(owner).max(initial=0)), max(int(copies.sum()) for copies in near_by)

@@ -101,10 +101,8 @@ def state_in(frames: Frames, row: int, index: Ints, bodies: Bodies) -> State:
 def states_in(frames: Frames, rows: Ints, index: Ints, bodies: Bodies) -> State:
     """The same in several rows: (k, T n), one state after the other."""
     at = (rows[:, None] * frames.position.shape[1] + index).ravel()
-    x, q, p, L = (
-        np.ascontiguousarray(values.reshape(-1, values.shape[-1]).take(at, axis=0).T)
-        for values in frames[:4]
-    )
+    rows_of = (values.reshape(-1, values.shape[-1]).take(at, axis=0) for values in frames[:4])
+    x, q, p, L = (np.ascontiguousarray(values.T) for values in rows_of)
     return State(x, quaternion_product(q, np.tile(bodies.rotor_frame, rows.size)), p, L)
 
 
@@ -299,12 +297,8 @@ def initial_state(
         is_principal = (components > 0.0).sum(axis=0) == 1
         about_axis, k = near[is_principal], components.argmax(axis=0)[is_principal]
         L[:, about_axis] = bodies.inertia[k, about_axis] * spin[:, about_axis]
-    return State(
-        np.ascontiguousarray(position.T, dtype=np.float64),
-        q,
-        np.ascontiguousarray(bodies.mass * velocity.T),
-        L,
-    )
+    x = np.ascontiguousarray(position.T, dtype=np.float64)
+    return State(x, q, np.ascontiguousarray(bodies.mass * velocity.T), L)
 
 
 def omega_world(bodies: Bodies, state: State) -> Floats:
@@ -314,10 +308,8 @@ def omega_world(bodies: Bodies, state: State) -> Floats:
 
 def kinetic_energy(bodies: Bodies, state: State) -> Floats:
     """|p|²/2M + ½ Σ m_k² / I_k with m = Rᵀ L, (n,) [J]."""
-    m = rotate_back(state.q, state.L)
-    return 0.5 * (
-        (state.p * state.p).sum(axis=0) * bodies.inv_mass + (m * m * bodies.inv_inertia).sum(axis=0)
-    )
+    m, squares = rotate_back(state.q, state.L), (state.p * state.p).sum(axis=0)
+    return 0.5 * (squares * bodies.inv_mass + (m * m * bodies.inv_inertia).sum(axis=0))
 
 
 def rotation_matrix(q: Floats) -> Floats:

@@ -33,9 +33,8 @@ def written_out(case: Case, sweep: SweepTable) -> SweepTable:
     if sweep.replicates == 1:
         return sweep
     first = case.run.seed
-    rows = [
-        (*row, seed) for row in rows_of(sweep) for seed in range(first, first + sweep.replicates)
-    ]
+    seeds = range(first, first + sweep.replicates)
+    rows = [(*row, seed) for row in rows_of(sweep) for seed in seeds]
     axes = dict(zip((*sweep.axes, SEED), zip(*rows, strict=True), strict=True))
     return sweep.model_copy(update={"axes": axes, "design": "zip", "runs": None})
 

@@ -14,7 +14,7 @@ from os import PathLike
 from typing import Any, Final
 
 from particlerb.case.problems import CaseError, Path, file_problem, path_of, problem_at
-from particlerb.case.reader import load
+from particlerb.case.reader import CaseSource, load
 from particlerb.case.run import frame_count
 from particlerb.case.schema import Case
 from particlerb.case.sweep import SweepTable
@@ -50,7 +50,7 @@ Pool = Callable[[], AbstractContextManager[Any]]  # makes an executor
 
 
 def sweep(
-    case: str | PathLike[str] | Mapping[str, Any] | Case,
+    case: CaseSource,
     table: str | PathLike[str] | None = None,
     *,
     overwrite: bool = False,

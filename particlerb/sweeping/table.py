@@ -113,9 +113,9 @@ def _text(lines: Sequence[Sequence[Any]]) -> bytes:
     return text.getvalue().encode()
 
 
-def _put(path: Path, mode: str, lines: Sequence[Sequence[Any]]) -> None:
-    """Write lines, which are on the disk when this returns."""
-    with path.open(mode) as file:
+def _append(path: Path, lines: Sequence[Sequence[Any]]) -> None:
+    """Append lines, which are on the disk when this returns."""
+    with path.open("ab") as file:
         file.write(_text(lines))
         file.flush()
         sync_open(file.fileno())
@@ -177,7 +177,7 @@ class TableFile(Closing):
             raise ValueError(f"{path} has other columns than this sweep: give another name")
         os.truncate(path, end)  # behind it is a last line that was torn
         if not lines:
-            _put(path, "ab", [self.columns])
+            _append(path, [self.columns])
             sync(path.parent)
         self._size = path.stat().st_size
         rows = [line for line in lines[1:] if line[2:3] == ["done"]]
@@ -199,7 +199,7 @@ class TableFile(Closing):
         self._order += hashes
         if self.path is not None:
             self._refuse_if_disturbed(self.path)
-            _put(self.path, "ab", lines)
+            _append(self.path, lines)
             self._size = self.path.stat().st_size
 
     def _refuse_if_disturbed(self, path: Path) -> None:

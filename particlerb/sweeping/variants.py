@@ -118,9 +118,8 @@ def _hash_start(case: Case, sweep: SweepTable, paths: Sequence[Path]) -> Any:
     dump = case.model_dump(mode="json", exclude=exclude)
     for path in paths:
         _forget(dump, path)
-    files = {
-        name: hashlib.sha256(data).hexdigest() for name, data in case.source.files.contents.items()
-    }
+    contents = case.source.files.contents.items()
+    files = {name: hashlib.sha256(data).hexdigest() for name, data in contents}
     asked: list[Any] = [value.model_dump(mode="json") for value in sweep.value]
     asked += [] if sweep.valid_within is None else [sweep.valid_within]
     text = json.dumps([dump, list(sweep.axes), files, asked, source_hash()], sort_keys=True)
