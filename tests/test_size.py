@@ -17,7 +17,7 @@ pytestmark = pytest.mark.once
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 24146
+LINES_OF_CODE = 23818
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
