@@ -106,17 +106,32 @@ def draw_linkage(
                 axes.plot(*bar.T, lw=2.2 if is_last else 1.2, **line)
                 axes.plot(*end[:2], "o", ms=4, mfc="white", **line)
         line["color"] = (INK if colours else COLOURS[0]) if is_last else line["color"]
-        for ends in distances:
-            places = [place if b == WORLD else hinges[k][b][n] for b, n, place in ends]
-            seen = np.array(places) @ view.T
-            axes.plot(*seen.T[:2], "-o", ms=4, mfc="white", lw=2.2 if is_last else 1.2, **line)
+        _draw_distances(axes, distances, hinges[k], view, {"lw": 2.2 if is_last else 1.2, **line})
     axes.update_datalim((everywhere @ view.T)[:, :2])
-    times = ", ".join(f"{trajectory.time[frame]:.3g}" for frame in frames)
     words = "in colour); thin" if colours else "blue); orange"
+    finish_view(axes, _title(trajectory, bodies, frames, words), *names)
+
+
+def _draw_distances(
+    axes: Axes,
+    distances: list[list[_End]],
+    hinges: list[Floats],
+    view: Floats,
+    line: dict[str, Any],
+) -> None:
+    """Lines between the ends of what keeps a distance."""
+    for ends in distances:
+        places = [place if b == WORLD else hinges[b][n] for b, n, place in ends]
+        axes.plot(*(np.array(places) @ view.T).T[:2], "-o", ms=4, mfc="white", **line)
+
+
+def _title(trajectory: Trajectory, bodies: list[int], frames: list[int], words: str) -> str:
+    """Which instants are drawn, and what is thin."""
+    times = ", ".join(f"{trajectory.time[frame]:.3g}" for frame in frames)
     title = f"t = {times} s ({words}: paths of centres"
     if len(bodies) < trajectory.n_bodies:
         title = f"one of the mechanisms, that of {trajectory.names[bodies[0]]}\n{title}"
-    finish_view(axes, title, *names)
+    return title
 
 
 def _drawn_as(
