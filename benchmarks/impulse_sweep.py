@@ -38,7 +38,7 @@ from particlerb.impulses.records import (
     room_for_rows,
 )
 from particlerb.impulses.rows import write_frame
-from particlerb.impulses.solver import _mix, _sweep, residual
+from particlerb.impulses.solver import Scales, _mix, _sweep, residual
 
 NEAR = 60  # bodies between two that touch, at most
 REPEATED = 20
@@ -82,9 +82,9 @@ def nanoseconds(part: Callable[[Team], object], m: int, threads: int, repeated: 
 def sweeps(partners: Partners, rows: ImpulseRows, team: Team, with_gradients: bool) -> None:
     """So many, from impulses and velocities as they are."""
     for _ in range(REPEATED):
-        _sweep(partners, rows, None, team)
+        _sweep(partners, rows, team)
         if with_gradients:
-            _mix(partners, rows, None, team, 0.3, False)
+            _mix(partners, rows, team, 0.3, False)
 
 
 @kernel
@@ -92,7 +92,7 @@ def residuals(partners: Partners, rows: ImpulseRows, team: Team) -> float:
     """The sum of so many."""
     found = 0.0
     for _ in range(REPEATED):
-        found += residual(partners, rows, None, team, 1e-6, 1.0)
+        found += residual(partners, rows, team, Scales(1e-6, 1.0, 1.0, 0.0, 0.0))[0]
     return found
 
 
@@ -100,7 +100,7 @@ def residuals(partners: Partners, rows: ImpulseRows, team: Team) -> float:
 def pushes(impulses: Impulses, team: Team) -> None:
     """So many."""
     for _ in range(REPEATED):
-        push_out(impulses, None, team, 2e-3)
+        push_out(impulses, team, 2e-3)
 
 
 def main() -> None:

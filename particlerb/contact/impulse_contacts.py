@@ -18,7 +18,7 @@ from particlerb.contact.turning_normals import change_between, change_on_wall
 from particlerb.contact.walls import PLANE, euler_count, gap_vector, primitive_at
 from particlerb.impulses import records as col
 from particlerb.impulses.colours import alone, put_in_colours, rows_of, who_solves
-from particlerb.impulses.records import Bounded, Impulses, Partners, Rolling
+from particlerb.impulses.records import Bounded, ImpulseRows, Impulses, Partners
 from particlerb.impulses.rolling import ABOUT, ACROSS
 from particlerb.impulses.rows import in_world, lean, write_frame
 from particlerb.maths.quaternion import to_body, to_world
@@ -63,11 +63,8 @@ def _note_speeds(partners: Partners, a: int) -> None:
 
 
 @inline
-def _note_motors(partners: Partners, bounded: Bounded | None) -> None:
+def _note_motors(speeds: Floats, bounded: Bounded) -> None:
     """Add to these what motors may change in half a step: no kick has their forces."""
-    if bounded is None:
-        return
-    speeds = partners.speeds
     for k in range(bounded.kind.size):
         if bounded.kind[k] == col.MOTOR:
             half = 0.5 * bounded.values[k, col.B_LARGEST]
@@ -124,39 +121,23 @@ def _write(
     changes = subtract(changes, cross(acc_b, row3(rows.frame, k, col.ARM + 3)))
     lean(partners, rows, k, changes, force, dt, impulses.rules.slop)
     put_row3(rows.impact, k, ZERO)
-    _write_resistance(impulses, setup.model.law.rolling, contacts, c, k, near, dt)
+    rolling, coefficient = rows.rolling, setup.model.law.rolling
+    if rolling is not None and coefficient is not None:
+        rolling.limit[k, ACROSS] = coefficient[pair] * near.effective
+        rolling.limit[k, ABOUT] = impulses.rules.torsion[pair] * near.effective
+        put_row3(rolling.impulse, k, scale(dt, row3(contacts.history.torque, c)))
+        put_row3(rolling.impact, k, ZERO)
 
 
 @inline
-def _write_resistance(
-    impulses: Impulses, coefficient: Floats | None, contacts: ContactList, c: int, k: int,
-    near: _Near, dt: float,
-) -> None:  # fmt: skip
-    """Write how contact c, which is row k, resists rolling and spinning, if anything does."""
-    rolling = impulses.rows.rolling
-    if rolling is None or coefficient is None:
-        return
-    rolling.limit[k, ACROSS] = coefficient[near.pair] * near.effective
-    rolling.limit[k, ABOUT] = impulses.rules.torsion[near.pair] * near.effective
-    put_row3(rolling.impulse, k, scale(dt, row3(contacts.history.torque, c)))
-    put_row3(rolling.impact, k, ZERO)
-
-
-@inline
-def _put_torque(rolling: Rolling | None, contacts: ContactList, c: int, pressed: Vec3) -> None:
-    """Keep the torque of contact c against rolling, if anything resists."""
-    if rolling is not None:
-        put_row3(contacts.history.torque, c, pressed)
-
-
-@inline
-def _mark(contacts: ContactList, c: int, rolling: Rolling | None, is_near: bool) -> None:
+def _mark(contacts: ContactList, c: int, rows: ImpulseRows, is_near: bool) -> None:
     """Say whether contact c is near; it has no impulse where it is too far."""
     if is_near:
         contacts.active[c] = True
     elif contacts.active[c]:
         put_row3(contacts.history.force, c, ZERO)
-        _put_torque(rolling, contacts, c, ZERO)
+        if rows.rolling is not None:
+            put_row3(contacts.history.torque, c, ZERO)
         contacts.history.inv_effective_mass[c] = 0.0
         contacts.active[c] = False
 
@@ -176,13 +157,13 @@ def _sphere_contact(
     far = touching + reach[a, 0] + reach[b, 0]
     is_held = model.inv_mass[a] == 0.0 and model.inv_mass[b] == 0.0
     if k < 0 and (square > far * far or is_held):
-        _mark(contacts, c, impulses.rows.rolling, False)
+        _mark(contacts, c, impulses.rows, False)
         return
     distance = norm(d)
     gap, between = distance - touching, subtract(row3(velocity, a), row3(velocity, b))
     is_near, slow = _is_near(setup, impulses, a, b, touching, gap, between, dt)
     if k < 0:
-        _mark(contacts, c, impulses.rows.rolling, is_near)
+        _mark(contacts, c, impulses.rows, is_near)
         return
     normal = scale(1.0 / distance, d) if distance > 0.0 else (0.0, 0.0, 1.0)
     share = model.inv_mass[b] / (model.inv_mass[a] + model.inv_mass[b])
@@ -217,7 +198,7 @@ def _wall_contact(
     gap, b = distance - radius, model.inv_mass.size + w
     is_held = model.inv_mass[a] == 0.0 and impulses.partners.inverse[b, 0] == 0.0
     if not is_nearest or is_held:
-        _mark(contacts, c, impulses.rows.rolling, False)
+        _mark(contacts, c, impulses.rows, False)
         return
     normal = to_world(q, away)
     point = add_scaled(-radius, normal, x)
@@ -226,7 +207,7 @@ def _wall_contact(
     between = subtract(row3(velocity, a), moving)
     is_near, slow = _is_near(setup, impulses, a, b, radius, gap, between, dt)
     if k < 0:
-        _mark(contacts, c, impulses.rows.rolling, is_near)
+        _mark(contacts, c, impulses.rows, is_near)
         return
     pair = model.pair_of[model.spheres.material[i], model.wall_material[p]]
     changes = change_on_wall(impulses.partners, a, b, (x, radius), primitive, y, away, q)
@@ -240,7 +221,8 @@ def _find_reach(setup: GroupContact, impulses: Impulses, arm: float, dt: float) 
     partners, reach, farthest = impulses.partners, impulses.partners.reach, 0.0
     for b in range(setup.max_arm.size):
         _note_speeds(partners, b)
-    _note_motors(partners, impulses.rows.bounded)
+    if impulses.rows.bounded is not None:
+        _note_motors(partners.speeds, impulses.rows.bounded)
     for b in range(setup.max_arm.size):
         turning, slow = _by_turning(impulses, b, arm)
         reach[b, 0] = impulses.rules.slop + dt * (partners.speeds[b, 0] + turning + slow)
@@ -353,21 +335,11 @@ def _keep(contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float) 
     arm, position = row3(rows.frame, k, col.ARM), impulses.partners.position
     put_row3(forces.point, c, add(arm, row3(position, rows.partner_a[k])))
     forces.overlap[c] = -rows.limits[k, col.GAP]
-    _keep_rolling(rows.rolling, contacts, c, impulses, k, dt)
-
-
-@inline
-def _keep_rolling(
-    rolling: Rolling | None, contacts: ContactList, c: int, impulses: Impulses, k: int, dt: float
-) -> None:
-    """Keep the angular impulses of row k."""
-    if rolling is None:
-        return
-    pressed, impact = row3(rolling.impulse, k), row3(rolling.impact, k)
-    frame = impulses.rows.frame
-    _put_torque(rolling, contacts, c, scale(1.0 / dt, in_world(frame, k, pressed)))
-    total = scale(1.0 / dt, in_world(frame, k, add(pressed, impact)))
-    put_row3(contacts.forces.rolling_torque, c, total)
+    if rows.rolling is not None:
+        pressed, impact = row3(rows.rolling.impulse, k), row3(rows.rolling.impact, k)
+        put_row3(history.torque, c, scale(1.0 / dt, in_world(rows.frame, k, pressed)))
+        resisted = in_world(rows.frame, k, add(pressed, impact))
+        put_row3(forces.rolling_torque, c, scale(1.0 / dt, resisted))
 
 
 @kernel

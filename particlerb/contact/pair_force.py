@@ -21,7 +21,7 @@ from particlerb.contact.law import (
     with_motion,
 )
 from particlerb.contact.records import Records
-from particlerb.contact.spring_growth import Sliding, reset_stages, spring_after, spring_at
+from particlerb.contact.spring_growth import Sliding, spring_after, spring_at
 from particlerb.maths.quaternion import matrix, turn, turn_back
 from particlerb.maths.rows import column3_at, put_row3, put_row4, row3, row4
 from particlerb.maths.vec3 import (
@@ -178,7 +178,12 @@ def start_contact(on: Evaluation, pair: int, c: int, inv_mass: float, r_eff: flo
     history = on.contacts.history
     history.inv_effective_mass[c] = inv_mass
     history.damping[c] = damping_coefficient(on.model.law, pair, inv_mass, r_eff)
-    reset_stages(on.contacts.stages, c)
+    stages = on.contacts.stages
+    if stages is not None:  # one that begins within a step has had no spring so far
+        put_row3(stages.start, c, ZERO)
+        put_row3(stages.total, c, ZERO)
+        put_row3(stages.rolling_start, c, ZERO)
+        put_row3(stages.rolling_total, c, ZERO)
 
 
 @inline

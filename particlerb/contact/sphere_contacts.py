@@ -22,7 +22,6 @@ from particlerb.contact.pair_force import (
     start_contact,
     velocity_at,
 )
-from particlerb.contact.prescribed_motion import PrescribedBodies
 from particlerb.contact.records import Records
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add_scaled, dot, norm, scale, subtract
@@ -145,14 +144,14 @@ def _put_body(bodies: Records, b: int, to: _Bodies, lane: int) -> None:
 
 
 @inline
-def _put_law(rolling: Floats | None, law: Law, pair: int, each: Any, lane: int) -> None:
+def _put_law(law: Law, pair: int, each: Any, lane: int) -> None:
     """Put the law of a pair of materials into a lane."""
     each.stiffness[lane] = law.stiffness[pair]
     each.tangential_stiffness[lane] = law.tangential_stiffness[pair]
     each.tangential_damping[lane] = law.tangential_damping[pair]
     each.friction[lane] = law.friction[pair]
-    if rolling is not None:
-        each.rolling[lane] = rolling[pair]
+    if law.rolling is not None:
+        each.rolling[lane] = law.rolling[pair]
 
 
 @inline
@@ -247,7 +246,7 @@ def _put_contact(on: Evaluation, c: int, d: Vec3, pack: _Pack, n: int) -> int:
     put_row3(near.turning, lane, _normal_rate(on, i, j, d))
     _put_body(bodies, a, pack.body_a, lane)
     _put_body(bodies, b, pack.body_b, lane)
-    _put_law(rolling, model.law, pair, pack.on.model.law, lane)
+    _put_law(model.law, pair, pack.on.model.law, lane)
     _copy_history(rolling, contacts.history, k, lanes.history, lane)
     _copy_stages(contacts.stages, contacts.stages, k, lanes.stages, lane)
     return 1
@@ -300,24 +299,20 @@ def _collision(pack: _Pack, k: int) -> Collision:
     overlap, normal, point = _touch(row3(near.centre, k), row3(near.away, k), r_i, r_j)
     v_a, v_b = velocity_at(first, k, point), velocity_at(second, k, point)
     omega = subtract(row3(first.angular_velocity, k), row3(second.angular_velocity, k))
-    boundary = _boundary_velocity(
-        pack.on.model.prescribed, first.inv_mass[k], second.inv_mass[k], v_a, v_b
-    )
+    boundary = ZERO
+    if pack.on.model.prescribed is not None:
+        boundary = _boundary_velocity(first.inv_mass[k], second.inv_mass[k], v_a, v_b)
     turning = row3(near.turning, k)
     r_eff = r_i * r_j / (r_i + r_j)
     return Collision(overlap, normal, point, subtract(v_a, v_b), omega, boundary, r_eff, turning)
 
 
 @inline
-def _boundary_velocity(
-    prescribed: PrescribedBodies | None, of_first: float, of_second: float, v_a: Vec3, v_b: Vec3
-) -> Vec3:
+def _boundary_velocity(of_first: float, of_second: float, v_a: Vec3, v_b: Vec3) -> Vec3:
     """Velocity of the point of a held body: of b, or the opposite of that of a; else zero.
 
     `of_first` and `of_second` are 0 where a body is held.
     """
-    if prescribed is None:
-        return 0.0, 0.0, 0.0
     if of_second == 0.0:
         return v_b
     return scale(-1.0, v_a) if of_first == 0.0 else (0.0, 0.0, 0.0)

@@ -15,7 +15,6 @@ from particlerb.compiled.jit import inline
 from particlerb.contact.contact_model import Evaluation, Growth
 from particlerb.contact.friction import rotated_spring
 from particlerb.contact.law import ContactState, Law
-from particlerb.contact.records import Records
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot, scale, subtract
 
@@ -38,26 +37,6 @@ def spring_at(growth: Growth, before: float, kept: Vec3, sliding: Vec3, normal: 
     if growth.slope.is_first:
         return rotated_spring(kept, normal)
     return add_scaled(-dot(kept, normal), normal, kept)
-
-
-@inline
-def reset_stages(stages: Records | None, c: int) -> None:
-    """A contact that begins within a step has had no spring so far."""
-    if stages is None:
-        return
-    zero = (0.0, 0.0, 0.0)
-    put_row3(stages.start, c, zero)
-    put_row3(stages.total, c, zero)
-    put_row3(stages.rolling_start, c, zero)
-    put_row3(stages.rolling_total, c, zero)
-
-
-@inline
-def hand_over_stages(stages: Records | None, source: int, to: int) -> None:
-    """Hand springs on with the history of a contact."""
-    if stages is None:
-        return
-    stages[to] = stages[source]
 
 
 @inline

@@ -17,7 +17,6 @@ from particlerb.contact.law import (
     overlap_of,
 )
 from particlerb.contact.pair_force import end_contact, velocity_at
-from particlerb.contact.spring_growth import hand_over_stages
 from particlerb.contact.walls import (
     NEAR,
     euler_count,
@@ -191,7 +190,8 @@ def hand_over_history(on: Evaluation, at: SphereAtWall, root: int, to: int) -> N
             source = c
     if source >= 0 and source != to:
         history[to] = history[source]
-        hand_over_stages(contacts.stages, source, to)
+        if contacts.stages is not None:
+            contacts.stages[to] = contacts.stages[source]
         active[to] = True
     for c in range(at.first, at.end):
         if c != to and active[c] and _belongs_to(on, at, c, root):

@@ -22,6 +22,8 @@ from particlerb.impulses.records import Bounded, Mechanisms, Partners
 from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import Floats, Vec3, dot
 
+FLOOR_SHARE: Final = 1e-6  # of all impulses of the kick: what carries less carries nothing
+ROUNDING: Final = 2.0**-51  # of the terms of a velocity
 _REST_RATE_SHARE: Final = 1e-12  # of the rate
 _CLOSED_SHARE: Final = 1e-6  # of the distance of a step: a gap that is 0 but for rounding
 
@@ -232,46 +234,36 @@ def mix_bounded(bounded: Bounded, velocity: Floats, beta: float, is_last: bool) 
 
 
 @inline
-def miss_of_bounded(bounded: Bounded, velocity: Floats) -> tuple[float, float]:
-    """Squares of how far these impulses are from a solution [(N s)², (m/s)²]."""
-    off, left, values = 0.0, 0.0, bounded.values
+def miss_of_bounded(bounded: Bounded, velocity: Floats) -> Vec3:
+    """Squares of how far these are from a solution [(N s)², (m/s)²], and of their size [(N s)²]."""
+    off, left, size, values = 0.0, 0.0, 0.0, bounded.values
     for k in range(bounded.kind.size):
         miss = values[k, col.B_IMPULSE] - _nearest(values, k, rate_along(bounded, velocity, k))
         square = values[k, col.B_WEIGHT] * miss * miss
         off += square
         left += inverse_of(values, k) ** 2 * square
-    return off, left
+        size += values[k, col.B_WEIGHT] * values[k, col.B_IMPULSE] ** 2
+    return off, left, size
 
 
 @inline
-def scales_of_bounded(
-    bounded: Bounded, velocity: Floats, floor: float, rounding: float
-) -> tuple[float, float, float]:
+def scales_of_bounded(bounded: Bounded, velocity: Floats) -> Vec3:
     """Squares for `solver.Scales`, the speed first: shares of what is slow, and of all terms."""
     size, off, left, values = 0.0, 0.0, 0.0, bounded.values
     for k in range(bounded.kind.size):
         u, inverse = rate_along(bounded, velocity, k), values[k, col.B_INVERSE]
         miss = max(values[k, col.B_LEAST] - u, u - values[k, col.B_MOST], 0.0)
         miss = min(miss, values[k, col.B_LARGEST] * inverse)
-        least, by = floor * values[k, col.B_SLOW], 0.0
+        least, by = FLOOR_SHARE * values[k, col.B_SLOW], 0.0
         for i in range(6):
             by += abs(bounded.gradient[k, i] * velocity[bounded.partner_a[k], i])
             by += abs(bounded.gradient[k, 6 + i] * velocity[bounded.partner_b[k], i])
-        by *= rounding
+        by *= ROUNDING
         if values[k, col.B_WEIGHT] > 0.0:
             size += (miss * miss + least * least) / values[k, col.B_WEIGHT]
             off += values[k, col.B_WEIGHT] * (by / inverse) ** 2
             left += by * by / values[k, col.B_WEIGHT]
     return size, off, left
-
-
-@inline
-def size_of_bounded(bounded: Bounded) -> float:
-    """Square of the size of these impulses [(N s)²]."""
-    size = 0.0
-    for k in range(bounded.kind.size):
-        size += bounded.values[k, col.B_WEIGHT] * bounded.values[k, col.B_IMPULSE] ** 2
-    return size
 
 
 @inline

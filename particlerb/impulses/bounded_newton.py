@@ -7,26 +7,31 @@ from particlerb.impulses.mechanisms import has_response
 from particlerb.impulses.records import Bounded, Mechanisms, Newton
 from particlerb.maths.vec3 import Floats
 
+# Columns of `Newton.clusters`: |F|² of now, share of the step, and state
+SIZE, SHARE, STATE = 0, 2, 3
+DONE, TO_SOLVE = 0.0, 2.0  # states
+
 
 @inline
-def _cluster_of(bounded: Bounded, newton: Newton, k: int) -> int:
-    """Cluster of row k: that of the partner that moves."""
-    return max(int(newton.cluster[bounded.partner_a[k]]), int(newton.cluster[bounded.partner_b[k]]))
+def measured(inverse: float, mass: float) -> float:
+    """What the square of an impulse [N s] counts: as a velocity as well, times a mass [kg].
+
+    That of the size of all impulses and of all velocities makes both as in `solver.residual`.
+    """
+    return 1.0 + (inverse * mass) ** 2
+
+
+@inline
+def cluster_of(newton: Newton, a: int, b: int) -> int:
+    """Cluster of two partners: that of the one that moves."""
+    return max(int(newton.cluster[a]), int(newton.cluster[b]))
 
 
 @inline
 def linearise_bounded(
-    bounded: Bounded,
-    newton: Newton,
-    velocity: Floats,
-    how: tuple[int, float, float],
+    bounded: Bounded, newton: Newton, velocity: Floats, mass: float, small: float
 ) -> None:
-    """Write c and K of all rows, and add their F² to a column of the clusters.
-
-    How: that column, a mass [kg] that makes impulses of velocities, and the small part of one in
-    the slope, as in newton.py.
-    """
-    size, mass, small = how
+    """Write c and K of all rows, and add their F² to that of their clusters: as `newton`."""
     values = bounded.values
     for k in range(bounded.kind.size):
         u = rate_along(bounded, velocity, k)
@@ -37,22 +42,20 @@ def linearise_bounded(
         if r in (by_least, by_most) and abs(r) < values[k, col.B_LARGEST]:
             values[k, col.B_CHANGE] = miss / small
             values[k, col.B_SLOPE] = 1.0 / (small * values[k, col.B_INVERSE])
-        cluster = _cluster_of(bounded, newton, k)
+        cluster = cluster_of(newton, bounded.partner_a[k], bounded.partner_b[k])
         square = values[k, col.B_WEIGHT] * miss * miss
-        newton.clusters[cluster, size] += square * (1.0 + (mass * inverse_of(values, k)) ** 2)
+        newton.clusters[cluster, SIZE] += square * measured(inverse_of(values, k), mass)
 
 
 @inline
-def add_bounded(
-    bounded: Bounded, newton: Newton, mechanisms: Mechanisms | None, state: int,
-    to_solve: float,
-) -> None:  # fmt: skip
+def add_bounded(bounded: Bounded, newton: Newton, mechanisms: Mechanisms | None) -> None:
     """Add Gᵀ K G M⁻¹ and -Gᵀ c of the rows of clusters that are to be solved."""
     values, matrix, bandwidth = bounded.values, newton.matrix, newton.bandwidth[0]
     for k in range(bounded.kind.size):
-        if newton.clusters[_cluster_of(bounded, newton, k), state] != to_solve:
+        a, b = bounded.partner_a[k], bounded.partner_b[k]
+        if newton.clusters[cluster_of(newton, a, b), STATE] != TO_SOLVE:
             continue
-        for end, of in ((bounded.partner_a[k], 0), (bounded.partner_b[k], 6)):
+        for end, of in ((a, 0), (b, 6)):
             at = newton.first_row[end]
             if at < 0:
                 continue
@@ -71,30 +74,25 @@ def add_bounded(
 
 
 @inline
-def step_bounded(
-    bounded: Bounded, newton: Newton, move: Floats, columns: tuple[int, int],
-    states: tuple[float, float],
-) -> None:  # fmt: skip
-    """Take the step of each row, or the share of it that is left.
-
-    `columns` of the clusters are share and state, `states` those to solve and done.
-    """
+def step_bounded(bounded: Bounded, newton: Newton, move: Floats) -> None:
+    """Take the step of each row, or the share of it that is left."""
     values = bounded.values
     for k in range(bounded.kind.size):
-        j = _cluster_of(bounded, newton, k)
-        share, state = newton.clusters[j, columns[0]], newton.clusters[j, columns[1]]
-        if state == states[0]:
+        j = cluster_of(newton, bounded.partner_a[k], bounded.partner_b[k])
+        share, state = newton.clusters[j, SHARE], newton.clusters[j, STATE]
+        if state == TO_SOLVE:
             step = values[k, col.B_CHANGE] + values[k, col.B_SLOPE] * rate_along(bounded, move, k)
             values[k, col.B_DIRECTION], values[k, col.B_OLD] = -step, values[k, col.B_IMPULSE]
-        if state != states[1]:
+        if state != DONE:
             values[k, col.B_IMPULSE] = values[k, col.B_OLD] + share * values[k, col.B_DIRECTION]
 
 
 @inline
-def end_bounded(bounded: Bounded, newton: Newton, state: int, done: float) -> None:
+def end_bounded(bounded: Bounded, newton: Newton) -> None:
     """Go back to where rows of clusters went on from that are not done; all within bounds."""
     values = bounded.values
     for k in range(bounded.kind.size):
-        if newton.clusters[_cluster_of(bounded, newton, k), state] != done:
+        cluster = cluster_of(newton, bounded.partner_a[k], bounded.partner_b[k])
+        if newton.clusters[cluster, STATE] != DONE:
             values[k, col.B_IMPULSE] = values[k, col.B_OLD]
         values[k, col.B_IMPULSE] = within(values, k, values[k, col.B_IMPULSE])

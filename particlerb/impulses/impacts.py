@@ -17,7 +17,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses import records as col
 from particlerb.impulses.bounded import bounce_at_stop, time_since_stop
 from particlerb.impulses.cone import impulse_alone
-from particlerb.impulses.records import Bounded, Impulses
+from particlerb.impulses.records import Impulses
 from particlerb.impulses.rolling import bounce_rolling
 from particlerb.impulses.rows import approach, change_by, give
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, dot
@@ -54,7 +54,7 @@ def impact(frame: Floats, k: int, u: Vec3, restitution: float) -> Vec3:
 
 
 @inline
-def _find_impacts(impulses: Impulses, bounded: Bounded | None) -> int:
+def _find_impacts(impulses: Impulses) -> int:
     """Find what touches and approaches, and for how long [s]; how many there are.
 
     Contacts have their numbers, stops ~k.
@@ -68,9 +68,9 @@ def _find_impacts(impulses: Impulses, bounded: Bounded | None) -> int:
         if speed > limits[k, col.SLOW]:
             order[n, 0], order[n, 1] = -limits[k, col.GAP] / speed, k
             n += 1
-    if bounded is not None:
-        for k in range(bounded.kind.size):
-            order[n, 0], order[n, 1] = time_since_stop(bounded, partners.velocity, k), ~k
+    if rows.bounded is not None:
+        for k in range(rows.bounded.kind.size):
+            order[n, 0], order[n, 1] = time_since_stop(rows.bounded, partners.velocity, k), ~k
             n += order[n, 0] >= 0.0
     return n
 
@@ -99,18 +99,19 @@ def _bounce(impulses: Impulses, k: int) -> bool:
     r = impact(rows.frame, k, u, rows.limits[k, col.RESTITUTION])
     change_by(partners, rows, k, r)
     give(partners, rows, k, r)
-    bounce_rolling(rows.rolling, partners, rows, k, r[0])
+    bounce_rolling(partners, rows, k, r[0])
     for i in range(3):
         rows.impact[k, i] += r[i]
     return True
 
 
 @kernel
-def take_impacts(impulses: Impulses, bounded: Bounded | None) -> None:
+def take_impacts(impulses: Impulses) -> None:
     """Let contacts bounce, and give momenta."""
     tally, order, m = impulses.tally, impulses.rows.order, impulses.counts[0]
+    bounded = impulses.rows.bounded
     for _ in range(max(_MAX_PASSES, _MAX_PASSES * _MIN_CONTACTS_COUNTED // max(m, 1))):
-        n = _find_impacts(impulses, bounded)
+        n = _find_impacts(impulses)
         if n == 0:
             return
         _put_first_first(order, n)

@@ -26,14 +26,21 @@ from particlerb.impulses import records as col
 from particlerb.impulses.band import solve_band
 from particlerb.impulses.bounded import push_by_bounded
 from particlerb.impulses.bounded_newton import (
+    DONE,
+    SHARE,
+    SIZE,
+    STATE,
+    TO_SOLVE,
     add_bounded,
+    cluster_of,
     end_bounded,
     linearise_bounded,
+    measured,
     step_bounded,
 )
 from particlerb.impulses.cone import nearest_in_cone, on_disc
 from particlerb.impulses.mechanisms import count_members, has_response, member, through_joints
-from particlerb.impulses.records import Bounded, ImpulseRows, Impulses, Newton, Partners
+from particlerb.impulses.records import ImpulseRows, Impulses, Newton, Partners
 from particlerb.impulses.rolling import into_the_discs, push_by_rolling
 from particlerb.impulses.rolling_newton import (
     linearise_rolling,
@@ -59,16 +66,13 @@ _RESIDUAL_ROUNDING: Final = 1e-13  # of all impulses: where |F| may stop to fall
 _STALLED_RATIO: Final = 0.5  # of |F| by that before: above it, and at rounding, the method ends
 _FRICTION_FLOOR: Final = 1e-300  # [N s]
 _MIN_STEP_SHARE: Final = 0.02  # what is not better then is taken nevertheless
+_BEST: Final = 1  # column of `Newton.clusters` beside those of `bounded_newton`: |F| that was best
+_HALVED: Final = 1.0  # state of a cluster whose step was too long
 _UNIT_VECTORS: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-# Columns of `Newton.clusters`
-_SIZE, _BEST, _SHARE, _STATE = 0, 1, 2, 3
-_DONE, _HALVED, _TO_SOLVE = 0.0, 1.0, 2.0
 
 
 @kernel
-def refresh_velocities(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, count: int
-) -> None:
+def refresh_velocities(partners: Partners, rows: ImpulseRows, count: int) -> None:
     """Velocities without impulses of contacts, and what these add."""
     for b in range(partners.velocity.shape[0]):
         for i in range(6):
@@ -77,24 +81,9 @@ def refresh_velocities(
         r = row3(rows.impulse, k)
         if dot(r, r) > 0.0:
             change_by(partners, rows, k, r)
-    push_by_rolling(rows.rolling, partners, rows, count)
-    if bounded is not None:
-        push_by_bounded(bounded, partners.velocity)
-
-
-@inline
-def measured(inverse: float, mass: float) -> float:
-    """What the square of an impulse [N s] counts: as a velocity as well, times a mass [kg].
-
-    That of the size of all impulses and of all velocities makes both as in `solver.residual`.
-    """
-    return 1.0 + (inverse * mass) ** 2
-
-
-@inline
-def _cluster_of(newton: Newton, rows: ImpulseRows, k: int) -> int:
-    """Cluster of a contact: that of the partner that moves."""
-    return max(int(newton.cluster[rows.partner_a[k]]), int(newton.cluster[rows.partner_b[k]]))
+    push_by_rolling(partners, rows, count)
+    if rows.bounded is not None:
+        push_by_bounded(rows.bounded, partners.velocity)
 
 
 @inline
@@ -192,7 +181,7 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
                 v, omega = _velocities_by(partners, body, source, i, arms)
                 r = _k_times(slopes, k, in_frame(frame, k, scale(sign, v)))
                 p, omega = in_world(frame, k, r), in_frame(frame, k, scale(sign, omega))
-                m = rolling_by(rows.rolling, rows, k, omega, -r[0])
+                m = rolling_by(rows, k, omega, -r[0])
                 if row_a >= 0:
                     turn = add(cross(row3(frame, k, col.ARM), p), m)
                     _add_column(newton, row_a, column + i, p, turn)
@@ -202,21 +191,19 @@ def _add_contact(partners: Partners, rows: ImpulseRows, newton: Newton, k: int) 
 
 
 @kernel
-def _evaluate(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int,
-    mass: float, small: float,
-) -> None:  # fmt: skip
-    """Slopes of all contacts, and |F| of each cluster, which then goes on, halves or is done."""
+def _evaluate(impulses: Impulses, mass: float, small: float) -> None:
+    """Slopes of all contacts, and |F|² of each cluster."""
+    _, partners, rows, count, _, newton = impulses
     clusters = newton.clusters
     for j in range(clusters.shape[0]):
-        clusters[j, _SIZE] = 0.0
-    for k in range(count):
-        cluster, inverse = _cluster_of(newton, rows, k), rows.frame[k, col.INVERSE]
-        clusters[cluster, _SIZE] += _linearise(partners, rows, newton, k, mass, small)
-        rolls = linearise_rolling(rows.rolling, partners, rows, k, small)
-        clusters[cluster, _SIZE] += rolls * measured(inverse, mass)
-    if bounded is not None:
-        linearise_bounded(bounded, newton, partners.velocity, (_SIZE, mass, small))
+        clusters[j, SIZE] = 0.0
+    for k in range(count[0]):
+        cluster = cluster_of(newton, rows.partner_a[k], rows.partner_b[k])
+        clusters[cluster, SIZE] += _linearise(partners, rows, newton, k, mass, small)
+        rolls = linearise_rolling(partners, rows, k, small)
+        clusters[cluster, SIZE] += rolls * measured(rows.frame[k, col.INVERSE], mass)
+    if rows.bounded is not None:
+        linearise_bounded(rows.bounded, newton, partners.velocity, mass, small)
 
 
 @kernel
@@ -224,49 +211,45 @@ def _decide(newton: Newton, enough: float, rounding: float) -> bool:
     """What each cluster does now; whether any goes on."""
     clusters, goes_on = newton.clusters, False
     for j in range(clusters.shape[0]):
-        off = math.sqrt(clusters[j, _SIZE])
-        if clusters[j, _STATE] == _DONE:
+        off = math.sqrt(clusters[j, SIZE])
+        if clusters[j, STATE] == DONE:
             continue
         if off <= enough or (off <= rounding and off > _STALLED_RATIO * clusters[j, _BEST]):
-            clusters[j, _STATE] = _DONE
+            clusters[j, STATE] = DONE
             continue
         goes_on = True
-        if off < clusters[j, _BEST] or clusters[j, _SHARE] <= _MIN_STEP_SHARE:
-            clusters[j, _BEST], clusters[j, _SHARE], clusters[j, _STATE] = off, 1.0, _TO_SOLVE
+        if off < clusters[j, _BEST] or clusters[j, SHARE] <= _MIN_STEP_SHARE:
+            clusters[j, _BEST], clusters[j, SHARE], clusters[j, STATE] = off, 1.0, TO_SOLVE
         else:
-            clusters[j, _SHARE] *= 0.5
-            clusters[j, _STATE] = _HALVED
+            clusters[j, SHARE] *= 0.5
+            clusters[j, STATE] = _HALVED
     return goes_on
 
 
 @kernel
-def _solve_for_bodies(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int
-) -> None:
+def _solve_for_bodies(impulses: Impulses) -> None:
     """Write p of the bodies in clusters to solve, and what it does to velocities, as moves."""
+    _, partners, rows, count, _, newton = impulses
     matrix, change, bandwidth = newton.matrix, newton.change, newton.bandwidth[0]
     for i in range(change.size):
         for j in range(matrix.shape[1]):
             matrix[i, j] = 0.0
         matrix[i, bandwidth], change[i] = 1.0, 0.0
-    for k in range(count):
-        if newton.clusters[_cluster_of(newton, rows, k), _STATE] != _TO_SOLVE:
+    for k in range(count[0]):
+        a, b, c = rows.partner_a[k], rows.partner_b[k], row3(newton.slopes, k)
+        if newton.clusters[cluster_of(newton, a, b), STATE] != TO_SOLVE:
             continue
         _add_contact(partners, rows, newton, k)
-        c = row3(newton.slopes, k)
-        p, turn = scale(-1.0, in_world(rows.frame, k, c)), rolling_c(rows.rolling, rows, k, -c[0])
-        for body, arm, sign in (
-            (rows.partner_a[k], col.ARM, 1.0),
-            (rows.partner_b[k], col.ARM + 3, -1.0),
-        ):
+        p, turn = scale(-1.0, in_world(rows.frame, k, c)), rolling_c(rows, k, -c[0])
+        for body, arm, sign in ((a, col.ARM, 1.0), (b, col.ARM + 3, -1.0)):
             at = newton.first_row[body]
             if at >= 0:
                 m = add(cross(row3(rows.frame, k, arm), p), turn)
                 for i in range(3):
                     change[at + i] += sign * p[i]
                     change[at + 3 + i] += sign * m[i]
-    if bounded is not None:
-        add_bounded(bounded, newton, partners.mechanisms, _STATE, _TO_SOLVE)
+    if rows.bounded is not None:
+        add_bounded(rows.bounded, newton, partners.mechanisms)
     solve_band(matrix, change, bandwidth)
     move = partners.move
     for b in range(move.shape[0]):
@@ -281,27 +264,26 @@ def _solve_for_bodies(
 
 
 @kernel
-def _step(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, newton: Newton, count: int
-) -> None:
+def _step(impulses: Impulses) -> None:
     """Take the step of each cluster, or the share of it that is left."""
+    _, partners, rows, count, _, newton = impulses
     impulse, old, direction = rows.impulse, rows.old, rows.direction
-    for k in range(count):
-        j = _cluster_of(newton, rows, k)
-        state, share = newton.clusters[j, _STATE], newton.clusters[j, _SHARE]
-        if state == _TO_SOLVE:
-            a, b = rows.partner_a[k], rows.partner_b[k]
+    for k in range(count[0]):
+        a, b = rows.partner_a[k], rows.partner_b[k]
+        j = cluster_of(newton, a, b)
+        state, share = newton.clusters[j, STATE], newton.clusters[j, SHARE]
+        if state == TO_SOLVE:
             du = in_frame(rows.frame, k, velocity_between(partners.move, rows.frame, k, a, b))
             step = add(row3(newton.slopes, k), _k_times(newton.slopes, k, du))
             put_row3(direction, k, scale(-1.0, step))
             put_row3(old, k, row3(impulse, k))
-            solve_rolling(rows.rolling, partners, rows, k)
-        if state != _DONE:
+            solve_rolling(partners, rows, k)
+        if state != DONE:
             r = add_scaled(share, row3(direction, k), row3(old, k))
             put_row3(impulse, k, r)
-            step_rolling(rows.rolling, k, share)
-    if bounded is not None:
-        step_bounded(bounded, newton, partners.move, (_SHARE, _STATE), (_TO_SOLVE, _DONE))
+            step_rolling(rows, k, share)
+    if rows.bounded is not None:
+        step_bounded(rows.bounded, newton, partners.move)
 
 
 @kernel
@@ -312,12 +294,12 @@ def _into_the_cones(rows: ImpulseRows, count: int) -> None:
         n = max(n, 0.0)
         x, y = on_disc(x, y, rows.frame[k, col.FRICTION] * n)
         put_row3(rows.impulse, k, (n, x, y))
-    into_the_discs(rows.rolling, rows, count)
+    into_the_discs(rows, count)
 
 
 @kernel
 def take_newton_steps(
-    impulses: Impulses, bounded: Bounded | None, tolerance: float, size: float, speed: float,
+    impulses: Impulses, tolerance: float, size: float, speed: float,
     small: float,
 ) -> bool:  # fmt: skip
     """Go on from impulses until |F| is within the tolerance, or does not fall any more.
@@ -326,8 +308,6 @@ def take_newton_steps(
     ----------
     impulses : Impulses
         With the velocities that belong to the impulses.
-    bounded : Bounded, optional
-        What acts in joints within bounds.
     tolerance : float
         Of |F| of each cluster, over the size.
     size, speed : float [N s, m/s]
@@ -343,22 +323,22 @@ def take_newton_steps(
     _, partners, rows, filled, tally, newton = impulses
     clusters, count, goes_on = newton.clusters, filled[0], True
     for j in range(clusters.shape[0]):
-        clusters[j, _BEST], clusters[j, _SHARE], clusters[j, _STATE] = math.inf, 1.0, _TO_SOLVE
+        clusters[j, _BEST], clusters[j, SHARE], clusters[j, STATE] = math.inf, 1.0, TO_SOLVE
     for _ in range(_MAX_EVALUATIONS):
         tally[col.NEWTON_STEPS] += 1.0
-        _evaluate(partners, rows, bounded, newton, count, size / speed, small)
+        _evaluate(impulses, size / speed, small)
         goes_on = _decide(newton, tolerance * size, _RESIDUAL_ROUNDING * size)
         if not goes_on:
             break
-        _solve_for_bodies(partners, rows, bounded, newton, count)
-        _step(partners, rows, bounded, newton, count)
-        refresh_velocities(partners, rows, bounded, count)
+        _solve_for_bodies(impulses)
+        _step(impulses)
+        refresh_velocities(partners, rows, count)
     for k in range(count):
-        if clusters[_cluster_of(newton, rows, k), _STATE] != _DONE:
+        if clusters[cluster_of(newton, rows.partner_a[k], rows.partner_b[k]), STATE] != DONE:
             put_row3(rows.impulse, k, row3(rows.old, k))
-            step_rolling(rows.rolling, k, 0.0)
-    if bounded is not None:
-        end_bounded(bounded, newton, _STATE, _DONE)
+            step_rolling(rows, k, 0.0)
+    if rows.bounded is not None:
+        end_bounded(rows.bounded, newton)
     _into_the_cones(rows, count)
-    refresh_velocities(partners, rows, bounded, count)
+    refresh_velocities(partners, rows, count)
     return not goes_on

@@ -14,7 +14,7 @@ from particlerb.impulses import records as col
 from particlerb.impulses.bounded_effects import find_overrun, push_back_from_stops
 from particlerb.impulses.colours import rows_of
 from particlerb.impulses.mechanisms import all_have_moved
-from particlerb.impulses.records import Bounded, Impulses
+from particlerb.impulses.records import Impulses
 from particlerb.impulses.rows import approach, in_frame, push_apart, velocity_between
 from particlerb.maths.rows import row3
 from particlerb.maths.vec3 import scale
@@ -52,13 +52,13 @@ def _find_overlaps(impulses: Impulses, team: Team, dt: float) -> bool:
 
 
 @kernel
-def push_out(impulses: Impulses, bounded: Bounded | None, team: Team, dt: float) -> bool:
+def push_out(impulses: Impulses, team: Team, dt: float) -> bool:
     """Find the moves of all partners; whether there are any."""
     rules, partners, rows, _, _, _ = impulses
     frame, move, has_moved = rows.frame, partners.move, partners.has_moved
     is_deep = _find_overlaps(impulses, team, dt)
-    if bounded is not None:
-        is_deep |= find_overrun(bounded, partners.velocity, dt)
+    if rows.bounded is not None:
+        is_deep |= find_overrun(rows.bounded, partners.velocity, dt)
     if not is_deep or rules.push_out == 0.0:
         return False
     first, end = share_of(team, 0, has_moved.size)
@@ -86,8 +86,8 @@ def push_out(impulses: Impulses, bounded: Bounded | None, team: Team, dt: float)
                     push_apart(move, partners.inverse, partners.mechanisms, frame, k, a, b, p)
                     farthest = max(farthest, abs(more) * frame[k, col.INVERSE])
             meet(team)
-        if bounded is not None:
-            push_back_from_stops(bounded, move, has_moved, rules.push_out)
+        if rows.bounded is not None:
+            push_back_from_stops(rows.bounded, move, has_moved, rules.push_out)
         farthest, _, _ = largest(team, farthest, 0.0, 0.0)
         if farthest <= _MIN_MOVE_SHARE * rules.slop:
             break

@@ -102,13 +102,12 @@ def _turned_by(partners: Partners, rows: ImpulseRows, k: int, m: Vec3) -> Vec3:
 
 
 @inline
-def write_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int, dt: float
-) -> None:
+def write_rolling(partners: Partners, rows: ImpulseRows, count: int, dt: float) -> None:
     """Write λ of all contacts, whose frames are known; what joints hold is not resisted.
 
     And what drives change until the end of a step of dt [s].
     """
+    rolling = rows.rolling
     if rolling is None:
         return
     for k in range(count):
@@ -134,14 +133,13 @@ def write_rolling(
 
 
 @inline
-def bounce_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, k: int, n: float
-) -> None:
+def bounce_rolling(partners: Partners, rows: ImpulseRows, k: int, n: float) -> None:
     """Resist rolling in an impact of contact k with the normal impulse n.
 
     The step of a sweep again and again: each lowers the energy, and the end is that of the law,
     whatever the moments of the two are.
     """
+    rolling = rows.rolling
     if rolling is None:
         return
     m = ZERO
@@ -161,10 +159,9 @@ def bounce_rolling(
 
 
 @inline
-def warm_start_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, first: int, end: int
-) -> None:
+def warm_start_rolling(partners: Partners, rows: ImpulseRows, first: int, end: int) -> None:
     """Take the angular impulses of the step before, in the frames of now and within the discs."""
+    rolling = rows.rolling
     if rolling is None:
         return
     for k in range(first, end):
@@ -175,11 +172,10 @@ def warm_start_rolling(
 
 
 @inline
-def sweep_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, first: int, end: int
-) -> float:
+def sweep_rolling(partners: Partners, rows: ImpulseRows, first: int, end: int) -> float:
     """One step of each contact; the sum of all squared changes [(N s)²]."""
     changed = 0.0
+    rolling = rows.rolling
     if rolling is None:
         return changed
     for k in range(first, end):
@@ -197,14 +193,14 @@ def sweep_rolling(
 
 @inline
 def mix_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, which: tuple[int, int],
-    beta: float, is_last: bool,
-) -> None:  # fmt: skip
+    partners: Partners, rows: ImpulseRows, first: int, end: int, beta: float, is_last: bool
+) -> None:
     """Go on along the direction of before: see `solver`."""
+    rolling = rows.rolling
     if rolling is None:
         return
     impulse, direction = rolling.impulse, rolling.direction
-    for k in range(*which):
+    for k in range(first, end):
         change = subtract(row3(impulse, k), row3(rolling.old, k))
         on = scale(beta, row3(direction, k))
         if not is_last and dot(on, on) > 0.0:
@@ -214,37 +210,25 @@ def mix_rolling(
 
 
 @inline
-def miss_of_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, first: int, end: int
-) -> tuple[float, float]:
-    """Squares of how far these are from a solution [(N s)², (m/s)²]."""
-    off, left = 0.0, 0.0
+def miss_of_rolling(partners: Partners, rows: ImpulseRows, first: int, end: int) -> Vec3:
+    """Squares of how far these are from a solution [(N s)², (m/s)²], and of their size [(N s)²]."""
+    rolling = rows.rolling
+    off, left, size = 0.0, 0.0, 0.0
     if rolling is None:
-        return off, left
+        return ZERO
     for k in range(first, end):
         miss = subtract(row3(rolling.impulse, k), _nearest(rolling, partners, rows, k))
         square = square_of(rolling, rows, k, miss)
         off += square
         left += rows.frame[k, col.INVERSE] ** 2 * square
-    return off, left
-
-
-@inline
-def size_of_rolling(rolling: Rolling | None, rows: ImpulseRows, first: int, end: int) -> float:
-    """Square of the size of all of these [(N s)²]."""
-    size = 0.0
-    if rolling is None:
-        return size
-    for k in range(first, end):
         size += square_of(rolling, rows, k, row3(rolling.impulse, k))
-    return size
+    return off, left, size
 
 
 @inline
-def push_by_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, count: int
-) -> None:
+def push_by_rolling(partners: Partners, rows: ImpulseRows, count: int) -> None:
     """Change velocities by all of these."""
+    rolling = rows.rolling
     if rolling is None:
         return
     for k in range(count):
@@ -252,8 +236,9 @@ def push_by_rolling(
 
 
 @inline
-def into_the_discs(rolling: Rolling | None, rows: ImpulseRows, count: int) -> None:
+def into_the_discs(rows: ImpulseRows, count: int) -> None:
     """Take away what the normal impulses of now do not let be."""
+    rolling = rows.rolling
     if rolling is None:
         return
     for k in range(count):
@@ -262,8 +247,9 @@ def into_the_discs(rolling: Rolling | None, rows: ImpulseRows, count: int) -> No
 
 
 @inline
-def keep_best_rolling(rolling: Rolling | None, best: Floats, k: int, goes_back: bool) -> None:
+def keep_best_rolling(rows: ImpulseRows, best: Floats, k: int, goes_back: bool) -> None:
     """Keep the angular impulse of contact k behind its impulse, or go back to what is kept."""
+    rolling = rows.rolling
     if rolling is None:
         return
     if goes_back:
@@ -273,10 +259,9 @@ def keep_best_rolling(rolling: Rolling | None, best: Floats, k: int, goes_back: 
 
 
 @inline
-def give_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, first: int, end: int
-) -> None:
+def give_rolling(partners: Partners, rows: ImpulseRows, first: int, end: int) -> None:
     """Give the angular momenta of all of these."""
+    rolling = rows.rolling
     if rolling is None:
         return
     for k in range(first, end):
@@ -284,10 +269,9 @@ def give_rolling(
 
 
 @inline
-def rolled(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, k: int
-) -> tuple[Vec3, float]:
+def rolled(partners: Partners, rows: ImpulseRows, k: int) -> tuple[Vec3, float]:
     """Angular impulse of a step on the first of contact k, world axes, and its work [J]."""
+    rolling = rows.rolling
     if rolling is None:
         return ZERO, 0.0
     m = add(row3(rolling.impulse, k), row3(rolling.impact, k))

@@ -31,13 +31,12 @@ _TORQUE_FLOOR: Final = 1e-300
 
 
 @inline
-def linearise_rolling(
-    rolling: Rolling | None, partners: Partners, rows: ImpulseRows, k: int, small: float
-) -> float:
+def linearise_rolling(partners: Partners, rows: ImpulseRows, k: int, small: float) -> float:
     """Write c, K and q of contact k; the square of what it misses [(N s)²].
 
     The slope of P is 1 inside; on the edge g along it, and none across.
     """
+    rolling = rows.rolling
     if rolling is None:
         return 0.0
     slopes, m = rolling.slopes, row3(rolling.impulse, k)
@@ -74,16 +73,18 @@ def _change(rolling: Rolling, k: int, omega: Vec3, dn: float) -> Vec3:
 
 
 @inline
-def rolling_by(rolling: Rolling | None, rows: ImpulseRows, k: int, omega: Vec3, dn: float) -> Vec3:
+def rolling_by(rows: ImpulseRows, k: int, omega: Vec3, dn: float) -> Vec3:
     """K dω - q dr_n of contact k in world axes, with dω in its frame."""
+    rolling = rows.rolling
     if rolling is None:
         return ZERO
     return in_world(rows.frame, k, _change(rolling, k, omega, dn))
 
 
 @inline
-def rolling_c(rolling: Rolling | None, rows: ImpulseRows, k: int, dn: float) -> Vec3:
+def rolling_c(rows: ImpulseRows, k: int, dn: float) -> Vec3:
     """-c + q dr_n of contact k in world axes."""
+    rolling = rows.rolling
     if rolling is None:
         return ZERO
     c, q = row3(rolling.slopes, k, _C), row3(rolling.slopes, k, _Q)
@@ -91,8 +92,9 @@ def rolling_c(rolling: Rolling | None, rows: ImpulseRows, k: int, dn: float) -> 
 
 
 @inline
-def solve_rolling(rolling: Rolling | None, partners: Partners, rows: ImpulseRows, k: int) -> None:
+def solve_rolling(partners: Partners, rows: ImpulseRows, k: int) -> None:
     """Find the step of contact k from the moves of its partners and the step of its impulse."""
+    rolling = rows.rolling
     if rolling is None:
         return
     by = _change(rolling, k, turning(partners.move, rows, k), rows.direction[k, 0])
@@ -101,8 +103,9 @@ def solve_rolling(rolling: Rolling | None, partners: Partners, rows: ImpulseRows
 
 
 @inline
-def step_rolling(rolling: Rolling | None, k: int, share: float) -> None:
+def step_rolling(rows: ImpulseRows, k: int, share: float) -> None:
     """Take a share of that step; with 0, go back to where it began."""
+    rolling = rows.rolling
     if rolling is not None:
         m = add_scaled(share, row3(rolling.direction, k), row3(rolling.old, k))
         put_row3(rolling.impulse, k, m)

@@ -6,7 +6,7 @@ from typing import Final
 from particlerb.compiled.jit import inline
 from particlerb.impulses import records as col
 from particlerb.impulses.mechanisms import count_members, member, push_mechanism
-from particlerb.impulses.records import ImpulseRows, Mechanisms, Partners
+from particlerb.impulses.records import ImpulseRows, Impulses, Mechanisms, Partners
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
@@ -296,12 +296,12 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
 
 
 @inline
-def write_through_pistons(
-    mechanisms: Mechanisms | None, partners: Partners, rows: ImpulseRows, count: int
-) -> None:
+def write_through_pistons(impulses: Impulses) -> None:
     """Write the inverse masses of contacts with walls that slide, where there are no joints."""
+    _, partners, rows, count, _, _ = impulses
+    mechanisms = partners.mechanisms
     if mechanisms is None:
         return
-    for c in range(count):
+    for c in range(count[0]):
         if mechanisms.number[rows.partner_b[c]] >= 0:
             write_through_joints(partners, rows, c)

@@ -21,26 +21,26 @@ from particlerb.compiled.barrier import Team, meet, share_of
 from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses import records as col
 from particlerb.impulses.bounded import (
+    FLOOR_SHARE,
+    ROUNDING,
     give_bounded,
     keep_best_bounded,
     leave_out_stops,
     miss_of_bounded,
     mix_bounded,
     scales_of_bounded,
-    size_of_bounded,
     sweep_bounded,
     warm_start_bounded,
 )
 from particlerb.impulses.colours import rows_of, total
 from particlerb.impulses.cone import nearest_in_cone, on_disc
 from particlerb.impulses.newton import refresh_velocities, take_newton_steps
-from particlerb.impulses.records import Bounded, ImpulseRows, Impulses, Partners
+from particlerb.impulses.records import ImpulseRows, Impulses, Partners
 from particlerb.impulses.rolling import (
     give_rolling,
     keep_best_rolling,
     miss_of_rolling,
     mix_rolling,
-    size_of_rolling,
     sweep_rolling,
     warm_start_rolling,
 )
@@ -55,8 +55,6 @@ _SWEEPS_RATIO: Final = 4  # times as many after sweeps that have not come to an 
 _REGULARISATION: Final = 1e-9  # part of the unit matrix in Newton's method, in the first round
 _REGULARISATION_RATIO: Final = 0.01  # from round to round
 _NEWTON_TOLERANCE_SHARE: Final = 0.1  # of the tolerance
-_FLOOR_SHARE: Final = 1e-6  # of all impulses of the kick: contacts that carry less carry nothing
-_ROUNDING: Final = 2.0**-51  # of the terms of a velocity
 _UNBOUNDED: Final = 1e9  # of all momenta of before: larger impulses grow without an end
 _UNSOLVED: Final = 0.3  # residual of no solution: bodies that wedge each other end far below
 
@@ -72,7 +70,7 @@ class Scales(NamedTuple):
 
 
 @kernel
-def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None, team: Team) -> None:
+def leave_out_what_will_bounce(impulses: Impulses, team: Team) -> None:
     """Leave out contacts that have not closed yet and will bounce when they have."""
     rules, partners, rows, _, _, _ = impulses
     for i in range(rows.colours.counts[0]):
@@ -82,8 +80,8 @@ def leave_out_what_will_bounce(impulses: Impulses, bounded: Bounded | None, team
             will_bounce = limits[k, col.RESTITUTION] > 0.0 and limits[k, col.GAP] > rules.slop
             if will_bounce and approach(partners, rows, k)[0] < -limits[k, col.SLOW]:
                 rows.frame[k, col.LEAST_VELOCITY] = col.NEVER
-    if bounded is not None:
-        leave_out_stops(bounded, partners.velocity)
+    if rows.bounded is not None:
+        leave_out_stops(rows.bounded, partners.velocity)
 
 
 @kernel
@@ -112,7 +110,7 @@ def leave_out_what_leans(impulses: Impulses, team: Team, dt: float) -> None:
 
 
 @kernel
-def _warm_start(impulses: Impulses, bounded: Bounded | None, team: Team) -> None:
+def _warm_start(impulses: Impulses, team: Team) -> None:
     """Start with the impulses of the step before, in the frames of now and within the cones."""
     partners, rows = impulses.partners, impulses.rows
     for i in range(rows.colours.counts[0]):
@@ -125,14 +123,14 @@ def _warm_start(impulses: Impulses, bounded: Bounded | None, team: Team) -> None
             x, y = on_disc(x, y, rows.frame[k, col.FRICTION] * n)
             put_row3(rows.impulse, k, (n, x, y))
             change_by(partners, rows, k, (n, x, y))
-        warm_start_rolling(rows.rolling, partners, rows, first, end)
+        warm_start_rolling(partners, rows, first, end)
         meet(team)
-    if bounded is not None:
-        warm_start_bounded(bounded, partners.velocity)
+    if rows.bounded is not None:
+        warm_start_bounded(rows.bounded, partners.velocity)
 
 
 @kernel
-def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team: Team) -> float:
+def _sweep(partners: Partners, rows: ImpulseRows, team: Team) -> float:
     """One step of each contact, colour after colour; the sum of all squared changes [(N s)²]."""
     frame, impulse, colours = rows.frame, rows.impulse, rows.colours
     for i in range(colours.counts[0]):
@@ -154,12 +152,12 @@ def _sweep(partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team:
                     put_row3(impulse, k, (n, x, y))
                     change_by(partners, rows, k, change)
                 changed += square
-            changed += sweep_rolling(rows.rolling, partners, rows, begin, stop)
+            changed += sweep_rolling(partners, rows, begin, stop)
             colours.sums[c, 0] = changed
         meet(team)
     changed = total(colours, 0)
-    if bounded is not None:
-        changed += sweep_bounded(bounded, partners.velocity)
+    if rows.bounded is not None:
+        changed += sweep_bounded(rows.bounded, partners.velocity)
     return changed
 
 
@@ -180,11 +178,11 @@ def _rounding(partners: Partners, rows: ImpulseRows, k: int) -> float:
     for b, at in ((rows.partner_a[k], col.ARM), (rows.partner_b[k], col.ARM + 3)):
         turning = norm(row3(velocity, b, 3)) * norm(row3(rows.frame, k, at))
         terms += norm(row3(velocity, b)) + turning
-    return _ROUNDING * terms
+    return ROUNDING * terms
 
 
 @kernel
-def _scales(impulses: Impulses, bounded: Bounded | None, team: Team, moved: float) -> Scales:
+def _scales(impulses: Impulses, team: Team, moved: float) -> Scales:
     """Sizes for the residual, by what the law misses without impulses; `moved` as for `solve`."""
     rules, partners, rows, _, _, _ = impulses
     colours = rows.colours
@@ -192,21 +190,21 @@ def _scales(impulses: Impulses, bounded: Bounded | None, team: Team, moved: floa
     for c in range(first, end):
         sums = ZERO
         for k in range(colours.row[c], colours.row[c + 1]):
-            miss, least = _miss(partners, rows, k, ZERO), _FLOOR_SHARE * rows.limits[k, col.SLOW]
+            miss, least = _miss(partners, rows, k, ZERO), FLOOR_SHARE * rows.limits[k, col.SLOW]
             size = rows.frame[k, col.INVERSE] ** 2 * dot(miss, miss) + least * least
             by = _rounding(partners, rows, k) ** 2
             sums = add(sums, (size, rows.frame[k, col.SHARE] ** 2 * by, by))
         put_row3(colours.sums, c, sums)
     meet(team)
     sums = total(colours, 0), total(colours, 1), total(colours, 2)
-    if bounded is not None:
-        sums = add(sums, scales_of_bounded(bounded, partners.velocity, _FLOOR_SHARE, _ROUNDING))
-    return Scales(rules.tolerance, _FLOOR_SHARE * moved, max(math.sqrt(sums[0]), 1e-300), *sums[1:])
+    if rows.bounded is not None:
+        sums = add(sums, scales_of_bounded(rows.bounded, partners.velocity))
+    return Scales(rules.tolerance, FLOOR_SHARE * moved, max(math.sqrt(sums[0]), 1e-300), *sums[1:])
 
 
 @kernel
 def residual(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team: Team, scales: Scales
+    partners: Partners, rows: ImpulseRows, team: Team, scales: Scales
 ) -> tuple[float, float, float]:
     """How far impulses are from a solution, over their size; where that ends; this size [N s].
 
@@ -225,14 +223,13 @@ def residual(
             off += square
             left += rows.frame[k, col.INVERSE] ** 2 * square
             size += dot(r, r)
-        more, as_speed = miss_of_rolling(rows.rolling, partners, rows, begin, stop)
-        size += size_of_rolling(rows.rolling, rows, begin, stop)
-        put_row3(colours.sums, c, (off + more, left + as_speed, size), 1)
+        rolling = miss_of_rolling(partners, rows, begin, stop)
+        put_row3(colours.sums, c, add((off, left, size), rolling), 1)
     meet(team)
-    off, left, size = total(colours, 1), total(colours, 2), total(colours, 3)
-    if bounded is not None:
-        more, as_speed = miss_of_bounded(bounded, partners.velocity)
-        off, left, size = off + more, left + as_speed, size + size_of_bounded(bounded)
+    sums = total(colours, 1), total(colours, 2), total(colours, 3)
+    if rows.bounded is not None:
+        sums = add(sums, miss_of_bounded(rows.bounded, partners.velocity))
+    off, left, size = sums
     size, square = max(size, scales.floor * scales.floor, 1e-300), scales.speed * scales.speed
     return (
         math.sqrt(off / size + left / square),
@@ -243,7 +240,7 @@ def residual(
 
 @kernel
 def _mix(
-    partners: Partners, rows: ImpulseRows, bounded: Bounded | None, team: Team, beta: float,
+    partners: Partners, rows: ImpulseRows, team: Team, beta: float,
     is_last: bool,
 ) -> None:  # fmt: skip
     """Go on along the direction of before, by its share of the last change."""
@@ -259,36 +256,36 @@ def _mix(
                 change_by(partners, rows, k, on)
             for i in range(3):
                 direction[k, i] = on[i] + change[i]
-        mix_rolling(rows.rolling, partners, rows, (first, end), beta, is_last)
+        mix_rolling(partners, rows, first, end, beta, is_last)
         meet(team)
-    if bounded is not None:
-        mix_bounded(bounded, partners.velocity, beta, is_last)
+    if rows.bounded is not None:
+        mix_bounded(rows.bounded, partners.velocity, beta, is_last)
 
 
 @kernel
 def _sweeps(
-    impulses: Impulses, bounded: Bounded | None, team: Team, most: int, scales: Scales
+    impulses: Impulses, team: Team, most: int, scales: Scales
 ) -> tuple[float, float, float]:
     """Sweep until the residual is within the tolerance, or rounding; what `residual` says then."""
     _, partners, rows, _, tally, _ = impulses
     sweeps, before, defect, enough, size = 0, 0.0, math.inf, 0.0, 0.0
     while sweeps < most and defect > enough:
-        changed = _sweep(partners, rows, bounded, team)
+        changed = _sweep(partners, rows, team)
         sweeps += 1
         if sweeps % _SWEEPS_PER_RESIDUAL == 0 or sweeps == most or changed == 0.0:
-            defect, enough, size = residual(partners, rows, bounded, team, scales)
+            defect, enough, size = residual(partners, rows, team, scales)
         if changed == 0.0:
             break
         beta = changed / before if 0.0 < changed < before else 0.0
         before = changed
-        _mix(partners, rows, bounded, team, beta, sweeps == most or defect <= enough)
+        _mix(partners, rows, team, beta, sweeps == most or defect <= enough)
     if team.thread == 0:
         tally[col.SWEEPS] += sweeps
     return defect, enough, size
 
 
 @kernel
-def _keep_best(impulses: Impulses, bounded: Bounded | None, goes_back: bool) -> None:
+def _keep_best(impulses: Impulses, goes_back: bool) -> None:
     """Keep all impulses, or go back to those that are kept."""
     _, partners, rows, count, _, newton = impulses
     for k in range(count[0]):
@@ -296,11 +293,11 @@ def _keep_best(impulses: Impulses, bounded: Bounded | None, goes_back: bool) -> 
             put_row3(rows.impulse, k, row3(newton.best, k))
         else:
             put_row3(newton.best, k, row3(rows.impulse, k))
-        keep_best_rolling(rows.rolling, newton.best, k, goes_back)
-    if bounded is not None:
-        keep_best_bounded(bounded, goes_back)
+        keep_best_rolling(rows, newton.best, k, goes_back)
+    if rows.bounded is not None:
+        keep_best_bounded(rows.bounded, goes_back)
     if goes_back:
-        refresh_velocities(partners, rows, bounded, count[0])
+        refresh_velocities(partners, rows, count[0])
 
 
 @inline
@@ -318,13 +315,11 @@ def _note_unbounded(impulses: Impulses, scales: Scales, moved: float) -> None:
 
 
 @inline
-def _finish(
-    impulses: Impulses, bounded: Bounded | None, defect: float, enough: float, time: float
-) -> None:
+def _finish(impulses: Impulses, defect: float, enough: float, time: float) -> None:
     """Give momenta, and count a step that ended with a residual."""
-    _, partners, _, count, tally, _ = impulses
-    if bounded is not None:
-        give_bounded(bounded, partners.impulse)
+    _, partners, rows, count, tally, _ = impulses
+    if rows.bounded is not None:
+        give_bounded(rows.bounded, partners.impulse)
     tally[col.STEPS] += 1.0
     tally[col.CONTACTS] += count[0]
     tally[col.UNMET] += 1.0 if defect > enough else 0.0
@@ -335,17 +330,13 @@ def _finish(
 
 
 @kernel
-def solve(
-    impulses: Impulses, bounded: Bounded | None, team: Team, moved: float, time: float
-) -> None:
+def solve(impulses: Impulses, team: Team, moved: float, time: float) -> None:
     """Find all impulses, and give momenta.
 
     Parameters
     ----------
     impulses : Impulses
         With frames, and velocities after the kick.
-    bounded : Bounded, optional
-        What acts in joints within bounds.
     team : Team
         Threads that solve, see `colours.who_solves`.
     moved : float [N s]
@@ -359,42 +350,42 @@ def solve(
     for b in range(first, end):
         put_row3(partners.free, b, row3(partners.velocity, b))
         put_row3(partners.free, b, row3(partners.velocity, b, 3), 3)
-    if m == 0 and bounded is None:
+    if m == 0 and rows.bounded is None:
         tally[col.RESIDUAL] = 0.0
         return
     meet(team)
-    scales = _scales(impulses, bounded, team, moved)
+    scales = _scales(impulses, team, moved)
     meet(team)
-    _warm_start(impulses, bounded, team)
+    _warm_start(impulses, team)
     let_slide_on(impulses, team)
     meet(team)
     most, is_done = rules.iterations, newton.change.size == 0
-    defect, enough, size = _sweeps(impulses, bounded, team, most, scales)
+    defect, enough, size = _sweeps(impulses, team, most, scales)
     small, best = _REGULARISATION, math.inf
     for _ in range(_NEWTON_ROUNDS):
         if defect <= enough or is_done:
             break
         if defect < best:
             best = defect
-            _keep_best(impulses, bounded, False)
+            _keep_best(impulses, False)
         tolerance = _NEWTON_TOLERANCE_SHARE * enough
-        is_done = take_newton_steps(impulses, bounded, tolerance, size, scales.speed, small)
+        is_done = take_newton_steps(impulses, tolerance, size, scales.speed, small)
         small *= _REGULARISATION_RATIO
-        defect, enough, size = residual(partners, rows, bounded, team, scales)
+        defect, enough, size = residual(partners, rows, team, scales)
         if defect > enough and not is_done:
             most *= _SWEEPS_RATIO
-            defect, enough, size = _sweeps(impulses, bounded, team, most, scales)
+            defect, enough, size = _sweeps(impulses, team, most, scales)
     if defect > max(best, enough):
-        _keep_best(impulses, bounded, True)
+        _keep_best(impulses, True)
         defect = best
     for i in range(rows.colours.counts[0]):
         first, end = rows_of(team, rows.colours, i)
         for k in range(first, end):
             give(partners, rows, k, row3(rows.impulse, k))
-        give_rolling(rows.rolling, partners, rows, first, end)
+        give_rolling(partners, rows, first, end)
         meet(team)
     if team.thread == 0:
         count[1] = -1
         if defect > _UNSOLVED:
             _note_unbounded(impulses, scales, moved)
-        _finish(impulses, bounded, defect, enough, time)
+        _finish(impulses, defect, enough, time)

@@ -12,7 +12,7 @@ from particlerb.compiled.jit import inline, kernel
 from particlerb.impulses import records as col
 from particlerb.impulses.bounded_effects import sum_works_along
 from particlerb.impulses.colours import total
-from particlerb.impulses.records import Bounded, Impulses, Partners
+from particlerb.impulses.records import Impulses, Partners
 from particlerb.impulses.rolling import rolled
 from particlerb.impulses.rows import in_frame, in_world, velocity_between
 from particlerb.maths.rows import put_row3, row3
@@ -55,7 +55,7 @@ def _sum_contact(impulses: Impulses, k: int) -> tuple[float, float, float, float
     end = velocity_between(partners.velocity, frame, k, a, b)
     u = in_frame(frame, k, scale(0.5, add(begin, end)))
     bounced, normal = dot(impact, u), pressed[0] * u[0]
-    m, resisted = rolled(rows.rolling, partners, rows, k)
+    m, resisted = rolled(partners, rows, k)
     rubbed = pressed[1] * u[1] + pressed[2] * u[2] + resisted
     mine, moved, p = a, 0.0, in_world(frame, k, r)
     if inverse[a, 0] == 0.0:
@@ -70,9 +70,10 @@ def _sum_contact(impulses: Impulses, k: int) -> tuple[float, float, float, float
 
 
 @kernel
-def sum_works(impulses: Impulses, bounded: Bounded | None, team: Team) -> None:
+def sum_works(impulses: Impulses, team: Team) -> None:
     """Sum what all impulses of the step have done, by partners and in the tally."""
-    partners, colours, tally = impulses.partners, impulses.rows.colours, impulses.tally
+    _, partners, rows, _, tally, _ = impulses
+    colours = rows.colours
     first, end = share_of(team, 0, partners.external.shape[0])
     partners.external[first:end] = 0.0
     meet(team)
@@ -88,5 +89,5 @@ def sum_works(impulses: Impulses, bounded: Bounded | None, team: Team) -> None:
         meet(team)
     for j in range(4 if team.thread == 0 else 0):
         tally[_WORKS[j]] = total(colours, j)
-    if bounded is not None:
-        sum_works_along(bounded, partners, tally)
+    if rows.bounded is not None:
+        sum_works_along(rows.bounded, partners, tally)

@@ -27,7 +27,7 @@ from particlerb.integrators.joint_slopes import add_reactions, bring_back, count
 from particlerb.integrators.pair_stages import Layout, PairTerms, pair_loads, scatter
 from particlerb.integrators.stages import caller_of_stages, inlined_caller
 from particlerb.joints.breaking import break_by_multipliers, let_go, may_break
-from particlerb.joints.records import Breaks, Jointed
+from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import normalised
 from particlerb.maths.rows import column4, put_column4, rows4
 from particlerb.maths.vec3 import Floats
@@ -61,7 +61,6 @@ class CommonSteps(NamedTuple):
     layout: Layout
     pairs: PairTerms | None  # None: no body acts on another
     jointed: Jointed | None
-    breaks: Breaks | None
     vectors: CommonVectors
 
 
@@ -152,19 +151,18 @@ def _add_stages(h: float, stage: int, K: Floats, y: Floats, new: Floats) -> None
 
 
 @inline
-def _let_go(breaks: Breaks | None, bodies: CommonSteps, t: float) -> bool:
+def _let_go(bodies: CommonSteps, t: float) -> bool:
     """Let joints go that have broken by t; whether any held until now."""
-    if breaks is None:
-        return False
     jointed = bodies.jointed
-    assert jointed is not None
+    if jointed is None or jointed.joints.breaks is None:
+        return False
     return let_go(jointed.data, bodies.vectors.broken, jointed.start + t)
 
 
 @caller_of_stages
 def first_slopes(bodies: CommonSteps, t: float) -> None:
     """Slopes at the start of a step."""
-    _let_go(bodies.breaks, bodies, t)
+    _let_go(bodies, t)
     _take_slopes(bodies, t, bodies.vectors.y, bodies.vectors.K[0])
 
 
@@ -173,7 +171,7 @@ def next_slopes(bodies: CommonSteps, t: float) -> None:
     """The end of a step, with its slopes, is the start of the next one, from t on."""
     assign(bodies.vectors.y, bodies.vectors.new)
     assign(bodies.vectors.K[0], bodies.vectors.K[END])
-    if _let_go(bodies.breaks, bodies, t):
+    if _let_go(bodies, t):
         _take_slopes(bodies, t, bodies.vectors.y, bodies.vectors.K[0])
 
 
@@ -232,40 +230,42 @@ def _finish_step(bodies: CommonSteps, t: float, h: float, brings_back: bool) -> 
 
 
 @caller_of_stages
-def _breaks_at(breaks: Breaks, bodies: CommonSteps, t: float, h: float, share: float) -> bool:
+def _breaks_at(bodies: CommonSteps, t: float, h: float, share: float) -> bool:
     """Whether joints carry too much at a share of a step; until it is forgotten, they break."""
     common, jointed = bodies.vectors, bodies.jointed
-    assert jointed is not None
+    if jointed is None or jointed.joints.breaks is None:
+        return False
     show(bodies, t, h, share)
     _take_slopes(bodies, t + share * h, common.out, common.five.reshape(common.five.size))
     at = jointed.start + (t + share * h)
     let_go(jointed.data, common.broken, jointed.start + t)
-    return break_by_multipliers(breaks, jointed.joints, jointed.data, common.broken, at)
+    return break_by_multipliers(jointed.joints, jointed.data, common.broken, at)
 
 
 @caller_of_stages
-def _up_to_a_break(breaks: Breaks | None, bodies: CommonSteps, t: float, h: float) -> float:
+def _up_to_a_break(bodies: CommonSteps, t: float, h: float) -> float:
     """Step that ends at the instant at which a joint breaks, if one does within h; or h."""
-    if breaks is None:
+    jointed, before, after = bodies.jointed, 0.0, LEAST_STEP
+    if jointed is None or jointed.joints.breaks is None:
         return h
-    common, before, after = bodies.vectors, 0.0, LEAST_STEP
+    common = bodies.vectors
     common.tried[0] = h
-    if not may_break(breaks, common.broken):
+    if not may_break(jointed.joints.breaks, common.broken):
         return h
     take_last_stages(bodies, t, h)
     for k in range(1, _LOOKS_PER_STEP + 1):
-        if _breaks_at(breaks, bodies, t, h, after):
+        if _breaks_at(bodies, t, h, after):
             break
         before, after = after, k / _LOOKS_PER_STEP
-    if not _breaks_at(breaks, bodies, t, h, after):
+    if not _breaks_at(bodies, t, h, after):
         return h
     for _ in range(_MAX_HALVINGS if before > 0.0 else 0):
         middle = 0.5 * (before + after)
-        if _breaks_at(breaks, bodies, t, h, middle):
+        if _breaks_at(bodies, t, h, middle):
             after = middle
         else:
             before = middle
-    _breaks_at(breaks, bodies, t, h, after)
+    _breaks_at(bodies, t, h, after)
     h *= after
     _take_stages(bodies, common.new, t, h, 1, END)
     _add_stages(h, END, common.K, common.y, common.new)
@@ -286,7 +286,7 @@ def find_step(bodies: CommonSteps, t: float, h: float, brings_back: bool) -> tup
         error = _error_of(bodies.blocks, layout, common, h, tolerance)
         if error < 1.0:
             _finish_step(bodies, t, h, brings_back)
-            return _up_to_a_break(bodies.breaks, bodies, t, h), h * factor_of(error)
+            return _up_to_a_break(bodies, t, h), h * factor_of(error)
         h *= factor_of(error)
         if not h > LEAST_STEP * t:
             h = longest

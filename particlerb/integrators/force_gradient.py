@@ -22,7 +22,7 @@ from particlerb.forces.links import change_links
 from particlerb.forces.registry import CHANGE
 from particlerb.integrators.kick import KickAndDrift
 from particlerb.integrators.method import Method
-from particlerb.integrators.pair_stages import Layout, PairTerms, clear, gather_states, scatter
+from particlerb.integrators.pair_stages import Layout, PairTerms, gather_states, scatter
 from particlerb.integrators.rotor_drift import kick_and_rotor_drift
 from particlerb.integrators.stages import MovingBodies, loads, stages
 from particlerb.maths.quaternion import matrix
@@ -64,7 +64,7 @@ def _change_pairs(acting: Acting, pairs: PairTerms | None, blocks: Floats, layou
             for i in range(3):
                 y[7 + i, lo + b] = F[i]
                 y[10 + i, lo + b] = tau[i]
-    clear(change)
+    change[:] = 0.0
     change_links(links, y, change)
     scatter(change, blocks, layout, CHANGE, 0)
 

@@ -20,7 +20,7 @@ from particlerb.impulses.bounded import keep_bounded
 from particlerb.impulses.colours import who_solves
 from particlerb.impulses.impacts import take_impacts
 from particlerb.impulses.push_out import push_out
-from particlerb.impulses.records import Impulses, Mechanisms, Partners
+from particlerb.impulses.records import Impulses, Partners
 from particlerb.impulses.rolling import write_rolling
 from particlerb.impulses.rows import approach, write_through_pistons
 from particlerb.impulses.solver import leave_out_what_leans, leave_out_what_will_bounce, solve
@@ -35,17 +35,17 @@ from particlerb.integrators.impulse_work import (
     keep_kick_start,
     stored_in_joints,
 )
-from particlerb.integrators.pair_stages import BlockShare, Layout, PairTerms, shift_pair_time
+from particlerb.integrators.pair_stages import BlockShare, Layout, PairTerms
 from particlerb.joints.records import Jointed
 from particlerb.joints.responses import find_bounded, find_responses, move_to_joints
 from particlerb.joints.rows import put_pose
 from particlerb.maths.quaternion import (
     Matrix,
-    Quat,
     add_scaled4,
     matrix,
     multiply,
     normalised,
+    tensor,
     turn_back,
 )
 from particlerb.maths.rows import put_row3, row3
@@ -76,22 +76,12 @@ def midpoint_kinematics(
     for k in range(share.first, share.end):
         for b in range(share.layout.size[k]):
             shift_time(acting, share.blocks[k], b, 0.5 * dt)
-    if share.first == 0:
-        shift_pair_time(pairs, 0.5 * dt)
+    if share.first == 0 and pairs is not None:
+        pairs.clock[0] = pairs.clock[1] + 0.5 * dt
     contact_kinematics_later(contact, team, pairs, share, 0.5 * dt)
 
 
 # Velocities
-
-
-@inline
-def _put_inverse(inverse: Floats, b: int, mass: float, moments: Vec3, R: Matrix) -> None:
-    """Write 1/M and the inverse inertia in world axes of body b."""
-    inverse[b, 0], at = mass, 1
-    for i in range(3):
-        for j in range(i, 3):
-            inverse[b, at] = dot(component_product(moments, R[i]), R[j])
-            at += 1
 
 
 @inline
@@ -127,7 +117,9 @@ def gather_velocities(
             put_row3(partners.before, b, omega, 3)
             R, moments = matrix(get4(rows, Q, i)), get3(rows, INV_INERTIA, i)
             put_row3(partners.before, b, _free_turning(R, moments, omega), 9)
-            _put_inverse(partners.inverse, b, get(rows, INV_MASS, i), moments, R)
+            (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor(R, moments)
+            for at, value in enumerate((get(rows, INV_MASS, i), xx, xy, xz, yy, yz, zz)):
+                partners.inverse[b, at] = value
             if inv_mass[b] > 0.0:
                 v = scale(inv_mass[b], get3(rows, P, i))
                 m = component_product(moments, turn_back(R, get3(rows, L, i)))
@@ -204,11 +196,10 @@ def _apply_impulses(impulses: Impulses, blocks: Floats, layout: Layout) -> None:
 @inline
 def _let_joints_hold(jointed: Jointed | None, impulses: Impulses) -> None:
     """Let contacts feel what joints tie to their partners, if there is anything, and pistons."""
-    mechanisms = impulses.partners.mechanisms
-    if jointed is None or mechanisms is None:
-        write_through_pistons(mechanisms, impulses.partners, impulses.rows, impulses.counts[0])
+    if jointed is None:
+        write_through_pistons(impulses)
     else:
-        find_responses(jointed.joints, jointed.data, impulses, mechanisms)
+        find_responses(jointed.joints, jointed.data, impulses)
 
 
 @kernel
@@ -223,19 +214,16 @@ def bounce(
     meet(team)
     if team.thread == 0:
         _gather_walls(contact, impulses.partners, 0.5 * dt)
-        mechanisms, bounded = impulses.partners.mechanisms, impulses.rows.bounded
-        if jointed is not None and mechanisms is not None:
-            joints, data = jointed.joints, jointed.data
-            find_bounded(joints, data, impulses.partners, mechanisms, bounded, dt)
+        if jointed is not None:
+            find_bounded(jointed.joints, jointed.data, impulses, dt)
     extremes = contact.memory.extremes
     find_impulse_contacts(setup, workspace, contact.lists, impulses, team, extremes, dt)
     if team.thread == 0:
         _let_joints_hold(jointed, impulses)
-        rows = impulses.rows
-        write_rolling(rows.rolling, impulses.partners, rows, impulses.counts[0], dt)
-        take_impacts(impulses, impulses.rows.bounded)
+        write_rolling(impulses.partners, impulses.rows, impulses.counts[0], dt)
+        take_impacts(impulses)
         _apply_impulses(impulses, blocks, layout)
-        keep_kick_start(impulses.partners.keeps_kick, blocks, layout)
+        keep_kick_start(impulses.partners, blocks, layout)
     meet(team)
 
 
@@ -244,18 +232,6 @@ def _turning_energy(moments: Vec3, R: Matrix, spin: Vec3) -> float:
     """½ L·I⁻¹ L [J]."""
     m = turn_back(R, spin)
     return 0.5 * dot(component_product(moments, m), m)
-
-
-@inline
-def _keep_pose(
-    jointed: Jointed | None, mechanisms: Mechanisms | None, b: int, x: Vec3, q: Quat
-) -> None:
-    """Tell joints where body b is now, if there are any."""
-    if jointed is None or mechanisms is None:
-        return
-    c = mechanisms.number[b]
-    if c >= 0:
-        put_pose(jointed.data.y, mechanisms.first[c] + mechanisms.local[b], x, q)
 
 
 @inline
@@ -288,7 +264,7 @@ def _move_bodies(
     acting: Acting, sums_external: Flag, share: BlockShare,
 ) -> None:  # fmt: skip
     """Move all bodies that are to be moved, add the work; `_move` takes springs as before it."""
-    partners, move = impulses.partners, impulses.partners.move
+    move, mechanisms = impulses.partners.move, impulses.partners.mechanisms
     blocks, layout = share.blocks, share.layout
     pistons, state = contact.setup.pistons, contact.memory.pistons
     stored = half_work_of_pairs(pairs, move, blocks, layout) - stored_in_joints(jointed)
@@ -303,7 +279,9 @@ def _move_bodies(
                 work = _move(acting, sums_external, rows, i, dx, turn)
                 impulses.tally[col.PUSH_OUT_WORK] += work
                 contact.workspace.gross_work[b] += abs(work)
-                _keep_pose(jointed, partners.mechanisms, b, get3(rows, COM, i), get4(rows, Q, i))
+                if jointed is not None and mechanisms is not None and mechanisms.number[b] >= 0:
+                    own = mechanisms.first[mechanisms.number[b]] + mechanisms.local[b]
+                    put_pose(jointed.data.y, own, get3(rows, COM, i), get4(rows, Q, i))
     stored += stored_in_joints(jointed) - half_work_of_pairs(pairs, move, blocks, layout)
     impulses.tally[col.PUSH_OUT_WORK] += stored
     contact.workspace.gross_work[0] += abs(stored)
@@ -347,17 +325,15 @@ def press(
         is_first, n = team.thread == 0, contact.setup.max_arm.size
         if is_first:
             push_pistons(pistons, partners.velocity, n, 0.5 * dt)
-        leave_out_what_will_bounce(impulses, bounded, solving)
+        leave_out_what_will_bounce(impulses, solving)
         leave_out_what_leans(impulses, solving, dt)
         moved = _size_of_kick(contact, partners)
         time = contact.memory.start + contact.workspace.step_start.time[0] + 0.5 * dt
-        solve(impulses, bounded, solving, moved, time)
+        solve(impulses, solving, moved, time)
         if is_first:
-            add_work_along_solve(
-                sums_external, partners.keeps_kick, acting, partners, blocks, layout, 0.5 * dt
-            )
+            add_work_along_solve(sums_external, acting, partners, blocks, layout, 0.5 * dt)
             _apply_impulses(impulses, blocks, layout)
-        sum_works(impulses, bounded, solving)
+        sum_works(impulses, solving)
         if is_first:
             add_work_of_impulses(contact, impulses, sums_external, blocks, layout)
             add_work_among_joints(sums_external, jointed, partners, blocks)
@@ -379,13 +355,13 @@ def move_apart(
     impulses, rows = contact.workspace.impulses, contact.workspace.impulses.rows
     solving = who_solves(team, rows.colours)
     if solving.thread < solving.size:
-        mechanisms, tries = impulses.partners.mechanisms, 0
-        moves = push_out(impulses, rows.bounded, solving, dt) and team.thread == 0
+        tries = 0
+        moves = push_out(impulses, solving, dt) and team.thread == 0
         if team.thread == 0:
             _note_overlap(contact, impulses, dt)
         while moves and tries < _MAX_MOVES:
             _move_bodies(contact, jointed, pairs, impulses, acting, sums_external, share)
             moves, tries = False, tries + 1
-            if jointed is not None and mechanisms is not None:  # to where joints hold
-                moves = move_to_joints(jointed.joints, jointed.data, impulses.partners, mechanisms)
+            if jointed is not None:  # to where joints hold
+                moves = move_to_joints(jointed.joints, jointed.data, impulses.partners)
     meet(team)

@@ -51,9 +51,9 @@ def _add_work_along(sums_external: Flag, rows: Floats, i: int, partners: Partner
 
 
 @inline
-def keep_kick_start(keeps_kick: Flag, blocks: Floats, layout: Layout) -> None:
+def keep_kick_start(partners: Partners, blocks: Floats, layout: Layout) -> None:
     """Keep momenta before the second half kick, if forces without potential act."""
-    if keeps_kick is None:
+    if partners.keeps_kick is None:
         return
     for k in range(layout.first.size):
         for i in range(layout.size[k]):
@@ -63,15 +63,15 @@ def keep_kick_start(keeps_kick: Flag, blocks: Floats, layout: Layout) -> None:
 
 @inline
 def add_work_along_solve(
-    sums_external: Flag, keeps_kick: Flag, acting: Acting, partners: Partners, blocks: Floats,
-    layout: Layout, dt: float,
+    sums_external: Flag, acting: Acting, partners: Partners, blocks: Floats, layout: Layout,
+    dt: float,
 ) -> None:  # fmt: skip
     """Add the work of forces without potential along what the solve has changed.
 
     The half kicks of dt [s], after the second of which momenta still are, have added it with the
     velocities before.
     """
-    if sums_external is None or keeps_kick is None:
+    if sums_external is None or partners.keeps_kick is None:
         return
     for k in range(layout.first.size):
         rows = blocks[k]

@@ -46,14 +46,6 @@ def _put_state(jointed: Jointed, states: Floats, w: int) -> None:
 
 
 @inline
-def _give_state(jointed: Jointed, states: Floats, w: int) -> None:
-    """The same back."""
-    for k in range(jointed.block.size):
-        for c in range(col.STATE):
-            states[jointed.block[k], c * w + jointed.lane[k]] = jointed.data.y[k, c]
-
-
-@inline
 def _give_slopes(jointed: Jointed, slope: Floats, w: int) -> None:
     """Forces and torques back; bodies that nothing moves have no slopes, and add no work."""
     for k in range(jointed.block.size):
@@ -221,7 +213,9 @@ def bring_back(jointed: Jointed | None, states: Floats, w: int, t: float) -> Non
         keep_rates(joints, data, c, lo, hi)
         if data.failed_row[c] > 0:
             data.y[body[c] : body[c + 1]] = nan
-    _give_state(jointed, states, w)
+    for k in range(n):
+        for i in range(col.STATE):
+            states[jointed.block[k], i * w + jointed.lane[k]] = data.y[k, i]
 
 
 @inline

@@ -21,12 +21,7 @@ from particlerb.integrators.external_work import add_entry
 from particlerb.integrators.pair_stages import meet_all
 from particlerb.joints import records as col
 from particlerb.joints.actions import finish_damping, soften, softened, work_of_motor
-from particlerb.joints.breaking import (
-    break_overloaded,
-    count_impulses,
-    foresee_breaks,
-    sum_half_step,
-)
+from particlerb.joints.breaking import break_overloaded, foresee_breaks, sum_half_step
 from particlerb.joints.coordinates import count_turns, store_turns
 from particlerb.joints.packs import (
     Packs,
@@ -183,7 +178,7 @@ def _finish_projection(
     sums_external: Flag, jointed: Jointed, blocks: Floats, c: int, kick_dt: float
 ) -> None:
     """Add what joints of cluster c did in a projection."""
-    sum_half_step(jointed.joints.breaks, jointed.joints, jointed.data, c, True)
+    sum_half_step(jointed.joints, jointed.data, c, True)
     _add_impulses_of_world(sums_external, jointed, blocks, c, jointed.data.y)
     _add_work_of_drives(sums_external, jointed, blocks, c)
     _correct_work(sums_external, jointed, blocks, c, kick_dt)
@@ -200,10 +195,9 @@ def _finish_damping(
         half = data.impulse[r]
         data.impulse[r] = 2.0 * half
         if joints.rows.action[r] != col.HOLDS and half != 0.0:
-            add_work_of_row(
-                sums_external, jointed, blocks, r, -2.0 * data.compliance[r] * half * half
-            )
-    sum_half_step(joints.breaks, joints, data, c, False)
+            work = -2.0 * data.compliance[r] * half * half
+            add_work_of_row(sums_external, jointed, blocks, r, work)
+    sum_half_step(joints, data, c, False)
     _add_impulses_of_world(sums_external, jointed, blocks, c, data.y)
     _add_work_of_drives(sums_external, jointed, blocks, c)
     for k in range(joints.clusters.body[c], joints.clusters.body[c + 1]):
@@ -227,7 +221,7 @@ def _drift_alone(
     set_prescribed(jointed.prescribed, jointed.data, time, dt, body[c], body[c + 1])
     constrained_drift(jointed.joints, jointed.data, c, kick_dt, t, dt)
     if dt == jointed.data.clock[1]:  # and not a part of a step, to a frame
-        foresee_breaks(jointed.joints.breaks, jointed.joints, jointed.data, c, kick_dt, t)
+        foresee_breaks(jointed.joints, jointed.data, c, kick_dt, t)
 
 
 @inline
@@ -258,10 +252,11 @@ def _gather_pack(
 
 @inline
 def _drift_packs(
-    packs: Packs | None, jointed: Jointed, team: Team | None, sums_external: Flag, blocks: Floats,
-    kick_dt: float, t: float, dt: float,
+    jointed: Jointed, team: Team | None, sums_external: Flag, blocks: Floats, kick_dt: float,
+    t: float, dt: float,
 ) -> None:  # fmt: skip
     """Constrained drift of clusters in packs; those that are lost there drift anew alone."""
+    packs = jointed.packs
     if packs is None:
         return
     joints, data = numbers_of(packs.joints), data_of(packs.data)
@@ -295,7 +290,7 @@ def drift_clusters(
         return
     meet_all(team)  # clusters are of all blocks
     t = jointed.data.clock[0] + ahead
-    _drift_packs(jointed.packs, jointed, team, sums_external, blocks, kick_dt, t, dt)
+    _drift_packs(jointed, team, sums_external, blocks, kick_dt, t, dt)
     first, end = _share_of(team, jointed.alone.size)
     for k in range(first, end):
         c = jointed.alone[k]
@@ -308,10 +303,11 @@ def drift_clusters(
 
 @inline
 def _project_packs(
-    packs: Packs | None, jointed: Jointed, team: Team | None, sums_external: Flag, blocks: Floats,
-    kick_dt: float, span: float,
+    jointed: Jointed, team: Team | None, sums_external: Flag, blocks: Floats, kick_dt: float,
+    span: float,
 ) -> None:  # fmt: skip
     """Kick of springs, projection and damping of clusters in packs, where something damps."""
+    packs = jointed.packs
     if packs is None:
         return
     joints, data, t = numbers_of(packs.joints), data_of(packs.data), jointed.data.clock[0]
@@ -349,7 +345,7 @@ def project_clusters(
     meet_all(team)
     joints, data, t = jointed.joints, jointed.data, jointed.data.clock[0]
     if jointed.damps is not None:
-        _project_packs(jointed.packs, jointed, team, sums_external, blocks, kick_dt, span)
+        _project_packs(jointed, team, sums_external, blocks, kick_dt, span)
     body, time = joints.clusters.body, jointed.start + t
     first, end = _share_of(team, body.size - 1 if jointed.damps is None else jointed.alone.size)
     for k in range(first, end):
@@ -374,21 +370,16 @@ def keep_coordinates(jointed: Jointed | None, stored: Floats, frame: int) -> Non
 
 
 @inline
-def count_drift(jointed: Jointed | None, team: Team | None, is_first: bool) -> None:
-    """Count what joints carried in a drift, if any may break."""
-    if jointed is None or team is None:
+def count_impulses(
+    jointed: Jointed | None, team: Team | None, is_drift: bool, is_first: bool = False
+) -> None:
+    """Count what joints carried in a drift, or a projection with its damping, if any may break."""
+    if jointed is None or team is None or jointed.joints.breaks is None:
         return
-    if team.thread == 0:
-        count_impulses(jointed.joints.breaks, jointed.data, jointed.data.impulse, is_first)
-
-
-@inline
-def count_projection(jointed: Jointed | None, team: Team | None) -> None:
-    """Count what they carried in a projection, damping included."""
-    if jointed is None or team is None:
-        return
-    if team.thread == 0:
-        count_impulses(jointed.joints.breaks, jointed.data, jointed.data.half_step, False)
+    data = jointed.data
+    impulse = data.impulse if is_drift else data.half_step
+    for r in range(data.step_impulse.size if team.thread == 0 else 0):
+        data.step_impulse[r] = impulse[r] + (0.0 if is_first else data.step_impulse[r])
 
 
 @inline
@@ -397,4 +388,4 @@ def let_joints_break(jointed: Jointed | None, team: Team | None, dt: float) -> N
     if jointed is None or team is None:
         return
     if team.thread == 0 and dt == jointed.data.clock[1]:
-        break_overloaded(jointed.joints.breaks, jointed.joints, jointed.data, dt)
+        break_overloaded(jointed.joints, jointed.data, dt)

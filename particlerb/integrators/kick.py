@@ -28,7 +28,7 @@ from particlerb.forces.kernels import (
 from particlerb.forces.kinds import Momenta
 from particlerb.forces.registry import CHANGE, PAIR
 from particlerb.integrators.external_work import add_entry, entry_of_kick
-from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
+from particlerb.maths.quaternion import Matrix, matrix, tensor, turn, turn_back
 from particlerb.maths.vec3 import (
     ZERO,
     Floats,
@@ -209,22 +209,7 @@ def _kick_of(acting: Acting, rows: Floats, b: int, dt: float, old: Momenta) -> _
     first = flow_in(acting, rows, b, R, 0.5 * dt, old[0], old[1])
     middle = kick_potential(acting, rows, b, x, R, dt, first[0], first[1])
     last = kick_others(acting, rows, b, x, R, dt, middle[0], middle[1])
-    return _Kick(x, R, old, first, middle, last, _in_world(R, get3(rows, INV_INERTIA, b)))
-
-
-@inline
-def _in_world(R: Matrix, diagonal: Vec3) -> Matrix:
-    """R D Rᵀ."""
-    scaled = (
-        component_product(diagonal, R[0]),
-        component_product(diagonal, R[1]),
-        component_product(diagonal, R[2]),
-    )
-    xy, xz, yz = dot(R[0], scaled[1]), dot(R[0], scaled[2]), dot(R[1], scaled[2])
-    return (
-        (dot(R[0], scaled[0]), xy, xz), (xy, dot(R[1], scaled[1]), yz),
-        (xz, yz, dot(R[2], scaled[2])),
-    )  # fmt: skip
+    return _Kick(x, R, old, first, middle, last, tensor(R, get3(rows, INV_INERTIA, b)))
 
 
 @inline

@@ -23,7 +23,7 @@ from particlerb.integrators.impulse_stages import (
     move_apart,
     press,
 )
-from particlerb.integrators.joint_stages import count_drift, count_projection, let_joints_break
+from particlerb.integrators.joint_stages import count_impulses, let_joints_break
 from particlerb.integrators.method import Method
 from particlerb.integrators.pair_stages import BlockShare
 from particlerb.integrators.stages import (
@@ -49,33 +49,33 @@ def step(moving: MovingBodies, first: int, end: int, open_kick: float, dt: float
         drift(moving, first, end, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
     drift_walls(contact, team, 0.5 * dt)
-    count_drift(jointed, team, True)
+    count_impulses(jointed, team, True, True)
     shift_clock(jointed, team, 0.5 * dt)
     project(moving, 0.0, 0.5 * dt)
-    count_projection(jointed, team)
+    count_impulses(jointed, team, False)
     share = BlockShare(blocks, layout, first, end)
     midpoint_kinematics(contact, team, moving.pairs, moving.acting, share, dt)
     loads_of_pairs(moving, first, end)
     flow_dashpots(moving, 0.5 * dt, False)
     kick(moving, first, end, 0.5 * dt)
     project(moving, 0.5 * dt, 0.0)
-    count_projection(jointed, team)
+    count_impulses(jointed, team, False)
     gather_velocities(contact, blocks, layout, first, end)
     bounce(contact, jointed, team, blocks, layout, dt)
     kick(moving, first, end, 0.5 * dt)
     flow_dashpots(moving, 0.5 * dt, True)
     project(moving, 0.5 * dt, 0.5 * dt)
-    count_projection(jointed, team)
+    count_impulses(jointed, team, False)
     gather_velocities(contact, blocks, layout, first, end)
     press(contact, jointed, team, moving.acting, moving.sums_external, share, dt)
     project(moving, 0.0, 0.0)
-    count_projection(jointed, team)
+    count_impulses(jointed, team, False)
     move_apart(contact, jointed, moving.pairs, team, moving.acting, moving.sums_external, share, dt)
     if jointed is None:
         drift(moving, first, end, 0.5 * dt)
     constrained_drift(moving, 0.0, 0.0, 0.5 * dt)
     drift_walls(contact, team, 0.5 * dt)
-    count_drift(jointed, team, False)
+    count_impulses(jointed, team, True)
     let_joints_break(jointed, team, dt)
 
 

@@ -69,31 +69,6 @@ def scatter(values: Floats, blocks: Floats, layout: Layout, at: int, first: int)
 
 
 @inline
-def clear(load: Floats) -> None:
-    """Make all loads zero."""
-    for c in range(load.shape[0]):
-        for b in range(load.shape[1]):
-            load[c, b] = 0.0
-
-
-@inline
-def set_pair_time(pairs: PairTerms | None, t: float) -> None:
-    """Begin a step at t [s] since the segment began."""
-    if pairs is None:
-        return
-    pairs.clock[1] = pairs.clock[2] + t
-    pairs.clock[0] = pairs.clock[1]
-
-
-@inline
-def shift_pair_time(pairs: PairTerms | None, later: float) -> None:
-    """Take loads at so many seconds after the step began."""
-    if pairs is None:
-        return
-    pairs.clock[0] = pairs.clock[1] + later
-
-
-@inline
 def pair_loads(
     links: Links | None,
     user_pairs: UserPairs | None,
@@ -108,7 +83,7 @@ def pair_loads(
 
     Takes what `PairTerms` has one by one: unpacking it in each call costs more than two points.
     """
-    clear(load)
+    load[:] = 0.0
     link_loads(links, y, load, with_dashpots)
     user_pair_loads(user_pairs, clock[0], y, load, with_dashpots)
     attraction_loads(attraction, fields, y, load)
@@ -150,10 +125,10 @@ def flow_pairs(
     if dashpots is None or pairs is None:
         return
     meet_all(team)
-    if _is_first(team):
+    if team is None or team.thread == 0:
         links, user_pairs, _, _, _, clock, y, _, flows = pairs
         gather_states(blocks, layout, y)
-        clear(flows)
+        flows[:] = 0.0
         if backwards:
             flow_user_pairs(user_pairs, clock[0], y, flows, dt, backwards)
         damp_links(links, y, flows, dt, backwards)
@@ -172,14 +147,5 @@ def flow_pairs(
 @inline
 def meet_all(team: Team | None) -> None:
     """Wait for all of a team, if there is one."""
-    if team is None:
-        return
-    meet(team)
-
-
-@inline
-def _is_first(team: Team | None) -> bool:
-    """Whether this thread is alone, or the first of its team."""
-    if team is None:
-        return True
-    return team.thread == 0
+    if team is not None:
+        meet(team)

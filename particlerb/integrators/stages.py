@@ -38,8 +38,6 @@ from particlerb.integrators.pair_stages import (
     PairTerms,
     flow_pairs,
     put_pair_loads,
-    set_pair_time,
-    shift_pair_time,
 )
 from particlerb.joints.records import Jointed
 from particlerb.maths.quaternion import matrix
@@ -202,8 +200,8 @@ def kinematics_later(moving: MovingBodies, first: int, end: int, later: float) -
 @kernel
 def shift_pairs(moving: MovingBodies, first: int, later: float) -> None:
     """Take loads between bodies that touch not so many seconds after the step began."""
-    if first == 0:
-        shift_pair_time(moving.pairs, later)
+    if first == 0 and moving.pairs is not None:
+        moving.pairs.clock[0] = moving.pairs.clock[1] + later
 
 
 # Kicks and flows
@@ -216,8 +214,9 @@ def set_times(moving: MovingBodies, first: int, end: int, t: float) -> None:
         set_time(moving.acting, moving.blocks[k], moving.layout.size[k], t)
     if moving.jointed is not None:
         moving.jointed.data.clock[0] = t
-    if first == 0:  # the thread that evaluates pairs
-        set_pair_time(moving.pairs, t)
+    if first == 0 and moving.pairs is not None:  # the thread that evaluates pairs
+        moving.pairs.clock[1] = moving.pairs.clock[2] + t
+        moving.pairs.clock[0] = moving.pairs.clock[1]
 
 
 @stage

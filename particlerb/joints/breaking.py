@@ -29,9 +29,9 @@ _SAME_INSTANT: Final = 1e-9  # over a step: instants as near as this are one
 
 
 @inline
-def leave_out(breaks: Breaks | None, joints: Joints, data: JointData, c: int, t: float) -> None:
+def leave_out(joints: Joints, data: JointData, c: int, t: float) -> None:
     """Leave out the rows of joints of cluster c that have broken before t, and no others."""
-    if breaks is None:
+    if joints.breaks is None:
         return
     now = data.clock[2] + t - _SAME_INSTANT * data.clock[1]
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
@@ -48,21 +48,13 @@ def _set_held(joints: Joints, data: JointData, j: int, is_held: bool) -> None:
 
 
 @inline
-def let_break(
-    breaks: Breaks | None,
-    joints: Joints,
-    data: JointData,
-    c: int,
-    kick_dt: float,
-    t: float,
-    dt: float,
-) -> bool:
+def let_break(joints: Joints, data: JointData, c: int, kick_dt: float, t: float, dt: float) -> bool:
     """Whether joints of cluster c break within a drift from t on, whose impulses are known.
 
     Of its impulses only those remain that such joints give until they break; their rows are left
     out.
     """
-    if breaks is None:
+    if joints.breaks is None:
         return False
     start, begin, least = joints.program.start, data.clock[2] + t, _SAME_INSTANT * data.clock[1]
     lo, hi = joints.clusters.joint[c], joints.clusters.joint[c + 1]
@@ -89,11 +81,9 @@ def let_break(
 
 
 @inline
-def sum_half_step(
-    breaks: Breaks | None, joints: Joints, data: JointData, c: int, is_first: bool
-) -> None:
+def sum_half_step(joints: Joints, data: JointData, c: int, is_first: bool) -> None:
     """Keep the impulses of the rows of cluster c, or add them to those that are kept."""
-    if breaks is None:
+    if joints.breaks is None:
         return
     start, joint = joints.program.start, joints.clusters.joint
     for r in range(start[joint[c]], start[joint[c + 1]]):
@@ -115,11 +105,11 @@ def _impulses(
 
 
 @inline
-def break_by_multipliers(
-    breaks: Breaks, joints: Joints, data: JointData, broken: Floats, t: float
-) -> bool:
+def break_by_multipliers(joints: Joints, data: JointData, broken: Floats, t: float) -> bool:
     """Whether joints that hold carry more than they can, by z in the states y; they break at t."""
-    any_breaks = False
+    any_breaks, breaks = False, joints.breaks
+    if breaks is None:
+        return any_breaks
     for j in range(broken.size):
         force, torque = _impulses(joints, data, j, data.z, data.y)
         is_too_much = force > breaks.force[j] or torque > breaks.torque[j]
@@ -158,16 +148,15 @@ def _ahead(load: float, before: float, limit: float) -> float:
 
 
 @inline
-def foresee_breaks(
-    breaks: Breaks | None, joints: Joints, data: JointData, c: int, kick_dt: float, t: float
-) -> None:
+def foresee_breaks(joints: Joints, data: JointData, c: int, kick_dt: float, t: float) -> None:
     """Find which joints of cluster c break until the end of the next step.
 
     A whole step from t on has been done, with impulses over a kick.
     """
+    breaks = joints.breaks
     if breaks is None:
         return
-    sum_half_step(breaks, joints, data, c, not joints.damps)
+    sum_half_step(joints, data, c, not joints.damps)
     is_first, dt = t == 0.0, data.clock[1]
     span = dt if joints.damps and not is_first else kick_dt
     for j in range(joints.clusters.joint[c], joints.clusters.joint[c + 1]):
@@ -184,17 +173,9 @@ def foresee_breaks(
 
 
 @inline
-def count_impulses(breaks: Breaks | None, data: JointData, impulse: Floats, is_first: bool) -> None:
-    """Count impulses of the rows among those of a step, of which they are the first or not."""
-    if breaks is None:
-        return
-    for r in range(data.step_impulse.size):
-        data.step_impulse[r] = impulse[r] + (0.0 if is_first else data.step_impulse[r])
-
-
-@inline
-def break_overloaded(breaks: Breaks | None, joints: Joints, data: JointData, dt: float) -> None:
+def break_overloaded(joints: Joints, data: JointData, dt: float) -> None:
     """Break joints that have carried too much in a step of dt [s], of which it is the middle."""
+    breaks = joints.breaks
     if breaks is None:
         return
     for j in range(data.broken.size):

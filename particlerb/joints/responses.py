@@ -152,17 +152,17 @@ def _accelerate(
 
 
 @kernel
-def find_bounded(
-    joints: Joints, data: JointData, partners: Partners, mechanisms: Mechanisms,
-    bounded: Bounded | None, dt: float,
-) -> None:  # fmt: skip
+def find_bounded(joints: Joints, data: JointData, impulses: Impulses, dt: float) -> None:
     """Write rows of what acts along coordinates within bounds, for a step of dt [s].
 
     And how joints accelerate bodies.
 
     Bodies are in `data` where they may touch, and the clock is there.
     """
-    bounds = joints.bounds
+    bounds, bounded, partners = joints.bounds, impulses.rows.bounded, impulses.partners
+    mechanisms = partners.mechanisms
+    if mechanisms is None:
+        return
     mechanisms.is_known[: joints.order.size] = False
     _accelerate(joints, data, partners, mechanisms)
     if bounded is None or bounds is None:
@@ -190,14 +190,15 @@ def find_bounded(
 
 
 @kernel
-def find_responses(
-    joints: Joints, data: JointData, impulses: Impulses, mechanisms: Mechanisms
-) -> None:  # fmt: skip
+def find_responses(joints: Joints, data: JointData, impulses: Impulses) -> None:
     """Find what impulses on bodies that touch do to their mechanisms, and inverse masses by that.
 
     `find_bounded` comes before.
     """
     _, partners, rows, count, _, _ = impulses
+    mechanisms = partners.mechanisms
+    if mechanisms is None:
+        return
     for k in range(count[0]):
         _respond(joints, data, partners, mechanisms, rows.partner_a[k])
         _respond(joints, data, partners, mechanisms, rows.partner_b[k])
@@ -206,15 +207,15 @@ def find_responses(
 
 
 @kernel
-def move_to_joints(
-    joints: Joints, data: JointData, partners: Partners, mechanisms: Mechanisms
-) -> bool:
+def move_to_joints(joints: Joints, data: JointData, partners: Partners) -> bool:
     """Find moves of bodies that have been pushed out, to where joints hold; whether there are any.
 
     One step of Newton's method with the poses in `data`, weighed by the masses.
     """
-    move, any_moved = partners.move, False
+    move, mechanisms, any_moved = partners.move, partners.mechanisms, False
     move[:] = 0.0
+    if mechanisms is None:
+        return any_moved
     for c in range(joints.clusters.body.size - 1):
         first, last, start = mechanisms.first[c], mechanisms.first[c + 1], joints.program.start
         lo, hi = start[joints.clusters.joint[c]], start[joints.clusters.joint[c + 1]]

@@ -34,6 +34,7 @@ from particlerb.maths.quaternion import (
     conjugate,
     matrix,
     multiply,
+    tensor,
     to_body,
     to_world,
     turn,
@@ -201,14 +202,6 @@ def residuals(joints: Joints, data: JointData, lo: int, hi: int, t: float) -> tu
         if any_of(is_larger):
             where = r
     return worst, where
-
-
-@inline
-def tensor(R: Matrix, a: Vec3) -> Matrix:
-    """R diag(a) Rᵀ: J⁻¹ in world axes from its moments."""
-    x, y, z = component_product(a, R[0]), component_product(a, R[1]), component_product(a, R[2])
-    xy, xz, yz = dot(x, R[1]), dot(x, R[2]), dot(y, R[2])
-    return (dot(x, R[0]), xy, xz), (xy, dot(y, R[1]), yz), (xz, yz, dot(z, R[2]))
 
 
 @inline

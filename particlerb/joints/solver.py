@@ -65,7 +65,7 @@ def factorise_cluster(joints: Joints, data: JointData, c: int, span: float, t: f
     for r in range(start[lo], start[hi]):
         set_compliance(joints, data, r, span)
         data.impulse[r] = 0.0
-    leave_out(joints.breaks, joints, data, c, t)
+    leave_out(joints, data, c, t)
     linearise(joints, data, start[lo], start[hi])
     set_moving(joints, data, start[lo], start[hi], t)
     factorise_gradients(joints, data, c)
@@ -161,7 +161,7 @@ def constrained_drift(
         _pass_singular_pose(joints, data, c, t, dt)
     if is_whole(data, dt):
         remember(data, lo, hi, kick_dt, False)
-    if let_break(joints.breaks, joints, data, c, kick_dt, t, dt):
+    if let_break(joints, data, c, kick_dt, t, dt):
         factorise_gradients(joints, data, c)
         _fly_to_joints(joints, data, c, t, dt, False)
     _see_teeth(joints.rolls, joints, data, c, dt)
@@ -224,7 +224,7 @@ def _pass_singular_pose(joints: Joints, data: JointData, c: int, t: float, dt: f
         for r in range(lo, hi):
             if joints.rows.action[r] == col.HOLDS:
                 data.compliance[r] = 0.0
-        leave_out(joints.breaks, joints, data, c, t)
+        leave_out(joints, data, c, t)
         _, where = residuals(joints, data, lo, hi, t + dt)
         worst = 0.0
         for r in range(lo, hi):

@@ -22,8 +22,8 @@ from particlerb.compiled.jit import inline
 from particlerb.joints import kinds
 from particlerb.joints import records as col
 from particlerb.joints.records import ConstraintRows, Joints
-from particlerb.joints.rows import orientation, tensor
-from particlerb.maths.quaternion import Matrix, matrix, turn, turn_back
+from particlerb.joints.rows import orientation
+from particlerb.maths.quaternion import Matrix, matrix, tensor, turn, turn_back
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import (
     ZERO,

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from particlerb.compiled.jit import inline
-from particlerb.maths.vec3 import Floats, Vec3, add_scaled, cross, dot
+from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, cross, dot
 
 Quat: TypeAlias = tuple[float, float, float, float]
 Rows4: TypeAlias = tuple[Floats, Floats, Floats, Floats]
@@ -121,3 +121,11 @@ def turn_back(R: Matrix, v: Vec3) -> Vec3:
         x[1] * v[0] + y[1] * v[1] + z[1] * v[2],
         x[2] * v[0] + y[2] * v[1] + z[2] * v[2],
     )
+
+
+@inline
+def tensor(R: Matrix, a: Vec3) -> Matrix:
+    """R diag(a) Rᵀ."""
+    x, y, z = component_product(a, R[0]), component_product(a, R[1]), component_product(a, R[2])
+    xy, xz, yz = dot(x, R[1]), dot(x, R[2]), dot(y, R[2])
+    return (dot(x, R[0]), xy, xz), (xy, dot(y, R[1]), yz), (xz, yz, dot(z, R[2]))

@@ -53,7 +53,7 @@ def _advance_packs(
     layout = Layout(np.zeros(1, np.int64), np.zeros(1, np.int64), 0)
     width = min(n, BODIES_PER_CLOCK)  # a body that is alone pays for itself only
     vectors = room_for_vectors(1, size, width, np.zeros(0))
-    pack = CommonSteps(equations, rows, layout, None, None, None, vectors)
+    pack = CommonSteps(equations, rows, layout, None, None, vectors)
     for lo in range(first * BLOCK, min(end * BLOCK, n), BODIES_PER_CLOCK):
         layout.first[0], layout.size[0] = lo, min(n - lo, BODIES_PER_CLOCK)
         block, at = blocks[lo // BLOCK], lo % BLOCK
@@ -125,16 +125,14 @@ class AdaptiveMotion(JointedMotion):
             return
         forces, acting = self.forces, self.equations.acting
         pairs = None if acting.pair is None else forces.pairs
-        joints = self.group.terms.joints
-        breaks = None if joints is None else joints.breaks
-        arguments = self.blocks, self.layout, pairs, self.jointed, breaks, self.vectors
+        arguments = self.blocks, self.layout, pairs, self.jointed, self.vectors
         bodies = CommonSteps(self.equations, *arguments)
         if forces.is_large:
             evaluate = pair_loads, lambda *_: forces.evaluate()
             over_threads(advance_steps, evaluate)(bodies, *shared)
         else:
             THREADS.alone(advance_steps, bodies, *shared)
-        if breaks is not None:
+        if self.breaks:
             self.clock[0, 1] = self.vectors.tried[0]
 
     def record(self, times: Floats, rows: Ints, frames: Frames) -> Floats:

@@ -255,13 +255,13 @@ def test_a_mechanism_moves_as_dense_matrices_say_and_newton_solves_its_contacts(
     rules = ImpulseRules(np.zeros(1), np.zeros(1), 1e-12, 1, 0.0, 0.0, 0.0, True)
     newton = room_for_newton(partners.inverse[:, 0] > 0, a[:1], b[:1], 2)
     impulses = Impulses(rules, partners, contacts, np.array([2, -1]), np.zeros(TALLY), newton)
-    find_bounded(joints, data, partners, mechanisms, None, 0.01)
-    find_responses(joints, data, impulses, mechanisms)
+    find_bounded(joints, data, impulses, 0.01)
+    find_responses(joints, data, impulses)
     g = data.gradient
     G = np.hstack([g[:, :3], g[:, 3:6], -g[:, :3], g[:, 6:9]])
     dense = np.eye(12) - G.T @ np.linalg.solve(G @ G.T, G)
     assert mechanisms.response.reshape(12, 12) == pytest.approx(dense, abs=1e-13)
-    solve(impulses, None, ONE_THREAD, 1.0, 0.0)
+    solve(impulses, ONE_THREAD, 1.0, 0.0)
     assert impulses.tally[RESIDUAL] <= 1e-12
     assert impulses.tally[NEWTON_STEPS] > 1
     assert np.abs(G @ partners.velocity[:2].ravel()).max() < 1e-14

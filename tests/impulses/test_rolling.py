@@ -127,9 +127,9 @@ def test_an_impact_of_unequal_moments_resists_as_the_law_asks(limit, torsion):
     rows.partner_b[0] = 1
     write_frame(partners, rows, 0, (0.0, 0.0, 1.0), (0.0, 0.0, -R))
     rows.rolling.limit[0, [ACROSS, ABOUT]] = limit, torsion
-    write_rolling(rows.rolling, partners, rows, 1, 0.0)
+    write_rolling(partners, rows, 1, 0.0)
     before = partners.velocity[0, 3:].copy()
-    bounce_rolling(rows.rolling, partners, rows, 0, 1.5)
+    bounce_rolling(partners, rows, 0, 1.5)
     assert partners.velocity[0, 3:] == pytest.approx(
         before + W @ partners.impulse[0, 3:], abs=1e-12
     )
