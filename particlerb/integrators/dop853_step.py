@@ -16,21 +16,10 @@ from particlerb.compiled.jit import Flag, inline, kernel
 from particlerb.forces.kernels import Acting, set_time
 from particlerb.forces.registry import STAGE
 from particlerb.integrators.dop853_table import END, N_STAGES, D, E
-from particlerb.integrators.slopes import Pose, slopes
+from particlerb.integrators.slopes import pose, put_pose, slopes
 from particlerb.maths.quaternion import matrix_along
 from particlerb.maths.vec3 import Floats
-from particlerb.model.block import (
-    CHANGING,
-    INV_INERTIA,
-    INV_MASS,
-    Q,
-    get,
-    get3,
-    get4,
-    put,
-    put3,
-    put4,
-)
+from particlerb.model.block import CHANGING, INV_INERTIA, INV_MASS, Q, get, get3, put, put3
 from particlerb.model.load import STATE_ROWS
 
 _MIN_STEP_FACTOR, _MAX_STEP_FACTOR, _SAFETY_FACTOR = 0.2, 5.0, 0.9  # as the authors take them
@@ -67,17 +56,9 @@ def take_slopes(
         for b in range(n):
             put(rows, STAGE + c, b, y[c * w + b])
     for b in range(n):
-        now = Pose(
-            get3(rows, STAGE, b),
-            get4(rows, STAGE + 3, b),
-            get3(rows, STAGE + 7, b),
-            get3(rows, STAGE + 10, b),
-        )
+        now = pose(rows, b, STAGE)
         rate, (power, force, turning) = slopes(acting, rows, b, now, matrix_along(now.q))
-        put3(rows, STAGE + CHANGING, b, rate.x)
-        put4(rows, STAGE + CHANGING + 3, b, rate.q)
-        put3(rows, STAGE + CHANGING + 7, b, rate.p)
-        put3(rows, STAGE + CHANGING + 10, b, rate.L)
+        put_pose(rows, b, rate, STAGE + CHANGING)
         if equations.sums_external is not None:
             put(rows, STAGE + CHANGING + 13, b, power)
             put3(rows, STAGE + CHANGING + 14, b, force)

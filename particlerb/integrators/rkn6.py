@@ -21,32 +21,17 @@ from particlerb.integrators.rotor_drift import kick_and_rotor_drift
 from particlerb.integrators.stages import MovingBodies, loads, shift_pairs, stages
 from particlerb.rotors.moser_veselov import LARGEST_SHARE, cost_of_maps, modified_inertia
 
-KICKS: Final = (
-    0.0414649985182624,
-    0.198128671918067,
-    -0.0400061921041533,
-    0.0752539843015807,
-    -0.0115113874206879,
-    0.2366699247869311,
-    0.2366699247869311,
-    -0.0115113874206879,
-    0.0752539843015807,
-    -0.0400061921041533,
-    0.198128671918067,
-)  # and the first one again, left open
-DRIFTS: Final = (
-    0.123229775946271,
-    0.290553797799558,
-    -0.127049212625417,
-    -0.246331761062075,
-    0.357208872795928,
-    0.20477705429147,
-    0.357208872795928,
-    -0.246331761062075,
-    -0.127049212625417,
-    0.290553797799558,
-    0.123229775946271,
-)
+_TO_THE_MIDDLE: Final = (
+    (0.0414649985182624, 0.123229775946271),
+    (0.198128671918067, 0.290553797799558),
+    (-0.0400061921041533, -0.127049212625417),
+    (0.0752539843015807, -0.246331761062075),
+    (-0.0115113874206879, 0.357208872795928),
+    (0.2366699247869311, 0.20477705429147),
+)  # kicks, and the drifts after them; from here on the same backwards
+_FIRST_KICKS, _FIRST_DRIFTS = zip(*_TO_THE_MIDDLE, strict=True)
+KICKS: Final = (*_FIRST_KICKS, *_FIRST_KICKS[:0:-1])  # and the first one again, left open
+DRIFTS: Final = (*_FIRST_DRIFTS, *_FIRST_DRIFTS[-2::-1])
 _KICK_TIMES: Final = tuple(sum(DRIFTS[:k], 0.0) for k in range(len(DRIFTS)))  # in steps
 CLOSING_KICK: Final = KICKS[0]
 

@@ -12,7 +12,7 @@ import numpy as np
 from particlerb.compiled.jit import Flag, inline
 from particlerb.integrators.kick import KickAndDrift, kick_with_gradient
 from particlerb.integrators.stages import MovingBodies, stage
-from particlerb.maths.quaternion import Matrix, matrix, multiply, normalised, turn_back
+from particlerb.maths.quaternion import matrix, multiply, normalised, turn_back
 from particlerb.maths.vec3 import Floats, Vec3, add_scaled, component_product, dot, scale
 from particlerb.model.block import (
     COM,
@@ -65,14 +65,6 @@ def _fastest_turn(rows: Floats, n: int) -> float:
 
 
 @inline
-def _turn_rate(rows: Floats, n: int, is_first: bool) -> float:
-    """The same, found at the first drift of a step and kept for the others."""
-    if is_first:
-        put(rows, _RATE_ROW, 0, _fastest_turn(rows, n))
-    return get(rows, _RATE_ROW, 0)
-
-
-@inline
 def _cubic(rows: Floats, at: int, b: int) -> Cubic:
     """Nine coefficients of body b."""
     return get3(rows, at, b), get3(rows, at + 3, b), get3(rows, at + 6, b)
@@ -98,13 +90,6 @@ def _finish_map(rows: Floats, n: int, iterations: int) -> None:
     for b in range(n):
         x, y, z = newton(get3(rows, _U, b), get3(rows, _F, b), get3(rows, _V, b))
         put4(rows, Q, b, normalised(multiply(get4(rows, Q, b), (1.0, x, y, z))))
-
-
-@inline
-def _start_drift(rows: Floats, b: int, spin: Vec3, R: Matrix, dt: float, pieces: int) -> None:
-    """Begin the drift of asymmetric body b, whose L is `spin`: its way, and the first map."""
-    _fly(rows, b, dt)
-    _start_map(rows, b, turn_back(R, spin), dt / pieces)
 
 
 @inline
@@ -135,12 +120,15 @@ def _drift_asymmetric(
     acting, sums_external = moving.acting, moving.sums_external
     for block in range(first, min(end, moving.layout.asymmetric)):
         rows, n = moving.blocks[block], moving.layout.size[block]
-        turned = abs(move.drift) * _turn_rate(rows, n, move.is_first)
+        if move.is_first:  # and kept for the other drifts of the step
+            put(rows, _RATE_ROW, 0, _fastest_turn(rows, n))
+        turned = abs(move.drift) * get(rows, _RATE_ROW, 0)
         pieces = pieces_of(turned, move.share)
         iterations = iterations_of(turned / pieces)
         for b in range(n):
             spin, R = kick_with_gradient(gradient, acting, sums_external, rows, b, move)
-            _start_drift(rows, b, spin, R, move.drift, pieces)
+            _fly(rows, b, move.drift)
+            _start_map(rows, b, turn_back(R, spin), move.drift / pieces)
         _finish_drift(rows, n, move.drift, pieces, iterations)
 
 
