@@ -114,11 +114,9 @@ def largest(team: Team, x: float, y: float, z: float) -> tuple[float, float, flo
     if _read_atomically(team.arrivals, _OVER) != 0:
         return np.inf, np.inf, np.inf
     for k in range(team.size):
-        x, y, z = (
-            max(x, values[k, at]),
-            max(y, values[k, at + 1]),
-            max(z, values[k, at + 2]),
-        )
+        x = max(x, values[k, at])
+        y = max(y, values[k, at + 1])
+        z = max(z, values[k, at + 2])
     return x, y, z
 
 

@@ -110,9 +110,9 @@ class _Threads:
             that a signal handler raises is lost where it meets a destructor of HDF5.
         """
         if units == 1 or work < LEAST_WORK or self.count == 1:
-            self.timed(kernel, 0, units)
+            self.alone(kernel, 0, units)
         else:
-            self.timed(self.share_out, kernel, units, work)
+            self.alone(self.share_out, kernel, units, work)
 
     def heed(self) -> None:
         """Raise KeyboardInterrupt if a signal has asked for the end: they reach the main thread."""
@@ -121,11 +121,7 @@ class _Threads:
             self.is_stopping = not is_main
             raise KeyboardInterrupt
 
-    def alone(self, kernel: Callable[..., object], *arguments: object) -> None:
-        """Call a kernel on this thread; KeyboardInterrupt as in `share`."""
-        self.timed(kernel, *arguments)
-
-    def timed(self, kernel: Callable[..., Result], *arguments: object) -> Result:
+    def alone(self, kernel: Callable[..., Result], *arguments: object) -> Result:
         """Call a kernel on this thread for what it returns; KeyboardInterrupt as in `share`."""
         if self.is_stopping:
             self.heed()

@@ -167,10 +167,8 @@ def _active_entries(incidence: Incidence, active: Bools, lo: int, n: int) -> tup
     They are far fewer, and to leave the others out without a branch takes less than a branch does.
     """
     offset, entry = incidence
-    found, ends = (
-        np.empty(offset[lo + n] - offset[lo] + 1, dtype=np.int32),
-        np.empty(n + 1, np.int64),
-    )
+    found = np.empty(offset[lo + n] - offset[lo] + 1, dtype=np.int32)
+    ends = np.empty(n + 1, np.int64)
     m = ends[0] = 0
     for k in range(n):
         for e in range(offset[lo + k], offset[lo + k + 1]):

@@ -4,17 +4,18 @@ Read from the evaluation that closes a frame, when somebody asks for it: steppin
 it. All is in an order of its own, which neither threads nor lists of pairs change.
 """
 
-from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from particlerb.contact.contact_model import ContactList, ContactModel, Workspace
+from particlerb.contact.contact_model import ContactList, ContactModel, MovingContact, Workspace
 from particlerb.contact.records import Records
 from particlerb.contact.wall_motion import PrescribedMotion, poses_at
 from particlerb.maths.vec3 import Floats, Ints
 
 _NOBODY: Final = -1
+ContactRows: TypeAlias = tuple[Ints, Floats]  # of `contact_rows`
 
 
 class ContactOutput(NamedTuple):
@@ -127,6 +128,41 @@ def contact_rows(
     counts = by_impulses | (overlap > 0.0)  # a spring's force is of a step around the instant
     what = np.hstack([forces.point, force, torque, overlap[:, None]])
     return who[counts], what[counts]
+
+
+def output_of(
+    contact: MovingContact,
+    members: Ints,
+    numbers: Ints,
+    motions: Sequence[PrescribedMotion],
+    pistons: Records,
+    shown: Callable[[ContactRows], ContactRows],
+) -> ContactOutput:
+    """Contacts of the frame that was written last: its closing evaluation is still there.
+
+    Parameters
+    ----------
+    contact : MovingContact
+    members, numbers : ndarray
+        Of the bodies and of the spheres, in the scene.
+    motions : sequence of PrescribedMotion
+        Of the walls.
+    pistons : records PISTON
+        As the frame has them.
+    shown : callable
+        Returns contacts that are shown here, where it is given those that were found here.
+    """
+    setup, workspace, lists, *_ = contact
+    by_impulses = setup.rules is not None
+    rows = [
+        shown(contact_rows(pairs, setup.model, workspace, members, numbers, are_walls, by_impulses))
+        for pairs, are_walls in ((lists.spheres, False), (lists.walls, True))
+    ]
+    centre, velocity = wall_centres(motions, workspace.poses)
+    if setup.pistons is not None:  # contacts saw a velocity carried on
+        ahead = pistons.velocity - pistons.contact_velocity
+        velocity[setup.pistons.wall] += ahead[:, None] * setup.pistons.axis
+    return contact_output(rows, centre, velocity)
 
 
 def contact_numbers(contacts: ContactOutput, bodies: range) -> Ints:

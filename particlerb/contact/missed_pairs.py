@@ -35,9 +35,7 @@ class WatchedBodies(NamedTuple):
     com: Floats  # (3, n) [m]
     velocity: Floats  # (3, n) [m/s]
     angular_speed: Floats  # (n,) [rad/s]
-    bounding_radius: (
-        Floats  # (n,) [m] from the centre of mass to the surface of the farthest sphere
-    )
+    bounding_radius: Floats  # (n,) [m] from the centre of mass to the farthest surface of a sphere
     extra_speed: Floats  # (n,) [m/s] by which it may have been faster within the last steps
     is_left_out: Bools  # (n,) bodies that are not watched among each other, nor with walls
 

@@ -182,7 +182,7 @@ def side(a: Vec3, b: Vec3, n: Vec3, x: Vec3) -> float:
 
 
 @inline
-def _is_over_face(a: Vec3, b: Vec3, c: Vec3, n: Vec3, x: Vec3) -> bool:
+def is_over_face(a: Vec3, b: Vec3, c: Vec3, n: Vec3, x: Vec3) -> bool:
     """Whether x is above or below a triangle, which is to the left of a to b seen against n."""
     return side(a, b, n, x) > 0.0 and side(b, c, n, x) > 0.0 and side(a, c, n, x) < 0.0
 
@@ -226,7 +226,7 @@ def euler_count(primitive: Primitive, around: Floats, x: Vec3) -> tuple[int, boo
     """
     kind, a, b, c, n = primitive
     if kind == FACE:
-        return (1, True) if _is_over_face(a, b, c, n, x) else (0, False)
+        return (1, True) if is_over_face(a, b, c, n, x) else (0, False)
     if kind == EDGE:
         return _count_at_edge(a, b, around, int(c[0]), int(c[1]), x)
     if kind == VERTEX:

@@ -21,6 +21,7 @@ from particlerb.impulses.rows import (
     in_frame,
     in_world,
     push_apart,
+    put_inverse,
     velocity_between,
     write_frame_of,
 )
@@ -31,7 +32,6 @@ from particlerb.maths.vec3 import (
     Vec3,
     add,
     add_scaled,
-    component_product,
     cross,
     divide,
     dot,
@@ -75,17 +75,7 @@ def _partner(
     put_row3(data.position, at, add(x, shift))
     put_row3(data.velocity, at, row3(state.flight, b, col.FLIGHT_V))
     put_row3(data.velocity, at, omega, 3)
-    data.inverse[at, 0], column = scene.body[b, col.BODY_INV_MASS], 1
-    for i in range(3):
-        for j in range(i, 3):
-            data.inverse[at, column] = dot(component_product(moments, R[i]), R[j])
-            column += 1
-
-
-@inline
-def _wall_partner(data: EventData) -> None:
-    """Write a wall as the second partner of an impact."""
-    data.inverse[1:], data.velocity[1:], data.position[1:] = 0.0, 0.0, 0.0
+    put_inverse(data.inverse, at, scene.body[b, col.BODY_INV_MASS], moments, R)
 
 
 @inline
@@ -220,7 +210,7 @@ def _hit(scene: EventScene, state: EventState, data: EventData, of: Impact) -> V
     a, b, t, frame = of.a, of.b, of.t, data.frame
     _partner(scene, state, data, a, 0, ZERO, t)
     if b == col.WALL:
-        _wall_partner(data)
+        data.inverse[1:], data.velocity[1:], data.position[1:] = 0.0, 0.0, 0.0
     else:
         _partner(scene, state, data, b, 1, of.shift, t)
     write_frame_of(frame, data.inverse, data.position, 0, (0, 1), of.normal, of.point)

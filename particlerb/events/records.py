@@ -165,11 +165,9 @@ def _rows(n: int, columns: int, dtype: Any) -> Any:
 
 def empty_state(n: int, n_moving: int, n_cells: int, columns: int) -> EventState:
     """State of n bodies at time 0: each that moves looks for its next event."""
-    bodies, event, sums = (
-        np.arange(n, dtype=np.int32),
-        _rows(n, N_EVENT, np.int32),
-        np.zeros(N_SUMS),
-    )
+    bodies = np.arange(n, dtype=np.int32)
+    event = _rows(n, N_EVENT, np.int32)
+    sums = np.zeros(N_SUMS)
     event[:, PARTNER], event[:, STAMP], event[:, PLACE] = bodies, AGAIN, bodies
     event_time = event.view(float)
     event_time[:, HIT:] = np.inf

@@ -20,10 +20,10 @@ from particlerb.contact.walls import (
     PLANE,
     SIDE,
     Primitive,
+    is_over_face,
     nearest,
     primitive_at,
     radial,
-    side,
 )
 from particlerb.events import records as col
 from particlerb.events.flight import flight_at, in_box, posed, pull
@@ -253,8 +253,7 @@ def bodies_meet(
 def _over(wall: Primitive, x: Vec3) -> bool:
     """Whether the nearest point is inside a face or a disc, and not on its rim."""
     if wall.kind == FACE:
-        a, b, c, n = wall.a, wall.b, wall.c, wall.n
-        return side(a, b, n, x) > 0.0 and side(b, c, n, x) > 0.0 and side(a, c, n, x) < 0.0
+        return is_over_face(wall.a, wall.b, wall.c, wall.n, x)
     if wall.kind == DISC:
         _, rho, _ = radial(wall.a, wall.b, x)
         return rho < wall.c[0]

@@ -22,9 +22,8 @@ from particlerb.model.load import OTHER, OUTSIDE, POWER
 from particlerb.model.load import TORQUE as PAIR_TORQUE
 
 _ARGUMENTS: Final = "b, x, R, dt, p, L"  # of a kick
-Entry: TypeAlias = tuple[
-    float, Vec3, Vec3
-]  # work, impulse, angular impulse: integrators/external_work.py
+Entry: TypeAlias = tuple[float, Vec3, Vec3]
+"""Work, impulse, angular impulse: integrators/external_work.py."""
 
 
 class Acting(NamedTuple):

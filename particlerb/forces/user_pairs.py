@@ -88,8 +88,7 @@ def _spin(pairs: UserPairs, y: Floats, b: int) -> Vec3:
     """Angular velocity of body b [rad/s], world axes."""
     R = rotation_of(y, b)
     return turn(
-        R,
-        component_product(column3_at(pairs.inv_inertia, b), turn_back(R, column3_at(y, b, _L))),
+        R, component_product(column3_at(pairs.inv_inertia, b), turn_back(R, column3_at(y, b, _L)))
     )
 
 
@@ -238,10 +237,8 @@ def _flow_pair(pairs: UserPairs, t: float, y: Floats, s: int, dt: float) -> floa
     Where it does not converge it is NaN, and so are the momenta.
     """
     a, b = pairs.body_a[s], pairs.body_b[s]
-    p, spin = (
-        (column3_at(y, a, _P), column3_at(y, b, _P)),
-        (column3_at(y, a, _L), column3_at(y, b, _L)),
-    )
+    p = (column3_at(y, a, _P), column3_at(y, b, _P))
+    spin = (column3_at(y, a, _L), column3_at(y, b, _L))
     sizes = _sum3(p[0]) + _sum3(p[1]), _sum3(spin[0]) + _sum3(spin[1])
     load, change = (ZERO, ZERO, ZERO), 1.0
     for _ in range(_MAX_FLOW_ITERATIONS):

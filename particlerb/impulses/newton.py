@@ -133,11 +133,7 @@ def _linearise(
 @inline
 def _k_times(slopes: Floats, k: int, du: Vec3) -> Vec3:
     """K du of contact k."""
-    return (
-        dot(row3(slopes, k, 3), du),
-        dot(row3(slopes, k, 6), du),
-        dot(row3(slopes, k, 9), du),
-    )
+    return (dot(row3(slopes, k, 3), du), dot(row3(slopes, k, 6), du), dot(row3(slopes, k, 9), du))
 
 
 @inline

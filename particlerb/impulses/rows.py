@@ -7,6 +7,7 @@ from particlerb.compiled.jit import inline
 from particlerb.impulses import records as col
 from particlerb.impulses.mechanisms import count_members, member, push_mechanism
 from particlerb.impulses.records import ImpulseRows, Impulses, Mechanisms, Partners
+from particlerb.maths.quaternion import Matrix, tensor
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import ZERO, Floats, Vec3, add, add_scaled, cross, dot, scale, subtract
 
@@ -14,6 +15,14 @@ _STICKING_SHARE: Final = 1.0 - 1e-6  # of μ times the normal force: with less f
 _SLIP_SHARE: Final = 0.1  # of what drives and turning change: with less slip it sticks
 _CAME_SHARE: Final = 2.0  # of what came across the normal: so much turning gives back at most
 _MIN_SCHUR_SHARE: Final = 1e-6  # of an inverse mass without joints: with less, friction is nothing
+
+
+@inline
+def put_inverse(inverse: Floats, b: int, mass: float, moments: Vec3, R: Matrix) -> None:
+    """Write 1/M and the inverse inertia in world axes of partner b, turned by R."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor(R, moments)
+    for at, value in enumerate((mass, xx, xy, xz, yy, yz, zz)):
+        inverse[b, at] = value
 
 
 @inline
@@ -279,10 +288,8 @@ def write_through_joints(partners: Partners, rows: ImpulseRows, c: int) -> None:
     n, t1, t2 = (
         row3(frame, c, col.NORMAL), row3(frame, c, col.TANGENT), row3(frame, c, col.TANGENT + 3),
     )  # fmt: skip
-    by_n, by_1 = (
-        _moved_along(partners, frame, c, a, b, n),
-        _moved_along(partners, frame, c, a, b, t1),
-    )
+    by_n = _moved_along(partners, frame, c, a, b, n)
+    by_1 = _moved_along(partners, frame, c, a, b, t1)
     by_2, free = _moved_along(partners, frame, c, a, b, t2), frame[c, col.INVERSE]
     if by_n[0] <= col.LOCKED_SHARE * free:
         frame[c, col.LEAST_VELOCITY], rows.limits[c, col.RESTITUTION] = col.NEVER, 0.0

@@ -22,7 +22,7 @@ from particlerb.impulses.impacts import take_impacts
 from particlerb.impulses.push_out import push_out
 from particlerb.impulses.records import Impulses, Partners
 from particlerb.impulses.rolling import write_rolling
-from particlerb.impulses.rows import approach, write_through_pistons
+from particlerb.impulses.rows import approach, put_inverse, write_through_pistons
 from particlerb.impulses.solver import leave_out_what_leans, leave_out_what_will_bounce, solve
 from particlerb.impulses.work import sum_works
 from particlerb.integrators.contact_stages import contact_kinematics_later
@@ -39,15 +39,7 @@ from particlerb.integrators.pair_stages import BlockShare, Layout, PairTerms
 from particlerb.joints.records import Jointed
 from particlerb.joints.responses import find_bounded, find_responses, move_to_joints
 from particlerb.joints.rows import put_pose
-from particlerb.maths.quaternion import (
-    Matrix,
-    add_scaled4,
-    matrix,
-    multiply,
-    normalised,
-    tensor,
-    turn_back,
-)
+from particlerb.maths.quaternion import Matrix, add_scaled4, matrix, multiply, normalised, turn_back
 from particlerb.maths.rows import put_row3, row3
 from particlerb.maths.vec3 import (
     ZERO,
@@ -117,9 +109,7 @@ def gather_velocities(
             put_row3(partners.before, b, omega, 3)
             R, moments = matrix(get4(rows, Q, i)), get3(rows, INV_INERTIA, i)
             put_row3(partners.before, b, _free_turning(R, moments, omega), 9)
-            (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor(R, moments)
-            for at, value in enumerate((get(rows, INV_MASS, i), xx, xy, xz, yy, yz, zz)):
-                partners.inverse[b, at] = value
+            put_inverse(partners.inverse, b, get(rows, INV_MASS, i), moments, R)
             if inv_mass[b] > 0.0:
                 v = scale(inv_mass[b], get3(rows, P, i))
                 m = component_product(moments, turn_back(R, get3(rows, L, i)))

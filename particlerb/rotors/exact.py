@@ -233,7 +233,7 @@ def turns_of(
     modulus.fill(-1.0)  # also of those that are not asymmetric
     if asymmetric.size:
         bodies = Tumblers(moments, turned, np.empty((MOMENTUM_ROWS, n)), np.empty((2, n)))
-        n_turning, n_theta = THREADS.timed(moduli, bodies, spin, asymmetric, CROSSOVER, modulus)
+        n_turning, n_theta = THREADS.alone(moduli, bodies, spin, asymmetric, CROSSOVER, modulus)
     groups: list[tuple[Ints, Turn]] = []
     if n_theta:
         indices = _those(n_theta, n, lambda: modulus >= CROSSOVER)

@@ -99,12 +99,10 @@ def moduli(
     n_turning, n_theta = 0, 0
     for lo in range(0, indices.size, BODIES_PER_BLOCK):
         hi = min(lo + BODIES_PER_BLOCK, indices.size)
-        moment, turn, spin, result = (
-            rows3_from(s, 0),
-            rows4_from(s, 3),
-            rows3_from(s, 7),
-            s[_N_INPUTS],
-        )
+        moment = rows3_from(s, 0)
+        turn = rows4_from(s, 3)
+        spin = rows3_from(s, 7)
+        result = s[_N_INPUTS]
         high, low = rows3_from(s, 7), rows3_from(s, 10)
         for b in range(BODIES_PER_BLOCK):
             j = indices[min(lo + b, hi - 1)]
@@ -243,10 +241,8 @@ def near_table(bodies: Tumblers, indices: Ints, table: Floats, right: Bytes) -> 
         moment, turn, rate, high, low = _inputs(s)
         clock, left, right_of = _results(s)
         scale, phase = rows4_from(s, 25), s[29]
-        cosines, sines = (
-            (rows3_from(s, 30), rows3_from(s, 33)),
-            (rows3_from(s, 36), rows3_from(s, 39)),
-        )
+        cosines = (rows3_from(s, 30), rows3_from(s, 33))
+        sines = (rows3_from(s, 36), rows3_from(s, 39))
         for b in range(BODIES_PER_BLOCK):
             m = _pairs(column3(high, b), column3(low, b))
             constants = near_turn(column3(moment, b), m, column4(turn, b), rate[b])

@@ -184,10 +184,8 @@ def phases(local: tuple[Pair, Pair], slopes: tuple[Pair, Pair], nu: Pair, of: Re
     growth = -(f[0] * df[0] + f[1] * df[1] + g[0] * dg[0] + g[1] * dg[1])
     growth /= f[0] * f[0] + f[1] * f[1] + g[0] * g[0] + g[1] * g[1]  # of the real factor left out
     weight = 1.0 / (4.0 * of.lam * of.lam + nu[0] * nu[0] + nu[1] * nu[1] + TINY)
-    df, dg = (
-        (df[0] + growth * f[0], df[1] + growth * f[1]),
-        (dg[0] + growth * g[0], dg[1] + growth * g[1]),
-    )
+    df = (df[0] + growth * f[0], df[1] + growth * f[1])
+    dg = (dg[0] + growth * g[0], dg[1] + growth * g[1])
     return (
         _fitted(f, df, of.values[0], of.rates[0], weight),
         _fitted(g, dg, of.values[1], of.rates[1], weight),

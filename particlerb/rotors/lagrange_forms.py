@@ -57,12 +57,10 @@ def _sums(S: float, q: float) -> tuple[Five, Five]:
     rho, less = 1.0 / (e * e), 2.0 * S / e
     g, r2, q2 = q * q / rho, rho * rho, q * q
     q6, r4 = q2 * q2 * q2, r2 * r2
-    m1, m2, m3, m4 = (
-        0.5 * g,
-        0.5 * g * g * q2,
-        0.5 * g * g * g * q6,
-        0.5 * (g * g) * (g * g) * (q6 * q6),
-    )
+    m1 = 0.5 * g
+    m2 = 0.5 * g * g * q2
+    m3 = 0.5 * g * g * g * q6
+    m4 = 0.5 * (g * g) * (g * g) * (q6 * q6)
     o3 = 1.0 + rho + r2
     o5 = o3 + rho * r2 + r4
     o7 = o5 + r4 * rho + r4 * r2

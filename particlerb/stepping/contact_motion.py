@@ -11,7 +11,7 @@ import numpy as np
 from particlerb.compiled.barrier import ONE_THREAD, Team, together
 from particlerb.compiled.threads import BLOCK
 from particlerb.contact import records
-from particlerb.contact.contact_output import ContactOutput, acting
+from particlerb.contact.contact_output import ContactOutput, acting, output_of
 from particlerb.contact.missed_pairs import Watch
 from particlerb.contact.piston import piston_energies
 from particlerb.impulses import records as col
@@ -24,7 +24,6 @@ from particlerb.model.superblocks import sum_by_number
 from particlerb.model.worlds import bins_of, shape_of
 from particlerb.ranks import ending_all
 from particlerb.stepping.contact_checks import ContactChecks, is_due
-from particlerb.stepping.contact_frames import output_of
 from particlerb.stepping.contact_lists import ContactLists, Histories, ListLifetime, WallsAhead
 from particlerb.stepping.contact_room import (
     copies_of,

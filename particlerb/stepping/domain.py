@@ -19,6 +19,7 @@ from particlerb.compiled.barrier import Team, together
 from particlerb.compiled.threads import BLOCK
 from particlerb.contact.body_loads import find_stored_energy, sum_in_bins, sum_piston_loads
 from particlerb.contact.contact_model import Instant, MovingContact
+from particlerb.contact.contact_output import ContactRows
 from particlerb.contact.piston import place_pistons, step_pistons
 from particlerb.integrators.contact_stages import (
     SKIN_SHARE,
@@ -37,7 +38,6 @@ from particlerb.model.state import State, state_of
 from particlerb.model.superblocks import over_blocks, sum_by_number, summed
 from particlerb.model.worlds import over_bins
 from particlerb.ranks import ALONE, Ranks
-from particlerb.stepping.contact_frames import ContactRows
 from particlerb.stepping.contact_lists import ContactLists, Histories
 from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.contact_room import without_pistons

@@ -43,9 +43,8 @@ class EventMotion(Motion):
         self.data = empty_data(int(np.diff(self.scene.kind[:, col.FIRST_SPHERE]).max()))
         if before is not None:
             self.continue_tally(before.impulse_tally())
-            self.state.tally[impulses.GROSS_WORK] = (
-                0.0  # who has run the segment before has counted it
-            )
+            # Who has run the segment before has counted it:
+            self.state.tally[impulses.GROSS_WORK] = 0.0
         self.state.tally[impulses.RENEWED] -= n_moving  # as each looks for its first event
         self.state.flight[:, col.BOUND] = bounds_of(group)[1][self.order]
         THREADS.alone(set_all, self.scene, self.state, self.order, state)
@@ -61,7 +60,7 @@ class EventMotion(Motion):
         """
         until, ends = time - self.start, col.MORE
         while ends == col.MORE:
-            ends, b = THREADS.timed(advance, self.scene, self.state, self.data, until, _PER_CALL)
+            ends, b = THREADS.alone(advance, self.scene, self.state, self.data, until, _PER_CALL)
         if ends != col.DONE:
             now = self.start + float(self.state.sums[col.EPOCH] + self.state.heap_time[0])
             what = f"at t = {now:.9g} s body {self.group.members[self.order[b]]} cannot continue"
@@ -74,10 +73,8 @@ class EventMotion(Motion):
         state = State(*(np.zeros((rows, n)) for rows in (3, 4, 3, 3)))
         local = elapsed - float(self.state.sums[col.EPOCH])
         THREADS.alone(states_at, self.scene, self.state, local, self.order, state, moment)
-        external, g = (
-            self.state.sums[col.SUM_EXTERNAL : col.MOMENT].copy(),
-            np.array(self.scene.gravity),
-        )
+        external = self.state.sums[col.SUM_EXTERNAL : col.MOMENT].copy()
+        g = np.array(self.scene.gravity)
         external[1:4] += self.scene.body[:, col.BODY_MASS].sum() * g * elapsed
         external[4:7] += np.cross(moment, g)
         return state, external

@@ -114,10 +114,8 @@ def scene_of(group: SegmentGroup, state: State, order: Ints, n_moving: int) -> E
         gravity = group.terms.gravity.acceleration.copy()
     body = _constants(group, reach)[order]
     kind = np.zeros((order.size + 1, col.N_KIND), dtype=np.int64)
-    kind[:, col.FIRST_SPHERE], kind[:-1, col.MATERIAL] = (
-        first,
-        spheres.material[spheres.offset[order]],
-    )
+    kind[:, col.FIRST_SPHERE] = first
+    kind[:-1, col.MATERIAL] = spheres.material[spheres.offset[order]]
     kind[:-1, col.IS_ASYMMETRIC] = group.bodies.rotor_class[order] == ASYMMETRIC
     kind[:-1, col.IS_ASYMMETRIC] *= body[:, col.BODY_INV_MASS] > 0.0
     near_first, near = _walls_near(walls, grid, float(bound.max()))
@@ -171,11 +169,9 @@ def _constants(group: SegmentGroup, reach: Floats) -> Floats:
     """`EventScene.body` in the order of the group."""
     bodies = group.bodies
     body = np.zeros((reach.size, col.N_BODY))
-    body[:, col.BODY_MASS], body[:, col.BODY_INV_MASS], body[:, col.BODY_REACH] = (
-        bodies.mass,
-        bodies.inv_mass,
-        reach,
-    )
+    body[:, col.BODY_MASS] = bodies.mass
+    body[:, col.BODY_INV_MASS] = bodies.inv_mass
+    body[:, col.BODY_REACH] = reach
     body[:, col.BODY_INERTIA : col.BODY_INERTIA + 3] = bodies.inertia.T
     body[:, col.BODY_INV_INERTIA : col.BODY_INV_INERTIA + 3] = bodies.inv_inertia.T
     body[:, col.BODY_CURVED] = _bends(bodies.inertia.T, bodies.inv_inertia.T)

@@ -307,10 +307,8 @@ class ForceAccount:
 
     def at_end(self, values: Floats, elapsed: float) -> tuple[State, Floats]:
         """State, and what was given until then, from rows (CHANGING, n) of blocks."""
-        state, sums = (
-            state_of(values[:STATE_ROWS]),
-            self.group.totals(values[EXTERNAL : EXTERNAL + 7]),
-        )
+        state = state_of(values[:STATE_ROWS])
+        sums = self.group.totals(values[EXTERNAL : EXTERNAL + 7])
         external = self.of_states(np.array([elapsed]), state.com, state.q, state.L, sums[None])
         return state, external[0]
 
