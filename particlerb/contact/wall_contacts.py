@@ -52,42 +52,10 @@ from particlerb.contact.wall_pieces import (
     point_in_reach,
     write_points,
 )
-from particlerb.contact.walls import (
-    EDGE,
-    PLANE,
-    RIM,
-    SIDE,
-    VERTEX,
-    Primitive,
-    primitive_at,
-    radial,
-    wall_velocity,
-)
+from particlerb.contact.walls import PLANE, normal_rate, primitive_at, wall_velocity
 from particlerb.maths.quaternion import to_body, to_world
 from particlerb.maths.rows import put_row3, row3, row4
 from particlerb.maths.vec3 import ZERO, Vec3, add_scaled, cross, dot, norm, scale, subtract
-
-
-@inline
-def _gap_rate(primitive: Primitive, y: Vec3, v: Vec3) -> Vec3:
-    """How the gap to a primitive changes [m/s] where that may turn it; all in the wall's frame.
-
-    The nearest point stays at a vertex, goes along an edge or the side of a cylinder, and round
-    with its rim; above planes, faces and discs the gap keeps its direction.
-    """
-    kind, a, b, c, _ = primitive
-    if kind == VERTEX:
-        return v
-    if kind == EDGE:
-        e = subtract(b, a)
-        return add_scaled(-dot(v, e) / dot(e, e), e, v)
-    if kind in (SIDE, RIM):
-        _, rho, away = radial(a, b, y)
-        across = add_scaled(-dot(v, b), b, v)
-        round_it = add_scaled(-dot(across, away), away, across)
-        stays = across if kind == SIDE else v
-        return add_scaled(-c[0] / rho, round_it, stays) if rho > 0.0 else ZERO
-    return ZERO
 
 
 @inline
@@ -97,14 +65,11 @@ def wall_normal_rate(on: Evaluation, at: SphereAtWall, piece: WallPiece, normal:
         return ZERO
     walls, poses = on.model.walls, on.workspace.poses
     turning = cross(row3(poses.angular_velocity, at.wall), normal)
-    distance = norm(piece.gap)
-    if piece.points > 1 or distance <= 0.0:
+    if piece.points > 1 or norm(piece.gap) <= 0.0:
         return turning
     primitive = primitive_at(walls.kind, walls.parameter, on.contacts.other[piece.nearest])
-    v = to_body(at.q, approach_velocity(on.workspace, at))
-    rate = to_world(at.q, _gap_rate(primitive, at.y, v))
-    across = add_scaled(-dot(rate, normal), normal, rate)
-    return add_scaled(1.0, turning, scale(-1.0 / distance, across))
+    v, away = to_body(at.q, approach_velocity(on.workspace, at)), to_body(at.q, scale(-1.0, normal))
+    return subtract(turning, to_world(at.q, normal_rate(primitive, at.y, away, v)))
 
 
 _MAX_WALL_OVERLAP: Final = 0.8  # with a thin wall, in radii: beyond 1 it pushes to its other side
