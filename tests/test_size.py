@@ -17,15 +17,15 @@ pytestmark = pytest.mark.once
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "particlerb").rglob("*.py"))
 
-LINES_OF_CODE = 23818
+LINES_OF_CODE = 23719
 """At most, of the package without what BUDGETS allows; 19 000 are the aim. It only shrinks."""
 
 BUDGETS = {
-    "closed forms under force": 1582,
-    "joints": 5943,
-    "contact with every method": 702,
-    "contact by impulses": 4294,
-    "collisions by events": 1739,
+    "closed forms under force": 1572,
+    "joints": 5903,
+    "contact with every method": 662,
+    "contact by impulses": 4222,
+    "collisions by events": 1725,
     "forces: tables, gradients, written by users": 2233,
     "scenes and simulations in Python": 1256,
     "sweeps": 1751,
