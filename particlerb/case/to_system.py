@@ -204,7 +204,7 @@ def _particle_sets(case: Case, i: int, body: Body) -> tuple[Particles, list[tupl
     files, stream = case.source.files, random_stream(case.run.seed, i, "shape")
 
     if body.shape is not None:
-        each = [_shape_particles(files, body.shape, *one, stream) for one in body.matter_of_kinds]
+        each = [_shape_particles(files, body.shape, one, stream) for one in body.matter_of_kinds]
         return concatenate([one.particles for one in each]), [("", line) for line in each[0].lines]
     sets = list[Particles]()
     for _ in body.matter_of_kinds:
@@ -227,16 +227,13 @@ def turn_of(part: ShapePart) -> Floats:
 
 
 def _shape_particles(
-    files: Files,
-    shape: AnyShape,
-    mass: Any,
-    density: Any,
-    stream: np.random.Generator,
+    files: Files, shape: AnyShape, matter: tuple[Any, Any], stream: np.random.Generator
 ) -> FilledShape:
     """Particles of a shape in its own axes, and what is to be said of them.
 
     Mass [kg] or density [kg/m³] is a number, or a column (k, 1) for as many kinds.
     """
+    mass, density = matter
     if isinstance(shape, Cloud):
         return FilledShape(shapes.cloud(shape.n, shape.radius, mass or 0.0, stream))
     if isinstance(shape, PointsShape):
