@@ -168,11 +168,13 @@ class ContactChecks:
             why += "; one of them moves as prescribed: let it leave space for what it presses"
         between = f"body {int(self.members[int(body)])} and {partner}"
         if impulses is not None and depth == math.inf:
+            walls = wall_displacement(self._motions, self.dt, [1.0] * len(self._motions))
+            if model.prescribed is not None or walls > 0.0:
+                why = "let what moves as prescribed leave space for what it presses"
             raise MotionError(
                 f"by t = {when} no impulses keep bodies apart, as where one is pressed from sides"
                 f" that do not yield: that of {between} grew to {radius:.2g} N s (residual"
-                f" {impulses.tally[col.WORST_EVER]:.2g} at worst); let what moves as prescribed"
-                " leave space for what it presses"
+                f" {impulses.tally[col.WORST_EVER]:.2g} at worst); {why}"
             )
         raise MotionError(
             f"at t = {when} {between} overlap by {depth:.3g} m, {depth / radius:.2g} of the smaller"
