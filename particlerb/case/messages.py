@@ -101,7 +101,7 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     """One error of pydantic."""
     path = _path_in(raw, error["loc"], root)
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
-    is_each = path[0] == "force" or issubclass(root, ForceTable)
+    is_each = path[:1] == ("force",) or issubclass(root, ForceTable)
     is_each &= is_rows(value) or (kind == "float_type" and isinstance(value, (list, tuple)))
     alike = "bodies of a [[force]] share it: give one for each that differs" if is_each else ""
     if kind == "extra_forbidden":

@@ -24,6 +24,7 @@ from particlerb.tables import (
     PlaneWall,
     PointsShape,
     PushTable,
+    RandomBox,
     RunTable,
     ShapePart,
     SpheresShape,
@@ -32,6 +33,7 @@ from particlerb.tables import (
     SweepTable,
     TimedLoad,
     TorqueTable,
+    Torus,
     UniformField,
 )
 
@@ -182,6 +184,12 @@ def test_parts_and_tables_within_tables_are_kept():
             lambda: Body(name="x", position=np.zeros((2, 2))),
             ["position: must be rows of 3 numbers"],
         ),
+        (lambda: RandomBox(lower=(1, 0, 0), upper=(0, 0, 0)), ["RandomBox: error: upper"]),
+        (lambda: BoxWall(name="w", lower=(1, 0, 0), upper=(0, 0, 0)), ["BoxWall: error: upper"]),
+        (lambda: Torus(major_radius=1.0, minor_radius=2.0), ["Torus: error: minor_radius"]),
+        (lambda: SweepTable(axes={}), ["SweepTable: error: axes"]),
+        (lambda: PointsShape(mass=(1.0,)), ["PointsShape: error: "]),
+        (TimedLoad, ["TimedLoad: error: ", "give `times` and `values`"]),
     ],
 )
 def test_a_wrong_key_is_refused_with_the_words_of_a_case(make, words):
