@@ -26,7 +26,7 @@ BUDGETS = {
     "contact with every method": 662,
     "contact by impulses": 4222,
     "collisions by events": 1725,
-    "forces: tables, gradients, written by users": 2233,
+    "forces: tables, gradients, written by users": 2240,
     "scenes and simulations in Python": 1256,
     "sweeps": 1751,
     "one scene over ranks": 2793,

@@ -13,7 +13,7 @@ from pydantic_core import ErrorDetails
 from particlerb.case.forces import ForceTable
 from particlerb.case.problems import CaseError, Locator, Path, Source, is_meant, nearest, shown
 from particlerb.case.schema import Case
-from particlerb.case.values import Table, is_rows, plain
+from particlerb.case.values import FloatArray, Table, is_rows, plain
 
 _WORDS_OF_KINDS = {
     "bool_type": "must be true or false",
@@ -27,6 +27,7 @@ _WORDS_OF_KINDS = {
 }
 _CLOSE = 0.7  # likeness of a key and of the one that is guessed, as length and rest_length
 _GUESS = r'did you mean "(.*?)"|\S+ is a key of (\w+)$'
+_SHARED = "bodies of a [[force]] share it: write a [[force]] for each that differs"
 _EMPTY_KINDS = ("string_too_short", "too_short")
 _BOUND_KINDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"),
           "less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}  # fmt: skip
@@ -101,9 +102,7 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
     """One error of pydantic."""
     path = _path_in(raw, error["loc"], root)
     kind, context, value = error["type"], error.get("ctx", {}), error["input"]
-    is_each = path[:1] == ("force",) or issubclass(root, ForceTable)
-    is_each &= is_rows(value) or (kind == "float_type" and isinstance(value, (list, tuple)))
-    alike = "bodies of a [[force]] share it: give one for each that differs" if is_each else ""
+    alike = _SHARED if _is_shared(raw, path, root, kind, value) else ""
     if kind == "extra_forbidden":
         keys = _table_keys(raw, path[:-1], root)
         hint, where = nearest(str(path[-1]), keys, "keys here"), _elsewhere(path, root)
@@ -140,6 +139,17 @@ def _message(raw: Any, error: ErrorDetails, root: type[Table]) -> Message:
         kinds = f"{are}: {', '.join(_table_keys(raw, path, root))}"
         hint = _header_of(raw, path, root) if is_header else kinds
     return Message(path, reason, hint)
+
+
+def _is_shared(raw: Any, path: Path, root: type[Table], kind: str, value: Any) -> bool:
+    """Whether rows for bodies of a [[force]] are given for a key that is the same for all."""
+    if not (path[:1] == ("force",) or issubclass(root, ForceTable)):
+        return False
+    if path[-1:] == ("values",):  # of knots, which have rows of their own
+        return is_rows(value) and is_rows(value[0])
+    is_list = kind == "float_type" and isinstance(value, list)
+    has_rows = is_list or (is_rows(value) and len(value) > 1)
+    return has_rows and FloatArray not in _types_at(raw, path, root)
 
 
 def _header_of(raw: Any, path: Path, root: type[Table]) -> str:

@@ -281,5 +281,22 @@ def test_springs_at_first_lengths_and_functions_act_on_each_body():
     ],
 )
 def test_what_is_the_same_for_all_says_what_to_do_instead(table, keys):
-    with pytest.raises(CaseError, match="share it: give one for each that differs"):
+    with pytest.raises(CaseError, match=r"share it: write a \[\[force\]\] for each"):
         table(body="b", **keys)
+
+
+@pytest.mark.parametrize(
+    ("table", "keys"),
+    [
+        (PushTable, {"force": [[1, 2], [3, 4]]}),
+        (PushTable, {"force": VECTORS, "at": [[1, 2], [3, 4]]}),
+        (PushTable, {"force": {"times": [0.0, 1.0], "values": [[1, 2], [3, 4]]}}),
+        (PushTable, {"force": (1, 0, 0), "during": [[1, 2]]}),
+        (ImpulseTable, {"impulse": [[1, 2, 3], [1, 2]], "time": 0.1}),
+        (CentralTable, {"mu": [[1.0], [2.0]]}),
+    ],
+)
+def test_of_wrong_rows_where_bodies_may_differ_nobody_says_that_they_share(table, keys):
+    with pytest.raises(CaseError) as found:
+        table(body="b", **keys)
+    assert "share it" not in str(found.value)
