@@ -217,9 +217,9 @@ def ascending(times: Sequence[float], key: str = "", hint: str = "") -> Sequence
     """Two times or more, each later than the one before; what to do about others."""
     if len(times) < 2:
         raise broken(f"needs two knots at least, has {len(times)}", key)
-    k = first_out_of_order(times)
-    if k is not None:
-        raise broken(f"must ascend, entry {k} is {times[k]!r} after {times[k - 1]!r}", key, hint)
+    if (k := first_out_of_order(times)) is not None:
+        told = f"times must ascend, knot {k} is at {times[k]!r} s after {times[k - 1]!r} s"
+        raise broken(told, key, hint)
     return times
 
 

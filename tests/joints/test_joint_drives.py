@@ -199,6 +199,10 @@ def test_a_driven_mechanism_goes_on_bit_for_bit(tmp_path):
         ({"speed": [[0.0, 0.0], [0.5, 1.0], [0.5, 2.0]]}, "a jump of speed"),
         ({"position": [[0.0, 0.1], [1.0, 1.0]]}, r"must begin at \[0, 0\]"),
         ({"position": [[0.0, 0.0]]}, "two knots"),
+        (
+            {"position": [[0.0, 0.0], [1.0, 1.0], [0.5, 2.0]]},
+            r"times must ascend, knot 2 is at 0\.5 s after 1\.0 s",
+        ),
         ({"position": [[0.0, 0.0], [1.0, 1.0]], "speed": 0.0}, "one of position, speed"),
         ({"amplitude": 1.0}, "goes with amplitude"),
         ({}, "one of position, speed"),
