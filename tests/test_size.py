@@ -28,7 +28,7 @@ BUDGETS = {
     "collisions by events": 1725,
     "forces: tables, gradients, written by users": 2240,
     "scenes and simulations in Python": 1256,
-    "sweeps": 1751,
+    "sweeps": 1752,
     "one scene over ranks": 2793,
     "reports, pictures, the page": 2123,
     "scenes for other programs": 541,

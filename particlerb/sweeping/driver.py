@@ -20,7 +20,6 @@ from particlerb.case.schema import Case
 from particlerb.case.sweep import SweepTable
 from particlerb.case.to_system import to_system
 from particlerb.case.values import plain
-from particlerb.compiled.helper import no_collection
 from particlerb.model.system import System
 from particlerb.plan.case_forces import loads_of
 from particlerb.simulation.joint_values import refuse_checks
@@ -106,11 +105,9 @@ def sweep(
             progress(len(rows))
 
         n = workers or os.cpu_count() or 1
-        # Python would look at all rows again and again; who runs variants here leaves garbage
-        with nullcontext() if executor else no_collection():
-            if left:
-                _drive(executor, _tasks(base, system, asked, left, n), n, take)
-            return file.finish(all_variants)
+        if left:
+            _drive(executor, _tasks(base, system, asked, left, n), n, take)
+        return file.finish(all_variants)
 
 
 def _asked(base: Case, axes: Mapping[str, Any] | None) -> SweepTable:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from particlerb.compiled.helper import no_collection
 from particlerb.files import Closing
 from particlerb.maths.vec3 import Floats
 from particlerb.record.output_path import appearing, is_at, output_path, remove, sync, sync_open
@@ -190,6 +191,7 @@ class TableFile(Closing):
         except (IndexError, ValueError):
             raise ValueError(f"{path} has lines that are no rows: give another name") from None
 
+    @no_collection()  # Python would look at all rows again and again
     def add(self, rows: Sequence[tuple[Variant, Row]]) -> None:
         """Add rows."""
         lines, hashes = list[tuple[Any, ...]](), [variant.hash for variant, _ in rows]
@@ -210,6 +212,7 @@ class TableFile(Closing):
             told = "was moved, removed, replaced or changed by another program meanwhile"
             raise OSError(errno.EIO, told, str(path))
 
+    @no_collection()
     def finish(self, variants: Sequence[Variant]) -> SweepRows:
         """Rows of all variants in their order; the file then has these and no others.
 
