@@ -61,8 +61,8 @@ def one_kind(position: ArrayLike, mass: ArrayLike, radius: ArrayLike | None = No
     k, n = max(len(masses) if masses.ndim == 2 else 1, len(p) if p.ndim == 3 else 1), p.shape[-2]
     m = _per_particle("mass", masses, k, n)
     r = _per_particle("radius", 0.0 if radius is None else radius, k, n)
-    if not np.isfinite(p).all():
-        raise ValueError(f"position of particle {np.argmin(np.isfinite(p).all(axis=1))} not finite")
+    if not (is_finite := np.isfinite(p).all(axis=-1)).all():
+        raise ValueError(f"position of particle {np.argmin(is_finite) % n} not finite")
     p = np.array(np.broadcast_to(p, (k, n, 3)), order="C").reshape(-1, 3)
     return Particles(p, m, r, n * np.arange(k + 1))
 
@@ -76,7 +76,7 @@ def _per_particle(name: str, value: ArrayLike, k: int, n: int) -> Floats:
     valid = np.isfinite(array) & (array >= 0.0)
     if not valid.all():
         i = int(np.argmin(valid))
-        raise ValueError(f"{name} of particle {i} is {array[i]}: finite and 0 or more is needed")
+        raise ValueError(f"{name} of particle {i % n} is {array[i]}: must be finite, 0 or more")
     return array
 
 

@@ -428,3 +428,11 @@ def test_what_is_known_of_a_set_is_nobodys_to_change():
     heavier = mass_properties(particles._replace(mass=2.0 * particles.mass))
     assert all((one == other).all() for one, other in zip(again, kept, strict=True))
     assert heavier.mass[0] == 2.0 * kept[0][0]
+
+
+@pytest.mark.parametrize("wrong", ["position", "mass"])
+def test_of_several_kinds_the_wrong_particle_is_counted_in_its_own(wrong):
+    position, mass = np.zeros((2, 4, 3)), np.ones((2, 4))
+    {"position": position[..., 0], "mass": mass}[wrong][1, 2] = math.nan
+    with pytest.raises(ValueError, match=f"{wrong} of particle 2 "):
+        one_kind(position, mass)
