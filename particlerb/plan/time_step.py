@@ -69,12 +69,18 @@ def _refuse_above(system: System, segment: Segment, rate: float, where: str) -> 
     reach = contact_limit(segment.method, segment.terms.known_contact)
     if METHODS[segment.method].stability_limit == 0.0:
         reach = LONGEST_UNSTABLE
-    if not segment.dt * rate > reach:
+    dt = _longest_taken(system, segment)
+    if not dt * rate > reach:
         return
-    reason = f"the step of {segment.dt:.3g} s is above {reach / rate:.3g} s, {where}"
+    reason = f"the step of {dt:.3g} s is above {reach / rate:.3g} s, {where}"
     accurate = f"dt = {math.pi / rate / STEPS_PER_CONTACT:.2g} s or less is accurate"
     hint = f"{accurate}; contact.allow_unstable = true takes it anyway"
     raise CaseError([problem_at(system, step_key(system), reason, hint)])
+
+
+def _longest_taken(system: System, segment: Segment) -> float:
+    """Longest step [s] that is taken in a segment: none goes beyond its end, nor t_end."""
+    return min(segment.dt, min(segment.stop, system.run.t_end) - segment.start)
 
 
 def growing_contacts(system: System, groups: tuple[GroupPlan, ...]) -> list[Problem]:
@@ -89,7 +95,7 @@ def growing_contacts(system: System, groups: tuple[GroupPlan, ...]) -> list[Prob
                 continue
             rate = fastest_contact(system, group, segment)
             limit = contact_limit(segment.method, contact)
-            if segment.dt * rate > limit:
+            if _longest_taken(system, segment) * rate > limit:
                 reason = f"with {segment.method} bodies that rest on contacts oscillate ever more"
                 reason += f" above {limit / rate:.3g} s" if limit > 0.0 else " at any step"
                 return [problem_at(system, "run.method", reason, 'take "strang"')]
@@ -274,7 +280,8 @@ def step_reason(
         packs = "packs of sixteen bodies, and those that act on each other,"
         return f"{packs} take their own, error {system.run.tolerance!r} in each"
     if system.run.dt is not None:
-        return f"{system.run.dt:.9g} s, as the case says"
+        about = "" if float(f"{system.run.dt:.9g}") == system.run.dt else "about "
+        return f"{about}{system.run.dt:.9g} s, as the case says"
     rule = f"the smaller of run.every and {RADIANS_PER_STEP} / fastest rate"
     if len(distinct) > 1:
         return f"{min(distinct):.6g} s to {max(distinct):.6g} s, for each group {rule}"
@@ -333,7 +340,7 @@ def _worst_steps(system: System, groups: tuple[GroupPlan, ...]) -> _Worst:
         rate, fastest = float(turning.max()), system.names[int(group.members[turning.argmax()])]
         name = system.names[int(group.members[0])]
         for segment in stepped:
-            dt = min(segment.dt, min(segment.stop, system.run.t_end) - segment.start)
+            dt = _longest_taken(system, segment)
             method, turn = METHODS[segment.method], dt * rate
             limit = stable_step(system, group, segment) if turn > method.stability_limit else np.inf
             touches = segment.terms.contact is not None

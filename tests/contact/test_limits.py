@@ -50,6 +50,16 @@ def test_unstable_step_is_refused_unless_allowed():
     assert prepare(to_system(drop(0.1, allow_unstable=True))).plan.warnings
 
 
+def test_no_step_is_refused_that_is_longer_than_the_run_takes_it():
+    """ω = √10 /s: a step of 0.5 s is below 2/ω, and one of 1 s, which t_end cuts, is above it."""
+    prepare(to_system(drop(1.0, stiffness=10.0, restitution=1.0)))
+    grows = drop(1.0, stiffness=10.0, allow_unstable=True)
+    for t_end, is_told in ((1.0, True), (1e-3, False)):
+        grows["run"] |= {"t_end": t_end, "every": t_end, "method": "explicit_euler"}
+        told = prepare(to_system(grows)).plan.warnings
+        assert any("oscillate ever more" in one for one in told) == is_told
+
+
 def cage(dt, height, gap=0.0, **contact) -> dict:
     """A ball in a box of its own size, or above it; closed: ω² = (2 + 4 · 2/7) k/m."""
     case = drop(dt, restitution=1.0, friction=0.5, overlap=1e-3, **contact)

@@ -263,7 +263,7 @@ def test_plan_gives_a_reason_for_what_is_done(make):
 
 def test_a_step_of_the_case_is_told_with_nine_digits(make):
     pushed = make.case(make.body(), force=[make.push(FORCE, AT)], dt=0.3 / 7.0)
-    assert lines(pushed)["step"] == "0.0428571429 s, as the case says\n"
+    assert lines(pushed)["step"] == "about 0.0428571429 s, as the case says\n"
 
 
 def test_forces_of_one_form_share_a_group_and_keep_their_own_size(make):
