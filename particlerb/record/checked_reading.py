@@ -54,7 +54,7 @@ class TrajectoryError(Exception):
 @contextmanager
 def trajectory_errors(file: h5py.File | Memory | str | Path) -> Iterator[None]:
     """Turn what h5py raises on damaged and foreign files into TrajectoryError."""
-    name = file.filename if isinstance(file, h5py.File) and file else file
+    name = file.filename if isinstance(file, h5py.File | Memory) and file else file
     require_open(file)
     try:
         yield

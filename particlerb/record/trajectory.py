@@ -279,9 +279,9 @@ class Trajectory(LabelledReader):
             SI units, world frame.
         """
         path = f"{schema.OBSERVABLES}/{name}/value"
-        if path not in schema.SERIES:
-            known = [p.split("/")[1] for p in schema.SERIES if p.startswith(schema.OBSERVABLES)]
-            raise KeyError(f"no observable {name}; there are {', '.join(known)}")
+        if name not in schema.LEDGER and path not in (there := schema.series_of(self.other_fields)):
+            known = [p.split("/")[1] for p in there if p.startswith(schema.OBSERVABLES)]
+            raise KeyError(f"this run has no observable {name}; there are {', '.join(known)}")
         return self.series(path, frames)
 
     @property

@@ -316,3 +316,14 @@ def test_context_manager_closes(written):
         assert isinstance(t, Trajectory)
         assert t.file
     assert not t.file
+
+
+def test_what_a_run_does_not_observe_is_named_beside_what_it_does():
+    body = {"name": "a", "shape": {"type": "sphere", "radius": 0.1}, "mass": 1.0}
+    with particlerb.run({"run": {"t_end": 1.0, "every": 1.0}, "body": [body]}) as t:
+        for name in ("friction_work", "wall_force"):
+            with pytest.raises(KeyError, match=f"no observable {name}; there are kinetic") as found:
+                t.observable(name)
+            assert "push_out_work" not in str(found.value)
+        with pytest.raises(TrajectoryError, match="run in memory is not a"):
+            t.table("bodies/gone", "f", (None,))
