@@ -185,7 +185,7 @@ class Body(Table):
 
     @property
     def matter_of_kinds(self) -> list[tuple[Any, Any]]:
-        """The same of each draw; of what is not drawn once, with a column (k, 1) for k kinds."""
+        """Matter of each draw; else one entry, a column (k, 1) where there are k kinds."""
         if self.weights is None:
             return [self.matter] * (self.count if self.is_drawn else 1)
         of_kinds = list(self.weights) if self.is_drawn else [np.unique(self.weights)[:, None]]

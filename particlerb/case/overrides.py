@@ -34,8 +34,8 @@ def overridden(source: Source, overrides: Sequence[str]) -> Source:
                 raise LookupError("must have the form key=value, such as run.dt=1e-4")
             raw = with_value(raw, path, toml_value(text.strip()))
         except LookupError as error:
-            place = f"--set {key}", None, None, key_of(path)
-            problems.append(Problem(*place, text, str(error.args[0])))
+            file, reason = f"--set {key}", str(error.args[0])
+            problems.append(Problem(file, None, None, key_of(path), text, reason))
         paths.append(path)
     refuse(problems)
     return source._replace(raw=raw, overridden=tuple(paths))

@@ -31,7 +31,7 @@ def differences(values: Array, before: Any) -> Array:
 
 
 def rows_of(array: Floats) -> Any:
-    """All rows of a (3, n) or (4, n) array, which may be a view, for a kernel: each contiguous."""
+    """Rows of a (3, n) or (4, n) array, or view, each contiguous: copies perhaps, to read alone."""
     array = np.asarray(array, np.float64)
     return tuple(array if array.strides[1] == array.itemsize else np.ascontiguousarray(array))
 

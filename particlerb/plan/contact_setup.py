@@ -217,7 +217,7 @@ def side_by_side(pairs: Sequence[MaterialPairs]) -> MaterialPairs:
 
 def _number_of(table: ContactTable, pair: Pair | None, key: str) -> float | None:
     """Number of a pair, its own or that of all pairs."""
-    own: float | None = getattr(pair, key, None)
+    own: float | None = None if pair is None else getattr(pair, key)
     return getattr(table, key) if own is None else own
 
 

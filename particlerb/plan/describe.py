@@ -146,8 +146,8 @@ def _origin_of_points(system: System, kind: str) -> str:
             b = system.names.find_in_order(force.body)
             com, reach = system.properties.com[system.kind[b]], system.reach[system.kind[b]]
             for k in np.flatnonzero(np.linalg.norm(com, axis=1) > _PLAIN * reach).tolist():
-                where = f"{system.names[b[k]]} is at {vector(com[k].tolist())} m of its axes"
-                return f"; `at` counts from the centre of mass, which of {where}"
+                centre = f"{system.names[b[k]]} is at {vector(com[k].tolist())} m of its axes"
+                return f"; `at` counts from the centre of mass, which of {centre}"
     return ""
 
 

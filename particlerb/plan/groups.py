@@ -216,10 +216,10 @@ def _aligned(loads: Sequence[ResolvedForce], members: Ints) -> list[Forces]:
         own = load.on(inside)
         columns = np.array([place[b] for b in own.members.tolist()])
         rooms = rooms_of.setdefault(load.form, [])
-        free = next((room for room in rooms if not room[1][columns].any()), None)
+        free = next((one for one in rooms if not one[1][columns].any()), None)
         if free is None:
-            room = np.zeros((max(N_NUMBERS, len(load.numbers)), members.size))
-            free = Forces(load.force, room), np.zeros(members.size, dtype=bool)
+            zeros = np.zeros((max(N_NUMBERS, len(load.numbers)), members.size))
+            free = Forces(load.force, zeros), np.zeros(members.size, dtype=bool)
             free[0].numbers[:3] = force_of(load.force).nowhere
             rooms.append(free)
         numbers, taken_ = free[0].numbers, free[1]

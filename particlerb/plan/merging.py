@@ -43,8 +43,8 @@ def merges(table: JointTable) -> bool:
 def unmerged(system: System) -> System:
     """The system in which each body moves by itself."""
     whole = system if system.merging is None else system.merging.unmerged
-    rows = {"merge": False}
-    tables = (t.model_copy(update=rows) if t.type == "fixed" else t for t in whole.joint)
+    apart = {"merge": False}
+    tables = (t.model_copy(update=apart) if t.type == "fixed" else t for t in whole.joint)
     return whole._replace(joint=tuple(tables))
 
 

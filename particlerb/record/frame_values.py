@@ -118,6 +118,7 @@ def _fields_of(
     pick = slice(rows[0], rows[-1] + 1) if contiguous else rows
     arrays = {name: getattr(frames, name)[pick] for name in Frames._fields if name in names}
     if {"velocity", "angular_velocity"} & set(names):
-        rows_of = (values[pick] for values in frames[1:4])
-        arrays["velocity"], arrays["angular_velocity"] = derived(system.bodies, *rows_of)
+        motion = frames.orientation, frames.linear_momentum, frames.angular_momentum
+        rates = derived(system.bodies, *(values[pick] for values in motion))
+        arrays["velocity"], arrays["angular_velocity"] = rates
     return arrays

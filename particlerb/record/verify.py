@@ -10,7 +10,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from particlerb.model.balance import Entries
 from particlerb.model.bodies import Bodies, held
 from particlerb.model.state import STATE_FIELDS, Frames
 from particlerb.model.totals import totals
@@ -134,7 +133,8 @@ def _verify_balance(trajectory: Trajectory) -> str:
 
 def _balance(trajectory: Trajectory) -> None:
     """Require that energy is the sum of its parts, and energy - work - energy_error constant."""
-    kinetic, potential, energy, work, error = map(trajectory.observable, Entries._fields[:5])
+    names = "kinetic_energy", "potential_energy", "energy", "work", "energy_error"
+    kinetic, potential, energy, work, error = map(trajectory.observable, names)
     size = sum(float(np.abs(values).max(initial=0.0)) for values in (kinetic, potential, work))
     if (np.abs(energy - kinetic - potential) > _SUM_ROUNDING["f8"] * size).any():
         raise _Flaw("energy is not the sum of its parts")

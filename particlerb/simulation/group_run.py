@@ -190,8 +190,9 @@ class GroupRun:
         group = self.plan.group(segment)
         if segment.terms.tree_accuracy:
             group = group._replace(terms=self.terms)
-        how = segment.start, segment.dt, segment.tolerance, before, self.number > 0
-        motion = make_motion(METHODS[segment.method], group, self.first_state, *how)
+        method, times = METHODS[segment.method], (segment.start, segment.dt)
+        begin = method, group, self.first_state, *times, segment.tolerance
+        motion = make_motion(*begin, before=before, is_own=self.number > 0)
         if before is not None:
             motion.continue_joints(before)
         return motion

@@ -109,8 +109,8 @@ class Rehearsal:
             first = np.arange(0, n, BLOCK)
             layout = Layout(first, np.minimum(n - first, BLOCK), asymmetric)
             sums_external = flag(not (self.is_constant and method.keeps_angular_momentum))
-            acting = self.acting, sums_external
-            moving = MovingBodies(self.blocks, layout, *acting, rotors, None, None)
+            acts = self.acting, sums_external, rotors
+            moving = MovingBodies(self.blocks, layout, *acts, pairs=None, dashpots=None)
             self.loops[name] = partial(compiled_loop(method, False), moving)
         return self.loops[name]
 

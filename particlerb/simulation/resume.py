@@ -200,8 +200,8 @@ def resume_pending(
             recorder = Recorder.reopen(path, system, start, n_kept, is_prolonged=is_prolonged)
         else:
             prepared = ranks.together(lambda: part_of(pending.prepared, ranks))
-            how = ranks, start, n_kept, is_prolonged
-            recorder = PartRecorder.reopen(path, prepared.system, pending.parts, *how)
+            of_parts = path, prepared.system, pending.parts, ranks
+            recorder = PartRecorder.reopen(*of_parts, start, n_kept, is_prolonged=is_prolonged)
     except InUseError:
         raise ResumeError(f"{path} is being written by another run") from None
     except DamagedError as error:

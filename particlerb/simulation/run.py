@@ -103,8 +103,8 @@ def run_prepared(
         recorder = Recorder(path, system, content, overwrite)
     else:
         parts, prepared = parts_of(system.n_of_scene), part_of(prepared, ranks)
-        how = parts, hashed, ranks, overwrite
-        recorder = PartRecorder.create(path, prepared.system, content, *how)
+        first = path, prepared.system, content, parts
+        recorder = PartRecorder.create(*first, run=hashed, ranks=ranks, overwrite=overwrite)
     with THREADS.using(system.run.threads):
         return advance(prepared, recorder, None, progress, ranks)
 
