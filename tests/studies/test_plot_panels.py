@@ -355,6 +355,17 @@ def test_librations_of_a_body_have_its_colour(make, monkeypatch):
     assert [line.get_linestyle() for line in lines] == ["-", "--"] * 2
 
 
+def test_bodies_with_several_centres_of_attraction_have_no_libration(make, monkeypatch):
+    """One force had a centre per body, another had one: the shapes of both raised ValueError."""
+    case = libration(make)
+    case["body"].append(case["body"][0] | {"name": "other", "position": [0, -1, 0],
+                                           "velocity": [1, 0, 0]})  # fmt: skip
+    case["force"][0] |= {"body": ["dumbbell", "other"], "centre": [[0, 0, 0], [0, 0, 0.1]]}
+    case["force"].append(case["force"][0] | {"centre": [0, 0, 1]})
+    figure, _ = drawn(case, monkeypatch)
+    assert panel(figure, "energies").lines
+
+
 def test_librations_in_the_orbit_and_out_of_it_have_the_periods_of_theory(make, monkeypatch):
     """Angles without a sign showed twice the frequency: it is √3 and 2 of that of the orbit."""
     case = libration(make)

@@ -218,7 +218,7 @@ def _centre(trajectory: Trajectory, case: dict[str, Any]) -> Floats | None:
     centres = [force["centre"] for force in case["force"] if force["type"] == "central"]
     inertia = trajectory.bodies.inertia
     is_long = bool((inertia.min(axis=0) < 0.99 * np.median(inertia, axis=0)).all())
-    return np.array(centres[0]) if is_long and np.shape(centres) == (1, 3) else None
+    return np.array(centres[0]) if is_long and [*map(np.shape, centres)] == [(3,)] else None
 
 
 def _draw_energies(axes: Axes, trajectory: Trajectory) -> None:
