@@ -342,6 +342,20 @@ def test_of_two_tops_both_are_drawn_in_their_colours(make, monkeypatch):
     assert panel(figure, "axis of other").lines[0].get_ydata()[0] == pytest.approx(20.0, rel=1e-14)
 
 
+@pytest.mark.plain
+def test_a_pedestal_is_no_top(make, monkeypatch):
+    """It has two equal moments and rests as the top does, but nothing turns it."""
+    legs = {"type": "spheres", "position": [[0, 0, -0.2], [0, 0, 0.2]], "radius": 0.1}
+    spun = {"name": "top", "shape": legs, "mass": 1.0, "orientation": {"euler_deg": [0, 30, 0]}}
+    held = spun | {"name": "pedestal", "position": [0, 0, -1.0], "fixed": True}
+    turn = {"type": "torque", "body": "top", "torque": [0, 0, 1e-3]}
+    case = make.case(spun, held, force=[turn], contact=CONTACT, t_end=0.02, every=0.01, dt=1e-3)
+    figure, _ = drawn(case, monkeypatch)
+    labels = [line.get_label() for line in panel(figure, "axis of top").lines]
+    assert labels == ["nutation", "precession (right)"]
+    drawn(case, monkeypatch, body="pedestal")
+
+
 def test_librations_of_a_body_have_its_colour(make, monkeypatch):
     """Those of the second were green, and blue as the first."""
     case = libration(make)

@@ -6,6 +6,7 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from particlerb.model.state import rotate
 from particlerb.record.trajectory import Trajectory
+from particlerb.record.verify import counted
 from particlerb.rotors.rotor_class import SYMMETRIC
 from particlerb.studies.charts.bodies import direction, set_equal_scale, upright
 from particlerb.studies.charts.style import COLOURS, INK, finish_over_time, line_style, plain
@@ -14,16 +15,18 @@ from particlerb.studies.charts.style import COLOURS, INK, finish_over_time, line
 def is_top(trajectory: Trajectory, body: int) -> bool:
     """Whether a body with two equal moments is moved by forces while its centre rests."""
     has_forces = bool(trajectory.parameter("case_resolved")["force"])
+    is_free = bool(counted(trajectory).mass[body])
     is_symmetric = int(trajectory.bodies.rotor_class[body]) == SYMMETRIC
     way = trajectory.read("position", bodies=body)
-    return has_forces and is_symmetric and not np.ptp(way, axis=0).any()
+    return has_forces and is_free and is_symmetric and not np.ptp(way, axis=0).any()
 
 
 def tops_of(trajectory: Trajectory, body: int, is_scene: bool) -> dict[int, int]:
-    """Tops whose axes are drawn, with these axes: all of a few in a scene of tops, or the body."""
-    every = range(trajectory.n_bodies)
-    is_few = is_scene and len(every) <= len(COLOURS) and all(is_top(trajectory, b) for b in every)
-    tops = every if is_few else [body] * is_top(trajectory, body)
+    """Tops whose axes are drawn, with these axes: a few, where nothing else moves, or the body."""
+    free = np.flatnonzero(counted(trajectory).mass).tolist()
+    are_few = is_scene and trajectory.n_bodies <= len(COLOURS)
+    are_all = are_few and all(is_top(trajectory, b) for b in free)
+    tops = free if are_all else [body] * is_top(trajectory, body)
     return {b: _symmetry_axis(trajectory, b) for b in tops}
 
 
