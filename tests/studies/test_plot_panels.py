@@ -342,6 +342,20 @@ def test_of_two_tops_both_are_drawn_in_their_colours(make, monkeypatch):
     assert panel(figure, "axis of other").lines[0].get_ydata()[0] == pytest.approx(20.0, rel=1e-14)
 
 
+def test_tops_of_long_names_that_turn_alike_are_all_seen(make, monkeypatch):
+    """Their names made a title wider than its panel, and the last hid the others."""
+    case = top(make)
+    names = [f"{k} spins upon a table" for k in range(3)]
+    case["body"] = [case["body"][0] | {"name": name} for name in names]
+    case["force"] = [one | {"body": name} for one in case["force"] for name in names]
+    figure, _ = drawn(case, monkeypatch)
+    figure.draw_without_rendering()
+    assert figure.axes[0].title.get_window_extent().x1 < 0.5 * figure.bbox.x1
+    for lines in (figure.axes[0].lines[::2], panel(figure, "axes of the tops").lines[:3]):
+        widths = [line.get_linewidth() for line in lines]
+        assert widths[0] > widths[1] > widths[2]
+
+
 @pytest.mark.plain
 def test_a_pedestal_is_no_top(make, monkeypatch):
     """It has two equal moments and rests as the top does, but nothing turns it."""

@@ -1,5 +1,7 @@
 """Tops: which bodies are such, the paths of their axes, nutation and precession."""
 
+from typing import Final
+
 import numpy as np
 from matplotlib.axes import Axes
 from mpl_toolkits.mplot3d import Axes3D
@@ -8,8 +10,10 @@ from particlerb.model.state import rotate
 from particlerb.record.trajectory import Trajectory
 from particlerb.record.verify import counted
 from particlerb.rotors.rotor_class import SYMMETRIC
-from particlerb.studies.charts.bodies import direction, set_equal_scale, upright
+from particlerb.studies.charts.bodies import direction, draw_lines, set_equal_scale, upright
 from particlerb.studies.charts.style import COLOURS, INK, finish_over_time, line_style, plain
+
+_SAME: Final = 2e-3  # by which paths on the unit sphere do not differ
 
 
 def is_top(trajectory: Trajectory, body: int) -> bool:
@@ -45,34 +49,33 @@ def body_axis(trajectory: Trajectory, body: int, principal: int) -> int:
 def draw_trace(axes: Axes3D, trajectory: Trajectory, tops: dict[int, int]) -> None:
     """Paths of the ends of an axis of each of some bodies on the unit sphere."""
     ways = [direction(trajectory, body, axis) for body, axis in tops.items()]
-    for body, points in zip(tops, ways, strict=True):
+    for k, (body, points) in enumerate(zip(tops, ways, strict=True)):
         colour = line_style(body)["color"] if len(tops) > 1 else COLOURS[1]
-        axes.plot(*points.T, lw=0.9, color=colour)
+        above = sum(np.allclose(points, way, rtol=0.0, atol=_SAME) for way in ways[k + 1 :])
+        axes.plot(*points.T, lw=0.9 + 1.5 * above, color=colour)
         axes.plot(*points[-1:].T, "o", ms=3.5, color=colour)
-    of = " and ".join(
-        f"the {'xyz'[axis]} axis of {trajectory.names[b]}" for b, axis in tops.items()
-    )
-    axes.set_title(plain(f"path of {of} on the unit sphere"), fontsize=10, color=INK)
+    (body, axis), *others = tops.items()
+    one = f"path of the {'xyz'[axis]} axis of {trajectory.names[body]}"
+    of = "paths of the axes of the tops" if others else one
+    axes.set_title(plain(f"{of} on the unit sphere"), fontsize=10, color=INK)
     set_equal_scale(axes, np.concatenate(ways), "")
 
 
 def draw_nutation(axes: Axes, trajectory: Trajectory, tops: dict[int, int]) -> None:
     """How far the axis of each top leans, and about the vertical how far it has come."""
-    up, is_one = upright(trajectory), len(tops) == 1
-    across = [(up + 1) % 3, (up + 2) % 3]
+    up, is_one, time = upright(trajectory), len(tops) == 1, trajectory.time
+    ways = np.stack([direction(trajectory, b, axis) for b, axis in tops.items()], axis=1)
+    x, y, z = (ways[:, :, (up + k) % 3] for k in (1, 2, 0))
+    nutation = np.degrees(np.arccos(np.clip(z, -1.0, 1.0)))
+    precession = np.degrees(np.unwrap(np.arctan2(y, x), axis=0))
+    names = ["nutation" if is_one else f"{trajectory.names[b]}, nutation" for b in tops]
+    own = [line_style(b)["color"] for b in tops]
+    left, right, dashes = (COLOURS[:1], COLOURS[1:], "-") if is_one else (own, own, "--")
+    draw_lines(axes, time, nutation, names, lambda k: {"color": left[k]})
     other = axes.twinx()
-    for b, principal in tops.items():
-        axis = direction(trajectory, b, principal)
-        nutation = np.degrees(np.arccos(np.clip(axis[:, up], -1.0, 1.0)))
-        precession = np.degrees(np.unwrap(np.arctan2(axis[:, across[1]], axis[:, across[0]])))
-        own = line_style(b)["color"]
-        colours, dashes = (COLOURS[:2], "-") if is_one else ((own, own), "--")
-        name = "" if is_one else f"{trajectory.names[b]}, "
-        label = plain(f"{name}nutation")
-        axes.plot(trajectory.time, nutation, color=colours[0], lw=1.3, label=label)
-        line = other.plot(trajectory.time, precession, dashes, color=colours[1], lw=1.3)
-    right = COLOURS[1] if is_one else INK
-    axes.plot([], [], line[0].get_linestyle(), color=right, label="precession (right)")
-    other.set_ylabel("precession [°]", color=right)
+    draw_lines(other, time, precession, names, lambda k: {"color": right[k], "ls": dashes})
+    colour = COLOURS[1] if is_one else INK
+    axes.plot([], [], dashes, color=colour, label="precession (right)")
+    other.set_ylabel("precession [°]", color=colour)
     title = f"axis of {trajectory.names[next(iter(tops))]}" if is_one else "axes of the tops"
     finish_over_time(axes, title, f"angle with {'xyz'[up]} [°]")
