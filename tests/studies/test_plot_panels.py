@@ -370,17 +370,22 @@ def test_a_pedestal_is_no_top(make, monkeypatch):
     drawn(case, monkeypatch, body="pedestal")
 
 
-def test_librations_of_a_body_have_its_colour(make, monkeypatch):
-    """Those of the second were green, and blue as the first."""
+@pytest.mark.parametrize("n", [2, 4, 6])
+def test_librations_of_a_body_have_its_colour(make, monkeypatch, n):
+    """Those of the second were green, and of four the last was green here and blue elsewhere."""
     case = libration(make)
-    case["body"].append(case["body"][0] | {"name": "other", "position": [0, -1, 0],
-                                           "velocity": [1, 0, 0]})  # fmt: skip
-    case["force"][0]["body"] = ["dumbbell", "other"]
+    first, names = case["body"][0], [f"dumbbell {k}" for k in range(n)]
+    case["body"] = [first | {"name": name} for name in names]
+    case["force"][0]["body"] = names
     figure, _ = drawn(case, monkeypatch)
-    colours = [line.get_color() for line in panel(figure, "angular velocities").lines]
+    of_body = {line.get_label(): line.get_color()
+               for line in panel(figure, "angular velocities").lines}  # fmt: skip
     lines = panel(figure, "longest axis to the line to the centre").lines
+    shown = [line.get_label().removesuffix(", in the orbit") for line in lines[::2]]
+    colours = [of_body[name] for name in shown]
+    assert len(set(colours)) == len(shown) == min(n, 3)
     assert [line.get_color() for line in lines] == [c for c in colours for _ in range(2)]
-    assert [line.get_linestyle() for line in lines] == ["-", "--"] * 2
+    assert [line.get_linestyle() for line in lines] == ["-", "--"] * len(shown)
 
 
 def test_bodies_with_several_centres_of_attraction_have_no_libration(make, monkeypatch):

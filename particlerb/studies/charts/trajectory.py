@@ -286,7 +286,8 @@ def _draw_libration(axes: Axes, trajectory: Trajectory, case: dict[str, Any]) ->
     """Angles of the axis of the least moment with the line to the centre, in the orbit and out."""
     centre, names, angles = _centre(trajectory, case), [], []
     assert centre is not None
-    for b in _shown(trajectory.n_bodies, bodies.KEYED // 2, 0):
+    n, most = trajectory.n_bodies, len(COLOURS)
+    for b in range(n)[:most] if n <= bodies.KEYED else _shown(n, most, 0):  # in unlike colours
         least = body_axis(trajectory, b, int(np.argmin(trajectory.bodies.inertia[:, b])))
         r = trajectory.read("position", bodies=b) - centre
         normal = np.cross(r, trajectory.read("linear_momentum", bodies=b))
