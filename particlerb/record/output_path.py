@@ -20,7 +20,7 @@ def nearest_result(path: Path) -> str:
     """Hint with the file that a run of this name wrote, if there is one."""
     folder = Path("output")
     places = (Path(f"{path}.h5"), folder / path.name, folder / f"{path.name}.h5")
-    found = next((place for place in places if place.is_file()), None)
+    found = next(filter(os.path.isfile, places), None)  # no error where a name is too long
     return f"; did you mean {found}?" if found else ""
 
 

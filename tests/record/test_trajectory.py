@@ -238,6 +238,8 @@ def foreign(path, **attributes):
 def test_a_missing_file(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.h5: no such file"):
         particlerb.open(tmp_path / "none.h5")
+    with pytest.raises(FileNotFoundError, match=r"no such file$"):  # no disk takes it with .h5
+        particlerb.open(tmp_path / ("n" * 253))
 
 
 @pytest.mark.parametrize("content", [b"", b"title = 'a case'\n", b"\x89HDF\r\n\x1a\n" + b"\0" * 99])
