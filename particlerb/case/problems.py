@@ -153,7 +153,12 @@ def nearest(word: str, names: Sequence[str], label: str = "known") -> str:
     if not names:
         return ""
     meant = [name for name in names if is_meant(word, name)]
-    close = meant or difflib.get_close_matches(word[:100], names[:_MAX_NAMES_COMPARED], 1, 0.5)
+    block, bracket, number = word[:100].partition("[")  # of bodies: many, of a few blocks
+    blocks = dict.fromkeys(name.partition("[")[0] for name in names)
+    near = difflib.get_close_matches(block, [*blocks][:_MAX_NAMES_COMPARED], 1, 0.5)
+    whole = list({f"{other}{bracket}{number}" for other in near}.intersection(names))
+    others = names[:_MAX_NAMES_COMPARED]
+    close = meant or whole or difflib.get_close_matches(word[:100], others, 1, 0.5)
     guess = f'did you mean "{close[0]}"? ' if close else ""
     rest = f", ... ({len(names)} in all)" if len(names) > _MAX_NAMES_LISTED else ""
     return f"{guess}{label}: {', '.join(names[:_MAX_NAMES_LISTED])}{rest}"

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from particlerb.case.problems import nearest
 from particlerb.case.reader import CaseError, Problem, load, parse
 from particlerb.case.to_system import to_system
 from particlerb.simulation.run import prepare
@@ -1689,3 +1690,10 @@ def test_mistakes_that_are_alike_are_shown_once_with_the_keys_of_the_others():
     assert "body[20].shape.radus (line 86), ... (29 in all)\n" in text + "\n"
     two = [p for p in caught.value.problems if "radus" in p.key][:2]
     assert str(CaseError(two)).count("unknown key") == 2
+
+
+def test_the_nearest_of_many_bodies_is_of_the_block_that_is_meant():
+    """Of 5000 the first thousand were compared: ball[432] was said to be meant by bal[4321]."""
+    names = [f"ball[{k}]" for k in range(5000)]
+    assert nearest("bal[4321]", names).startswith('did you mean "ball[4321]"? known: ball[0], ')
+    assert nearest("bal", [*names, "ball"]).startswith('did you mean "ball"?')
