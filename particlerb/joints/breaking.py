@@ -54,8 +54,6 @@ def let_break(joints: Joints, data: JointData, c: int, kick_dt: float, t: float,
     Of its impulses only those remain that such joints give until they break; their rows are left
     out.
     """
-    if joints.breaks is None:
-        return False
     start, begin, least = joints.program.start, data.clock[2] + t, _SAME_INSTANT * data.clock[1]
     lo, hi = joints.clusters.joint[c], joints.clusters.joint[c + 1]
     any_breaks = False

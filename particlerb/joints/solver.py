@@ -161,7 +161,7 @@ def constrained_drift(
         _pass_singular_pose(joints, data, c, t, dt)
     if is_whole(data, dt):
         remember(data, lo, hi, kick_dt, False)
-    if let_break(joints, data, c, kick_dt, t, dt):
+    if joints.breaks is not None and let_break(joints, data, c, kick_dt, t, dt):
         factorise_gradients(joints, data, c)
         _fly_to_joints(joints, data, c, t, dt, False)
     _see_teeth(joints.rolls, joints, data, c, dt)
