@@ -392,7 +392,7 @@ def test_info_and_plot_of_a_file(here, capsys):
     assert Path("output/cube.png").read_bytes().startswith(b"\x89PNG")
     assert main(["plot", "output/cube.h5"]) == 2
     assert main(["plot", "output/cube.h5", "--body", "cub", "-o", "x.png"]) == 2
-    assert "did you mean cube" in capsys.readouterr().err
+    assert 'did you mean "cube"' in capsys.readouterr().err
 
 
 @pytest.mark.plain
