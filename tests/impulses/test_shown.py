@@ -133,7 +133,7 @@ def test_a_run_whose_impulses_were_not_found_says_so_with_the_time(solver):
 def test_the_summary_says_what_lowers_a_residual_that_is_too_large(unmet):
     tally = np.zeros(TALLY)
     tally[[STEPS, UNMET]] = 8.0, unmet
-    advice = 'tolerance in 3 of 8 steps (contact.iterations or solver = "newton" lower it);'
+    advice = 'tolerance in 3 of 8 steps (contact.iterations or solver = "newton" lower it)'
     assert (advice in impulse_text(tally)) == (unmet > 0.0)
 
 
