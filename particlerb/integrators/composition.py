@@ -8,14 +8,19 @@ Source: Suzuki, Phys. Lett. A 146, 319 (1990); Kahan and Li, Math. Comput. 66, 1
 Hairer, Lubich, Wanner, Geometric Numerical Integration, V.3.2.
 """
 
+import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final
+
+import numpy as np
 
 from particlerb.contact.contact_model import NOW
 from particlerb.forces.kinds import BODIES, JOINTS, POSE
 from particlerb.integrators.method import Method
 from particlerb.integrators.rattle import METHOD
 from particlerb.integrators.stages import MovingBodies, constrained_drift, kick, loads, stages_with
+from particlerb.maths.vec3 import Floats
 
 WEIGHTS: Final = (1.0,)  # stands for those of a method
 
@@ -48,3 +53,31 @@ def composed(order: int, limit: float, first: Sequence[float]) -> Method:
         weights=weights,
         coupled_step=stages_with(_coupled_step, WEIGHTS=weights),
     )
+
+
+def half_trace(
+    kicks: Sequence[float], drifts: Sequence[float], z: Floats, gradient: float = 0.0
+) -> Floats:
+    """½ tr of a step of kicks and drifts of oscillators, hω = z (k,); bounded while |½ tr| <= 1.
+
+    The last kick, which closes the step, is the first one again. All others may be bent: of kicks
+    by -ω² x, and of ω⁴ x as its rate of change along a motion with that as velocity.
+    """
+    (x, p), (y, q) = (np.ones_like(z), np.zeros_like(z)), (np.zeros_like(z), np.ones_like(z))
+    bent = (0.0, *(gradient for _ in kicks[1:]), 0.0)
+    for given, bend, drift in zip((*kicks, kicks[0]), bent, (*drifts, 0.0), strict=True):
+        push = given * z - bend * z**3
+        p, q = p - push * x, q - push * y
+        x, y = x + drift * z * p, y + drift * z * q
+    return 0.5 * (x + q)
+
+
+def kicks_of(weights: Sequence[float]) -> list[float]:
+    """Kicks of a composition, as `half_trace` takes them, from the lengths of its stages."""
+    return [0.5 * weights[0], *(0.5 * (one + other) for one, other in pairwise(weights))]
+
+
+def growth_of(weights: Sequence[float], z: float) -> float:
+    """Logarithm of the growth in a step of an oscillator with hω = z; 0: it stays bounded."""
+    half = abs(float(half_trace(kicks_of(weights), weights, np.array([z]))[0]))
+    return math.acosh(max(half, 1.0))

@@ -13,11 +13,11 @@ from particlerb.forces.attraction_rates import fastest_rates
 from particlerb.forces.links import link_rates
 from particlerb.forces.python_pairs import pair_rates
 from particlerb.forces.registry import term_of
+from particlerb.joints.tension import joint_rates
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
 from particlerb.model.state import State, lengths, omega_world
 from particlerb.model.system import System
-from particlerb.plan.joint_words import joint_rates
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.stepping.motion import force_of
 
@@ -53,7 +53,7 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
             found.append(pair_rates(terms.user_pairs, bodies, state, segment.start))
         if terms.joints is not None:
             force = force_of(group.group(segment))[1]
-            found.append(joint_rates(terms.joints, bodies, state, force))
+            found.append(joint_rates(terms.joints, state, force))
         if terms.attraction is not None:
             found.append(_attraction_rates(terms.attraction, state.com))
         if terms.contact is not None:

@@ -15,6 +15,7 @@ from particlerb.contact.contact_frequency import initial_contact_frequency
 from particlerb.contact.contact_model import GroupContact
 from particlerb.forces.links import fastest_oscillation, with_springs
 from particlerb.integrators import METHODS
+from particlerb.joints.tension import loaded_joints, tension_rate
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
 from particlerb.model.state import omega_world
@@ -28,6 +29,7 @@ from particlerb.plan.rates import (
 )
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.ranks import ALONE, Ranks
+from particlerb.stepping.motion import force_of
 
 STEPS_PER_CONTACT: Final = 20  # below which a contact is not accurate
 LONGEST_UNSTABLE: Final = 2.0  # ω dt [rad] of a contact with a method that has no stable step
@@ -127,10 +129,14 @@ def stable_turn(plan: Plan) -> float:
 
 
 def stable_step(system: System, group: GroupPlan, segment: Segment) -> float:
-    """Longest step [s] with which the springs of a segment stay bounded at t = 0; inf: any."""
+    """Longest step [s] that keeps springs, and what joints carry, bounded at t = 0; inf: any."""
     everything = with_springs(segment.terms.links, segment.terms.loads, group.bodies)
     state = taken(system.state, group.members)
     rate = fastest_oscillation(everything, group.bodies, state.com, state.q)
+    if segment.terms.joints is not None:
+        force = force_of(group.group(segment))[1]
+        data = loaded_joints(segment.terms.joints, state, force)
+        rate = max(rate, tension_rate(segment.terms.joints, data)[0])
     return float(METHODS[segment.method].stability_limit / rate) if rate > 0.0 else np.inf
 
 
@@ -353,7 +359,8 @@ def _worst_steps(system: System, groups: tuple[GroupPlan, ...]) -> _Worst:
                 reason += f" bodies like {name}, and {STEPS_PER_CONTACT} make it accurate"
             elif dt > limit:
                 kind = "limit"
-                reason += f" is above the limit of {segment.method}: on the springs of bodies like"
+                what = "springs" if segment.terms.joints is None else "springs and joints"
+                reason += f" is above the limit of {segment.method}: on the {what} of bodies like"
                 reason += f" {name} it grows without bound above {limit:.6g} s"
             elif turn > method.max_turn and system.run.accuracy is None:
                 kind = "turn"

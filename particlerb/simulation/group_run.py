@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from particlerb.case.joints import ROLLING
 from particlerb.contact.contact_output import ContactOutput
 from particlerb.forces import Terms, energies_of_loads, has_energy
 from particlerb.forces.gravity_tree.opening_angle import fitting_angle, sampled_error
@@ -21,11 +20,10 @@ from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import has_held
 from particlerb.model.state import Frames, State, state_in, state_of, states_in
 from particlerb.model.superblocks import Range
-from particlerb.model.system import System
 from particlerb.model.worlds import shape_of
-from particlerb.plan.joints import joints_of
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.simulation.joint_values import JointReader, JointValues
+from particlerb.simulation.joint_watch import TensionWatch
 from particlerb.stepping.make_motion import make_motion
 from particlerb.stepping.motion import Energies, Motion, few_at_once
 from particlerb.stepping.pair_forces import PairForces
@@ -43,6 +41,7 @@ class GroupRun:
         self.joint_values: JointValues | None = None  # rows of the next `record`, where asked for
         self.sums: Floats | None = None  # over its bodies, of these rows, where asked for
         self.reader: JointReader | None = None
+        self.watch = TensionWatch()
         self.plan = plan
         self.external_before = np.zeros((*shape_of(plan.worlds), 7))  # in earlier segments
         self.gross_work_before: Floats | float = 0.0  # [J] gross work of contacts in them
@@ -264,6 +263,8 @@ class GroupRun:
                 self.tallies |= self.motion.impulse_tallies(rows)
                 if self.joint_values is not None:
                     self.read_joints(times, rows, frames, self.joint_values)
+                if segment.terms.joints is not None:
+                    self.watch.look(self, float(times[until - 1]), frames, until - 1)
                 done = until
             if done < times.size:
                 self.cross()
@@ -274,6 +275,8 @@ class GroupRun:
         while time >= self.segment.stop:
             self.cross()
         self.motion.pose(time, frames)
+        if self.segment.terms.joints is not None:
+            self.watch.look(self, time, frames, 0)
 
     def read_joints(self, times: Floats, rows: Ints, frames: Frames, values: JointValues) -> None:
         """Find what joints carry in rows of the frames, all of this segment."""
@@ -281,8 +284,7 @@ class GroupRun:
             values.joint_break_time[rows, number] = time
         if self.segment.terms.joints is None:
             return
-        if self.reader is None or self.reader.segment is not self.segment:
-            self.reader = JointReader(self.plan, self.segment, self.first_state)
+        reader = self.joint_reader()
         for row in rows.tolist():
             state = self.state_in(frames, row)
             turned = self.motion.coordinates[row] if self.motion.coordinates.size else None
@@ -291,7 +293,13 @@ class GroupRun:
             is_first = times[row] - self.segment.start <= _STEP_ROUNDING * self.segment.dt
             if self.motion.impulse_tally().size and is_first:
                 contacts = None  # no step has been taken
-            self.reader.read(float(times[row]), state, contacts, turned, broken, values, row)
+            reader.read(float(times[row]), state, contacts, turned, broken, values, row)
+
+    def joint_reader(self) -> JointReader:
+        """What finds values of the joints of this segment."""
+        if self.reader is None or self.reader.segment is not self.segment:
+            self.reader = JointReader(self.plan, self.segment, self.first_state)
+        return self.reader
 
     def state_in(self, frames: Frames, row: int) -> State:
         """State of the group in a frame."""
@@ -368,31 +376,3 @@ def own_forces_on(b: int, runs: Sequence[GroupRun], times: Floats, frames: Frame
             if wrong:
                 return f": {wrong}"
     return words
-
-
-def lost(system: System, runs: Sequence[GroupRun]) -> str:
-    """What is to be said of a joint that no longer holds; empty where all do."""
-    joints = {joint: run for run in runs for joint in run.motion.lost_joints()}
-    setup = joints_of(system) if joints else None
-    if setup is None:
-        return ""
-    first = joints[min(joints)]
-    kind = first.motion.lost_joints()[min(joints)]
-    if kind == 2:
-        return (
-            f"joint {setup.names[min(joints)]} has turned so far beyond its stop that the other end"
-            " of its limit is as near: take a shorter run.dt, or a larger limit.stiffness"
-        )
-    if setup.types[min(joints)] in ROLLING:
-        why = "in a step teeth, or turns, were passed: take a shorter run.dt"
-        if kind == 1:
-            hint = "hold them by hinges, parallel and at their distance, or take a shorter run.dt"
-            why = f"its axes have left their place: {hint}"
-        return f"joint {setup.names[min(joints)]} no longer rolls: {why}"
-    is_composed = METHODS[first.segment.method].evaluations > 1
-    other = ', or run.method = "rattle", which passes such poses best' if is_composed else ""
-    return (
-        f"joint {setup.names[min(joints)]} no longer holds: no impulse was found that keeps it; the"
-        " step is too long for its tension or speed, or its bodies met a singular pose: take a"
-        f" shorter run.dt{other}"
-    )

@@ -201,22 +201,8 @@ class JointReader:
         values, row : JointValues, int
             What to write.
         """
-        joints, bodies = self.joints, self.bodies
-        loads = np.zeros((6, state.com.shape[1]))
-        bodies.put(COM, np.vstack(state))
-        gather_loads(bodies.moving, time - self.segment.start, loads)
-        data, m = joint_data_at(joints, state), joints.rows.kind.size
-        data.change[:-1] = loads.T[joints.order]
-        data.clock[0] = time - self.segment.start
-        is_broken = broken <= time
-        data.broken[:] = np.where(is_broken, -np.inf, np.inf)
-        assert bodies.jointed is not None
-        jointed = bodies.jointed._replace(data=data)
-        set_prescribed(jointed.prescribed, data, time, 0.0, 0, len(data.y))
-        factorise_all(joints, data, data.clock[0])
-        add_actions(None, jointed, data.change, 0)
-        self._add_contacts(data, contacts)
-        find_multipliers(joints, data, data.change)
+        joints, is_broken = self.joints, broken <= time
+        data, m = self.loaded(time, state, contacts, broken), joints.rows.kind.size
         is_open = make_least(joints, data)
         carried, is_joint = forces_of_joints(joints, data, data.z), joints.number >= 0
         if contacts is None and self.segment.terms.contact is not None:
@@ -235,6 +221,27 @@ class JointReader:
         if turned is not None:
             coordinates = values_of(joints.coordinates, turned)
             values.joint_coordinate[row, joints.coordinates.number] = coordinates
+
+    def loaded(
+        self, time: float, state: State, contacts: ContactOutput | None, broken: Floats
+    ) -> JointData:
+        """Data of the joints with multipliers z, by what is given as to `read`."""
+        joints, bodies = self.joints, self.bodies
+        loads = np.zeros((6, state.com.shape[1]))
+        bodies.put(COM, np.vstack(state))
+        gather_loads(bodies.moving, time - self.segment.start, loads)
+        data = joint_data_at(joints, state)
+        data.change[:-1] = loads.T[joints.order]
+        data.clock[0] = time - self.segment.start
+        data.broken[:] = np.where(broken <= time, -np.inf, np.inf)
+        assert bodies.jointed is not None
+        jointed = bodies.jointed._replace(data=data)
+        set_prescribed(jointed.prescribed, data, time, 0.0, 0, len(data.y))
+        factorise_all(joints, data, data.clock[0])
+        add_actions(None, jointed, data.change, 0)
+        self._add_contacts(data, contacts)
+        find_multipliers(joints, data, data.change)
+        return data
 
     def _add_contacts(self, data: JointData, contacts: ContactOutput | None) -> None:
         """Add to the loads on bodies what contacts do, and what acts within bounds in joints."""

@@ -12,7 +12,8 @@ from particlerb.model.state import STATE_FIELDS, Frames, rotate_back, state_in
 from particlerb.model.system import System
 from particlerb.plan.segments import Plan
 from particlerb.rotors.rotor_class import ROD
-from particlerb.simulation.group_run import GroupRun, lost, own_forces_on
+from particlerb.simulation.group_run import GroupRun, own_forces_on
+from particlerb.simulation.joint_watch import lost, tense
 
 _ROD_ROUNDING: Final = 1e-9  # share of L along a rod that exact drifts may leave
 _MAX_ROD_ERROR: Final = 0.2  # that others may leave: more is a torque about the axis, or no result
@@ -34,8 +35,9 @@ class StateChecks:
         Where all totals are finite, so are the states; the reverse does not hold, squares overflow.
         """
         rods = self.rods
-        if is_finite and not rods.size:
-            return times.size, ""
+        why = tense(self.system, runs) if is_finite else ""
+        if why or (is_finite and not rods.size):
+            return times.size, f"by t = {float(times[-1])!r} s {why}" if why else ""
         lost_fields = []  # what is not finite stays so
         for name in () if is_finite else STATE_FIELDS:
             finite = np.isfinite(getattr(frames, name)).all(axis=2)
@@ -43,7 +45,7 @@ class StateChecks:
                 lost_fields.append((int(np.argmin(finite.all(axis=1))), name, finite))
         if lost_fields:
             f, name, finite = min(lost_fields, key=lambda lost_field: lost_field[0])
-            if why := lost(self.system, runs):
+            if why := lost(self.system, runs, times, frames, f):
                 return f, f"by t = {float(times[f])!r} s {why}"
             b = int(np.argmin(finite[f]))
             when = f"{name} of {self.system.names[b]} is not finite at t = {float(times[f])!r} s"

@@ -353,7 +353,7 @@ class Run:
             raise self.told(failure, self.groups) from None
         is_finite = math.isfinite(np.add.reduce(np.asarray(frames.position.base)))  # the whole room
         problem = ""
-        if not is_finite or self.checks.rods.size:
+        if not is_finite or self.checks.rods.size or self.system.joint:
             times = np.array([time])
             _, problem = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
         if self.moving.merging is not None:

@@ -17,6 +17,7 @@ from particlerb.forces.drag import Drag
 from particlerb.forces.links import Links
 from particlerb.forces.spring import Spring
 from particlerb.integrators import force_gradient
+from particlerb.integrators.composition import half_trace
 from particlerb.integrators.rkn6 import DRIFTS, KICKS
 from particlerb.maths.vec3 import Bools, Floats
 from particlerb.model.state import State, rotate_back
@@ -180,23 +181,6 @@ def damped_splitting(zeta: float) -> float:
 def rk4_factor(z: complex) -> complex:
     """1 + z + z²/2 + z³/6 + z⁴/24."""
     return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
-
-
-def half_trace(
-    kicks: Sequence[float], drifts: Sequence[float], z: Floats, gradient: float = 0.0
-) -> Floats:
-    """½ tr of a step of kicks and drifts of oscillators, hω = z (k,); bounded while |½ tr| <= 1.
-
-    The last kick, which closes the step, is the first one again. All others may be bent: of kicks
-    by -ω² x, and of ω⁴ x as its rate of change along a motion with that as velocity.
-    """
-    (x, p), (y, q) = (np.ones_like(z), np.zeros_like(z)), (np.zeros_like(z), np.ones_like(z))
-    bent = (0.0, *(gradient for _ in kicks[1:]), 0.0)
-    for kick, bend, drift in zip((*kicks, kicks[0]), bent, (*drifts, 0.0), strict=True):
-        push = kick * z - bend * z**3
-        p, q = p - push * x, q - push * y
-        x, y = x + drift * z * p, y + drift * z * q
-    return 0.5 * (x + q)
 
 
 def splitting_limit(

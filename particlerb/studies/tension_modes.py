@@ -5,7 +5,6 @@ frequency comes from what the rods carry, ω² = (T + T')/(m l) for tensions T a
 and no force has a potential. To first order a stage of `rattle` is one of leapfrog there.
 """
 
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from particlerb.forces import Terms
 from particlerb.forces.gravity import UniformGravity
 from particlerb.integrators import METHODS
+from particlerb.integrators.composition import kicks_of
 from particlerb.joints import kinds
 from particlerb.joints import records as col
 from particlerb.joints.records import ConstraintRows
@@ -62,6 +62,4 @@ def tension_limits(method: str) -> tuple[Limit]:
 def theory_of(method: str) -> float:
     """hω from which a composition of leapfrog is not bounded."""
     weights = METHODS[method].weights
-    kicks = [0.5 * weights[0]]
-    kicks += [0.5 * (one + other) for one, other in pairwise(weights)]
-    return splitting_limit(kicks, weights)
+    return splitting_limit(kicks_of(weights), weights)

@@ -122,7 +122,7 @@ def test_one_that_is_lost_among_others_is_named():
     for i, link in enumerate(bodies):
         link["angular_velocity"][6] = [0, 0, 600]
         link["velocity"][6] = [0, 60 * (i + 0.5), 0]
-    with pytest.raises(RunError, match=r"joint b\d\[6\].*no longer holds"):
+    with pytest.raises(RunError, match=r"for the tension of joint b\d\[6\]"):
         particlerb.run({"run": RUN | {"dt": 0.02}, **case(bodies, joints)})
 
 
