@@ -6,6 +6,7 @@ in words.
 """
 
 from collections.abc import Callable, Mapping
+from itertools import chain
 from types import MappingProxyType
 
 import numpy as np
@@ -24,6 +25,7 @@ from particlerb.plan.joints import joints_of
 from particlerb.plan.known_courses import Behind
 from particlerb.plan.links import AnyLink, Link, coincident, links_of
 from particlerb.plan.merging import merged, on_hosts
+from particlerb.plan.rates import rates_of
 
 
 def make_plan(
@@ -68,10 +70,10 @@ def make_plan(
         refuse_misplaced(system, touching, start or None, moved)
     grouped = groups_of(system, loads, links, touching, joints, _apart(behind, system.n_bodies))
     grouped = _after(behind, grouped) if behind else grouped
-    setting = touching, start, now is None
-    cut = [part for one in grouped for part in segments.cut_into_segments(system, one, *setting)]
-    cut.sort(key=lambda group: int(group.members.min()))
+    each = (segments.cut_into_segments(system, g, touching, start, now is None) for g in grouped)
+    cut = sorted(chain(*each), key=lambda group: int(group.members.min()))
     segments.refuse_method(system, cut)
+    cut = [one._replace(rates=rates_of(system, one)) if one.stepped else one for one in cut]
     steps = [time_step.step(system, group) for group in cut]
     groups = tuple(map(time_step.with_steps, cut, steps))
     time_step.refuse_endless(system, groups)

@@ -24,17 +24,25 @@ from particlerb.stepping.motion import force_of
 _MAX_BODIES_SAMPLED: Final = 2000  # whose nearest neighbours are looked for
 
 
-@np.errstate(over="ignore", divide="ignore")
+@np.errstate(over="ignore", invalid="ignore")
 def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
     """Estimate of the fastest rate of each body of a group, (n,) [rad/s]: spin, forces, impulses.
 
     A torque without potential spins a body up while it lasts, by |τ| Δt / I; one without end counts
     up to `t_end`. Any torque makes a body at rest turn or oscillate at a rate of √(|τ| / I).
     """
+    spin, growth, fastest = rates_of(system, group) if group.rates is None else group.rates
+    spin = spin + growth * max(t_end - group.segments[-1].start, 0.0)
+    return np.asarray(np.maximum(spin, fastest))
+
+
+@np.errstate(over="ignore", divide="ignore")
+def rates_of(system: System, group: GroupPlan) -> Floats:
+    """Spins when the last segment starts, their growth since [rad/s²], other rates, (3, n)."""
     bodies, state = group.bodies, taken(system.state, group.members)
     spin = lengths(omega_world(bodies, state))
     inv_inertia = bodies.inv_inertia.max(axis=0)
-    fastest = np.zeros_like(spin)  # of what oscillates
+    growth, fastest = np.zeros((2, spin.size))
     for segment in group.segments:
         for at, impulse, _ in segment.jumps:
             spin = spin + lengths(at) * lengths(impulse) * inv_inertia
@@ -44,8 +52,9 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
             rates = term_of(load).rates(load, bodies, state)
             lasting, turning = lasting + rates.spinning, turning + rates.turning
             squares, fastest = squares + rates.squared, np.maximum(fastest, rates.rate)
-        length = (segment.stop if np.isfinite(segment.stop) else t_end) - segment.start
-        spin = spin + lasting * inv_inertia * max(length, 0.0)
+        growth = lasting * inv_inertia
+        if segment is not group.segments[-1]:
+            spin = spin + growth * (segment.stop - segment.start)
         found = [fastest, np.sqrt((lasting + turning) * inv_inertia), np.sqrt(squares)]
         if terms.links is not None:
             found.append(link_rates(terms.links))
@@ -60,12 +69,7 @@ def rates(system: System, group: GroupPlan, t_end: float = 0.0) -> Floats:
             fall = falling_speed(terms, state.com)
             found.append(_contact_rates(terms.contact, bodies, state, fall))
         fastest = np.maximum.reduce(found)
-    return np.asarray(np.maximum(spin, fastest))
-
-
-def fastest_rate(system: System, group: GroupPlan, t_end: float = 0.0) -> float:
-    """Largest of the rates of a group [rad/s]."""
-    return float(rates(system, group, t_end).max())
+    return np.stack([spin, growth, fastest])
 
 
 def falling_speed(terms: Terms, com: Floats) -> float:

@@ -17,7 +17,7 @@ from particlerb.forces.drag import Drag
 from particlerb.forces.impulse import Impulse
 from particlerb.integrators import METHODS
 from particlerb.joints.setup import with_drag
-from particlerb.maths.vec3 import Bools, Ints
+from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bodies import Bodies, held, taken
 from particlerb.model.state import State
 from particlerb.model.superblocks import Range, superblock_of, superblocks
@@ -74,6 +74,7 @@ class GroupPlan(NamedTuple):
     segments: tuple[Segment, ...]  # to infinity
     worlds: Worlds | None = None  # scenes that share the group, if they are several
     shared: Shared | None = None  # where ranks share bodies that touch
+    rates: Floats | None = None  # (3, n) of stepped bodies, see `rates_of`
 
     def group(self, segment: Segment) -> SegmentGroup:
         """What a method needs for one segment."""

@@ -20,13 +20,7 @@ from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
 from particlerb.model.state import omega_world
 from particlerb.model.system import System
-from particlerb.plan.rates import (
-    deepest_impact,
-    falling_speed,
-    fastest_contact,
-    fastest_rate,
-    rates,
-)
+from particlerb.plan.rates import deepest_impact, falling_speed, fastest_contact, rates
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.ranks import ALONE, Ranks
 from particlerb.stepping.motion import force_of
@@ -238,7 +232,7 @@ def step(system: System, group: GroupPlan) -> float:
         return 0.0
     if system.run.dt is not None:
         return system.run.dt
-    rate = fastest_rate(system, group)
+    rate = float(rates(system, group).max())
     if not np.isfinite(rate):
         reason = "no step can be chosen: a torque over a moment of inertia overflows"
         raise CaseError([problem_at(system, "run", reason, "give run.dt")])
@@ -310,7 +304,7 @@ def refuse_endless(system: System, groups: tuple[GroupPlan, ...]) -> None:
                 continue
             rate = 1.0 / segment.dt if segment.dt > 0.0 else math.inf
             if is_adaptive(segment.method):  # it will find a step of about a radian
-                rate = max(fastest_rate(system, group, system.run.t_end), 1.0 / length)
+                rate = max(float(rates(system, group, system.run.t_end).max()), 1.0 / length)
             steps = length * rate
             if steps > _MAX_STEPS:
                 key = step_key(system)

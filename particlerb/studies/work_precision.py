@@ -25,7 +25,7 @@ from particlerb.model.system import System
 from particlerb.plan.joints import assembled
 from particlerb.plan.make_plan import make_plan
 from particlerb.plan.merging import unmerged
-from particlerb.plan.rates import fastest_rate
+from particlerb.plan.rates import rates
 from particlerb.plan.remove_overlaps import remove_overlaps
 from particlerb.plan.segments import Plan, has_step, is_adaptive
 from particlerb.plan.time_step import contact_limit
@@ -67,7 +67,7 @@ class Study:
         auto = self.plan("auto")
         segments = [segment for group in auto.groups for segment in group.segments]
         self.sampled: Ints = trials.sample(self.system, auto, self.t_end, _PACKS_SAMPLED)
-        self.rate = max(fastest_rate(self.system, g, self.t_end) for g in auto.groups)
+        self.rate = max(float(rates(self.system, g, self.t_end).max()) for g in auto.groups)
         self.is_free = not any(has_step(s.method) for s in segments)
         self.contacts = [(s.method, c) for s in segments if (c := s.terms.contact) is not None]
         self.by_energy = any(contact.rules is None for _, contact in self.contacts)

@@ -13,7 +13,7 @@ from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
 from particlerb.model.bodies import made_of, taken
 from particlerb.model.state import State, rotate
-from particlerb.plan import known_courses
+from particlerb.plan import known_courses, rates
 from particlerb.plan.describe import describe
 from particlerb.plan.time_step import RADIANS_PER_STEP
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
@@ -400,3 +400,22 @@ def test_bodies_far_from_turning_about_an_axis_are_told_by_rounded_numbers(monke
     assert axes() == expected
     assert len(set(expected)) > 3
     assert len(looked_at) < 0.7 * code.size
+
+
+@pytest.mark.parametrize("run", [{}, {"accuracy": 1e-3}])
+def test_rates_are_looked_for_once_in_a_plan(make, monkeypatch, run):
+    looked, found = [], rates.omega_world
+    monkeypatch.setattr(rates, "omega_world", lambda *at: looked.append(1) or found(*at))
+    prepare_accurately(to_system(make.case(make.body(**SPIN), force=[make.push(FORCE, AT)], **run)))
+    assert len(looked) == 1
+
+
+def test_a_torque_without_end_spins_up_until_the_time_that_is_asked_for(make):
+    """|ω| + Σ |τ| Δt / I: 2 rad/s, 5 N m for 4 s, and 3 N m from then on."""
+    cube = {"type": "moments", "inertia": [2.0, 2.0, 2.0]}
+    body = make.body(shape=cube, angular_velocity=[0, 0, 2.0])
+    torques = [make.torque([3.0, 0, 0]), make.torque([0, 4.0, 0], during=[0.0, 4.0])]
+    system = to_system(make.case(body, method="strang", force=torques))
+    (group,) = prepare(system).plan.groups
+    at = [rates.rates(system, group, t_end) for t_end in (0.0, 4.0, 10.0)]
+    np.testing.assert_allclose(np.ravel(at), [12.0, 12.0, 21.0], rtol=1e-15)
