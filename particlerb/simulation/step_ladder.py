@@ -22,7 +22,7 @@ FIRST_TURNS: Final = {  # rad of a step that errs by 1e-3: under steady forces, 
 }  # fmt: skip
 _USUAL_TURNS: Final = 0.5, 0.5  # of other methods
 _FIRST_ACCURACY: Final = 1e-3
-_ORDER_SHARE: Final = 0.5  # of the order by which the first step is shorter for other accuracies
+_ORDER_SHARES: Final = 0.5, 0.75  # of the order by which the first step is shorter for others
 _TOLERANCE_SHARE: Final = 0.01  # of the accuracy, of the first that is tried
 _MAX_TOLERANCE, _MIN_TOLERANCE = 1e-3, 1e-14
 _ADAPTED_TURN: Final = 4.0  # rad of a step with a tolerance of 1, about
@@ -107,20 +107,21 @@ class Ladder:
         """What a run takes in most scenes [ns]: in few do steps grow much longer than at first."""
         step = self.pilot.longest(self.first_turn(1.0))
         n = self.pilot.group.members.size
-        return self.cost_of(step, n) if self.is_stepped else _LONGER_RATIO * self.least_cost()
+        return self.cost_of(step, n) if self.is_stepped else _LONGER_RATIO * self.least_run(n)
 
     def least_cost(self) -> float:
         """What an adaptive method costs at least, by the rate at t = 0; never too little [ns].
 
         Where that is dearer than another method it is not even compiled.
         """
+        n, seen = self.pilot.group.members.size, self.pilot.sampled.size
+        return max(self.least_run(n), MIN_NS) + 3.0 * (self.least_run(seen) + SET_UP)
+
+    def least_run(self, n: int) -> float:
+        """What a run of n bodies costs at least by an adaptive method [ns]."""
         turn = _LONGER_RATIO * _ADAPTED_TURN * self.pilot.wanted ** (1.0 / self.method.order)
         steps = self.pilot.rate * sum(self.pilot.lengths) / turn
-        run_cost, trial_cost = (
-            self.pilot.cost(self.stepping(_MAX_TOLERANCE), steps, group.size)
-            for group in (self.pilot.group.members, self.pilot.sampled)
-        )
-        return max(run_cost, MIN_NS) + 3.0 * (trial_cost + SET_UP)
+        return self.pilot.cost(self.stepping(_MAX_TOLERANCE), steps, n)
 
     def stepping(self, setting: float) -> Stepping:
         """How bodies are stepped with a setting."""
@@ -304,11 +305,14 @@ class Ladder:
     def first_setting(self) -> float:
         """Setting to begin with: coarser than what most scenes need, since such runs are short.
 
-        Steps longer than from one look to the next would save nothing.
+        Where runs take less than Python around them, it is nearer to what these need. Steps longer
+        than from one look to the next would save nothing.
         """
         if not self.is_stepped:
             return min(max(_TOLERANCE_SHARE * self.pilot.wanted, _MIN_TOLERANCE), _MAX_TOLERANCE)
-        return min(self.pilot.longest(self.first_turn(_ORDER_SHARE)), self.coarsest)
+        turns = map(self.first_turn, _ORDER_SHARES)
+        coarse, near = (min(self.pilot.longest(turn), self.coarsest) for turn in turns)
+        return near if self.cost_of(near, self.pilot.sampled.size) < SET_UP else coarse
 
     @property
     def coarsest(self) -> float:

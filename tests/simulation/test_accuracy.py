@@ -478,6 +478,15 @@ def test_a_method_that_pays_late_in_a_run_is_not_the_first_to_be_tried(make, mon
     assert min(ladders, key=Ladder.usual_cost).name == "force_gradient"
 
 
+@pytest.mark.plain
+def test_an_adaptive_method_that_costs_less_than_a_high_order_in_most_scenes_is_the_first():
+    """A usual cost is that of the run alone for both: trials of `dop853` were counted with it."""
+    system = to_system(load(CASES / "spring_pendulum.toml", ["run.accuracy=1e-9"]))
+    pilot = Pilot(system, make_plan(system.with_run(method="auto")).groups[0])
+    ladders = [Ladder(pilot, name) for name in ("rk4", "dop853")]
+    assert min(ladders, key=Ladder.usual_cost).name == "dop853"
+
+
 @pytest.mark.parametrize("wrong", ["0", "-1e-3", "2.0", '"high"'])
 def test_accuracy_that_is_none_is_refused(make, wrong):
     with pytest.raises(CaseError, match=r"run\.accuracy"):

@@ -111,7 +111,7 @@ def test_noise_that_grows_with_the_number_of_steps_ends_the_search():
     pilot = FakePilot(1.6e-11, wanders)
     found = choice(pilot, "sixth")
     assert 1e-6 < found.error < 1e-3
-    assert pilot.spent < 3e6
+    assert pilot.spent < 5e6
 
 
 def test_where_one_method_is_lost_in_noise_no_far_dearer_one_is_tried():
@@ -150,9 +150,18 @@ def test_the_first_run_is_not_coarser_than_the_times_that_are_looked_at(monkeypa
     assert pilot.steps[0].dt == T_END / ladder.N_TIMES
 
 
+@pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_short_runs_begin_near_the_step_that_is_needed(wanted):
+    """Where Python around a run takes longer than its steps three runs do."""
+    pilot = FakePilot(wanted, {"sixth": law(1e-3, 6)})
+    choice(pilot, "sixth")
+    assert len(pilot.steps) == 3
+
+
 def test_a_long_run_of_few_bodies_is_not_made_again_and_again(monkeypatch):
     """Where a finer run would be dearer than the run, the order must do."""
     monkeypatch.setattr(ladder, "MIN_NS", 0.0)
+    monkeypatch.setattr(ladder, "SET_UP", 0.0)
     found = choice(FakePilot(1e-9, {"sixth": law(1e-3, 6)}, 1, 1), "sixth")
     assert law(1e-3, 6)(found.stepping.dt) < 1e-9
     assert found.spent < 2.0 * found.cost
