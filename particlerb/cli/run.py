@@ -25,13 +25,12 @@ from particlerb.cli.guard import probe
 from particlerb.cli.ranks import ranks_of
 from particlerb.cli.report import Report, steps_until
 from particlerb.compiled.threads import THREADS
-from particlerb.forces.gravity_tree.opening_angle import other_angle
 from particlerb.impulses import records
 from particlerb.maths.vec3 import Floats
 from particlerb.model.system import System
 from particlerb.plan.describe import describe
 from particlerb.plan.segments import Plan
-from particlerb.plan.time_step import STEPS_PER_CONTACT, stable_turn
+from particlerb.plan.time_step import STEPS_PER_CONTACT
 from particlerb.ranks import ALONE, Ranks
 from particlerb.record import schema
 from particlerb.record.checked_reading import can_be_continued
@@ -44,6 +43,7 @@ from particlerb.simulation.checks import Result, results, table
 from particlerb.simulation.outcome import Outcome, Progress
 from particlerb.simulation.resume import ResumeError, look_at, resume_pending
 from particlerb.simulation.run import run_prepared
+from particlerb.simulation.run_warnings import run_warnings
 from particlerb.simulation.set_up_apart import prepared_apart
 from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, RunError
@@ -55,7 +55,6 @@ _OTHER_SUFFIXES: Final = (
     ".log",
 )  # fmt: skip
 _BROKEN_NAMED: Final = 3  # joints at most
-_UNSOLVED_RESIDUAL: Final = 1.0  # of impulses that are no better than none
 
 
 def prepared_case(options: argparse.Namespace, ranks: Ranks = ALONE) -> Prepared:
@@ -339,34 +338,6 @@ def event_text(tally: Floats) -> str:
         f" radius\nwork: impacts {tally[records.IMPACT_WORK]:.3g} J, friction"
         f" {tally[records.FRICTION_WORK]:.3g} J"
     )
-
-
-def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
-    """Warnings about what a run has seen: stiff contacts, a tree that errs, missing impulses."""
-    told, limit, tree, tally = [], stable_turn(prepared.plan), outcome.tree, outcome.tally
-    times = [check.time for check in prepared.system.check.value if check.time is not None]
-    if outcome.passed > 0.0 and min(times, default=math.inf) <= outcome.passed:
-        why = "a Simulation has moved the bodies until then, and makes none"
-        told.append(f"checks until t = {outcome.passed:.6g} s were not made: {why}")
-    if (turn := outcome.contact_turn) > limit:
-        told.append(
-            f"all contacts of a body together reached ω dt = {turn:.3g}: above {limit:.3g} contacts"
-            f" with this damping do not come to rest; divide run.dt by {turn / limit:.2g}"
-        )
-    if tree is not None and tree.seen > tree.asked:
-        told.append(
-            f"the error of the tree of the attraction reached {tree.seen:.2g}, above the requested"
-            f" {tree.asked:.2g}: the scene has changed since its opening angle was chosen; set"
-            f" attraction.opening_angle = {other_angle(*tree):.2g}"
-        )
-    if tally is not None and tally[records.WORST_EVER] >= _UNSOLVED_RESIDUAL:
-        told.append(
-            "impulses of contacts were not found: the residual reached"
-            f" {tally[records.WORST_EVER]:.2g} at t = {tally[records.WORST_TIME]:.6g} s, and where"
-            " it is 1 they are no better than none; take more contact.iterations or"
-            ' contact.solver = "newton"'
-        )
-    return [f"particlerb: warning: {text}" for text in told]
 
 
 def contact_text(frequency: float) -> str:

@@ -21,7 +21,7 @@ from particlerb.ranks import ALONE, Ranks
 
 _STILL_ENERGY_SHARE = 1e-20  # share of the energy of a motion that is seen; below it there is none
 _BORNE_SHARE = 1e-6  # share of what weights give to momenta; below it something bears them
-_WEIGHT_ROUNDING = 1e-8  # share of weights times distances, to rounding of which sums are known
+_KNOWN_SHARE = 1e-8  # of energies, and of weights times distances: sums round below it
 
 
 class Entries(NamedTuple):
@@ -163,7 +163,7 @@ def scales_seen(
 
     Where nothing moves but by rounding, the scales are those of a motion that is seen; where
     momenta are nothing beside what weights give them and what bears them takes, it is that.
-    Energies and angular momenta are judged no finer than weights at their distances round.
+    No error is judged finer than the energy at the start, or weights at their distances, round.
 
     Parameters
     ----------
@@ -191,8 +191,8 @@ def scales_seen(
     scales = np.where(is_still, np.maximum(scales, seen), scales)
     weight = mass * g * duration
     scales[1] = np.where(scales[1] < _BORNE_SHARE * weight, weight, scales[1])
-    scales[0] = np.maximum(scales[0], _WEIGHT_ROUNDING * mass * g * R)
-    scales[2] = np.maximum(scales[2], _WEIGHT_ROUNDING * weight * R)
+    scales[0] = np.maximum(scales[0], _KNOWN_SHARE * np.maximum(np.abs(energy), mass * g * R))
+    scales[2] = np.maximum(scales[2], _KNOWN_SHARE * weight * R)
     safe: Floats = np.where(scales > 0.0, scales, 1.0)
     return safe
 

@@ -12,6 +12,7 @@ from particlerb.record.trajectory import Trajectory, open_trajectory
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.resume import look_at, resume_pending
 from particlerb.simulation.run import run_prepared
+from particlerb.simulation.run_warnings import run_warnings
 from particlerb.simulation.whole_run import Prepared
 
 _LOG: Final = logging.getLogger(__name__)
@@ -40,7 +41,7 @@ def run(
     overrides: Sequence[str] = (),
     allow_code: bool = False,
 ) -> Trajectory:
-    """Run a case; warnings of its plan go to `logging`, which shows them if nobody configures it.
+    """Run a case; its warnings go to `logging`, which shows them if nobody configures it.
 
     Parameters
     ----------
@@ -75,6 +76,7 @@ def run(
     path = None if output is None else path_of(output, "output")
     prepared = prepared_from(case, overrides, allow_code)
     outcome = run_prepared(prepared, path, overwrite)
+    log_warnings(run_warnings(prepared, outcome))
     return open_trajectory(path) if path else Trajectory(outcome.file)
 
 
@@ -112,5 +114,5 @@ def resume(path: str | Path, t_end: float | None = None, *, allow_code: bool = F
     until = None if t_end is None else number_of(t_end, "t_end")
     pending = look_at(file, until, allow_code=allow_code)
     log_warnings(pending.warnings)
-    resume_pending(pending)
+    log_warnings(run_warnings(pending.prepared, resume_pending(pending)))
     return open_trajectory(file)

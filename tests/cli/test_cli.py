@@ -834,11 +834,12 @@ def test_contacts_beyond_their_limit_are_a_warning(monkeypatch, turn, warns):
     """The limit of `strang` is ω dt = 2."""
     from types import SimpleNamespace
 
-    from particlerb.cli.run import run_warnings
+    from particlerb.simulation.run_warnings import run_warnings
 
-    monkeypatch.setattr("particlerb.cli.run.stable_turn", lambda plan: 2.0)
+    monkeypatch.setattr("particlerb.simulation.run_warnings.stable_turn", lambda plan: 2.0)
     system = SimpleNamespace(check=SimpleNamespace(value=()))
-    outcome = SimpleNamespace(contact_turn=turn, tree=None, tally=None, passed=0.0)
+    drift = SimpleNamespace(energy=0.0)
+    outcome = SimpleNamespace(contact_turn=turn, tree=None, tally=None, passed=0.0, drift=drift)
     told = run_warnings(SimpleNamespace(plan=None, system=system), outcome)
     assert bool(told) == warns
     assert all("ω dt = 2.5: above 2 " in text and "divide run.dt by 1.2" in text for text in told)

@@ -19,10 +19,11 @@ import particlerb
 from particlerb import Simulation
 from particlerb.case.problems import CaseError
 from particlerb.case.to_system import to_system
-from particlerb.cli.run import impulse_text, run_warnings
+from particlerb.cli.run import impulse_text
 from particlerb.impulses.records import STEPS, TALLY, UNMET
 from particlerb.simulation.checks import results
 from particlerb.simulation.run import prepare, run_prepared
+from particlerb.simulation.run_warnings import run_warnings
 
 NAMES = ("impulse_residual", "impulse_overlap", "push_out_work")
 

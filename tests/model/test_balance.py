@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import particlerb
 from particlerb.case.to_system import to_system
 from particlerb.model import superblocks
 from particlerb.model.balance import ConservationError, EnergyBalance, Entries
@@ -18,6 +19,7 @@ from particlerb.simulation.run import prepare, run_prepared
 from particlerb.simulation.whole_run import Run
 from particlerb.stepping import motion
 from particlerb.stepping.free_motion import FreeMotion
+from particlerb.tables import SpringTable
 
 START = {
     "position": [0.1, -0.2, 0.3],
@@ -409,3 +411,18 @@ def test_a_motion_straight_through_the_origin_has_no_drift_that_is_a_ratio_of_ro
     case = make.case(body, force=[spring], dt=0.01, t_end=2.0)
     drift = run_prepared(prepare(to_system(case)), None).drift
     assert drift.angular_momentum < 1e-9
+
+
+@pytest.mark.plain
+def test_energies_are_judged_no_finer_than_that_of_the_start_rounds():
+    """Two springs that pull against each other store 1e6 J, the body between them has 5e-13 J."""
+    scene = particlerb.Scene({"t_end": 0.2, "every": 0.1, "dt": 1e-4, "method": "strang"})
+    shape = {"type": "moments", "inertia": (1, 2, 2.5)}
+    scene.add_body(name="a", shape=shape, mass=1.0, velocity=(1e-6, 0, 0))
+    for side in (1.0, -1.0):
+        scene.add_force(SpringTable(body="a", anchor=(side, 0, 0), stiffness=1e6))
+    trajectory = particlerb.run(scene)
+    assert trajectory.ledger.kinetic_energy.max() < 1e-12
+    rounding = abs(trajectory.ledger.energy_error).max()
+    drift = run_prepared(prepare(to_system(scene)), None).drift.energy
+    assert drift == rounding / (1e-8 * 1e6)

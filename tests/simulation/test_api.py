@@ -1,5 +1,6 @@
 """The Python entry: what `run` and `open` take, and that importing the package is cheap."""
 
+import logging
 import sys
 from subprocess import run
 
@@ -13,6 +14,7 @@ from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.tables import Cylinder, RunTable
 
+DOT = {"type": "points", "position": [[0, 0, 0]], "mass": 1.0}
 TOML = """
 [run]
 t_end = 1.0
@@ -62,6 +64,35 @@ def test_warnings_of_a_plan_reach_those_who_run_it_from_python(caplog):
         start(scene)
         assert [record.levelname for record in caplog.records] == ["WARNING"]
         assert "as 4 particles it is a rod, which the solid is not" in caplog.text
+
+
+def two_points(**run):
+    """An orbit of eccentricity 0.99 from its farthest point on, where steps are chosen."""
+    scene = particlerb.Scene(RunTable(t_end=2.4, every=0.2, **run), attraction={"G": 1.0})
+    for name, side in (("a", 1.0), ("b", -1.0)):
+        place, velocity = (side, 0, 0), (0, side * 0.05, 0)
+        scene.add_body(name=name, shape=DOT, position=place, velocity=velocity)
+    return scene
+
+
+@pytest.mark.plain
+def test_a_run_that_loses_energy_says_so_to_those_who_run_it_from_python(caplog, tmp_path):
+    """It passes by at a hundredth of the distance at which its step was chosen."""
+    path = tmp_path / "a.h5"
+    lost = abs(particlerb.run(two_points(method="strang"), path).ledger.energy_error).max()
+    assert lost > 0.1
+    ((_, level, told),) = caplog.record_tuples
+    assert level == logging.WARNING
+    assert "the energy errs by" in told
+    assert "take run.dt below 0.1 s" in told
+    assert 'run.method = "dop853"' in told
+    caplog.clear()
+    particlerb.resume(path, 2.6)
+    assert "the energy errs by" in caplog.text
+    caplog.clear()
+    kept = particlerb.run(two_points(method="dop853", tolerance=1e-10))
+    assert abs(kept.ledger.energy_error).max() < 1e-6
+    assert caplog.text == ""
 
 
 def test_importing_loads_nothing_heavy(make):

@@ -8,10 +8,10 @@ import pytest
 import particlerb
 from particlerb import Simulation
 from particlerb.cli import main
-from particlerb.cli.run import run_warnings
 from particlerb.record.verify import verify
 from particlerb.simulation.checks import results
 from particlerb.simulation.resume import look_at, resume_pending
+from particlerb.simulation.run_warnings import run_warnings
 from particlerb.studies.charts.solids import draw_walls
 
 pytestmark = pytest.mark.plain
