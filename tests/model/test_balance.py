@@ -416,7 +416,7 @@ def test_a_motion_straight_through_the_origin_has_no_drift_that_is_a_ratio_of_ro
 @pytest.mark.plain
 def test_energies_are_judged_no_finer_than_that_of_the_start_rounds():
     """Two springs that pull against each other store 1e6 J, the body between them has 5e-13 J."""
-    scene = particlerb.Scene({"t_end": 0.2, "every": 0.1, "dt": 1e-4, "method": "strang"})
+    scene = particlerb.Scene({"t_end": 0.1, "every": 2e-4, "dt": 1e-4, "method": "strang"})
     shape = {"type": "moments", "inertia": (1, 2, 2.5)}
     scene.add_body(name="a", shape=shape, mass=1.0, velocity=(1e-6, 0, 0))
     for side in (1.0, -1.0):
@@ -425,4 +425,4 @@ def test_energies_are_judged_no_finer_than_that_of_the_start_rounds():
     assert trajectory.ledger.kinetic_energy.max() < 1e-12
     rounding = abs(trajectory.ledger.energy_error).max()
     drift = run_prepared(prepare(to_system(scene)), None).drift.energy
-    assert drift == rounding / (1e-8 * 1e6)
+    assert 0.0 < drift == rounding / (1e-8 * 1e6)
