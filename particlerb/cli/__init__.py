@@ -24,8 +24,9 @@ from importlib import import_module
 from typing import NoReturn
 
 import particlerb
+from particlerb.cli import exit_codes as ends
 from particlerb.cli.arguments import COMMANDS
-from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, Ending, fault_text, tamed
+from particlerb.cli.exit_codes import DONE, FAILED, INTERRUPTED, Ending, tamed
 from particlerb.cli.guard import guarded, wants_guard
 
 _EPILOG = """\
@@ -110,7 +111,7 @@ def main(words: Sequence[str] | None = None) -> int:
         where = f" ({error})" if str(error).startswith("rank ") else ""
         return _complain(f"out of memory: fewer bodies or particles would fit{where}", FAILED)
     except OSError as error:
-        return _complain(fault_text(error), FAILED)
+        return _complain(ends.fault_text(error), ends.code_of_fault(error))
 
 
 def _parsed(top: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:

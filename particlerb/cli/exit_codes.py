@@ -42,6 +42,11 @@ def tamed(text: str) -> str:
     return text.translate(_CONTROL_CHARACTERS | {ord(c): c for c in "\n\t"})
 
 
+def code_of_fault(error: OSError) -> int:
+    """Exit code of what the system refused: a name too long for it is wrong usage."""
+    return _WRONG_INPUT if error.errno == errno.ENAMETOOLONG else FAILED
+
+
 def fault_text(error: OSError) -> str:
     """What the system refused, and where: it names neither stdout nor the current folder."""
     reason = error.strerror or str(error)

@@ -6,6 +6,7 @@ like a type of [[force]] brings FORCE and TERMS, and these their kicks; `registr
 and nobody else names a force. How to add one: CONTRIBUTING.md.
 """
 
+import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
@@ -14,6 +15,7 @@ import numpy as np
 from particlerb.maths.vec3 import Floats, Ints, Vec3
 from particlerb.model.bodies import Bodies
 from particlerb.model.state import State
+from particlerb.words import count_of
 
 if TYPE_CHECKING:
     from particlerb.model.system import System
@@ -127,7 +129,7 @@ class Term(NamedTuple):
     @property
     def name(self) -> str:
         """What messages call it."""
-        return self.parameters.__name__.lower()
+        return re.sub("(?<=[a-z])(?=[A-Z])", " ", self.parameters.__name__).lower()
 
 
 def by_its_arm(table: Any, is_point: bool) -> tuple[str, str]:
@@ -185,7 +187,7 @@ def in_columns(*values: Any) -> Floats:
 def refuse_length(key: str, values: Floats, n: int) -> None:
     """Raise ForceError where there is not an entry for each body."""
     if len(values) != n:
-        reason = f"has {len(values)} entries, and acts on {n} bodies"
+        reason = f"has {len(values)} entries, and acts on {count_of(n, 'body', 'bodies')}"
         raise ForceError(key, reason, "give an entry for each")
 
 

@@ -40,10 +40,10 @@ def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
             ' contact.solver = "newton"'
         )
     if outcome.drift.energy > _LARGE_DRIFT:
-        stepped = [s for group in prepared.plan.groups for s in group.stepped]
-        steps = [segment.dt for segment in stepped if not is_adaptive(segment.method)]
+        stepped = [s for g in prepared.plan.groups for s in g.stepped if not is_adaptive(s.method)]
+        steps = [prepared.system.run.dt or segment.dt for segment in stepped]
         remedy = f"take run.dt below {min(steps):.3g} s" if steps else "lower run.tolerance"
-        if steps and any(segment.terms.attraction is not None for segment in stepped):
+        if any(segment.terms.attraction is not None for segment in stepped):
             remedy += ', or run.method = "dop853", whose steps follow the motion'
         told.append(
             f"the energy errs by {outcome.drift.energy:.2g} of the largest kinetic energy or work,"

@@ -402,6 +402,14 @@ MISTAKES = [
         'there is no body "clump[4]"',
         "clump[0] to [3] exist",
     ),
+    (
+        'body = "cube"\n',
+        'body = "cube[1]"\n',
+        17,
+        "force[0].body",
+        'there is no body "cube[1]"',
+        "it is one body, cube",
+    ),
     ('body = "cube"\n', "body = []\n", 17, "force[0].body", "must not be empty", ""),
     (
         "force = [0, 0, 50]",
@@ -596,6 +604,7 @@ BETWEEN = [
     # table before [[force]] of the good case, key, reason, part of the hint
     ("spring", 'to = "clmp"', "to", 'there is no body "clmp"', 'did you mean "clump"?'),
     ("spring", 'to = ["clump", "clump[4]"]', "to[1]", 'there is no body "clump[4]"', "[3] exist"),
+    ("spring", 'to = "world"', "to", 'there is no body "world"', "and a spring `anchor`"),
     ("spring", "to = 5", "to", "must be a list, got a whole number: 5", ""),
     ("spring", "", "anchor", "missing", "give `anchor` for the world, `to` or `reach` for other"),
     ("spring", "anchr = [0, 0, 1]", "anchr", "unknown key", 'did you mean "anchor"?'),

@@ -189,6 +189,14 @@ def test_the_wrong_number_of_entries_is_told(key):
         particlerb.run(scene)
 
 
+def test_one_body_is_told_as_one():
+    scene = Scene(RunTable(t_end=1.0, every=1.0))
+    scene.add_body(name="a", shape=Ball(radius=0.1), mass=1.0)
+    scene.add_force(DragTable(body="a", translation=[1.0, 2.0]))
+    with pytest.raises(CaseError, match="has 2 entries, and acts on 1 body\n"):
+        particlerb.run(scene)
+
+
 def test_each_entry_is_judged_as_one_alone():
     with pytest.raises(CaseError, match=r"translation\[1\]: must be >= 0, got -1"):
         DragTable(body="b", translation=[0.0, -1.0])

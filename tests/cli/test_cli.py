@@ -508,6 +508,8 @@ def test_help_needs_no_heavy_library():
         (["sweep", "cube.toml"], "hint: give it a table [sweep], or --axis 'run.t_end=[1, 2]'"),
         (["run", "pyramid.toml"], "hint: the example is called pyramid"),
         (["cube.toml", "--set", 'run.t_end="1 ms"'], "hint: numbers stand without quotes"),
+        (["info", 256 * "n"], "n: File name too long"),
+        (["resume", 256 * "n"], "n: File name too long"),
     ],
 )
 def test_common_mistakes_are_told_what_would_be_right(here, capsys, words, message):

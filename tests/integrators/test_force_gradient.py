@@ -191,7 +191,7 @@ REFUSED = {
     "drag": (lambda make: make.drag(1.0, 0.0), "drag (it depends on velocities)"),
     "field": (
         lambda make: make.field([1.0, 0, 0], 1.0, angular_velocity=[0, 0, 1.0]),
-        "rotatingfield (its gradient is not known)",
+        "rotating field (its gradient is not known)",
     ),
 }
 

@@ -128,12 +128,16 @@ def _named_body(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Find
         return
     match = REFERENCE.fullmatch(value)
     if match is None or match["name"] not in counts:
-        yield path, f'there is no body "{value}"', nearest(value, list(counts))
+        hint = "for the world a joint has no `to`, and a spring `anchor`"
+        hint = hint if value == "world" else nearest(value, list(counts))
+        yield path, f'there is no body "{value}"', hint
         return
     count = counts[match["name"]]
     is_count = isinstance(count, int) and count > 0
     if match["index"] and is_count and int(match["index"]) >= count:
-        yield path, f'there is no body "{value}"', f"{match['name']}[0] to [{count - 1}] exist"
+        name = match["name"]
+        hint = f"{name}[0] to [{count - 1}] exist" if count > 1 else f"it is one body, {name}"
+        yield path, f'there is no body "{value}"', hint
 
 
 def _attraction_rules(table: Any, names: BodyNames) -> Iterator[Finding]:
