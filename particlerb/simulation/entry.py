@@ -12,8 +12,8 @@ from particlerb.record.trajectory import Trajectory, open_trajectory
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.resume import look_at, resume_pending
 from particlerb.simulation.run import run_prepared
-from particlerb.simulation.run_warnings import run_warnings
-from particlerb.simulation.whole_run import Prepared
+from particlerb.simulation.run_warnings import lost_energy, run_warnings
+from particlerb.simulation.whole_run import Prepared, Run
 
 _LOG: Final = logging.getLogger(__name__)
 
@@ -31,6 +31,12 @@ def log_warnings(warnings: Sequence[str], known: frozenset[str] = frozenset()) -
         if warning not in known:
             _LOG.warning(warning)
     return known.union(warnings)
+
+
+def warn_of_lost_energy(run: Run, known: frozenset[str]) -> frozenset[str]:
+    """Log that the energy errs, where it does by much; all warnings that are known."""
+    told = lost_energy(run.system.run, run.groups, run.drift().energy)
+    return log_warnings(told, known)
 
 
 def run(

@@ -165,9 +165,8 @@ def advance(
         raise
     with ending_all(ranks):
         recorder.finish()
-    of = run.counted, run.moving.state.com, prepared.system.run.t_end, run.adding
     return Outcome(
-        run.balance.drift(*of, float(np.linalg.norm(run.gravity))),
+        run.drift(),
         tuple(run.probes),
         recorder.file,
         run.flown(),

@@ -1,11 +1,13 @@
 """What a run has seen that makes its results doubtful, in words: where it ends these are told."""
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
+from particlerb.case.run import RunTable
 from particlerb.forces.gravity_tree.opening_angle import other_angle
 from particlerb.impulses import records
-from particlerb.plan.segments import is_adaptive
+from particlerb.plan.segments import GroupPlan, is_adaptive
 from particlerb.plan.time_step import stable_turn
 from particlerb.simulation.outcome import Outcome
 from particlerb.simulation.whole_run import Prepared
@@ -39,15 +41,21 @@ def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
             " it is 1 they are no better than none; take more contact.iterations or"
             ' contact.solver = "newton"'
         )
-    if outcome.drift.energy > _LARGE_DRIFT:
-        stepped = [s for g in prepared.plan.groups for s in g.stepped if not is_adaptive(s.method)]
-        steps = [prepared.system.run.dt or segment.dt for segment in stepped]
-        remedy = f"take run.dt below {min(steps):.3g} s" if steps else "lower run.tolerance"
-        if any(segment.terms.attraction is not None for segment in stepped):
-            remedy += ', or run.method = "dop853", whose steps follow the motion'
-        told.append(
-            f"the energy errs by {outcome.drift.energy:.2g} of the largest kinetic energy or work,"
-            " so positions and orientations are wrong too: steps are too long for what bodies have"
-            f" met, or a force does not fit its potential; {remedy}"
-        )
+    told += lost_energy(prepared.system.run, prepared.plan.groups, outcome.drift.energy)
     return [f"particlerb: warning: {text}" for text in told]
+
+
+def lost_energy(run: RunTable, groups: Sequence[GroupPlan], drift: float) -> list[str]:
+    """What to say where the energy errs by much, relative to the largest one or work."""
+    if not drift > _LARGE_DRIFT:
+        return []
+    stepped = [s for group in groups for s in group.stepped if not is_adaptive(s.method)]
+    steps = [run.dt or segment.dt for segment in stepped]
+    remedy = f"take run.dt below {min(steps):.3g} s" if steps else "lower run.tolerance"
+    if any(segment.terms.attraction is not None for segment in stepped):
+        remedy += ', or run.method = "dop853", whose steps follow the motion'
+    return [
+        f"the energy errs by {drift:.2g} of the largest kinetic energy or work, so positions and"
+        " orientations are wrong too: steps are too long for what bodies have met, or a force does"
+        f" not fit its potential; {remedy}"
+    ]

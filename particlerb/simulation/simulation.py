@@ -30,7 +30,7 @@ from particlerb.record.provenance import STATE
 from particlerb.record.writer import Recorder
 from particlerb.simulation.asked_times import time_ahead, times_between
 from particlerb.simulation.body_states import BodyStates
-from particlerb.simulation.entry import log_warnings, prepared_from
+from particlerb.simulation.entry import log_warnings, prepared_from, warn_of_lost_energy
 from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples, whole_frames
 from particlerb.simulation.restarts import saved_restart
 from particlerb.simulation.run import content_of
@@ -181,6 +181,8 @@ class Simulation(Closing):
         if until > self.time:
             self._unmoved = None
             self._moved(self.system.run.threads, self._go_to, until)
+            if until == self.system.run.t_end and self._entries:  # whose largest error the run has
+                self._warned = warn_of_lost_energy(self._run, self._warned)
         return self.state
 
     def frames(self, every: float, until: float = np.inf) -> Iterator[BodyStates]:

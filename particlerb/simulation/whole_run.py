@@ -9,7 +9,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from particlerb.maths.vec3 import Bools, Floats, Ints
-from particlerb.model.balance import EnergyBalance, Entries
+from particlerb.model.balance import ConservationError, EnergyBalance, Entries
 from particlerb.model.bodies import Bodies, has_held, taken
 from particlerb.model.state import Frames, State, as_frame, room_for
 from particlerb.model.superblocks import Range, summed
@@ -238,6 +238,11 @@ class Run:
         """Share of body-steps of touching bodies that were saved by closed forms."""
         saved, steps = np.sum([one.motion.flown for one in self.group_runs], axis=0)
         return float(saved / steps) if steps else None
+
+    def drift(self) -> ConservationError:
+        """Largest errors of energy and momenta until now, over their scales."""
+        of = self.counted, self.moving.state.com, self.system.run.t_end, self.adding
+        return self.balance.drift(*of, float(np.linalg.norm(self.gravity)))
 
     def contact_turn(self) -> float:
         """Largest ω dt of bodies that oscillate on their contacts that was seen [rad]."""

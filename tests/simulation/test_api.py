@@ -90,6 +90,12 @@ def test_a_run_that_loses_energy_says_so_to_those_who_run_it_from_python(caplog,
     particlerb.resume(path, 2.6)
     assert "the energy errs by" in caplog.text
     caplog.clear()
+    simulation = particlerb.Simulation(two_points(method="strang"))
+    simulation.advance(2.3)
+    assert caplog.text == ""
+    simulation.advance(2.4)
+    assert "the energy errs by" in caplog.text
+    caplog.clear()
     kept = particlerb.run(two_points(method="dop853", tolerance=1e-10))
     assert abs(kept.ledger.energy_error).max() < 1e-6
     assert caplog.text == ""
