@@ -18,7 +18,7 @@ from particlerb.integrators import METHODS
 from particlerb.joints.tension import loaded_joints, tension_rate
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
-from particlerb.model.state import omega_world
+from particlerb.model.state import lengths, omega_world
 from particlerb.model.system import System
 from particlerb.plan.rates import deepest_impact, falling_speed, fastest_contact, rates
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
@@ -215,6 +215,8 @@ def cheaper_law(system: System, group: GroupPlan, segment: Segment, overlap: flo
 RADIANS_PER_STEP: Final = 0.05  # default step: this over the fastest rate
 _Worst: TypeAlias = dict[str, tuple[float, str, float]]  # turn or share, why, better step [s]
 _MAX_STEPS: Final = 2.0**53  # steps are counted in float64 where times are
+_ROUNDING: Final = 2.0**-53  # of a time, relative
+_LARGEST_LOSS: Final = 0.01  # [rad] that a body may turn in the rounding of t_end
 
 
 class Stepping(NamedTuple):
@@ -316,14 +318,33 @@ def refuse_endless(system: System, groups: tuple[GroupPlan, ...]) -> None:
 def step_warnings(system: System, groups: tuple[GroupPlan, ...], ranks: Ranks = ALONE) -> list[str]:
     """Warnings about steps that turn a body too far, now or by t_end, or let springs explode.
 
-    Of ranks that have groups of their own, those about the worst of all.
+    And about a run so long that the rounding of its time is an angle. Of ranks that have groups of
+    their own, those about the worst of all.
     """
     worst: _Worst = {}
     for own in ranks.gathered(_worst_steps(system, groups)):
         for kind, found in own.items():
             worst[kind] = max(worst.get(kind, found), found, key=itemgetter(0))
     advice = ((reason, f"advised: dt = {dt:.3g} s or less") for _, reason, dt in worst.values())
-    return [as_warning(problem_at(system, step_key(system), *words)) for words in advice]
+    told = [problem_at(system, step_key(system), *words) for words in advice]
+    spin, t_end = max(ranks.gathered(_spin_that_is_lost(system))), system.run.t_end
+    if spin > 0.0:
+        known, rounding = _LARGEST_LOSS / (spin * _ROUNDING), t_end * _ROUNDING
+        reason = f"{t_end:.3g} s round by {rounding:.2g} s, in which a body turns by"
+        reason += f" {spin * rounding:.2g} rad: its angle at t_end is not known"
+        hint = f"until {known:.2g} s it is known to {_LARGEST_LOSS} rad"
+        told.append(problem_at(system, "run.t_end", reason, hint))
+    return list(map(as_warning, told))
+
+
+@np.errstate(over="ignore")
+def _spin_that_is_lost(system: System) -> float:
+    """Fastest rate at t = 0 [rad/s], if its angle at t_end is lost in the rounding of t_end."""
+    bodies, state, least = system.bodies, system.state, _LARGEST_LOSS / _ROUNDING / system.run.t_end
+    spin = 2.0 * np.abs(state.L).max(initial=0.0) * bodies.inv_inertia.max(initial=0.0)  # at most
+    if spin > least:
+        spin = float(lengths(omega_world(bodies, state)).max())
+    return float(spin) if spin > least else 0.0
 
 
 def _worst_steps(system: System, groups: tuple[GroupPlan, ...]) -> _Worst:

@@ -419,3 +419,13 @@ def test_a_torque_without_end_spins_up_until_the_time_that_is_asked_for(make):
     (group,) = prepare(system).plan.groups
     at = [rates.rates(system, group, t_end) for t_end in (0.0, 4.0, 10.0)]
     np.testing.assert_allclose(np.ravel(at), [12.0, 12.0, 21.0], rtol=1e-15)
+
+
+@pytest.mark.parametrize(("t_end", "is_told"), [(8e13, False), (1e14, True), (1e300, True)])
+def test_an_angle_that_is_lost_in_the_rounding_of_the_time_is_told(make, t_end, is_told):
+    """1 rad/s times 2^-53 t_end is 0.01 rad at 9e13 s; closed forms have no step to warn of."""
+    body = make.body("top", angular_velocity=[0.0, 0.0, 1.0])
+    told = prepare(to_system(make.case(body, t_end=t_end, every=t_end))).plan.warnings
+    assert len(told) == is_told
+    assert all("its angle at t_end is not known" in text for text in told)
+    assert all("until 9e+13 s it is known to 0.01 rad" in text for text in told)
