@@ -70,11 +70,12 @@ def _sweep(options: argparse.Namespace, workers: Workers | None) -> int:
 
 def _axis(text: str) -> tuple[str, Any]:
     """Key and values of an option: KEY=[a, b], or KEY={ low = a, high = b, n = 5 }."""
-    key, equals, values = text.partition("=")
+    key, _, values = text.partition("=")
     try:
-        if not equals:
+        found = tomllib.loads(f"v = {values}")["v"]
+        if not isinstance(found, list | dict):
             raise ValueError
-        return key.strip(), tomllib.loads(f"v = {values}")["v"]
+        return key.strip(), found
     except ValueError:
         raise Ending(f"--axis {text}: must be KEY=[a, b] or KEY={{low=a, high=b, n=5}}") from None
 

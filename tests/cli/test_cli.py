@@ -508,6 +508,8 @@ def test_help_needs_no_heavy_library():
         (["sweep", "cube.toml"], "hint: give it a table [sweep], or --axis 'run.t_end=[1, 2]'"),
         (["run", "pyramid.toml"], "hint: the example is called pyramid"),
         (["cube.toml", "--set", 'run.t_end="1 ms"'], "hint: numbers stand without quotes"),
+        (["sweep", "cube.toml", "--axis", "run.t_end=1"], "--axis run.t_end=1: must be KEY=[a, b]"),
+        (["sweep", "cube.toml", "--axis", "run.t_end"], "--axis run.t_end: must be KEY=[a, b]"),
         (["info", 256 * "n"], "n: File name too long"),
         (["resume", 256 * "n"], "n: File name too long"),
     ],
