@@ -25,7 +25,7 @@ BUDGETS = {
     "joints": 6094,
     "contact with every method": 668,
     "contact by impulses": 4222,
-    "collisions by events": 1725,
+    "collisions by events": 1732,
     "forces: tables, gradients, written by users": 2240,
     "scenes and simulations in Python": 1256,
     "sweeps": 1752,

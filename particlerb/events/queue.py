@@ -3,7 +3,8 @@
 A heap of all events is deep, and each of its levels one more line of the cache. So a period is cut
 into as many intervals as there are lists. A body whose event comes in a later interval is in the
 list of that, or of the last one that has a list. When those before are over, the events of a list
-come into the heap of four branches, earliest first, then by number.
+come into the heap of four branches, earliest first; of events at one instant those first that were
+found first, by the number of impacts before, then by the number of the body.
 
 G. Paul, A complexity O(1) priority queue for event driven molecular dynamics simulations, J.
 Comput. Phys. 221, 615 (2007). Why it is so: docs/decisions/0034.
@@ -16,9 +17,11 @@ import numpy as np
 from particlerb.compiled.jit import inline
 from particlerb.events import records as col
 from particlerb.events.records import EventScene, EventState
+from particlerb.impulses import records as impulses
 from particlerb.maths.vec3 import Indices
 
 _HEAP_BRANCHES: Final = 4
+_MAX_FOUND: Final = 2**31 - 1  # that a number of a body holds
 
 
 @inline
@@ -45,12 +48,21 @@ def leave_list(first: Indices, behind: Indices, event: Indices, before: int, b: 
 
 
 @inline
+def _is_behind(state: EventState, t: float, b: int, s: float, c: int) -> bool:
+    """Whether the event of body b at t comes after that of body c at s; both are in the heap."""
+    if t != s:
+        return t > s
+    before, other = state.event[b, col.FOUND], state.event[c, col.FOUND]
+    return before > other or (before == other and b > c)
+
+
+@inline
 def _sift_up(state: EventState, k: int, t: float, b: int) -> int:
     """Let the free place at k rise until body b belongs there; where that is."""
     heap, time = state.heap, state.heap_time
     while k > 0:
         parent = (k - 1) // _HEAP_BRANCHES
-        if t > time[parent] or (t == time[parent] and b > heap[parent]):
+        if _is_behind(state, t, b, time[parent], int(np.int64(heap[parent]))):
             break
         time[k], heap[k], state.event[heap[parent], col.PLACE] = time[parent], heap[parent], k
         k = parent
@@ -67,10 +79,10 @@ def _sift_down(state: EventState, n: int, k: int, t: float, b: int) -> int:
             break
         best = low
         for child in range(low + 1, min(low + _HEAP_BRANCHES, n)):
-            s, least = time[child], time[best]
-            if s < least or (s == least and heap[child] < heap[best]):
+            c = int(np.int64(heap[child]))
+            if _is_behind(state, time[best], int(np.int64(heap[best])), time[child], c):
                 best = child
-        if time[best] > t or (time[best] == t and heap[best] > b):
+        if _is_behind(state, time[best], int(np.int64(heap[best])), t, b):
             break
         time[k], heap[k], state.event[heap[best], col.PLACE] = time[best], heap[best], k
         k = best
@@ -104,6 +116,7 @@ def insert(scene: EventScene, state: EventState, b: int) -> None:
     lists, interval = state.later.size, state.sums[col.INTERVAL]
     due = t * (lists / scene.period)
     if due < interval:
+        state.event[b, col.FOUND] = np.int64(state.tally[impulses.IMPACTS]) & _MAX_FOUND
         state.sums[col.SOON] += 1.0
         n = int(state.sums[col.SOON])
         _settle(state, n, n - 1, t, b)

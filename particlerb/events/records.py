@@ -53,7 +53,8 @@ STAMP: Final = 6  # HITS of the partner when that was found; AGAIN: it looks for
 OWN: Final = 7  # sphere of the body with the lower number
 OTHER: Final = 8  # sphere of the other body, or primitive
 HITS: Final = 9  # impacts so far
-BEFORE: Final = 10  # body before it in its list of the queue
+BEFORE: Final = 10  # body before it in its list of the queue,
+FOUND: Final = 10  # or, in the heap, impacts of all before its event came there
 PLACE: Final = 11  # in the heap; -1: in a list
 N_EVENT: Final = 16  # a line of the cache
 

@@ -2,7 +2,20 @@
 
 import numpy as np
 import pytest
-from impulse_scenes import DOWN, G, R, clump, errors, exact, go, impulse, plane, sphere, weightless
+from impulse_scenes import (
+    DOWN,
+    G,
+    R,
+    clump,
+    errors,
+    events,
+    exact,
+    go,
+    impulse,
+    plane,
+    sphere,
+    weightless,
+)
 
 plain = pytest.mark.plain
 
@@ -77,6 +90,36 @@ def test_a_row_of_halved_masses_speeds_up_by_its_closed_form():
     t = go(*balls, contact=impulse(1.0, 0.0), dt=1e-3, t_end=0.1, every=0.1)
     assert t.velocity[-1, 5, 0] == pytest.approx((4.0 / 3.0) ** 5, rel=1e-13)
     assert max(errors(t)) < 1e-14
+
+
+def through_equal_gaps(masses):
+    """Velocities after the first ball has come with 1 m/s onto others that are as near as can be.
+
+    The gap that closes next is the next hit: of the limit only the ratios of gaps are left.
+    """
+    m, gap, v = np.array(masses), np.ones(len(masses) - 1), np.zeros(len(masses))
+    v[0] = 1.0
+    while (approach := v[:-1] - v[1:]).max() > 1e-12:
+        left = np.divide(gap, approach, np.full(gap.size, np.inf), where=approach > 1e-12)
+        k = left.argmin()
+        gap -= left[k] * approach
+        p = 2.0 * approach[k] / (1.0 / m[k] + 1.0 / m[k + 1])
+        v[k : k + 2] += -p / m[k], p / m[k + 1]
+    return v
+
+
+@plain
+@pytest.mark.parametrize("contact", [impulse(1.0, 0.0), events(1.0, 0.0)], ids=lambda c: c["law"])
+@pytest.mark.parametrize("masses", [(4.0, 1.0, 2.0, 0.5), (2.0, 1.0, 1.0, 2.0)])
+def test_a_row_of_unequal_masses_goes_as_with_equal_gaps_that_vanish(masses, contact):
+    balls = [
+        sphere(f"b{i}", mass=m, position=[2 * R * i - 0.01 * (i < 1), 0, 0],
+               velocity=[float(i < 1), 0, 0])
+        for i, m in enumerate(masses)
+    ]  # fmt: skip
+    step = {"dt": 1e-3} if contact["law"] == "impulse" else {}
+    t = weightless(*balls, contact=contact, t_end=0.1, every=0.1, **step)
+    assert t.velocity[-1, :, 0] == pytest.approx(through_equal_gaps(masses), abs=1e-13)
 
 
 @plain
