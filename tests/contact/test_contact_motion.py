@@ -5,9 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from collision import restitution
 from short_names import short_names
 
 import particlerb
+from particlerb.contact.restitution import damping_ratio
 from particlerb.stepping import contact_motion
 from particlerb.stepping.pair_forces import PairForces
 
@@ -218,6 +220,23 @@ def test_a_rod_hit_at_its_tip_gives_the_restitution_asked_for(make, e):
     apart = run.v[-1, 1, 2] - (run.v[-1, 0, 2] - 0.5 * run.w[-1, 0, 1])
     assert apart == pytest.approx(e, abs=5e-5)
     assert abs(run.ledger.energy_error[-1]) < 1e-8
+
+
+@pytest.mark.parametrize("e", [0.9, 0.3])
+def test_a_box_that_falls_flat_is_damped_by_each_of_its_contacts_as_if_alone(make, e):
+    """Four springs and dashpots on M, each with c = 2ζ√(m_eff k): ζ√(4 m_eff/M) in all."""
+    k, r, m = 1e6, 0.1, 1.0
+    corners = [[x, y, z] for x in (-r, r) for y in (-r, r) for z in (-r, r)]
+    shape = {"type": "points", "mass": m / 8.0, "radius": r, "position": corners}
+    box = {"name": "box", "shape": shape, "position": [0, 0, 2 * r], "velocity": [0, 0, -1]}
+    dt = math.pi * math.sqrt(m / (4.0 * k)) / 100
+    run = ran(make.case(box, contact=make.hooke(k, e, 0.0), wall=[make.plane()], t_end=300 * dt,
+                        every=300 * dt, dt=dt, **NOTHING))  # fmt: skip
+    inertia = m * (2.0 * r**2 + 0.4 * r**2)
+    m_eff = 1.0 / (1.0 / m + 2.0 * r**2 / inertia)
+    together = damping_ratio(e) * math.sqrt(4.0 * m_eff / m)
+    assert run.v[-1, 0, 2] == pytest.approx(restitution(together), abs=2e-4)
+    assert abs(run.w[-1]).max() < 1e-12
 
 
 @pytest.mark.compiled
