@@ -60,7 +60,7 @@ def let_slide_on(impulses: Impulses, team: Team) -> None:
         n, least = _LEAST_RUBBING_SHARE * r[k, 0], _LEAST_SLIP_SHARE * rows.limits[k, col.SLOW]
         if n <= 0.0 or partners.has_moved[a] or partners.has_moved[b]:
             continue
-        if math.hypot(r[k, 1], r[k, 2]) > rows.frame[k, col.FRICTION] * n:
+        if r[k, 1] * r[k, 1] + r[k, 2] * r[k, 2] > (rows.frame[k, col.FRICTION] * n) ** 2:
             came = in_frame(rows.frame, k, velocity_between(before, rows.frame, k, a, b))
             now = approach(partners, rows, k)
             _take_half_turn_back(rows.limits, k, col.LEAN, came, now, least)
