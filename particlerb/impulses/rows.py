@@ -228,12 +228,12 @@ def lean(
     n = n_by + min(max(came - n_by, min(n, 0.0)), max(n, 0.0))
     gap = limits[c, col.GAP] - 0.25 * dt * max(n, 0.0)
     rows.frame[c, col.LEAST_VELOCITY] = (-gap / dt if gap > slop else 0.0) - n
-    is_within = math.hypot(f, g) < _STICKING_SHARE * rows.frame[c, col.FRICTION] * pressed
-    slip, u, v = math.hypot(u - x_by - x, v - y_by - y), u - x_by, v - y_by
-    sticks = is_within or slip <= _SLIP_SHARE * math.hypot(x + x_by, y + y_by)
+    is_within = f * f + g * g < (_STICKING_SHARE * rows.frame[c, col.FRICTION] * pressed) ** 2
+    slip, u, v = (u - x_by - x) ** 2 + (v - y_by - y) ** 2, u - x_by, v - y_by
+    sticks = is_within or slip <= _SLIP_SHARE**2 * ((x + x_by) ** 2 + (y + y_by) ** 2)
     if sticks and pressed > 0.0:
-        size, most = math.hypot(x, y), _CAME_SHARE * math.hypot(u, v)
-        share = most / size if size > most else 1.0
+        size, most = x * x + y * y, _CAME_SHARE**2 * (u * u + v * v)
+        share = math.sqrt(most / size) if size > most else 1.0
         x_by, y_by = x_by + share * x, y_by + share * y
     put_row3(limits, c, (n, x_by, y_by), col.LEAN)
 
