@@ -133,8 +133,7 @@ def _term_of(
     """Parameters, the time, and the axes of the rotor frame."""
     force: UserForce = table.function
     of = lengths_of(table)
-    count = 1 + sum(max(length, 1) for _, length in of)
-    parts, n = [numbers[:count]], bodies.mass.size
+    parts, n = [numbers[: 1 + user_kicks.count_numbers(of)]], bodies.mass.size
     if "t" in force.signature:
         parts.append(np.array([[start], [start]]).repeat(n, axis=1))
     if "R" in force.signature:
@@ -199,7 +198,7 @@ def attempt(function: Any, evaluate: Callable[[], Floats]) -> Floats:
 
 def given_to(load: user_kicks.Written, bodies: Bodies, state: State, b: int) -> dict[str, Any]:
     """What the function is handed over for body b, but for the time."""
-    return of_body(bodies, state, b) | numbers_in(load.lengths, load.rows[1:, b])
+    return of_body(bodies, state, b) | user_kicks.by_names(load.lengths, load.rows[1:, b].tolist())
 
 
 def of_body(bodies: Bodies, state: State, b: int, end: str = "") -> dict[str, Any]:
@@ -209,16 +208,6 @@ def of_body(bodies: Bodies, state: State, b: int, end: str = "") -> dict[str, An
     arguments: dict[str, Any] = {f"R{end}": tuple(tuple(line) for line in R.tolist())}
     named = zip(("x", "v", "omega"), vectors, strict=True)
     return arguments | {f"{name}{end}": tuple(v.tolist()) for name, v in named}
-
-
-def numbers_in(of: user_kicks.Lengths, numbers: Floats) -> dict[str, Any]:
-    """Parameters by their names, from a row of numbers."""
-    arguments, row = {}, 0
-    for name, length in of:
-        values = numbers[row : row + max(length, 1)].tolist()
-        arguments[name] = tuple(values) if length else values[0]
-        row += max(length, 1)
-    return arguments
 
 
 def wrong_result(force: UserForce, arguments: dict[str, Any], t: float) -> str:

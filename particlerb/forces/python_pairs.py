@@ -11,7 +11,7 @@ import numpy as np
 from particlerb.forces import python
 from particlerb.forces.kinds import ForceError, Rates, refuse_length
 from particlerb.forces.links import combined_rates
-from particlerb.forces.user_kicks import rates_by
+from particlerb.forces.user_kicks import by_names, rates_by
 from particlerb.forces.user_pairs import (
     UserPairs,
     functions_of,
@@ -151,7 +151,7 @@ def _try(pairs: UserPairs, bodies: Bodies, state: State, start: float) -> None:
 
 def given_to_pair(pairs: UserPairs, bodies: Bodies, state: State, s: int) -> dict[str, Any]:
     """What the function is handed over for pair s, but for the time."""
-    arguments = python.numbers_in(pairs.functions.lengths[pairs.kind[s]], pairs.rows[:, s])
+    arguments = by_names(pairs.functions.lengths[pairs.kind[s]], pairs.rows[:, s].tolist())
     for end, b in (("1", int(pairs.body_a[s])), ("2", int(pairs.body_b[s]))):
         arguments |= python.of_body(bodies, state, b, end)
     return arguments

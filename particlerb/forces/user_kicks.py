@@ -131,21 +131,31 @@ def compiled(function: Any, cache: dict[FunctionType, Any] | None = None) -> Any
     return made
 
 
-def _argument(name: str, at: int, length: int) -> str:
-    """Source of a parameter from a row on."""
-    if not length:
-        return f"get(rows, at + {at}, b)"
-    return "(" + "".join(f"get(rows, at + {at + k}, b), " for k in range(length)) + ")"
+def count_numbers(of: Lengths) -> int:
+    """Numbers that all parameters have."""
+    return sum(max(length, 1) for _, length in of)
+
+
+def by_names(of: Lengths, numbers: Sequence[Any]) -> dict[str, Any]:
+    """Parameters by their names, tuples of those that are lists, from their numbers in order."""
+    arguments, at = {}, 0
+    for name, length in of:
+        arguments[name] = tuple(numbers[at : at + length]) if length else numbers[at]
+        at += max(length, 1)
+    return arguments
+
+
+def sources_of(of: Lengths, numbers: Sequence[str]) -> dict[str, str]:
+    """The same of the sources of the numbers."""
+    values = by_names(of, numbers).items()
+    return {k: v if isinstance(v, str) else f"({', '.join(v)},)" for k, v in values}
 
 
 def _kick_of(force: UserForce, lengths_: Lengths, name: str, is_kept: bool) -> tuple[Kick, Any]:
     """Kick of a force, and its energy if it has a potential."""
-    rows, sources = 1, {}
-    for parameter, length in lengths_:
-        sources[parameter] = _argument(parameter, rows, length)
-        rows += max(length, 1)
-    start = rows
-    rows += 2 if "t" in force.signature else 0
+    start = 1 + count_numbers(lengths_)
+    sources = sources_of(lengths_, [f"get(rows, at + {k}, b)" for k in range(1, start)])
+    rows = start + (2 if "t" in force.signature else 0)
     sources |= {"t": f"get(rows, at + {start + 1}, b)", "x": "x", "v": "v", "omega": "omega"}
     columns = ", ".join(f"get3(rows, at + {rows + k}, b)" for k in (0, 3, 6))
     sources["R"] = f"body_axes(R, {columns})"

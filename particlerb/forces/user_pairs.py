@@ -14,7 +14,16 @@ import numpy as np
 from particlerb.compiled.function_set import FunctionSet
 from particlerb.compiled.jit import inline, inline_from, kernel
 from particlerb.forces.links import rotation_of
-from particlerb.forces.user_kicks import Lengths, body_axes, chosen, compiled, rotor_axes, sign_of
+from particlerb.forces.user_kicks import (
+    Lengths,
+    body_axes,
+    chosen,
+    compiled,
+    count_numbers,
+    rotor_axes,
+    sign_of,
+    sources_of,
+)
 from particlerb.maths.quaternion import turn, turn_back
 from particlerb.maths.rows import add_to_column3_at, column3_at
 from particlerb.maths.vec3 import (
@@ -104,14 +113,12 @@ _ARGUMENTS: Final = {"x": "column3_at(y, {})", "R": "axes_of(pairs, y, {})",
 
 def _arguments(names: Any, lengths: Lengths) -> str:
     """Source of the arguments of a function."""
-    texts, row = {"t": "t"}, 0
+    texts = {"t": "t"}
     for name, code in _ARGUMENTS.items():
         for k, end in (("1", "body_a"), ("2", "body_b")):
             texts[name + k] = code.format(f"pairs.{end}[s]")
-    for name, length in lengths:
-        numbers = [f"pairs.rows[{row + k}, s]" for k in range(max(length, 1))]
-        texts[name] = f"({', '.join(numbers)},)" if length else numbers[0]
-        row += len(numbers)
+    numbers = [f"pairs.rows[{k}, s]" for k in range(count_numbers(lengths))]
+    texts |= sources_of(lengths, numbers)
     return ", ".join(texts[name] for name in names)
 
 
