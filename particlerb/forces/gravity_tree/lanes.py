@@ -7,14 +7,14 @@ sums in registers. Where the compiler is switched off the same list is gone thro
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple, TypeAlias, cast
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
 
-from particlerb.compiled.jit import config, inline, unsigned
+from particlerb.compiled.instructions import with_stand_in
+from particlerb.compiled.jit import inline, unsigned
 from particlerb.compiled.lanes import in_all_lanes
 from particlerb.maths.vec3 import Floats
 
@@ -70,11 +70,8 @@ def sums_of(products: Sequence[Product], kept: range) -> _Summing:
     kept : range
         Rows that are written; others that are summed into have no defined values afterwards.
     """
-    if config.DISABLE_JIT:
-        return _in_python(products)
 
-    @intrinsic
-    def sums(typing: Any, rows: Any, numbers: Any) -> Any:
+    def typed(typing: Any, rows: Any, numbers: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             arrays = [
                 context.make_array(kind)(context, builder, value).data
@@ -87,7 +84,7 @@ def sums_of(products: Sequence[Product], kept: range) -> _Summing:
 
         return types.void(rows, numbers), generate
 
-    return cast(_Summing, sums)
+    return with_stand_in(_in_python(products), typed)
 
 
 class _Lanes:
