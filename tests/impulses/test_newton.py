@@ -3,7 +3,6 @@
 import math
 import re
 
-import numba
 import numpy as np
 import pytest
 from impulse_scenes import DOWN, G, R, case, clump, go, impulse, plane, sphere
@@ -15,9 +14,7 @@ from particlerb.impulses.band import solve_band
 from particlerb.simulation.run import prepare
 from particlerb.simulation.whole_run import RunError
 
-plain = pytest.mark.skipif(
-    not numba.config.DISABLE_JIT, reason="takes long to compile, and shows no more"
-)
+plain = pytest.mark.plain
 
 
 @plain

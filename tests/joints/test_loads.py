@@ -217,6 +217,7 @@ def test_loads_that_redundant_rows_leave_open_do_not_depend_on_units():
     assert small_loads.torque / small**2 == pytest.approx(large.torque, abs=1e-7)
 
 
+@pytest.mark.plain
 def test_loads_of_a_scene_that_has_changed_are_refused(tmp_path):
     """The file has the case as it began: a motor of 0, and then one that turns the bar.
 

@@ -79,6 +79,7 @@ def test_coordinates_of_mujoco_are_those_of_the_file():
     assert model.nbody == 7
 
 
+@pytest.mark.plain
 def test_speeds_at_the_start_and_free_bodies_go_along():
     bodies = [
         body("free", 1.0, [0.1, 0.2, 0.25], [0, 0, 2], [0.3, 0, 1], [1, 2, 3]),

@@ -200,6 +200,7 @@ def free_linkage():
     return {"body": bodies, "joint": joints}
 
 
+@pytest.mark.plain
 def test_free_linkages_keep_both_momenta():
     with moved(free_linkage(), 1.0, 0.01, every=0.1) as trajectory:
         x, p = np.array(trajectory.position), np.array(trajectory.linear_momentum)

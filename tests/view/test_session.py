@@ -1,6 +1,5 @@
 """A session is the run of its case: the batch run of what it recorded gives the same bits."""
 
-import os
 import tomllib
 
 import numpy as np
@@ -52,8 +51,7 @@ SCENES = {
 def marks_of(name):
     """Scenes whose kernels take long to compile run in plain Python only: the logic is the same."""
     is_quick = name in ("cube", "asymmetric, one of three", "stepped without end")
-    is_plain = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
-    return [pytest.mark.skipif(not (is_quick or is_plain), reason="long to compile, runs in plain")]
+    return [] if is_quick else [pytest.mark.plain]
 
 
 @pytest.fixture
