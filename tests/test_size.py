@@ -27,7 +27,7 @@ BUDGETS = {
     "contact by impulses": 4314,
     "collisions by events": 1732,
     "forces: tables, gradients, written by users": 2240,
-    "scenes and simulations in Python": 1256,
+    "scenes and simulations in Python": 1257,
     "sweeps": 1752,
     "one scene over ranks": 2793,
     "reports, pictures, the page": 2128,

@@ -1,6 +1,7 @@
 """The Python entry: run a case or go on with it, get its trajectory."""
 
 import logging
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -16,6 +17,7 @@ from particlerb.simulation.run_warnings import lost_energy, run_warnings
 from particlerb.simulation.whole_run import Prepared, Run
 
 _LOG: Final = logging.getLogger(__name__)
+_NUMBER: Final = re.compile(r"\d[\d.e+-]*")
 
 
 def prepared_from(case: CaseSource, overrides: Sequence[str], allow_code: bool) -> Prepared:
@@ -26,11 +28,16 @@ def prepared_from(case: CaseSource, overrides: Sequence[str], allow_code: bool) 
 
 
 def log_warnings(warnings: Sequence[str], known: frozenset[str] = frozenset()) -> frozenset[str]:
-    """Let `logging` have warnings that are not known, which it shows by itself; all of them."""
+    """Let `logging` have warnings of kinds that are not known; all kinds."""
     for warning in warnings:
-        if warning not in known:
+        if kind_of(warning) not in known:
             _LOG.warning(warning)
-    return known.union(warnings)
+    return known.union(map(kind_of, warnings))
+
+
+def kind_of(warning: str) -> str:
+    """A warning without its numbers, which each step of a control loop may change."""
+    return _NUMBER.sub("", warning)
 
 
 def warn_of_lost_energy(run: Run, known: frozenset[str]) -> frozenset[str]:

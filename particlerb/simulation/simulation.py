@@ -30,7 +30,12 @@ from particlerb.record.provenance import STATE
 from particlerb.record.writer import Recorder
 from particlerb.simulation.asked_times import time_ahead, times_between
 from particlerb.simulation.body_states import BodyStates
-from particlerb.simulation.entry import log_warnings, prepared_from, warn_of_lost_energy
+from particlerb.simulation.entry import (
+    kind_of,
+    log_warnings,
+    prepared_from,
+    warn_of_lost_energy,
+)
 from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples, whole_frames
 from particlerb.simulation.restarts import saved_restart
 from particlerb.simulation.run import content_of
@@ -75,7 +80,7 @@ class Simulation(Closing):
         prepared = prepared_from(scene, overrides, allow_code)
         system = prepared.system
         self._unmoved: Prepared | None = prepared
-        self._warned = frozenset(prepared.plan.warnings)
+        self._warned = frozenset(map(kind_of, prepared.plan.warnings))
         self._cut_off = ""  # what was raised while bodies moved
         self._run, self._due = Run(prepared), 0  # frame that comes next
         self._n_whole = whole_frames(system.run)

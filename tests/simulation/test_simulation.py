@@ -667,3 +667,18 @@ def test_a_change_says_the_new_warnings_of_its_plan(make, caplog):
         simulation.change("run.dt", 0.01)
     (record,) = caplog.records
     assert "step" in record.message
+
+
+def test_a_control_loop_says_once_that_its_steps_are_too_long(make, caplog):
+    simulation = Simulation(
+        make.case(
+            make.body(angular_velocity=[0.1, 0.2, 0.3]),
+            t_end=9.0,
+            every=9.0,
+            force=[{"type": "torque", "body": "body", "torque": [0, 0, 1e-300]}],
+        )
+    )
+    for k in range(1, 4):
+        simulation.change("force[0].torque", [10.0 * k, 2.0 * k, 0.0])
+    (record,) = caplog.records
+    assert "turns bodies like body" in record.message
