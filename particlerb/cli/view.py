@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from particlerb.view.live import Live
 
 SCENES: Final = {
-    "cube": "cube_at_rest", "T-handle": "dzhanibekov", "gyroscope": "heavy_top",
+    "cube": "cube_at_rest", "T-handle": "t_handle", "gyroscope": "heavy_top",
     "cradle": "newtons_cradle", "linkage": "four_bar", "heap": "heap",
 }  # fmt: skip
 """Examples that may be chosen on the page, by what they are called there."""

@@ -66,8 +66,6 @@ class Controls:
         page.add_speed_field()
         self.scene = gui.add_dropdown("scene", scenes, visible=len(scenes) > 1)
         self.save = gui.add_button("save the session as a case", color="gray")
-        with gui.add_folder("help", expand_by_default=False):
-            gui.add_markdown(_HELP)
         page.add_numbers(with_body_field=True)
         charts = gui.add_panel()
         with charts.add_tab("charts"):
@@ -79,6 +77,8 @@ class Controls:
             gui.add_html(legend())
             self.shown = {key: gui.add_checkbox(label, True) for key, label in _LABELS.items()}
             self.shown["follow"] = gui.add_checkbox("camera stays on the body", False)
+        with charts.add_tab("help"):
+            gui.add_markdown(_HELP)
         charts.dock_below(gui.main_panel)
 
 

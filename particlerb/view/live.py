@@ -256,9 +256,9 @@ class Live(Page):
             text = f"a click gives {size!r} N for {duration!r} s"
         if applied is not None:
             b, at = applied.push.body, applied.push.at
-            far = np.linalg.norm(at) > (1.0 + 1e-9) * self.stage.surfaces.reach[b]
+            far = np.linalg.norm(at) > 1.01 * self.stage.surfaces.reach[b]  # a field has 3 digits
             where = ", at a point outside the body" if far else ""
-            text = f"pushed at t = {applied.start!r} s{where}; {text}"
+            text = f"pushed at t = {applied.start:.6g} s{where}; {text}"
         self.controls.outcome.content = note(text)
 
     @property

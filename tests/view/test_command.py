@@ -168,7 +168,7 @@ def test_a_scene_that_is_chosen_takes_the_place_of_the_first(monkeypatch, tmp_pa
     assert main(["view", "--port", "8460"]) == 0
     told = capsys.readouterr().out
     assert seen[0] == ["cube"]
-    assert seen[1] == [str(name) for name in system_of_example("dzhanibekov").names]
+    assert seen[1] == [str(name) for name in system_of_example("t_handle").names]
     assert told.count("token=") == 1
     assert [path.name for path in (tmp_path / "output").iterdir()] == ["cube_at_rest_session.toml"]
 

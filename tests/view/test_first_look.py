@@ -77,6 +77,17 @@ def test_a_push_outside_its_body_is_told(live, point, is_outside):
     assert ("at a point outside the body" in live.controls.outcome.content) == is_outside
 
 
+def test_the_point_that_is_proposed_lies_on_the_body(make, tmp_path):
+    """Its corner at √7 m, rounded up to 2.65 m, was told to lie outside."""
+    handle = make.body(shape={"type": "moments", "inertia": [1.0, 2.0, 3.0]}, mass=1.0)
+    with listening(Access(), 8602) as server:
+        live = Live(to_system(load(make.case(handle))), server, tmp_path / "session.toml")
+        live.controls.direction.value = "+z"
+        live.push_at_point(None)
+    assert live.controls.point.value == "2.65, 0, 0"
+    assert "outside" not in live.controls.outcome.content
+
+
 def test_energies_of_what_hangs_have_one_scale(tmp_path):
     """A cradle hangs 1 m below the zero of heights: beside -4.9 J none of its 0.05 J were seen."""
     with listening(Access(), 8603) as server:
@@ -90,7 +101,7 @@ def test_energies_of_what_hangs_have_one_scale(tmp_path):
 def test_after_a_reset_no_push_is_told(live):
     live.controls.direction.value = "+z"
     live.push_at_point(None)
-    assert "pushed at t = 0.0 s" in live.controls.outcome.content
+    assert "pushed at t = 0 s" in live.controls.outcome.content
     live.press("reset")
     assert "pushed" not in live.controls.outcome.content
 
