@@ -236,7 +236,7 @@ def _after_sweeps(solver: str, n: int) -> str:
     if solver != "auto":
         return f"{'then' if solver == 'newton' else 'not'} Newton's method, as the case says"
     if n <= MOST_BODIES:
-        return f"then Newton's method, as for up to {MOST_BODIES} bodies that advance together"
+        return f"then Newton's method (for up to {MOST_BODIES} bodies)"
     return f"not Newton's method, as {n} bodies are more than {MOST_BODIES}"
 
 

@@ -183,7 +183,7 @@ def test_a_rod_that_slides_on_its_tip_comes_to_rest_though_forces_would_have_no_
 
 @pytest.mark.parametrize(
     ("n", "solver", "words"),
-    [(2, "auto", "then Newton's method, as for up to 64 bodies that advance together"),
+    [(2, "auto", "then Newton's method (for up to 64 bodies)"),
      (65, "auto", "not Newton's method, as 65 bodies are more than 64"),
      (65, "newton", "then Newton's method, as the case says"),
      (2, "sweeps", "not Newton's method, as the case says")],
