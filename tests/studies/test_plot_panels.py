@@ -179,6 +179,27 @@ def test_heights_that_hardly_change_are_counted_from_the_first(make, monkeypatch
         assert np.array_equal(line.get_ydata(), heights - heights[0])
 
 
+@pytest.mark.parametrize(("n", "share"), [([1, 1, 15], (0.3, 0.8)), ([15, 1, 1], (0.8, 0.3))])
+def test_a_view_has_a_place_of_its_shape(make, monkeypatch, n, share):
+    """A tower and a row were a thin line across an empty square."""
+    case = heap(make)
+    case["body"][0]["place"] |= {"n": n, "origin": [0, 0, 3]}
+    figure, _ = drawn(case, monkeypatch)
+    figure.draw_without_rendering()
+    view, size = figure.axes[0].get_window_extent(), figure.bbox.size
+    of_width, of_height = view.width / size[0], view.height / size[1]
+    assert (of_width < share[0]) == (share[0] < 0.5)
+    assert (of_height < share[1]) == (share[1] < 0.5)
+
+
+def test_heights_that_stay_say_how_far(make, monkeypatch):
+    case = column(make) | {"gravity": {"acceleration": [0, 0, -1e-6]}}
+    figure, trajectory = drawn(case, monkeypatch)
+    moved = np.ptp(trajectory.position[:, :, 2], axis=0).max()
+    assert 0.0 < moved < 1e-9
+    assert panel(figure, f"height of bodies; none changes by {10.0 * moved:.0e} m").lines
+
+
 def test_energies_and_distances_that_hardly_change_are_counted_from_the_first(make, monkeypatch):
     figure, trajectory = drawn(near_circle(make), monkeypatch)
     kinetic, potential, _ = (line.get_ydata() for line in panel(figure, "change of energies").lines)

@@ -412,6 +412,17 @@ def test_the_chart_names_what_failed(monkeypatch):
 
 
 @pytest.mark.plain
+def test_an_engine_has_one_mark_in_all_charts(monkeypatch):
+    """MuJoCo's were squares in one chart and triangles in the next."""
+    for others in ((), ("LAMMPS",), ("LAMMPS", "PyBullet")):
+        rivals = [point(0.2, 1e-3, "a", name) for name in (*others, "MuJoCo")]
+        axes = drawn_axes(monkeypatch, made(point(0.1, 1e-3), *rivals))
+        marks = [line.get_marker() for line in axes.lines[1 : 1 + len(rivals)]]
+        assert marks[-1] == "s"
+        assert len(set(marks)) == len(marks)
+
+
+@pytest.mark.plain
 def test_springs_of_one_method_are_one_curve_of_its_colour(monkeypatch):
     """Each stiffness was a curve of one point, without colour."""
     springs = [point(k, 1.0 / k, f"strang, {k:g} N/m") for k in (1.0, 10.0, 100.0)]

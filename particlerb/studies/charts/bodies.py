@@ -29,6 +29,8 @@ _LINE_RATIO: Final = 3.0  # motion along an axis over that along the other
 _FRAMES: Final = 16  # that are looked at
 _STILL_SHARE: Final = 1e-3  # of the width, which bodies at rest would not move in the whole time
 _AROUND: Final = 0.25  # of the width of many bodies: how far around them walls are shown
+_TALL, _FLAT = 1.5, 0.3  # height over width of a view that takes a column, or a strip
+_STRIP: Final = 3.0  # height of a strip beside the panels below, over height beside width of a view
 FEW: Final = 12  # bodies at most whose paths are drawn
 KEYED: Final = 6  # bodies at most that have a colour each
 _LINES, _LETTERS = 9, 40  # that one row of names has at most
@@ -73,6 +75,25 @@ def motion_of_bodies(trajectory: Trajectory) -> Floats:
     frames = np.unique(np.linspace(0, trajectory.n_frames - 1, _FRAMES).astype(int)).tolist()
     x = [trajectory.read("position", k) for k in frames]
     return np.asarray(np.abs(np.stack(x) - x[0]).max(axis=(0, 1)))
+
+
+def make_room(figure: Figure) -> list[SubplotSpec]:
+    """Give the only panel a place of its shape: a column, a strip or a quarter; three are left."""
+    view = figure.axes[0]
+    shape = 1.0 if view.name == "3d" else view.dataLim.height / (view.dataLim.width or 1.0)
+    if shape > _TALL:
+        grid = figure.add_gridspec(2, 3, width_ratios=(0.5, 1.0, 1.0))
+        view.set_title(view.get_title(loc="left").replace("; ", "\n"), fontsize=10, loc="left")
+        place, *left = grid[:, 0], grid[0, 1], grid[0, 2], grid[1, 1:]
+    elif shape < _FLAT:
+        height = min(max(_STRIP * shape, 0.3), 0.7)
+        grid = figure.add_gridspec(2, 3, height_ratios=(height, 1.0))
+        place, *left = grid[0, :], grid[1, 0], grid[1, 1], grid[1, 2]
+    else:
+        grid = figure.add_gridspec(2, 2)
+        place, *left = grid[0, 0], grid[0, 1], grid[1, 0], grid[1, 1]
+    view.set_subplotspec(place)
+    return left
 
 
 def draw_particles(

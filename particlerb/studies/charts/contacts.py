@@ -15,7 +15,7 @@ from particlerb.studies.charts.style import COLOURS, INK, bare, plain
 from particlerb.words import count_of
 
 _FIGURE_WIDTH = 11.0  # inches
-_MAX_WIDTH = 4.0  # points, of the strongest force
+_MAX_WIDTH, _KEY_WIDTH = 4.0, 0.8  # points, of the strongest force, and of weak ones in the key
 _MIN_EMPTY_SHARE, _MAX_PANELS = 0.15, 4  # share of the width that is left out
 _WEAK, _STRONG = "#9aa5b1", COLOURS[1]
 
@@ -43,7 +43,7 @@ def draw_contacts(trajectory: Trajectory, path: Path) -> None:
     parts = _apart(centres[:, 0] - radii, centres[:, 0] + radii)
     widths = [stop - start for start, stop in parts]
     height = np.ptp(centres[:, 1]) + 2.0 * radii.max()
-    tall = float(np.clip(_FIGURE_WIDTH * height / sum(widths) + 1.5, 2.6, 9.0))
+    tall = float(np.clip(_FIGURE_WIDTH * height / sum(widths) + 1.2, 2.4, 9.0))
     figure = Figure(figsize=(_FIGURE_WIDTH, tall), layout="constrained")
     panels = figure.subplots(1, len(parts), width_ratios=widths, sharey=True, squeeze=False)[0]
     across, up = ("xyz"[c] for c in shown)
@@ -84,7 +84,7 @@ def _key(contacts: Contacts) -> list[Line2D]:
     force = np.linalg.norm(contacts.force, axis=1)
     mean, most = float(force.mean()), float(force.max())
     lines = [
-        (_WEAK, 0.5 * _MAX_WIDTH * mean / (most or 1.0), f"below the mean force, {mean:.3g} N"),
+        (_WEAK, _KEY_WIDTH, f"below the mean force, {mean:.3g} N"),
         (_STRONG, _MAX_WIDTH * mean / (most or 1.0), "above it"),
         (_STRONG, _MAX_WIDTH, f"the largest, {most:.3g} N"),
     ]

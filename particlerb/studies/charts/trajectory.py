@@ -100,9 +100,8 @@ def _draw_panels(
         bodies.draw_orientations(figure.add_subplot(grid[0, :]), trajectory, b)
         places = [grid[1, 0], grid[1, 1], grid[1, 2]]
     else:
-        grid = figure.add_gridspec(2, 2)
-        _draw_bodies(figure, grid[0, 0], trajectory, case, b, shown, body is None)
-        places = [grid[0, 1], grid[1, 0], grid[1, 1]]
+        _draw_bodies(figure, figure.add_gridspec(1, 1)[0], trajectory, case, b, shown, body is None)
+        places = bodies.make_room(figure)
     above, below, last = (figure.add_subplot(place) for place in places)
     tops = tops_of(trajectory, b, body is None)
     _draw_motion(above, below, trajectory, case, b, body is not None or is_still, tops)
@@ -271,7 +270,8 @@ def _draw_places(axes: Axes, trajectory: Trajectory, x: Floats, title: str, lett
     is_small = _STILL_SHARE * size < moved < _SMALL_SHARE * size
     bodies.draw_lines(axes, trajectory.time, x - x[0] * is_small, trajectory.names)
     before, after = ("change of ", f" - {letter}(0)") if is_small else ("", "")
-    finish_over_time(axes, f"{before}{title}", f"{letter}{after} [m]")
+    end = f"; none changes by {10.0 * moved:.0e} m" if 0.0 < moved <= _STILL_SHARE * size else ""
+    finish_over_time(axes, f"{before}{title}{end}", f"{letter}{after} [m]")
 
 
 def _rises(trajectory: Trajectory) -> bool:

@@ -19,13 +19,15 @@ from particlerb.studies.work_precision_table import advice, cheapest, frontier
 from particlerb.words import count_of
 
 _PEER_COLOUR: Final = "#75808c"
-_PEER_MARKS: Final = "s^vPX<>p"  # one for each engine
+_PEERS: Final = "MuJoCo", "LAMMPS", "PyBullet", "SciPy", "REBOUND", "textbook"
+_PEER_MARKS: Final = dict(zip(_PEERS, "s^vPo>", strict=True))  # the same in all charts
 _FAILED: Final = 2.0 * math.pi  # rad: where runs that failed are put
 _HALO: Final = [withStroke(linewidth=2.5, foreground="white")]
 _LETTER, _LINE = 0.0098, 0.034  # width of a letter and height of a label, as shares of a panel
 _LABEL_GAP = 0.013  # share of the width between a point and a name
 _MARK_REACH: Final = np.array([[-0.006, 0.0], [0.006, 0.0], [0.0, -0.012], [0.0, 0.012]])
 """To the edges of a mark, as shares of a panel."""
+_SHORT_HEADING: Final = 80  # letters, beside which the key of the front has room
 _SHIFTS: Final = 0.25 * _LINE * np.arange(-16, 17)  # of a name against its point
 
 
@@ -51,11 +53,9 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     figure = Figure(figsize=(10.5, 6.8), layout="constrained")
     axes = figure.add_subplot()
     curves = [list(g) for _, g in groupby(chart.points, lambda p: p.label.partition(",")[0])]
-    engines = list(dict.fromkeys(p.engine for p in chart.points if p.engine))
     drawn = []
     for points in curves:
-        mark = _PEER_MARKS[engines.index(points[0].engine)] if points[0].engine else "o"
-        if curve := _draw_curve(axes, points, chart.floor, mark):
+        if curve := _draw_curve(axes, points, chart.floor):
             drawn.append(curve)
     front = frontier(chart.points)
     axes.plot(
@@ -67,7 +67,11 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
         xlabel=f"{chart.clock} in kernels for the whole run [s]   (faster to the left)",
         ylabel=f"largest {chart.measure}   (better below)",
     )  # fmt: skip
-    axes.set_title(advice(chart), fontsize=11, loc="left", color=style.INK, fontweight="bold")
+    heading = advice(chart)
+    axes.set_title(heading, fontsize=11, loc="left", color=style.INK, fontweight="bold")
+    if len(front) > 1 and len(heading) <= _SHORT_HEADING:
+        words = "yellow: none of ours is faster and more accurate"
+        axes.set_title(words, fontsize=8, loc="right", color="#8a6d00")
     _label_curves(axes, drawn, _mark_levels(axes, chart))
     _mark_failures(axes, chart.points)
     _mark_cheapest(axes, chart)
@@ -87,7 +91,7 @@ def height(point: Point, floor: float) -> float:
     return max(point.size, 0.5 * floor)
 
 
-def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> _Curve | None:
+def _draw_curve(axes: Axes, points: list[Point], floor: float) -> _Curve | None:
     """Draw one curve, of one method at all its steps or springs, crosses for failed points.
 
     None where all failed.
@@ -96,7 +100,8 @@ def _draw_curve(axes: Axes, points: list[Point], floor: float, mark: str) -> _Cu
     method = first.method.partition(",")[0]
     colour = _PEER_COLOUR if first.engine else style.METHOD_COLOURS.get(method, style.INK)
     dashes, size, width = ("--", 3.2, 1.1) if first.engine else ("-", 4.5, 1.8)
-    marker, size = ("D", 9) if len(points) == 1 else (mark, size)
+    mark = _PEER_MARKS.get(first.engine, "o")
+    marker, size = (mark if first.engine else "D", 9) if len(points) == 1 else (mark, size)
     failed = [p.seconds for p in points if p.failure]
     good = [(p.seconds, height(p, floor)) for p in points if not p.failure]
     if failed:  # an empty line would count in the layout
