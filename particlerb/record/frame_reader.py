@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 from h5py import h5d, h5p
 
+from particlerb.case.problems import nearest
 from particlerb.files import Closing
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.record import schema
@@ -205,7 +206,7 @@ class FrameReader(Closing):
             return one
         per_body = schema.FIELDS | schema.CONTACT_FIELDS
         if name not in per_body or name not in self.fields + self.other_fields:
-            raise KeyError(f"{name} was not recorded: see [output] fields")
+            raise self._lacking(name)
         if isinstance(bodies, (int, np.integer)):
             pick: int | slice | Ints = _counted(bodies, self.n_bodies, "body", "bodies")
         elif isinstance(bodies, slice):
@@ -246,7 +247,16 @@ class FrameReader(Closing):
     def require(self, name: str) -> None:
         """Raise KeyError if a field of contacts, walls or joints was not recorded."""
         if name not in self.other_fields:
-            raise KeyError(f"{name} was not recorded: see [output] fields")
+            raise self._lacking(name)
+
+    def _lacking(self, name: str) -> KeyError:
+        """Why a field cannot be read, and what to do."""
+        if name in self.other_fields:
+            return KeyError(f"{name} is no field of bodies: it is in `trajectory.{name}`")
+        known = [*schema.FIELDS, *schema.CONTACT_FIELDS, *schema.OBSERVED, schema.CONTACTS]
+        if name not in known:
+            return KeyError(f"there is no field {str(name)[:60]}; {nearest(str(name), known)}")
+        return KeyError(f"{name} was not recorded: list it in [output] fields")
 
     @property
     def wall_names(self) -> Sequence[str]:

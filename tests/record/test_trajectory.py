@@ -52,8 +52,10 @@ def test_arrays_have_the_customary_shapes(written):
             t.observable("kinetic")
         assert t.read("position", slice(2, None, 3)).shape == (3, 5, 3)
         assert (t.read("position", slice(-1, None)) == t.position[-1:]).all()
-        with pytest.raises(KeyError, match="velocity was not recorded"):
+        with pytest.raises(KeyError, match="velocity was not recorded: list it in"):
             t.read("velocity")
+        with pytest.raises(KeyError, match='no field velocty; did you mean "velocity"'):
+            t.read("velocty")
         assert t.parameter("case_resolved")["run"]["t_end"] == 1.0
 
 
