@@ -251,7 +251,7 @@ class Live(Page):
         if duration == 0.0:
             text = f"a click gives an impulse of {size!r} N s"
         elif self.controls.at_once.value:
-            text = f"a click gives {size!r} N × {duration!r} s = {size * duration!r} N s at once"
+            text = f"a click gives {size!r} N × {duration!r} s = {size * duration:.9g} N s at once"
         else:
             text = f"a click gives {size!r} N for {duration!r} s"
         if applied is not None:

@@ -77,6 +77,13 @@ def test_a_push_outside_its_body_is_told(live, point, is_outside):
     assert ("at a point outside the body" in live.controls.outcome.content) == is_outside
 
 
+def test_an_impulse_is_told_without_rounding(live):
+    """57.5 N × 0.02 s were 1.1500000000000001 N s."""
+    live.controls.force.value = "57.5"
+    live.explain()
+    assert "0.02 s = 1.15 N s at once" in live.controls.outcome.content
+
+
 def test_the_point_that_is_proposed_lies_on_the_body(make, tmp_path):
     """Its corner at √7 m, rounded up to 2.65 m, was told to lie outside."""
     handle = make.body(shape={"type": "moments", "inertia": [1.0, 2.0, 3.0]}, mass=1.0)
