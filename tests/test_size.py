@@ -30,7 +30,7 @@ BUDGETS = {
     "scenes and simulations in Python": 1257,
     "sweeps": 1752,
     "one scene over ranks": 2793,
-    "reports, pictures, the page": 2151,
+    "reports, pictures, the page": 2152,
     "scenes for other programs": 541,
     "speed of compiling and of whole calls": 1625,
     "watches": 357,

@@ -197,7 +197,8 @@ def _contact_line(system: System, plan: Plan) -> str:
     assert system.contact is not None
     contact = plan.contacts[0]
     spheres, walls = contact.model.spheres.radius.size, len(contact.motions)
-    line = f"{count_of(spheres, 'sphere')} and {count_of(walls, 'wall')}, {system.contact.law}"
+    and_walls = f" and {count_of(walls, 'wall')}" if walls else ""
+    line = f"{count_of(spheres, 'sphere')}{and_walls}, {system.contact.law}"
     if contact.n_interior:
         line += f", {contact.n_interior} inner spheres left out, which nothing can reach"
     if contact.rules is not None:

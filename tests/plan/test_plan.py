@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import particlerb
 from particlerb.case.problems import CaseError
+from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
 from particlerb.model.bodies import made_of, taken
@@ -429,3 +430,9 @@ def test_an_angle_that_is_lost_in_the_rounding_of_the_time_is_told(make, t_end, 
     assert len(told) == is_told
     assert all("its angle at t_end is not known" in text for text in told)
     assert all("until 9e+13 s it is known to 0.01 rad" in text for text in told)
+
+
+@pytest.mark.plain
+def test_balls_without_walls_are_told_without_walls():
+    """It said «5 spheres and 0 walls»."""
+    assert "contact         5 spheres, hooke" in prepare(to_system(load("newtons_cradle"))).text
