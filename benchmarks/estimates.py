@@ -4,7 +4,7 @@
 
 Prints a row per case: seconds told and taken by the whole command on one thread, and their ratio
 (3 are allowed); its processor seconds, which other work delays less; bytes told and written (2).
-Its table is `benchmarks/results/estimates.csv`, each row with the load of the machine.
+Its table is `benchmarks/results/estimates.csv`, each row with the load and the processor.
 """
 
 import csv
@@ -21,7 +21,7 @@ from results import load, processor
 CASES = Path(__file__).parent.parent / "cases"
 TABLE = Path(__file__).parent / "results" / "estimates.csv"
 HEAD = ["case", "seconds told", "taken", "ratio", "processor seconds", "ratio", "bytes told",
-        "written", "ratio", "load"]  # fmt: skip
+        "written", "ratio", "load", "processor"]  # fmt: skip
 LONGEST = 600.0
 
 
@@ -55,23 +55,26 @@ def row(case, folder):
         written,
         f"{told['bytes'] / written:.3g}",
         load(),
+        processor().rsplit(", load ", 1)[0],
     ]
 
 
 def main():
-    """Print the table, and write it where all cases were asked for."""
+    """Print the rows of the cases that are asked for, or of all, and renew them in the table."""
     asked = [CASES / f"{name}.toml" for name in sys.argv[1:]]
-    rows = []
+    with TABLE.open(newline="") as file:
+        _, *kept = csv.reader(file)
+    table = {name: [name, *values] for name, *values in kept}
     with tempfile.TemporaryDirectory() as folder:
         for case in asked or sorted(CASES.glob("*.toml")):
             try:
-                rows.append(row(case, Path(folder)))
+                table[case.stem] = row(case, Path(folder))
             except subprocess.TimeoutExpired:
-                rows.append([case.stem, *["-"] * 9])
-            print(*(f"{value!s:>18}" for value in rows[-1]), flush=True)
-    if not asked:
-        with TABLE.open("w", newline="") as file:
-            csv.writer(file).writerows([[*HEAD, processor()], *rows])
+                table[case.stem] = [case.stem, *["-"] * 10]
+            print(*(f"{value!s:>18}" for value in table[case.stem]), flush=True)
+            with TABLE.open("w", newline="") as file:
+                rows = [HEAD, *sorted(table.values())]
+                csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 if __name__ == "__main__":
