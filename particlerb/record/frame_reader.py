@@ -252,7 +252,7 @@ class FrameReader(Closing):
     def _lacking(self, name: str) -> KeyError:
         """Why a field cannot be read, and what to do."""
         if name in self.other_fields:
-            return KeyError(f"{name} is no field of bodies: it is in `trajectory.{name}`")
+            return KeyError(f"{name} is not a field of bodies: it is in `trajectory.{name}`")
         known = [*schema.FIELDS, *schema.CONTACT_FIELDS, *schema.OBSERVED, schema.CONTACTS]
         if name not in known:
             return KeyError(f"there is no field {str(name)[:60]}; {nearest(str(name), known)}")
