@@ -28,14 +28,9 @@ from particlerb.plan.make_plan import make_plan
 from particlerb.record.frame_values import FrameError
 from particlerb.record.provenance import STATE
 from particlerb.record.writer import Recorder
+from particlerb.simulation import entry
 from particlerb.simulation.asked_times import time_ahead, times_between
 from particlerb.simulation.body_states import BodyStates
-from particlerb.simulation.entry import (
-    kind_of,
-    log_warnings,
-    prepared_from,
-    warn_of_lost_energy,
-)
 from particlerb.simulation.frame_times import frame_times, frames_at_once, multiples, whole_frames
 from particlerb.simulation.restarts import saved_restart
 from particlerb.simulation.run import content_of
@@ -77,10 +72,10 @@ class Simulation(Closing):
         overrides: Sequence[str] = (),
         allow_code: bool = False,
     ) -> None:
-        prepared = prepared_from(scene, overrides, allow_code)
+        prepared = entry.prepared_from(scene, overrides, allow_code)
         system = prepared.system
         self._unmoved: Prepared | None = prepared
-        self._warned = frozenset(map(kind_of, prepared.plan.warnings))
+        self._warned = frozenset(map(entry.kind_of, prepared.plan.warnings))
         self._cut_off = ""  # what was raised while bodies moved
         self._run, self._due = Run(prepared), 0  # frame that comes next
         self._n_whole = whole_frames(system.run)
@@ -187,7 +182,7 @@ class Simulation(Closing):
             self._unmoved = None
             self._moved(self.system.run.threads, self._go_to, until)
             if until == self.system.run.t_end and self._entries:  # whose largest error the run has
-                self._warned = warn_of_lost_energy(self._run, self._warned)
+                self._warned = entry.warn_of_lost_energy(self._run, self._warned)
         return self.state
 
     def frames(self, every: float, until: float = np.inf) -> Iterator[BodyStates]:
@@ -306,7 +301,7 @@ class Simulation(Closing):
         """Go on as another system, from the state of now or another one; a key has changed."""
         planned = state or self._state_now()
         plan, entries = make_plan(system, now=(self.time, planned), moved=moved), self._entries
-        self._warned = log_warnings(plan.warnings, self._warned)
+        self._warned = entry.log_warnings(plan.warnings, self._warned)
         self._unmoved = None
 
         def restarted() -> BodyStates:
