@@ -29,7 +29,7 @@ BUDGETS = {
     "forces: tables, gradients, written by users": 2240,
     "scenes and simulations in Python": 1257,
     "sweeps": 1752,
-    "one scene over ranks": 2793,
+    "one scene over ranks": 2836,
     "reports, pictures, the page": 2152,
     "scenes for other programs": 541,
     "speed of compiling and of whole calls": 1625,

@@ -42,10 +42,9 @@ from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.checks import Result, results, table
 from particlerb.simulation.outcome import Outcome, Progress
 from particlerb.simulation.resume import ResumeError, look_at, resume_pending
-from particlerb.simulation.run import run_prepared
+from particlerb.simulation.run import run_prepared, share_of_rank
 from particlerb.simulation.run_warnings import run_warnings
 from particlerb.simulation.set_up_apart import prepared_apart
-from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, RunError
 from particlerb.words import count_of
 
@@ -87,14 +86,14 @@ def run_command(options: argparse.Namespace) -> int:
     """`run`: the plan, the run, the checks."""
     with ranks_of(options) as ranks:
         prepared = prepared_case(options, ranks)
-        system = prepared.system
+        plan = plan_text(options, prepared, ranks)
         if ranks is not ALONE:
-            ranks.together(lambda: part_of(prepared, ranks))
+            prepared = ranks.together(partial(share_of_rank, prepared, ranks))
+        system = prepared.system
         path = ranks.together(partial(_output_path, options, system))
         options.log = options.log or system.output.log
         if options.log and Path(options.log).resolve() == path.resolve():
             raise Ending(f"{path} would be both the file and the log: give one another name")
-        plan = plan_text(options, prepared, ranks)
         ranks.together(lambda: _warn(options, _disk_warnings(system, path)))
         if not (options.quiet or options.json):
             title = system.title or path.stem
@@ -135,8 +134,7 @@ def _conclude(
     prepared: Prepared, outcome: Outcome, path: Path, options: argparse.Namespace, ranks: Ranks
 ) -> int:
     """Print what came out; the exit code."""
-    part = prepared if ranks is ALONE else part_of(prepared, ranks)
-    checks = results(part.system, outcome, ALONE if part.is_copied else ranks)
+    checks = results(prepared.system, outcome, ALONE if prepared.is_copied else ranks)
     if options.json:
         print(json.dumps(summary(path, outcome, checks)))
     else:

@@ -101,8 +101,8 @@ def quaternions(matrices: Floats) -> Floats:
 def taken(record: Record, index: Ints, is_view: bool = False) -> Record:
     """A record of arrays (..., n) with the chosen bodies (k,) only, in that order.
 
-    Where all are chosen these are the same arrays, which nobody changes. Others are contiguous, but
-    for views of neighbours: in these each row is.
+    Where all are chosen these are the same arrays, which nobody changes. Others are contiguous
+    copies, which keep nothing of the rest, but for views of neighbours: in these each row is.
     """
     first = int(index[0]) if index.size else 0
     is_range = bool((index == np.arange(first, first + index.size)).all())
@@ -110,8 +110,8 @@ def taken(record: Record, index: Ints, is_view: bool = False) -> Record:
         return record
     if not is_range:
         return type(record)(*(array.take(index, axis=-1) for array in record))
-    placed = np.asarray if is_view else np.ascontiguousarray
-    return type(record)(*(placed(array[..., first : first + index.size]) for array in record))
+    views = (array[..., first : first + index.size] for array in record)
+    return type(record)(*(view if is_view else view.copy() for view in views))
 
 
 def index_in(listed: Ints, bodies: Ints) -> Ints:

@@ -86,7 +86,7 @@ class System(NamedTuple):
     n_worlds: int = 1
     """Scenes that share the arrays, one after the other; the records are those of the first."""
     whole: System | None = None
-    """The system of which this is a part; None: it is whole."""
+    """The system of which this is a part, where joints tie bodies; None: it has all it needs."""
     others: Mapping[int, tuple[AnyForce, ...]] = {}
     """Forces that differ from world to world: the record of each, by the number of the first."""
     contacts: tuple[ContactTable, ...] = ()
@@ -126,7 +126,7 @@ class System(NamedTuple):
         names = BodyNames(self.names.records, range(first, stop))
         subset = self._with_bodies(np.arange(first, stop), names)
         merging = None if self.merging is None else self.merging.part(first, stop)
-        return subset._replace(merging=merging, whole=self)
+        return subset._replace(merging=merging, whole=self if self.joint else None)
 
     def _with_bodies(self, index: Ints, names: BodyNames) -> Self:
         """Some bodies, under these names."""

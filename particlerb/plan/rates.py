@@ -16,7 +16,7 @@ from particlerb.forces.registry import term_of
 from particlerb.joints.tension import joint_rates
 from particlerb.maths.vec3 import Floats, Ints
 from particlerb.model.bodies import Bodies, taken
-from particlerb.model.state import State, lengths, omega_world
+from particlerb.model.state import State, lengths, omega_world, over_columns
 from particlerb.model.system import System
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.stepping.motion import force_of
@@ -161,12 +161,15 @@ def softest_turning(spheres: ContactSpheres, inv_inertia: Floats) -> Floats:
     The larger eigenvalue of a matrix with two, as n along r gives 0: from its trace and the sum of
     its principal minors.
     """
-    (x, y, z), (a, b, c) = spheres.arm**2, inv_inertia[:, spheres.body]
-    trace = a * (y + z) + b * (x + z) + c * (x + y)
-    minors = (x + y + z) * (b * c * x + a * c * y + a * b * z)
+
+    def turning(arm: Floats, body: Ints) -> Floats:
+        (x, y, z), (a, b, c) = arm**2, inv_inertia[:, body]
+        trace = a * (y + z) + b * (x + z) + c * (x + y)
+        minors = (x + y + z) * (b * c * x + a * c * y + a * b * z)
+        return np.asarray(0.5 * trace + np.sqrt(np.maximum(0.25 * trace**2 - minors, 0.0)))
+
     largest = np.zeros(inv_inertia.shape[1])
-    root = np.sqrt(np.maximum(0.25 * trace**2 - minors, 0.0))
-    np.maximum.at(largest, spheres.body, 0.5 * trace + root)
+    np.maximum.at(largest, spheres.body, over_columns(turning, spheres.arm, spheres.body))
     return largest
 
 

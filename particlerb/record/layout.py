@@ -211,6 +211,11 @@ def _rows(scene: System, of: Callable[[System], Any], first: int, stop: int) -> 
     """Rows of a table for bodies of a scene, of which others may be at hand: from their kinds."""
     names = BodyNames(scene.names.records, range(first, stop))
     kind = np.repeat(scene.first_kind, np.diff(names.first.clip(first, stop)))
+    for k, body in enumerate(scene.body):
+        if body.is_varied:  # each of them is a kind of its own
+            start, end = names.first[k : k + 2].clip(first, stop)
+            own = slice(start - names.first[k], end - names.first[k])
+            kind[start - first : end - first] += body.kinds[own]
     bodies = bodies_of_kind(scene.properties, kind)
     return of(scene._replace(names=names, kind=kind, bodies=bodies))
 

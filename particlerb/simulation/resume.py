@@ -35,7 +35,7 @@ from particlerb.record.writer_lock import InUseError
 from particlerb.simulation.accuracy import prepare_again
 from particlerb.simulation.frame_times import frame_times
 from particlerb.simulation.outcome import Outcome, Progress, joined, of_no_body
-from particlerb.simulation.run import advance, identity
+from particlerb.simulation.run import advance, identity, share_of_rank
 from particlerb.simulation.set_up_apart import prepared_apart
 from particlerb.simulation.shares import attraction_of, part_of
 from particlerb.simulation.whole_run import SHARED, Prepared
@@ -105,7 +105,10 @@ def look_at(
         prepared = ranks.together(lambda: prepare_again(to_system(case), stepping))
     hashed = identity(prepared, ranks if prepared.is_part else ALONE)
     pending = ranks.together(lambda: _looked_at(path, prepared, hashed, parts))
-    return pending if parts is None else _from_parts(pending, parts, ranks)
+    if parts is None:
+        return pending
+    share = ranks.together(lambda: share_of_rank(prepared, ranks))
+    return _from_parts(pending._replace(prepared=share), parts, ranks)
 
 
 def _case_in(
@@ -199,7 +202,6 @@ def resume_pending(
                 prepared = part_of(prepared, ranks)  # parts were made one file
             recorder = Recorder.reopen(path, system, start, n_kept, is_prolonged=is_prolonged)
         else:
-            prepared = ranks.together(lambda: part_of(pending.prepared, ranks))
             of_parts = path, prepared.system, pending.parts, ranks
             recorder = PartRecorder.reopen(*of_parts, start, n_kept, is_prolonged=is_prolonged)
     except InUseError:

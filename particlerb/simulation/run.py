@@ -94,6 +94,8 @@ def run_prepared(
     RunError
         If the run fails; the frames until then are committed.
     """
+    if ranks is not ALONE:
+        prepared = share_of_rank(prepared, ranks)
     system = prepared.system
     content, hashed = content_of(prepared, ranks)
     recorder: Recorder | Memory | PartRecorder
@@ -102,16 +104,27 @@ def run_prepared(
     elif ranks is ALONE:
         recorder = Recorder(path, system, content, overwrite)
     else:
-        parts, prepared = parts_of(system.n_of_scene), part_of(prepared, ranks)
-        first = path, prepared.system, content, parts
+        first = path, system, content, parts_of(system.n_of_scene)
         recorder = PartRecorder.create(*first, run=hashed, ranks=ranks, overwrite=overwrite)
+    del content
     with THREADS.using(system.run.threads):
         return advance(prepared, recorder, None, progress, ranks)
 
 
+def share_of_rank(prepared: Prepared, ranks: Ranks) -> Prepared:
+    """The share of a rank in a prepared system, which then need not be kept; raises as `part_of`.
+
+    Itself where it has been set up apart, or is such a share.
+    """
+    if prepared.is_part or prepared.hash_of_scene:
+        return prepared
+    return part_of(prepared, ranks)._replace(hash_of_scene=identity(prepared))
+
+
 def content_of(prepared: Prepared, ranks: Ranks = ALONE) -> tuple[dict[str, Any], str]:
     """What a file has that does not change, on the rank that writes it, and the identity in it."""
-    system, hashed = prepared.system, identity(prepared, ranks if prepared.is_part else ALONE)
+    system = prepared.system
+    hashed = prepared.hash_of_scene or identity(prepared, ranks if prepared.is_part else ALONE)
     if ranks.number > 0:
         return {}, hashed
     texts = {"plan": prepared.text, "identity": hashed, **prepared.parameters}

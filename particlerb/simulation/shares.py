@@ -7,6 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from particlerb.case.run import frame_count
+from particlerb.contact.contact_model import GroupContact
 from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.forces import Terms, terms_on
 from particlerb.forces.attraction import TILE
@@ -24,7 +25,8 @@ from particlerb.ranks import NoRanksError, Ranks
 from particlerb.record.file_size import estimated_size
 from particlerb.rotors.rotor_class import POINT
 from particlerb.simulation.whole_run import Prepared
-from particlerb.stepping.motion import Shared
+from particlerb.stepping.contact_part import contact_like
+from particlerb.stepping.motion import SegmentGroup, Shared
 
 BYTES_SET_UP: Final = 720  # of memory for each body of the scene, pushed: benchmarks/ranks.py
 BYTES_MOVED: Final = 2050  # beside these for each body that a rank moves, likewise
@@ -167,7 +169,7 @@ def part_of(prepared: Prepared, ranks: Ranks) -> Prepared:
     NoRanksError
         If bodies act on each other in a way that ranks cannot share, or ranks are too many.
     """
-    if prepared.is_part:
+    if prepared.is_part or prepared.hash_of_scene:
         return prepared
     if prepared.plan.contacts:
         refuse_contact(prepared, ranks)
@@ -186,21 +188,43 @@ def _part_of_touching(prepared: Prepared, group: GroupPlan, ranks: Ranks) -> Pre
     system = prepared.system
     first, stop = of = range_of(system.n_bodies, ranks)
     indices = np.flatnonzero((group.members >= first) & (group.members < stop))
-    all_bodies = group.group(group.segments[0])
-    shared = Shared(all_bodies, ranks, of, system.n_bodies)
     bodies, members = taken(group.bodies, indices), group.members[indices] - first
-    segments = tuple(_shown(segment, indices) for segment in group.segments)
+    examples, kind = _kinds_of(system, group.members, ranks)
+    all_bodies = SegmentGroup(group.members, taken(group.bodies, examples), Terms())
+    shared = Shared(all_bodies, kind, ranks, of, system.n_bodies)
+    contacts = dict[int, GroupContact | None]()  # which segments have in common
+    segments = tuple(_shown(segment, indices, examples, contacts) for segment in group.segments)
     shown = group._replace(members=members, bodies=bodies, segments=segments, shared=shared)
     others = inside([one for one in prepared.plan.groups if not one.touches], of, first)
     plan = prepared.plan._replace(groups=(shown, *others))
     return prepared._replace(system=system.part(first, stop), plan=plan, first=first)
 
 
-def _shown(segment: Segment, indices: Ints) -> Segment:
+def _kinds_of(system: System, members: Ints, ranks: Ranks) -> tuple[Ints, Ints]:
+    """Bodies of a group like which the others are, and like which of these each is.
+
+    Ranks keep constants and spheres of these alone. One rank moves all, and needs those of each.
+    """
+    sort = system.kind[members] * len(system.body) + system.block[members]
+    _, examples, kind = np.unique(sort, return_index=True, return_inverse=True)
+    if ranks.count == 1 or examples.size == members.size:
+        return np.arange(members.size), np.arange(members.size)
+    return examples, kind.astype(np.int32)
+
+
+def _shown(
+    segment: Segment, indices: Ints, examples: Ints, contacts: dict[int, GroupContact | None]
+) -> Segment:
     """A segment of bodies that a rank shows, with what acts on all."""
-    contact, jumps = segment.terms.contact, jumps_on(segment.jumps, indices)
-    terms = terms_on(segment.terms._replace(contact=None), indices)._replace(contact=contact)
-    return segment._replace(terms=terms, jumps=jumps, all_terms=segment.terms)
+    jumps, contact = jumps_on(segment.jumps, indices), segment.terms.contact
+    if contact is not None and examples.size < contact.max_arm.size:
+        key, prescribed = id(contact), contact.model.prescribed
+        if key not in contacts:
+            contacts[key], _ = contact_like(contact, examples, prescribed)
+        contact = contacts[key]
+    terms = segment.terms._replace(contact=None)
+    shown = terms_on(terms, indices)._replace(contact=contact)
+    return segment._replace(terms=shown, jumps=jumps, all_terms=terms)
 
 
 def refuse_contact(prepared: Prepared, ranks: Ranks) -> None:

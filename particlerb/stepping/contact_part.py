@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from particlerb.contact.prescribed_motion import prescribed_among
+from particlerb.contact.contact_model import GroupContact
+from particlerb.contact.prescribed_motion import PrescribedBodies, prescribed_among
 from particlerb.forces import terms_on
 from particlerb.geometry.particles import rows_of_kinds
 from particlerb.maths.vec3 import Ints
@@ -10,12 +11,24 @@ from particlerb.model.bodies import taken
 from particlerb.stepping.motion import SegmentGroup
 
 
-def contact_part(group: SegmentGroup, indices: Ints) -> tuple[SegmentGroup, Ints]:
-    """Some bodies of a group, ascending, and the numbers of their spheres.
+def contact_part(
+    group: SegmentGroup, indices: Ints, kind: Ints | None = None
+) -> tuple[SegmentGroup, Ints]:
+    """Some bodies of a group, ascending, and the rows of their spheres.
 
-    All that move as prescribed, and pairs that do not touch, are among them or none.
+    All that move as prescribed, and pairs that do not touch, are among them or none. Where `kind`
+    (n,) is given, constants and spheres of the group are those of kinds of bodies.
     """
-    contact = group.terms.known_contact
+    contact, alike = group.terms.known_contact, indices if kind is None else kind[indices]
+    own, kept = contact_like(contact, alike, prescribed_among(contact.model.prescribed, indices))
+    terms = terms_on(group.terms._replace(contact=None), indices)._replace(contact=own)
+    return SegmentGroup(group.members[indices], taken(group.bodies, alike), terms), kept
+
+
+def contact_like(
+    contact: GroupContact, indices: Ints, prescribed: PrescribedBodies | None
+) -> tuple[GroupContact, Ints]:
+    """Contact of bodies like some of a group, and the rows of the spheres of these."""
     model = contact.model
     kept, body = rows_of_kinds(model.spheres.offset, indices)
     spheres = model.spheres._replace(
@@ -27,12 +40,10 @@ def contact_part(group: SegmentGroup, indices: Ints) -> tuple[SegmentGroup, Ints
         world=model.spheres.world[indices],
         offset=np.searchsorted(body, np.arange(indices.size + 1)),
     )
-    part_model = model._replace(
+    own_model = model._replace(
         spheres=spheres,
         inv_mass=model.inv_mass[indices],
         inv_inertia=np.ascontiguousarray(model.inv_inertia[:, indices]),
-        prescribed=prescribed_among(model.prescribed, indices),
+        prescribed=prescribed,
     )
-    part_contact = contact._replace(model=part_model, max_arm=contact.max_arm[indices])
-    terms = terms_on(group.terms._replace(contact=None), indices)._replace(contact=part_contact)
-    return SegmentGroup(group.members[indices], taken(group.bodies, indices), terms), kept
+    return contact._replace(model=own_model, max_arm=contact.max_arm[indices]), kept

@@ -39,7 +39,6 @@ from particlerb.model.superblocks import over_blocks, sum_by_number, summed
 from particlerb.model.worlds import over_bins
 from particlerb.ranks import ALONE, Ranks
 from particlerb.stepping.contact_lists import ContactLists, Histories
-from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.contact_room import without_pistons
 from particlerb.stepping.exchange import (
     Domains,
@@ -164,8 +163,8 @@ class Subdomain(Domain):
 
     def __init__(self, method: Method, shown: SegmentGroup) -> None:
         super().__init__(shown)
-        self.model, self.is_free = self.exchange.model, self.exchange.is_free
-        self.size = self.is_free.size, self.model.spheres.radius.size  # equal on all ranks
+        self.is_free = self.exchange.is_free
+        self.size = self.is_free.size, int(self.exchange.offset[-1])  # equal on all ranks
         self.closing_kick, m = method.closing_kick, shown.members.size
         first = np.arange(0, m, BLOCK)
         self.shown_layout = Layout(first, np.minimum(first + BLOCK, m) - first, 0)
@@ -202,7 +201,7 @@ class Subdomain(Domain):
             values[np.searchsorted(local, indices)] = new_rows
         self.local, self.is_own = local, np.isin(local, bodies)
         self.is_ghost = ~self.is_own & self.is_free[local]
-        group, numbers = contact_part(self.exchange.group, local)
+        group, numbers = self.exchange.part(local)
         state = state_of(values[:, :STATE_ROWS].T)
         return Here(group, state, numbers, histories, self.is_own, values)
 

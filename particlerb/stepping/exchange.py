@@ -12,6 +12,7 @@ import numpy as np
 from particlerb.contact.missed_pairs import bounding_radii
 from particlerb.contact.neighbour_list import ContactHistory
 from particlerb.contact.sphere_search import KEY_BITS
+from particlerb.geometry.particles import rows_of_kinds
 from particlerb.maths.vec3 import Bools, Floats, Ints
 from particlerb.model.bricks import SPARE, Bricks
 from particlerb.model.power_method import Oscillating
@@ -19,6 +20,7 @@ from particlerb.model.state import State, state_of
 from particlerb.model.superblocks import parts_of, writers
 from particlerb.ranks import Rows
 from particlerb.stepping.contact_lists import Histories
+from particlerb.stepping.contact_part import contact_part
 from particlerb.stepping.motion import SegmentGroup
 
 _DISTANCE_MARGIN: Final = 1.0 + 1e-6  # of a distance that decides who is a ghost: it rounds
@@ -39,12 +41,20 @@ class Exchange:
         terms = shared.group.terms._replace(contact=shown.terms.contact)  # pistons have gone on
         self.shared, self.ranks = shared, shared.ranks
         self.group = shared.group._replace(terms=terms)
-        self.model = self.group.terms.known_contact.model
-        self.is_free = self.model.inv_mass > 0.0
+        model, self.kind = self.group.terms.known_contact.model, shared.kind
+        self.is_free = (model.inv_mass > 0.0)[self.kind]
+        self.bound = bounding_radii(model.spheres, model.inv_mass.size)[self.kind]
+        count = np.diff(model.spheres.offset)[self.kind]
+        self.offset = np.append(0, np.cumsum(count))  # of the spheres of each body
         parts = parts_of(shared.n_bodies)
         writer = writers(len(parts), self.ranks.count)
         self.home = writer[self.group.members // parts[0].stop]
         self.places = shared.places(shown.members)
+
+    def part(self, bodies: Ints) -> tuple[SegmentGroup, Ints]:
+        """Some bodies as a group, and the numbers of their spheres: see `contact_part`."""
+        group, _ = contact_part(self.group, bodies, self.kind)
+        return group, rows_of_kinds(self.offset, bodies)[0]
 
     def places_of(self, numbers: Ints) -> Ints:
         """Where among all bodies those with some numbers in the scene are; -1 of a negative one."""
@@ -72,8 +82,7 @@ class Exchange:
     def ends_of(self, kind: int, keys: Ints) -> list[Ints]:
         """Bodies of contacts of spheres, or with walls, by their keys."""
         spheres = [keys >> KEY_BITS] if kind else [keys >> KEY_BITS, keys & (2**KEY_BITS - 1)]
-        offset = self.model.spheres.offset
-        return [np.searchsorted(offset, number, side="right") - 1 for number in spheres]
+        return [np.searchsorted(self.offset, number, side="right") - 1 for number in spheres]
 
     def routed(self, contacts: list[tuple[Ints, Floats]], owner: Ints) -> Histories:
         """What contacts keep that come here, each from a rank, or two, to those of its bodies."""
@@ -100,7 +109,7 @@ class Domains:
 
     def __init__(self, exchange: Exchange, com: Floats) -> None:
         self.exchange, self.ranks = exchange, exchange.ranks
-        self.bound = bounding_radii(exchange.model.spheres, exchange.is_free.size)
+        self.bound = exchange.bound
         self.reach = float(self.bound[exchange.is_free].max(initial=0.0))
         self.cover = 0.0  # [m] skin with which ghosts were found
         self.border: dict[int, Ints] = {}  # bodies here of which a rank has ghosts,

@@ -75,7 +75,8 @@ class SegmentGroup(NamedTuple):
 class Shared(NamedTuple):
     """Bodies that touch and that ranks share."""
 
-    group: SegmentGroup  # all of them, with numbers of the scene
+    group: SegmentGroup  # all of them, with numbers of the scene; constants and contact of kinds
+    kind: Ints  # (n,) which of these each is of
     ranks: Ranks
     shown: Range  # bodies of the scene that are shown here, with those that touch nothing
     n_bodies: int  # of the scene
