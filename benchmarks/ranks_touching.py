@@ -3,11 +3,14 @@
     python benchmarks/ranks_touching.py gas [--ranks 4] [--bodies 1000] [--steps 100000] [--record]
     python benchmarks/ranks_touching.py weak [--ranks 2] [--bodies 20000] [--steps 300] [--rounds 3]
         [--record]
+    python benchmarks/ranks_touching.py memory [--ranks 4] [--bodies 100000] [--record]
 
 `gas`: clumps that collide far from everything: how far their momentum drifts, how many are left,
 what is sent for each copy in a step, and how often ranks wait for all others. `weak`: so many
 clumps a rank, in a box that is the longer the more there are; on no rank, one, two, four and so on
-up to `--ranks` in turn, one thread each.
+up to `--ranks` in turn, one thread each; and, as a control, as many processes on no rank side by
+side, which share nothing but the machine. `memory`: what a rank takes of so many clumps in all, in
+the set-up and two steps, as the command sets them up.
 Goals: 1e-13 of the sum of all momenta, 110 bytes, one reduction; two ranks take 1.12 times as
 long as one, which takes 3 % more than none. Times are those of the wall, which need as many idle
 cores as there are ranks, and those of the processor without what ranks wait for each other.
@@ -15,19 +18,25 @@ cores as there are ranks, and those of the processor without what ranks wait for
 """
 
 import argparse
+import ctypes
+import gc
 import statistics
 import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from mpi_runs import figures_of, print_figures
+from ranks import memory
 from results import record
 
 import particlerb
 from particlerb.case.to_system import to_system
+from particlerb.cli import main as main_command
 from particlerb.compiled.threads import THREADS
 from particlerb.ranks import ALONE, Ranks, ranks_of_mpi
 from particlerb.simulation import run as simulate
@@ -94,12 +103,38 @@ class Watch:
         return advance(*given)
 
 
+def set_up(args: argparse.Namespace) -> None:
+    """Measure what the command takes of memory on this rank [bytes a body of the scene]."""
+    ranks, words = ranks_of_mpi(), ["--mpi", "--quiet", "--overwrite", "--threads", "1"]
+    own: dict[str, float] = {}
+
+    def begins(*given: Any) -> Any:
+        ctypes.CDLL(None).malloc_trim(0)
+        own["most"], own["kept"] = memory("VmHWM") - before, memory("VmRSS") - before
+        found = advance(*given)
+        own["run"] = memory("VmHWM") - before
+        return found
+
+    for n in (64 * ranks.count, args.bodies):  # the first compiles
+        path = args.folder / f"{n}.toml"
+        if ranks.number == 0:
+            path.write_text(particlerb.Scene.from_case(case(n, 2, False)).to_toml())
+        ranks.gathered(None)
+        gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)
+        before = memory("VmRSS")
+        simulate.advance = begins  # type: ignore[assignment]
+        if main_command([str(path), "-o", str(path.with_suffix(".h5")), *words]):
+            raise SystemExit("the run has failed")
+    print_figures(ranks, {name: value / args.bodies for name, value in own.items()})
+
+
 def worker(args: argparse.Namespace) -> None:
     """Measure on this rank; the first one prints the figures of all."""
     ranks = ranks_of_mpi() if args.ranks else None
     THREADS.use(1)
     watch = Watch(ranks)
-    simulate.advance = watch.advanced
+    simulate.advance = watch.advanced  # type: ignore[assignment]
     own, is_gas = {}, args.what == "gas"
     for n, steps in ((8 * max(args.ranks, 1), 20), (args.bodies, args.steps)):  # the first compiles
         prepared = simulate.prepare(to_system(case(n, steps, is_gas)))
@@ -142,12 +177,22 @@ def gas(args: argparse.Namespace, folder: Path) -> list[tuple[str, float]]:
     ]
 
 
+def beside(args: argparse.Namespace, folder: Path, number: int) -> list[dict[str, float]]:
+    """Figures of one of several processes that know nothing of each other."""
+    own = folder / f"beside.{number}"
+    own.mkdir(exist_ok=True)
+    return measured(args, 0, args.bodies, own)
+
+
 def weak(args: argparse.Namespace, folder: Path) -> list[tuple[str, float]]:
     """Times of more ranks over one, and of one over none; medians over rounds."""
     counts = [0, *(2**k for k in range(args.ranks.bit_length()))]
     rounds: list[list[list[dict[str, float]]]] = []
     for _ in range(args.rounds):
         rounds.append([measured(args, n, max(n, 1) * args.bodies, folder) for n in counts])
+        with ThreadPoolExecutor() as pool:  # which share nothing but the machine
+            alone = pool.map(partial(beside, args, folder), range(args.ranks))
+            rounds[-1].append([own for each in alone for own in each])
         print([[round(own["wall"], 3) for own in each] for each in rounds[-1]], flush=True)
     found = []
     for kind in ("wall", "cpu"):
@@ -159,16 +204,32 @@ def weak(args: argparse.Namespace, folder: Path) -> list[tuple[str, float]]:
             (f"{name}: ms a step on one rank", 1e3 * one / args.steps),
             (f"{name}: one rank over none, %", 100 * over_none - 100),
         ]
+        floor = statistics.median(row[-1] / row[0] for row in most)
+        found.append((f"{name}: {args.ranks} processes on no rank over one", floor))
         for k, n in enumerate(counts[2:], 2):
             ratio = statistics.median(row[k] / row[1] for row in most)
             found.append((f"{name}: {'two' if n == 2 else n} ranks over one", ratio))
     return found
 
 
+def memories(args: argparse.Namespace, folder: Path) -> list[tuple[str, float]]:
+    """Memory of the rank that has most of it, for one rank, two, and so on."""
+    found = []
+    for n in (2**k for k in range(args.ranks.bit_length())):
+        each = measured(args, n, args.bodies, folder)
+        for kind in ("most", "kept", "run"):
+            values = [own[kind] for own in each]
+            print(n, kind, [round(value) for value in values], flush=True)
+            name = f"{args.bodies} clumps, {n} rank{'s' * (n > 1)}, bytes a clump of the scene"
+            where = {"most": "most in the set-up", "kept": "kept of it", "run": "most in the run"}
+            found.append((f"{name}, {where[kind]}", max(values)))
+    return found
+
+
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
-    parser.add_argument("what", choices=("gas", "weak"))
+    parser.add_argument("what", choices=("gas", "weak", "memory"))
     parser.add_argument("--ranks", type=int)
     parser.add_argument("--bodies", type=int)
     parser.add_argument("--steps", type=int)
@@ -179,14 +240,15 @@ def main() -> None:
     args = parser.parse_args()
     is_gas = args.what == "gas"
     if args.ranks is None:
-        args.ranks = 4 if is_gas else 2
-    args.bodies = args.bodies or (1000 if is_gas else 20_000)
+        args.ranks = 2 if args.what == "weak" else 4
+    args.bodies = args.bodies or {"gas": 1000, "weak": 20_000, "memory": 100_000}[args.what]
     args.steps = args.steps or (100_000 if is_gas else 300)
     if args.worker:
-        worker(args)
+        (set_up if args.what == "memory" else worker)(args)
         return
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
-        found = (gas if is_gas else weak)(args, Path(folder))
+        figures = {"gas": gas, "weak": weak, "memory": memories}[args.what]
+        found = figures(args, Path(folder))
     for name, value in found:
         print(f"{name}: {value:.4g}")
     if args.record:
