@@ -129,7 +129,8 @@ def _free_motions(joints: Joints, data: JointData, c: int) -> Floats | None:
     """
     first, last = joints.clusters.body[c : c + 2]
     lo, hi = joints.program.start[joints.clusters.joint[c : c + 2]]
-    weighted = weighted_gradient(joints, data, c)[joints.rows.action[lo:hi] == col.HOLDS]
+    holds = (joints.rows.action[lo:hi] == col.HOLDS) & (data.compliance[lo:hi] < np.inf)
+    weighted = weighted_gradient(joints, data, c)[holds]
     if len(weighted) > _MAX_CLUSTER_ROWS or not np.isfinite(weighted).all():
         return None
     _, size, ways = np.linalg.svd(weighted)

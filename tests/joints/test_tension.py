@@ -11,6 +11,8 @@ import particlerb
 from particlerb import RunError
 from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
+from particlerb.joints.reactions import factorise_all, find_multipliers
+from particlerb.joints.records import joint_data_at
 from particlerb.joints.tension import bound_squared, loaded_ends, loaded_joints, tension_rate
 from particlerb.model.bodies import taken
 from particlerb.plan.make_plan import make_plan
@@ -98,6 +100,23 @@ def under_load(load, push=0.0, **keys):
         joint("slider", "weight", None, [0, 0, -2], Z),
     ]
     return case([*rods, weight], joints, **keys), m / 3
+
+
+def test_what_a_joint_held_that_has_broken_does_not_take_part():
+    """The upper two of three rods, without the third."""
+    scene = hanging(3)
+    scene["joint"][2]["breaks_at"] = {"force": 1e9}
+    system = to_system({"run": {"t_end": 1e-6, "every": 1e-6, "dt": 1e-6}, **scene})
+    group = make_plan(system).groups[0]
+    joints = group.segments[0].terms.joints
+    data = joint_data_at(joints, taken(system.state, group.members))
+    data.change[:-1, :3] = force_of(group.group(group.segments[0]))[1].T[joints.order]
+    data.broken[joints.number == 2] = -np.inf
+    factorise_all(joints, data, 0.0)
+    find_multipliers(joints, data, data.change)
+    rate, joint = tension_rate(joints, data)
+    assert rate == pytest.approx(np.sqrt(1.5) * hanging_by_angles(2), rel=1e-4)
+    assert joints.number[joint] < 2
 
 
 def test_a_body_without_joints_is_in_a_cluster_without_rows():
