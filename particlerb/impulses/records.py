@@ -139,7 +139,7 @@ class Partners(NamedTuple):
     before: Floats  # (.., 18) before the kick; v̇ [m/s²], ω̇ [rad/s²] without forces; by drives
     free: Floats  # (.., 6) after it, without impulses of the solve
     inverse: Floats  # (.., 7) [1/kg, 1/(kg m²)] mass; xx, xy, xz, yy, yz, zz of the inertia
-    move: Floats  # (.., 6) [m, rad] by which they are pushed out; number of impacts at once
+    move: Floats  # (.., 6) [m, rad] by which they are pushed out
     has_moved: Bools  # (..,) whether anything has
     position: Floats  # (.., 3) [m] centre of mass, or origin of the wall's frame
     reach: Floats  # (.., 1) [m] that any point comes in a step, at most
@@ -199,7 +199,7 @@ class ImpulseRows(NamedTuple):
     impact: Floats  # (.., 3) [N s] the same of impacts
     old: Floats  # (.., 3) before a sweep, and shares of the push-out
     direction: Floats  # (.., 3) of the conjugate gradients
-    order: Floats  # (.., 9) of impacts, see `impacts`
+    order: Floats  # (.., 2) of impacts: since when [s], and which
     colours: Colours
     bounded: Bounded | None = None  # None: nothing acts in joints within bounds
     rolling: Rolling | None = None  # None: nothing resists rolling or spinning
@@ -256,7 +256,7 @@ def room_for_rows(
     first, second, entry = np.zeros((3, n), dtype=np.int64)
     frame, limits = np.zeros((n, N_COLUMNS)), np.zeros((n, _N_LIMITS))
     impulse, impact, old, direction = np.zeros((4, n, 3))
-    order = np.zeros((n + (1 if bounded is None else 1 + bounded.kind.size), 9))
+    order = np.zeros((n + (1 if bounded is None else 1 + bounded.kind.size), 2))
     arrays = first, second, entry, frame, limits, impulse, impact, old, direction, order
     widths = (7, 3, 3, 3, 3, 10) if with_rolling else ()
     rolling = Rolling(*(np.zeros((n, width)) for width in widths)) if widths else None
