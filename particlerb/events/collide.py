@@ -1,10 +1,10 @@
 """Impacts at their instants: Newton's law with Coulomb's friction, and what they have done.
 
-What hits at one instant in several places is solved one impact after the other, first what was
-found first (`queue`), of a body in the order of its spheres, until nothing approaches. A contact
-that hits again within the contact time bounces elastically, which ends the endless ever faster
-bounces of a ball that comes to rest: the model of Luding and McNamara, Granular Matter 1, 113
-(1998), by contacts in place of bodies.
+What hits at one instant in several places is solved one impact after the other, first what came
+into the heap first (`queue`), of a body in the order of its spheres, until nothing approaches. A
+contact that hits again within the contact time bounces elastically, which ends the endless ever
+faster bounces of a ball that comes to rest: the model of Luding and McNamara, Granular Matter 1,
+113 (1998), by contacts in place of bodies.
 """
 
 from typing import Final, NamedTuple

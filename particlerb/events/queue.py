@@ -3,8 +3,8 @@
 A heap of all events is deep, and each of its levels one more line of the cache. So a period is cut
 into as many intervals as there are lists. A body whose event comes in a later interval is in the
 list of that, or of the last one that has a list. When those before are over, the events of a list
-come into the heap of four branches, earliest first; of events at one instant those first that were
-found first, by the number of impacts before, then by the number of the body.
+come into the heap of four branches, earliest first; of events at one instant those first that came
+there first, by the number of impacts before, then by the number of the body.
 
 G. Paul, A complexity O(1) priority queue for event driven molecular dynamics simulations, J.
 Comput. Phys. 221, 615 (2007). Why it is so: docs/decisions/0034.

@@ -368,6 +368,11 @@ def found_by_fuzzing(name: str, tmp_path: Path) -> Path:
     return path
 
 
+def test_each_file_that_fuzzing_has_found_is_tried_here():
+    names = {path.name.split(".")[0] for path in (FUZZ / "found").glob("*.xz")}
+    assert names == {"crash_in_symbol_table", "endless_heap"}
+
+
 def test_what_crashes_hdf5_is_one_message(tmp_path):
     """Where the look at a file meets nothing, and it is read then."""
     path = found_by_fuzzing("found/crash_in_symbol_table", tmp_path)
