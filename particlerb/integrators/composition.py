@@ -8,7 +8,6 @@ Source: Suzuki, Phys. Lett. A 146, 319 (1990); Kahan and Li, Math. Comput. 66, 1
 Hairer, Lubich, Wanner, Geometric Numerical Integration, V.3.2.
 """
 
-import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
@@ -77,7 +76,7 @@ def kicks_of(weights: Sequence[float]) -> list[float]:
     return [0.5 * weights[0], *(0.5 * (one + other) for one, other in pairwise(weights))]
 
 
-def growth_of(weights: Sequence[float], z: float) -> float:
-    """Logarithm of the growth in a step of an oscillator with hω = z; 0: it stays bounded."""
-    half = abs(float(half_trace(kicks_of(weights), weights, np.array([z]))[0]))
-    return math.acosh(max(half, 1.0))
+def growth_of(weights: Sequence[float], z: Floats) -> Floats:
+    """Logarithms of the growth in a step of oscillators with hω = z; 0: they stay bounded."""
+    half = np.abs(half_trace(kicks_of(weights), weights, z))
+    return np.asarray(np.arccosh(np.where(half > 1.0, half, 1.0)))

@@ -104,8 +104,8 @@ def _fastest_along_arms(joints: Joints, data: JointData, c: int, ends: Ends) -> 
     By itself a light link between heavy ones would be fast, but it moves with them alone.
     """
     free = _free_motions(joints, data, c)
-    if free is None:
-        return np.inf
+    if free is None or not len(free):
+        return np.inf if free is None else 0.0
     (first, last), start = joints.clusters.body[c : c + 2], joints.program.start
     strains = list[Floats]()
     for end, arm, load in ends:
@@ -119,7 +119,7 @@ def _fastest_along_arms(joints: Joints, data: JointData, c: int, ends: Ends) -> 
         squared = 2.0 * f * joints.inv_mass[k] / joints.rows.length[row] * is_distance
         strains.append(free[:, k - first, :3] * np.sqrt(squared)[:, None])
     stacked = np.concatenate(strains, axis=1).reshape(len(free), -1)
-    return (_OWN_RATIO * float(np.linalg.norm(stacked, 2))) ** 2 if len(free) else 0.0
+    return (_OWN_RATIO * float(np.linalg.norm(stacked, 2))) ** 2
 
 
 def _free_motions(joints: Joints, data: JointData, c: int) -> Floats | None:
@@ -167,14 +167,14 @@ def _softness(arm: Floats, inv_inertia: Floats) -> Floats:
     return softness
 
 
-def tension_rate(joints: Joints, data: JointData) -> tuple[float, int]:
-    """Largest ω [rad/s] of the geometric stiffness of multipliers z, and the joint it is about.
+def tension_rates(joints: Joints, data: JointData) -> tuple[Floats, Ints]:
+    """All ω [rad/s] of the geometric stiffness of multipliers z, (k,), and joints they are about.
 
     Poses, gradients and z are those of an instant; data are written over.
     """
     carried = np.where(joints.rows.action == col.HOLDS, data.z, 0.0)
     force = lengths(forces_of_joints(joints, data, carried)[:, :3].T)
-    largest, about, start = 0.0, 0, joints.program.start
+    rates, about = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
     for c in range(joints.clusters.body.size - 1):
         joint = slice(*joints.clusters.joint[c : c + 2])
         free = _free_motions(joints, data, c) if joint.start < joint.stop else None
@@ -182,20 +182,19 @@ def tension_rate(joints: Joints, data: JointData) -> tuple[float, int]:
             continue
         stiffness = _stiffness(joints, data, c, free, carried)
         squared, shapes = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-        if squared[-1] > largest:
-            largest, moved = float(squared[-1]), np.zeros(joints.inv_mass.size)
-            first = joints.clusters.body[c]
-            moved[first : first + free.shape[1]] = (np.tensordot(shapes[:, -1], free, 1) ** 2).sum(
-                1
-            )
-            rows = start[:-1][joint]
-            share = moved[joints.rows.a[rows]] + moved[joints.rows.b[rows]]
-            about = int(joint.start + np.argmax(share * force[joint]))
-    return float(np.sqrt(largest)), about
+        shapes = shapes[:, squared > 0.0]
+        share = np.zeros((shapes.shape[1], joints.inv_mass.size))
+        moved = np.tensordot(shapes, free, (0, 0))
+        share[:, slice(*joints.clusters.body[c : c + 2])] = (moved * moved).sum(axis=2)
+        rows = joints.program.start[joint]
+        of_joint = (share[:, joints.rows.a[rows]] + share[:, joints.rows.b[rows]]) * force[joint]
+        rates.append(np.sqrt(squared[squared > 0.0]))
+        about.append(joint.start + of_joint.argmax(axis=1))
+    return np.concatenate(rates), np.concatenate(about)
 
 
 def _stiffness(joints: Joints, data: JointData, c: int, free: Floats, carried: Floats) -> Floats:
-    """Geometric stiffness among free motions of cluster c, (d, d) [1/s²]: see `tension_rate`.
+    """Geometric stiffness among free motions of cluster c, (d, d) [1/s²]: see `tension_rates`.
 
     By the change of Gᵀ λ over small moves forth and back; but for the half of a turned torque,
     which is not symmetric and drops out of the mean with the transposed.

@@ -15,7 +15,7 @@ from particlerb.contact.contact_frequency import initial_contact_frequency
 from particlerb.contact.contact_model import GroupContact
 from particlerb.forces.links import fastest_oscillation, with_springs
 from particlerb.integrators import METHODS
-from particlerb.joints.tension import loaded_joints, tension_rate
+from particlerb.joints.tension import loaded_joints, tension_rates
 from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
 from particlerb.model.state import lengths, omega_world
@@ -127,10 +127,9 @@ def stable_step(system: System, group: GroupPlan, segment: Segment) -> float:
     everything = with_springs(segment.terms.links, segment.terms.loads, group.bodies)
     state = taken(system.state, group.members)
     rate = fastest_oscillation(everything, group.bodies, state.com, state.q)
-    if segment.terms.joints is not None:
-        force = force_of(group.group(segment))[1]
-        data = loaded_joints(segment.terms.joints, state, force)
-        rate = max(rate, tension_rate(segment.terms.joints, data)[0])
+    if segment.terms.joints is not None and segment is group.segments[0]:
+        data = loaded_joints(segment.terms.joints, state, force_of(group.group(segment))[1])
+        rate = tension_rates(segment.terms.joints, data)[0].max(initial=rate)
     return float(METHODS[segment.method].stability_limit / rate) if rate > 0.0 else np.inf
 
 

@@ -41,8 +41,9 @@ def kind_of(warning: str) -> str:
 
 
 def warn_of_lost_energy(run: Run, known: frozenset[str]) -> frozenset[str]:
-    """Log that the energy errs, where it does by much; all warnings that are known."""
+    """Log that the energy errs by much, or steps were too long; all warnings that are known."""
     told = lost_energy(run.system.run, run.groups, run.drift().energy)
+    told += [tension] if (tension := run.tension()) else []
     return log_warnings(told, known)
 
 

@@ -2,6 +2,7 @@
 
 import traceback
 from collections.abc import Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -202,6 +203,8 @@ class GroupRun:
         Who connects a spring that is stretched gives its energy, and gets it who disconnects it.
         """
         state, external = self.motion.finish(self.segment.stop)
+        if self.segment.terms.joints is not None:
+            self.watch.look(self, self.segment.stop, lambda: state)
         self.broken = self.broken_until(self.segment.stop)
         self.gross_work_before = self.gross_work()
         self.external_before += external
@@ -264,7 +267,8 @@ class GroupRun:
                 if self.joint_values is not None:
                     self.read_joints(times, rows, frames, self.joint_values)
                 if segment.terms.joints is not None:
-                    self.watch.look(self, float(times[until - 1]), frames, until - 1)
+                    last = partial(self.state_in, frames, until - 1)
+                    self.watch.look(self, float(times[until - 1]), last)
                 done = until
             if done < times.size:
                 self.cross()
@@ -276,7 +280,7 @@ class GroupRun:
             self.cross()
         self.motion.pose(time, frames)
         if self.segment.terms.joints is not None:
-            self.watch.look(self, time, frames, 0)
+            self.watch.look(self, time, lambda: self.state_in(frames, 0))
 
     def read_joints(self, times: Floats, rows: Ints, frames: Frames, values: JointValues) -> None:
         """Find what joints carry in rows of the frames, all of this segment."""

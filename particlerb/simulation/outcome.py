@@ -53,6 +53,7 @@ class Outcome(NamedTuple):
     tree: TreeError | None = None  # of the tree that sums the attraction, where it was fitted
     tally: Floats | None = None  # of impulses: see impulses/records.py
     broken: tuple[tuple[str, float], ...] = ()  # joints that have broken, and when [s]
+    tension: str = ""  # of joints, for which steps were too long: what is to be said
     passed: float = 0.0  # until when a simulation has moved all, before this run [s]
 
 

@@ -187,6 +187,7 @@ def advance(
         run.tree_error(),
         tally_of(run.group_runs),
         broken_joints(run.setup, run.joints),
+        run.tension(),
         run.passed,
     )
 

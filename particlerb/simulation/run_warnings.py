@@ -28,6 +28,8 @@ def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
             f"all contacts of a body together reached ω dt = {turn:.3g}: above {limit:.3g} contacts"
             f" with this damping do not come to rest; divide run.dt by {turn / limit:.2g}"
         )
+    if outcome.tension:
+        told.append(outcome.tension)
     if tree is not None and tree.seen > tree.asked:
         told.append(
             f"the error of the tree of the attraction reached {tree.seen:.2g}, above the requested"

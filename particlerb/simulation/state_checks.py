@@ -13,7 +13,7 @@ from particlerb.model.system import System
 from particlerb.plan.segments import Plan
 from particlerb.rotors.rotor_class import ROD
 from particlerb.simulation.group_run import GroupRun, own_forces_on
-from particlerb.simulation.joint_watch import lost, tense
+from particlerb.simulation.joint_watch import lost
 
 _ROD_ROUNDING: Final = 1e-9  # share of L along a rod that exact drifts may leave
 _MAX_ROD_ERROR: Final = 0.2  # that others may leave: more is a torque about the axis, or no result
@@ -35,9 +35,8 @@ class StateChecks:
         Where all totals are finite, so are the states; the reverse does not hold, squares overflow.
         """
         rods = self.rods
-        why = tense(self.system, runs) if is_finite else ""
-        if why or (is_finite and not rods.size):
-            return times.size, f"by t = {float(times[-1])!r} s {why}" if why else ""
+        if is_finite and not rods.size:
+            return times.size, ""
         lost_fields = []  # what is not finite stays so
         for name in () if is_finite else STATE_FIELDS:
             finite = np.isfinite(getattr(frames, name)).all(axis=2)

@@ -83,6 +83,7 @@ class Run:
         self.kept_of_restart: Saved = {}  # of the last one, for checkpoints
         self.broken: dict[int, float] = {}  # joints that broke before a restart, and when [s]
         self.tallies: dict[int, Floats] = {}  # what was counted of impulses, in these rows
+        self.told_of_tension = ""  # before a restart
         self.n_frames = 0  # that lie behind
         self.probes: list[Probe] = []
 
@@ -169,6 +170,7 @@ class Run:
         self, system: System, plan: Plan, state: State, motions: Mapping[bytes, Motion]
     ) -> State:
         """Start by another plan, after motions of the same bodies; the state of those that move."""
+        self.told_of_tension = self.own_tension()
         self.system, self.gravity, self.moving = system, system.acceleration, merged(system)
         self.single = None
         if self.moving.merging is not None:
@@ -249,6 +251,16 @@ class Run:
         """Largest ω dt of bodies that oscillate on their contacts that was seen [rad]."""
         motions = [one.motion for one in self.group_runs]
         return max((motion.contact_frequency * motion.dt for motion in motions), default=0.0)
+
+    def tension(self) -> str:
+        """What is to be said of steps that were too long for what joints carry; empty: nothing."""
+        return next(filter(None, self.ranks.gathered(self.own_tension())), "")
+
+    def own_tension(self) -> str:
+        """The same of this rank."""
+        found = [run.watch.found for run in self.group_runs]
+        told = [one.told(self.moving) for one in found if one is not None]
+        return told[0] if told else self.told_of_tension
 
     def tree_error(self) -> TreeError | None:
         """What the tree of the attraction has erred at frames; None where none was asked for."""
@@ -359,7 +371,7 @@ class Run:
             raise self.told(failure, self.groups) from None
         is_finite = math.isfinite(np.add.reduce(np.asarray(frames.position.base)))  # the whole room
         problem = ""
-        if not is_finite or self.checks.rods.size or self.system.joint:
+        if not is_finite or self.checks.rods.size:
             times = np.array([time])
             _, problem = self.checks.sound_frames(times, frames, is_finite, self.group_runs)
         if self.moving.merging is not None:
