@@ -24,7 +24,7 @@ BUDGETS = {
     "closed forms under force": 1572,
     "joints": 6107,
     "contact with every method": 668,
-    "contact by impulses": 4222,
+    "contact by impulses": 4234,
     "collisions by events": 1732,
     "forces: tables, gradients, written by users": 2240,
     "scenes and simulations in Python": 1257,

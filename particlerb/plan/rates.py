@@ -6,6 +6,8 @@ from typing import Final
 import numpy as np
 
 from particlerb.contact.contact_model import ContactSpheres, GroupContact
+from particlerb.contact.missed_pairs import peak_speed
+from particlerb.contact.wall_motion import farthest_distances, motion_in, wall_displacement
 from particlerb.contact.walls import PLANE
 from particlerb.forces import Terms
 from particlerb.forces.attraction import Attraction
@@ -21,6 +23,7 @@ from particlerb.model.system import System
 from particlerb.plan.segments import GroupPlan, Segment
 from particlerb.stepping.motion import force_of
 
+_INSTANT: Final = 1e-12  # [s] in which no motion that is prescribed turns round
 _MAX_BODIES_SAMPLED: Final = 2000  # whose nearest neighbours are looked for
 
 
@@ -135,6 +138,29 @@ def _contact_rates(contact: GroupContact, bodies: Bodies, state: State, fall: fl
     depth = (1.25 * speed**2 / np.maximum(K * inv_m_eff, 1e-300)) ** 0.4
     squared = np.where(K * inv_m_eff > 0.0, 1.5 * K * np.sqrt(depth) * share * inv_m_eff, 0.0)
     return np.asarray(np.sqrt(squared.max(axis=1)))
+
+
+def point_speed(system: System, group: GroupPlan, segment: Segment) -> float:
+    """Speed [m/s] that points have when a segment starts: of bodies, and reach by falling.
+
+    Driven bodies and walls have the largest one of their motion, walls without their turning.
+    """
+    contact, state = segment.terms.known_contact, taken(system.state, group.members)
+    speed = lengths(state.p * group.bodies.inv_mass)
+    spin = lengths(omega_world(group.bodies, state))
+    driven = contact.model.prescribed
+    for k, b in enumerate([] if driven is None else driven.body.tolist()):
+        assert driven is not None
+        motion = motion_in(driven.motions, k)
+        far = farthest_distances([motion], segment.start, state.com[:, [b]])
+        spin[b] = math.hypot(*motion.angular_velocity)
+        speed[b] = wall_displacement([motion], _INSTANT, far) / _INSTANT
+    largest = contact.model.spheres.radius.max(initial=0.0)
+    points: Floats = speed + spin * (contact.max_arm + largest)
+    walls = [motion_in(contact.motions, k) for k in range(contact.motions.size)]
+    approach = max((peak_speed(motion, _INSTANT) for motion in walls), default=0.0)
+    fastest = float(points.max()) + approach
+    return math.hypot(fastest, falling_speed(segment.terms, state.com))
 
 
 def _impact_speed(contact: GroupContact, bodies: Bodies, state: State, fall: float) -> float:

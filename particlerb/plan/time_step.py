@@ -16,11 +16,10 @@ from particlerb.contact.contact_model import GroupContact
 from particlerb.forces.links import fastest_oscillation, with_springs
 from particlerb.integrators import METHODS
 from particlerb.joints.tension import loaded_joints, tension_rates
-from particlerb.maths.vec3 import Floats
 from particlerb.model.bodies import taken
 from particlerb.model.state import lengths, omega_world
 from particlerb.model.system import System
-from particlerb.plan.rates import deepest_impact, falling_speed, fastest_contact, rates
+from particlerb.plan.rates import deepest_impact, falling_speed, fastest_contact, point_speed, rates
 from particlerb.plan.segments import GroupPlan, Plan, Segment, has_step, is_adaptive
 from particlerb.ranks import ALONE, Ranks
 from particlerb.stepping.motion import force_of
@@ -139,23 +138,13 @@ IMPULSE_RULE: Final = f"{_MAX_PATH_RADII} r/v, {_MAX_FALL_SHARE} √(r/g)"
 _OVERLAP_SHARE: Final = 0.5  # of the path of a step: the mean overlap of what lands in its middle
 
 
-def _speed(system: System, group: GroupPlan, segment: Segment) -> float:
-    """Speed [m/s] that points of bodies have at t = 0 and reach by falling."""
-    contact, state = segment.terms.known_contact, taken(system.state, group.members)
-    speed = np.linalg.norm(state.p * group.bodies.inv_mass, axis=0)
-    spin = np.linalg.norm(omega_world(group.bodies, state), axis=0)
-    largest = contact.model.spheres.radius.max(initial=0.0)
-    points: Floats = speed + spin * (contact.max_arm + largest)
-    return math.hypot(float(points.max()), falling_speed(segment.terms, state.com))
-
-
 def impulse_step(system: System, group: GroupPlan) -> float:
     """Step [s] for contacts without stiffness; inf where a group has none.
 
     min(0.1 r/v, 0.05 √(r/g)) with the smallest radius r, the largest speed v, and gravity g.
     """
     impulsive = [s for s in group.segments if s.terms.touches_by_impulses]
-    steps = (_longest_step(system, s, _speed(system, group, s)) for s in impulsive)
+    steps = (_longest_step(system, s, point_speed(system, group, s)) for s in impulsive)
     return min(steps, default=math.inf)
 
 
@@ -174,7 +163,7 @@ def expected_overlap(system: System, group: GroupPlan, segment: Segment) -> floa
     By impulses with restitution ½ v dt; by springs v √(m/k) of the heaviest body and the softest
     spring, without damping, or that of `hertz`.
     """
-    contact, speed = segment.terms.contact, _speed(system, group, segment)
+    contact, speed = segment.terms.contact, point_speed(system, group, segment)
     if segment.terms.touches_by_impulses:
         return _OVERLAP_SHARE * speed * segment.dt
     assert contact is not None
@@ -196,7 +185,7 @@ _ALIKE_RATIO: Final = 1.5  # times the work, below which neither law is cheaper
 def cheaper_law(system: System, group: GroupPlan, segment: Segment, overlap: float) -> str:
     """Which of both laws takes less work where this overlap [m] is to be expected, in words."""
     assert system.contact is not None
-    speed, laws = _speed(system, group, segment), ("springs", "impulses")
+    speed, laws = point_speed(system, group, segment), ("springs", "impulses")
     impulse = _IMPULSE_COST + _SWEEP_COST * system.contact.iterations
     if segment.terms.touches_by_impulses:
         laws = laws[::-1]

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from impulse_scenes import DOWN, R, case, go, impulse, plane, sphere
 
@@ -67,3 +68,30 @@ def test_a_step_is_chosen_by_size_and_speed_and_said_with_what_overlap_to_expect
     assert f"about {0.05 * R:.3g} m in the fastest impact" in overlap
     assert "for which springs and impulses cost about the same" in overlap
     assert "coupled by contact, driven by gravity, moreau" in text
+
+
+@pytest.mark.parametrize(
+    ("moving", "speed"),
+    [
+        ({"velocity": [2.0, 0, 0]}, 2.0),
+        ({"angular_velocity": [0, 0, 4.0], "centre": [-1.0, 0, R]}, 4.0 * (1.0 + R)),
+        ({"oscillation": {"amplitude": [0, 0.1, 0], "frequency": 5.0}}, np.pi),
+    ],
+)
+@pytest.mark.parametrize("is_wall", [False, True])
+def test_a_step_is_chosen_by_what_moves_as_prescribed_too(moving, speed, is_wall):
+    """Of walls without their turning: a drum moves along itself."""
+    from particlerb.case.to_system import to_system
+    from particlerb.simulation.run import prepare
+
+    bodies = [sphere("rests", position=[3.0, 0, R])]
+    wall = plane(motion=moving) if is_wall else plane()
+    if not is_wall:
+        bodies.append(sphere("driven", position=[0, 0, R], motion=moving))
+    elif "angular_velocity" in moving:
+        speed = 0.0
+    run = {"t_end": 1.0, "every": 1.0}
+    scene = {"run": run, "body": bodies, "contact": impulse(0.3), "wall": [wall]}
+    (group,) = prepare(to_system(scene)).plan.groups
+    expected = 0.1 * R / speed if speed else 1.0
+    assert group.segments[0].dt == pytest.approx(expected, rel=1e-9)
