@@ -17,7 +17,7 @@ from particlerb.simulation.run_warnings import lost_energy, run_warnings
 from particlerb.simulation.whole_run import Prepared, Run
 
 _LOG: Final = logging.getLogger(__name__)
-_NUMBER: Final = re.compile(r"\d[\d.e+-]*")
+_NUMBER: Final = re.compile(r"(?<![\w\[])(?<!\w[.-])\d[\d.e+-]*(?![\w\]])")  # no part of a name
 
 
 def prepared_from(case: CaseSource, overrides: Sequence[str], allow_code: bool) -> Prepared:
@@ -28,11 +28,11 @@ def prepared_from(case: CaseSource, overrides: Sequence[str], allow_code: bool) 
 
 
 def log_warnings(warnings: Sequence[str], known: frozenset[str] = frozenset()) -> frozenset[str]:
-    """Let `logging` have warnings of kinds that are not known; all kinds."""
+    """Let `logging` have warnings of kinds that are not known; the kinds of all of them."""
     for warning in warnings:
         if kind_of(warning) not in known:
             _LOG.warning(warning)
-    return known.union(map(kind_of, warnings))
+    return frozenset(map(kind_of, warnings))
 
 
 def kind_of(warning: str) -> str:

@@ -664,9 +664,9 @@ def test_a_change_says_the_new_warnings_of_its_plan(make, caplog):
     assert not caplog.records
     for _ in range(2):
         simulation.change("run.dt", 0.09)
+        simulation.change("run.dt", 0.08)
         simulation.change("run.dt", 0.01)
-    (record,) = caplog.records
-    assert "step" in record.message
+    assert ["step of 0.09 s" in record.message for record in caplog.records] == [True, True]
 
 
 def test_a_control_loop_says_once_that_its_steps_are_too_long(make, caplog):
@@ -682,3 +682,21 @@ def test_a_control_loop_says_once_that_its_steps_are_too_long(make, caplog):
         simulation.change("force[0].torque", [10.0 * k, 2.0 * k, 0.0])
     (record,) = caplog.records
     assert "turns bodies like body" in record.message
+
+
+def test_a_control_loop_warns_of_another_body_and_again_after_a_clean_plan(make, caplog):
+    """Numbers in names are no values: two bodies are two warnings."""
+    grid = {"type": "grid", "spacing": 5.0, "n": [2, 1, 1]}
+    too_long, short = [1e5, 0.0, 0.0], [0.0, 0.0, 1e-300]
+    twins = make.body(count=2, angular_velocity=[0.1, 0.2, 0.3], place=grid)
+    names = "body[0]", "body[1]"
+    torques = [{"type": "torque", "body": name, "torque": short} for name in names]
+    case = make.case(twins, t_end=9.0, every=9.0, dt=0.01, method="strang", force=torques)
+    simulation = Simulation(case)
+    told = []
+    for k, torque in ((0, too_long), (0, short), (1, too_long), (1, short), (1, too_long)):
+        simulation.change(f"force[{k}].torque", torque)
+        told.append([record.message.partition(" s turns bodies")[2] for record in caplog.records])
+        caplog.clear()
+    assert [len(texts) for texts in told] == [1, 0, 1, 0, 1]
+    assert told[2] == told[4] != told[0]
