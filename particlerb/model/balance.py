@@ -5,6 +5,7 @@ kinetic energy, work or gross work of contacts, Σ|p| and Σ|L|, never against a
 zero or, of bodies at rest, is all rounding.
 """
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -41,12 +42,16 @@ class Entries(NamedTuple):
     angular_momentum_error: Floats  # (T, 3) [kg m²/s] total - initial - external
 
 
-class ConservationError(NamedTuple):
-    """Largest errors of integration so far, each relative to its scale; of worlds, (n_worlds,)."""
-
+class _Relative(NamedTuple):
     energy: float
     linear_momentum: float
     angular_momentum: float
+
+
+class ConservationError(_Relative):
+    """Largest errors of integration so far, each relative to its scale; of worlds, (n_worlds,)."""
+
+    of_start = math.inf  # largest error of the energy relative to that at the start
 
 
 @inline
@@ -141,13 +146,16 @@ class EnergyBalance:
             single, vectors = single.reshape(5, *by_frame), vectors.reshape(4, *by_frame, 3)
         return Entries(*single, *vectors)
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def drift(
         self, bodies: Bodies, com: Floats, duration: float, ranks: Ranks = ALONE, g: float = 0.0
     ) -> ConservationError:
         """Largest errors until now over the largest scales; arguments as of `scales_seen`."""
         given = bodies, com, duration, ranks, g
         relative = self.errors / scales_seen(self.scales, self.initial[:, 0], *given)
-        return ConservationError(*(relative if self.shape else relative[:, 0]).tolist())
+        drift = ConservationError(*(relative if self.shape else relative[:, 0]).tolist())
+        drift.of_start = float(np.max(self.errors[0] / np.abs(self.initial[:, 0])))
+        return drift
 
 
 def scales_seen(

@@ -3,18 +3,23 @@
 import logging
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from particlerb.case.reader import CaseSource, load
 from particlerb.case.to_system import to_system
+from particlerb.compiled.threads import THREADS
 from particlerb.files import number_of, path_of
+from particlerb.model.balance import Entries
 from particlerb.record.trajectory import Trajectory, open_trajectory
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.resume import look_at, resume_pending
 from particlerb.simulation.run import run_prepared
-from particlerb.simulation.run_warnings import lost_energy, run_warnings
-from particlerb.simulation.whole_run import Prepared, Run
+from particlerb.simulation.run_warnings import lost_energy, run_warnings, told_of
+from particlerb.simulation.whole_run import Prepared, Run, RunError
 
 _LOG: Final = logging.getLogger(__name__)
 _NUMBER: Final = re.compile(r"(?<![\w\[])(?<!\w[.-])\d[\d.e+-]*(?![\w\]])")  # no part of a name
@@ -40,11 +45,16 @@ def kind_of(warning: str) -> str:
     return _NUMBER.sub("", warning)
 
 
-def warn_of_lost_energy(run: Run, known: frozenset[str]) -> frozenset[str]:
-    """Log that the energy errs by much, or steps were too long; all warnings that are known."""
-    told = lost_energy(run.system.run, run.groups, run.drift().energy)
-    told += [tension] if (tension := run.tension()) else []
-    return log_warnings(told, known)
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the balance
+def warn_of_lost_energy(run: Run, time: float, known: Entries | None) -> Entries | None:
+    """Log that the energy errs by much, at the end [s]; its balance there, None: not finite."""
+    if known is None:
+        with suppress(RunError), THREADS.using(run.system.run.threads):
+            _, entries, error = run.frames_at(np.array([time]), np.zeros(1, np.bool_))
+            known = entries if error is None else None
+    if known is not None:
+        log_warnings(told_of(lost_energy(run.system.run, run.groups, run.drift())))
+    return known
 
 
 def run(

@@ -7,13 +7,15 @@ from typing import Final
 from particlerb.case.run import RunTable
 from particlerb.forces.gravity_tree.opening_angle import other_angle
 from particlerb.impulses import records
-from particlerb.plan.segments import GroupPlan, is_adaptive
+from particlerb.model.balance import ConservationError
+from particlerb.plan.segments import GroupPlan, accepts, is_adaptive
 from particlerb.plan.time_step import stable_turn
 from particlerb.simulation.outcome import Outcome
 from particlerb.simulation.whole_run import Prepared
 
 _UNSOLVED_RESIDUAL: Final = 1.0  # of impulses that are no better than none
 _LARGE_DRIFT: Final = 0.01  # of the energy: bodies are not where they would be
+_LARGE_OF_START: Final = 1e-4  # and of that at the start
 
 
 def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
@@ -43,21 +45,34 @@ def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
             " it is 1 they are no better than none; take more contact.iterations or"
             ' contact.solver = "newton"'
         )
-    told += lost_energy(prepared.system.run, prepared.plan.groups, outcome.drift.energy)
-    return [f"particlerb: warning: {text}" for text in told]
+    told += lost_energy(prepared.system.run, prepared.plan.groups, outcome.drift)
+    return told_of(told)
 
 
-def lost_energy(run: RunTable, groups: Sequence[GroupPlan], drift: float) -> list[str]:
-    """What to say where the energy errs by much, relative to the largest one or work."""
-    if not drift > _LARGE_DRIFT:
+def told_of(warnings: Sequence[str]) -> list[str]:
+    """Warnings with the name of the program before them."""
+    return [f"particlerb: warning: {text}" for text in warnings]
+
+
+def lost_energy(run: RunTable, groups: Sequence[GroupPlan], drift: ConservationError) -> list[str]:
+    """What to say where the energy errs by much, relative to the largest one or work in frames.
+
+    Where frames meet bodies at rest these are nearly nothing: then that at the start counts.
+    """
+    if not (drift.energy > _LARGE_DRIFT and drift.of_start > _LARGE_OF_START):
         return []
-    stepped = [s for group in groups for s in group.stepped if not is_adaptive(s.method)]
-    steps = [run.dt or segment.dt for segment in stepped]
-    remedy = f"take run.dt below {min(steps):.3g} s" if steps else "lower run.tolerance"
-    if any(segment.terms.attraction is not None for segment in stepped):
-        remedy += ', or run.method = "dop853", whose steps follow the motion'
+    stepped = [segment for group in groups for segment in group.stepped]
+    steps = [run.dt or s.dt for s in stepped if not is_adaptive(s.method)]
+    remedy = "lower run.tolerance" if stepped else ""
+    if run.accuracy is not None:
+        remedy = "take a smaller run.accuracy"
+    elif steps:
+        remedy = f"take run.dt below {min(steps):.3g} s"
+        is_attracted = any(s.terms.attraction is not None for s in stepped)
+        if is_attracted and all(accepts("dop853", s.terms) for s in stepped):
+            remedy += ', or run.method = "dop853", whose steps follow the motion'
+    cause = "steps are too long for what bodies have met, or a force does not fit its potential"
     return [
-        f"the energy errs by {drift:.2g} of the largest kinetic energy or work, so positions and"
-        " orientations are wrong too: steps are too long for what bodies have met, or a force does"
-        f" not fit its potential; {remedy}"
+        f"the energy errs by {drift.energy:.2g} of the largest kinetic energy or work in frames, so"
+        f" positions and orientations are wrong too{f': {cause}; {remedy}' if remedy else ''}"
     ]

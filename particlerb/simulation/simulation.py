@@ -181,8 +181,8 @@ class Simulation(Closing):
         if until > self.time:
             self._unmoved = None
             self._moved(self.system.run.threads, self._go_to, until)
-            if until == self.system.run.t_end and self._entries:  # whose largest error the run has
-                self._warned = entry.warn_of_lost_energy(self._run, self._warned)
+            if until == self.system.run.t_end:
+                self._known = entry.warn_of_lost_energy(self._run, until, self._known)
         return self.state
 
     def frames(self, every: float, until: float = np.inf) -> Iterator[BodyStates]:

@@ -60,6 +60,7 @@ class Prepared(NamedTuple):
 class Run:
     """A prepared system on its way; where ranks share a scene, the part of this one."""
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in frames
     def __init__(self, prepared: Prepared, ranks: Ranks = ALONE) -> None:
         self.system, plan, self.ranks = prepared.system, prepared.plan, ranks
         self.number_of_first = prepared.first
@@ -242,6 +243,7 @@ class Run:
         saved, steps = np.sum([one.motion.flown for one in self.group_runs], axis=0)
         return float(saved / steps) if steps else None
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # scales may overflow
     def drift(self) -> ConservationError:
         """Largest errors of energy and momenta until now, over their scales."""
         of = self.counted, self.moving.state.com, self.system.run.t_end, self.adding

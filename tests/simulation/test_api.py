@@ -1,6 +1,7 @@
 """The Python entry: what `run` and `open` take, and that importing the package is cheap."""
 
 import logging
+import math
 import sys
 from subprocess import run
 
@@ -12,6 +13,9 @@ import particlerb
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
+from particlerb.model.balance import ConservationError
+from particlerb.simulation.run import prepare
+from particlerb.simulation.run_warnings import lost_energy
 from particlerb.tables import Cylinder, RunTable
 
 DOT = {"type": "points", "position": [[0, 0, 0]], "mass": 1.0}
@@ -83,7 +87,7 @@ def test_a_run_that_loses_energy_says_so_to_those_who_run_it_from_python(caplog,
     assert lost > 0.1
     ((_, level, told),) = caplog.record_tuples
     assert level == logging.WARNING
-    assert "the energy errs by" in told
+    assert told.startswith("particlerb: warning: the energy errs by")
     assert "take run.dt below 0.1 s" in told
     assert 'run.method = "dop853"' in told
     caplog.clear()
@@ -94,11 +98,46 @@ def test_a_run_that_loses_energy_says_so_to_those_who_run_it_from_python(caplog,
     simulation.advance(2.3)
     assert caplog.text == ""
     simulation.advance(2.4)
-    assert "the energy errs by" in caplog.text
+    assert "particlerb: warning: the energy errs by" in caplog.text
     caplog.clear()
     kept = particlerb.run(two_points(method="dop853", tolerance=1e-10))
     assert abs(kept.ledger.energy_error).max() < 1e-6
     assert caplog.text == ""
+
+
+@pytest.mark.plain
+def test_frames_that_meet_a_body_at_rest_are_no_lost_energy(make, caplog):
+    """A spring of one radian a second, let go: after a period it is at rest again."""
+    spring = {"type": "spring", "body": "body", "anchor": [0, 0, 0], "stiffness": 2.0}
+    period, body = 2.0 * math.pi, make.body(position=[1.0, 0.0, 0.0])
+    keys = {"t_end": period, "every": period, "dt": 0.05, "method": "strang"}
+    case = make.case(body, force=[spring], **keys)
+    with particlerb.run(case) as trajectory:
+        assert trajectory.position[-1, 0, 0] == pytest.approx(1.0, abs=1e-6)
+    particlerb.Simulation(case).advance(period)
+    assert caplog.text == ""
+
+
+def remedy(case, **run):
+    """What helps against energy that errs by much."""
+    prepared = prepare(to_system(load(case | {"run": case["run"] | run})))
+    drift = ConservationError(1.0, 0.0, 0.0)
+    (told,) = lost_energy(prepared.system.run, prepared.plan.groups, drift)
+    return told.partition("wrong too")[2].rpartition("; ")[2]
+
+
+def test_what_helps_against_lost_energy_is_what_the_run_can_take(make):
+    balls = [make.sphere(f"ball{k}", position=[k, 0.0, 0.0]) for k in range(2)]
+    events = {"law": "events", "restitution": 0.5, "friction": 0.5}
+    assert remedy(make.case(*balls, contact=events)) == ""
+    attracted = make.case(*balls, attraction={"G": 1e-3}, dt=0.01, method="strang")
+    assert remedy(attracted).endswith('"dop853", whose steps follow the motion')
+    assert remedy(attracted | {"contact": make.hooke(1e3)}) == "take run.dt below 0.01 s"
+    assert remedy(make.case(*balls, attraction={"G": 1e-3}, method="dop853", tolerance=1e-6)) == (
+        "lower run.tolerance"
+    )
+    by_accuracy = make.case(*balls, attraction={"G": 1e-3})
+    assert remedy(by_accuracy, accuracy=1e-3) == "take a smaller run.accuracy"
 
 
 def test_importing_loads_nothing_heavy(make):

@@ -700,3 +700,27 @@ def test_a_control_loop_warns_of_another_body_and_again_after_a_clean_plan(make,
         caplog.clear()
     assert [len(texts) for texts in told] == [1, 0, 1, 0, 1]
     assert told[2] == told[4] != told[0]
+
+
+@pytest.mark.parametrize(
+    ("keys", "until"),
+    [
+        ({"force": [{"type": "push", "body": "body", "force": [1e160, 0.0, 0.0]}]}, 1.0),
+        ({"gravity": {"acceleration": [1e-250, 0.0, 0.0]}}, 1e200),
+    ],
+)
+def test_an_energy_that_overflows_ends_nothing_where_nobody_asks_for_it(make, keys, until):
+    case = make.case(make.body(velocity=[1e10, 0.0, 0.0]), t_end=until, every=until, **keys)
+    simulation = Simulation(case)
+    assert np.isfinite(simulation.advance(until).position).all()
+    assert simulation.state.time == until
+    with pytest.raises(RunError, match="not finite"):
+        _ = simulation.energy
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_errors_are_judged_by_may_overflow(make):
+    far = make.body(mass=1e150, position=[1e150, 0.0, 0.0], velocity=[1.0, 0.0, 0.0])
+    gravity = {"acceleration": [1e-3, 0.0, 0.0]}
+    state = Simulation(make.case(far, gravity=gravity, t_end=1e4, every=1e4)).advance(1e4)
+    assert state.position[0, 0] == 1e150
