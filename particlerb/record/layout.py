@@ -186,9 +186,10 @@ def tables_of(scene: System, labels: Labels = MappingProxyType({})) -> dict[str,
     """
     particles, n = scene.particles, scene.n_of_scene
     is_part = scene.n_bodies < n  # the first rank has its own bodies only
+    varied = {k: body.kinds for k, body in enumerate(scene.body) if is_part and body.is_varied}
     tables = {
         **{
-            path: InPieces(n, partial(_rows, scene, of)) if is_part else of(scene)
+            path: InPieces(n, partial(_rows, scene, varied, of)) if is_part else of(scene)
             for path, of in _OF_BODIES.items()
         },
         **{axis: np.array([letter.encode() for letter in axis]) for axis in schema.AXES},
@@ -207,15 +208,19 @@ def tables_of(scene: System, labels: Labels = MappingProxyType({})) -> dict[str,
     return tables
 
 
-def _rows(scene: System, of: Callable[[System], Any], first: int, stop: int) -> Any:
-    """Rows of a table for bodies of a scene, of which others may be at hand: from their kinds."""
+def _rows(
+    scene: System, varied: Mapping[int, Ints], of: Callable[[System], Any], first: int, stop: int
+) -> Any:
+    """Rows of a table for bodies of a scene, of which others may be at hand: from their kinds.
+
+    `varied` are the kinds in records of bodies that differ, by the numbers of these.
+    """
     names = BodyNames(scene.names.records, range(first, stop))
     kind = np.repeat(scene.first_kind, np.diff(names.first.clip(first, stop)))
-    for k, body in enumerate(scene.body):
-        if body.is_varied:  # each of them is a kind of its own
-            start, end = names.first[k : k + 2].clip(first, stop)
-            own = slice(start - names.first[k], end - names.first[k])
-            kind[start - first : end - first] += body.kinds[own]
+    for k, kinds in varied.items():
+        start, end = names.first[k : k + 2].clip(first, stop)
+        own = slice(start - names.first[k], end - names.first[k])
+        kind[start - first : end - first] += kinds[own]
     bodies = bodies_of_kind(scene.properties, kind)
     return of(scene._replace(names=names, kind=kind, bodies=bodies))
 

@@ -8,6 +8,7 @@ import pytest
 from threads_as_ranks import over_ranks
 
 from particlerb.case import placement
+from particlerb.case.bodies import Body as BodyTable
 from particlerb.case.problems import CaseError
 from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
@@ -163,3 +164,18 @@ def test_too_many_ranks_and_wrong_bodies_are_refused(monkeypatch):
     with pytest.raises(CaseError, match="is a point"):
         to_system(load(MIX, spin), part=range(512, 1000))
     to_system(load(MIX, spin), part=range(512))
+
+
+def test_tables_of_all_bodies_look_once_for_kinds_of_those_that_differ(make, monkeypatch):
+    """The first rank writes them in pieces, from its own share of the scene."""
+    mass = np.random.default_rng(1).integers(1, 50, 1000).astype(float)
+    grid = {"type": "grid", "spacing": 5.0}
+    bodies = make.body("first"), make.body("b", count=1000, place=grid) | {"mass": mass}
+    whole = to_system(load(make.case(*bodies)))
+    counted, kinds = [], BodyTable.kinds.fget
+    monkeypatch.setattr(BodyTable, "kinds", property(lambda b: counted.append(1) or kinds(b)))
+    monkeypatch.setattr("particlerb.record.hdf5._ROWS_AT_ONCE", 50)
+    part = {path: np.asarray(table) for path, table in tables_of(whole.part(0, 100)).items()}
+    assert len(counted) == 1
+    for path, table in tables_of(whole).items():
+        assert (part[path] == table).all(), path
