@@ -107,7 +107,7 @@ def look_at(
     pending = ranks.together(lambda: _looked_at(path, prepared, hashed, parts))
     if parts is None:
         return pending
-    share = ranks.together(lambda: share_of_rank(prepared, ranks))
+    share = ranks.together(lambda: share_of_rank(prepared, ranks, hashed))
     return _from_parts(pending._replace(prepared=share), parts, ranks)
 
 

@@ -111,14 +111,14 @@ def run_prepared(
         return advance(prepared, recorder, None, progress, ranks)
 
 
-def share_of_rank(prepared: Prepared, ranks: Ranks) -> Prepared:
+def share_of_rank(prepared: Prepared, ranks: Ranks, hashed: str = "") -> Prepared:
     """The share of a rank in a prepared system, which then need not be kept; raises as `part_of`.
 
-    Itself where it has been set up apart, or is such a share.
+    Itself where it has been set up apart, or is such a share. `hashed`: its identity, if known.
     """
     if prepared.is_part or prepared.hash_of_scene:
         return prepared
-    return part_of(prepared, ranks)._replace(hash_of_scene=identity(prepared))
+    return part_of(prepared, ranks)._replace(hash_of_scene=hashed or identity(prepared))
 
 
 def content_of(prepared: Prepared, ranks: Ranks = ALONE) -> tuple[dict[str, Any], str]:

@@ -229,6 +229,21 @@ def test_checkpoints_of_parts_that_do_not_fit_are_refused_on_all_ranks(monkeypat
             assert "checkpoints of its parts do not fit" in str(told)
 
 
+@pytest.mark.plain
+def test_a_scene_of_parts_is_hashed_once_where_it_goes_on(monkeypatch, tmp_path):
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    monkeypatch.setattr(of_commands, "ranks_of_mpi", Ranks)
+    path = tmp_path / "run.h5"
+    words = ["--set", "body.0.count=1000", "-q", "--mpi"]
+    assert main([*map(str, run_words(path, scene="free.toml")), *words]) == 0
+    hashed, digest = [], particlerb.simulation.run._digest
+    counted = lambda prepared, of: hashed.append(of) or digest(prepared, of)  # noqa: E731
+    monkeypatch.setattr("particlerb.simulation.run._digest", counted)
+    ((told,),) = over_ranks(1, lambda ranks: look_at(path, 0.4, ranks=ranks))[1:]
+    assert told.prepared.hash_of_scene
+    assert len(hashed) == len(set(hashed)) > 1
+
+
 @needs_mpi
 @pytest.mark.slow
 def test_what_cannot_be_shared_is_refused_once(tmp_path):
