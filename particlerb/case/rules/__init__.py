@@ -129,7 +129,7 @@ def _named_body(path: Path, value: Any, counts: dict[str, Any]) -> Iterator[Find
     match = REFERENCE.fullmatch(value)
     if match is None or match["name"] not in counts:
         hint = "for the world a joint has no `to`, and a spring `anchor`"
-        hint = hint if value == "world" else nearest(value, list(counts))
+        hint = hint if value == "world" and "to" in path else nearest(value, list(counts))
         yield path, f'there is no body "{value}"', hint
         return
     count = counts[match["name"]]
