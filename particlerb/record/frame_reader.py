@@ -251,12 +251,18 @@ class FrameReader(Closing):
 
     def _lacking(self, name: str) -> KeyError:
         """Why a field cannot be read, and what to do."""
-        if name in self.other_fields:
-            return KeyError(f"{name} is not a field of bodies: it is in `trajectory.{name}`")
         known = [*schema.FIELDS, *schema.CONTACT_FIELDS, *schema.OBSERVED, schema.CONTACTS]
-        if name not in known:
+        if name in known and name not in self.other_fields:
+            return KeyError(f"{name} was not recorded: list it in [output] fields")
+        if isinstance(getattr(type(self), str(name), None), property | cached_property):
+            place = name
+        elif name == schema.CONTACTS:
+            place = f"{name}(frame)"
+        elif name in schema.LEDGER or name in known:
+            place = f'observable("{name}")'
+        else:
             return KeyError(f"there is no field {str(name)[:60]}; {nearest(str(name), known)}")
-        return KeyError(f"{name} was not recorded: list it in [output] fields")
+        return KeyError(f"{name} is not a field of bodies: it is in `trajectory.{place}`")
 
     @property
     def wall_names(self) -> Sequence[str]:

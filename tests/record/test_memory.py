@@ -35,6 +35,8 @@ def test_memory_reads_as_a_file(make, tmp_path, monkeypatch, dtype, waiting):
     with particlerb.run(case) as kept, particlerb.run(case, tmp_path / "run.h5") as written:
         assert kept.n_frames == written.n_frames == 6
         assert kept.contacts(0).wall.tolist() == [0]  # something is recorded of contacts
+        with pytest.raises(KeyError, match=r"it is in `trajectory.contacts\(frame\)`"):
+            kept.read("contacts")
         for name in (*kept.fields, *OF_CONTACT[:-1], "time", "mass"):
             mine, theirs = getattr(kept, name), getattr(written, name)
             assert mine.dtype == theirs.dtype, name

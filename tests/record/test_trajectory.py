@@ -56,6 +56,11 @@ def test_arrays_have_the_customary_shapes(written):
             t.read("velocity")
         with pytest.raises(KeyError, match='no field velocty; did you mean "velocity"'):
             t.read("velocty")
+        for name in ("time", "energy", "names"):
+            with pytest.raises(KeyError, match=f"it is in `trajectory.{name}`"):
+                t.read(name)
+        with pytest.raises(KeyError, match=r'it is in `trajectory.observable\("work"\)`'):
+            t.read("work")
         assert t.parameter("case_resolved")["run"]["t_end"] == 1.0
 
 
