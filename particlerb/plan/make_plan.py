@@ -73,7 +73,7 @@ def make_plan(
     each = (segments.cut_into_segments(system, g, touching, start, now is None) for g in grouped)
     cut = sorted(chain(*each), key=lambda group: int(group.members.min()))
     segments.refuse_method(system, cut)
-    cut = [one._replace(rates=rates_of(system, one)) if one.stepped else one for one in cut]
+    cut = [_with_rates(system, group) for group in cut]
     steps = [time_step.step(system, group) for group in cut]
     groups = tuple(map(time_step.with_steps, cut, steps))
     time_step.refuse_endless(system, groups)
@@ -88,6 +88,12 @@ def make_plan(
     warnings = (*map(time_step.as_warning, told), *time_step.step_warnings(system, groups))
     distinct = {dt for group, dt in zip(groups, steps, strict=True) if group.stepped}
     return segments.Plan(groups, time_step.step_reason(system, groups, distinct, choice), warnings)
+
+
+def _with_rates(system: System, group: segments.GroupPlan) -> segments.GroupPlan:
+    """A group with its rates, where something reads them."""
+    is_read = group.stepped and (system.n_worlds == 1 or system.run.dt is None)
+    return group._replace(rates=rates_of(system, group)) if is_read else group
 
 
 def _stepped(group: segments.GroupPlan, chosen: time_step.Stepping | None) -> segments.GroupPlan:

@@ -194,7 +194,7 @@ def _part_of_touching(prepared: Prepared, group: GroupPlan, ranks: Ranks) -> Pre
     shared = Shared(all_bodies, kind, ranks, of, system.n_bodies)
     contacts = dict[int, GroupContact | None]()  # which segments have in common
     segments = tuple(_shown(segment, indices, examples, contacts) for segment in group.segments)
-    shown = group._replace(members=members, bodies=bodies, segments=segments, shared=shared)
+    shown = GroupPlan(members, bodies, segments, group.worlds, shared)  # without rates of all
     others = inside([one for one in prepared.plan.groups if not one.touches], of, first)
     plan = prepared.plan._replace(groups=(shown, *others))
     return prepared._replace(system=system.part(first, stop), plan=plan, first=first)

@@ -8,14 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import particlerb
-from particlerb.case.problems import CaseError
+from particlerb.case.problems import CaseError, Source
 from particlerb.case.reader import load
+from particlerb.case.side_by_side import side_by_side
 from particlerb.case.to_system import to_system
 from particlerb.integrators import METHODS
 from particlerb.model.bodies import made_of, taken
 from particlerb.model.state import State, rotate
 from particlerb.plan import known_courses, rates
 from particlerb.plan.describe import describe
+from particlerb.plan.make_plan import make_plan
 from particlerb.plan.time_step import RADIANS_PER_STEP
 from particlerb.rotors.rotor_class import ASYMMETRIC, POINT, ROD, SPHERE, SYMMETRIC
 from particlerb.simulation.accuracy import prepare_accurately
@@ -409,6 +411,16 @@ def test_rates_are_looked_for_once_in_a_plan(make, monkeypatch, run):
     monkeypatch.setattr(rates, "omega_world", lambda *at: looked.append(1) or found(*at))
     prepare_accurately(to_system(make.case(make.body(**SPIN), force=[make.push(FORCE, AT)], **run)))
     assert len(looked) == 1
+
+
+@pytest.mark.parametrize(("run", "n"), [({}, 1), ({"dt": 0.1}, 0)])
+def test_rates_of_worlds_are_looked_for_where_a_step_is_chosen(make, monkeypatch, run, n):
+    looked, found = [], rates.omega_world
+    monkeypatch.setattr(rates, "omega_world", lambda *at: looked.append(1) or found(*at))
+    case = make.case(make.body(**SPIN), force=[make.push(FORCE, AT)], method="strang", **run)
+    paths = [("body", 0, "angular_velocity", 0)]
+    make_plan(side_by_side(Source(raw=case), paths, [[0.1], [0.2]]))
+    assert len(looked) == n
 
 
 def test_a_torque_without_end_spins_up_until_the_time_that_is_asked_for(make):

@@ -55,7 +55,7 @@ def test_a_rank_keeps_little_of_bodies_that_others_show():
     kept = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     assert exchange.is_free.size == n
-    assert kept < 60.0 * n + 60e3
+    assert kept < 40.0 * n + 60e3
 
 
 def test_bodies_made_of_their_kinds_are_those_of_the_scene():
