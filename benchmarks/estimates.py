@@ -62,9 +62,8 @@ def row(case, folder):
 def main():
     """Print the rows of the cases that are asked for, or of all, and renew them in the table."""
     asked = [CASES / f"{name}.toml" for name in sys.argv[1:]]
-    with TABLE.open(newline="") as file:
-        _, *kept = csv.reader(file)
-    table = {name: [name, *values] for name, *values in kept}
+    rows = csv.reader(TABLE.read_text().splitlines()) if TABLE.exists() else ()
+    table = {old[0]: old for old in rows if (CASES / f"{old[0]}.toml").exists()}
     with tempfile.TemporaryDirectory() as folder:
         for case in asked or sorted(CASES.glob("*.toml")):
             try:
