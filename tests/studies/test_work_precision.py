@@ -412,6 +412,18 @@ def test_the_chart_names_what_failed(monkeypatch):
 
 
 @pytest.mark.plain
+@pytest.mark.parametrize("target", [1e-3, 1e-9])
+def test_the_yellow_band_has_its_key_beside_a_heading_of_any_length(monkeypatch, target):
+    """Of 48 letters, and of 100, beside which it has no room: then it stands below."""
+    found = made(point(0.1, 1e-3), point(0.3, 1e-4), target=target)._replace(floor=1e-12)
+    axes = drawn_axes(monkeypatch, found)
+    is_long = len(axes.get_title("left")) > 80
+    assert is_long == (target == 1e-9)
+    shown = axes.figure.get_supxlabel() if is_long else axes.get_title("right")
+    assert shown.startswith("yellow: none of ours is faster")
+
+
+@pytest.mark.plain
 def test_an_engine_has_one_mark_in_all_charts(monkeypatch):
     """MuJoCo's were squares in one chart and triangles in the next."""
     for others in ((), ("LAMMPS",), ("LAMMPS", "PyBullet")):

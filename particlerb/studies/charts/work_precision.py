@@ -69,9 +69,9 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     )  # fmt: skip
     heading = advice(chart)
     axes.set_title(heading, fontsize=11, loc="left", color=style.INK, fontweight="bold")
-    if len(front) > 1 and len(heading) <= _SHORT_HEADING:
-        words = "yellow: none of ours is faster and more accurate"
-        axes.set_title(words, fontsize=8, loc="right", color="#8a6d00")
+    below = ["yellow: none of ours is faster and more accurate"] if len(front) > 1 else []
+    if below and len(heading) <= _SHORT_HEADING:
+        axes.set_title(below.pop(), fontsize=8, loc="right", color="#8a6d00")
     _label_curves(axes, drawn, _mark_levels(axes, chart))
     _mark_failures(axes, chart.points)
     _mark_cheapest(axes, chart)
@@ -81,7 +81,7 @@ def draw_chart(chart: WorkPrecision, path: Path) -> None:
     figure.suptitle(title, color=style.INK, x=0.01, ha="left", fontsize=12)
     our_names = style.METHOD_COLOURS.keys()
     absent = [f"{name}: left out, {why}" for name, why in chart.left_out if name not in our_names]
-    if words := "\n".join((*chart.notes, *absent)):
+    if words := "\n".join((*below, *chart.notes, *absent)):
         figure.supxlabel(words, fontsize=8, color=_PEER_COLOUR, x=0.01, ha="left")
     figure.savefig(path, dpi=130)
 
