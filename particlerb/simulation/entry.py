@@ -18,7 +18,7 @@ from particlerb.record.trajectory import Trajectory, open_trajectory
 from particlerb.simulation.accuracy import prepare_accurately
 from particlerb.simulation.resume import look_at, resume_pending
 from particlerb.simulation.run import run_prepared
-from particlerb.simulation.run_warnings import lost_energy, run_warnings, told_of
+from particlerb.simulation.run_warnings import lost_energy, remedy_of, run_warnings, told_of
 from particlerb.simulation.whole_run import Prepared, Run, RunError
 
 _LOG: Final = logging.getLogger(__name__)
@@ -53,7 +53,8 @@ def warn_of_lost_energy(run: Run, time: float, known: Entries | None) -> Entries
             _, entries, error = run.frames_at(np.array([time]), np.zeros(1, np.bool_))
             known = entries if error is None else None
     if known is not None:
-        log_warnings(told_of(lost_energy(run.system.run, run.groups, run.drift())))
+        _, remedy = remedy_of(run.system.run, run.groups)
+        log_warnings(told_of(lost_energy(remedy, run.drift())))
     return known
 
 

@@ -31,6 +31,7 @@ from particlerb.simulation.frame_times import BATCH_FRAMES, Batch, batches
 from particlerb.simulation.group_run import tally_of
 from particlerb.simulation.joint_values import at_row, broken_joints, labels_of, refuse_checks
 from particlerb.simulation.outcome import Outcome, Probe, Progress, Reached
+from particlerb.simulation.run_warnings import remedy_of
 from particlerb.simulation.shares import part_of
 from particlerb.simulation.whole_run import Prepared, Run, RunError
 
@@ -118,7 +119,9 @@ def share_of_rank(prepared: Prepared, ranks: Ranks, hashed: str = "") -> Prepare
     """
     if prepared.is_part or prepared.hash_of_scene:
         return prepared
-    return part_of(prepared, ranks)._replace(hash_of_scene=hashed or identity(prepared))
+    _, remedy = remedy_of(prepared.system.run, prepared.plan.groups)
+    hashed = hashed or identity(prepared)
+    return part_of(prepared, ranks)._replace(hash_of_scene=hashed, remedy=remedy)
 
 
 def content_of(prepared: Prepared, ranks: Ranks = ALONE) -> tuple[dict[str, Any], str]:

@@ -45,7 +45,8 @@ def run_warnings(prepared: Prepared, outcome: Outcome) -> list[str]:
             " it is 1 they are no better than none; take more contact.iterations or"
             ' contact.solver = "newton"'
         )
-    told += lost_energy(prepared.system.run, prepared.plan.groups, outcome.drift)
+    remedy = prepared.remedy or remedy_of(prepared.system.run, prepared.plan.groups)[1]
+    told += lost_energy(remedy, outcome.drift)
     return told_of(told)
 
 
@@ -54,25 +55,29 @@ def told_of(warnings: Sequence[str]) -> list[str]:
     return [f"particlerb: warning: {text}" for text in warnings]
 
 
-def lost_energy(run: RunTable, groups: Sequence[GroupPlan], drift: ConservationError) -> list[str]:
+def lost_energy(remedy: str, drift: ConservationError) -> list[str]:
     """What to say where the energy errs by much, relative to the largest one or work in frames.
 
     Where frames meet bodies at rest these are nearly nothing: then that at the start counts.
     """
     if not (drift.energy > _LARGE_DRIFT and drift.of_start > _LARGE_OF_START):
         return []
-    stepped = [segment for group in groups for segment in group.stepped]
-    steps = [run.dt or s.dt for s in stepped if not is_adaptive(s.method)]
-    remedy = "lower run.tolerance" if stepped else ""
-    if run.accuracy is not None:
-        remedy = "take a smaller run.accuracy"
-    elif steps:
-        remedy = f"take run.dt below {min(steps):.3g} s"
-        is_attracted = any(s.terms.attraction is not None for s in stepped)
-        if is_attracted and all(accepts("dop853", s.terms) for s in stepped):
-            remedy += ', or run.method = "dop853", whose steps follow the motion'
     cause = "steps are too long for what bodies have met, or a force does not fit its potential"
     return [
         f"the energy errs by {drift.energy:.2g} of the largest kinetic energy or work in frames, so"
         f" positions and orientations are wrong too{f': {cause}; {remedy}' if remedy else ''}"
     ]
+
+
+def remedy_of(run: RunTable, groups: Sequence[GroupPlan]) -> tuple[float, str]:
+    """The shortest step [s], infinite where none is given, and what helps where energy is lost."""
+    stepped = [segment for group in groups for segment in group.stepped]
+    dt = min((run.dt or s.dt for s in stepped if not is_adaptive(s.method)), default=math.inf)
+    if not stepped or run.accuracy is not None:
+        return dt, "take a smaller run.accuracy" if stepped else ""
+    if dt == math.inf:
+        return dt, "lower run.tolerance"
+    is_attracted = any(s.terms.attraction is not None for s in stepped)
+    may_follow = is_attracted and all(accepts("dop853", s.terms) for s in stepped)
+    other = ', or run.method = "dop853", whose steps follow the motion' if may_follow else ""
+    return dt, f"take run.dt below {dt:.3g} s{other}"

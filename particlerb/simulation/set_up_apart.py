@@ -23,6 +23,7 @@ from particlerb.plan.time_step import (
 )
 from particlerb.ranks import ALONE, Ranks
 from particlerb.simulation.run import made_ready
+from particlerb.simulation.run_warnings import remedy_of
 from particlerb.simulation.shares import can_be_apart, is_planned_together, share_of
 from particlerb.simulation.whole_run import Prepared
 
@@ -49,11 +50,13 @@ def prepared_apart(case: Case, ranks: Ranks) -> Prepared | None:
         plan = _with_steps_of_all(system, plan, ranks)
         ranks.together(lambda: refuse_endless(system, plan.groups))
     is_stepped = any(group.stepped for group in plan.groups)
-    told = ranks.gathered((is_stepped, plan.step))
-    words = next((words for is_stepped, words in told if is_stepped), plan.step)
+    told = ranks.gathered((is_stepped, plan.step, remedy_of(system.run, plan.groups)))
+    words = next((words for is_stepped, words, _ in told if is_stepped), plan.step)
+    _, remedy = min((found for is_stepped, _, found in told if is_stepped), default=(0.0, ""))
     warnings = *map(as_warning, coarse(system)), *step_warnings(system, plan.groups, ranks)
     plan = Plan(plan.groups, words, warnings)
-    return Prepared(system, plan, describe(system, plan, ranks=ranks), first=own.start)
+    text = describe(system, plan, ranks=ranks)
+    return Prepared(system, plan, text, first=own.start, remedy=remedy)
 
 
 def _with_steps_of_all(system: System, plan: Plan, ranks: Ranks) -> Plan:

@@ -49,7 +49,8 @@ class Prepared(NamedTuple):
     first: int = 0  # number of its first body in the scene, where it is a part of one
     is_copied: bool = False  # whether each of several ranks moves all bodies
     accuracy: str = ""  # what its text says of that
-    hash_of_scene: str = ""  # of the share of a rank: what decides the motion of all bodies
+    hash_of_scene: str = ""  # of the share of a rank: what decides the motion of all bodies,
+    remedy: str = ""  # and what helps if their energy is lost
 
     @property
     def is_part(self) -> bool:

@@ -843,8 +843,9 @@ def test_contacts_beyond_their_limit_are_a_warning(monkeypatch, turn, warns):
     monkeypatch.setattr("particlerb.simulation.run_warnings.stable_turn", lambda plan: 2.0)
     system = SimpleNamespace(check=SimpleNamespace(value=()))
     drift = SimpleNamespace(energy=0.0)
-    outcome = SimpleNamespace(contact_turn=turn, tree=None, tally=None, passed=0.0, drift=drift)
-    told = run_warnings(SimpleNamespace(plan=None, system=system), outcome)
+    seen = {"tree": None, "tally": None, "passed": 0.0, "drift": drift, "tension": ""}
+    outcome = SimpleNamespace(contact_turn=turn, **seen)
+    told = run_warnings(SimpleNamespace(plan=None, system=system, remedy="none"), outcome)
     assert bool(told) == warns
     assert all("ω dt = 2.5: above 2 " in text and "divide run.dt by 1.2" in text for text in told)
 

@@ -1,6 +1,7 @@
 """Ranks that set up their own bodies alone have the same ones, and the same plan, as of all."""
 
 import tracemalloc
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from particlerb.plan.segments import in_superblocks
 from particlerb.ranks import NoRanksError, Ranks
 from particlerb.record.layout import tables_of
 from particlerb.simulation.accuracy import prepare_accurately
-from particlerb.simulation.run import identity
+from particlerb.simulation.run import identity, share_of_rank
+from particlerb.simulation.run_warnings import remedy_of
 from particlerb.simulation.set_up_apart import prepared_apart
 from particlerb.simulation.shares import part_of
 
@@ -179,3 +181,22 @@ def test_tables_of_all_bodies_look_once_for_kinds_of_those_that_differ(make, mon
     assert len(counted) == 1
     for path, table in tables_of(whole).items():
         assert (part[path] == table).all(), path
+
+
+@pytest.mark.parametrize("run", [{}, {"dt": 0.1}])
+def test_each_rank_knows_what_helps_all_bodies_where_energy_is_lost(make, monkeypatch, run):
+    """The first rank has bodies alone that are not stepped."""
+    monkeypatch.setattr(superblocks, "SUPERBLOCK", 256)
+    grid = {"type": "grid", "spacing": 5.0}
+    bodies = [make.body(name, count=512, place=grid) for name in ("free", "tied")]
+    spring = {"type": "spring", "body": "tied", "anchor": [0, 0, 0], "stiffness": 1.0}
+    spring |= {"at": [0.1, 0.0, 0.0], "rest_length": 0.5}
+    case = load(make.case(*bodies, force=[spring], **run))
+    whole = prepare_accurately(to_system(case))
+    _, helps = remedy_of(case.run, whole.plan.groups)
+    assert helps.startswith("take run.dt below")
+
+    for share in (lambda ranks: prepared_apart(case, ranks), partial(share_of_rank, whole)):
+        first, second = over_ranks(2, share)[1]
+        assert not any(group.stepped for group in first.plan.groups)
+        assert first.remedy == second.remedy == helps

@@ -15,7 +15,7 @@ from particlerb.case.reader import load
 from particlerb.case.to_system import to_system
 from particlerb.model.balance import ConservationError
 from particlerb.simulation.run import prepare
-from particlerb.simulation.run_warnings import lost_energy
+from particlerb.simulation.run_warnings import lost_energy, remedy_of
 from particlerb.tables import Cylinder, RunTable
 
 DOT = {"type": "points", "position": [[0, 0, 0]], "mass": 1.0}
@@ -121,8 +121,8 @@ def test_frames_that_meet_a_body_at_rest_are_no_lost_energy(make, caplog):
 def remedy(case, **run):
     """What helps against energy that errs by much."""
     prepared = prepare(to_system(load(case | {"run": case["run"] | run})))
-    drift = ConservationError(1.0, 0.0, 0.0)
-    (told,) = lost_energy(prepared.system.run, prepared.plan.groups, drift)
+    _, helps = remedy_of(prepared.system.run, prepared.plan.groups)
+    (told,) = lost_energy(helps, ConservationError(1.0, 0.0, 0.0))
     return told.partition("wrong too")[2].rpartition("; ")[2]
 
 
@@ -136,7 +136,8 @@ def test_what_helps_against_lost_energy_is_what_the_run_can_take(make):
     assert remedy(make.case(*balls, attraction={"G": 1e-3}, method="dop853", tolerance=1e-6)) == (
         "lower run.tolerance"
     )
-    by_accuracy = make.case(*balls, attraction={"G": 1e-3})
+    third = make.sphere("third", position=[0.0, 5.0, 0.0])
+    by_accuracy = make.case(*balls, third, attraction={"G": 1e-3})
     assert remedy(by_accuracy, accuracy=1e-3) == "take a smaller run.accuracy"
 
 
