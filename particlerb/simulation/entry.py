@@ -47,14 +47,19 @@ def kind_of(warning: str) -> str:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # found in the balance
 def warn_of_lost_energy(run: Run, time: float, known: Entries | None) -> Entries | None:
-    """Log that the energy errs by much, at the end [s]; its balance there, None: not finite."""
+    """Log that the energy errs by much, at the end [s], or that steps were too long.
+
+    Its balance there; None where that is not finite.
+    """
     if known is None:
         with suppress(RunError), THREADS.using(run.system.run.threads):
             _, entries, error = run.frames_at(np.array([time]), np.zeros(1, np.bool_))
             known = entries if error is None else None
+    told = [tension] if (tension := run.tension()) else []
     if known is not None:
         _, remedy = remedy_of(run.system.run, run.groups)
-        log_warnings(told_of(lost_energy(remedy, run.drift())))
+        told = [*lost_energy(remedy, run.drift()), *told]
+    log_warnings(told_of(told))
     return known
 
 
