@@ -1,7 +1,7 @@
 """One group of bodies on its way through its segments, and the sums over all groups."""
 
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Final
 
@@ -42,7 +42,7 @@ class GroupRun:
         self.joint_values: JointValues | None = None  # rows of the next `record`, where asked for
         self.sums: Floats | None = None  # over its bodies, of these rows, where asked for
         self.reader: JointReader | None = None
-        self.watch = TensionWatch()
+        self.watch: TensionWatch | None = None
         self.plan = plan
         self.external_before = np.zeros((*shape_of(plan.worlds), 7))  # in earlier segments
         self.gross_work_before: Floats | float = 0.0  # [J] gross work of contacts in them
@@ -204,7 +204,7 @@ class GroupRun:
         """
         state, external = self.motion.finish(self.segment.stop)
         if self.segment.terms.joints is not None:
-            self.watch.look(self, self.segment.stop, lambda: state)
+            self.watch_tension(self.segment.stop, lambda: state)
         self.broken = self.broken_until(self.segment.stop)
         self.gross_work_before = self.gross_work()
         self.external_before += external
@@ -268,7 +268,7 @@ class GroupRun:
                     self.read_joints(times, rows, frames, self.joint_values)
                 if segment.terms.joints is not None:
                     last = partial(self.state_in, frames, until - 1)
-                    self.watch.look(self, float(times[until - 1]), last)
+                    self.watch_tension(float(times[until - 1]), last)
                 done = until
             if done < times.size:
                 self.cross()
@@ -280,7 +280,7 @@ class GroupRun:
             self.cross()
         self.motion.pose(time, frames)
         if self.segment.terms.joints is not None:
-            self.watch.look(self, time, lambda: self.state_in(frames, 0))
+            self.watch_tension(time, lambda: self.state_in(frames, 0))
 
     def read_joints(self, times: Floats, rows: Ints, frames: Frames, values: JointValues) -> None:
         """Find what joints carry in rows of the frames, all of this segment."""
@@ -298,6 +298,12 @@ class GroupRun:
             if self.motion.impulse_tally().size and is_first:
                 contacts = None  # no step has been taken
             reader.read(float(times[row]), state, contacts, turned, broken, values, row)
+
+    def watch_tension(self, time: float, state_of: Callable[[], State]) -> None:
+        """Look whether the step is too long for what joints carry in a state at a time [s]."""
+        if self.watch is None:
+            self.watch = TensionWatch()
+        self.watch.look(self, time, state_of)
 
     def joint_reader(self) -> JointReader:
         """What finds values of the joints of this segment."""

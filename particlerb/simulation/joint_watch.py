@@ -70,7 +70,7 @@ class TensionWatch:
         self.steps, load = done, motion.dt**2 * self.bound(motion)
         if load > max(1.0, _LOAD_GROWTH * self.load):
             self.load = load
-            self.found = self.growing(run, motion, time, state_of()) or self.found
+            self.found = growing(run, motion, time, state_of()) or self.found
 
     def bound(self, motion: SteppedMotion) -> float:
         """No less than ω² [1/s²] across what joints carried lately."""
@@ -86,19 +86,18 @@ class TensionWatch:
         squared = np.bincount(rows.a, of_a, n) + np.bincount(rows.b, of_b, n)
         return float(squared.max())
 
-    def growing(
-        self, run: "GroupRun", motion: SteppedMotion, time: float, state: State
-    ) -> Tension | None:
-        """What the stages let grow most in a state at a time [s]; None: nothing."""
-        reader = run.joint_reader()
-        data = reader.loaded(time, state, None, motion.broken)
-        rates, joints = tension_rates(reader.joints, data)
-        growth = growth_of(motion.method.weights, motion.dt * rates)
-        if not growth.any():
-            return None
-        worst = int(growth.argmax())
-        rate, joint = float(rates[worst]), int(reader.joints.number[joints[worst]])
-        return Tension(time, motion.dt, rate, motion.method.stability_limit / rate, joint)
+
+def growing(run: "GroupRun", motion: SteppedMotion, time: float, state: State) -> Tension | None:
+    """What the stages let grow most in a state at a time [s]; None: nothing."""
+    reader = run.joint_reader()
+    data = reader.loaded(time, state, None, motion.broken)
+    rates, joints = tension_rates(reader.joints, data)
+    growth = growth_of(motion.method.weights, motion.dt * rates)
+    if not growth.any():
+        return None
+    worst = int(growth.argmax())
+    rate, joint = float(rates[worst]), int(reader.joints.number[joints[worst]])
+    return Tension(time, motion.dt, rate, motion.method.stability_limit / rate, joint)
 
 
 def watched(run: "GroupRun") -> SteppedMotion | None:
@@ -114,6 +113,12 @@ def watched(run: "GroupRun") -> SteppedMotion | None:
         return None
     is_leapfrog = motion.method.stability_limit < math.inf and not motion.method.takes_impulses
     return motion if is_leapfrog and motion.method.holds_joints else None
+
+
+def told_of_tension(system: System, runs: Sequence["GroupRun"]) -> str:
+    """What is to be said of steps that were too long for a tension; empty: nothing."""
+    found = [run.watch.found for run in runs if run.watch is not None]
+    return next((one.told(system) for one in found if one is not None), "")
 
 
 def lost(system: System, runs: Sequence["GroupRun"], times: Floats, frames: Frames, f: int) -> str:
@@ -140,7 +145,7 @@ def lost(system: System, runs: Sequence["GroupRun"], times: Floats, frames: Fram
         is_known = f > 0 and times[f - 1] >= first.segment.start
         time = float(times[f - 1]) if is_known else first.segment.start
         state = first.state_in(frames, f - 1) if is_known else first.first_state
-        if tension := first.watch.growing(first, motion, time, state):
+        if tension := growing(first, motion, time, state):
             return tension.told(system)
     is_composed = METHODS[first.segment.method].evaluations > 1
     other = ', or run.method = "rattle", which passes such poses best' if is_composed else ""

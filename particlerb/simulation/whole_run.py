@@ -23,6 +23,7 @@ from particlerb.record.frame_values import NewFrames
 from particlerb.simulation import joint_values
 from particlerb.simulation.group_run import GroupRun, initial_energies, own_failure, record_all
 from particlerb.simulation.impulse_values import impulse_fields
+from particlerb.simulation.joint_watch import told_of_tension
 from particlerb.simulation.outcome import Probe, TreeError, restored_probes, saved_probes
 from particlerb.simulation.restarts import restart_from
 from particlerb.simulation.state_checks import StateChecks
@@ -172,7 +173,7 @@ class Run:
         self, system: System, plan: Plan, state: State, motions: Mapping[bytes, Motion]
     ) -> State:
         """Start by another plan, after motions of the same bodies; the state of those that move."""
-        self.told_of_tension = self.own_tension()
+        self.told_of_tension = told_of_tension(self.moving, self.group_runs) or self.told_of_tension
         self.system, self.gravity, self.moving = system, system.acceleration, merged(system)
         self.single = None
         if self.moving.merging is not None:
@@ -257,13 +258,8 @@ class Run:
 
     def tension(self) -> str:
         """What is to be said of steps that were too long for what joints carry; empty: nothing."""
-        return next(filter(None, self.ranks.gathered(self.own_tension())), "")
-
-    def own_tension(self) -> str:
-        """The same of this rank."""
-        found = [run.watch.found for run in self.group_runs]
-        told = [one.told(self.moving) for one in found if one is not None]
-        return told[0] if told else self.told_of_tension
+        own = told_of_tension(self.moving, self.group_runs) or self.told_of_tension
+        return next(filter(None, self.ranks.gathered(own)), "")
 
     def tree_error(self) -> TreeError | None:
         """What the tree of the attraction has erred at frames; None where none was asked for."""
