@@ -167,30 +167,40 @@ def _softness(arm: Floats, inv_inertia: Floats) -> Floats:
     return softness
 
 
-def tension_rates(joints: Joints, data: JointData) -> tuple[Floats, Ints]:
-    """All ω [rad/s] of the geometric stiffness of multipliers z, (k,), and joints they are about.
+def tension_rates(joints: Joints, data: JointData, c: int) -> tuple[Floats, Ints]:
+    """All ω [rad/s] of the geometric stiffness of multipliers z in cluster c, (k,).
 
-    Poses, gradients and z are those of an instant; data are written over.
+    And joints that they are about. Poses, gradients and z are those of an instant; data are written
+    over.
     """
+    joint = slice(*joints.clusters.joint[c : c + 2])
+    rows = joints.program.start[joint]
+    free = _free_motions(joints, data, c) if rows.size else None
+    if free is None or not len(free):
+        return np.zeros(0), np.zeros(0, dtype=np.int64)
     carried = np.where(joints.rows.action == col.HOLDS, data.z, 0.0)
     force = lengths(forces_of_joints(joints, data, carried)[:, :3].T)
-    rates, about = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
-    for c in range(joints.clusters.body.size - 1):
-        joint = slice(*joints.clusters.joint[c : c + 2])
-        free = _free_motions(joints, data, c) if joint.start < joint.stop else None
-        if free is None or not len(free):
-            continue
-        stiffness = _stiffness(joints, data, c, free, carried)
-        squared, shapes = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-        shapes = shapes[:, squared > 0.0]
-        share = np.zeros((shapes.shape[1], joints.inv_mass.size))
-        moved = np.tensordot(shapes, free, (0, 0))
-        share[:, slice(*joints.clusters.body[c : c + 2])] = (moved * moved).sum(axis=2)
-        rows = joints.program.start[joint]
-        of_joint = (share[:, joints.rows.a[rows]] + share[:, joints.rows.b[rows]]) * force[joint]
-        rates.append(np.sqrt(squared[squared > 0.0]))
-        about.append(joint.start + of_joint.argmax(axis=1))
-    return np.concatenate(rates), np.concatenate(about)
+    stiffness = _stiffness(joints, data, c, free, carried)
+    squared, shapes = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+    shapes, squared = shapes[:, squared > 0.0], squared[squared > 0.0]
+    moved = np.tensordot(shapes, free, (0, 0))
+    share = np.zeros((squared.size, joints.inv_mass.size))
+    share[:, slice(*joints.clusters.body[c : c + 2])] = (moved * moved).sum(axis=2)
+    of_joint = (share[:, joints.rows.a[rows]] + share[:, joints.rows.b[rows]]) * force[joint]
+    return np.sqrt(squared), joint.start + of_joint.argmax(axis=1)
+
+
+def fastest_tension(joints: Joints, state: State, force: Floats) -> float:
+    """Largest ω [rad/s] of the cluster whose bound is largest, in a state under forces (3, n)."""
+    data = loaded_joints(joints, state, force)
+    ends = loaded_ends(joints, data, data.z, np.zeros(joints.inv_mass.size))
+    c = cluster_of(joints, int(bound_squared(joints, ends)[:-1].argmax()))
+    return float(tension_rates(joints, data, c)[0].max(initial=0.0))
+
+
+def cluster_of(joints: Joints, body: int) -> int:
+    """The cluster in which a body is."""
+    return int(np.searchsorted(joints.clusters.body, body, side="right")) - 1
 
 
 def _stiffness(joints: Joints, data: JointData, c: int, free: Floats, carried: Floats) -> Floats:

@@ -15,7 +15,7 @@ from particlerb.contact.contact_frequency import initial_contact_frequency
 from particlerb.contact.contact_model import GroupContact
 from particlerb.forces.links import fastest_oscillation, with_springs
 from particlerb.integrators import METHODS
-from particlerb.joints.tension import loaded_joints, tension_rates
+from particlerb.joints.tension import fastest_tension
 from particlerb.model.bodies import taken
 from particlerb.model.state import lengths, omega_world
 from particlerb.model.system import System
@@ -127,8 +127,9 @@ def stable_step(system: System, group: GroupPlan, segment: Segment) -> float:
     state = taken(system.state, group.members)
     rate = fastest_oscillation(everything, group.bodies, state.com, state.q)
     if segment.terms.joints is not None and segment is group.segments[0]:
-        data = loaded_joints(segment.terms.joints, state, force_of(group.group(segment))[1])
-        rate = tension_rates(segment.terms.joints, data)[0].max(initial=rate)
+        rate = max(
+            rate, fastest_tension(segment.terms.joints, state, force_of(group.group(segment))[1])
+        )
     return float(METHODS[segment.method].stability_limit / rate) if rate > 0.0 else np.inf
 
 

@@ -17,7 +17,7 @@ from particlerb.integrators import METHODS
 from particlerb.integrators.composition import growth_of
 from particlerb.joints.packs import past_of
 from particlerb.joints.records import Joints
-from particlerb.joints.tension import row_softness, tension_rates
+from particlerb.joints.tension import cluster_of, row_softness, tension_rates
 from particlerb.maths.vec3 import Floats
 from particlerb.model.state import Frames, State
 from particlerb.model.system import System
@@ -67,13 +67,14 @@ class TensionWatch:
         done = motion.steps_done
         if 0 <= done - self.steps < min(_STEPS_PER_LOOK, _SHARE_PER_LOOK * done):
             return
-        self.steps, load = done, motion.dt**2 * self.bound(motion)
+        squared, c = self.bound(motion)
+        self.steps, load = done, motion.dt**2 * squared
         if load > max(1.0, _LOAD_GROWTH * self.load):
             self.load = load
-            self.found = growing(run, motion, time, state_of()) or self.found
+            self.found = growing(run, motion, c, time, state_of()) or self.found
 
-    def bound(self, motion: SteppedMotion) -> float:
-        """No less than ω² [1/s²] across what joints carried lately."""
+    def bound(self, motion: SteppedMotion) -> tuple[float, int]:
+        """No less than ω² [1/s²] across what joints carried lately, and the cluster."""
         assert motion.jointed is not None
         joints, data = motion.jointed.joints, motion.jointed.data
         past = past_of(motion.jointed.packs, data)[:, 0]
@@ -84,14 +85,17 @@ class TensionWatch:
         of_a, of_b = carried * self.softness[1]
         rows, n = joints.rows, joints.inv_mass.size
         squared = np.bincount(rows.a, of_a, n) + np.bincount(rows.b, of_b, n)
-        return float(squared.max())
+        worst = int(squared[:-1].argmax())
+        return float(squared[worst]), cluster_of(joints, worst)
 
 
-def growing(run: "GroupRun", motion: SteppedMotion, time: float, state: State) -> Tension | None:
-    """What the stages let grow most in a state at a time [s]; None: nothing."""
+def growing(
+    run: "GroupRun", motion: SteppedMotion, c: int, time: float, state: State
+) -> Tension | None:
+    """What the stages let grow most in cluster c in a state at a time [s]; None: nothing."""
     reader = run.joint_reader()
     data = reader.loaded(time, state, None, motion.broken)
-    rates, joints = tension_rates(reader.joints, data)
+    rates, joints = tension_rates(reader.joints, data, c)
     growth = growth_of(motion.method.weights, motion.dt * rates)
     if not growth.any():
         return None
@@ -145,7 +149,12 @@ def lost(system: System, runs: Sequence["GroupRun"], times: Floats, frames: Fram
         is_known = f > 0 and times[f - 1] >= first.segment.start
         time = float(times[f - 1]) if is_known else first.segment.start
         state = first.state_in(frames, f - 1) if is_known else first.first_state
-        if tension := growing(first, motion, time, state):
+        rows = motion.group.terms.joints
+        assert rows is not None
+        c = int(
+            np.searchsorted(rows.clusters.joint, np.argmax(rows.number == min(joints)), "right")
+        )
+        if tension := growing(first, motion, c - 1, time, state):
             return tension.told(system)
     is_composed = METHODS[first.segment.method].evaluations > 1
     other = ', or run.method = "rattle", which passes such poses best' if is_composed else ""

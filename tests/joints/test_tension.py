@@ -32,7 +32,8 @@ def fastest(scene):
     data = loaded_joints(joints, state, force_of(group.group(segment))[1])
     ends = loaded_ends(joints, data, data.z, np.zeros(joints.inv_mass.size))
     bound = bound_squared(joints, ends).max()
-    rate = tension_rates(joints, data)[0].max()
+    clusters = range(joints.clusters.body.size - 1)
+    rate = max(tension_rates(joints, data, c)[0].max(initial=0.0) for c in clusters)
     assert rate**2 < (1 + 1e-5) * bound
     return rate
 
@@ -113,7 +114,7 @@ def test_what_a_joint_held_that_has_broken_does_not_take_part():
     data.broken[joints.number == 2] = -np.inf
     factorise_all(joints, data, 0.0)
     find_multipliers(joints, data, data.change)
-    rates, about = tension_rates(joints, data)
+    rates, about = tension_rates(joints, data, 0)
     assert rates.max() == pytest.approx(np.sqrt(1.5) * hanging_by_angles(2), rel=1e-4)
     assert (joints.number[about] < 2).all()
 
