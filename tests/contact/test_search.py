@@ -503,6 +503,7 @@ def test_layers_find_the_pairs_of_all_space(monkeypatch, case):
         assert (getattr(found, name) == getattr(expected, name)).all(), name
 
 
+@pytest.mark.compiled
 def test_a_search_takes_little_memory_of_many_spheres(monkeypatch):
     """At most 100 bytes a sphere beside the pairs, where one of all at once takes 216."""
     rng, n = np.random.default_rng(1), 80_000

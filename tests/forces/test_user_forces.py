@@ -444,7 +444,7 @@ def test_what_the_compiler_does_not_take_is_said_with_its_line():
 
 @plain
 def test_a_list_of_parameters_is_as_long_as_that_of_the_bodies():
-    with pytest.raises(CaseError, match=r"force\[0\].per_body.k: has 2 entries, .* on 1 bodies"):
+    with pytest.raises(CaseError, match=r"force\[0\].per_body.k: has 2 entries, .* on 1 body"):
         particlerb.run(scene(table(own_spring, anchor=(0, 0, 0), per_body={"k": [1.0, 2.0]})))
 
 

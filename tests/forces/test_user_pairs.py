@@ -329,7 +329,7 @@ def line_of(text):
         (between(no_root), RunError, None, r"no_root returns \[\[nan, 0.0, 0.0\]"),
         (between(newton, m1=1.0, m2=1.0), CaseError, None, "parameter G, which is missing"),
         (between(newton, G=1.0, m1=1.0, per_body={"m2": [1.0, 2.0]}), CaseError, None,
-         r"force\[0\].per_body.m2: has 2 entries, .* on 1 bodies"),
+         r"force\[0\].per_body.m2: has 2 entries, .* on 1 body"),
         (between(own_tie, **ENDS, l0=0.4, per_body={"k": [1.0]}), CaseError, None,
          r"force\[0\].per_body.k: says not of which body"),
         (between(alone), CaseError, None, r"force\[0\].to: alone .* acts on one body"),
